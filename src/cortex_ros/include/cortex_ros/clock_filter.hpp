@@ -1,0 +1,98 @@
+// Exposure time of a frame, with the delays of the network filtered out. Pure: no clock of its own.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+#include "cortex_ros/clock.hpp"
+
+namespace cortex_ros {
+
+// The host reports how long it took from exposure to sending, so  receipt - delay  is the exposure time, late
+// by whatever the network took. On a quiet network that is some 0.1 ms. When frames are bunched (a switch, a
+// busy kernel, radio) it is many milliseconds, and a velocity computed from such stamps is nonsense.
+//
+// But cameras run on a crystal: frame n is exposed at  t0 + n * period.  Per frame
+//     offset(n) = (receipt - delay) - n * period  =  t0 + (time on the network, >= 0)
+// so the lower envelope of the offsets belongs to the frames that were not held up, and
+//     stamp(n) = n * period + envelope(n).
+// The envelope is the least offset of the last one to two blocks, raised by max_drift per second so that it
+// can follow a host whose clock runs slower than ours (a faster one lowers the minimum by itself).
+//
+// This holds only while the numbers count exposures at the announced rate. Therefore the filter is "locked"
+// only while the minima of successive blocks agree; until two did, and again after a restart of the numbers
+// or a silence, or with no period, the stamp is plainly  receipt - delay.
+//
+// When no frame comes near the envelope for longer than `patience`, one of the clocks has jumped (or the
+// fastest path through the network has become slower, which cannot be told apart): the envelope starts again
+// from the least offset since. Patience is counted in receipt time: frames that were held up together arrive
+// together, so a long stall does not look like a jump. A jump downwards needs no patience: no network
+// delivers early.
+//
+// A stamp is never later than receipt - delay, except to keep stamps strictly increasing.
+class ClockFilter {
+ public:
+  struct Options {
+    double max_drift = 3e-4;                         // [s/s] crystals stay well below
+    Time block = std::chrono::milliseconds(500);     // the envelope remembers one to two of these
+    Time agreement = std::chrono::milliseconds(1);   // minima of successive blocks differ by less when locked
+    Time held_up = std::chrono::milliseconds(2);     // further above the envelope a frame does not support it
+    Time patience = std::chrono::milliseconds(150);  // without support for longer: something has jumped
+    Time far_up = std::chrono::milliseconds(50);     // the same from this far above the envelope:
+    Time far_up_patience = std::chrono::milliseconds(20);  // a host that paused looks like this
+    Time max_silence = std::chrono::seconds(1);            // after a longer one the filter starts anew
+    Time max_step_back = std::chrono::milliseconds(50);  // a larger step back in time is our clock being set
+  };
+
+  ClockFilter() : ClockFilter(Options()) {}
+  explicit ClockFilter(const Options& options) : options_(options) {}
+
+  // Time between two frame numbers; zero: unknown, no filtering. A change starts the filter anew.
+  void set_period(Time period);
+
+  // Exposure time of a frame that was received at `receipt` (wall time) and reported `delay` (>= 0). Strictly
+  // increasing from call to call, unless our own clock was set back by more than max_step_back.
+  Time stamp(std::int32_t frame, Time receipt, Time delay);
+
+  bool locked() const { return locked_; }
+
+ private:
+  // Envelope and frame times are nanoseconds since the reference, as doubles: exact over days, and they can
+  // be multiplied by a drift.
+  struct Block {
+    std::optional<double> envelope_ns;
+  };
+  // Frames in a row that were all well above the envelope.
+  struct Unsupported {
+    Time since{0};
+    double least_offset_ns = 0.0;
+  };
+
+  bool continues(std::int32_t frame, Time direct) const;
+  void start(std::int32_t frame, Time direct);
+  double frame_time_ns(std::int32_t frame) const;
+  void age_envelopes(double elapsed_ns);
+  void close_block();
+  double envelope_ns() const;
+  void check_support(Time direct, double offset_ns);
+  Time filtered(std::int32_t frame, Time direct);
+  Time increasing(Time stamp);
+
+  Options options_;
+  double period_ns_ = 0.0;
+
+  bool started_ = false;
+  bool locked_ = false;
+  std::int32_t reference_frame_ = 0;
+  Time reference_{0};
+  std::int32_t last_frame_ = 0;
+  Time last_direct_{0};
+  std::optional<Unsupported> unsupported_;
+  Block previous_;
+  Block current_;
+  double block_end_ns_ = 0.0;
+
+  std::optional<Time> last_stamp_;
+};
+
+}  // namespace cortex_ros

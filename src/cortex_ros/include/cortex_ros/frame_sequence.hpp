@@ -1,0 +1,39 @@
+// What the number of a frame says about the frames around it. Pure.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+namespace cortex_ros {
+
+enum class FrameOrder {
+  kNew,        // the next one, or one after a gap
+  kDuplicate,  // the number of the newest frame again
+  kLate,       // overtaken by a newer frame on the network
+  kRestart,    // the host counts anew (new take, live mode off and on), or jumped too far for a loss
+};
+
+// The protocol has no sequence number but the frame number, which may restart at any time. So a step back is
+// ambiguous: a short one is taken for reordering by the network, unless several follow each other.
+class FrameSequence {
+ public:
+  static constexpr std::int64_t kLateWindow = 8;   // frames; further back is a restart
+  static constexpr int kLateBeforeRestart = 3;     // this many late ones in a row are a restart
+  static constexpr std::int64_t kMaxGap = 100000;  // frames; a larger step ahead is a jump, not a loss
+
+  FrameOrder classify(std::int32_t frame);
+
+  // Frames missing right before the last one that was kNew.
+  std::int64_t gap() const { return gap_; }
+
+  void reset();
+
+ private:
+  FrameOrder accept(std::int32_t frame, FrameOrder order);
+
+  std::optional<std::int64_t> newest_;
+  std::int64_t gap_ = 0;
+  int late_in_a_row_ = 0;
+};
+
+}  // namespace cortex_ros

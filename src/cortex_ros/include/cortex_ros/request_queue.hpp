@@ -1,0 +1,73 @@
+// Requests to the host, one at a time. Pure: told what time it is and what came, says what to send.
+#pragma once
+
+#include <deque>
+#include <functional>
+#include <optional>
+
+#include "cortex_ros/clock.hpp"
+#include "cortex_ros/protocol.hpp"
+
+namespace cortex_ros {
+
+// An answer on the wire names no request. What keeps answers apart here:
+//  - one request is under way at a time, and an answer must be of a type that this request can have;
+//  - before the next request of the same kind there is a pause in which answers are thrown away: a short
+//    one for duplicates, and a longer one when the request was repeated (each repeat brings an answer of its
+//    own, as late as the first one was) or given up (its answer may still come).
+class RequestQueue {
+ public:
+  struct Timing {
+    Time timeout = std::chrono::milliseconds(250);  // until a request is repeated or given up
+    Time settle = std::chrono::milliseconds(20);    // for duplicates, between requests of one kind
+  };
+  // Called with the answer, or with nullptr when the tries are used up. May push further requests.
+  using Done = std::function<void(const Packet* answer)>;
+
+  RequestQueue() = default;
+  explicit RequestQueue(Timing timing) : timing_(timing) {}
+
+  // The packet must be a RequestBodyDefs, RequestFrame or GeneralRequest.
+  void push(const Packet& request, int tries, Time timeout, Done done);
+  void push(const Packet& request, int tries, Done done) {
+    push(request, tries, timing_.timeout, std::move(done));
+  }
+
+  // Gives up on what is overdue, then returns the packet to send now, if there is one.
+  std::optional<Bytes> update(Time now);
+
+  // Shows an incoming packet; true when it was the answer to the request under way.
+  bool offer(const Packet& packet, Time now);
+
+  // When update() has something to do next, unless an answer comes earlier; empty when idle.
+  std::optional<Time> next_event() const;
+
+  bool idle() const { return waiting_.empty() && !active_; }
+  void clear();  // drops all requests without calling back
+
+ private:
+  enum class Kind { kText, kBodyDefs, kFrame };
+  static constexpr std::size_t kKinds = 3;
+
+  struct Request {
+    Kind kind;
+    Bytes bytes;
+    int tries_left;
+    Time timeout;
+    Done done;
+  };
+  static bool answers(Kind kind, const Packet& packet);
+  Time& quiet_until(Kind kind) { return quiet_until_[static_cast<std::size_t>(kind)]; }
+  Time may_start_at(Kind kind) const;
+  void finish(const Packet* answer, Time now);
+  std::optional<Bytes> send(Time now);
+
+  Timing timing_;
+  std::deque<Request> waiting_;
+  std::optional<Request> active_;
+  Time first_sent_{0};
+  Time last_sent_{0};
+  Time quiet_until_[kKinds] = {};  // no new request of this kind before
+};
+
+}  // namespace cortex_ros

@@ -1,0 +1,123 @@
+#include "cortex_ros/clock_filter.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace cortex_ros {
+namespace {
+
+constexpr Time kLeastStep = std::chrono::microseconds(1);
+
+double as_ns(Time time) {
+  return static_cast<double>(time.count());
+}
+
+}  // namespace
+
+void ClockFilter::set_period(Time period) {
+  if (as_ns(period) == period_ns_) {
+    return;  // a host that tells its rate again must not unsettle the stamps
+  }
+  period_ns_ = as_ns(period);
+  started_ = false;
+  locked_ = false;
+}
+
+bool ClockFilter::continues(std::int32_t frame, Time direct) const {
+  return started_ && frame > last_frame_ && direct - last_direct_ <= options_.max_silence &&
+         last_direct_ - direct <= options_.max_step_back;
+}
+
+void ClockFilter::start(std::int32_t frame, Time direct) {
+  started_ = true;
+  locked_ = false;
+  reference_frame_ = frame;
+  reference_ = direct;
+  last_frame_ = frame;
+  last_direct_ = direct;
+  unsupported_.reset();
+  previous_ = Block();
+  current_ = Block{0.0};  // the first frame's own offset
+  block_end_ns_ = as_ns(options_.block);
+}
+
+double ClockFilter::frame_time_ns(std::int32_t frame) const {
+  return static_cast<double>(std::int64_t{frame} - reference_frame_) * period_ns_;
+}
+
+void ClockFilter::age_envelopes(double elapsed_ns) {
+  for (Block* block : {&previous_, &current_}) {
+    if (block->envelope_ns) {
+      *block->envelope_ns += options_.max_drift * elapsed_ns;
+    }
+  }
+}
+
+void ClockFilter::close_block() {
+  if (previous_.envelope_ns && current_.envelope_ns) {
+    const double allowed = as_ns(options_.agreement) + options_.max_drift * as_ns(options_.block);
+    locked_ = std::abs(*current_.envelope_ns - *previous_.envelope_ns) <= allowed;
+  }
+  previous_ = current_;
+  current_ = Block();
+}
+
+double ClockFilter::envelope_ns() const {
+  if (!previous_.envelope_ns) {
+    return *current_.envelope_ns;
+  }
+  return std::min(*previous_.envelope_ns, current_.envelope_ns.value_or(*previous_.envelope_ns));
+}
+
+void ClockFilter::check_support(Time direct, double offset_ns) {
+  const double excess_ns = offset_ns - envelope_ns();
+  if (excess_ns <= as_ns(options_.held_up)) {
+    unsupported_.reset();
+    return;
+  }
+  if (!unsupported_) {
+    unsupported_ = Unsupported{direct, offset_ns};
+  }
+  unsupported_->least_offset_ns = std::min(unsupported_->least_offset_ns, offset_ns);
+  const Time patience = excess_ns > as_ns(options_.far_up) ? options_.far_up_patience : options_.patience;
+  if (direct - unsupported_->since > patience) {
+    previous_ = Block();
+    current_ = Block{unsupported_->least_offset_ns};
+    unsupported_.reset();
+  }
+}
+
+Time ClockFilter::filtered(std::int32_t frame, Time direct) {
+  if (!continues(frame, direct)) {
+    start(frame, direct);
+    return direct;
+  }
+  const double now_ns = frame_time_ns(frame);
+  age_envelopes(now_ns - frame_time_ns(last_frame_));
+  last_frame_ = frame;
+  last_direct_ = direct;
+  if (now_ns >= block_end_ns_) {
+    close_block();
+    block_end_ns_ = now_ns + as_ns(options_.block);
+  }
+  const double offset_ns = as_ns(direct - reference_) - now_ns;
+  current_.envelope_ns = std::min(current_.envelope_ns.value_or(offset_ns), offset_ns);
+
+  check_support(direct, offset_ns);
+  return locked_ ? reference_ + Time(std::llround(now_ns + envelope_ns())) : direct;
+}
+
+Time ClockFilter::increasing(Time stamp) {
+  if (last_stamp_ && stamp <= *last_stamp_ && *last_stamp_ - stamp <= options_.max_step_back) {
+    stamp = *last_stamp_ + kLeastStep;
+  }
+  last_stamp_ = stamp;
+  return stamp;
+}
+
+Time ClockFilter::stamp(std::int32_t frame, Time receipt, Time delay) {
+  const Time direct = receipt - delay;
+  return increasing(period_ns_ > 0.0 ? filtered(frame, direct) : direct);
+}
+
+}  // namespace cortex_ros

@@ -1,0 +1,82 @@
+// cortex_decode_bench: how long it takes to decode a large frame (16 bodies with 5 markers each).
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <string>
+#include <vector>
+
+#include "cortex_ros/protocol.hpp"
+
+namespace {
+
+constexpr int kBodies = 16;
+constexpr int kMarkers = 5;
+constexpr int kWarmUp = 2000;
+
+cortex_ros::Bytes large_frame() {
+  cortex_ros::FrameOfData frame;
+  frame.frame = 123456;
+  for (int i = 0; i < kBodies; ++i) {
+    cortex_ros::Body body;
+    body.name = "vehicle_number_" + std::to_string(i);
+    for (int k = 0; k < kMarkers; ++k) {
+      const auto offset = static_cast<float>(i * kMarkers + k);
+      body.markers.push_back({1000.5f + offset, -2000.25f - offset, 1500.0f + offset});
+    }
+    frame.bodies.push_back(body);
+  }
+  frame.delay = cortex_ros::DelaySection{0, 0.003f};
+  return cortex_ros::encode(frame);
+}
+
+double percentile(const std::vector<double>& sorted, double fraction) {
+  return sorted[static_cast<std::size_t>(fraction * static_cast<double>(sorted.size() - 1))];
+}
+
+}  // namespace
+
+// Usage: cortex_decode_bench [iterations] [--json]
+int main(int argc, char** argv) {
+  using Clock = std::chrono::steady_clock;
+  bool json = false;
+  long iterations = 200000;
+  for (int i = 1; i < argc; ++i) {
+    if (std::string(argv[i]) == "--json") {
+      json = true;
+    } else {
+      iterations = std::strtol(argv[i], nullptr, 10);
+    }
+  }
+  if (iterations < 1) {
+    std::fprintf(stderr, "usage: cortex_decode_bench [iterations >= 1] [--json]\n");
+    return 2;
+  }
+
+  const cortex_ros::Bytes bytes = large_frame();
+  std::vector<double> times_us(static_cast<std::size_t>(iterations));
+  std::size_t bodies = 0;  // used below, so that the work cannot be optimised away
+  for (long i = -kWarmUp; i < iterations; ++i) {
+    const auto start = Clock::now();
+    const cortex_ros::Packet packet = cortex_ros::decode(bytes);
+    const auto end = Clock::now();
+    bodies += std::get<cortex_ros::FrameOfData>(packet).bodies.size();
+    if (i >= 0) {
+      times_us[static_cast<std::size_t>(i)] = std::chrono::duration<double, std::micro>(end - start).count();
+    }
+  }
+  std::sort(times_us.begin(), times_us.end());
+  const double median_us = percentile(times_us, 0.5);
+  const double p99_us = percentile(times_us, 0.99);
+  if (bodies != static_cast<std::size_t>(iterations + kWarmUp) * kBodies) {
+    std::fprintf(stderr, "cortex_decode_bench: decoded %zu bodies, which is wrong\n", bodies);
+    return 1;
+  }
+  const char* format = json ? "{\"bodies\": %d, \"markers\": %d, \"bytes\": %zu, \"iterations\": %ld, "
+                              "\"median_us\": %.3f, \"p99_us\": %.3f}\n"
+                            : "decode of a frame of %d bodies x %d markers (%zu bytes), %ld times: "
+                              "median %.3f us, p99 %.3f us\n";
+  std::printf(format, kBodies, kMarkers, bytes.size(), iterations, median_us, p99_us);
+  return 0;
+}

@@ -1,0 +1,854 @@
+// The client against a fake host on loopback. Time-outs are shortened; every wait has a generous limit, so
+// that a busy machine makes the tests slower but not wrong.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <thread>
+
+#include "cortex_ros/client.hpp"
+#include "fake_host.hpp"
+
+namespace {
+
+using namespace cortex_ros;  // NOLINT
+using std::chrono::milliseconds;
+
+constexpr std::chrono::seconds kPatience{10};
+
+bool wait_until(const std::function<bool()>& condition) {
+  const auto deadline = std::chrono::steady_clock::now() + kPatience;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > deadline) {
+      return false;
+    }
+    std::this_thread::sleep_for(milliseconds(2));
+  }
+  return true;
+}
+
+std::uint16_t free_port() {
+  return UdpSocket({Address(), 0}, UdpSocket::Share::kNo).local().port;
+}
+
+// Remembers what the client reported.
+class Recorder : public ClientEvents {
+ public:
+  struct Frame {
+    std::int32_t number;
+    Source source;
+    Time receipt;
+    bool restart;
+  };
+
+  void on_frame(const ReceivedFrame& f) override {
+    add(frames_, {f.frame.frame, f.source, f.receipt, f.restart});
+  }
+  void on_host_up(const HostInfo& info) override { add(ups_, info); }
+  void on_host_down(const std::string& why) override { add(downs_, why); }
+  void on_source(Source source) override { add(sources_, source); }
+  void on_comment(const std::string& text) override { add(comments_, text); }
+  void on_malformed(const std::string& what) override { add(malformed_, what); }
+  void on_problem(const std::string& text) override { add(problems_, text); }
+
+  std::vector<Frame> frames() const { return copy(frames_); }
+  std::vector<HostInfo> ups() const { return copy(ups_); }
+  std::vector<std::string> downs() const { return copy(downs_); }
+  std::vector<Source> sources() const { return copy(sources_); }
+  std::vector<std::string> comments() const { return copy(comments_); }
+  std::vector<std::string> malformed() const { return copy(malformed_); }
+  std::vector<std::string> problems() const { return copy(problems_); }
+
+ private:
+  template <typename T>
+  void add(std::vector<T>& list, const T& value) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    list.push_back(value);
+  }
+  template <typename T>
+  std::vector<T> copy(const std::vector<T>& list) const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return list;
+  }
+
+  mutable std::mutex mutex_;
+  std::vector<Frame> frames_;
+  std::vector<HostInfo> ups_;
+  std::vector<std::string> downs_;
+  std::vector<Source> sources_;
+  std::vector<std::string> comments_, malformed_, problems_;
+};
+
+// A client in its own thread.
+class RunningClient {
+ public:
+  explicit RunningClient(const ClientOptions& options) : client_(options, events_, clock_) {
+    thread_ = std::thread([this] { client_.run(); });
+  }
+  ~RunningClient() { stop(); }
+
+  void stop() {
+    client_.stop();
+    if (thread_.joinable()) {
+      thread_.join();
+    }
+  }
+
+  const Recorder& events() const { return events_; }
+  Statistics statistics() const { return client_.statistics(); }
+  bool up(std::size_t times = 1) const {
+    return wait_until([&] { return events_.ups().size() >= times; });
+  }
+
+ private:
+  const SystemClock clock_;
+  Recorder events_;
+  Client client_;
+  std::thread thread_;
+};
+
+class ClientTest : public testing::Test {
+ protected:
+  void start_host(std::uint16_t port = 0) { host_ = std::make_unique<FakeHost>(address_, port); }
+
+  ClientOptions options(std::uint16_t command_port) const {
+    ClientOptions options;
+    options.host = address_;
+    options.command_port = command_port;
+    options.stream_port = stream_port_;
+    options.hello_interval = milliseconds(10);
+    options.hello_interval_max = milliseconds(50);
+    options.search_patience = milliseconds(100);
+    options.request_timeout = milliseconds(200);
+    options.stream_timeout = milliseconds(300);
+    options.probe_interval = milliseconds(50);
+    options.host_timeout = milliseconds(600);
+    return options;
+  }
+  ClientOptions options() const { return options(host_->port()); }
+
+  Endpoint group() const { return {resolve("225.1.1.1"), stream_port_}; }
+  Endpoint unicast() const { return {resolve("127.0.0.1"), stream_port_}; }
+
+  // Streams frames until the client has seen one; the numbers go on from `number`.
+  bool stream_until_seen(const RunningClient& client, const Endpoint& destination, std::int32_t& number) {
+    const std::size_t before = client.events().frames().size();
+    return wait_until([&] {
+      host_->stream(simple_frame(number++), destination);
+      std::this_thread::sleep_for(milliseconds(3));
+      return client.events().frames().size() > before;
+    });
+  }
+
+  const std::string address_ = own_loopback_address();
+  const std::uint16_t stream_port_ = free_port();
+  std::unique_ptr<FakeHost> host_;
+};
+
+// ---- connecting
+
+TEST_F(ClientTest, FindsTheHostAndAsksWhatItNeeds) {
+  start_host();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  const HostInfo info = client.events().ups()[0];
+  EXPECT_EQ(to_string(info.endpoint), address_ + ":" + std::to_string(host_->port()));
+  EXPECT_EQ(info.identity.name, "Cortex");
+  EXPECT_EQ(info.millimetres_per_unit, 1.0);
+  EXPECT_EQ(info.up_axis, 2);
+  EXPECT_EQ(info.frame_rate_hz, 200.0);
+  ASSERT_TRUE(info.body_defs.has_value());
+  EXPECT_EQ(info.body_defs->bodies.size(), 3u);
+  EXPECT_TRUE(info.live_mode_accepted);
+  EXPECT_EQ(host_->received("LiveMode"), 1);
+  EXPECT_TRUE(client.statistics().host_up);
+  EXPECT_TRUE(client.events().downs().empty());
+}
+
+TEST_F(ClientTest, LiveModeIsLeftAloneOnRequest) {
+  start_host();
+  ClientOptions o = options();
+  o.live_on_start = false;
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  EXPECT_EQ(host_->received("LiveMode"), 0);
+}
+
+TEST_F(ClientTest, FindsAHostByBroadcast) {
+  const auto host = std::make_unique<FakeHost>("0.0.0.0");
+  ClientOptions o = options(host->port());
+  o.host = "";
+  o.local_address = "127.0.0.1";
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  EXPECT_EQ(to_string(client.events().ups()[0].endpoint.address), "127.0.0.1");
+}
+
+TEST_F(ClientTest, WaitsForAHostThatComesLater) {
+  const std::uint16_t port = free_port();
+  RunningClient client(options(port));
+  ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
+  EXPECT_FALSE(client.statistics().host_up);
+  start_host(port);
+  ASSERT_TRUE(client.up());
+  EXPECT_EQ(client.events().downs().size(), 1u) << "reported once";
+}
+
+TEST_F(ClientTest, ReconnectsWhenTheHostWasAway) {
+  start_host();
+  const std::uint16_t port = host_->port();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  host_.reset();
+  ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
+  EXPECT_FALSE(client.statistics().host_up);
+  start_host(port);
+  ASSERT_TRUE(client.up(2));
+  EXPECT_TRUE(wait_until([&] { return host_->received("LiveMode") == 1; }))
+      << "the new host must be put into live mode again";
+  std::int32_t number = 1;
+  EXPECT_TRUE(stream_until_seen(client, group(), number));
+  EXPECT_EQ(client.events().downs().size(), 1u);
+  EXPECT_EQ(client.statistics().connects, 2u);
+}
+
+TEST_F(ClientTest, ARestartThatIsAnnouncedOnTheStreamIsFollowed) {
+  start_host();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  EXPECT_TRUE(wait_until([&] {
+    host_->stream(HereIAm{{"Cortex", {1, 5, 3, 1}}}, group());
+    std::this_thread::sleep_for(milliseconds(20));
+    return client.events().ups().size() >= 2;
+  }));
+  EXPECT_GE(host_->received("LiveMode"), 2);
+  EXPECT_TRUE(client.events().downs().empty());
+}
+
+// Anyone can send a HELLO in the host's name, and a host may be too busy to answer at once: no frame is lost.
+TEST_F(ClientTest, NoFrameIsLostWhileAnAnnouncedHostIsAskedAnew) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) {
+    b.texts["GetConversionToMillimeters"] = GeneralReply{float_payload(25.4f)};
+  });
+  ClientOptions o = options();
+  o.mode = Mode::kStream;
+  o.request_timeout = milliseconds(60);  // times 3 tries, twice, times 4 questions: the answers never come
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  std::this_thread::sleep_for(milliseconds(1100));  // two set-ups within a second are not made at all
+  std::int32_t number = 1;
+  ASSERT_TRUE(stream_until_seen(client, group(), number));
+  ASSERT_TRUE(wait_until([&] { return client.events().frames().back().number == number - 1; }));
+  const std::size_t before = client.events().frames().size();
+  const Statistics then = client.statistics();
+  host_->change([](FakeHost::Behaviour& b) { b.deaf_to_texts = true; });
+  const std::int32_t first = number;
+  const auto start = std::chrono::steady_clock::now();
+  for (; client.events().ups().size() < 2 || number < first + 100; ++number) {
+    ASSERT_LT(std::chrono::steady_clock::now() - start, kPatience) << "the set-up has to end";
+    if (number == first + 20) {
+      host_->stream(HelloWorld{{"Cortex", {1, 5, 3, 1}}}, group());
+    } else if (number % 20 == 0) {
+      host_->volunteer(HelloWorld{{"Cortex", {1, 5, 3, 1}}});
+    }
+    host_->stream(simple_frame(number), group());
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+  ASSERT_TRUE(wait_until([&] { return client.events().frames().back().number == number - 1; }));
+  const std::vector<Recorder::Frame> frames = client.events().frames();
+  ASSERT_EQ(frames.size() - before, static_cast<std::size_t>(number - first));
+  for (std::size_t i = before; i < frames.size(); ++i) {
+    EXPECT_EQ(frames[i].number, first + static_cast<std::int32_t>(i - before));
+    EXPECT_FALSE(frames[i].restart);
+  }
+  const Statistics now = client.statistics();
+  EXPECT_EQ(now.lost, then.lost);
+  EXPECT_EQ(now.early, then.early);
+  EXPECT_GE(now.announcements, 2u);
+  EXPECT_EQ(client.events().ups()[1].millimetres_per_unit, client.events().ups()[0].millimetres_per_unit)
+      << "silence does not change the unit";
+  EXPECT_GE(host_->received("GetUpAxis"), 2);
+}
+
+TEST_F(ClientTest, PollingGoesOnWhileAnAnnouncedHostIsAskedAnew) {
+  start_host();
+  ClientOptions o = options();
+  o.mode = Mode::kPoll;
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  std::this_thread::sleep_for(milliseconds(1100));
+  host_->change([](FakeHost::Behaviour& b) { b.deaf_to_texts = true; });
+  ASSERT_TRUE(wait_until([&] {
+    host_->volunteer(HelloWorld{{"Cortex", {1, 5, 3, 1}}});
+    std::this_thread::sleep_for(milliseconds(5));
+    return host_->received("GetConversionToMillimeters") >= 2;
+  }));
+  // The questions take 2.4 s and more; these polls take 0.1 s.
+  const std::size_t before = client.events().frames().size();
+  ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= before + 20; }));
+  EXPECT_EQ(client.events().ups().size(), 1u) << "still being asked";
+}
+
+TEST_F(ClientTest, FramesOfAHostThatIsBackAreReadByWhatWasKnown) {
+  start_host();
+  ClientOptions o = options();
+  o.mode = Mode::kStream;
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  host_->change([](FakeHost::Behaviour& b) { b.silent = true; });
+  ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
+  host_->change([](FakeHost::Behaviour& b) {
+    b.silent = false;
+    b.deaf_to_texts = true;
+  });
+  std::int32_t number = 1;
+  ASSERT_TRUE(stream_until_seen(client, group(), number));
+  const std::vector<HostInfo> ups = client.events().ups();
+  ASSERT_EQ(ups.size(), 2u) << "up at once, and again when it was asked";
+  EXPECT_EQ(ups[1].millimetres_per_unit, 1.0);
+  EXPECT_EQ(client.statistics().early, 0u);
+}
+
+TEST_F(ClientTest, FramesBeforeTheUnitIsKnownAreCounted) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) { b.deaf_to_texts = true; });
+  ClientOptions o = options();
+  o.stream_group = "";
+  RunningClient client(o);
+  std::int32_t number = 1;
+  ASSERT_TRUE(wait_until([&] {
+    host_->stream(simple_frame(number++), unicast());
+    std::this_thread::sleep_for(milliseconds(3));
+    return client.statistics().early >= 5;
+  }));
+  EXPECT_TRUE(client.events().frames().empty());
+}
+
+TEST_F(ClientTest, OnlyCortexIsTakenByDiscovery) {
+  const auto stranger = std::make_unique<FakeHost>("0.0.0.0");
+  stranger->change([](FakeHost::Behaviour& b) { b.program = 7; });
+  ClientOptions o = options(stranger->port());
+  o.host = "";
+  o.local_address = "127.0.0.1";
+  RunningClient client(o);
+  ASSERT_TRUE(wait_until([&] { return !client.events().problems().empty(); }));
+  EXPECT_NE(client.events().problems()[0].find("is not Cortex (program number 7)"), std::string::npos);
+  EXPECT_GT(client.statistics().foreign, 0u);
+  EXPECT_TRUE(client.events().ups().empty());
+  stranger->change([](FakeHost::Behaviour& b) { b.program = 1; });
+  EXPECT_TRUE(client.up());
+}
+
+TEST_F(ClientTest, AConfiguredHostMayBeAnyProgram) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) { b.program = 7; });
+  RunningClient client(options());
+  EXPECT_TRUE(client.up());
+}
+
+TEST_F(ClientTest, ASecondHostThatAnswersTheSearchIsPointedOut) {
+  const auto first = std::make_unique<FakeHost>("0.0.0.0");
+  ClientOptions o = options(first->port());
+  o.host = "";
+  o.local_address = "127.0.0.1";
+  o.search_patience = kPatience;
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  const std::string elsewhere = own_loopback_address();
+  UdpSocket second({resolve(elsewhere), 0}, UdpSocket::Share::kNo);
+  second.send(encode(HereIAm{{"Cortex", {1, 5, 3, 1}}}), first->client());
+  ASSERT_TRUE(wait_until([&] { return !client.events().problems().empty(); }));
+  EXPECT_NE(client.events().problems()[0].find("more than one Cortex host"), std::string::npos);
+  EXPECT_NE(client.events().problems()[0].find(elsewhere), std::string::npos);
+  EXPECT_EQ(client.events().ups().size(), 1u);
+}
+
+// While searching anyone can answer from any port and any address: that must fill neither log nor memory.
+TEST_F(ClientTest, HintsAboutStrangersAreFew) {
+  const std::uint16_t port = free_port();
+  UdpSocket called({resolve(address_), port}, UdpSocket::Share::kNo);
+  RunningClient client(options(port));
+  Datagram hello;
+  ASSERT_TRUE(wait_until([&] { return called.receive(hello); }));
+  const Bytes answer = encode(HereIAm{{"Cortex", {1, 5, 3, 1}}});
+  const std::string elsewhere = own_loopback_address();
+  std::uint64_t sent = 0;
+  const auto answer_from = [&](const std::string& address) {
+    UdpSocket({resolve(address), 0}, UdpSocket::Share::kNo).send(answer, hello.source);
+    ++sent;
+    return wait_until([&] { return client.statistics().foreign >= sent; });
+  };
+  for (int i = 0; i < 10; ++i) {
+    ASSERT_TRUE(answer_from(elsewhere));  // a new port each time
+  }
+  EXPECT_EQ(client.events().problems().size(), 1u);
+  for (int i = 0; i < 30; ++i) {
+    ASSERT_TRUE(answer_from(own_loopback_address()));
+  }
+  EXPECT_EQ(client.events().problems().size(), 16u);
+}
+
+TEST_F(ClientTest, NumbersOutsideTheirLimitsAreNotBelieved) {
+  using Limits = std::numeric_limits<float>;
+  const auto learned = [&](float unit, float rate_hz) {
+    start_host();
+    host_->change([&](FakeHost::Behaviour& b) {
+      b.texts["GetConversionToMillimeters"] = GeneralReply{float_payload(unit)};
+      b.texts["GetContextFrameRate"] = GeneralReply{float_payload(rate_hz)};
+    });
+    RunningClient client(options());
+    EXPECT_TRUE(client.up());
+    return client.events().ups().at(0);
+  };
+  for (float bad : {Limits::denorm_min(), Limits::min(), 0.00099f, -1.0f, 1.1e6f, Limits::max(),
+                    Limits::infinity(), -Limits::infinity(), Limits::quiet_NaN()}) {
+    const HostInfo info = learned(bad, bad);
+    EXPECT_FALSE(info.millimetres_per_unit.has_value()) << bad;
+    EXPECT_FALSE(info.frame_rate_hz.has_value()) << bad;
+  }
+  EXPECT_FALSE(learned(1.0f, 0.99f).frame_rate_hz.has_value());
+  EXPECT_FALSE(learned(1.0f, 10001.0f).frame_rate_hz.has_value());
+  const HostInfo least = learned(0.001f, 1.0f);
+  EXPECT_EQ(least.millimetres_per_unit, 0.001f);
+  EXPECT_EQ(least.frame_rate_hz, 1.0);
+  const HostInfo most = learned(1e6f, 1e4f);
+  EXPECT_EQ(most.millimetres_per_unit, 1e6);
+  EXPECT_EQ(most.frame_rate_hz, 1e4);
+}
+
+TEST_F(ClientTest, NonsenseAboutItselfIsNotBelieved) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) {
+    b.texts["GetContextFrameRate"] = GeneralReply{float_payload(std::numeric_limits<float>::quiet_NaN())};
+    b.texts["GetConversionToMillimeters"] = GeneralReply{float_payload(0.0f)};
+    b.texts["GetUpAxis"] = GeneralReply{int_payload(7)};
+    b.texts["LiveMode"] = UnrecognizedRequest();
+  });
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  const HostInfo info = client.events().ups()[0];
+  EXPECT_FALSE(info.frame_rate_hz.has_value());
+  EXPECT_FALSE(info.millimetres_per_unit.has_value());
+  EXPECT_FALSE(info.up_axis.has_value());
+  EXPECT_FALSE(info.live_mode_accepted);
+}
+
+TEST_F(ClientTest, AnswersTooShortForANumberAreNotBelieved) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) { b.texts["GetContextFrameRate"] = GeneralReply{{0, 0, 0x48}}; });
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  EXPECT_FALSE(client.events().ups()[0].frame_rate_hz.has_value());
+}
+
+TEST_F(ClientTest, AHostThatKnowsNoTextsStillStreams) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) { b.deaf_to_texts = true; });
+  ClientOptions o = options();
+  o.request_timeout = milliseconds(20);
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  EXPECT_EQ(host_->received("GetUpAxis"), 3) << "three tries";
+  std::int32_t number = 1;
+  EXPECT_TRUE(stream_until_seen(client, group(), number));
+}
+
+// ---- faulty answers
+
+// Each answer comes late enough that the request was repeated, and twice. The values are all different, so a
+// mix-up would show.
+TEST_F(ClientTest, LateAndDuplicateAnswersAreNotMixedUp) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) {
+    b.delay = milliseconds(90);
+    b.copies = 2;
+    b.texts["GetConversionToMillimeters"] = GeneralReply{float_payload(25.4f)};
+    b.texts["GetContextFrameRate"] = GeneralReply{float_payload(120.0f)};
+    b.texts["GetUpAxis"] = GeneralReply{int_payload(1)};
+  });
+  ClientOptions o = options();
+  o.request_timeout = milliseconds(60);
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  const HostInfo info = client.events().ups()[0];
+  EXPECT_FLOAT_EQ(static_cast<float>(info.millimetres_per_unit.value_or(0.0)), 25.4f);
+  EXPECT_EQ(info.up_axis, 1);
+  EXPECT_EQ(info.frame_rate_hz, 120.0);
+  EXPECT_TRUE(info.body_defs.has_value());
+  EXPECT_GT(client.statistics().stale, 0u);
+}
+
+TEST_F(ClientTest, AnswersOfAWrongTypeArePassedOver) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) { b.junk_first = true; });
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  EXPECT_EQ(client.events().ups()[0].frame_rate_hz, 200.0);
+  EXPECT_EQ(client.events().ups()[0].body_defs->bodies.size(), 3u);
+  ASSERT_FALSE(client.events().comments().empty());
+  EXPECT_EQ(client.events().comments()[0], "wait for it");
+}
+
+TEST_F(ClientTest, PacketsOfOthersAreIgnored) {
+  start_host();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  const std::uint64_t before = client.statistics().foreign;
+  UdpSocket other_address({resolve(own_loopback_address()), 0}, UdpSocket::Share::kNo);
+  UdpSocket other_port({resolve(address_), 0}, UdpSocket::Share::kNo);
+  const Bytes frame = encode(simple_frame(77));
+  const in_addr loopback{htonl(INADDR_LOOPBACK)};
+  setsockopt(other_address.fd(), IPPROTO_IP, IP_MULTICAST_IF, &loopback, sizeof loopback);
+  other_address.send(frame, host_->client());
+  other_address.send(frame, group());
+  other_address.send(frame, unicast());
+  other_port.send(frame, host_->client());
+  EXPECT_TRUE(wait_until([&] { return client.statistics().foreign >= before + 4; }));
+  EXPECT_TRUE(client.events().frames().empty());
+}
+
+TEST_F(ClientTest, AHostThatAnswersFromAnotherAddressIsPointedOut) {
+  const std::string elsewhere = own_loopback_address();
+  const std::uint16_t port = free_port();
+  RunningClient client(options(port));
+  UdpSocket called({resolve(address_), port}, UdpSocket::Share::kNo);
+  UdpSocket answering({resolve(elsewhere), 0}, UdpSocket::Share::kNo);
+  EXPECT_TRUE(wait_until([&] {
+    Datagram hello;
+    if (called.receive(hello)) {
+      answering.send(encode(HereIAm{{"Cortex", {1, 5, 3, 1}}}), hello.source);
+    }
+    return !client.events().problems().empty();
+  }));
+  EXPECT_NE(client.events().problems()[0].find("set the parameter 'host' to " + elsewhere),
+            std::string::npos);
+  EXPECT_TRUE(client.events().ups().empty());
+}
+
+TEST_F(ClientTest, MalformedPacketsAreCountedAndChangeNothing) {
+  start_host();
+  ClientOptions o = options();
+  o.mode = Mode::kStream;
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  std::int32_t number = 1;
+  ASSERT_TRUE(stream_until_seen(client, group(), number));
+  const Bytes good = encode(simple_frame(500000));
+  Bytes cut(good.begin(), good.end() - 3);
+  Bytes longer = good;
+  longer.push_back(0);
+  host_->stream(cut, group());
+  host_->stream(longer, group());
+  host_->stream(Bytes{1, 2}, group());
+  host_->stream(Bytes(), group());
+  EXPECT_TRUE(wait_until([&] { return client.statistics().malformed == 4; }));
+  EXPECT_EQ(client.events().malformed().size(), 4u);
+  EXPECT_LT(client.events().frames().back().number, 500000);
+  EXPECT_TRUE(stream_until_seen(client, group(), number));
+}
+
+TEST_F(ClientTest, FaultyOptionalPartsAreCountedAndTheFrameIsUsed) {
+  start_host();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  Bytes bytes = encode(simple_frame(1));
+  const Bytes item = {12, 0, 0, 0, 0xf8, 0xff, 0xff, 0xff};  // length -8
+  bytes.insert(bytes.end(), item.begin(), item.end());
+  bytes[2] = static_cast<std::uint8_t>(bytes.size() - kHeaderBytes);
+  EXPECT_TRUE(wait_until([&] {
+    host_->stream(bytes, group());
+    std::this_thread::sleep_for(milliseconds(5));
+    return !client.events().frames().empty();
+  }));
+  EXPECT_GE(client.statistics().faulty_items, 1u);
+  EXPECT_EQ(client.statistics().malformed, 0u);
+}
+
+// ---- frames
+
+TEST_F(ClientTest, MulticastStreamReachesSeveralClients) {
+  start_host();
+  RunningClient first(options());
+  RunningClient second(options());
+  ASSERT_TRUE(first.up());
+  ASSERT_TRUE(second.up());
+  std::int32_t number = 1;
+  ASSERT_TRUE(stream_until_seen(first, group(), number));
+  EXPECT_TRUE(wait_until([&] { return !second.events().frames().empty(); }));
+  EXPECT_EQ(first.events().frames()[0].source, Source::kStream);
+  EXPECT_TRUE(host_->could_send());
+}
+
+TEST_F(ClientTest, UnicastStreamIsTakenToo) {
+  start_host();
+  ClientOptions o = options();
+  o.stream_group = "";
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  std::int32_t number = 1;
+  EXPECT_TRUE(stream_until_seen(client, unicast(), number));
+}
+
+TEST_F(ClientTest, GroupsOfOtherProgramsAreNotHeard) {
+  start_host();
+  UdpSocket neighbour({Address(), stream_port_}, UdpSocket::Share::kYes);
+  neighbour.join(resolve("225.1.1.9"), resolve("127.0.0.1"));
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  for (int i = 0; i < 20; ++i) {
+    host_->stream(simple_frame(9000 + i), {resolve("225.1.1.9"), stream_port_});
+  }
+  std::int32_t number = 1;
+  ASSERT_TRUE(stream_until_seen(client, group(), number));
+  for (const Recorder::Frame& frame : client.events().frames()) {
+    EXPECT_LT(frame.number, 9000);
+  }
+}
+
+TEST_F(ClientTest, GapsDuplicatesLateOnesAndRestartsAreCounted) {
+  start_host();
+  ClientOptions o = options();
+  o.mode = Mode::kStream;
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  std::int32_t number = 1000;
+  ASSERT_TRUE(stream_until_seen(client, group(), number));
+  // Everything that was sent so far has to be through before counting begins.
+  ASSERT_TRUE(wait_until([&] { return client.events().frames().back().number == number - 1; }));
+  const Statistics before = client.statistics();
+  for (std::int32_t i : {5000, 5001, 5001, 5004, 5003, 5005, 12, 13}) {
+    host_->stream(simple_frame(i), group());
+  }
+  ASSERT_TRUE(wait_until([&] { return client.events().frames().back().number == 13; }));
+  const Statistics after = client.statistics();
+  EXPECT_EQ(after.frames - before.frames, 6u);
+  EXPECT_EQ(after.lost - before.lost, static_cast<std::uint64_t>(5000 - number) + 2u);
+  EXPECT_EQ(after.duplicates - before.duplicates, 1u);
+  EXPECT_EQ(after.late - before.late, 1u);
+  EXPECT_EQ(after.restarts - before.restarts, 1u);
+  const std::vector<Recorder::Frame> frames = client.events().frames();
+  EXPECT_TRUE(frames[frames.size() - 2].restart);
+  EXPECT_FALSE(frames.back().restart);
+}
+
+TEST_F(ClientTest, FramesCarryTheKernelsReceiptTime) {
+  start_host();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  std::int32_t number = 1;
+  const Time before = SystemClock().wall();
+  ASSERT_TRUE(stream_until_seen(client, group(), number));
+  const Recorder::Frame frame = client.events().frames()[0];
+  EXPECT_GE(frame.receipt, before);
+  EXPECT_LE(frame.receipt, SystemClock().wall());
+}
+
+TEST_F(ClientTest, PollsWhileNoStreamComesAndReturnsToIt) {
+  start_host();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= 5; }));
+  EXPECT_EQ(client.events().frames().back().source, Source::kPoll);
+  EXPECT_EQ(client.events().sources().at(0), Source::kPoll);
+  std::int32_t number = 100000;
+  ASSERT_TRUE(wait_until([&] {
+    host_->stream(simple_frame(number++), group());
+    std::this_thread::sleep_for(milliseconds(3));
+    return client.events().sources().size() >= 2;
+  }));
+  EXPECT_EQ(client.events().sources()[1], Source::kStream);
+}
+
+TEST_F(ClientTest, PollModeUsesNoStream) {
+  start_host();
+  ClientOptions o = options();
+  o.mode = Mode::kPoll;
+  RunningClient client(o);
+  ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= 5; }));
+  EXPECT_EQ(client.statistics().source, Source::kPoll);
+  EXPECT_NO_THROW(UdpSocket({Address(), stream_port_}, UdpSocket::Share::kNo)) << "the port was not touched";
+  for (const Recorder::Frame& frame : client.events().frames()) {
+    EXPECT_EQ(frame.source, Source::kPoll);
+  }
+}
+
+TEST_F(ClientTest, AHostThatStandsStillIsPolledLess) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) { b.advance = false; });
+  ClientOptions o = options();
+  o.mode = Mode::kPoll;
+  RunningClient client(o);
+  ASSERT_TRUE(wait_until([&] { return host_->received("12") >= 22; }));
+  const int before = host_->received("12");
+  std::this_thread::sleep_for(milliseconds(500));
+  EXPECT_LE(host_->received("12") - before, 8) << "200 Hz would be 100 polls";
+  EXPECT_EQ(client.events().frames().size(), 1u);
+  EXPECT_EQ(client.statistics().duplicates, 0u);
+}
+
+TEST_F(ClientTest, PollsThatAreNotAnsweredAreCounted) {
+  start_host();
+  ClientOptions o = options();
+  o.mode = Mode::kPoll;
+  o.poll_timeout = milliseconds(20);
+  RunningClient client(o);
+  ASSERT_TRUE(wait_until([&] { return !client.events().frames().empty(); }));
+  host_->change([](FakeHost::Behaviour& b) { b.silent = true; });
+  EXPECT_TRUE(wait_until([&] { return client.statistics().poll_timeouts > 0; }));
+  EXPECT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
+  host_->change([](FakeHost::Behaviour& b) { b.silent = false; });
+  const std::size_t before = client.events().frames().size();
+  EXPECT_TRUE(wait_until([&] { return client.events().frames().size() > before; }));
+}
+
+TEST_F(ClientTest, ATakenStreamPortIsExplainedAndPollingGoesOn) {
+  start_host();
+  const UdpSocket taken({Address(), stream_port_}, UdpSocket::Share::kNo);
+  ClientOptions o = options();
+  o.mode = Mode::kStream;
+  RunningClient client(o);
+  ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= 3; }));
+  ASSERT_EQ(client.events().problems().size(), 1u);
+  EXPECT_NE(client.events().problems()[0].find("end the program that holds the port"), std::string::npos);
+  EXPECT_EQ(client.statistics().source, Source::kPoll);
+}
+
+TEST_F(ClientTest, AStreamThatRunsAlreadyIsEvidenceOfTheHost) {
+  start_host();
+  host_->change([](FakeHost::Behaviour& b) { b.silent = true; });
+  ClientOptions o = options();
+  o.request_timeout = milliseconds(10);
+  o.local_address = "127.0.0.1";
+  o.stream_group = "";
+  RunningClient client(o);
+  std::int32_t number = 1;
+  EXPECT_TRUE(stream_until_seen(client, unicast(), number));
+  EXPECT_FALSE(client.events().ups()[0].frame_rate_hz.has_value());
+}
+
+// ---- a network that is not there yet
+
+// 192.0.2.0/24 is for documentation: no computer has an address in it.
+TEST_F(ClientTest, AnOwnAddressThatIsMissingIsReportedAndTriedAgain) {
+  start_host();
+  ClientOptions o = options();
+  o.local_address = "192.0.2.77";
+  RunningClient client(o);
+  ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
+  const std::string problem = client.events().problems().at(0);
+  EXPECT_NE(problem.find("cannot bind UDP 192.0.2.77"), std::string::npos) << problem;
+  EXPECT_NE(problem.find("correct 'local_address'"), std::string::npos) << problem;
+  EXPECT_NE(client.events().downs()[0].find("192.0.2.77"), std::string::npos);
+  EXPECT_NE(client.statistics().obstacle.find("192.0.2.77"), std::string::npos);
+  EXPECT_FALSE(client.statistics().host_up);
+  // A stream can be heard meanwhile, but nothing can be asked.
+  for (int i = 0; i < 20; ++i) {
+    host_->stream(simple_frame(i), unicast());
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+  EXPECT_GT(client.statistics().early, 0u);
+  EXPECT_EQ(client.events().problems().size(), 1u) << "reported once";
+  EXPECT_TRUE(client.events().ups().empty());
+}
+
+TEST_F(ClientTest, ANameThatDoesNotResolveIsReportedAndTriedAgain) {
+  ClientOptions o = options(free_port());
+  o.host = "cortex.invalid";  // RFC 2606: never resolves
+  RunningClient client(o);
+  ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
+  EXPECT_NE(client.events().problems().at(0).find("cannot resolve 'cortex.invalid'"), std::string::npos);
+  EXPECT_EQ(client.statistics().host, "cortex.invalid:" + std::to_string(o.command_port));
+}
+
+// ---- ending, options
+
+TEST_F(ClientTest, StopsPromptly) {
+  start_host();
+  for (std::uint16_t port : {host_->port(), free_port()}) {
+    RunningClient client(options(port));
+    std::this_thread::sleep_for(milliseconds(30));
+    const auto start = std::chrono::steady_clock::now();
+    client.stop();
+    EXPECT_LT(std::chrono::steady_clock::now() - start, milliseconds(500));
+  }
+}
+
+TEST_F(ClientTest, PausesTheHostAtTheEndOnRequest) {
+  start_host();
+  ClientOptions o = options();
+  o.pause_on_exit = true;
+  RunningClient client(o);
+  ASSERT_TRUE(client.up());
+  client.stop();
+  EXPECT_EQ(host_->received("Pause"), 1);
+}
+
+TEST_F(ClientTest, DoesNotPauseTheHostUnasked) {
+  start_host();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  client.stop();
+  EXPECT_EQ(host_->received("Pause"), 0);
+}
+
+TEST_F(ClientTest, BadOptionsAreRefusedWithAReason) {
+  const SystemClock clock;
+  Recorder events;
+  const auto refuse = [&](const std::function<void(ClientOptions&)>& spoil,
+                          const std::string& part_of_message) {
+    ClientOptions o = options(free_port());
+    spoil(o);
+    try {
+      Client client(o, events, clock);
+      ADD_FAILURE() << "accepted: " << part_of_message;
+    } catch (const std::exception& error) {
+      EXPECT_NE(std::string(error.what()).find(part_of_message), std::string::npos) << error.what();
+    }
+  };
+  refuse([](ClientOptions& o) { o.host = "no such host.invalid"; }, "host 'no such host.invalid' is neither");
+  refuse([](ClientOptions& o) { o.host = "192.168.1.300"; }, "neither a dotted quad nor a host name");
+  refuse([](ClientOptions& o) { o.local_address = "10.0.0"; }, "local address '10.0.0' is neither");
+  refuse([](ClientOptions& o) { o.stream_group = "10.0.0.1"; }, "not a multicast address");
+  refuse([](ClientOptions& o) { o.stream_group = "group.invalid"; }, "not a multicast address");
+  const double infinity = std::numeric_limits<double>::infinity();
+  for (double rate_hz : {0.0, 0.999, 5e-324, 10001.0, 1e300, -200.0, infinity, -infinity, std::nan("")}) {
+    refuse([rate_hz](ClientOptions& o) { o.frame_rate_hz = rate_hz; }, "frame rate");
+  }
+  EXPECT_EQ(mode_from_text("poll"), Mode::kPoll);
+  EXPECT_THROW(mode_from_text("steam"), std::invalid_argument);
+}
+
+// With a clock that only the test moves: the hello is repeated with growing pauses, not in a flood.
+TEST_F(ClientTest, HellosAreSentWithBackOff) {
+  class HandClock : public Clock {
+   public:
+    Time monotonic() const override { return now; }
+    Time wall() const override { return now; }
+    Time now = std::chrono::seconds(100);
+  };
+  const std::uint16_t port = free_port();
+  UdpSocket nobody({resolve(address_), port}, UdpSocket::Share::kNo);
+  HandClock clock;
+  Recorder events;
+  ClientOptions o = options(port);
+  o.hello_interval = milliseconds(100);
+  o.hello_interval_max = milliseconds(1600);
+  o.search_patience = milliseconds(1500);
+  Client client(o, events, clock);
+  std::vector<std::int64_t> sent_ms;
+  for (int ms = 0; ms <= 6500; ms += 10) {
+    clock.now = std::chrono::seconds(100) + milliseconds(ms);
+    client.step(Time{0});
+    Datagram hello;
+    while (nobody.receive(hello)) {
+      sent_ms.push_back(ms);
+    }
+    EXPECT_EQ(events.downs().size(), ms < 1500 ? 0u : 1u) << ms;
+  }
+  EXPECT_EQ(sent_ms, (std::vector<std::int64_t>{0, 100, 300, 700, 1500, 3100, 4700, 6300}));
+}
+
+}  // namespace

@@ -1,0 +1,139 @@
+"""cortex_dump as a program: files, faults, exit codes. Needs the built workspace, no ROS master."""
+
+import json
+import os
+import pathlib
+import struct
+import subprocess
+
+import pytest
+
+GOLDEN = pathlib.Path(__file__).parent / "golden"
+
+
+def find_program():
+    for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(":"):
+        program = pathlib.Path(prefix) / "lib" / "cortex_ros" / "cortex_dump"
+        if prefix and program.exists():
+            return str(program)
+    return None
+
+
+PROGRAM = find_program()
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="cortex_dump is not built (source devel/setup.bash)")
+
+
+def dump(*arguments, stdin=b""):
+    """Exit code, JSON objects of the output lines, text of standard error."""
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("ROS_MASTER")}
+    done = subprocess.run([PROGRAM] + list(arguments), input=stdin, capture_output=True, env=environment, timeout=60)
+    return done.returncode, [json.loads(line) for line in done.stdout.splitlines()], done.stderr.decode()
+
+
+@pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.bin")), ids=lambda path: path.stem)
+def test_golden_packets(path):
+    code, packets, _ = dump("--file", str(path))
+    expected = json.loads(path.with_suffix(".json").read_text())
+    assert code == 0
+    assert len(packets) == 1
+    packet = packets[0]
+    if "frame_of_data" in expected:
+        check_frame(packet, expected["frame_of_data"], base_layout="base_layout" in path.stem)
+    elif "bodydefs" in expected:
+        assert packet["type"] == "bodydefs"
+        assert packet["bodies"] == expected["bodydefs"]["bodies"]
+        assert packet["analog_channels"] == expected["bodydefs"]["analogChannels"]
+        assert packet["force_plates"] == expected["bodydefs"]["nForcePlates"]
+    elif "version" in expected:
+        assert packet["type"] == {0: "hello_world", 2: "here_i_am"}[expected["command"]]
+        assert (packet["name"], packet["version"]) == (expected["name"], expected["version"])
+    elif "string" in expected:
+        assert packet["type"] == {3: "comment", 14: "general_request"}[expected["command"]]
+        assert packet["text"] == expected["string"]
+    else:
+        assert (
+            packet["type"]
+            == {10: "request_bodydefs", 12: "request_frame", 15: "general_reply", 16: "unrecognized_request"}[
+                expected["command"]
+            ]
+        )
+        assert packet.get("as_float") == expected.get("as_float")
+
+
+def check_frame(packet, expected, base_layout):
+    assert packet["type"] == "frame"
+    assert packet["frame"] == expected["frame"]
+    assert packet["delay_s"] == (None if base_layout else expected["delay"])
+    assert packet["unidentified"] == expected["unidentified"]
+    assert len(packet["bodies"]) == expected["nBodies"]
+    for body, wanted in zip(packet["bodies"], expected["bodies"]):
+        markers = [None if i in wanted["missing_markers"] else xyz for i, xyz in enumerate(wanted["markers"])]
+        assert body == {
+            "name": wanted["name"],
+            "markers": markers,
+            "segments": wanted["segments"],
+            "dofs": wanted["dofs"],
+        }
+    assert packet["analog"]["data"] == expected["analog"]["samples"]
+    assert packet["forces"]["data"] == expected["forces"]["data"]
+    assert packet["faults"] == []
+
+
+def test_several_packets_in_one_file():
+    paths = sorted(GOLDEN.glob("*.bin"))
+    code, packets, _ = dump("--file", "-", stdin=b"".join(path.read_bytes() for path in paths))
+    assert code == 0
+    assert len(packets) == len(paths)
+
+
+def test_a_malformed_packet_is_reported_and_the_next_one_read():
+    bad = struct.pack("<HHii", 13, 8, 7, -1)
+    good = (GOLDEN / "comment.bin").read_bytes()
+    code, packets, _ = dump("--file", "-", stdin=bad + good)
+    assert code == 1
+    assert "body count is negative" in packets[0]["error"]
+    assert packets[1] == {"type": "comment", "text": "hello from the host"}
+
+
+@pytest.mark.parametrize("content", [b"", b"\x0d", b"\x0d\x00\xff\xff\x00", b"\x0d\x00\x00\x00"])
+def test_faulty_files(content):
+    code, packets, _ = dump("--file", "-", stdin=content)
+    assert code == 1
+    assert len(packets) == 1
+    assert list(packets[0]) == ["error"]
+
+
+def test_missing_file(tmp_path):
+    for path in (tmp_path / "nothing.bin", tmp_path):
+        code, packets, _ = dump("--file", str(path))
+        assert code == 1
+        assert str(path) in packets[0]["error"]
+
+
+def test_names_that_are_not_utf8():
+    code, packets, _ = dump("--file", "-", stdin=struct.pack("<HH", 3, 3) + b'\xe9"\0')
+    assert code == 0
+    assert packets == [{"type": "comment", "text": '\u00e9"'}]
+
+
+def test_wrong_use():
+    for arguments in (["--frobnicate"], ["--mode", "steam"], ["--command-port", "0"], ["--count"], ["--count", "x"]):
+        code, packets, error = dump(*arguments)
+        assert code == 2
+        assert packets == []
+        assert "--help" in error
+
+
+def test_help():
+    done = subprocess.run([PROGRAM, "--help"], stdout=subprocess.PIPE, timeout=60)
+    assert done.returncode == 0
+    assert b"--file" in done.stdout
+
+
+def test_a_host_that_does_not_answer():
+    code, packets, error = dump(
+        "--host", "127.0.0.1", "--command-port", "9", "--stream-port", "50321", "--timeout", "0.3"
+    )
+    assert code == 1
+    assert packets == []
+    assert "nothing new from 127.0.0.1:9" in error
