@@ -1,0 +1,57 @@
+"""Attitude of the aircraft in the axes of ROS, and the track that its own velocity estimate gives."""
+
+import math
+from collections import namedtuple
+
+# A pause longer than this is not bridged: the position stays where it was.
+MAX_GAP_S = 1.0
+
+
+def quaternion_xyzw(roll_rad, pitch_rad, yaw_rad):
+    """Quaternion (x, y, z, w) of the rotation Rz(yaw) Ry(pitch) Rx(roll)."""
+    cr, sr = math.cos(roll_rad / 2.0), math.sin(roll_rad / 2.0)
+    cp, sp = math.cos(pitch_rad / 2.0), math.sin(pitch_rad / 2.0)
+    cy, sy = math.cos(yaw_rad / 2.0), math.sin(yaw_rad / 2.0)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+OdometryState = namedtuple("OdometryState", "position_m quaternion_xyzw velocity_m_s")
+
+
+class Odometry(object):
+    """Position by integration of the velocity that the aircraft estimates (optical flow).
+
+    Frame: x, y where the integration began, z up (height above ground); velocities x forward, y left, z up in the
+    levelled body frame.
+    Deviation from the original driver: the velocity is turned by the yaw angle of ROS (counter-clockwise +). The
+    original used the aircraft's angle (clockwise +) without changing its sign, which mirrors the track.
+    """
+
+    def __init__(self):
+        self._x_m = 0.0
+        self._y_m = 0.0
+        self._last_s = None
+
+    def update(self, demo, received_s):
+        """OdometryState after one packet.
+
+        demo: the demo option (protocol.navdata), axes and units of the aircraft.  received_s: time of reception.
+        """
+        roll_rad, pitch_rad, yaw_rad = (math.radians(angle * 1e-3) for angle in (demo.phi, -demo.theta, -demo.psi))
+        forward, left, up = demo.vx * 1e-3, -demo.vy * 1e-3, -demo.vz * 1e-3
+        if self._last_s is not None and 0.0 < received_s - self._last_s <= MAX_GAP_S:
+            dt_s = received_s - self._last_s
+            cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
+            self._x_m += (cos_yaw * forward - sin_yaw * left) * dt_s
+            self._y_m += (sin_yaw * forward + cos_yaw * left) * dt_s
+        self._last_s = received_s
+        return OdometryState(
+            (self._x_m, self._y_m, demo.altitude * 1e-3),
+            quaternion_xyzw(roll_rad, pitch_rad, yaw_rad),
+            (forward, left, up),
+        )

@@ -1,0 +1,471 @@
+"""The driver's side of the link to one AR.Drone 2.0: a state machine without sockets, clock or ROS.
+
+    SEARCHING --first packet--> SETTLING --settle time--> CONFIGURING --all writes acknowledged--> READY
+        ^                                                     ^------- the vehicle has rebooted ------|
+        |------------------------- nothing received for LOST_S seconds -------------------------------|
+
+Everything that happens is told to it with the time of a monotonic clock: received datagrams (`on_navdata`), orders of
+the pilot (`steer`, `take_off`, ...) and the passing of time (`poll`).  It answers through two functions that send a
+datagram, to the command port and to the navdata port.
+
+Commands leave every TICK_S, one PCMD_MAG and one REF in one datagram.  A new order does not wait for the next tick:
+it is sent at once and the tick starts over, so nothing is added to the delay of the radio.
+
+Where safety asks for more than the original driver does: the start bit is dropped when the vehicle is lost or has
+rebooted (it would otherwise take off by itself when it comes back), a take-off is refused in emergency, and a reset
+that has no effect is given up instead of being held for ever.  Silence does not take the emergency stop away: telemetry
+may be lost while commands still arrive, so a reset is sent blind as well.
+"""
+
+import struct
+from collections import deque
+from enum import Enum
+
+from ardrone_autonomy.piloting import HOVER
+from ardrone_autonomy.protocol import at
+from ardrone_autonomy.protocol.at import CtrlMode
+from ardrone_autonomy.protocol.navdata import (
+    HEADER,
+    WAKE_UP,
+    ControlState,
+    Navdata,
+    NavdataError,
+    State,
+    Tag,
+    peek,
+)
+from ardrone_autonomy.settings import APPLICATION_ID, USER_ID
+
+TICK_S = 0.025  # 40 Hz, as the original; the aircraft starts to worry after 50 ms of silence
+MIN_SPACING_S = 0.004  # between two command datagrams: cmd_vel at 200 Hz passes
+WAKE_UP_PERIOD_S = 0.25  # silence after which the wake-up is sent, and again; reduced telemetry comes every 65 ms
+LOST_S = 2.0  # silence after which the vehicle counts as lost: its own limit, general:com_watchdog
+ACK_TIMEOUT_S = 0.5  # a configuration write without answer is repeated after this time
+MAX_WRITE_TRIES = 5
+CLEAR_PERIOD_S = 0.05  # repetition of the request to clear the acknowledge bit
+MAX_CLEAR_TRIES = 20
+RESET_TIMEOUT_S = 1.0  # a reset without effect is given up after this time
+BOOTSTRAP_PATIENCE_S = 1.0  # bootstrap packets may still come this long after the write that ends that state
+
+# Plain ints: the operators of IntFlag are too slow for every packet.
+_ACK = int(State.COMMAND_ACK)
+_BOOTSTRAP = int(State.BOOTSTRAP)
+_COM_WATCHDOG = int(State.COM_WATCHDOG)
+_EMERGENCY = int(State.EMERGENCY)
+_FLYING = int(State.FLYING)
+_DEMO = int(Tag.DEMO)
+_MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # a packet in which one of these changes must be sound to its last byte
+
+_FIRST_OPTION = struct.Struct("<HHI")  # tag, size, first word of the payload; every packet has at least these
+_NOT_IN_FLIGHT = (ControlState.LANDED, ControlState.LANDING)
+
+
+class Phase(Enum):
+    """How far the connection is."""
+
+    SEARCHING = "searching"
+    SETTLING = "settling"
+    CONFIGURING = "configuring"
+    READY = "ready"
+
+
+class _Write(Enum):
+    IDLE = 0
+    AWAIT_ACK = 1
+    AWAIT_CLEAR = 2
+
+
+class DroneLink(object):
+    """Connection, configuration and piloting of one vehicle.
+
+    send_command, send_wake_up: functions of one bytes argument, they must not raise.
+    setup_writes: list of ("section:name", wire text) written after each connection, see settings.setup_writes.
+    session_id: 8 hexadecimal digits.
+    settle_s: pause between the first packet and the configuration.
+    command_timeout_s: hover when the last velocity command is older; 0 = it holds for ever.
+    report: function (level, text), level "info", "warn" or "error".
+    """
+
+    def __init__(
+        self,
+        send_command,
+        send_wake_up,
+        setup_writes,
+        session_id,
+        settle_s=5.0,
+        command_timeout_s=0.0,
+        report=lambda level, text: None,
+    ):
+        if settle_s < 0.0 or command_timeout_s < 0.0:
+            raise ValueError(
+                "settle_time and cmd_timeout must not be negative, got %r and %r" % (settle_s, command_timeout_s)
+            )
+        self._send_command = send_command
+        self._send_wake_up = send_wake_up
+        self._setup_writes = list(setup_writes)
+        self._session_id = session_id
+        self._settle_s = settle_s
+        self._command_timeout_s = command_timeout_s
+        self._report = report
+
+        self.phase = Phase.SEARCHING
+        self.due_s = float("-inf")  # poll wants to be called at this time
+        self.accepted = 0  # packets
+        self.stale = 0  # packets older than one seen before
+        self.refused = 0  # datagrams that are no navdata, or damaged
+        self.connections = 0
+        self.unanswered_writes = 0
+
+        self._sequence = at.SequenceCounter()
+        self._state = 0  # state bits of the newest packet
+        self._navdata_sequence = -1
+        self._heard_s = float("-inf")
+        self._next_wake_up_s = float("-inf")
+        self._settled_s = float("inf")
+        self._configured_before = False
+        self._setup_started_s = float("-inf")
+        self._watchdog_reset = False
+        self._control_state = ControlState.DEFAULT
+
+        self._writes = deque()
+        self._write_state = _Write.IDLE
+        self._write_tries = 0
+        self._write_retry_s = 0.0
+
+        self._wanted = HOVER  # newest velocity command
+        self._wanted_s = float("-inf")
+        self._timed_out = False
+        self._sticks = HOVER  # what is sent
+        self._start = False  # REF bit 9
+        self._select = False  # REF bit 8
+        self._select_until_s = 0.0
+        self._emergency_at_select = 0
+        self._reset_ordered = False
+        self._take_off_ordered = False
+        self._land_ordered = False
+        self._closing = False
+        self._next_tick_s = float("inf")  # no commands before the first packet
+        self._last_tick_s = float("-inf")
+
+    # --- what is known -------------------------------------------------------------------------------------------
+    @property
+    def connected(self):
+        """Packets are arriving."""
+        return self.phase is not Phase.SEARCHING
+
+    @property
+    def emergency(self):
+        """The vehicle has reported its emergency state."""
+        return bool(self._state & _EMERGENCY)
+
+    @property
+    def in_flight(self):
+        """A connected vehicle reports that it flies and is not landing yet."""
+        if not self.connected or self.emergency or self._control_state in _NOT_IN_FLIGHT:
+            return False
+        return bool(self._state & _FLYING) or self._control_state == ControlState.TAKING_OFF
+
+    @property
+    def state_bits(self):
+        """State bits of the newest packet (navdata.State)."""
+        return self._state
+
+    # --- orders of the pilot ------------------------------------------------------------------------------------------
+    def steer(self, sticks, now_s):
+        """Fly with these sticks (piloting.Sticks) from now on."""
+        if self._closing:
+            return
+        self._wanted = sticks
+        self._wanted_s = now_s
+        self._timed_out = False
+        self._hurry(now_s)
+
+    def take_off(self, now_s):
+        """Take off; refused while the vehicle is not configured or in emergency."""
+        if self._closing:
+            return
+        if self.phase is not Phase.READY:
+            self._report("warn", "take-off refused: the vehicle is not ready (%s)" % self.phase.value)
+        elif self.emergency:
+            self._report("warn", "take-off refused: the vehicle is in emergency, reset it first")
+        else:
+            self._take_off_ordered = True
+            self._hurry(now_s)
+
+    def land(self, now_s):
+        """Land."""
+        self._land_ordered = True
+        self._hurry(now_s)
+
+    def reset(self, now_s):
+        """Toggle the emergency state: stops the motors in the air (!), clears an emergency on the ground.
+
+        Also sent to a vehicle that has fallen silent, it may still hear; but not when it was in emergency before,
+        as nobody could tell whether the toggle stops or revives it.
+        """
+        if not self.connections:
+            self._report("warn", "reset refused: no vehicle has answered yet")
+            return
+        if not self.connected:
+            if self.emergency:
+                self._report("warn", "reset refused: the silent vehicle was in emergency, its motors had stopped")
+                return
+            self._report("warn", "the reset is sent without telemetry: whether it arrives cannot be seen")
+        self._reset_ordered = True
+        self._hurry(now_s)
+
+    def flat_trim(self, now_s):
+        """Tell the vehicle that it lies flat now; refused in flight."""
+        if self._state & _FLYING:
+            self._report("warn", "flat trim refused: the vehicle flies")
+            return
+        self._send_command(at.ftrim(self._sequence.next()))
+
+    def blink(self, animation, frequency_hz, duration_s, now_s):
+        """LED animation (at.LedAnimation)."""
+        self._send_command(at.led(self._sequence.next(), animation, frequency_hz, duration_s))
+
+    def write(self, key, text, now_s):
+        """Write one configuration value as soon as those before it are acknowledged."""
+        self._writes.append((key, text))
+        self.due_s = now_s
+
+    def close(self, now_s):
+        """Last orders before the end: hover and land; nothing else is obeyed from here on."""
+        self._wanted = HOVER
+        self._closing = True
+        self._take_off_ordered = False
+        self.land(now_s)
+
+    def send_last_orders(self):
+        """Send hover and land at once: for the end without `poll`, when the thread that calls it has failed.
+
+        An emergency stop that is under way goes on.
+        """
+        if self.connections:
+            next_number = self._sequence.next
+            self._send_command(
+                at.pcmd_mag(next_number(), *HOVER) + at.ref(next_number(), select=self._select or self._reset_ordered)
+            )
+
+    # --- navdata --------------------------------------------------------------------------------------------------
+    def on_navdata(self, data, now_s):
+        """A datagram from the navdata port of the vehicle. True when it is the newest packet so far.
+
+        Looks at the header only, and verifies the checksum only when the vehicle enters or leaves emergency or
+        bootstrap; the caller decodes the options of the packets that it needs.
+        """
+        try:
+            header = peek(data)
+            bits = header.state
+            changed = bits ^ self._state
+            if changed & _MOMENTOUS:
+                Navdata(data)
+        except NavdataError:
+            self.refused += 1
+            return False
+        if bits & _COM_WATCHDOG and not bits & _BOOTSTRAP:
+            self._watchdog_reset = True
+            self._navdata_sequence = -1  # the vehicle may count anew
+        if header.sequence <= self._navdata_sequence:
+            self.stale += 1
+            return False
+        self._navdata_sequence = header.sequence
+        self._heard_s = now_s
+        self.accepted += 1
+        self._state = bits
+        tag, _, word = _FIRST_OPTION.unpack_from(data, HEADER.size)
+        if tag == _DEMO:
+            self._control_state = word >> 16
+        if changed & _EMERGENCY:
+            self._on_emergency_changed()
+        if self.phase is not Phase.READY or self._writes or self._write_state is not _Write.IDLE or bits & _BOOTSTRAP:
+            self._on_connection_step(now_s)
+        return True
+
+    def _on_emergency_changed(self):
+        if self._select and self._state & _EMERGENCY != self._emergency_at_select:
+            self._select = False
+        if self.emergency:
+            self._start = False  # so that it does not take off again when the emergency is cleared
+            self._take_off_ordered = False
+            self._report("error", "EMERGENCY: the vehicle has stopped its motors (state 0x%08x)" % self._state)
+        else:
+            self._report("info", "the emergency is cleared")
+
+    def _on_connection_step(self, now_s):
+        self.due_s = now_s
+        if self.phase is Phase.SEARCHING:
+            self.connections += 1
+            self._next_tick_s = now_s
+            if self._configured_before:
+                self._report("info", "the vehicle is back, configuring it again")
+                self._start_configuration(now_s)
+            else:
+                self._report("info", "the vehicle answers; configuration follows in %.1f s" % self._settle_s)
+                self.phase = Phase.SETTLING
+                self._settled_s = now_s + self._settle_s
+        elif self._state & _BOOTSTRAP and (
+            self.phase is Phase.READY
+            or self.phase is Phase.CONFIGURING
+            and len(self._writes) < len(self._setup_writes)
+            and now_s > self._setup_started_s + BOOTSTRAP_PATIENCE_S
+        ):
+            self._report("warn", "the vehicle has rebooted, configuring it again")
+            self._ground()
+            self._start_configuration(now_s)
+
+    def _ground(self):
+        """Forget whatever keeps or brings a vehicle into the air; an emergency stop that was ordered stands."""
+        self._start = self._take_off_ordered = self._land_ordered = False
+        self._wanted = self._sticks = HOVER
+
+    def _start_configuration(self, now_s):
+        self.phase = Phase.CONFIGURING
+        self._setup_started_s = now_s
+        self._writes.clear()
+        self._writes.extend(self._setup_writes)
+        self._write_state = _Write.IDLE
+
+    # --- time -----------------------------------------------------------------------------------------------------
+    def poll(self, now_s):
+        """Do what is due; sets due_s, the time of the next call (orders and packets may make it earlier)."""
+        if now_s >= self._next_wake_up_s:
+            if now_s - self._heard_s >= WAKE_UP_PERIOD_S:
+                self._send_wake_up(WAKE_UP)
+                self._navdata_sequence = -1
+                self._next_wake_up_s = now_s + WAKE_UP_PERIOD_S
+                if self.connected and now_s - self._heard_s >= LOST_S:
+                    self._on_lost()
+            else:
+                self._next_wake_up_s = self._heard_s + WAKE_UP_PERIOD_S
+        if self.phase is Phase.SETTLING and now_s >= self._settled_s:
+            self._start_configuration(now_s)
+        due_s = self._next_wake_up_s
+        if self.phase is Phase.SETTLING:
+            due_s = min(due_s, self._settled_s)
+        elif self.connected:
+            self._advance_writes(now_s)
+            if self._write_state is not _Write.IDLE:
+                due_s = min(due_s, self._write_retry_s)
+        if now_s >= self._next_tick_s:
+            self._tick(now_s)
+        self.due_s = min(due_s, self._next_tick_s)
+
+    def _on_lost(self):
+        self._report("error", "nothing received for %.1f s: landing is ordered, looking for the vehicle" % LOST_S)
+        self.phase = Phase.SEARCHING
+        self._writes.clear()
+        self._write_state = _Write.IDLE
+        self._ground()
+
+    def _hurry(self, now_s):
+        """Send at once what has changed, MIN_SPACING_S after the last datagram at the earliest."""
+        if self._next_tick_s != float("inf"):
+            self._next_tick_s = min(self._next_tick_s, max(now_s, self._last_tick_s + MIN_SPACING_S))
+            self.due_s = min(self.due_s, self._next_tick_s)
+
+    def _tick(self, now_s):
+        if self._reset_ordered:
+            self._reset_ordered = False
+            self._select = True
+            self._select_until_s = now_s + RESET_TIMEOUT_S
+            self._emergency_at_select = self._state & _EMERGENCY
+        elif self._take_off_ordered:
+            self._take_off_ordered = False
+            self._start = True
+        elif self._land_ordered:
+            self._land_ordered = False
+            self._start = False
+        else:
+            self._sticks = self._fresh_sticks(now_s)
+        if self._select and now_s >= self._select_until_s:
+            self._select = False
+            self._report(
+                "warn",
+                "the reset had no effect: the cause of the emergency persists, or the link is bad"
+                if self.connected
+                else "the reset was sent for %.1f s without telemetry, nobody knows its effect" % RESET_TIMEOUT_S,
+            )
+        next_number = self._sequence.next
+        datagram = at.pcmd_mag(next_number(), *self._sticks) + at.ref(next_number(), self._start, self._select)
+        if self._watchdog_reset:
+            self._watchdog_reset = False
+            datagram += at.comwdg(next_number())
+        self._send_command(datagram)
+        self._last_tick_s = now_s
+        # One order a tick: the next one follows at once
+        waiting = self._take_off_ordered or self._land_ordered
+        self._next_tick_s = now_s + (MIN_SPACING_S if waiting else TICK_S)
+
+    def _fresh_sticks(self, now_s):
+        if self._command_timeout_s > 0.0 and now_s - self._wanted_s > self._command_timeout_s:
+            if not self._timed_out and self._wanted != HOVER:
+                self._timed_out = True
+                self._report("warn", "no cmd_vel for %.2f s: hovering" % (now_s - self._wanted_s))
+            return HOVER
+        return self._wanted
+
+    # --- configuration ----------------------------------------------------------------------------------------------
+    def _advance_writes(self, now_s):
+        """One step of: acknowledge bit clear -> write -> bit set -> ask to clear it -> bit clear -> next write."""
+        acknowledged = bool(self._state & _ACK)
+        if self._write_state is _Write.AWAIT_CLEAR:
+            if not acknowledged:
+                self._write_state = _Write.IDLE
+            elif now_s >= self._write_retry_s:
+                if self._write_tries >= MAX_CLEAR_TRIES:
+                    self._write_now(now_s)  # the bit is stuck: go on without it
+                else:
+                    self._ask_to_clear(now_s)
+        elif self._write_state is _Write.AWAIT_ACK:
+            if acknowledged:
+                self._writes.popleft()
+                self._write_state = _Write.AWAIT_CLEAR
+                self._write_tries = 0
+                self._ask_to_clear(now_s)
+            elif now_s >= self._write_retry_s:
+                if self._write_tries >= MAX_WRITE_TRIES:
+                    self.unanswered_writes += 1
+                    self._report("error", "the vehicle did not acknowledge %s = %s" % self._writes.popleft())
+                    self._write_state = _Write.IDLE
+                else:
+                    if self.phase is Phase.CONFIGURING:
+                        # A vehicle that still counts from a client before us ignores all but number 1, which was lost
+                        self._sequence.reset()
+                    self._send_write(now_s)
+        if self._write_state is _Write.IDLE:
+            self._write_tries = 0
+            if self._writes:
+                if acknowledged:
+                    self._write_state = _Write.AWAIT_CLEAR
+                    self._ask_to_clear(now_s)
+                else:
+                    self._write_now(now_s)
+            elif self.phase is Phase.CONFIGURING:
+                self.phase = Phase.READY
+                self._configured_before = True
+                self._report("info", "the vehicle is configured")
+
+    def _write_now(self, now_s):
+        self._write_tries = 0
+        if self._writes:
+            self._write_state = _Write.AWAIT_ACK
+            self._send_write(now_s)
+        else:
+            self._write_state = _Write.IDLE
+
+    def _send_write(self, now_s):
+        key, text = self._writes[0]
+        next_number = self._sequence.next
+        self._send_command(
+            at.config_ids(next_number(), self._session_id, USER_ID, APPLICATION_ID)
+            + at.config(next_number(), key, text)
+        )
+        self._write_tries += 1
+        self._write_retry_s = now_s + ACK_TIMEOUT_S
+
+    def _ask_to_clear(self, now_s):
+        self._send_command(at.ctrl(self._sequence.next(), CtrlMode.CLEAR_ACK))
+        self._write_tries += 1
+        self._write_retry_s = now_s + CLEAR_PERIOD_S

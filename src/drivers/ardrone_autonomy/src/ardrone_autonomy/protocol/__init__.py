@@ -1,0 +1,16 @@
+"""Wire codec of the AR.Drone 2.0: bytes to values and back, for both ends of the link.
+
+at      commands, client to aircraft (UDP 5556)
+navdata telemetry, aircraft to client (UDP 5554)
+config  configuration keys, their text on TCP 5559, multi-configuration ids
+
+Everything is little-endian; floats are IEEE-754 single precision.  No sockets, no clock, no ROS: the driver and the
+emulator of the aircraft both stand on these three modules.
+"""
+
+NAVDATA_PORT = 5554  # UDP, answers to the source address of the last wake-up datagram
+VIDEO_PORT = 5555  # TCP, PaVE + H.264
+AT_PORT = 5556  # UDP
+CONTROL_PORT = 5559  # TCP, configuration text
+
+DEFAULT_ADDRESS = "192.168.1.1"  # of an aircraft that is its own access point

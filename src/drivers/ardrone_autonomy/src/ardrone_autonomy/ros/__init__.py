@@ -1,0 +1,1 @@
+"""ROS side of the driver: parameters, messages, the node."""

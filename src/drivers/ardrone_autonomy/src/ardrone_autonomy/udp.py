@@ -1,0 +1,166 @@
+"""The sockets of the link to one vehicle and the one thread that owns them.
+
+Other threads never touch the sockets or the DroneLink: they `post` orders into a mailbox and wake the thread.
+"""
+
+import functools
+import select
+import socket
+import threading
+import time
+from collections import deque, namedtuple
+
+from ardrone_autonomy.link import TICK_S
+from ardrone_autonomy.protocol import AT_PORT, NAVDATA_PORT
+
+MAX_DATAGRAM_BYTES = 8192  # the largest packet known has 2.4 kB
+LANDING_CONFIRMATION_S = 2.0  # how long stop() waits for a flying vehicle to confirm that it lands
+CLOSING_S = 0.1  # how long the last orders are repeated to a vehicle on the ground
+LAST_ORDERS = 5  # datagrams with hover and land when the thread fails
+
+Packet = namedtuple("Packet", "data received_s")  # bytes of one navdata packet; monotonic time of its reception
+
+
+def resolve(host):
+    """IPv4 address of a host name or address. ValueError with the cure when there is none."""
+    try:
+        return socket.gethostbyname(host)
+    except OSError as error:
+        raise ValueError(
+            "%r is no address of a vehicle (%s): pass -ip A.B.C.D or set ~drone_ip" % (host, error)
+        ) from None
+
+
+class UdpThread(object):
+    """Runs a DroneLink on real sockets.
+
+    address: IPv4 address of the vehicle, which has the standard ports.
+    make_link: function (send_command, send_wake_up) -> DroneLink.
+    on_packet: called in the thread with every newest Packet; must be short.
+    on_failure: called in the thread with the exception that ended it, after the last orders (hover and land).
+    report: function (level, text).
+    """
+
+    def __init__(self, address, make_link, report, on_packet=None, on_failure=None, clock=time.monotonic):
+        self.address = address
+        self.newest = None  # Packet, replaced as a whole: safe to read from any thread
+        self.send_errors = 0
+        self.foreign = 0  # datagrams from elsewhere than the vehicle's navdata port
+        self._report = report
+        self._on_packet = on_packet
+        self._on_failure = on_failure
+        self._clock = clock
+        self._last_send_error = None
+        self._mailbox = deque()
+        self._navdata = self._udp_socket()
+        self._command = self._udp_socket()
+        self._bell_in, self._bell_out = socket.socketpair()
+        self._bell_in.setblocking(False)
+        self._bell_out.setblocking(False)
+        self._closing_since_s = None
+        self._navdata_source = (address, NAVDATA_PORT)
+        self.link = make_link(
+            functools.partial(self._send, self._command, (address, AT_PORT)),
+            functools.partial(self._send, self._navdata, self._navdata_source),
+        )
+        self._thread = threading.Thread(target=self._run, name="ardrone_udp", daemon=True)
+
+    @staticmethod
+    def _udp_socket():
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sock.setblocking(False)
+        return sock
+
+    def start(self):
+        """Start looking for the vehicle."""
+        self._thread.start()
+
+    def post(self, order, *arguments):
+        """Hand an order to the thread: a method of `link`; it is called with the arguments and the time."""
+        self._mailbox.append((order, arguments))
+        try:
+            self._bell_in.send(b"\0")
+        except BlockingIOError:
+            pass  # the bell already rings
+        except OSError:
+            return  # closed: the node is shutting down
+
+    def stop(self):
+        """Hover, land if flying (waits up to LANDING_CONFIRMATION_S for the vehicle to confirm), close the sockets."""
+        if self._thread.is_alive():
+            self.post(self._close)
+            self._thread.join(LANDING_CONFIRMATION_S + 1.0)
+        for sock in (self._navdata, self._command, self._bell_in, self._bell_out):
+            sock.close()
+
+    def _close(self, now_s):
+        self._closing_since_s = now_s
+        self.link.close(now_s)
+
+    def _closed(self, now_s):
+        if self._closing_since_s is None:
+            return False
+        elapsed_s = now_s - self._closing_since_s
+        return elapsed_s >= (LANDING_CONFIRMATION_S if self.link.in_flight else CLOSING_S)
+
+    def _send(self, sock, destination, data):
+        try:
+            sock.sendto(data, destination)
+            self._last_send_error = None
+        except OSError as error:
+            self.send_errors += 1
+            if str(error) != self._last_send_error:
+                self._last_send_error = str(error)
+                self._report(
+                    "warn",
+                    "cannot send to %s:%d: %s (is this computer in the vehicle's network?)" % (*destination, error),
+                )
+
+    def _run(self):
+        try:
+            self._loop()
+        except Exception as error:  # whatever it is: without this thread nobody pilots, the node must end
+            self._give_last_orders()
+            if self._on_failure is None:
+                raise
+            self._on_failure(error)
+
+    def _give_last_orders(self):
+        """Hover and land, as far as that still works; several times, because the radio loses datagrams."""
+        try:
+            for _ in range(LAST_ORDERS):
+                self.link.send_last_orders()
+                time.sleep(TICK_S)
+        except Exception as error:  # the failure that led here is the one to hand on
+            self._report("error", "the last orders could not be given: %r" % error)
+
+    def _loop(self):
+        link, clock, navdata, bell = self.link, self._clock, self._navdata, self._bell_out
+        waitables = (navdata, bell)
+        mailbox = self._mailbox
+        now_s = clock()
+        while not self._closed(now_s):
+            readable, _, _ = select.select(waitables, (), (), max(0.0, min(link.due_s - now_s, 1.0)))
+            now_s = clock()
+            if navdata in readable:
+                self._receive(now_s)
+            if bell in readable:
+                bell.recv(4096)
+            while mailbox:
+                order, arguments = mailbox.popleft()
+                order(*arguments, now_s)
+            if now_s >= link.due_s:
+                link.poll(now_s)
+                now_s = clock()
+
+    def _receive(self, now_s):
+        try:
+            data, source = self._navdata.recvfrom(MAX_DATAGRAM_BYTES)
+        except OSError:
+            return  # spurious wake-up, or an ICMP error of an earlier datagram
+        if source != self._navdata_source:
+            self.foreign += 1
+        elif self.link.on_navdata(data, now_s):
+            self.newest = packet = Packet(data, now_s)
+            if self._on_packet is not None:
+                self._on_packet(packet)

@@ -1,0 +1,357 @@
+#!/usr/bin/env python3
+"""The driver node against a scripted aircraft: topics, services, tf, emergency, reconnection, shutdown."""
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+import unittest
+
+import roslib.packages
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist, Vector3, Vector3Stamped
+from nav_msgs.msg import Odometry
+from scripted_drone import ScriptedDrone
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Empty
+from std_srvs.srv import Empty as EmptySrv
+from tf2_msgs.msg import TFMessage
+
+from ardrone_autonomy.msg import Navdata, navdata_demo, navdata_magneto
+from ardrone_autonomy.protocol import at
+from ardrone_autonomy.protocol.navdata import ControlState, Tag
+from ardrone_autonomy.srv import CamSelect, FlightAnim, LedAnim, RecordEnable
+
+PARAMS = {
+    "settle_time": 0.1,
+    "euler_angle_max": 0.349066,
+    "outdoor": 0,
+    "detections": 3,
+    "enemy_colors": 3,
+    "enable_navdata_demo": True,
+    "enable_navdata_magneto": True,
+    "tf_prefix": "lab",
+    "cov": {"imu_la": [1, 0, 0, 0, 2, 0, 0, 0, 3]},
+}
+LIMIT_S = 15.0
+_namespaces = ("/fleet%d" % number for number in itertools.count(1))
+
+
+def wait_for(condition, what):
+    deadline_s = time.monotonic() + LIMIT_S
+    while not condition():
+        if time.monotonic() > deadline_s:
+            raise AssertionError("waited %g s for %s" % (LIMIT_S, what))
+        time.sleep(0.005)
+
+
+class Driver(object):
+    """A driver node in its own process and namespace, with publishers and subscribers on its topics."""
+
+    def __init__(self, drone, params=None, arguments=()):
+        self.namespace = next(_namespaces)
+        rospy.set_param(self.namespace + "/ardrone_driver", dict(PARAMS, **(params or {})))
+        executable = roslib.packages.find_node("ardrone_autonomy", "ardrone_driver")[0]
+        self._process = subprocess.Popen(
+            [executable, "-ip", drone.address, *arguments], env=dict(os.environ, ROS_NAMESPACE=self.namespace)
+        )
+        self._publishers = {}
+        self.received = {}
+
+    def subscribe(self, topic, message_type):
+        """All messages of the topic from now on go to the list received[topic]."""
+        messages = self.received[topic] = []
+        name = topic if topic.startswith("/") else self.namespace + "/" + topic
+        rospy.Subscriber(name, message_type, messages.append, queue_size=1000)
+        return messages
+
+    def publish(self, topic, message):
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            publisher = self._publishers[topic] = rospy.Publisher(
+                self.namespace + "/" + topic, type(message), queue_size=10
+            )
+            wait_for(publisher.get_num_connections, "the driver to subscribe to " + topic)
+        publisher.publish(message)
+
+    def call(self, service, service_type, *arguments):
+        name = "%s/ardrone/%s" % (self.namespace, service)
+        rospy.wait_for_service(name, LIMIT_S)
+        return rospy.ServiceProxy(name, service_type)(*arguments)
+
+    def newest(self, topic):
+        return self.received[topic][-1] if self.received[topic] else None
+
+    def alive(self):
+        return self._process.poll() is None
+
+    def end(self):
+        """Ctrl-C; the exit code."""
+        if self.alive():
+            self._process.send_signal(signal.SIGINT)
+        try:
+            return self._process.wait(LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            raise
+
+
+@contextlib.contextmanager
+def flying_lab(**params):
+    with ScriptedDrone() as drone:
+        driver = Driver(drone, params)
+        try:
+            navdata = driver.subscribe("ardrone/navdata", Navdata)
+            wait_for(lambda: navdata, "navdata")
+            yield drone, driver
+        finally:
+            driver.end()
+
+
+def take_off(drone, driver):
+    driver.publish("ardrone/takeoff", Empty())
+    wait_for(lambda: drone.phase is ControlState.HOVERING, "hovering")
+
+
+class DriverTest(unittest.TestCase):
+    def test_flight(self):
+        with flying_lab() as (drone, driver):
+            take_off(drone, driver)
+            wait_for(lambda: driver.newest("ardrone/navdata").state == 4, "state 4 in navdata")
+            driver.publish("cmd_vel", Twist(linear=Vector3(0.1, 0.2, 0.3), angular=Vector3(0, 0, 0.4)))
+            wait_for(lambda: drone.phase is ControlState.FLYING, "flying")
+            flags, roll, pitch, gaz, yaw = drone.sticks()
+            self.assertEqual(flags, 1)
+            for value, expected in ((roll, -0.2), (pitch, -0.1), (gaz, 0.3), (yaw, -0.4)):
+                self.assertAlmostEqual(value, expected, places=6)
+            driver.publish("cmd_vel", Twist(linear=Vector3(float("nan"), 0, 0)))
+            wait_for(lambda: drone.sticks()[0] == 0, "hover after a command that is not finite")
+            driver.publish("ardrone/land", Empty())
+            wait_for(lambda: drone.phase is ControlState.LANDED, "landed")
+            wait_for(lambda: driver.newest("ardrone/navdata").state == 2, "state 2 in navdata")
+
+    def test_configuration(self):
+        with flying_lab() as (drone, _):
+            keys = [key for key, _, _ in drone.writes]
+            self.assertEqual(keys[0], "general:navdata_demo")
+            self.assertIn(("control:outdoor", "FALSE"), [write[:2] for write in drone.writes])
+            self.assertNotIn("control:altitude_max", keys)  # no parameter
+            self.assertAlmostEqual(drone.configuration.get("control:euler_angle_max"), 0.349066)
+            self.assertEqual(drone.configuration.get("detect:enemy_colors"), 3)
+            self.assertEqual(drone.configuration.get("general:navdata_options"), 2**28 - 1)
+            self.assertEqual(drone.configuration.get("video:max_bitrate"), 4000)
+            self.assertIs(drone.configuration.get("general:navdata_demo"), False)
+
+    def test_telemetry(self):
+        with flying_lab() as (drone, driver):
+            drone.options = {
+                Tag.DEMO: {
+                    "theta": 2000.0,
+                    "phi": 1000.0,
+                    "psi": 3000.0,
+                    "altitude": 700,
+                    "vx": 100.0,
+                    "vy": 200.0,
+                    "vz": 300.0,
+                },
+                Tag.PHYS_MEASURES: {"phys_accs": (10.0, 20.0, -1000.0), "phys_gyros": (1.0, 2.0, 3.0)},
+                Tag.MAGNETO: {"mx": 0, "my": 3, "mz": 4, "magneto_raw": (1.0, 2.0, 3.0)},
+                Tag.TIME: {"time": 5 << 21 | 250000},
+            }
+            driver.subscribe("ardrone/imu", Imu)
+            driver.subscribe("ardrone/mag", Vector3Stamped)
+            driver.subscribe("ardrone/odometry", Odometry)
+            driver.subscribe("ardrone/navdata_demo", navdata_demo)
+            driver.subscribe("ardrone/navdata_magneto", navdata_magneto)
+            frames = driver.subscribe("/tf", TFMessage)
+            for topic in driver.received:
+                wait_for(lambda topic=topic: len(driver.received[topic]) > 5, topic)
+            wait_for(lambda: driver.newest("ardrone/navdata").altd == 700, "the new values")
+            time.sleep(0.2)
+            navdata, imu, mag, odometry, demo, magneto = (
+                driver.newest("ardrone/" + name)
+                for name in ("navdata", "imu", "mag", "odometry", "navdata_demo", "navdata_magneto")
+            )
+            for value, expected in (
+                (navdata.rotX, 1.0),
+                (navdata.rotY, -2.0),
+                (navdata.rotZ, -3.0),
+                (navdata.vy, -200.0),
+                (navdata.az, 1.0),
+                (navdata.batteryPercent, 87.0),
+                (imu.linear_acceleration.z, 9.8),
+                (imu.angular_velocity.y, -0.0349066),
+                (mag.vector.y, 0.6),
+                (mag.vector.z, 0.8),
+                (odometry.twist.twist.linear.y, -0.2),
+                (odometry.pose.pose.position.z, 0.7),
+                (demo.theta, 2000.0),
+                (demo.vy, 200.0),
+                (demo.drone_time, 5.25),
+                (magneto.magneto_raw.z, 3.0),
+            ):
+                self.assertAlmostEqual(value, expected, places=5)
+            self.assertEqual(imu.linear_acceleration_covariance, (1, 0, 0, 0, 2, 0, 0, 0, 3))
+            self.assertEqual((demo.tag, demo.size), (0, 148))
+            base = "lab/ardrone_base_link"
+            self.assertEqual(
+                (navdata.header.frame_id, odometry.header.frame_id, odometry.child_frame_id), (base, "odom", base)
+            )
+            self.assertLess(abs((rospy.Time.now() - navdata.header.stamp).to_sec()), 1.0)
+            wait_for(
+                lambda: {("odom", base), (base, "lab/ardrone_base_frontcam"), (base, "lab/ardrone_base_bottomcam")}
+                <= {(t.header.frame_id, t.child_frame_id) for m in list(frames) for t in m.transforms},
+                "all frames",
+            )
+
+    def test_navdata_rate_is_that_of_the_loop(self):
+        with flying_lab(looprate=25) as (_, driver):
+            time.sleep(0.5)
+            before = len(driver.received["ardrone/navdata"])
+            time.sleep(2.0)
+            count = len(driver.received["ardrone/navdata"]) - before
+            self.assertTrue(40 <= count <= 53, "25 Hz for 2 s gave %d messages" % count)
+
+    def test_realtime_navdata_publishes_every_packet(self):
+        with flying_lab(realtime_navdata=True) as (_, driver):
+            navdata = driver.received["ardrone/navdata"]
+            before = len(navdata)
+            time.sleep(1.0)
+            self.assertGreater(len(navdata) - before, 120)  # 200 sent; a busy computer may delay some
+
+    def test_services(self):
+        with flying_lab() as (drone, driver):
+            self.assertTrue(driver.call("setcamchannel", CamSelect, 3).result)
+            wait_for(lambda: drone.configuration.get("video:video_channel") == 1, "the bottom camera")
+            driver.call("togglecam", EmptySrv)
+            wait_for(lambda: drone.configuration.get("video:video_channel") == 0, "the front camera")
+            self.assertTrue(driver.call("setledanimation", LedAnim, 12, -2.0, 3).result)
+            wait_for(lambda: drone.named("LED"), "LED")
+            self.assertEqual(drone.named("LED")[-1][1].arguments, (19, 2.0, 3))
+            self.assertFalse(driver.call("setledanimation", LedAnim, 0, float("nan"), 3).result)
+            self.assertTrue(driver.call("setflightanimation", FlightAnim, 6, 0).result)
+            wait_for(lambda: ("control:flight_anim", "6,5000") in [w[:2] for w in drone.writes], "flight_anim")
+            self.assertTrue(driver.call("setrecord", RecordEnable, True).result)
+            wait_for(lambda: drone.configuration.get("userbox:userbox_cmd").startswith("1,20"), "recording")
+            self.assertEqual(drone.configuration.get("video:video_codec"), 130)
+            driver.call("flattrim", EmptySrv)
+            wait_for(lambda: drone.named("FTRIM"), "FTRIM")
+            take_off(drone, driver)
+            wait_for(lambda: driver.newest("ardrone/navdata").state == 4, "state 4 in navdata")
+            with self.assertRaises(rospy.ServiceException):
+                driver.call("flattrim", EmptySrv)
+            self.assertEqual(len(drone.named("FTRIM")), 1)
+
+    def test_emergency_and_reset(self):
+        with flying_lab() as (drone, driver):
+            diagnostics = driver.subscribe("/diagnostics", DiagnosticArray)
+            take_off(drone, driver)
+            driver.publish("ardrone/reset", Empty())
+            wait_for(lambda: drone.emergency, "emergency")
+            wait_for(lambda: drone.named("REF")[-1][1].arguments[0] == at.Ref.PADDING, "both bits to drop")
+            wait_for(
+                lambda: any(
+                    "emergency" in s.message
+                    for m in list(diagnostics)
+                    for s in m.status
+                    if driver.namespace[1:] in s.name
+                ),
+                "the emergency on /diagnostics",
+            )
+            driver.publish("ardrone/takeoff", Empty())  # refused
+            driver.publish("ardrone/reset", Empty())
+            wait_for(lambda: not drone.emergency, "the emergency to be cleared")
+            time.sleep(0.3)
+            self.assertIs(drone.phase, ControlState.LANDED)
+            take_off(drone, driver)
+
+    def test_one_packet_that_cannot_be_published_does_not_end_the_flight(self):
+        with flying_lab() as (drone, driver):
+            odometry = driver.subscribe("ardrone/odometry", Odometry)
+            diagnostics = driver.subscribe("/diagnostics", DiagnosticArray)
+            take_off(drone, driver)
+            drone.options = {Tag.DEMO: {"phi": float("inf")}}  # has no sine
+            wait_for(
+                lambda: any(
+                    value.key == "packets not published" and int(value.value) > 10
+                    for m in list(diagnostics)
+                    for s in m.status
+                    if driver.namespace[1:] in s.name
+                    for value in s.values
+                ),
+                "failures on /diagnostics",
+            )
+            drone.options = {Tag.DEMO: {"phi": 0.0}}
+            count = len(odometry)
+            wait_for(lambda: len(odometry) > count + 20, "odometry to go on")
+            driver.publish("cmd_vel", Twist(linear=Vector3(0.1, 0, 0)))
+            wait_for(lambda: drone.phase is ControlState.FLYING, "flying")
+
+    def test_telemetry_that_can_never_be_published_lands_and_ends(self):
+        with flying_lab() as (drone, driver):
+            take_off(drone, driver)
+            drone.options = {Tag.DEMO: {"phi": float("inf")}}
+            wait_for(lambda: not driver.alive(), "the driver to give up")
+            wait_for(lambda: drone.phase is ControlState.LANDED, "landed")
+
+    def test_comes_back_after_silence_and_reboot(self):
+        with flying_lab() as (drone, driver):
+            take_off(drone, driver)
+            drone.silent = True
+            time.sleep(2.6)
+            count = len(driver.received["ardrone/navdata"])
+            drone.reboot()
+            drone.silent = False
+            wait_for(lambda: len(driver.received["ardrone/navdata"]) > count + 20, "navdata after the reboot")
+            self.assertAlmostEqual(drone.configuration.get("control:euler_angle_max"), 0.349066)
+            self.assertIs(drone.phase, ControlState.LANDED)  # it must not take off by itself
+            self.assertFalse([c for _, c in drone.named("REF") if c.arguments[0] & at.Ref.START])
+            take_off(drone, driver)
+
+    def test_fast_reboot(self):
+        with flying_lab() as (drone, driver):
+            drone.reboot()
+            wait_for(
+                lambda: not drone.bootstrap and drone.configuration.get("detect:enemy_colors") == 3,
+                "configuration after the reboot",
+            )
+            wait_for(lambda: driver.call("setcamchannel", CamSelect, 1).result, "the driver to be ready again")
+            take_off(drone, driver)
+
+    def test_shutdown_lands(self):
+        with flying_lab() as (drone, driver):
+            take_off(drone, driver)
+            driver.publish("cmd_vel", Twist(linear=Vector3(0.5, 0, 0)))
+            wait_for(lambda: drone.phase is ControlState.FLYING, "flying")
+            self.assertEqual(driver.end(), 0)
+            wait_for(lambda: drone.phase is ControlState.LANDED, "landed")
+            self.assertEqual(drone.sticks(), (0, 0.0, 0.0, 0.0, 0.0))
+
+    def test_waits_for_a_vehicle_that_is_switched_on_later(self):
+        with ScriptedDrone() as drone:
+            drone.silent = True
+            driver = Driver(drone)
+            try:
+                navdata = driver.subscribe("ardrone/navdata", Navdata)
+                self.assertFalse(driver.call("setcamchannel", CamSelect, 1).result)
+                self.assertFalse(navdata)
+                drone.silent = False
+                wait_for(lambda: navdata, "navdata")
+            finally:
+                driver.end()
+
+    def test_bad_parameter_ends_the_node(self):
+        with ScriptedDrone() as drone:
+            driver = Driver(drone, {"looprate": 0})
+            wait_for(lambda: not driver.alive(), "the driver to give up")
+            self.assertEqual(driver.end(), 1)
+
+
+if __name__ == "__main__":
+    rospy.init_node("driver_test", anonymous=True)
+    rostest.rosrun("ardrone_autonomy", "ardrone_driver", DriverTest, sys.argv)

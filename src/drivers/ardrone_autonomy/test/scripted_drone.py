@@ -1,0 +1,176 @@
+"""A small aircraft on loopback for the tests: obeys at once, remembers what it was told, can vanish and reboot.
+
+It has no physics and no radio; the virtual lab has.
+"""
+
+import os
+import select
+import socket
+import threading
+import time
+
+from ardrone_autonomy.protocol import AT_PORT, NAVDATA_PORT, at, navdata
+from ardrone_autonomy.protocol.navdata import ControlState, NavdataEncoder, State, Tag
+from ardrone_autonomy.protocol.profiles import ConfigurationStore
+
+PERIOD_S = 0.005
+TAKE_OFF_S = 0.3
+LANDING_S = 0.3
+
+
+def free_address():
+    """A loopback address whose ports nobody uses."""
+    for attempt in range(200):
+        number = os.getpid() * 7 + attempt
+        address = "127.%d.%d.%d" % (100 + number // 62500 % 100, 1 + number // 250 % 250, 1 + number % 250)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind((address, AT_PORT))
+            except OSError:
+                continue
+            return address
+    raise OSError("no loopback address with a free UDP port %d" % AT_PORT)
+
+
+class ScriptedDrone(object):
+    """Start with `with`. All attributes may be read from other threads; lists only grow."""
+
+    def __init__(self, address=None):
+        self.address = address or free_address()
+        self.options = {}  # tag -> fields of the next packets besides those that follow from the state
+        self.silent = False  # True: neither hears nor speaks
+        self.reboots = 0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._sockets = []
+        for port in (NAVDATA_PORT, AT_PORT):
+            sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            sock.bind((self.address, port))
+            sock.setblocking(False)
+            self._sockets.append(sock)
+        self._forget()
+
+    def _forget(self):
+        self.commands = []  # (time, AtCommand)
+        self.writes = []  # (key, text, ids)
+        self.wake_ups = 0
+        self.phase = ControlState.LANDED
+        self.emergency = False
+        self.bootstrap = True
+        self.watchdog = True
+        self.configuration = ConfigurationStore()
+        self._client = None
+        self._ids = None
+        self._ack = False
+        self._gate = at.SequenceGate()
+        self._sequence = 0
+        self._phase_since_s = time.monotonic()
+        self._select = self._start = False
+        self._encoder = NavdataEncoder(navdata.ALL_TAGS, gps=False)
+
+    def reboot(self):
+        """Lose everything, as after a change of the battery."""
+        self.reboots += 1
+        self._forget()
+
+    def named(self, *names):
+        """The commands of these names received since the last reboot: list of (time, AtCommand)."""
+        return [item for item in list(self.commands) if item[1].name in names]
+
+    def sticks(self):
+        """(flags, roll, pitch, gaz, yaw) of the newest PCMD_MAG, None before the first."""
+        commands = self.named("PCMD_MAG")
+        return commands[-1][1].arguments[:5] if commands else None
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stop.set()
+        self._thread.join()
+        for sock in self._sockets:
+            sock.close()
+
+    def _run(self):
+        next_s = time.monotonic()
+        while not self._stop.is_set():
+            readable, _, _ = select.select(self._sockets, (), (), max(0.0, next_s - time.monotonic()))
+            for sock in readable:
+                data, sender = sock.recvfrom(4096)
+                if self.silent:
+                    continue
+                if sock is self._sockets[0]:
+                    self.wake_ups += 1
+                    self._client = sender
+                else:
+                    for command in at.parse_datagram(data).commands:
+                        self._obey(command)
+            if time.monotonic() >= next_s:
+                next_s += PERIOD_S
+                self._advance()
+                if self._client is not None and not self.silent:
+                    self._sockets[0].sendto(self._packet(), self._client)
+
+    def _obey(self, command):
+        if not self._gate.accept(command.sequence):
+            return
+        self.commands.append((time.monotonic(), command))
+        arguments = command.arguments
+        if command.name == "REF":
+            select_bit, start = bool(arguments[0] & at.Ref.SELECT), bool(arguments[0] & at.Ref.START)
+            if select_bit and not self._select:
+                self.emergency = not self.emergency
+                self._enter(ControlState.LANDED)
+            self._select, self._start = select_bit, start
+        elif command.name == "CONFIG_IDS":
+            self._ids = arguments
+        elif command.name == "CONFIG":
+            self.configuration.write(*arguments, ids=self._ids)
+            self.writes.append((*arguments, self._ids))
+            self._ack = True
+            if arguments[0] == "general:navdata_demo":
+                self.bootstrap = False
+        elif command.name == "CTRL" and arguments[0] == at.CtrlMode.CLEAR_ACK:
+            self._ack = False
+        elif command.name == "COMWDG":
+            self.watchdog = False
+
+    def _enter(self, phase):
+        if phase is not self.phase:
+            self.phase = phase
+            self._phase_since_s = time.monotonic()
+
+    def _advance(self):
+        """Take-off, hover or fly, landing: by the levels of the last REF and PCMD."""
+        if self.emergency:
+            return
+        since_s = time.monotonic() - self._phase_since_s
+        in_the_air = self.phase in (ControlState.TAKING_OFF, ControlState.HOVERING, ControlState.FLYING)
+        if self._start and self.phase is ControlState.LANDED:
+            self._enter(ControlState.TAKING_OFF)
+        elif not self._start and in_the_air:
+            self._enter(ControlState.LANDING)
+        elif self.phase is ControlState.LANDING and since_s > LANDING_S:
+            self._enter(ControlState.LANDED)
+        elif in_the_air and (self.phase is not ControlState.TAKING_OFF or since_s > TAKE_OFF_S):
+            sticks = self.sticks()
+            self._enter(ControlState.FLYING if sticks and sticks[0] else ControlState.HOVERING)
+
+    def _packet(self):
+        self._sequence += 1
+        state = State.ALTITUDE_CONTROL
+        if self._ack:
+            state |= State.COMMAND_ACK
+        if self.emergency:
+            state |= State.EMERGENCY
+        if self.watchdog:
+            state |= State.COM_WATCHDOG
+        if self.phase is not ControlState.LANDED:
+            state |= State.FLYING
+        if self.bootstrap:
+            return NavdataEncoder().finish(int(state | State.BOOTSTRAP), self._sequence)
+        self._encoder.put(Tag.DEMO, ctrl_state=self.phase << 16, vbat_flying_percentage=87)
+        for tag, fields in self.options.items():
+            self._encoder.put(tag, **fields)
+        return self._encoder.finish(int(state), self._sequence)

@@ -1,0 +1,77 @@
+import pytest
+
+from ardrone_autonomy.ros.params import OPTION_NAMES, ParameterError, frame_name, parse_params
+
+
+def test_defaults_are_those_of_the_original():
+    params = parse_params({})
+    assert params.address == "192.168.1.1"
+    assert (params.looprate_hz, params.realtime_navdata, params.legacy_navdata) == (50.0, False, True)
+    assert (params.options, params.frame_prefix) == ((), "ardrone_base")
+    assert params.cov_imu_la == params.cov_imu_av == params.cov_imu_or == (0.0,) * 9
+    assert (params.settle_time_s, params.command_timeout_s) == (5.0, 0.0)
+    assert params.warnings == ()
+
+
+def test_28_options():
+    assert len(OPTION_NAMES) == 28
+    names = ("wifi", "magneto", "zimmu_3000")
+    params = parse_params({"enable_navdata_" + name: True for name in names})
+    assert set(params.options) == set(names)
+
+
+def test_the_argument_wins_over_the_parameter():
+    assert parse_params({"drone_ip": "10.0.0.1"}).address == "10.0.0.1"
+    assert parse_params({"drone_ip": "10.0.0.1"}, ["-ip", "10.0.0.2"]).address == "10.0.0.2"
+
+
+@pytest.mark.parametrize("arguments", [["-ip"], ["10.0.0.1"], ["-ip", "10.0.0.1", "x"], ["--port", "1"]])
+def test_wrong_arguments(arguments):
+    with pytest.raises(ParameterError, match="-ip"):
+        parse_params({}, arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("looprate", 0),
+        ("looprate", "fast"),
+        ("looprate", float("nan")),
+        ("settle_time", -1),
+        ("cmd_timeout", -0.1),
+        ("realtime_navdata", "maybe"),
+        ("drone_frame_id", ""),
+        ("drone_ip", 5),
+        ("altitude_max", "high"),
+        ("enable_navdata_wifi", "x"),
+    ],
+)
+def test_bad_values_are_named(name, value):
+    with pytest.raises(ParameterError, match="~" + name):
+        parse_params({name: value})
+
+
+def test_covariances():
+    params = parse_params({"cov": {"imu_la": list(range(9)), "imu_av": [1, 2, 3], "imu_or": [0.5] * 9}})
+    assert params.cov_imu_la == tuple(map(float, range(9)))
+    assert params.cov_imu_av == (0.0,) * 9  # as the original: not nine numbers means zeros
+    assert params.cov_imu_or == (0.5,) * 9
+    assert len(params.warnings) == 1
+    assert "cov/imu_av" in params.warnings[0]
+
+
+def test_names_that_nobody_reads_are_reported():
+    warnings = parse_params({"detections": 3, "root_frame": 1, "looprate": 50, "diagnostic_period": 1}).warnings
+    assert [text.split()[1] for text in warnings] == ["~detections", "~root_frame"]
+    assert "knows it" in warnings[0]
+
+
+def test_camera_channel():
+    assert parse_params({}).video_channel == 0
+    assert parse_params({"video_channel": 1}).video_channel == 1
+
+
+def test_frame_names():
+    assert frame_name("", "ardrone_base_link") == "ardrone_base_link"
+    assert frame_name("/risc1/", "ardrone_base_link") == "risc1/ardrone_base_link"
+    assert frame_name(None, "/x") == "x"

@@ -1,0 +1,187 @@
+"""Linux joystick records to the axes and buttons of sensor_msgs/Joy, and when to publish them. No ROS, no devices.
+
+One record of the kernel's joystick API is 8 bytes in native byte order: uint32 time [ms], int16 value, uint8 type,
+uint8 number. Type 1 is a button, 2 an axis; bit 0x80 marks the synthetic records that announce the initial state.
+"""
+
+import enum
+import math
+import struct
+from dataclasses import dataclass
+
+_RECORD = struct.Struct("=IhBB")
+_BUTTON = 0x01
+_AXIS = 0x02
+_INIT = 0x80
+_FULL_SCALE = 32767.0
+_DEADZONE_MAX = 0.9
+
+
+@dataclass(frozen=True)
+class JoyEvent:
+    """One record of the joystick device."""
+
+    value: int  # axis: -32767..32767, button: 0 or 1
+    type: int
+    number: int
+
+    @property
+    def is_initial(self):
+        """True for the synthetic records that the kernel sends after opening."""
+        return bool(self.type & _INIT)
+
+    @property
+    def is_button(self):
+        return self.type & ~_INIT == _BUTTON
+
+    @property
+    def is_axis(self):
+        return self.type & ~_INIT == _AXIS
+
+
+class RecordReader:
+    """Cuts a byte stream into records; a read may end in the middle of one."""
+
+    def __init__(self):
+        self._rest = b""
+
+    def feed(self, data):
+        """Bytes as they were read -> list of the `JoyEvent`s that are complete."""
+        data = self._rest + data
+        whole = len(data) - len(data) % _RECORD.size
+        self._rest = data[whole:]
+        return [JoyEvent(value, kind, number) for _, value, kind, number in _RECORD.iter_unpack(data[:whole])]
+
+
+class Urgency(enum.IntEnum):
+    """How soon an event wants to be published."""
+
+    NEVER = 0  # of no known type
+    SOON = 1  # within coalesce_interval, together with what else moves
+    NOW = 2
+
+
+@dataclass(frozen=True)
+class JoySettings:
+    """Parameters of joy_node that decide what is published, after `checked`."""
+
+    deadzone: float = 0.05  # [-] fraction of full scale that reads as 0
+    autorepeat_rate: float = 0.0  # [Hz] 0: publish on change only
+    coalesce_interval: float = 0.001  # [s] axis events within it make one message
+    default_trig_val: bool = False  # True: take the initial axis values as they are announced
+    sticky_buttons: bool = False  # True: a press toggles the button, a release does nothing
+
+    def checked(self):
+        """Settings inside their ranges, and one sentence for each value that had to be changed or looks wrong.
+
+        Raises ValueError for what is no finite number.
+        """
+        for name in ("deadzone", "autorepeat_rate", "coalesce_interval"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError("joy: parameter ~%s must be a finite number" % name)
+        notes = []
+        deadzone = self.deadzone
+        if deadzone >= 1.0:
+            deadzone /= _FULL_SCALE
+            notes.append(
+                "deadzone %g is 1 or more: read as raw units and divided by 32767; give a fraction of full scale"
+                % self.deadzone
+            )
+        if deadzone > _DEADZONE_MAX:
+            deadzone = _DEADZONE_MAX
+            notes.append("deadzone %g is above %g: using %g" % (self.deadzone, _DEADZONE_MAX, _DEADZONE_MAX))
+        if deadzone < 0.0:
+            deadzone = 0.0
+            notes.append("deadzone %g is negative: using 0" % self.deadzone)
+        autorepeat_rate = self.autorepeat_rate
+        if autorepeat_rate < 0.0:
+            autorepeat_rate = 0.0
+            notes.append("autorepeat_rate %g Hz is negative: using 0 (publish on change)" % self.autorepeat_rate)
+        coalesce_interval = self.coalesce_interval
+        if coalesce_interval < 0.0:
+            coalesce_interval = 0.0
+            notes.append("coalesce_interval %g s is negative: using 0" % self.coalesce_interval)
+        if autorepeat_rate * coalesce_interval > 1.0:
+            notes.append(
+                "autorepeat_rate %g Hz is faster than 1/coalesce_interval (%g Hz): messages come at the slower pace"
+                % (autorepeat_rate, 1.0 / coalesce_interval)
+            )
+        settings = JoySettings(deadzone, autorepeat_rate, coalesce_interval, self.default_trig_val, self.sticky_buttons)
+        return settings, notes
+
+
+class JoyState:
+    """Axes and buttons as they stand; the arrays grow to the highest number that the device has named."""
+
+    def __init__(self, settings):
+        self.axes = []  # floats in [-1, 1], left and up positive
+        self.buttons = []  # 0 or 1
+        self._settings = settings
+
+    def axis_value(self, raw):
+        """Raw -32767..32767 -> [-1, 1]: dead zone taken off towards zero, the rest stretched, left and up positive."""
+        dead = _FULL_SCALE * self._settings.deadzone
+        beyond = max(abs(raw) - dead, 0.0)
+        scaled = beyond / (_FULL_SCALE - dead)
+        return -math.copysign(min(scaled, 1.0), raw) if beyond else 0.0
+
+    def apply(self, event):
+        """Take one event over; returns its `Urgency`."""
+        if event.is_button:
+            self._grow(self.buttons, event.number, 0)
+            if not self._settings.sticky_buttons:
+                self.buttons[event.number] = 1 if event.value else 0
+            elif event.value == 1:
+                self.buttons[event.number] = 1 - self.buttons[event.number]
+            return Urgency.SOON if event.is_initial else Urgency.NOW
+        if event.is_axis:
+            self._grow(self.axes, event.number, 0.0)
+            # Triggers announce 0 until first touched, which would read as half pressed: keep 0 unless told otherwise.
+            if not event.is_initial or self._settings.default_trig_val:
+                self.axes[event.number] = self.axis_value(event.value)
+            return Urgency.SOON
+        return Urgency.NEVER
+
+    @staticmethod
+    def _grow(values, number, zero):
+        if number >= len(values):
+            values.extend([zero] * (number + 1 - len(values)))
+
+
+class PublishClock:
+    """Decides when the state goes out: at once, after the coalesce interval, or as a repetition.
+
+    Times are seconds of any clock that never steps.
+    """
+
+    def __init__(self, settings):
+        self._coalesce_s = settings.coalesce_interval
+        self._repeat_s = 1.0 / settings.autorepeat_rate if settings.autorepeat_rate > 0.0 else None
+        self._soon_s = None  # when the coalesced events are due
+        self._repeat_at_s = None  # when the next repetition is due
+
+    def event(self, urgency, now_s):
+        """An event came in: True when the state must be published now."""
+        if urgency == Urgency.NOW:
+            return True
+        if urgency == Urgency.SOON and self._soon_s is None:
+            self._soon_s = now_s + self._coalesce_s
+        return False
+
+    def due(self, now_s):
+        """True when a coalesced or repeated message is due."""
+        if self._repeat_s is not None and self._repeat_at_s is None:
+            self._repeat_at_s = now_s + self._repeat_s
+        if self._soon_s is not None:
+            return now_s >= self._soon_s
+        return self._repeat_at_s is not None and now_s >= self._repeat_at_s
+
+    def published(self, now_s):
+        """The state went out: everything pending went with it."""
+        self._soon_s = None
+        self._repeat_at_s = None if self._repeat_s is None else now_s + self._repeat_s
+
+    def wait_s(self, now_s, longest_s):
+        """How long to wait for the next event, [0, longest_s]."""
+        pending = self._soon_s if self._soon_s is not None else self._repeat_at_s
+        return longest_s if pending is None else min(max(pending - now_s, 0.0), longest_s)
