@@ -1,0 +1,1 @@
+"""The virtual lab: physics, and hosts that speak the wire protocols of mocap and vehicles."""

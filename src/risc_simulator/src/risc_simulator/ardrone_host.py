@@ -1,0 +1,721 @@
+"""An AR.Drone 2.0 on the wire: the sockets, state machine and telemetry of one aircraft of the virtual lab.
+
+UDP 5556 takes AT commands, UDP 5554 answers wake-up datagrams with navdata, TCP 5559 gives the configuration text,
+TCP 5555 accepts video clients and stays silent.  Each aircraft has its own loopback address, so all use the standard
+ports.  Any real client can connect.
+
+Piloting (PCMD, REF) passes the simulated radio: one set of sticks per 1/30 s slot, the vehicle's command delay later.
+Configuration and navdata are not delayed.  One thread, non-blocking sockets; bad input is counted, never raised.
+
+Where the public documents leave a choice, this aircraft does:
+- State bit 30 stays set until COMWDG arrives, even when commands flow again.
+- The two-second watchdog counts accepted commands only, so a client that restarts with low sequence numbers is let in
+  after 2 s.  It hovers for 2 s more, then lands; it takes off again only after REF bit 9 was seen 0.
+- Between 50 ms and 2 s of silence the last command stays in force.
+- Flight and LED animations, CALIB and the user box are acknowledged and noted (see `notes`), not performed.
+- Wake-up value 2 (multicast) is answered by unicast.
+"""
+
+import errno
+import logging
+import math
+import socket
+from collections import Counter, deque, namedtuple
+from dataclasses import replace
+from zlib import crc32
+
+import numpy as np
+
+from ardrone_autonomy import protocol
+from ardrone_autonomy.protocol import at, navdata
+from ardrone_autonomy.protocol.navdata import ControlState, State
+from ardrone_autonomy.protocol.profiles import NO_LIMIT_MM, ConfigurationStore
+from risc_simulator.ardrone_navdata import Frame, NavdataWriter
+from risc_simulator.models.ardrone_firmware import LOW_BATTERY_PCT
+from risc_simulator.models.ardrone_sensors import ArdroneSensors
+from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
+from risc_simulator.models.radio_link import RadioLink
+
+_LOG = logging.getLogger(__name__)
+
+WATCHDOG_S = 0.050  # silence that sets state bit 30
+LOST_HOVER_S = 2.0  # from the loss of the link until landing
+BOOTSTRAP_PERIOD_S = 1.0 / 15.0
+FULL_PERIOD_S = 1.0 / navdata.FULL_RATE_HZ
+DEMO_PERIOD_S = navdata.DEMO_PERIOD * FULL_PERIOD_S
+LOOK_AHEAD_S = 0.010  # decisions are taken this long before they take effect: two cycles of the lab
+ORDER_REST_S = 0.1  # after an order, until the vehicle's phase is believed again
+ALTITUDE_GAIN_1_S = 0.8  # climb rate allowed per metre below altitude_max; below 1/(4 * 0.3 s): no overshoot
+CLIMB_STEP_M_S = 0.005  # smaller changes by the altitude limit are not worth a command
+
+DATAGRAMS_PER_CALL = 64
+MAX_TCP_CLIENTS = 8
+MAX_TCP_BACKLOG_BYTES = 256 * 1024
+
+# State bits as plain integers: IntFlag arithmetic would cost more than the rest of a packet.
+_BASE_STATE = int(
+    State.ALTITUDE_CONTROL
+    | State.PIC_VERSION_OK
+    | State.AT_THREAD
+    | State.NAVDATA_THREAD
+    | State.VIDEO_THREAD
+    | State.ACQUISITION_THREAD
+)
+_FRESH = int(State.NAVDATA_DEMO | State.BOOTSTRAP)
+_FLYING, _VIDEO, _USER_START, _ACK, _CAMERA_READY, _DEMO, _COM_LOST, _BATTERY_LOW = map(
+    int,
+    (
+        State.FLYING,
+        State.VIDEO_ENABLED,
+        State.USER_START,
+        State.COMMAND_ACK,
+        State.CAMERA_READY,
+        State.NAVDATA_DEMO,
+        State.COM_LOST,
+        State.BATTERY_LOW,
+    ),
+)
+_COM_WATCHDOG, _EMERGENCY, _USER_EMERGENCY, _CUTOUT = map(
+    int, (State.COM_WATCHDOG, State.EMERGENCY, State.USER_EMERGENCY_LANDING, State.CUTOUT)
+)
+
+_CAN_LAND = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING)
+_IN_FLIGHT = _CAN_LAND + (FlightPhase.LANDING,)
+_MAJOR = {
+    FlightPhase.LANDED: ControlState.LANDED,
+    FlightPhase.TAKING_OFF: ControlState.TAKING_OFF,
+    FlightPhase.HOVERING: ControlState.HOVERING,
+    FlightPhase.FLYING: ControlState.FLYING,
+    FlightPhase.LANDING: ControlState.LANDING,
+}
+_HOVERING_LOST_COM = 8  # minor state
+
+Ports = namedtuple("Ports", "navdata video at control")
+STANDARD_PORTS = Ports(protocol.NAVDATA_PORT, protocol.VIDEO_PORT, protocol.AT_PORT, protocol.CONTROL_PORT)
+
+# One set of piloting values as received: flags of PCMD, the four sticks in [-1, 1], the pilot's heading (fractions of
+# 180 degrees) and its accuracy, the sequence number and the time of reception.
+Sticks = namedtuple("Sticks", "flags roll pitch gaz yaw psi psi_accuracy sequence time_s")
+_NO_STICKS = Sticks(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0)
+
+_COUNTS = (
+    "at_datagrams",
+    "at_commands",
+    "at_malformed",
+    "at_stale",
+    "at_unknown",
+    "wake_ups",
+    "not_wake_ups",
+    "navdata_sent",
+    "send_errors",
+    "receive_errors",
+    "config_writes",
+    "config_ignored",
+    "config_readbacks",
+    "com_watchdogs",
+    "com_losses",
+    "take_offs",
+    "take_offs_refused",
+    "landings",
+    "emergencies",
+    "datagrams_lost_in",
+    "datagrams_lost_out",
+    "tcp_clients_refused",
+)
+
+
+class ArdroneHost(object):
+    """One aircraft.
+
+    vehicle: world.Vehicle (namespace, name, plant.command_delay_s, type.command_rate_hz, phase, state, schedule).
+    address: IPv4 address of this machine to listen on, e.g. 127.0.1.1.
+    ports: Ports; a 0 takes a free one, see `ports`.
+    seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
+    radio_loss: probability that a radio slot is lost.   rest_height_m: of the vehicle's centre when it stands.
+
+    All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
+    address or port cannot be used; nothing that arrives later raises.
+    """
+
+    def __init__(
+        self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, rest_height_m=None
+    ):
+        self._vehicle = vehicle
+        self._state = vehicle.state  # as of this cycle
+        self.address = address
+        rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
+        rate_hz = vehicle.type.command_rate_hz
+        self._radio = RadioLink(
+            vehicle.plant.command_delay_s, rate_hz, radio_loss, rng, phase_s=rng.uniform(0.0, 1.0 / rate_hz)
+        )
+        if rest_height_m is None:
+            rest_height_m = float(self._state.position_m[2]) if vehicle.phase is FlightPhase.LANDED else 0.0
+        self._rest_height_m = rest_height_m
+        self.sensors = ArdroneSensors(rng, sensor_noise, rest_height_m)
+        serial = "PS721%09d" % (crc32(address.encode("ascii")) % 10**9)
+        self.configuration = ConfigurationStore(
+            {"general:drone_serial": serial, "general:ardrone_name": vehicle.namespace}
+        )
+        self.notes = {}  # last LED, animation, ... that was acknowledged but not performed
+        self._counts = Counter()
+
+        # link
+        self._gate = at.SequenceGate()
+        self._last_at_s = None  # of the last accepted command; None before the first and after a loss
+        self._com_watchdog = True  # state bit 30
+        self._com_lost_s = None  # since when state bit 13 is set
+        self._lost_until_s = -math.inf  # injected
+        self._now_s = 0.0
+
+        # piloting
+        self._arriving = deque()  # (time, item) from the radio that is not yet due
+        self._submitted_ref = None
+        self._select = False  # last level of REF bit 8
+        self._start = None  # last level of REF bit 9; None: no REF yet
+        self._armed = True  # False: bit 9 must be seen 0 before the next take-off
+        self._refused = False  # this take-off has been counted as refused
+        self._landing_ordered = False
+        self._rest_until_s = -math.inf  # an order is under way
+        self._user_emergency = False
+        self._last_phase = vehicle.phase
+        self._sticks = _NO_STICKS
+        self._wanted = Setpoint(hover=True)  # before the altitude limit
+        self._scheduled = self._wanted
+        self._ref_sequence = 0
+        self._ref_time_s = None
+        self._ref_gap_ms = 0.0
+        self._config_ids = None  # of the CONFIG_IDS just in front
+
+        # navdata
+        self._client = None  # address of the last wake-up
+        self._last_wake_up_s = -math.inf
+        self._bootstrap = True
+        self._ack = False  # state bit 6
+        self._sequence = 0
+        self._cycles = 0
+        self._next_packet_s = -math.inf
+        self._writer = None
+
+        self._control_clients = {}  # socket -> bytes waiting
+        self._video_clients = []
+        self._sockets = {}  # name -> socket
+        try:
+            self._open(ports)
+        except OSError:
+            self.close()
+            raise
+        self.ports = Ports(*[self._sockets[name].getsockname()[1] for name in Ports._fields])
+        self._rebuild_writer()
+
+    # --- the host interface of the virtual lab ------------------------------------------------------------------
+
+    def sockets(self):
+        """Sockets to wait on; when one can be read call on_readable(). Empty after close()."""
+        udp_and_listeners = list(self._sockets.values())
+        if self.link_lost:  # streams stall; they would be readable for ever if they were waited on
+            return [s for s in udp_and_listeners if s.type == socket.SOCK_DGRAM]
+        return udp_and_listeners + list(self._control_clients) + self._video_clients
+
+    def on_readable(self, sock, now_s):
+        """Take what has come in on one of sockets() at lab time now_s."""
+        self._now_s = now_s
+        if sock is self._sockets.get("at"):
+            for data, _ in self._receive(sock):
+                self._on_at_datagram(data, now_s)
+        elif sock is self._sockets.get("navdata"):
+            for data, sender in self._receive(sock):
+                self._on_wake_up(data, sender, now_s)
+        elif sock is self._sockets.get("control"):
+            client = self._accept(sock)
+            if client is not None:
+                self._control_clients[client] = b""
+        elif sock is self._sockets.get("video"):
+            client = self._accept(sock)
+            if client is not None:
+                self._video_clients.append(client)
+        elif sock in self._control_clients or sock in self._video_clients:
+            self._drain(sock)
+
+    def tick(self, now_s):
+        """To be called once per cycle of the lab, after the world has moved."""
+        self._now_s = now_s
+        phase = self._vehicle.phase
+        self._state = self._vehicle.state
+        self._watch_phase(phase)
+        self._watch_link(now_s, phase)
+        self._pilot(now_s, phase)
+        if self._control_clients and not self.link_lost:
+            self._flush_control_clients()
+        if self._client is not None and now_s >= self._next_packet_s - 0.1 * FULL_PERIOD_S:
+            self._send_navdata(now_s, phase)
+
+    def close(self):
+        """Close all sockets. May be called twice."""
+        for sock in list(self._sockets.values()) + list(self._control_clients) + self._video_clients:
+            sock.close()
+        self._sockets, self._control_clients, self._video_clients = {}, {}, []
+
+    def describe(self):
+        """One line for people: what listens where."""
+        p = self.ports
+        return (
+            "%s (%s) AR.Drone 2.0 at %s: navdata udp %d, video tcp %d (silent), AT commands udp %d, "
+            "configuration tcp %d"
+            % (self._vehicle.namespace, self._vehicle.name, self.address, p.navdata, p.video, p.at, p.control)
+        )
+
+    # --- for the lab's operator -----------------------------------------------------------------------------------
+
+    def lose_link(self, duration_s):
+        """From now on nothing passes in either direction, for this long."""
+        self._lost_until_s = self._now_s + duration_s
+
+    @property
+    def link_lost(self):
+        """An injected loss is in force."""
+        return self._now_s < self._lost_until_s
+
+    @property
+    def state_bits(self):
+        """State bits as the next packet would carry them, an int of navdata.State."""
+        return self._state_bits(self._vehicle.phase)
+
+    def get(self, key):
+        """Typed value of a configuration key in force."""
+        return self.configuration.get(key)
+
+    def statistics(self):
+        """Counts since the start."""
+        result = {name: self._counts[name] for name in _COUNTS}
+        result["radio_slots_lost"] = self._radio.slots_lost
+        result["sticks_superseded"] = self._radio.items_superseded
+        return result
+
+    # --- sockets --------------------------------------------------------------------------------------------------
+
+    def _open(self, ports):
+        for name, kind in (
+            ("navdata", socket.SOCK_DGRAM),
+            ("video", socket.SOCK_STREAM),
+            ("at", socket.SOCK_DGRAM),
+            ("control", socket.SOCK_STREAM),
+        ):
+            port = getattr(ports, name)
+            sock = socket.socket(socket.AF_INET, kind)
+            self._sockets[name] = sock
+            sock.setblocking(False)
+            if kind == socket.SOCK_STREAM:  # listen again at once although old connections linger
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                sock.bind((self.address, port))
+                if kind == socket.SOCK_STREAM:
+                    sock.listen(MAX_TCP_CLIENTS)
+            except OSError as error:
+                raise OSError(
+                    error.errno, _bind_help(self._vehicle.namespace, self.address, port, kind, error)
+                ) from error
+
+    def _receive(self, sock):
+        for _ in range(DATAGRAMS_PER_CALL):
+            try:
+                data, sender = sock.recvfrom(65536)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._counts["receive_errors"] += 1
+                return
+            if self.link_lost:
+                self._counts["datagrams_lost_in"] += 1
+            else:
+                yield data, sender
+
+    def _accept(self, listener):
+        try:
+            client, _ = listener.accept()
+        except OSError:  # gone again
+            return None
+        client.setblocking(False)
+        if len(self._control_clients) + len(self._video_clients) >= 2 * MAX_TCP_CLIENTS:
+            self._counts["tcp_clients_refused"] += 1
+            client.close()
+            return None
+        return client
+
+    def _drain(self, sock):
+        """What clients say on the streams is of no interest; that they hang up is."""
+        try:
+            data = sock.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._hang_up(sock)
+
+    def _hang_up(self, sock):
+        sock.close()
+        self._control_clients.pop(sock, None)
+        if sock in self._video_clients:
+            self._video_clients.remove(sock)
+
+    def _flush_control_clients(self):
+        for sock, waiting in list(self._control_clients.items()):
+            if not waiting:
+                continue
+            try:
+                sent = sock.send(waiting)
+            except BlockingIOError:
+                continue
+            except OSError:
+                self._hang_up(sock)
+                continue
+            self._control_clients[sock] = waiting[sent:]
+
+    # --- commands ---------------------------------------------------------------------------------------------------
+
+    def _on_at_datagram(self, data, now_s):
+        self._counts["at_datagrams"] += 1
+        commands, malformed = at.parse_datagram(data)
+        self._counts["at_malformed"] += malformed
+        for command in commands:
+            if not self._gate.accept(command.sequence):
+                self._counts["at_stale"] += 1
+                continue
+            self._counts["at_commands"] += 1
+            # silence is judged here as well: a late tick must not overlook a gap that a command has just ended
+            if self._last_at_s is not None and now_s - self._last_at_s > WATCHDOG_S:
+                self._bark()
+            self._last_at_s = now_s
+            self._com_lost_s = None
+            handler = self._HANDLERS.get(command.name)
+            if handler is not None:
+                handler(self, command, now_s)
+            elif command.name not in at.IGNORED:
+                self._counts["at_unknown"] += 1
+            if command.name != "CONFIG_IDS":
+                self._config_ids = None
+
+    def _on_ref(self, command, now_s):
+        bits = command.arguments[0]
+        if self._ref_time_s is not None:
+            self._ref_gap_ms += 0.1 * (1e3 * (now_s - self._ref_time_s) - self._ref_gap_ms)
+        self._ref_time_s, self._ref_sequence = now_s, command.sequence
+        if bits != self._submitted_ref:
+            self._submitted_ref = bits
+            self._radio.submit(now_s, bits, must_arrive=True)
+
+    def _on_pcmd(self, command, now_s):
+        flags, *sticks = command.arguments
+        sticks = [min(1.0, max(-1.0, value)) for value in sticks]
+        sticks += [0.0] * (6 - len(sticks))
+        self._radio.submit(now_s, Sticks(flags, *sticks, command.sequence, now_s))
+
+    def _on_config_ids(self, command, _):
+        self._config_ids = command.arguments
+
+    def _on_config(self, command, _):
+        key, value = command.arguments
+        self._ack = True
+        if not self.configuration.write(key, value, self._config_ids):
+            self._counts["config_ignored"] += 1
+            return
+        self._counts["config_writes"] += 1
+        key = key.strip().lower()
+        if key == "general:navdata_demo":
+            self._bootstrap = False
+            self._next_packet_s = min(self._next_packet_s, self._now_s + FULL_PERIOD_S)
+        if key in ("control:flight_anim", "leds:leds_anim", "userbox:userbox_cmd"):
+            self.notes[key] = value
+        self._rebuild_writer()
+
+    def _on_ctrl(self, command, _):
+        mode = command.arguments[0]
+        if mode == at.CtrlMode.CLEAR_ACK:
+            self._ack = False
+        elif mode in (at.CtrlMode.SEND_CONFIG, at.CtrlMode.SEND_CUSTOM_IDS) and self._control_clients:
+            # without a listener nothing is acknowledged, so the client asks again
+            self._ack = True
+            self._counts["config_readbacks"] += 1
+            text = (
+                self.configuration.text() if mode == at.CtrlMode.SEND_CONFIG else self.configuration.custom_ids_text()
+            )
+            for sock, waiting in list(self._control_clients.items()):
+                if len(waiting) + len(text) > MAX_TCP_BACKLOG_BYTES:
+                    self._hang_up(sock)  # asks and never reads
+                else:
+                    self._control_clients[sock] = waiting + text
+
+    def _on_comwdg(self, _command, _now_s):
+        self._com_watchdog = False
+
+    def _on_ftrim(self, _command, _now_s):
+        if self._vehicle.phase is FlightPhase.LANDED:
+            self.sensors.flat_trim()
+            self.notes["FTRIM"] = ()
+
+    def _on_note(self, command, _):
+        self.notes[command.name] = command.arguments
+
+    _HANDLERS = {
+        "REF": _on_ref,
+        "PCMD": _on_pcmd,
+        "PCMD_MAG": _on_pcmd,
+        "CONFIG": _on_config,
+        "CONFIG_IDS": _on_config_ids,
+        "CTRL": _on_ctrl,
+        "COMWDG": _on_comwdg,
+        "FTRIM": _on_ftrim,
+        "LED": _on_note,
+        "ANIM": _on_note,
+        "CALIB": _on_note,
+        "PMODE": _on_note,
+        "MISC": _on_note,
+    }
+
+    # --- watchdogs --------------------------------------------------------------------------------------------------
+
+    def _bark(self):
+        if not self._com_watchdog:
+            self._com_watchdog = True
+            self._counts["com_watchdogs"] += 1
+
+    def _watch_link(self, now_s, phase):
+        if self._com_lost_s is not None:
+            if now_s - self._com_lost_s > LOST_HOVER_S and now_s >= self._rest_until_s and phase in _CAN_LAND:
+                self._armed, self._start = False, None  # take-off needs a fresh command
+                self._order(now_s, FlightAction.LAND)
+            return
+        if self._last_at_s is None:
+            return
+        silence_s = now_s - self._last_at_s
+        if silence_s > WATCHDOG_S:
+            self._bark()
+        if silence_s > max(1, self.get("general:com_watchdog")):
+            self._lose_client(now_s)
+
+    def _lose_client(self, now_s):
+        """No command for too long: as on a fresh aircraft the client has to start again; hover meanwhile."""
+        _LOG.warning("%s: no command for %.1f s, link lost", self._vehicle.namespace, now_s - self._last_at_s)
+        self._counts["com_losses"] += 1
+        self._com_lost_s, self._last_at_s = now_s, None
+        self._gate.reset()
+        self._submitted_ref = None
+        self._ack = False
+        self._bootstrap, self._client = True, None
+        self._rebuild_writer()
+        self._wanted = Setpoint(hover=True)
+        self._schedule(now_s, self._wanted)
+
+    # --- piloting ---------------------------------------------------------------------------------------------------
+
+    def _pilot(self, now_s, phase):
+        self._arriving.extend(self._radio.collect(now_s))
+        while self._arriving and self._arriving[0][0] <= now_s + LOOK_AHEAD_S:
+            time_s, item = self._arriving.popleft()
+            if isinstance(item, Sticks):
+                self._obey_sticks(time_s, item)
+            else:
+                self._obey_ref(time_s, item, phase)
+        self._obey_start_level(now_s, phase)
+        if phase is FlightPhase.FLYING and not self._wanted.hover:
+            self._limit_altitude(now_s)
+
+    def _obey_ref(self, time_s, bits, phase):
+        select = bool(bits & at.Ref.SELECT)
+        if select and not self._select:
+            self._toggle_emergency(time_s, phase)
+        self._select = select
+        start = bool(bits & at.Ref.START)
+        if not start:
+            self._armed, self._refused = True, False
+        self._start = start
+
+    def _toggle_emergency(self, time_s, phase):
+        self._armed = False  # whatever bit 9 said during the emergency, it counts from now on
+        if phase is FlightPhase.EMERGENCY:
+            self._order(time_s, FlightAction.CLEAR_EMERGENCY)
+        else:
+            self._user_emergency = True
+            self._order(time_s, FlightAction.CUT_MOTORS)
+
+    def _obey_start_level(self, now_s, phase):
+        """REF bit 9 is a level: it is compared with what the vehicle does on every cycle."""
+        if now_s < self._rest_until_s or self._start is None:
+            return
+        if self._start:
+            if phase is FlightPhase.LANDED and self._armed:
+                if self._state.battery_pct > LOW_BATTERY_PCT:
+                    self._order(now_s, FlightAction.TAKE_OFF)
+                elif not self._refused:
+                    self._refused = True
+                    self._counts["take_offs_refused"] += 1
+        elif phase in _CAN_LAND:
+            self._order(now_s, FlightAction.LAND)
+
+    def _order(self, time_s, action):
+        self._vehicle.schedule(time_s, action)
+        self._rest_until_s = time_s + ORDER_REST_S
+        self._landing_ordered = action is FlightAction.LAND
+        if action is FlightAction.TAKE_OFF:
+            self._wanted = self._scheduled = Setpoint(hover=True)
+            self._counts["take_offs"] += 1
+        elif action is FlightAction.LAND:
+            self._counts["landings"] += 1
+
+    def _watch_phase(self, phase):
+        if phase is self._last_phase:
+            return
+        if phase is FlightPhase.EMERGENCY:
+            self._counts["emergencies"] += 1
+        elif phase is FlightPhase.LANDED:
+            self._user_emergency = False
+        elif phase is FlightPhase.LANDING and not self._landing_ordered:
+            self._armed = False  # it lands for its own reasons, an empty battery: do not take off again
+        self._last_phase = phase
+
+    def _obey_sticks(self, time_s, sticks):
+        self._sticks = sticks
+        if sticks.flags & at.PcmdFlag.PROGRESSIVE:
+            roll, pitch = sticks.roll, sticks.pitch
+            if sticks.flags & at.PcmdFlag.ABSOLUTE:
+                roll, pitch = self._from_pilots_heading(roll, pitch, math.pi * sticks.psi)
+            tilt_rad = self.get("control:euler_angle_max")
+            self._wanted = Setpoint(
+                roll_rad=tilt_rad * roll,
+                pitch_rad=tilt_rad * pitch,
+                climb_m_s=1e-3 * self.get("control:control_vz_max") * sticks.gaz,
+                yaw_rate_rad_s=self.get("control:control_yaw") * sticks.yaw,
+            )
+        else:
+            self._wanted = Setpoint(hover=True)
+        self._schedule(time_s, self._within_altitude_limits(self._wanted))
+
+    def _from_pilots_heading(self, roll, pitch, pilot_psi_rad):
+        """Roll and pitch sticks of a pilot who looks along another heading, in the aircraft's own."""
+        turn = self._state.psi - pilot_psi_rad
+        forward, right = -pitch, roll
+        c, s = math.cos(turn), math.sin(turn)
+        return -s * forward + c * right, -(c * forward + s * right)
+
+    def _within_altitude_limits(self, setpoint):
+        if setpoint.hover or self._vehicle.phase is not FlightPhase.FLYING:
+            return setpoint
+        altitude_m = float(self._state.position_m[2]) - self._rest_height_m
+        climb = max(setpoint.climb_m_s, ALTITUDE_GAIN_1_S * (1e-3 * self.get("control:altitude_min") - altitude_m))
+        highest_mm = self.get("control:altitude_max")
+        if highest_mm < NO_LIMIT_MM:
+            climb = min(climb, ALTITUDE_GAIN_1_S * (1e-3 * highest_mm - altitude_m))
+        return setpoint if climb == setpoint.climb_m_s else replace(setpoint, climb_m_s=climb)
+
+    def _limit_altitude(self, now_s):
+        limited = self._within_altitude_limits(self._wanted)
+        if abs(limited.climb_m_s - self._scheduled.climb_m_s) > CLIMB_STEP_M_S:
+            self._schedule(now_s, limited)
+
+    def _schedule(self, time_s, setpoint):
+        self._scheduled = setpoint
+        self._vehicle.schedule(time_s, setpoint)
+
+    # --- navdata ----------------------------------------------------------------------------------------------------
+
+    def _on_wake_up(self, data, sender, now_s):
+        if not navdata.is_wake_up(data):
+            self._counts["not_wake_ups"] += 1
+            return
+        self._counts["wake_ups"] += 1
+        if sender != self._client or self._bootstrap:
+            self._next_packet_s = now_s  # answer in the next cycle
+        if self._client is None and self._bootstrap:
+            self._sequence = 0  # a new conversation counts from 1
+        self._client, self._last_wake_up_s = sender, now_s
+
+    def _rebuild_writer(self):
+        if self._bootstrap:
+            tags = ()
+        elif self.get("general:navdata_demo"):
+            mask = self.get("general:navdata_options") | navdata.DEFAULT_OPTIONS_MASK
+            tags = [tag for tag in navdata.ALL_TAGS if mask >> tag & 1]
+        else:
+            tags = navdata.ALL_TAGS
+        self._writer = NavdataWriter(tags, self)
+
+    def _send_navdata(self, now_s, phase):
+        last_s = self._last_wake_up_s if self._last_at_s is None else max(self._last_at_s, self._last_wake_up_s)
+        if now_s - last_s > max(1, self.get("general:com_watchdog")):
+            self._client = None  # until the next wake-up
+            return
+        if self._bootstrap:
+            period_s = BOOTSTRAP_PERIOD_S
+        else:
+            period_s = DEMO_PERIOD_S if self.get("general:navdata_demo") else FULL_PERIOD_S
+        self._next_packet_s += period_s
+        if self._next_packet_s < now_s:  # a late cycle: packets that were missed are not made up for
+            self._next_packet_s = now_s + 0.5 * period_s
+        self._cycles += 1
+        self._sequence += 1
+        frame = self._frame(now_s, phase) if self._writer.has_options else None
+        packet = self._writer.packet(frame, self._state_bits(phase), self._sequence)
+        if self.link_lost:
+            self._counts["datagrams_lost_out"] += 1
+            return
+        try:
+            self._sockets["navdata"].sendto(packet, self._client)
+            self._counts["navdata_sent"] += 1
+        except OSError:
+            self._counts["send_errors"] += 1
+
+    def _frame(self, now_s, phase):
+        state = self._state
+        airborne = phase in _IN_FLIGHT
+        if phase is FlightPhase.EMERGENCY:
+            airborne = float(state.position_m[2]) - self._rest_height_m > 0.05
+            major = ControlState.DEFAULT if airborne else ControlState.LANDED
+        else:
+            major = _MAJOR[phase]
+        minor = _HOVERING_LOST_COM if phase is FlightPhase.HOVERING and self._com_lost_s is not None else 0
+        frame = Frame()
+        frame.reading = self.sensors.read(state, airborne)
+        frame.time_s = max(0.0, now_s)
+        frame.ctrl_state = major << 16 | minor
+        frame.sticks = self._sticks
+        s = self._scheduled
+        frame.command = (s.roll_rad, s.pitch_rad, s.climb_m_s, s.yaw_rate_rad_s)
+        frame.ref_sequence = self._ref_sequence
+        frame.ref_gap_ms = self._ref_gap_ms
+        frame.cycles = self._cycles
+        return frame
+
+    def _state_bits(self, phase):
+        bits = _BASE_STATE
+        if phase in _IN_FLIGHT:
+            bits |= _FLYING
+        if self._video_clients:
+            bits |= _VIDEO
+        if self._start:
+            bits |= _USER_START
+        if self._ack:
+            bits |= _ACK
+        if self._bootstrap:
+            bits |= _FRESH
+        else:
+            bits |= _CAMERA_READY
+            if self.get("general:navdata_demo"):
+                bits |= _DEMO
+        if self._com_lost_s is not None:
+            bits |= _COM_LOST
+        if self._state.battery_pct <= LOW_BATTERY_PCT:
+            bits |= _BATTERY_LOW
+        if self._com_watchdog:
+            bits |= _COM_WATCHDOG
+        if phase is FlightPhase.EMERGENCY:
+            bits |= _EMERGENCY | (_USER_EMERGENCY if self._user_emergency else _CUTOUT)
+        return bits
+
+
+def _bind_help(namespace, address, port, kind, error):
+    what = "%s: cannot listen on %s %s:%d" % (namespace, "tcp" if kind == socket.SOCK_STREAM else "udp", address, port)
+    if error.errno == errno.EADDRINUSE:
+        return what + ": in use. Stop the other virtual lab, or give the vehicle another address in the fleet file"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return what + ": this machine has no such address. Use one of 127.0.0.0/8 in the fleet file, or add it"
+    return "%s: %s" % (what, error.strerror)

@@ -1,0 +1,657 @@
+"""A Motion Analysis Cortex host on the wire: what a client of the laboratory's mocap system talks to. No ROS.
+
+The host shows a world through a camera model. It belongs into a loop of one thread: wait for its sockets, call
+on_readable() when one can be read, and tick() once the world has moved on. One frame is exposed for every period of the
+frame rate that the world's time enters, and sent at once, so the caller's schedule is the schedule of the stream.
+
+Units: seconds of lab time (the clock of `now_s`; the world's time runs behind it by the reported delay) and metres in
+the mocap frame, z up; on the wire millimetres.
+"""
+
+import errno
+import logging
+import math
+import socket
+import struct
+from collections import Counter, deque
+from dataclasses import dataclass, fields
+from typing import FrozenSet, Optional
+
+import numpy as np
+
+from risc_simulator import cortex_wire as wire
+from risc_simulator.cortex_wire import Command
+from risc_simulator.models.mocap_cameras import MocapCameras, Observation
+
+IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))  # program id 1 says: this is Cortex
+UP_AXIS_Z = 2
+MM_PER_M = 1000.0
+MULTICAST_TTL = 2  # as the SDK's own sockets
+COMMAND_RECEIVE_BUFFER_BYTES = 1 << 20  # as the SDK's own sockets
+DATAGRAMS_PER_CALL = 64  # a flood of requests must not hold up the stream
+CLIENTS_REMEMBERED = 64
+TAKE_FRAMES = 12000  # a recording keeps its last minute at 200 Hz for playback
+ANALOG_RATE_HZ = 0.0  # no analog board
+ANALOG_BIT_DEPTH = 16
+FRAME_NUMBER_MASK = 0x7FFFFFFF  # the wire's frame number is signed
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class FaultPlan:
+    """What the host does wrong. The default is a faultless host."""
+
+    silent: bool = False  # off the network: hears nothing, sends nothing
+    dropped_bodies: FrozenSet[str] = frozenset()  # bodies that frames leave out
+    hidden_bodies: FrozenSet[str] = frozenset()  # bodies whose markers are all missing
+    reply_copies: int = 1  # 2: every reply comes twice; 0: none comes
+    reply_delay_s: float = 0.0  # replies come late
+    reply_command: Optional[int] = None  # replies carry this command code instead of their own
+    cut_bytes: int = 0  # bytes that every datagram lacks at its end
+    length_error: int = 0  # added to the declared payload length of every datagram
+
+    def __post_init__(self):
+        if self.reply_command is not None and not 0 <= self.reply_command <= 0xFFFF:
+            raise ValueError("fault plan: command code %r does not fit 16 bits" % (self.reply_command,))
+        if self.reply_copies < 0 or self.cut_bytes < 0 or not 0.0 <= self.reply_delay_s < math.inf:
+            raise ValueError("fault plan %r: copies, delay and bytes to cut must not be negative" % (self,))
+        for name in ("dropped_bodies", "hidden_bodies"):
+            value = getattr(self, name)
+            if isinstance(value, str):
+                raise ValueError("fault plan: %s is one text, %r: give a list of body names" % (name, value))
+            object.__setattr__(self, name, frozenset(value))
+
+
+class LatenessHistogram:
+    """Streaming percentiles of delays: 10 us bins up to 100 ms, what is later falls into one last bin."""
+
+    BIN_S = 1e-5
+    BINS = 10000
+
+    def __init__(self):
+        self._counts = [0] * (self.BINS + 1)
+        self.count = 0
+        self.max_s = 0.0
+
+    def add(self, lateness_s):
+        """Count one delay [s]; what is early counts as on time."""
+        lateness_s = max(lateness_s, 0.0)
+        self.max_s = max(self.max_s, lateness_s)
+        self.count += 1
+        self._counts[min(int(lateness_s / self.BIN_S), self.BINS)] += 1
+
+    def percentile_s(self, percent):
+        """Upper edge [s] of the bin that holds the percentile (never above the maximum); 0 without data."""
+        wanted = max(math.ceil(self.count * percent / 100.0 - 1e-6), 1)  # not one too many by rounding
+        seen = 0
+        for index, count in enumerate(self._counts):
+            seen += count
+            if seen >= wanted:
+                return self.max_s if index == self.BINS else min((index + 1) * self.BIN_S, self.max_s)
+        return 0.0
+
+
+class _EncodedFrame:
+    """A frame ready to be sent; the delay between exposure and sending is entered when it goes out."""
+
+    def __init__(self, number, exposure_s, packet, delay_offset):
+        self.number = number
+        self.exposure_s = exposure_s
+        self.packet = packet
+        self._delay_offset = delay_offset
+
+    def date(self, now_s):
+        """Enter the delay for good: the frame is streamed at now_s."""
+        wire.set_delay(self.packet, self._delay_offset, max(now_s - self.exposure_s, 0.0))
+
+    def dated_copy(self, now_s):
+        """The packet for a client that polls at now_s."""
+        packet = self.packet[:]
+        wire.set_delay(packet, self._delay_offset, max(now_s - self.exposure_s, 0.0))
+        return packet
+
+
+class CortexHost:
+    """The host.
+
+    world: has time_s [s] and bodies() -> [(name, (n, 3) exact markers [m]), ...].
+    endpoint: has host, command_port, stream_group, stream_port, rate_hz, reported_delay_s. Command port 0 takes a free
+        one (see `address`); an empty stream_group sends no multicast. Its interface is the client's, not used here.
+    cameras: MocapCameras; None = good ones, seed 0.
+    clock: callable giving lab time [s] now, to report the delay at the moment of sending; None = the caller's now_s.
+    templates: body name -> object with marker_names, for the body definitions; others get M1, M2, ...
+    unicast_stream: (address, port) pairs which get the stream too, for machines without multicast.
+    live_on_start: stream without waiting for a client's LiveMode.
+    discovery: also hear clients that broadcast their hello.
+    interface: address of the network card that the multicast stream goes out by; "" = the card that owns the host.
+
+    Raises ValueError when the bodies cannot be shown (too many, frame larger than a datagram) and OSError when an
+    address cannot be used. Afterwards nothing that comes from the network raises: it is counted, see statistics().
+    """
+
+    def __init__(
+        self,
+        world,
+        endpoint,
+        cameras=None,
+        clock=None,
+        templates=None,
+        unicast_stream=(),
+        live_on_start=False,
+        discovery=True,
+        interface="",
+    ):
+        if not 0.0 < endpoint.rate_hz < math.inf:
+            raise ValueError("frame rate is %r Hz: give a positive one" % (endpoint.rate_hz,))
+        self._world = world
+        self._endpoint = endpoint
+        self._cameras = MocapCameras() if cameras is None else cameras
+        self._clock = clock
+        self._last_now_s = world.time_s
+
+        self._number = 0  # of the newest frame
+        self._live = bool(live_on_start)
+        self._last_exposure = None  # index of the last period of the frame rate that was served
+        self._output_name = "capture"
+        self._recording = None  # type: Optional[wire.Recording]
+        self._take = deque(maxlen=TAKE_FRAMES)
+        self._take_at = 0
+        self._play_mode = 0  # -1 backwards, 0 paused, 1 forwards
+
+        self._faults, self._faults_until_s = FaultPlan(), math.inf
+        self._late_replies = []  # (due time, datagram, address)
+
+        self._counts = Counter()
+        self._request_counts = Counter()
+        self._lateness = LatenessHistogram()
+        self._clients = {}  # (address, port) of those who asked something: an ordered set
+
+        bodies = world.bodies()
+        self._encoder, self._encoder_layout = None, None
+        self._body_names = [name for name, _ in bodies]
+        self._body_defs = self._encode_body_defs(bodies, templates or {})
+        layout = tuple((name, len(markers)) for name, markers in bodies)
+        all_markers_m = np.concatenate([markers for _, markers in bodies]) if bodies else np.empty((0, 3))
+        exact = Observation(world.time_s, layout, all_markers_m, np.empty((0, 3)))
+        self._base_positions = self._encode(0, exact)
+        # what the operator's screen shows before anything was live
+        self._shown = self._encode(0, self._cameras.observe(world.time_s, bodies))
+        self._shown.date(world.time_s + endpoint.reported_delay_s)
+
+        self._request_handlers = {
+            "LiveMode": self._request_live_mode,
+            "Pause": self._request_pause,
+            "GetContextFrameRate": lambda _: _reply(struct.pack("<f", endpoint.rate_hz)),
+            "GetConversionToMillimeters": lambda _: _reply(struct.pack("<f", 1.0)),
+            "GetUpAxis": lambda _: _reply(struct.pack("<i", UP_AXIS_Z)),
+            "GetContextAnalogSampleRate": lambda _: _reply(struct.pack("<f", ANALOG_RATE_HZ)),
+            "GetContextAnalogBitDepth": lambda _: _reply(struct.pack("<i", ANALOG_BIT_DEPTH)),
+            "GetFrameOfData": self._request_frame_of_data,
+            "SetOutputName": self._request_set_output_name,
+            "StartRecording": self._request_start_recording,
+            "StopRecording": self._request_stop_recording,
+            "ResetIDs": self._request_reset_ids,
+            "PostForward": lambda _: self._play(1),
+            "PostBackward": lambda _: self._play(-1),
+            "PostPause": lambda _: self._play(0),
+            "PostGetPlayMode": lambda _: _reply(struct.pack("<i", self._play_mode)),
+        }
+        self._requests_with_argument = {"GetFrameOfData", "SetOutputName", "ResetIDs"}
+
+        self._buffer = bytearray(65536)
+        self._sockets, self._stream_socket = [], None
+        self._broadcast_addresses = []
+        try:
+            self._open_sockets(unicast_stream, discovery, interface)
+        except OSError:
+            self.close()
+            raise
+        self._announce()
+
+    # --- the host interface of the virtual lab --------------------------------------------------------------------
+
+    def sockets(self):
+        """Sockets to wait on; when one can be read call on_readable(). Empty after close()."""
+        return list(self._sockets)
+
+    def on_readable(self, sock, now_s):
+        """Answer what has come in on one of sockets() at lab time now_s."""
+        self._last_now_s = now_s
+        self._expire(now_s)
+        for _ in range(DATAGRAMS_PER_CALL):
+            try:
+                size, sender = sock.recvfrom_into(self._buffer)
+            except BlockingIOError:
+                break
+            except OSError:
+                self._counts["receive_errors"] += 1
+                break
+            if not self._faults.silent:
+                self._on_datagram(bytes(self._buffer[:size]), sender)
+        self._send_late_replies(now_s)
+
+    def tick(self, now_s):
+        """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
+        self._last_now_s = now_s
+        self._expire(now_s)
+        periods = self._periods_entered()
+        if periods and self._live:
+            self._counts["exposures_skipped"] += periods - 1
+            self._expose_and_send()
+        elif periods and self._play_mode:
+            self._step_playback(periods)
+        self._send_late_replies(now_s)
+
+    def close(self):
+        """Close the sockets. May be called twice."""
+        for sock in self._sockets:
+            sock.close()
+        self._sockets = []
+        if self._stream_socket is not None:
+            self._stream_socket.close()
+
+    def describe(self):
+        """Lines for people: what listens where."""
+        host, port = self.address
+        version = "%d.%d.%d" % IDENTITY.version[1:]
+        lines = ["%s %s host: commands on udp %s:%d" % (IDENTITY.name, version, host, port)]
+        if self._broadcast_addresses:
+            lines.append("  hears broadcast hellos to %s" % ", ".join(self._broadcast_addresses))
+        targets = ", ".join("%s:%d" % target for target in self._stream_targets) or "nowhere"
+        lines.append(
+            "  stream at %g Hz to udp %s from %s, %s"
+            % (
+                self._endpoint.rate_hz,
+                targets,
+                host,
+                "live" if self._live else "paused until a client asks for LiveMode",
+            )
+        )
+        lines.append("  bodies: %s" % ", ".join(self._body_names))
+        return "\n".join(lines)
+
+    # --- for the operator of the lab ------------------------------------------------------------------------------
+
+    @property
+    def address(self):
+        """(address, port) of the command socket."""
+        return self._address
+
+    @property
+    def live(self):
+        """Whether live mode is on."""
+        return self._live
+
+    def set_live(self, live):
+        """Live mode on or off, as the operator at the screen would."""
+        if live and not self._live:
+            self._play_mode, self._last_exposure = 0, None
+        self._live = bool(live)
+
+    @property
+    def faults(self):
+        """The FaultPlan in force."""
+        return self._faults
+
+    def inject(self, duration_s=None, **faults):
+        """Replace the faults by those given (fields of FaultPlan) for duration_s [s], or until clear_faults().
+
+        Raises ValueError for a fault or a body that does not exist.
+        """
+        known = {field.name for field in fields(FaultPlan)}
+        unknown = sorted(set(faults) - known)
+        if unknown:
+            raise ValueError("no such fault: %s; choose from %s" % (", ".join(unknown), ", ".join(sorted(known))))
+        plan = FaultPlan(**faults)
+        strangers = sorted((plan.dropped_bodies | plan.hidden_bodies) - set(self._body_names))
+        if strangers:
+            raise ValueError(
+                "no such body: %s; the host shows %s" % (", ".join(strangers), ", ".join(self._body_names))
+            )
+        self._faults = plan
+        self._faults_until_s = math.inf if duration_s is None else self._now_s() + duration_s
+
+    def clear_faults(self):
+        """Be faultless again."""
+        self._faults, self._faults_until_s = FaultPlan(), math.inf
+
+    def jump_frame_number(self, by):
+        """Let the next frame number jump by `by` (negative: as after a new take)."""
+        self._number = max(self._number + by, 0) & FRAME_NUMBER_MASK
+
+    def statistics(self):
+        """Counts since the start, requests by kind, and how late frames left against the absolute schedule [ms]."""
+        names = (
+            "frames_exposed",
+            "frames_sent",
+            "exposures_skipped",
+            "oversize_frames",
+            "malformed",
+            "unexpected",
+            "unknown_commands",
+            "unrecognized_requests",
+            "replies",
+            "send_errors",
+            "receive_errors",
+        )
+        result = {name: self._counts[name] for name in names}
+        result["requests"] = dict(sorted(self._request_counts.items()))
+        result["clients"] = len(self._clients)
+        result["schedule_late_ms"] = {
+            "p50": 1e3 * self._lateness.percentile_s(50.0),
+            "p99": 1e3 * self._lateness.percentile_s(99.0),
+            "max": 1e3 * self._lateness.max_s,
+        }
+        return result
+
+    # --- sockets --------------------------------------------------------------------------------------------------
+
+    def _open_sockets(self, unicast_stream, discovery, interface):
+        endpoint = self._endpoint
+        self._command_socket = _udp_socket(endpoint.host, endpoint.command_port, "command port")
+        self._sockets.append(self._command_socket)
+        self._address = self._command_socket.getsockname()
+        try:
+            self._command_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, COMMAND_RECEIVE_BUFFER_BYTES)
+        except OSError as error:
+            _LOG.warning("command socket keeps its receive buffer: %s", error)
+        # clients drop a stream that comes from another address than the replies do
+        self._stream_socket = _udp_socket(endpoint.host, 0, "stream")
+        self._stream_targets = []
+        wildcard = endpoint.host in ("", "0.0.0.0")
+        if endpoint.stream_group:
+            # an address of 127/8 leads to lo, whichever it is: clients that joined on 127.0.0.1 hear it
+            interface = interface or ("0.0.0.0" if wildcard else endpoint.host)
+            try:
+                for option, value in (
+                    (socket.IP_MULTICAST_IF, socket.inet_aton(interface)),
+                    (socket.IP_MULTICAST_LOOP, 1),
+                    (socket.IP_MULTICAST_TTL, MULTICAST_TTL),
+                ):
+                    self._stream_socket.setsockopt(socket.IPPROTO_IP, option, value)
+            except OSError as error:
+                raise OSError(
+                    error.errno or errno.EADDRNOTAVAIL,  # without a number when it is no address at all
+                    "cannot multicast through interface %s (%s): give the address of a network card of this "
+                    "computer as the interface, or none for the host's own" % (interface, error.strerror or error),
+                ) from error
+            self._stream_targets.append((endpoint.stream_group, endpoint.stream_port))
+        self._stream_targets += [(address, port) for address, port in unicast_stream]
+        if discovery and not wildcard:
+            self._open_broadcast_sockets(self.address[1])
+
+    def _open_broadcast_sockets(self, port):
+        """A socket bound to one address hears no broadcasts; these do, and all hosts of a computer share them."""
+        for address in ("255.255.255.255", "127.255.255.255"):
+            try:
+                sock = _udp_socket(address, port, "broadcast", share=True)
+            except OSError as error:
+                _LOG.warning("%s: clients that broadcast their hello will not find this host", error)
+                continue
+            self._sockets.append(sock)
+            self._broadcast_addresses.append("%s:%d" % (address, port))
+
+    def _announce(self):
+        """Tell clients that are already there that the host is back; they watch the stream for it."""
+        hello = wire.encode_identity(Command.HERE_I_AM, IDENTITY)
+        for target in self._stream_targets:
+            self._send(self._stream_socket, hello, target)
+
+    def _send(self, sock, datagram, address):
+        """True when it went out."""
+        faults = self._faults
+        if faults.silent:
+            return False
+        if faults.length_error or faults.cut_bytes:
+            datagram = bytearray(datagram)
+            length = struct.unpack_from("<H", datagram, 2)[0]
+            struct.pack_into("<H", datagram, 2, (length + faults.length_error) & 0xFFFF)
+            datagram = datagram[: max(len(datagram) - faults.cut_bytes, 0)]
+        try:
+            sock.sendto(datagram, address)
+        except OSError as error:  # also: no room in the buffer, no route, a bad address
+            if not self._counts["send_errors"]:
+                _LOG.warning("cannot send to %s:%d: %s (further ones are only counted)", address[0], address[1], error)
+            self._counts["send_errors"] += 1
+            return False
+        return True
+
+    def _reply_to(self, address, datagram):
+        faults = self._faults
+        if faults.reply_command is not None:
+            datagram = struct.pack("<H", faults.reply_command) + datagram[2:]
+        for _ in range(faults.reply_copies):
+            if faults.reply_delay_s > 0.0:
+                self._late_replies.append((self._now_s() + faults.reply_delay_s, bytes(datagram), address))
+            else:
+                self._counts["replies"] += self._send(self._command_socket, datagram, address)
+
+    def _send_late_replies(self, now_s):
+        if not self._late_replies:
+            return
+        due = [reply for reply in self._late_replies if reply[0] <= now_s]
+        self._late_replies = [reply for reply in self._late_replies if reply[0] > now_s]
+        for _, datagram, address in due:
+            self._counts["replies"] += self._send(self._command_socket, datagram, address)
+
+    def _expire(self, now_s):
+        if now_s >= self._faults_until_s:
+            self.clear_faults()
+
+    def _now_s(self):
+        return self._last_now_s if self._clock is None else self._clock()
+
+    # --- frames ---------------------------------------------------------------------------------------------------
+
+    def _encode_body_defs(self, bodies, templates):
+        definitions = []
+        for name, markers in bodies:
+            template = templates.get(name)
+            names = ["M%d" % (k + 1) for k in range(len(markers))] if template is None else list(template.marker_names)
+            if len(names) != len(markers):
+                raise ValueError("body %r has %d markers, its template names %d" % (name, len(markers), len(names)))
+            definitions.append(wire.BodyDef(name, names))
+        return wire.encode_body_defs(wire.BodyDefs(definitions))
+
+    def _encode(self, number, observation):
+        if observation.layout != self._encoder_layout:
+            self._encoder = wire.FrameEncoder(observation.layout)
+            self._encoder_layout = observation.layout
+        packet, delay_offset = self._encoder.encode(
+            number, observation.markers_m * MM_PER_M, observation.unidentified_m * MM_PER_M, recording=self._recording
+        )
+        return _EncodedFrame(number, observation.time_s, packet, delay_offset)
+
+    def _periods_entered(self):
+        """Periods of the frame rate that the world has entered since the last one served; 0 = still in that one."""
+        # the tolerance lets a world that counts its own steps in floating point hit the edge of a period
+        index = math.floor(self._world.time_s * self._endpoint.rate_hz + 1e-3)
+        last, self._last_exposure = self._last_exposure, index
+        if last is None or index < last:  # just went live, or the world was set back
+            return 1
+        return index - last
+
+    def _expose_and_send(self):
+        observation = self._cameras.observe(self._world.time_s, self._world.bodies())
+        if self._faults.dropped_bodies or self._faults.hidden_bodies:
+            observation = self._with_body_faults(observation)
+        self._number = (self._number + 1) & FRAME_NUMBER_MASK
+        self._counts["frames_exposed"] += 1
+        try:
+            frame = self._encode(self._number, observation)
+        except wire.PacketTooLargeError as error:
+            if not self._counts["oversize_frames"]:
+                _LOG.error("frame %d not sent: %s (further ones are only counted)", self._number, error)
+            self._counts["oversize_frames"] += 1
+            return
+        self._shown = frame
+        now_s = self._now_s()
+        frame.date(now_s)
+        if self._recording is not None and self._recording.active:
+            self._take.append(frame)
+        self._lateness.add(now_s - (frame.exposure_s + self._endpoint.reported_delay_s))
+        sent = [self._send(self._stream_socket, frame.packet, target) for target in self._stream_targets]
+        self._counts["frames_sent"] += any(sent)
+
+    def _with_body_faults(self, observation):
+        layout, blocks = [], []
+        for name, markers_m in observation.bodies():
+            if name in self._faults.dropped_bodies:
+                continue
+            layout.append((name, len(markers_m)))
+            blocks.append(np.full_like(markers_m, np.nan) if name in self._faults.hidden_bodies else markers_m)
+        all_markers_m = np.concatenate(blocks) if blocks else np.empty((0, 3))
+        return observation._replace(layout=tuple(layout), markers_m=all_markers_m)
+
+    def _step_playback(self, periods):
+        """Show the next frame of the take; stop at its end."""
+        wanted = self._take_at + self._play_mode * periods
+        self._take_at = min(max(wanted, 0), len(self._take) - 1)
+        if wanted != self._take_at:
+            self._play_mode = 0
+        self._shown = self._take[self._take_at]
+
+    # --- requests -------------------------------------------------------------------------------------------------
+
+    def _on_datagram(self, datagram, sender):
+        try:
+            command, payload = wire.split_packet(datagram)
+            if command in (Command.HELLO_WORLD, Command.ARE_YOU_THERE):
+                if command == Command.HELLO_WORLD:
+                    client = wire.decode_identity(payload)
+                    _LOG.info("hello from %s %s at %s:%d", client.name, client.version, sender[0], sender[1])
+                self._count_request(Command(command).name, sender)
+                self._reply_to(sender, wire.encode_identity(Command.HERE_I_AM, IDENTITY))
+            elif command == Command.REQUEST_BODYDEFS:
+                self._count_request("REQUEST_BODYDEFS", sender)
+                self._reply_to(sender, self._body_defs)
+            elif command == Command.REQUEST_FRAME:
+                self._count_request("REQUEST_FRAME", sender)
+                self._reply_to(sender, self._frame_shown())
+            elif command == Command.GENERAL_REQUEST:
+                self._on_text_request(wire.decode_text(payload), sender)
+            elif command == Command.PUSH_BASEPOSITION:
+                wire.decode_base_position(payload)  # the protocol has no answer to it
+                self._count_request("PUSH_BASEPOSITION", sender)
+            elif command in _HOST_COMMANDS:
+                # what only a host sends; answering could start an endless exchange between two hosts
+                self._counts["unexpected"] += 1
+            else:
+                self._counts["unknown_commands"] += 1
+                self._reply_to(sender, wire.encode_packet(Command.UNRECOGNIZED_COMMAND))
+        except wire.MalformedPacketError as error:
+            self._counts["malformed"] += 1
+            _LOG.debug("malformed packet from %s:%d: %s", sender[0], sender[1], error)
+
+    def _count_request(self, kind, sender):
+        self._request_counts[kind] += 1
+        if sender not in self._clients:
+            self._clients[sender] = None
+            if len(self._clients) > CLIENTS_REMEMBERED:
+                del self._clients[next(iter(self._clients))]
+
+    def _on_text_request(self, text, sender):
+        name, equals, argument = text.partition("=")
+        handler = self._request_handlers.get(name)
+        if handler is None or (equals and name not in self._requests_with_argument):
+            reply = None
+        else:
+            reply = handler(argument if equals else None)
+        if reply is None:
+            self._counts["unrecognized_requests"] += 1
+            reply = wire.encode_packet(Command.UNRECOGNIZED_REQUEST)
+        else:
+            self._count_request(name, sender)
+        self._reply_to(sender, reply)
+
+    def _frame_shown(self):
+        """The newest live frame with its age; paused, the frame on the screen as it was sent."""
+        return self._shown.dated_copy(self._now_s()) if self._live else self._shown.packet
+
+    def _request_frame_of_data(self, argument):
+        if argument is None:
+            return self._frame_shown()
+        return self._base_positions.packet if argument == "BasePositions" else None
+
+    def _request_live_mode(self, _argument):
+        self.set_live(True)
+        return _reply()
+
+    def _request_pause(self, _argument):
+        self.set_live(False)
+        return _reply()
+
+    def _request_set_output_name(self, argument):
+        if not argument or len(argument.encode("utf-8", "surrogateescape")) > wire.MAX_FILE_NAME_BYTES - len(".cap"):
+            return None
+        self._output_name = argument
+        return _reply()
+
+    def _request_start_recording(self, _argument):
+        if self._recording is None or not self._recording.active:  # clients repeat requests
+            self._recording = wire.Recording(1, (self._number + 1) & FRAME_NUMBER_MASK, 0, self._output_name + ".cap")
+            self._take.clear()
+            self._play_mode = 0
+        return _reply()
+
+    def _request_stop_recording(self, _argument):
+        if self._recording is not None and self._recording.active:
+            self._recording = self._recording._replace(active=0, last_frame=self._number)
+            self._take_at = max(len(self._take) - 1, 0)
+        return _reply()
+
+    def _request_reset_ids(self, argument):
+        # nothing to do: the camera model never mistakes one marker for another
+        return _reply() if argument is None or argument in self._body_names else None
+
+    def _play(self, mode):
+        """Playback shows the recorded take to clients that poll; it needs live mode to be off and a take."""
+        if not self._live and self._take:
+            last = len(self._take) - 1
+            if mode and not self._play_mode:
+                self._last_exposure = None  # the first step comes with the next tick
+                if mode > 0 and self._take_at >= last:
+                    self._take_at = -1  # from the end forwards: once more from the start
+                elif mode < 0 and self._take_at <= 0:
+                    self._take_at = last + 1
+            self._play_mode = mode
+        return _reply()
+
+
+_HOST_COMMANDS = frozenset(
+    (
+        Command.HERE_I_AM,
+        Command.COMMENT,
+        Command.BODYDEFS,
+        Command.FRAME_OF_DATA,
+        Command.GENERAL_REPLY,
+        Command.UNRECOGNIZED_REQUEST,
+        Command.UNRECOGNIZED_COMMAND,
+    )
+)
+
+
+def _reply(payload=b""):
+    return wire.encode_packet(Command.GENERAL_REPLY, payload)
+
+
+def _udp_socket(address, port, purpose, share=False):
+    """Non-blocking UDP socket bound to address:port. Raises OSError with cause and cure."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        if share:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((address, port))
+        sock.setblocking(False)
+    except OSError as error:
+        sock.close()
+        cure = {
+            errno.EADDRINUSE: "another host runs there: stop it or use another address or port",
+            errno.EADDRNOTAVAIL: "this computer has no such address: use one of its own, or 127.x.x.x",
+            errno.EACCES: "ports below 1024 need root: use a higher one",
+        }.get(error.errno, "check the endpoint")
+        raise OSError(
+            error.errno, "Cortex %s udp %s:%d: %s; %s" % (purpose, address, port, error.strerror or error, cure)
+        ) from error
+    return sock

@@ -1,0 +1,1 @@
+"""Models of physics, cameras and radio: pure functions and small classes, no sockets, no ROS."""

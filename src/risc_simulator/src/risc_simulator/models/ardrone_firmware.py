@@ -1,0 +1,188 @@
+"""On-board logic of an AR.Drone 2.0: flight phases, hover by optical flow, height hold, battery.
+
+One object per vehicle, called by the world on its step grid. It turns actions and setpoints into the commands of the
+on-board loops (attitude, yaw rate, climb), whose dynamics are part of models/quadrotor.py. Another type of vehicle is
+another class with the same methods.
+"""
+
+import numpy as np
+
+from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
+
+SPIN_UP_S = 0.8  # motors turn, vehicle still stands
+TAKE_OFF_HEIGHT_M = 0.9  # above the floor
+TAKE_OFF_TIME_S = 4.5  # from the order until it hovers and listens to setpoints
+TAKE_OFF_CLIMB_M_S = 0.6
+LANDING_DESCENT_M_S = 0.4
+HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
+
+HEIGHT_GAIN_1_S = 1.2  # height hold: climb rate per height error
+HEIGHT_HOLD_CLIMB_M_S = 0.5
+STOPPING_TIME_S = 0.3  # height is held where the climb loop can stop, not where hover was asked for
+FLOW_GAIN_RAD_PER_M_S = 0.15  # braking: tilt per velocity seen by the belly camera
+FLOW_TILT_MAX_RAD = 0.2
+FLOW_SCALE_SPREAD = 0.05  # the height that scales the flow is not exact,
+FLOW_BIAS_SPREAD_M_S = 0.01  # nor is the camera exactly level: a hover creeps
+
+# What the firmware accepts at most, whatever is configured.
+TILT_LIMIT_RAD = 0.52
+CLIMB_LIMIT_M_S = 2.0
+YAW_RATE_LIMIT_RAD_S = 6.11
+
+CLIMB_INTEGRAL_1_S2 = 0.5  # slow trim of the climb loop: a thrust error is forgotten within some 6 s
+CLIMB_TRIM_LIMIT_M_S2 = 2.0
+
+LOW_BATTERY_PCT = 15.0  # refuses to take off
+EMPTY_BATTERY_PCT = 3.0  # lands by itself
+GROUND_DRAIN_RATIO = 0.1  # computer and radio alone, of what flying takes
+
+_IN_FLIGHT = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING, FlightPhase.LANDING)
+
+
+class ArdroneFirmware(object):
+    """One AR.Drone's on-board logic.
+
+    command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told now.
+    motors_on: rotors turn. lifted: they carry the vehicle (False while it stands, also during spin-up).
+    needs_step: the commands depend on the motion, so step() must be called on every step.
+    """
+
+    climb_integral_1_s2 = CLIMB_INTEGRAL_1_S2
+    climb_trim_limit_m_s2 = CLIMB_TRIM_LIMIT_M_S2
+
+    def __init__(self, vehicle_type, rng, honest, rest_height_m):
+        """vehicle_type: VehicleType. rng: Generator of this vehicle alone. rest_height_m: of its centre, standing."""
+        self.phase = FlightPhase.LANDED
+        self.command = (0.0, 0.0, 0.0, 0.0)
+        self.motors_on = False
+        self.lifted = False
+        self.needs_step = False
+        self._take_off_height_m = max(TAKE_OFF_HEIGHT_M, rest_height_m + 0.5)
+        self._battery_life_s = vehicle_type.battery_life_s
+        self._battery_pct, self._battery_time_s = 100.0, 0.0
+        self._setpoint = Setpoint(hover=True)
+        self._phase_start_s = 0.0
+        self._height_m = self._take_off_height_m
+        scale, bias_forward, bias_right = np.clip(rng.standard_normal(3), -2.0, 2.0).tolist() if honest else (0, 0, 0)
+        self._flow_scale = 1.0 + FLOW_SCALE_SPREAD * scale
+        self._flow_bias_m_s = FLOW_BIAS_SPREAD_M_S * bias_forward, FLOW_BIAS_SPREAD_M_S * bias_right
+
+    # ------------------------------------------------------------------ battery
+
+    def battery_pct(self, time_s):
+        """Charge in percent at this time, never below 0."""
+        life_s = self._battery_life_s if self.motors_on else self._battery_life_s / GROUND_DRAIN_RATIO
+        return max(0.0, self._battery_pct - 100.0 * (time_s - self._battery_time_s) / life_s)
+
+    def set_battery_pct(self, pct, time_s):
+        """Put in another battery, or (a fault to be injected) a tired one."""
+        self._battery_pct, self._battery_time_s = min(100.0, max(0.0, pct)), time_s
+
+    # ------------------------------------------------------------------ events
+
+    def apply(self, action, time_s, height_m, climb_m_s):
+        """Obey a Setpoint or a FlightAction, as far as the phase allows it; the rest is ignored, as on the vehicle."""
+        if isinstance(action, Setpoint):
+            self._setpoint = action
+            if self.phase in (FlightPhase.HOVERING, FlightPhase.FLYING):
+                self._follow_setpoint(time_s, height_m, climb_m_s)
+        elif action is FlightAction.TAKE_OFF:
+            if self.phase is FlightPhase.LANDED and self.battery_pct(time_s) > LOW_BATTERY_PCT:
+                self._setpoint = Setpoint(hover=True)
+                self._enter(FlightPhase.TAKING_OFF, time_s)
+        elif action is FlightAction.LAND:
+            if self.phase is FlightPhase.TAKING_OFF and not self.lifted:
+                self._enter(FlightPhase.LANDED, time_s)
+            elif self.phase in (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING):
+                self._enter(FlightPhase.LANDING, time_s)
+        elif action is FlightAction.CUT_MOTORS:
+            self._enter(FlightPhase.EMERGENCY, time_s)
+        elif action is FlightAction.CLEAR_EMERGENCY:
+            if self.phase is FlightPhase.EMERGENCY and not self.lifted:
+                self._enter(FlightPhase.LANDED, time_s)
+        else:
+            raise TypeError("expected a Setpoint or a FlightAction, got %r" % (action,))
+
+    def touch_down(self, time_s, impact_m_s):
+        """The floor is reached at this downward speed. Returns why it is a crash, or "" when it is none."""
+        if self.phase is FlightPhase.EMERGENCY:
+            self.lifted = False
+            return ""
+        if impact_m_s > HARD_LANDING_M_S:
+            self._enter(FlightPhase.EMERGENCY, time_s)
+            self.lifted = False
+            return "hit the floor at %.1f m/s" % impact_m_s
+        if self.phase is FlightPhase.LANDING:
+            self._enter(FlightPhase.LANDED, time_s)
+        return ""
+
+    def crash(self, time_s):
+        """It flew into something: motors off. It falls until touch_down()."""
+        self._enter(FlightPhase.EMERGENCY, time_s)
+
+    def fly_at(self, time_s, height_m):
+        """Start in the air, hovering (offline studies)."""
+        self.lifted = True
+        self._setpoint = Setpoint(hover=True)
+        self._enter(FlightPhase.HOVERING, time_s)
+        self._height_m = height_m
+
+    def check_battery(self, time_s):
+        """Called about once a second: an empty battery lands the vehicle."""
+        if self.battery_pct(time_s) <= EMPTY_BATTERY_PCT:
+            self.apply(FlightAction.LAND, time_s, 0.0, 0.0)
+
+    # ------------------------------------------------------------------ motion
+
+    def step(self, time_s, height_m, climb_m_s, forward_m_s, right_m_s):
+        """Commands for the step that starts at time_s, from the motion at that time (level, along the heading)."""
+        phase, elapsed_s = self.phase, time_s - self._phase_start_s
+        if phase is FlightPhase.TAKING_OFF:
+            if elapsed_s < SPIN_UP_S:
+                return
+            self.lifted = True
+            up = HEIGHT_GAIN_1_S * (self._take_off_height_m - height_m)
+            climb = min(TAKE_OFF_CLIMB_M_S, max(-HEIGHT_HOLD_CLIMB_M_S, up))
+            if elapsed_s >= TAKE_OFF_TIME_S:
+                self._enter(FlightPhase.HOVERING, time_s)
+                self._height_m = self._take_off_height_m
+                if not self._setpoint.hover:
+                    self._follow_setpoint(time_s, height_m, climb_m_s)
+                    return
+        elif phase is FlightPhase.LANDING:
+            climb = -LANDING_DESCENT_M_S
+        else:
+            up = HEIGHT_GAIN_1_S * (self._height_m - height_m)
+            climb = min(HEIGHT_HOLD_CLIMB_M_S, max(-HEIGHT_HOLD_CLIMB_M_S, up))
+        roll = -self._brake(right_m_s, self._flow_bias_m_s[1])
+        pitch = self._brake(forward_m_s, self._flow_bias_m_s[0])
+        self.command = (roll, pitch, 0.0, climb)
+
+    def _brake(self, velocity_m_s, bias_m_s):
+        tilt = FLOW_GAIN_RAD_PER_M_S * (self._flow_scale * velocity_m_s + bias_m_s)
+        return min(FLOW_TILT_MAX_RAD, max(-FLOW_TILT_MAX_RAD, tilt))
+
+    def _follow_setpoint(self, time_s, height_m, climb_m_s):
+        wanted = self._setpoint
+        if wanted.hover:
+            if self.phase is not FlightPhase.HOVERING:
+                self._enter(FlightPhase.HOVERING, time_s)
+                self._height_m = height_m + STOPPING_TIME_S * climb_m_s
+            return
+        if self.phase is not FlightPhase.FLYING:
+            self._enter(FlightPhase.FLYING, time_s)
+        self.command = (
+            min(TILT_LIMIT_RAD, max(-TILT_LIMIT_RAD, wanted.roll_rad)),
+            min(TILT_LIMIT_RAD, max(-TILT_LIMIT_RAD, wanted.pitch_rad)),
+            min(YAW_RATE_LIMIT_RAD_S, max(-YAW_RATE_LIMIT_RAD_S, wanted.yaw_rate_rad_s)),
+            min(CLIMB_LIMIT_M_S, max(-CLIMB_LIMIT_M_S, wanted.climb_m_s)),
+        )
+
+    def _enter(self, phase, time_s):
+        self._battery_pct, self._battery_time_s = self.battery_pct(time_s), time_s  # the drain changes here
+        self.phase, self._phase_start_s = phase, time_s
+        self.motors_on = phase in _IN_FLIGHT
+        self.needs_step = phase in (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.LANDING)
+        self.command = (0.0, 0.0, 0.0, 0.0)
+        if phase is FlightPhase.LANDED:
+            self.lifted = False

@@ -1,0 +1,149 @@
+"""What the sensors of an AR.Drone 2.0 read, from the true state of a vehicle, with seeded noise.
+
+Axes are the aircraft's: x nose, y right, z down; pitch + nose up, roll + right side down, yaw + clockwise from above.
+"""
+
+import math
+
+from risc_control.frames import GRAVITY_M_S2
+
+# One standard deviation of each reading.
+ATTITUDE_NOISE_DEG = 0.05
+ATTITUDE_BIAS_DEG = 0.3  # of the level, per vehicle; a flat trim removes it
+ACCELERATION_NOISE_MG = 8.0
+GYRO_NOISE_DEG_S = 0.2
+GYRO_OFFSET_DEG_S = 0.5  # removed by the firmware, reported in gyros_offsets
+ALTITUDE_NOISE_M = 0.004  # filtered
+ULTRASOUND_NOISE_M = 0.010  # raw
+VELOCITY_NOISE_M_S = 0.015  # optical flow; nothing on the ground
+MAGNETIC_NOISE_MG = 2.0  # milligauss
+PRESSURE_NOISE_PA = 2.0
+
+FIELD_NORTH_MG = 210.0  # earth's field [milligauss]; the lab's x axis is taken as magnetic north
+FIELD_DOWN_MG = 470.0
+GROUND_PRESSURE_PA = 85800.0  # a lab at 1400 m
+PRESSURE_PER_METRE_PA = 10.4
+TEMPERATURE_TENTHS_C = 435  # inside the hull
+
+_DEG = 180.0 / math.pi
+_BLOCK = 8192
+
+
+class _Noise(object):
+    """Standard normal numbers one at a time; drawing them in blocks makes one cost some 50 ns."""
+
+    def __init__(self, rng, scale):
+        self._rng = rng
+        self._scale = scale
+        self._iterator = iter(())
+
+    def __call__(self, std):
+        for value in self._iterator:
+            return std * value
+        self._iterator = iter((self._scale * self._rng.standard_normal(_BLOCK)).tolist())
+        return std * next(self._iterator)
+
+
+class Reading(object):
+    """One set of readings; see ArdroneSensors.read for units."""
+
+    __slots__ = (
+        "roll_deg",
+        "pitch_deg",
+        "yaw_deg",
+        "heading_unwrapped_deg",
+        "acceleration_mg",
+        "rates_deg_s",
+        "altitude_m",
+        "altitude_raw_m",
+        "velocity_m_s",
+        "magnetic_mg",
+        "pressure_pa",
+        "battery_pct",
+        "battery_mv",
+        "motor_pwm",
+    )
+
+
+class ArdroneSensors(object):
+    """Sensors of one vehicle.
+
+    rng: numpy Generator of this vehicle.  noise: factor on all noise and biases, 0 gives exact readings.
+    rest_height_m: height of the vehicle's centre when it stands; altitude is measured from there.
+    """
+
+    def __init__(self, rng, noise=1.0, rest_height_m=0.0):
+        self._noise = _Noise(rng, noise)
+        self._rest_height_m = rest_height_m
+        n = self._noise
+        self._bias_deg = (n(ATTITUDE_BIAS_DEG), n(ATTITUDE_BIAS_DEG))  # roll, pitch
+        self.trim_deg = (0.0, 0.0)  # subtracted by the firmware
+        self.gyro_offsets_deg_s = (n(GYRO_OFFSET_DEG_S), n(GYRO_OFFSET_DEG_S), n(GYRO_OFFSET_DEG_S))
+        self._last_psi = None
+        self._unwrapped = 0.0
+
+    def flat_trim(self):
+        """The vehicle lies flat: what the attitude reads now is zero."""
+        self.trim_deg = self._bias_deg
+
+    def read(self, state, airborne):
+        """Reading of a VehicleState.
+
+        airborne: False on the ground, where velocities read 0 and the altitude has no noise.
+        Angles in degrees (yaw in (-180, 180], heading without jumps), accelerations in milli-g (rest: z = -1000),
+        rates in deg/s, altitude in metres above standing, velocity (3,) in m/s forward, right, down, levelled,
+        magnetic field in body axes in milligauss, pressure in Pa, battery in percent and millivolt.
+        """
+        n = self._noise
+        reading = Reading()
+        reading.roll_deg = state.phi * _DEG + self._bias_deg[0] - self.trim_deg[0] + n(ATTITUDE_NOISE_DEG)
+        reading.pitch_deg = state.theta * _DEG + self._bias_deg[1] - self.trim_deg[1] + n(ATTITUDE_NOISE_DEG)
+        psi = state.psi
+        if self._last_psi is None:
+            self._unwrapped = psi
+        else:
+            self._unwrapped += math.remainder(psi - self._last_psi, 2.0 * math.pi)
+        self._last_psi = psi
+        yaw_noise_deg = n(ATTITUDE_NOISE_DEG)
+        reading.heading_unwrapped_deg = self._unwrapped * _DEG + yaw_noise_deg
+        yaw_deg = math.remainder(psi * _DEG + yaw_noise_deg, 360.0)
+        reading.yaw_deg = 180.0 if yaw_deg == -180.0 else yaw_deg
+
+        fx, fy, fz = (1000.0 / GRAVITY_M_S2 * value for value in state.specific_force_m_s2.tolist())
+        a = ACCELERATION_NOISE_MG
+        reading.acceleration_mg = (fx + n(a), fy + n(a), fz + n(a))
+        g = GYRO_NOISE_DEG_S
+        reading.rates_deg_s = (state.p * _DEG + n(g), state.q * _DEG + n(g), state.r * _DEG + n(g))
+
+        x, y, z = state.position_m.tolist()
+        height_m = max(0.0, z - self._rest_height_m)
+        reading.altitude_m = max(0.0, height_m + n(ALTITUDE_NOISE_M)) if airborne else height_m
+        reading.altitude_raw_m = max(0.0, height_m + n(ULTRASOUND_NOISE_M)) if airborne else height_m
+        sin_psi, cos_psi = math.sin(psi), math.cos(psi)
+        if airborne:
+            north, west, up = state.velocity_m_s.tolist()
+            v = VELOCITY_NOISE_M_S
+            reading.velocity_m_s = (
+                cos_psi * north - sin_psi * west + n(v),
+                -sin_psi * north - cos_psi * west + n(v),
+                -up + n(v),
+            )
+        else:
+            reading.velocity_m_s = (0.0, 0.0, 0.0)
+
+        # R(phi, theta, psi) takes NED to body: the field is (north, 0, down)
+        sin_phi, cos_phi = math.sin(state.phi), math.cos(state.phi)
+        sin_theta, cos_theta = math.sin(state.theta), math.cos(state.theta)
+        north1, east1 = FIELD_NORTH_MG * cos_psi, -FIELD_NORTH_MG * sin_psi
+        down2 = sin_theta * north1 + cos_theta * FIELD_DOWN_MG
+        m = MAGNETIC_NOISE_MG
+        reading.magnetic_mg = (
+            cos_theta * north1 - sin_theta * FIELD_DOWN_MG + n(m),
+            cos_phi * east1 + sin_phi * down2 + n(m),
+            -sin_phi * east1 + cos_phi * down2 + n(m),
+        )
+        reading.pressure_pa = GROUND_PRESSURE_PA - PRESSURE_PER_METRE_PA * z + n(PRESSURE_NOISE_PA)
+        reading.battery_pct = state.battery_pct
+        reading.battery_mv = 10500 + 23 * state.battery_pct  # three LiPo cells; 50 % reads 11650 mV
+        reading.motor_pwm = state.motor_pwm
+        return reading

@@ -1,0 +1,402 @@
+"""The virtual lab as one program without ROS: physics, a Cortex host and a host for each vehicle, in one thread.
+
+    python3 -m risc_simulator.virtual_lab FLEET.yaml [options]
+
+Lab time is seconds since the start. World time runs behind it by the reported delay of motion capture: frame k is
+exposed at world time k / rate and sent at lab time k / rate + reported delay. The schedule is absolute, so it does not
+drift; after a delay of the computer the missed frames follow at once, each with its own exposure time.
+"""
+
+import argparse
+import contextlib
+import gc
+import json
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from risc_control.lab import load_fleet, load_templates, load_vehicle_type
+from risc_simulator.ardrone_host import ArdroneHost
+from risc_simulator.cortex_host import CortexHost, LatenessHistogram
+from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
+from risc_simulator.world import World
+
+MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
+MAX_CATCH_UP_S = 1.0  # a computer that slept longer than this stops the lab's clock meanwhile
+_NICENESS = -10
+_CAMERA_STREAM = (1000000,)  # random stream of the cameras beside the vehicles' (index, purpose)
+
+
+class VirtualLab(object):
+    """World and hosts on one schedule. Use it from one thread; only `stop` may come from elsewhere.
+
+    Raises ValueError when the fleet does not fit (unknown type, template, ...) and OSError when an address is in use.
+    """
+
+    def __init__(
+        self,
+        fleet,
+        seed=0,
+        honest=True,
+        gusts=False,
+        command_delay_s=None,
+        exact_markers=False,
+        live_on_start=False,
+        templates=None,
+        vehicle_types=None,
+        radio_loss=0.0,
+        interface="",
+    ):
+        """fleet: Fleet. honest: vehicles differ from their nominal type. gusts: moving air.
+        command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
+        live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
+        radio_loss: probability in [0, 1) that a slot of a vehicle's command link is lost.
+        interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
+        (The fleet's mocap.interface is the client's card, which may be one of another computer.)
+        """
+        self.fleet = fleet
+        self.radio_loss = radio_loss
+        self.seed, self.honest, self.gusts = seed, honest, gusts
+        self._period_s = 1.0 / fleet.mocap.rate_hz
+        self._send_after_s = fleet.mocap.reported_delay_s
+        if templates is None:
+            templates = load_templates()
+        if vehicle_types is None:
+            vehicle_types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
+        if command_delay_s is not None:
+            vehicle_types = {
+                name: replace(vehicle_type, command_delay_s=command_delay_s)
+                for name, vehicle_type in vehicle_types.items()
+            }
+        steps_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
+        self.world = World(
+            fleet,
+            vehicle_types,
+            templates,
+            seed=seed,
+            honest=honest,
+            gusts=gusts,
+            step_s=self._period_s / steps_per_frame,
+        )
+        self.frame = 0  # of the newest exposure
+        self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
+        self.lateness = LatenessHistogram()  # of frames against the absolute schedule
+        self.cameras = MocapCameras(
+            CameraParams.ideal() if exact_markers else CameraParams(),
+            seed=np.random.SeedSequence(seed, spawn_key=_CAMERA_STREAM),
+        )
+        self._start_s = time.monotonic()
+        self._hosts = []
+        try:
+            self.cortex_host = CortexHost(
+                self.world,
+                fleet.mocap,
+                self.cameras,
+                clock=self.now_s,
+                templates=templates,
+                live_on_start=live_on_start,
+                interface=interface,
+            )
+            self._hosts.append(self.cortex_host)
+            self.vehicle_hosts = {}
+            for vehicle in fleet.vehicles:
+                host = ArdroneHost(
+                    self.world.vehicles[vehicle.namespace], vehicle.address, seed=seed, radio_loss=radio_loss
+                )
+                self.vehicle_hosts[vehicle.namespace] = host
+                self._hosts.append(host)
+        except (OSError, ValueError):
+            self.close()
+            raise
+
+    def describe(self):
+        """Lines for people: what listens where, and what flies."""
+        mode = "honest plants, seed %d" % self.seed if self.honest else "ideal plants, seed %d" % self.seed
+        lines = ["virtual lab '%s': %s%s" % (self.fleet.name, mode, ", gusts" if self.gusts else "")]
+        if self.radio_loss:
+            lines[0] += ", radio loses %g %% of its slots" % (100.0 * self.radio_loss)
+        return "\n".join(lines + [host.describe() for host in self._hosts])
+
+    def now_s(self):
+        """Lab time: 0 at the first step."""
+        return time.monotonic() - self._start_s
+
+    @property
+    def exposure_s(self):
+        """Lab time at which the newest frame was exposed."""
+        return self.frame * self._period_s
+
+    def step(self):
+        """Serve clients until the next frame is due, then expose and send it."""
+        if self.frame == 0:
+            self._start_s = time.monotonic()  # what came before the first frame is not lateness
+        frame = self.frame + 1
+        due_s = frame * self._period_s + self._send_after_s
+        while True:
+            wait_s = due_s - self.now_s()
+            self._serve(max(wait_s, 0.0))
+            if wait_s <= 0.0:
+                break
+        now_s = self.now_s()
+        if now_s - due_s > MAX_CATCH_UP_S:
+            self._start_s += now_s - due_s
+            self.stalls += 1
+            now_s = due_s
+        self.lateness.add(now_s - due_s)
+        self.frame = frame
+        self.world.step_to(frame * self._period_s)
+        for host in self._hosts:
+            host.tick(now_s)
+
+    def _serve(self, wait_s):
+        owners = {sock: host for host in self._hosts for sock in host.sockets()}
+        readable, _, _ = select.select(owners, (), (), wait_s)
+        for sock in readable:
+            if sock.fileno() >= 0:  # an earlier one of this round may have closed it
+                owners[sock].on_readable(sock, self.now_s())
+
+    def run(self, stop_event=None, duration_s=None, on_frame=None):
+        """Run in real time until stop_event (threading.Event) is set or duration_s of lab time has passed.
+
+        on_frame: called without arguments after each frame has been sent; must be quick.
+        """
+        gc.collect()
+        gc.freeze()  # what exists now lives as long as the lab: collections stay short
+        while not (stop_event is not None and stop_event.is_set()):
+            if duration_s is not None and self.exposure_s >= duration_s:
+                break
+            self.step()
+            if on_frame is not None:
+                on_frame()
+
+    def hide(self, body, duration_s):
+        """Hide all markers of a body from the cameras, from now on. Raises ValueError for an unknown body."""
+        self.cameras.add_window(OcclusionWindow(body, self.world.time_s, self.world.time_s + duration_s))
+
+    def silence_mocap(self, duration_s):
+        """Take the Cortex host off the network."""
+        self.cortex_host.inject(duration_s, silent=True)
+
+    def lose_link(self, namespace, duration_s):
+        """Take a vehicle's link off the air. Raises ValueError for an unknown vehicle."""
+        self._check_namespace(namespace)
+        self.vehicle_hosts[namespace].lose_link(duration_s)
+
+    def set_battery_pct(self, namespace, pct):
+        """Give a vehicle a battery with this charge. Raises ValueError for an unknown vehicle."""
+        self._check_namespace(namespace)
+        self.world.vehicles[namespace].set_battery_pct(pct)
+
+    def _check_namespace(self, namespace):
+        if namespace not in self.vehicle_hosts:
+            raise ValueError("no vehicle '%s'; known are: %s" % (namespace, ", ".join(self.vehicle_hosts)))
+
+    def statistics(self):
+        """Everything worth keeping of the run, as plain numbers and texts (for JSON)."""
+        vehicles = {}
+        for namespace, vehicle in self.world.vehicles.items():
+            plant = vehicle.plant
+            vehicles[namespace] = {
+                "template": vehicle.template,
+                "phase": vehicle.phase.value,
+                "battery_pct": vehicle.state.battery_pct,
+                "plant": {
+                    "mass_kg": plant.mass_kg,
+                    "thrust_scale": plant.thrust_scale,
+                    "roll_natural_frequency_rad_s": plant.roll.natural_frequency_rad_s,
+                    "pitch_natural_frequency_rad_s": plant.pitch.natural_frequency_rad_s,
+                    "drag_n_s_m": plant.drag_n_s_m,
+                    "command_delay_s": plant.command_delay_s,
+                },
+                "host": self.vehicle_hosts[namespace].statistics(),
+            }
+        return {
+            "simulated": True,
+            "fleet": self.fleet.name,
+            "seed": self.seed,
+            "honest": self.honest,
+            "gusts": self.gusts,
+            "radio_loss": self.radio_loss,
+            "frames": self.frame,
+            "rate_hz": self.fleet.mocap.rate_hz,
+            "duration_s": self.exposure_s,
+            "late_ms": {
+                "p50": 1e3 * self.lateness.percentile_s(50.0),
+                "p99": 1e3 * self.lateness.percentile_s(99.0),
+                "max": 1e3 * self.lateness.max_s,
+            },
+            "stalls": self.stalls,
+            "least_separation_m": self.world.least_separation_m,
+            "crashes": [
+                {
+                    "time_s": crash.time_s,
+                    "vehicle": crash.namespace,
+                    "position_m": crash.position_m.tolist(),
+                    "reason": crash.reason,
+                }
+                for crash in self.world.crashes
+            ],
+            "cortex": self.cortex_host.statistics(),
+            "vehicles": vehicles,
+        }
+
+    def close(self):
+        """Close all sockets. May be called twice."""
+        for host in self._hosts:
+            host.close()
+        self._hosts = []
+
+
+def summary(statistics):
+    """The statistics in a few lines for people."""
+    late = statistics["late_ms"]
+    lines = [
+        "%d frames in %.1f s (%g Hz); late against the schedule: p50 %.2f, p99 %.2f, max %.2f ms%s"
+        % (
+            statistics["frames"],
+            statistics["duration_s"],
+            statistics["rate_hz"],
+            late["p50"],
+            late["p99"],
+            late["max"],
+            "; the computer stalled %d times" % statistics["stalls"] if statistics["stalls"] else "",
+        )
+    ]
+    if statistics["least_separation_m"] is not None:
+        lines.append("least separation of vehicles in the air: %.2f m" % statistics["least_separation_m"])
+    lines += [
+        "crash at %.2f s: %s %s at (%.2f, %.2f, %.2f) m"
+        % ((crash["time_s"], crash["vehicle"], crash["reason"]) + tuple(crash["position_m"]))
+        for crash in statistics["crashes"]
+    ]
+    return "\n".join(lines)
+
+
+def raise_priority():
+    """Let the lab go first where that is allowed (root): it stands for other computers with their own processors."""
+    if os.getpriority(os.PRIO_PROCESS, 0) == 0:  # somebody who set a niceness meant it
+        with contextlib.suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+
+
+def write_statistics(statistics, path):
+    """Statistics to a JSON file. Raises OSError."""
+    with open(path, "w", encoding="utf-8") as stream:
+        json.dump(statistics, stream, indent=2)
+        stream.write("\n")
+
+
+def configure_fleet(
+    fleet,
+    vehicles=None,
+    subnet=None,
+    cortex_host=None,
+    cortex_port=None,
+    stream_group=None,
+    stream_port=None,
+    rate_hz=None,
+):
+    """The fleet with other addresses; None leaves what the file says. Raises ValueError."""
+    if vehicles is not None:
+        fleet = fleet.with_vehicles(vehicles)
+    if subnet:
+        fleet = fleet.in_subnet(subnet)
+    changes = {
+        "host": cortex_host,
+        "command_port": cortex_port,
+        "stream_group": stream_group,
+        "stream_port": stream_port,
+        "rate_hz": rate_hz,
+    }
+    changes = {name: value for name, value in changes.items() if value is not None}
+    return replace(fleet, mocap=replace(fleet.mocap, **changes))
+
+
+def _parse_arguments(arguments):
+    parser = argparse.ArgumentParser(
+        prog="virtual_lab", description="The virtual lab: motion capture and vehicles on the wire, without ROS."
+    )
+    parser.add_argument("fleet", metavar="FLEET.yaml", help="what flies, and at which addresses")
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same vehicles and noise (default 0)")
+    parser.add_argument("--ideal", action="store_true", help="every vehicle is exactly what its type says")
+    parser.add_argument("--exact-markers", action="store_true", help="cameras without noise, loss and ghosts")
+    parser.add_argument("--gusts", action="store_true", help="moving air")
+    parser.add_argument("--delay", type=float, metavar="S", help="nominal command delay of every vehicle")
+    parser.add_argument(
+        "--radio-loss", type=float, default=0.0, metavar="P", help="fraction of the radio's slots that is lost, 0 to 1"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after this time (default: Ctrl-C)")
+    parser.add_argument("--stats", metavar="FILE.json", help="write the statistics there at the end")
+    parser.add_argument("--live", action="store_true", help="stream at once, without waiting for a client's LiveMode")
+    parser.add_argument("--vehicles", type=int, metavar="N", help="only the first N vehicles")
+    parser.add_argument("--subnet", metavar="A.B", help="Cortex host at A.B.0.1, vehicle k at A.B.1.k, e.g. 127.78")
+    parser.add_argument("--cortex-host", metavar="ADDRESS")
+    parser.add_argument("--cortex-port", type=int, metavar="PORT")
+    parser.add_argument("--stream-group", metavar="ADDRESS")
+    parser.add_argument("--stream-port", type=int, metavar="PORT")
+    parser.add_argument(
+        "--interface",
+        default="",
+        metavar="ADDRESS",
+        help="of this computer's network card that the stream goes out by (default: that of the Cortex host)",
+    )
+    parser.add_argument("--rate", type=float, metavar="HZ", help="frame rate of motion capture")
+    return parser.parse_args(arguments)
+
+
+def main(arguments=None):
+    """Command line. Returns the exit code."""
+    options = _parse_arguments(arguments)
+    stop_event = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop_event.set())
+    try:
+        fleet = configure_fleet(
+            load_fleet(options.fleet),
+            options.vehicles,
+            options.subnet,
+            options.cortex_host,
+            options.cortex_port,
+            options.stream_group,
+            options.stream_port,
+            options.rate,
+        )
+        lab = VirtualLab(
+            fleet,
+            seed=options.seed,
+            honest=not options.ideal,
+            gusts=options.gusts,
+            command_delay_s=options.delay,
+            exact_markers=options.exact_markers,
+            live_on_start=options.live,
+            radio_loss=options.radio_loss,
+            interface=options.interface,
+        )
+    except (ValueError, OSError) as error:
+        print("virtual_lab: %s" % error, file=sys.stderr)
+        return 1
+    try:
+        print(lab.describe(), flush=True)
+        raise_priority()
+        lab.run(stop_event, options.duration)
+        statistics = lab.statistics()
+    finally:
+        lab.close()
+    print(summary(statistics), flush=True)
+    if options.stats:
+        try:
+            write_statistics(statistics, options.stats)
+        except OSError as error:
+            print("virtual_lab: cannot write the statistics: %s" % error, file=sys.stderr)
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,356 @@
+"""The whole lab in real time on loopback addresses, seen by clients that know nothing but the wire formats."""
+
+import json
+import os
+import random
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from risc_control.lab import FleetLandmark, FleetVehicle, load_templates
+from risc_control.lab.fleet import Fleet, MocapEndpoint
+from risc_simulator import virtual_lab
+from risc_simulator.virtual_lab import VirtualLab, configure_fleet, summary
+from risc_simulator.world import FlightPhase
+
+GROUP = "225.1.1.1"
+LIVE_MODE = struct.pack("<HH", 14, 9) + b"LiveMode\0"
+FRAME_OF_DATA, REQUEST_FRAME = 13, 12
+
+FLEET_YAML = """
+name: two
+mocap: {host: %(net)s.0.1, stream_port: %(port)d, interface: 127.0.0.1}
+vehicles:
+  - {namespace: risc1, template: fluffy_II, type: ardrone, address: %(net)s.1.1, start: {position_m: [0.5, 0, 0]}}
+  - {namespace: risc2, template: Raven, type: ardrone, address: %(net)s.1.2, start: {position_m: [-0.5, 0, 0]}}
+landmarks: [{name: Green_pink, position_m: [2.3, 0.8, 1.0]}]
+"""
+
+
+@pytest.fixture
+def net():
+    """First two bytes of addresses, and a stream port, that no other test run uses."""
+    return {"net": "127.%d" % random.SystemRandom().randint(100, 250), "port": free_port()}
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return probe.getsockname()[1]
+
+
+def make_fleet(net, count=2):
+    vehicles = tuple(
+        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "%s.1.%d" % (net["net"], k + 1), "", (x, 0.0, 0.0), 0.0)
+        for k, (name, x) in enumerate([("fluffy_II", 0.5), ("Raven", -0.5)][:count])
+    )
+    return Fleet(
+        "two",
+        MocapEndpoint(net["net"] + ".0.1", stream_port=net["port"], interface="127.0.0.1"),
+        vehicles,
+        (FleetLandmark("Green_pink", (2.3, 0.8, 1.0)),),
+    )
+
+
+def stream_client(port):
+    """A socket that hears the live stream, as a client of the protocol makes it."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    sock.bind((GROUP, port))
+    membership = socket.inet_aton(GROUP) + socket.inet_aton("127.0.0.1")
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    sock.settimeout(2.0)
+    return sock
+
+
+def first_body(datagram):
+    """(frame number, name, (n, 3) markers in metres) of the first body in a frame datagram."""
+    command, length = struct.unpack_from("<HH", datagram)
+    assert command == FRAME_OF_DATA and length == len(datagram) - 4
+    number, _ = struct.unpack_from("<ii", datagram, 4)
+    end = datagram.index(b"\0", 12)
+    (count,) = struct.unpack_from("<i", datagram, end + 1)
+    markers = np.frombuffer(datagram, "<f4", 3 * count, end + 5).reshape(count, 3) / 1000.0
+    return number, datagram[12:end].decode(), markers
+
+
+@pytest.fixture
+def running(net):
+    """The lab in a thread of its own."""
+    lab = VirtualLab(make_fleet(net), seed=4)
+    stop = threading.Event()
+    thread = threading.Thread(target=lab.run, args=(stop,))
+    thread.start()
+    yield lab
+    stop.set()
+    thread.join(5.0)
+    assert not thread.is_alive()
+    lab.close()
+
+
+def test_stream_reaches_a_raw_client_complete_and_on_time(running, net):
+    with stream_client(net["port"]) as stream, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as commands:
+        commands.sendto(LIVE_MODE, (net["net"] + ".0.1", 1510))
+        frames = []
+        arrivals = []
+        while len(frames) < 400:  # two seconds
+            frames.append(first_body(stream.recv(65536)))
+            arrivals.append(time.monotonic())
+    numbers = [frame[0] for frame in frames]
+    assert numbers == list(range(numbers[0], numbers[0] + 400))
+    assert {frame[1] for frame in frames} == {"fluffy_II"}
+    seen = np.array([frame[2] for frame in frames])
+    seen[np.abs(seen) > 1000] = np.nan  # lost markers
+    noise = np.nanstd(seen, axis=0)
+    assert np.all((noise > 0.0015) & (noise < 0.0025))  # 400 samples of 2 mm
+    exact = dict(running.world.bodies())["fluffy_II"]
+    np.testing.assert_allclose(np.nanmean(seen, axis=0), exact, atol=0.0006)
+    # on the average the schedule is kept, whatever else this computer does
+    assert (arrivals[-1] - arrivals[0]) == pytest.approx(399 / 200.0, abs=0.1)
+
+
+def test_polling_client_and_a_flight_over_at_commands(running, net):
+    """Take off by REF, watch the height by polling frames: physics, radio and both hosts together."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as commands, socket.socket(
+        socket.AF_INET, socket.SOCK_DGRAM
+    ) as pilot:
+        host = (net["net"] + ".0.1", 1510)
+        commands.settimeout(2.0)
+        commands.sendto(LIVE_MODE, host)
+        commands.recv(100)
+
+        def height_m():
+            commands.sendto(struct.pack("<HH", REQUEST_FRAME, 0), host)
+            markers = first_body(commands.recv(65536))[2]
+            return markers[np.abs(markers[:, 2]) < 1000, 2].mean()
+
+        time.sleep(0.1)
+        on_floor_m = height_m()
+        sequence = 1
+        for _ in range(90):  # three seconds at the rate of the radio
+            pilot.sendto(b"AT*REF=%d,290718208\r" % sequence, (net["net"] + ".1.1", 5556))
+            sequence += 1
+            time.sleep(1 / 30.0)
+        assert running.world.vehicles["risc1"].phase is FlightPhase.TAKING_OFF
+        assert running.world.vehicles["risc2"].phase is FlightPhase.LANDED
+        assert height_m() - on_floor_m > 0.5
+
+
+def test_world_time_follows_lab_time_and_catches_up_without_losing_frames(net):
+    lab = VirtualLab(make_fleet(net, 1), live_on_start=True)
+    try:
+        with stream_client(net["port"]) as stream:
+            lab.run(duration_s=0.1)
+            time.sleep(0.2)  # the computer is busy elsewhere
+            lab.run(duration_s=0.5)
+            numbers = [first_body(stream.recv(65536))[0] for _ in range(lab.frame)]
+        assert numbers == list(range(1, 101))
+        assert lab.world.time_s == pytest.approx(0.5)
+        assert lab.lateness.max_s > 0.15 and lab.stalls == 0
+        assert 0.0 <= lab.now_s() - 0.503 < 0.1
+    finally:
+        lab.close()
+
+
+def test_a_long_stall_stops_the_clock(net, monkeypatch):
+    monkeypatch.setattr(virtual_lab, "MAX_CATCH_UP_S", 0.1)
+    lab = VirtualLab(make_fleet(net, 1))
+    try:
+        lab.run(duration_s=0.05)
+        time.sleep(0.3)
+        before = lab.now_s()
+        lab.step()
+        assert lab.stalls == 1 and before > 0.3
+        assert lab.now_s() < 0.1  # frame 11 was due at 0.058 s
+    finally:
+        lab.close()
+
+
+def test_faults_by_name(net):
+    lab = VirtualLab(make_fleet(net, 1), live_on_start=True)
+    try:
+        with stream_client(net["port"]) as stream:
+            lab.run(duration_s=0.05)
+            lab.hide("fluffy_II", 0.1)
+            lab.run(duration_s=0.2)
+            frames = [first_body(stream.recv(65536))[2] for _ in range(40)]
+            lost = [bool((np.abs(markers[:, 0]) > 1000).all()) for markers in frames]
+            assert 18 <= sum(lost) <= 21 and not any(lost[:9])
+            lab.silence_mocap(0.1)
+            lab.run(duration_s=0.4)
+            numbers = []
+            stream.settimeout(0.05)
+            try:
+                while True:
+                    numbers.append(first_body(stream.recv(65536))[0])
+            except socket.timeout:
+                pass
+            assert 18 <= len(numbers) <= 22 and numbers[-1] == 80
+        lab.lose_link("risc1", 0.5)
+        assert lab.vehicle_hosts["risc1"].link_lost
+        lab.set_battery_pct("risc1", 20.0)
+        assert lab.world.vehicles["risc1"].state.battery_pct == pytest.approx(20.0)
+        for call in (
+            lambda: lab.hide("Nobody", 1.0),
+            lambda: lab.lose_link("risc9", 1.0),
+            lambda: lab.set_battery_pct("risc9", 1.0),
+        ):
+            with pytest.raises(ValueError, match="Nobody|risc9"):
+                call()
+    finally:
+        lab.close()
+
+
+def test_options_reach_the_lab(net):
+    fleet = configure_fleet(make_fleet(net), vehicles=1, subnet="127.99", rate_hz=120.0, stream_port=5000)
+    assert (fleet.mocap.host, fleet.vehicles[0].address, len(fleet.vehicles)) == ("127.99.0.1", "127.99.1.1", 1)
+    assert (fleet.mocap.rate_hz, fleet.mocap.stream_port, fleet.mocap.interface) == (120.0, 5000, "127.0.0.1")
+    fleet = configure_fleet(make_fleet(net), rate_hz=120.0)
+    lab = VirtualLab(fleet, honest=False, command_delay_s=0.3, exact_markers=True)
+    try:
+        lab.run(duration_s=0.1)
+        assert lab.world.vehicles["risc2"].plant.command_delay_s == 0.3
+        assert lab.world.vehicles["risc2"].plant.mass_kg == 0.45
+        assert lab.frame == 12 and lab.world.time_s == pytest.approx(0.1)  # frames stand on the physics' grid
+        exact = dict(lab.world.bodies())["Raven"]
+        np.testing.assert_array_equal(dict(lab.cameras.observe(1.0, lab.world.bodies()).bodies())["Raven"], exact)
+    finally:
+        lab.close()
+
+
+def test_stream_needs_no_card_of_the_client(net):
+    """One fleet file serves both computers: its interface is the client's, and means nothing to the lab."""
+    fleet = make_fleet(net)
+    fleet = replace(fleet, mocap=replace(fleet.mocap, interface="192.0.2.254"))
+    for interface in ("", "127.0.0.1"):
+        lab = VirtualLab(fleet, live_on_start=True, interface=interface)
+        try:
+            with stream_client(net["port"]) as stream:
+                lab.run(duration_s=0.05)
+                assert [first_body(stream.recv(65536))[0] for _ in range(10)] == list(range(1, 11))
+        finally:
+            lab.close()
+    with pytest.raises(OSError, match="interface 192.0.2.254"):
+        VirtualLab(fleet, interface="192.0.2.254")
+
+
+def test_radio_loss_reaches_every_vehicle(net):
+    lab = VirtualLab(make_fleet(net), radio_loss=0.5)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as pilot:
+
+            def send():
+                for k in (1, 2):
+                    pilot.sendto(b"AT*PCMD=%d,0,0,0,0,0\r" % lab.frame, ("%s.1.%d" % (net["net"], k), 5556))
+
+            lab.run(duration_s=2.0, on_frame=send)
+        statistics = lab.statistics()
+        assert statistics["radio_loss"] == 0.5 and "50 %" in lab.describe()
+        lost = [vehicle["host"]["radio_slots_lost"] for vehicle in statistics["vehicles"].values()]
+        assert all(15 <= count <= 45 for count in lost)  # half of 60, four sigma
+    finally:
+        lab.close()
+    with pytest.raises(ValueError, match=r"probability in \[0, 1\)"):
+        VirtualLab(make_fleet(net), radio_loss=1.0)
+
+
+def test_least_separation_and_collisions_are_told(net):
+    lab = VirtualLab(make_fleet(net), honest=False)
+    try:
+        first, second = lab.world.vehicles.values()
+        first.fly_at((0.0, 0.4, 1.0))
+        second.fly_at((0.0, -0.4, 1.0))
+        lab.run(duration_s=0.05)
+        assert lab.statistics()["least_separation_m"] == pytest.approx(0.8, abs=1e-3)
+        second.fly_at((0.0, 0.0, 1.0))
+        lab.run(duration_s=0.1)
+        statistics = json.loads(json.dumps(lab.statistics()))
+        assert statistics["least_separation_m"] == pytest.approx(0.4, abs=1e-3)
+        assert [crash["reason"] for crash in statistics["crashes"]] == ["collided with risc2", "collided with risc1"]
+        assert "0.40 m" in summary(statistics) and "risc1 collided with risc2 at" in summary(statistics)
+    finally:
+        lab.close()
+    lab = VirtualLab(make_fleet(net, 1), honest=False)
+    try:
+        lab.world.vehicles["risc1"].fly_at((0.0, 0.0, 1.0))
+        lab.run(duration_s=0.05)
+        assert lab.statistics()["least_separation_m"] is None and "separation" not in summary(lab.statistics())
+    finally:
+        lab.close()
+
+
+# ------------------------------------------------------------------ the program
+
+
+def start_program(tmp_path, net, *options):
+    path = tmp_path / "fleet.yaml"
+    path.write_text(FLEET_YAML % net)
+    return subprocess.Popen(
+        [sys.executable, "-m", "risc_simulator.virtual_lab", str(path)] + list(options),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)),
+        universal_newlines=True,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_program_tells_what_listens_and_ends_cleanly(tmp_path, net, number):
+    stats = tmp_path / "stats.json"
+    program = start_program(tmp_path, net, "--live", "--seed", "7", "--stats", str(stats))
+    lines = [program.stdout.readline() for _ in range(7)]
+    text = "".join(lines)
+    for expected in ("seed 7", net["net"] + ".0.1:1510", "%s:%d" % (GROUP, net["port"]), net["net"] + ".1.2"):
+        assert expected in text
+    time.sleep(0.5)
+    program.send_signal(number)
+    out, err = program.communicate(timeout=10)
+    assert (program.returncode, err) == (0, "")
+    assert "frames in" in out
+    content = json.loads(stats.read_text())
+    assert content["frames"] > 50 and content["seed"] == 7 and content["simulated"] is True
+    assert content["cortex"]["frames_sent"] == content["frames"]
+    assert content["vehicles"]["risc2"]["phase"] == "landed"
+
+
+def test_program_ends_by_itself_after_its_duration(tmp_path, net):
+    program = start_program(tmp_path, net, "--duration", "0.5", "--ideal", "--gusts", "--delay", "0.2")
+    out, err = program.communicate(timeout=20)
+    assert (program.returncode, err) == (0, "")
+    assert "100 frames in 0.5 s" in out and "ideal plants" in out and "gusts" in out
+
+
+def test_errors_are_one_line_with_cause_and_cure(tmp_path, net):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as occupied:
+        occupied.bind((net["net"] + ".1.2", 5556))
+        program = start_program(tmp_path, net)
+        out, err = program.communicate(timeout=20)
+    assert program.returncode == 1 and out == ""
+    assert len(err.strip().splitlines()) == 1
+    for expected in ("risc2", net["net"] + ".1.2:5556", "in use", "Stop the other"):
+        assert expected in err
+    program = start_program(tmp_path, net, "--vehicles", "5")
+    _, err = program.communicate(timeout=20)
+    assert program.returncode == 1 and "2 vehicles" in err and len(err.strip().splitlines()) == 1
+    for option, value, expected in (("--radio-loss", "1.5", "probability"), ("--interface", "eth9", "eth9")):
+        program = start_program(tmp_path, net, option, value)
+        _, err = program.communicate(timeout=20)
+        assert program.returncode == 1 and expected in err and len(err.strip().splitlines()) == 1
+
+
+def test_sockets_are_closed_when_a_later_host_fails(net):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as occupied:
+        occupied.bind((net["net"] + ".1.2", 5556))
+        with pytest.raises(OSError, match="in use"):
+            VirtualLab(make_fleet(net))
+    lab = VirtualLab(make_fleet(net), templates=load_templates())  # everything is free again
+    lab.close()
+    lab.close()

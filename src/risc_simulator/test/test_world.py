@@ -1,0 +1,455 @@
+"""The world: phases, floor, net, battery, signs, reproducibility."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from risc_control.frames import GRAVITY_M_S2
+from risc_control.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from risc_simulator import world as world_module
+from risc_simulator.models import ardrone_firmware as firmware
+from risc_simulator.world import REST_HEIGHT_M, FlightAction, FlightPhase, Setpoint, World
+
+TYPES = {"ardrone": load_vehicle_type("ardrone")}
+MARKERS = np.array([[0.2, 0.2, 0.0], [0.2, -0.2, 0.0], [-0.2, 0.2, 0.0], [-0.1, -0.2, -0.08]])
+NAMES = ["fluffy_II", "albatross", "Raven", "Condor", "Kahn"]
+TEMPLATES = {name: Template(name, "vehicle", ("a", "b", "c", "d"), MARKERS) for name in NAMES}
+TEMPLATES["Green_pink"] = Template("Green_pink", "landmark", ("a", "b"), np.array([[0, 0, 0.1], [0, 0.1, 0]]))
+STARTS = [(0.5, 0.0), (-0.5, 0.5), (-0.5, -0.5), (1.0, 1.0), (-1.0, 1.0)]
+
+
+def make_fleet(n=1, yaw=0.0):
+    vehicles = tuple(
+        FleetVehicle("risc%d" % (i + 1), NAMES[i], "ardrone", "127.0.0.%d" % (i + 2), "", STARTS[i] + (0.0,), yaw)
+        for i in range(n)
+    )
+    return Fleet("test", MocapEndpoint("127.0.0.1"), vehicles, (FleetLandmark("Green_pink", (2.0, 1.0, 1.0)),))
+
+
+def make_world(n=1, yaw=0.0, **options):
+    options.setdefault("honest", False)
+    return World(make_fleet(n, yaw), TYPES, TEMPLATES, **options)
+
+
+def flying(position_m=(0, 0, 1), yaw=0.0, **options):
+    world = make_world(**options)
+    world.vehicles["risc1"].fly_at(position_m, yaw)
+    return world, world.vehicles["risc1"]
+
+
+# ------------------------------------------------------------------ phases
+
+
+def test_stands_still_until_told():
+    world = make_world(2, yaw=0.4)
+    start = [(v.state.position_m, v.state.psi) for v in world.vehicles.values()]
+    world.step_to(3.0)
+    for vehicle, (position_m, psi) in zip(world.vehicles.values(), start):
+        state = vehicle.state
+        assert vehicle.phase is FlightPhase.LANDED
+        np.testing.assert_array_equal(state.position_m, position_m)
+        assert (state.psi, state.motor_pwm) == (psi, (0, 0, 0, 0))
+        np.testing.assert_allclose(state.specific_force_m_s2, [0, 0, -GRAVITY_M_S2])
+    assert start[0][0].tolist() == [0.5, 0.0, REST_HEIGHT_M]
+
+
+def test_take_off_hover_land():
+    world = make_world(seed=3, honest=True)
+    vehicle = world.vehicles["risc1"]
+    vehicle.schedule(1.0, FlightAction.TAKE_OFF)
+    phases, heights = {}, []
+    for k in range(1, 1401):
+        world.step_to(k * 0.01)
+        phases.setdefault(vehicle.phase, world.time_s)
+        heights.append(vehicle.state.position_m[2])
+        if k == 900:
+            vehicle.schedule(world.time_s, FlightAction.LAND)
+    assert list(phases) == [FlightPhase.LANDED, FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.LANDING]
+    assert 4.0 <= phases[FlightPhase.HOVERING] - phases[FlightPhase.TAKING_OFF] <= 5.0
+    assert heights[899] == pytest.approx(firmware.TAKE_OFF_HEIGHT_M, abs=0.03)
+    descent = (heights[950] - heights[1050]) / 1.0
+    assert descent == pytest.approx(firmware.LANDING_DESCENT_M_S, abs=0.05)
+    assert vehicle.phase is FlightPhase.LANDED
+    assert heights[-1] == REST_HEIGHT_M
+    assert not world.crashes
+    travelled = np.linalg.norm(vehicle.state.position_m[:2] - STARTS[0])
+    assert travelled < 0.25  # the hover creeps, no more
+
+
+def test_setpoints_wait_for_the_end_of_take_off():
+    world = make_world()
+    vehicle = world.vehicles["risc1"]
+    vehicle.schedule(0.0, FlightAction.TAKE_OFF)
+    vehicle.schedule(1.0, Setpoint(pitch_rad=-0.2))
+    world.step_to(4.0)
+    assert vehicle.phase is FlightPhase.TAKING_OFF and abs(vehicle.state.theta) < 1e-3
+    world.step_to(4.8)
+    assert vehicle.phase is FlightPhase.FLYING and vehicle.state.theta < -0.1
+
+
+def test_land_during_spin_up_never_leaves_the_floor():
+    world = make_world()
+    vehicle = world.vehicles["risc1"]
+    vehicle.schedule(0.0, FlightAction.TAKE_OFF)
+    vehicle.schedule(0.3, FlightAction.LAND)
+    world.step_to(3.0)
+    assert vehicle.phase is FlightPhase.LANDED and vehicle.state.position_m[2] == REST_HEIGHT_M
+
+
+def test_emergency_falls_and_is_cleared_on_the_floor_only():
+    world, vehicle = flying()
+    vehicle.schedule(0.5, FlightAction.CUT_MOTORS)
+    vehicle.schedule(0.6, FlightAction.CLEAR_EMERGENCY)
+    world.step_to(0.8)
+    state = vehicle.state
+    assert vehicle.phase is FlightPhase.EMERGENCY and state.motor_pwm == (0, 0, 0, 0)
+    assert state.velocity_m_s[2] == pytest.approx(-0.3 * GRAVITY_M_S2, rel=0.05)
+    assert np.linalg.norm(state.specific_force_m_s2) < 0.8  # weightless but for drag
+    world.step_to(2.0)
+    assert vehicle.phase is FlightPhase.EMERGENCY and vehicle.state.position_m[2] == REST_HEIGHT_M
+    vehicle.schedule(2.0, FlightAction.TAKE_OFF)
+    world.step_to(2.1)
+    assert vehicle.phase is FlightPhase.EMERGENCY
+    vehicle.schedule(2.2, FlightAction.CLEAR_EMERGENCY)
+    vehicle.schedule(2.3, FlightAction.TAKE_OFF)
+    world.step_to(8.0)
+    assert vehicle.phase is FlightPhase.HOVERING
+
+
+def test_hover_brakes_and_keeps_height():
+    world, vehicle = flying()
+    vehicle.schedule(0.0, Setpoint(pitch_rad=-0.15, climb_m_s=0.2, yaw_rate_rad_s=0.3))
+    world.step_to(1.0)
+    moving = vehicle.state
+    assert moving.velocity_m_s[0] > 0.5
+    vehicle.schedule(1.0, Setpoint(hover=True, roll_rad=0.3, climb_m_s=1.0, yaw_rate_rad_s=1.0))
+    world.step_to(7.0)
+    state = vehicle.state
+    assert vehicle.phase is FlightPhase.HOVERING
+    assert np.linalg.norm(state.velocity_m_s) < 0.02
+    assert abs(state.r) < 1e-6 and abs(state.phi) < 0.005
+    assert state.position_m[2] == pytest.approx(moving.position_m[2] + 0.3 * moving.velocity_m_s[2], abs=0.03)
+
+
+def test_empty_battery_lands_and_low_battery_stays_down():
+    world, vehicle = flying()
+    vehicle.set_battery_pct(firmware.EMPTY_BATTERY_PCT + 0.2)
+    world.step_to(10.0)
+    assert vehicle.phase is FlightPhase.LANDED
+    vehicle.set_battery_pct(firmware.LOW_BATTERY_PCT - 1)
+    vehicle.schedule(10.0, FlightAction.TAKE_OFF)
+    world.step_to(12.0)
+    assert vehicle.phase is FlightPhase.LANDED
+
+
+def test_battery_lasts_as_long_as_its_type_says():
+    world, vehicle = flying()
+    world.step_to(20.0)
+    assert vehicle.state.battery_pct == pytest.approx(100 * (1 - 20 / TYPES["ardrone"].battery_life_s))
+    resting = make_world()
+    resting.step_to(20.0)
+    drained = 100 - resting.vehicles["risc1"].state.battery_pct
+    assert 0 < drained < 0.2 * 100 * 20 / TYPES["ardrone"].battery_life_s
+
+
+# ------------------------------------------------------------------ floor and net
+
+
+@pytest.mark.parametrize(
+    "setpoint, yaw, axis, limit",
+    [
+        (Setpoint(pitch_rad=-0.3), 0.0, 0, world_module.NET_HALF_X_M),
+        (Setpoint(pitch_rad=0.3), 0.0, 0, -world_module.NET_HALF_X_M),
+        (Setpoint(pitch_rad=-0.3), np.pi / 2, 1, -world_module.NET_HALF_Y_M),
+        (Setpoint(roll_rad=-0.3), 0.0, 1, world_module.NET_HALF_Y_M),
+    ],
+)
+def test_net_stops_the_flight_and_tells(setpoint, yaw, axis, limit):
+    world, vehicle = flying(yaw=yaw)
+    vehicle.schedule(0.0, setpoint)
+    inside = True
+    for k in range(1, 81):
+        world.step_to(k * 0.05)
+        inside &= abs(vehicle.state.position_m[axis]) <= abs(limit)
+    (crash,) = world.crashes
+    assert (crash.namespace, crash.reason) == ("risc1", "flew into the net")
+    assert crash.position_m[axis] == pytest.approx(limit, abs=0.02)
+    assert inside and vehicle.phase is FlightPhase.EMERGENCY
+    assert vehicle.state.position_m[2] == REST_HEIGHT_M
+    vehicle.schedule(4.0, FlightAction.CLEAR_EMERGENCY)  # it lies clear of the net and can fly on
+    vehicle.schedule(4.1, FlightAction.TAKE_OFF)
+    world.step_to(10.0)
+    assert vehicle.phase is FlightPhase.HOVERING and len(world.crashes) == 1
+
+
+def test_ceiling_is_the_top_of_the_net():
+    world, vehicle = flying((0, 0, 2.5))
+    vehicle.schedule(0.0, Setpoint(climb_m_s=1.0))
+    world.step_to(3.0)
+    assert len(world.crashes) == 1 and vehicle.phase is FlightPhase.EMERGENCY
+
+
+def test_diving_into_the_floor_is_a_crash_and_touching_it_is_not():
+    world, vehicle = flying((0, 0, 2.5))
+    vehicle.schedule(0.0, Setpoint(climb_m_s=-2.0))
+    world.step_to(4.0)
+    assert "floor" in world.crashes[0].reason and vehicle.phase is FlightPhase.EMERGENCY
+
+    world, vehicle = flying((0, 0, 0.5))
+    vehicle.schedule(0.0, Setpoint(climb_m_s=-0.5, pitch_rad=-0.1))
+    world.step_to(2.0)
+    place = vehicle.state.position_m
+    assert vehicle.phase is FlightPhase.FLYING and place[2] == pytest.approx(REST_HEIGHT_M, abs=1e-3)
+    vehicle.schedule(2.0, Setpoint(climb_m_s=0.5))
+    world.step_to(3.0)
+    assert vehicle.state.position_m[2] > 0.3 and not world.crashes
+
+
+def test_landing_brakes_by_optical_flow_on_the_way_down():
+    """From 0.6 m/s: the time constant is 1 / (0.15 rad s/m * g) = 0.68 s, so 0.41 m; coasting would be 1.5 m."""
+    for seed in range(6):
+        world, vehicle = flying((-1.5, 0.0, 1.5), seed=seed, honest=True)
+        vehicle.schedule(0.0, Setpoint(pitch_rad=-0.04))
+        while vehicle.state.velocity_m_s[0] < 0.6:
+            world.step_to(world.time_s + world.step_s)
+        start = vehicle.state
+        vehicle.schedule(world.time_s, FlightAction.LAND)
+        farthest_m = 0.0
+        while vehicle.phase is not FlightPhase.LANDED and world.time_s < 12.0:
+            world.step_to(world.time_s + world.step_s)
+            farthest_m = max(farthest_m, np.linalg.norm((vehicle.state.position_m - start.position_m)[:2]))
+        assert vehicle.phase is FlightPhase.LANDED and not world.crashes
+        assert 0.2 < farthest_m < 0.6
+
+
+# ------------------------------------------------------------------ each other
+
+
+def test_vehicles_in_the_air_do_not_pass_through_each_other():
+    world = make_world(3)
+    first, second, third = world.vehicles.values()
+    first.fly_at((-1.0, 0.0, 1.2))
+    second.fly_at((1.0, 0.0, 1.2))
+    third.fly_at((0.0, 1.5, 1.2))
+    first.schedule(0.0, Setpoint(pitch_rad=-0.1))
+    second.schedule(0.0, Setpoint(pitch_rad=0.1))
+    gaps_m = []
+    while not world.crashes and world.time_s < 5.0:
+        world.step_to(world.time_s + world.step_s)
+        gaps_m.append(np.linalg.norm(first.state.position_m - second.state.position_m))
+    assert [(c.namespace, c.reason) for c in world.crashes] == [
+        ("risc1", "collided with risc2"),
+        ("risc2", "collided with risc1"),
+    ]
+    assert gaps_m[-2] >= world_module.COLLISION_DISTANCE_M > gaps_m[-1]
+    assert world.least_separation_m == pytest.approx(gaps_m[-1], abs=1e-12)
+    np.testing.assert_allclose(world.crashes[0].position_m, first.state.position_m)
+    world.step_to(world.time_s + 3.0)
+    assert [v.phase for v in (first, second, third)] == [FlightPhase.EMERGENCY] * 2 + [FlightPhase.HOVERING]
+    assert first.state.position_m[2] == second.state.position_m[2] == REST_HEIGHT_M
+    assert len(world.crashes) == 2  # each is told once
+
+
+def test_a_falling_vehicle_takes_another_with_it():
+    world = make_world(2)
+    upper, lower = world.vehicles.values()
+    upper.fly_at((0.0, 0.0, 2.2))
+    lower.fly_at((0.1, 0.0, 1.0))
+    upper.schedule(0.1, FlightAction.CUT_MOTORS)
+    world.step_to(3.0)
+    assert [(c.namespace, c.reason) for c in world.crashes] == [("risc2", "collided with risc1")]
+    assert lower.phase is FlightPhase.EMERGENCY
+
+
+def test_only_vehicles_in_the_air_collide_or_count_for_the_separation():
+    world = make_world(2)
+    first, second = world.vehicles.values()
+    first.fly_at(STARTS[1] + (0.3,))  # low above the other one, which stands
+    world.step_to(1.0)
+    assert not world.crashes and world.least_separation_m is None
+    first.fly_at((0.5, 0.5, 1.0))
+    second.schedule(1.0, FlightAction.TAKE_OFF)
+    world.step_to(6.0)
+    assert world.least_separation_m == pytest.approx(1.0, abs=0.02)
+    second.schedule(6.0, FlightAction.LAND)
+    world.step_to(10.0)
+    first.fly_at((-0.5, 0.5, 1.0))
+    world.step_to(11.0)
+    assert world.least_separation_m == pytest.approx(1.0, abs=0.02) and not world.crashes
+
+
+def test_collisions_can_be_left_out():
+    world = make_world(2, collisions=False)
+    for vehicle in world.vehicles.values():
+        vehicle.fly_at((0.0, 0.0, 1.0))
+    world.step_to(0.5)
+    assert not world.crashes and world.least_separation_m is None
+
+
+# ------------------------------------------------------------------ signs and what is seen
+
+
+@pytest.mark.parametrize("yaw, forward", [(0.0, (1, 0)), (np.pi / 2, (0, -1)), (np.pi, (-1, 0)), (-np.pi / 2, (0, 1))])
+def test_signs_in_the_cortex_frame(yaw, forward):
+    """Yaw is clockwise from above: at +90 degrees the nose points along -y, the left wing along +x."""
+    for setpoint, direction in (
+        (Setpoint(pitch_rad=-0.1), forward),
+        (Setpoint(roll_rad=-0.1), (-forward[1], forward[0])),
+    ):
+        world, vehicle = flying(yaw=yaw)
+        vehicle.schedule(0.0, setpoint)
+        world.step_to(1.0)
+        move = vehicle.state.position_m[:2]
+        np.testing.assert_allclose(move / np.linalg.norm(move), direction, atol=1e-6)
+        np.testing.assert_allclose(
+            vehicle.state.velocity_m_s[:2] / np.linalg.norm(vehicle.state.velocity_m_s[:2]), direction, atol=1e-3
+        )
+
+
+def test_accelerometer_feels_thrust_and_drag_only():
+    world, vehicle = flying()
+    vehicle.schedule(0.0, Setpoint(climb_m_s=0.5))
+    world.step_to(0.05)
+    force = vehicle.state.specific_force_m_s2
+    assert force[2] < -GRAVITY_M_S2 - 0.5  # pushed upwards: z points down
+    world.step_to(3.0)
+    np.testing.assert_allclose(vehicle.state.specific_force_m_s2, [0, 0, -GRAVITY_M_S2], atol=0.02)
+
+
+def test_bodies_are_exact_rigid_markers_in_fleet_order_then_landmarks():
+    world = make_world(2)
+    vehicle = world.vehicles["risc1"]
+    vehicle.fly_at((0.3, -0.2, 1.2), np.pi / 2)
+    vehicle.schedule(0.0, Setpoint(roll_rad=0.2, pitch_rad=0.1, yaw_rate_rad_s=0.3))
+    names = [name for name, _ in world.bodies()]
+    assert names == ["fluffy_II", "albatross", "Green_pink"]
+    markers_m = world.bodies()[0][1]
+    # nose to -y: front right marker (0.2, 0.2) lies at -y (front) and -x (right)
+    np.testing.assert_allclose(markers_m[0], [0.1, -0.4, 1.2], atol=1e-12)
+    world.step_to(0.5)
+    markers_m = world.bodies()[0][1]
+    np.testing.assert_allclose(np.linalg.norm(markers_m[0] - markers_m[2]), 0.4)
+    right_wing, left_wing = markers_m[0], markers_m[1]
+    assert right_wing[2] < left_wing[2]  # roll + is right wing down
+    assert markers_m[0][2] > markers_m[2][2]  # pitch + is nose up
+    np.testing.assert_allclose(world.bodies()[2][1], [[2, 1, 1.1], [2, 1.1, 1.0]])
+
+
+# ------------------------------------------------------------------ time and reproducibility
+
+
+def fly_a_tour(world):
+    for k, vehicle in enumerate(world.vehicles.values()):
+        vehicle.schedule(0.02 * k, FlightAction.TAKE_OFF)
+        for j in range(20):
+            vehicle.schedule(5.0 + 0.2 * j, Setpoint(0.05 * (-1) ** j, 0.04 * (-1) ** (j // 2), 0.1, 0.2))
+        vehicle.schedule(9.0, FlightAction.LAND)
+    history = []
+    for k in range(1, 121):
+        world.step_to(k * 0.1)
+        history.append(
+            [
+                np.concatenate([v.state.position_m, v.state.velocity_m_s, [v.state.phi, v.state.psi]])
+                for v in world.vehicles.values()
+            ]
+        )
+    return np.array(history)
+
+
+def test_same_seed_same_bits_other_seed_other_flight():
+    first = fly_a_tour(make_world(3, seed=5, honest=True, gusts=True))
+    np.testing.assert_array_equal(first, fly_a_tour(make_world(3, seed=5, honest=True, gusts=True)))
+    assert np.abs(first - fly_a_tour(make_world(3, seed=6, honest=True, gusts=True))).max() > 0.01
+
+
+def test_a_vehicle_does_not_depend_on_who_else_flies():
+    alone = fly_a_tour(make_world(1, seed=5, honest=True, gusts=True))
+    company = fly_a_tour(make_world(4, seed=5, honest=True, gusts=True))
+    np.testing.assert_array_equal(alone[:, 0], company[:, 0])
+    plants = [make_world(n, seed=9, honest=True).vehicles["risc1"].plant for n in (1, 3, 5)]
+    assert plants[0] == plants[1] == plants[2]
+    five = [v.plant for v in make_world(5, seed=9, honest=True).vehicles.values()]
+    assert len({plant.mass_kg for plant in five}) == 5
+
+
+def test_looking_changes_nothing_and_the_size_of_the_strides_neither():
+    quiet, watched = make_world(2, seed=2, honest=True), make_world(2, seed=2, honest=True)
+    for world in (quiet, watched):
+        for vehicle in world.vehicles.values():
+            vehicle.schedule(0.013, FlightAction.TAKE_OFF)
+            vehicle.schedule(6.0, Setpoint(pitch_rad=-0.1))
+    quiet.step_to(6.5)
+    for k in range(1, 2167):
+        watched.step_to(k * 0.003)
+        watched.bodies()
+        assert watched.vehicles["risc2"].state.battery_pct > 0
+    watched.step_to(6.5)
+    np.testing.assert_array_equal(quiet.vehicles["risc1"].state.position_m, watched.vehicles["risc1"].state.position_m)
+
+
+def test_actions_wait_for_their_time_and_keep_their_order():
+    world, vehicle = flying()
+    vehicle.schedule(0.5, Setpoint(pitch_rad=-0.2))
+    vehicle.schedule(0.5, Setpoint(pitch_rad=0.2))  # same time: the later call counts
+    vehicle.schedule(0.2, Setpoint(roll_rad=0.1))
+    world.step_to(0.2)
+    assert vehicle.phase is FlightPhase.HOVERING
+    world.step_to(0.205)
+    assert vehicle.phase is FlightPhase.FLYING
+    world.step_to(0.5)
+    assert abs(vehicle.state.theta) < 1e-6 < vehicle.state.phi
+    world.step_to(0.7)
+    assert vehicle.state.theta > 0.01
+
+
+def test_time_stands_on_the_grid():
+    world = make_world(step_s=0.005)
+    world.step_to(0.0149)
+    assert world.time_s == pytest.approx(0.010)
+    world.step_to(0.015)
+    assert world.time_s == pytest.approx(0.015)
+    world.step_to(0.001)
+    assert world.time_s == pytest.approx(0.015)
+    for k in range(1, 2001):
+        world.step_to(k / 200.0)
+    assert world.time_s == pytest.approx(10.0)
+
+
+def test_trim_forgets_a_thrust_error():
+    """A wrong thrust makes the climb rate wrong at first and, by the slow integral, right in the end."""
+    world = make_world(seed=5, honest=True)
+    vehicle = world.vehicles["risc1"]
+    plant = vehicle.plant
+    expected = (plant.thrust_scale * plant.nominal_mass_kg / plant.mass_kg - 1) * GRAVITY_M_S2 * 0.3
+    assert abs(expected) > 0.05, "choose a seed with an error worth the test"
+    vehicle.fly_at((0, 0, 1.5))
+    vehicle.schedule(0.0, Setpoint())
+    world.step_to(1.0)
+    early = vehicle.state.velocity_m_s[2]
+    assert abs(early) > 0.5 * abs(expected) and np.sign(early) == np.sign(expected)
+    world.step_to(6.0)
+    assert abs(vehicle.state.velocity_m_s[2]) < 0.6 * abs(early)
+
+
+# ------------------------------------------------------------------ bad input
+
+
+def test_errors_name_cause_and_cure():
+    with pytest.raises(ValueError, match="finite"):
+        Setpoint(roll_rad=float("nan"))
+    world = make_world()
+    with pytest.raises(ValueError, match="finite time"):
+        world.vehicles["risc1"].schedule(float("inf"), FlightAction.LAND)
+    with pytest.raises(ValueError, match="outside the net"):
+        world.vehicles["risc1"].fly_at((5, 0, 1))
+    with pytest.raises(ValueError, match="no mocap template 'fluffy_II'; known are"):
+        World(make_fleet(), TYPES, {})
+    with pytest.raises(ValueError, match="no on-board logic for vehicle type 'submarine'"):
+        World(make_fleet(), {"ardrone": dataclasses.replace(TYPES["ardrone"], name="submarine")}, TEMPLATES)
+    with pytest.raises(ValueError, match="step_s"):
+        make_world(step_s=0.1)
+    fleet = make_fleet()
+    outside = dataclasses.replace(fleet.vehicles[0], start_position_m=(0.0, 2.5, 0.0))
+    with pytest.raises(ValueError, match="risc1 starts outside the net"):
+        World(dataclasses.replace(fleet, vehicles=(outside,)), TYPES, TEMPLATES)

@@ -1,0 +1,36 @@
+"""The benchmark measures flights: it must fly, and must notice when it does not."""
+
+import json
+
+import pytest
+
+from risc_simulator import bench
+from risc_simulator.models.flight import FlightPhase, Setpoint
+
+
+def test_row_and_file(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(bench, "COUNTS", (1, 3))
+    monkeypatch.setattr(bench, "REPEATS", 1)
+    monkeypatch.setattr(bench, "REQUIRED_TIMES_REAL_TIME", {})
+    assert bench.main(["--json", str(tmp_path / "b.json")]) == 0
+    rows = json.loads((tmp_path / "b.json").read_text())["offline_world"]
+    assert [row["vehicles"] for row in rows] == [1, 3]
+    assert all(row["times_real_time"] > 1 for row in rows)
+    assert "times real time" in capsys.readouterr().out
+    monkeypatch.setattr(bench, "REQUIRED_TIMES_REAL_TIME", {1: 1e9})
+    assert bench.main([]) == 1
+
+
+def test_vehicles_move_and_stay_in_the_net_for_the_longest_run():
+    world, places_m = bench.make_world(50)
+    bench.fly(world, places_m, 5.0)
+    assert not world.crashes
+    for vehicle, place_m in zip(world.vehicles.values(), places_m):
+        assert vehicle.phase is FlightPhase.FLYING
+        assert abs(vehicle.state.position_m - place_m).max() > 0.01
+
+
+def test_a_crash_spoils_the_figure(monkeypatch):
+    monkeypatch.setattr(bench, "Setpoint", lambda *_: Setpoint(climb_m_s=-2.0))
+    with pytest.raises(RuntimeError, match="floor"):
+        bench.measure(1, repeats=1, duration_s=3.0)

@@ -1,0 +1,102 @@
+#!/usr/bin/env python3
+"""The node of the virtual lab: ground truth, diagnostics, fault injection."""
+
+import socket
+import struct
+import threading
+import unittest
+
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Float64, String
+
+from risc_msgs.msg import Cortex
+
+HOST = ("127.213.0.1", 1510)
+FRAME_RATE_REQUEST = struct.pack("<HH", 14, 20) + b"GetContextFrameRate\0"
+
+
+class VirtualLabTest(unittest.TestCase):
+    def collect(self, count, timeout_s=20.0):
+        """That many messages of /ground_truth, with the time of receipt of each."""
+        received, full = [], threading.Event()
+
+        def on_message(msg):
+            if len(received) < count:
+                received.append((rospy.get_time(), msg))
+            else:
+                full.set()
+
+        subscriber = rospy.Subscriber("/ground_truth", Cortex, on_message, queue_size=100, tcp_nodelay=True)
+        self.assertTrue(full.wait(timeout_s), "only %d messages on /ground_truth" % len(received))
+        subscriber.unregister()
+        return received
+
+    def host_answers(self, timeout_s=0.2):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.settimeout(timeout_s)
+            client.sendto(FRAME_RATE_REQUEST, HOST)
+            try:
+                answer = client.recv(100)
+            except socket.timeout:
+                return False
+        self.assertEqual(struct.unpack("<HHf", answer), (15, 4, 200.0))
+        return True
+
+    def wait_until(self, condition, what, timeout_s=10.0):
+        deadline_s = rospy.get_time() + timeout_s
+        while not condition():
+            self.assertLess(rospy.get_time(), deadline_s, what)
+            rospy.sleep(0.02)
+
+    def test_ground_truth_is_complete_and_dated_at_the_exposure(self):
+        received = self.collect(400)
+        stamps = [msg.header.stamp.to_sec() for _, msg in received]
+        gaps = sorted(b - a for a, b in zip(stamps, stamps[1:]))
+        self.assertAlmostEqual(gaps[len(gaps) // 2], 0.005, delta=1e-4)
+        self.assertAlmostEqual(stamps[-1] - stamps[0], 399 * 0.005, delta=0.01)  # none missing
+        ages = sorted(time_s - stamp for (time_s, _), stamp in zip(received, stamps))
+        self.assertGreater(ages[0], 0.003 - 5e-4)  # the reported delay
+        self.assertLess(ages[len(ages) // 2], 0.1)
+        msg = received[-1][1]
+        self.assertEqual(msg.header.frame_id, "cortex")
+        self.assertEqual([(state.name, state.visible) for state in msg.Obj], [("fluffy_II", True), ("Raven", True)])
+        first = msg.Obj[0]
+        self.assertAlmostEqual(first.psi, 90.0, places=6)  # degrees
+        self.assertEqual((round(first.x, 6), round(first.y, 6)), (0.5, 0.2))
+
+    def test_diagnostics(self):
+        seen = {}
+
+        def on_message(msg):
+            for status in msg.status:
+                if status.name.endswith("virtual lab"):
+                    seen.update({value.key: value.value for value in status.values})
+
+        subscriber = rospy.Subscriber("/diagnostics", DiagnosticArray, on_message)
+        self.wait_until(lambda: seen.get("risc2") == "landed" and float(seen["rate (Hz)"]) > 100, "no diagnostics")
+        self.assertEqual(seen["crashes"], "0")
+        subscriber.unregister()
+
+    def test_faults(self):
+        publishers = {
+            name: rospy.Publisher("/virtual_lab/" + name, kind, queue_size=5)
+            for name, kind in (("mocap_silence", Float64), ("hide", String), ("link_loss", String), ("battery", String))
+        }
+        self.wait_until(lambda: all(p.get_num_connections() for p in publishers.values()), "nobody listens")
+        self.assertTrue(self.host_answers(2.0))
+        for bad in ("", "risc1", "risc9 1.0", "risc1 -1", "risc1 soon"):
+            publishers["link_loss"].publish(bad)
+            publishers["hide"].publish(bad)
+            publishers["battery"].publish(bad)
+        publishers["mocap_silence"].publish(float("nan"))
+        publishers["mocap_silence"].publish(1.0)
+        self.wait_until(lambda: not self.host_answers(), "the host still answers")
+        self.wait_until(self.host_answers, "the host does not come back")
+        self.collect(10)  # bad orders did not end the node
+
+
+if __name__ == "__main__":
+    rospy.init_node("virtual_lab_rostest")
+    rostest.rosrun("risc_simulator", "virtual_lab_rostest", VirtualLabTest)
