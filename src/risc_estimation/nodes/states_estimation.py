@@ -1,0 +1,125 @@
+#!/usr/bin/env python3
+"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks). Wiring only; see risc_estimation.states."""
+
+import gc
+import sys
+import threading
+import time
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_updater import Updater
+
+from risc_control.lab.templates import load_templates
+from risc_estimation.ros.conversions import (
+    bodies_from_msg,
+    cortex_from_estimate,
+    header_for,
+    landmarks_from_estimate,
+)
+from risc_estimation.ros.params import NodeParams, fleet_vehicles, load_params
+from risc_estimation.states import EstimatorParams, StatesEstimator
+from risc_msgs.msg import Cortex, Landmarks, Mocap_data
+
+
+class StatesEstimationNode(object):
+    """Estimates every frame it receives, in order, none skipped."""
+
+    def __init__(self):
+        params, estimator_params = load_params(NodeParams, EstimatorParams)
+        self._estimator = StatesEstimator(
+            load_templates(params.templates_file or None), estimator_params, params.vehicles or fleet_vehicles()
+        )
+        self._silence_s = params.silence_s
+        self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
+        self._last_receipt_s = None  # monotonic clock
+        self._last_header = None
+        self._last_visible = 0
+        self._silent = True
+        self._told_unknown = set()
+        self._reported_frames, self._reported_refused, self._reported_s = 0, 0, time.monotonic()
+        # Queues that hold more than a hiccup: a late subscriber gets every frame, and judges its age by the stamp.
+        self._states_pub = rospy.Publisher("cortex_raw", Cortex, queue_size=100, tcp_nodelay=True)
+        self._landmarks_pub = rospy.Publisher("states3", Landmarks, queue_size=100, tcp_nodelay=True)
+        self._diagnostics = Updater()
+        self._diagnostics.setHardwareID("mocap")
+        self._diagnostics.add("states estimation", self._diagnose)
+        self._timers = [rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.update(), reset=True)]
+        if self._silence_s > 0.0:
+            self._timers.append(rospy.Timer(rospy.Duration(0.25 * self._silence_s), self._on_check, reset=True))
+        for timer in self._timers:
+            rospy.on_shutdown(timer.shutdown)
+        rospy.Subscriber(
+            "mocap_data", Mocap_data, self._on_frame, queue_size=params.queue_frames, buff_size=2**20, tcp_nodelay=True
+        )
+
+    def _on_frame(self, msg):
+        with self._lock:
+            estimate = self._estimator.update(msg.header.stamp.to_sec(), bodies_from_msg(msg))
+            self._last_receipt_s = time.monotonic()
+            if estimate is None:
+                return
+            self._silent = False
+            self._last_header = header_for(msg.header)
+            self._last_visible = int(estimate.visible.sum())
+            self._states_pub.publish(cortex_from_estimate(self._last_header, estimate))
+        self._landmarks_pub.publish(landmarks_from_estimate(self._last_header, estimate))
+
+    def _on_check(self, _event):
+        """Once per silence: tell everybody that the last numbers are just that. The stamp stays what it was."""
+        with self._lock:
+            if self._silent or time.monotonic() - self._last_receipt_s < self._silence_s:
+                return
+            self._silent = True
+            self._last_visible = 0
+            self._states_pub.publish(cortex_from_estimate(self._last_header, self._estimator.lost()))
+        rospy.logwarn("no mocap frame for %.0f ms: every vehicle is invisible", 1e3 * self._silence_s)
+
+    def _diagnose(self, status):
+        now_s = time.monotonic()
+        with self._lock:
+            counts = self._estimator.counts
+            known, visible, last_s = len(self._estimator.names), self._last_visible, self._last_receipt_s
+            numbers = [(key, value) for key, value in sorted(vars(counts).items()) if key != "unknown"]
+            unknown = dict(counts.unknown)
+        refused = counts.duplicate_stamps + counts.backward_stamps
+        rate_hz = (counts.frames - self._reported_frames) / max(now_s - self._reported_s, 1e-3)
+        new_refused = refused - self._reported_refused
+        self._reported_frames, self._reported_refused, self._reported_s = counts.frames, refused, now_s
+        for name in sorted(set(unknown) - self._told_unknown):
+            self._told_unknown.add(name)
+            rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)
+        if last_s is None or now_s - last_s > 1.0:
+            status.summary(DiagnosticStatus.ERROR, "no mocap frames")
+        elif new_refused:
+            status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new_refused)
+        elif visible < known:
+            status.summary(DiagnosticStatus.WARN, "%d of %d vehicles visible" % (visible, known))
+        elif unknown:
+            status.summary(DiagnosticStatus.WARN, "bodies without a template: " + ", ".join(sorted(unknown)))
+        else:
+            status.summary(DiagnosticStatus.OK, "%d vehicles visible" % visible)
+        status.add("rate [Hz]", "%.1f" % rate_hz)
+        status.add("age of last frame [s]", "none yet" if last_s is None else "%.3f" % (now_s - last_s))
+        status.add("vehicles visible", "%d of %d" % (visible, known))
+        status.add("unknown bodies", ", ".join(sorted(unknown)) or "none")
+        for key, value in numbers:
+            status.add(key, str(value))
+        return status
+
+
+def main():
+    rospy.init_node("Mocap_State_Estimator")
+    try:
+        StatesEstimationNode()
+    except ValueError as error:
+        rospy.logfatal("states_estimation.py: %s", error)
+        sys.exit(1)
+    sys.setswitchinterval(0.0005)  # a timer's thread must not hold up a frame for the default 5 ms
+    gc.collect()
+    gc.freeze()  # or full collections walk all imported modules: a pause of many ms
+    rospy.spin()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The ROS side of risc_estimation: message conversions and parameter loading."""

@@ -1,0 +1,172 @@
+#!/usr/bin/env python3
+"""The node on the wire: frames in, states and landmarks out; doubtful frames in, nothing unsafe out."""
+
+import math
+import threading
+import time
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Header
+
+from risc_control.frames import rotation_body_to_cortex
+from risc_control.lab.templates import load_templates
+from risc_estimation.ros.conversions import bodies_to_msg
+from risc_msgs.msg import Cortex, Landmarks, Mocap_data
+
+PACKAGE = "risc_estimation"
+NAME = "states_estimation_node"
+FRAME_S = 0.005
+
+
+class StatesEstimationNodeTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node(NAME)
+        cls.templates = load_templates()
+        cls.states, cls.landmarks, cls.diagnostics = [], [], []
+        cls.arrived = threading.Condition()
+        cls.subscribers = [
+            rospy.Subscriber("/cortex_raw", Cortex, cls.keep, cls.states),
+            rospy.Subscriber("/states3", Landmarks, cls.keep, cls.landmarks),
+            rospy.Subscriber("/diagnostics", DiagnosticArray, cls.keep, cls.diagnostics),
+        ]
+        cls.pub = rospy.Publisher("/mocap_data", Mocap_data, queue_size=1000, tcp_nodelay=True)
+        cls.sent_to_s = 100.0 + math.floor(time.time())
+        deadline_s = time.monotonic() + 20.0
+        while not (cls.pub.get_num_connections() and all(s.get_num_connections() for s in cls.subscribers)):
+            if time.monotonic() > deadline_s:
+                raise AssertionError("the node did not connect within 20 s")
+            time.sleep(0.02)
+
+    @classmethod
+    def keep(cls, msg, kept):
+        with cls.arrived:
+            kept.append(msg)
+            cls.arrived.notify_all()
+
+    def setUp(self):
+        """Every test starts half a second of stamps later, with empty windows and empty hands."""
+        type(self).sent_to_s += 0.5
+        time.sleep(0.7)  # the silence of the test before has been announced by now
+        with self.arrived:
+            for kept in (self.states, self.landmarks, self.diagnostics):
+                del kept[:]
+
+    def wait_for(self, count, kept, timeout_s=10.0):
+        with self.arrived:
+            self.arrived.wait_for(lambda: len(kept) >= count, timeout_s)
+            return list(kept)
+
+    def frame(self, k, **absent):
+        """Bodies of frame k: one vehicle moves at 0.4 m/s and heads for 120 degrees, one rolls, a landmark stands."""
+        bodies = {
+            "Green_pink": self.templates["Green_pink"].markers_m + [2.0, 1.0, 1.5],
+            "Raven": self.place("Raven", (0, 1, 1), math.radians(10), 0, 0),
+            "fluffy_II": self.place("fluffy_II", (-1 + 0.4 * k * FRAME_S, 0, 1), 0, 0, math.radians(120)),
+            "stranger": np.ones((3, 3)),
+        }
+        return {name: markers for name, markers in bodies.items() if not absent.get(name)}
+
+    def place(self, name, position, phi, theta, psi):
+        return self.templates[name].markers_m @ rotation_body_to_cortex(phi, theta, psi).T + position
+
+    def send(self, stamp_s, bodies, frame_id="cortex"):
+        self.pub.publish(bodies_to_msg(Header(stamp=rospy.Time.from_sec(stamp_s), frame_id=frame_id), bodies))
+
+    def send_run(self, frames, **absent):
+        """Send frames at 200 Hz; returns their stamps."""
+        stamps = []
+        start_s = time.monotonic()
+        for k in range(frames):
+            stamps.append(rospy.Time.from_sec(self.sent_to_s))
+            self.send(self.sent_to_s, self.frame(k, **absent))
+            type(self).sent_to_s += FRAME_S
+            time.sleep(max(0.0, start_s + (k + 1) * FRAME_S - time.monotonic()))
+        return stamps
+
+    def test_every_frame_is_estimated_and_keeps_its_stamp(self):
+        stamps = self.send_run(400)
+        states = self.wait_for(401, self.states, 1.0)[:400]  # the 401st says that frames have stopped
+        landmarks = self.wait_for(400, self.landmarks)
+        self.assertEqual([msg.header.stamp for msg in states], stamps)
+        self.assertEqual([msg.header.stamp for msg in landmarks], stamps)
+        self.assertEqual({msg.header.frame_id for msg in states + landmarks}, {"cortex"})
+        last = {entry.name: entry for entry in states[-1].Obj}
+        self.assertEqual([entry.name for entry in states[-1].Obj], ["fluffy_II", "albatross", "Raven"])
+        self.assertEqual([last[name].visible for name in ("fluffy_II", "albatross", "Raven")], [True, False, True])
+        fluffy, raven = last["fluffy_II"], last["Raven"]
+        np.testing.assert_allclose([fluffy.x, fluffy.y, fluffy.z], [-1 + 0.4 * 399 * FRAME_S, 0, 1], atol=1e-4)
+        np.testing.assert_allclose([fluffy.u, fluffy.v, fluffy.w], [0.4, 0, 0], atol=2e-3)
+        np.testing.assert_allclose([fluffy.phi, fluffy.theta, fluffy.psi, raven.phi], [0, 0, 120, 10], atol=1e-3)
+        np.testing.assert_allclose([fluffy.p, fluffy.q, fluffy.r], [0, 0, 0], atol=0.05)
+        self.assertEqual([entry.name for entry in landmarks[-1].Obj], ["Green_pink"])
+        np.testing.assert_allclose([landmarks[-1].Obj[0].x, landmarks[-1].Obj[0].z], [2.0, 1.5], atol=1e-9)
+
+    def test_backlog_is_estimated_frame_by_frame(self):
+        stamps = []
+        for k in range(150):  # 0.75 s of frames at once, as after a stall
+            stamps.append(rospy.Time.from_sec(self.sent_to_s))
+            self.send(self.sent_to_s, self.frame(k))
+            type(self).sent_to_s += FRAME_S
+        states = self.wait_for(150, self.states)
+        self.assertEqual([msg.header.stamp for msg in states[:150]], stamps)
+        self.assertAlmostEqual(states[149].Obj[0].u, 0.4, delta=5e-3)
+
+    def test_lost_vehicle_is_invisible_and_keeps_its_numbers(self):
+        self.send_run(60)
+        seen = self.wait_for(60, self.states)[59].Obj[0]
+        self.send_run(20, fluffy_II=True)
+        for msg in self.wait_for(80, self.states)[60:80]:
+            gone = msg.Obj[0]
+            self.assertEqual((gone.name, gone.visible), ("fluffy_II", False))
+            self.assertEqual((gone.x, gone.u, gone.psi), (seen.x, seen.u, seen.psi))
+
+    def test_stamps_that_do_not_advance_are_refused_and_reported(self):
+        self.send_run(30)
+        last_s = self.sent_to_s - FRAME_S
+        for stamp_s in (last_s, last_s - 0.1, last_s):
+            self.send(stamp_s, self.frame(0))
+        self.send(self.sent_to_s, self.frame(30))
+        type(self).sent_to_s += FRAME_S
+        states = self.wait_for(31, self.states)
+        stamps_s = [msg.header.stamp.to_sec() for msg in states[:31]]
+        self.assertTrue(all(b > a for a, b in zip(stamps_s, stamps_s[1:])), stamps_s)
+        deadline_s = time.monotonic() + 5.0
+        while time.monotonic() < deadline_s:
+            values = self.diagnostic_values()
+            if int(values.get("duplicate_stamps", 0)) >= 2 and int(values.get("backward_stamps", 0)) >= 1:
+                break
+            time.sleep(0.1)
+        else:
+            self.fail("the refused frames are not in the diagnostics: %r" % values)
+        self.assertEqual(values["unknown bodies"], "stranger")
+
+    def diagnostic_values(self):
+        with self.arrived:
+            for msg in reversed(self.diagnostics):
+                for status in msg.status:
+                    if "states estimation" in status.name:
+                        return {item.key: item.value for item in status.values}
+        return {}
+
+    def test_silence_is_announced_once_with_the_old_stamp(self):
+        stamps = self.send_run(60)
+        time.sleep(1.0)
+        states = self.wait_for(61, self.states)
+        self.assertEqual(len(states), 61)
+        self.assertEqual(states[60].header.stamp, stamps[-1])
+        self.assertEqual([entry.visible for entry in states[60].Obj], [False] * len(states[60].Obj))
+        self.assertEqual(states[60].Obj[0].x, states[59].Obj[0].x)
+
+    def test_leading_slash_of_old_bags_is_not_passed_on(self):
+        self.send(self.sent_to_s, self.frame(0), "/cortex")
+        type(self).sent_to_s += FRAME_S
+        self.assertEqual(self.wait_for(1, self.states)[0].header.frame_id, "cortex")
+
+
+if __name__ == "__main__":
+    rostest.rosrun(PACKAGE, NAME, StatesEstimationNodeTest)

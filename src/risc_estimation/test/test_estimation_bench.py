@@ -1,0 +1,15 @@
+"""The benchmark runs and writes what it says (the figures themselves are for reading, not for asserting)."""
+
+import json
+
+from risc_estimation import bench
+
+
+def test_bench_writes_its_tables(tmp_path, capsys):
+    assert bench.main(["--vehicles", "1", "2", "--json", str(tmp_path / "bench.json")]) == 0
+    figures = json.loads((tmp_path / "bench.json").read_text(encoding="utf-8"))
+    assert figures["simulated"] is True
+    assert [row["vehicles"] for row in figures["time"]] == [1, 2]
+    assert all(row["p50_us"] > 0.0 for row in figures["time"])
+    assert figures["noise"]["legacy_window"]["vx_mm_s"] < figures["noise"]["default"]["vx_mm_s"]
+    assert "Time per frame" in capsys.readouterr().out

@@ -1,0 +1,61 @@
+"""Parameter loading: types, unknown keys, and the YAML file that must agree with the defaults."""
+
+import pathlib
+
+import pytest
+import yaml
+
+pytest.importorskip("rospy")
+
+from risc_estimation.ros.params import NodeParams, params_from_dict  # noqa: E402
+from risc_estimation.states import EstimatorParams  # noqa: E402
+
+CONFIG = pathlib.Path(__file__).resolve().parents[1] / "config" / "states_estimation.yaml"
+
+
+def test_values_are_converted_and_unknown_keys_reported():
+    (node, estimator), unknown = params_from_dict(
+        [NodeParams, EstimatorParams],
+        {
+            "vehicles": ["Raven"],
+            "angle_window_s": 1,
+            "min_samples": 7.0,
+            "smooth_position": False,
+            "agnle_order": 1,
+            "diagnostic_period": 1.0,
+        },
+    )
+    assert node.vehicles == ("Raven",)
+    assert estimator.angle_window_s == 1.0
+    assert isinstance(estimator.angle_window_s, float)
+    assert estimator.min_samples == 7
+    assert isinstance(estimator.min_samples, int)
+    assert estimator.smooth_position is False
+    assert unknown == ["agnle_order"]
+
+
+@pytest.mark.parametrize(
+    "values,message",
+    [
+        ({"max_gap_s": "0.1"}, "'max_gap_s' must be a number"),
+        ({"max_gap_s": True}, "'max_gap_s' must be a number"),
+        ({"min_samples": 2.5}, "'min_samples' must be a whole number"),
+        ({"legacy_window": "false"}, "'legacy_window' must be true or false"),
+        ({"vehicles": "Raven"}, "'vehicles' must be a list of names"),
+        ({"templates_file": 3}, "'templates_file' must be a text"),
+        ({"silence_s": -1.0}, "silence_s must be"),
+        ({"queue_frames": 0}, "queue_frames must be"),
+        ({"min_samples": 0}, "min_samples must be"),
+    ],
+)
+def test_bad_values_name_their_key(values, message):
+    with pytest.raises(ValueError, match=message):
+        params_from_dict([NodeParams, EstimatorParams], values)
+
+
+def test_config_file_holds_every_setting_at_its_default():
+    values = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    instances, unknown = params_from_dict([NodeParams, EstimatorParams], values)
+    assert unknown == []
+    assert instances == [NodeParams(), EstimatorParams()]
+    assert set(values) == set(vars(NodeParams())) | set(vars(EstimatorParams()))
