@@ -1,0 +1,46 @@
+#!/usr/bin/env python3
+"""The figures of chapter 6 with one vehicle: trajectory and controller in one node, figures chosen by the bumpers."""
+
+import sys
+
+import numpy as np
+import rospy
+
+from risc_control.cfg import TrackingWeightsConfig
+from risc_control.ros.controller_node import ControllerNode, main
+from risc_control.ros.conversions import TrajectoriesMessage
+from risc_control.ros.params import vehicles
+from risc_control.ros.trajectory_node import CourseSelector, ManagerWiring, yaw_from_params
+from risc_control.tracking import FlatnessController
+from risc_control.trajectories import make_course
+from risc_msgs.msg import Cortex, Trajectories
+
+FIGURES = ("origin", "slanted8", "origin", "flat8", "origin", "circle")
+
+
+class ExperimentNode(ControllerNode):
+    """A controller whose references come from its own generator, exact at any time."""
+
+    def __init__(self):
+        fleet_vehicles = vehicles(only_one=True)
+        courses = [make_course(name, 1, yaw_from_params()) for name in FIGURES]
+        self._wiring = ManagerWiring(fleet_vehicles, courses[0])
+        self._selector = CourseSelector(self._wiring, courses)
+        self._reference_message = TrajectoriesMessage(self._wiring.manager.names)
+        self._reference_publisher = rospy.Publisher("/trajectory", Trajectories, queue_size=1, tcp_nodelay=True)
+        super().__init__(FlatnessController, TrackingWeightsConfig, fleet_vehicles)
+
+    def _subscribe(self):
+        rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1, buff_size=2**20, tcp_nodelay=True)
+
+    def _references(self, stamp_s, ahead_s, now_s):
+        with self._wiring.lock:
+            present = self._wiring.sample(stamp_s).derivatives
+            ahead = self._wiring.manager.sample(ahead_s).derivatives
+        stamp = rospy.Time.from_sec(stamp_s)
+        self._reference_publisher.publish(self._reference_message.fill(stamp, present))
+        return present, ahead, np.ones(len(self.names), dtype=bool)
+
+
+if __name__ == "__main__":
+    sys.exit(main("LQR_controller", ExperimentNode))

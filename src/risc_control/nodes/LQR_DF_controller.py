@@ -1,0 +1,11 @@
+#!/usr/bin/env python3
+"""LQR on a double integrator and flatness, as the thesis describes it: for teaching and comparison."""
+
+import sys
+
+from risc_control.cfg import ThesisWeightsConfig
+from risc_control.ros.controller_node import ControllerNode, main
+from risc_control.tracking import DoubleIntegratorController
+
+if __name__ == "__main__":
+    sys.exit(main("LQR_controller", lambda: ControllerNode(DoubleIntegratorController, ThesisWeightsConfig)))

@@ -1,0 +1,21 @@
+#!/usr/bin/env python3
+"""Origin and quadrants I, II, III, IV, I, stepped through by the joystick's bumpers."""
+
+import sys
+
+from risc_control.ros.controller_node import main
+from risc_control.ros.trajectory_node import CourseSelector, TrajectoryNode, yaw_from_params
+from risc_control.trajectories import make_course, quadrant
+
+
+def make_node():
+    node = TrajectoryNode("origin")
+    vehicles = len(node.wiring.vehicles)
+    yaw = yaw_from_params()
+    courses = [make_course("origin", vehicles)] + [quadrant(number, vehicles) for number in (1, 2, 3, 4, 1)]
+    CourseSelector(node.wiring, [course if yaw is None else course.with_yaw(yaw) for course in courses])
+    return node
+
+
+if __name__ == "__main__":
+    sys.exit(main("Trajectory", make_node))

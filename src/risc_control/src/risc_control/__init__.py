@@ -1,0 +1,1 @@
+"""Control of the laboratory's vehicles: frames, trajectories, flatness, LQR, vehicle mappings. Needs no ROS."""

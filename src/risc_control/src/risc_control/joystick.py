@@ -1,0 +1,142 @@
+"""What a joystick message means to a vehicle (Appendix C): buttons by edge, sticks in manual mode. No ROS.
+
+The names and defaults of the parameters are those of the original release; house names are used inside.
+"""
+
+import enum
+import math
+from collections import namedtuple
+from dataclasses import dataclass, fields
+
+
+class Button(enum.Enum):
+    """What the buttons are for; the value is the name of the parameter that holds the button's index."""
+
+    TOGGLE_AUTONOMOUS = "JoytoWay"
+    EMERGENCY = "ButtonEmergency"
+    TAKEOFF_LAND = "TakeoffLand"
+    UP = "Up"
+    DOWN = "Down"
+    SHUT_DOWN = "ShutDownNode"
+
+
+# Manual command: fractions in [-1, 1] in the senses of cmd_vel: + forward, + left, + up, + counter-clockwise.
+Sticks = namedtuple("Sticks", "forward left up turn_left")
+CENTRED = Sticks(0.0, 0.0, 0.0, 0.0)
+
+
+def parse_bool(value, name):
+    """A truth value from a parameter; launch files of old set texts, and bool("False") is true (D-32).
+
+    Raises ValueError for anything but true, false and their spellings.
+    """
+    if isinstance(value, str):
+        text = value.strip().lower()
+        if text in ("true", "1", "yes", "on"):
+            return True
+        if text in ("false", "0", "no", "off"):
+            return False
+    elif isinstance(value, bool) or value in (0, 1):
+        return bool(value)
+    raise ValueError("parameter %s must be true or false, found %r" % (name, value))
+
+
+@dataclass(frozen=True)
+class JoystickParams:
+    """Mapping of one joystick. Indices count from 0; a manual value is *divided* by its scale."""
+
+    JoytoWay: int = 5  # button: manual/autonomous toggle
+    ButtonEmergency: int = 1  # button: reset (motors off in the air, clears an emergency on the ground)
+    TakeoffLand: int = 2  # button: take off when landed, land otherwise
+    Up: int = 3  # button: climb while held (manual mode)
+    Down: int = 4  # button: descend while held (manual mode)
+    ShutDownNode: int = 0  # button: land and end the node
+    AxisRoll: int = 6  # axis: + left
+    AxisPitch: int = 7  # axis: + forward
+    AxisYaw: int = 3  # axis: + counter-clockwise
+    ScaleRoll: float = 1.0  # [-]
+    ScalePitch: float = 1.0  # [-]
+    ScaleYaw: float = 1.0  # [-]
+    ScaleZ: float = 1.0  # [-]
+
+    def __post_init__(self):
+        taken = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+                raise ValueError("parameter %s must be a number, found %r" % (field.name, value))
+            if field.name.startswith("Scale"):
+                if value <= 0.0:
+                    raise ValueError("parameter %s divides and must be > 0, found %r" % (field.name, value))
+            elif value != int(value) or value < 0:
+                raise ValueError("parameter %s must be an index (0, 1, ...), found %r" % (field.name, value))
+            elif not field.name.startswith("Axis"):
+                other = taken.setdefault(value, field.name)
+                if other != field.name:
+                    raise ValueError("parameters %s and %s are both button %d" % (other, field.name, value))
+
+
+@dataclass(frozen=True)
+class JoystickInput:
+    """One joystick message, understood."""
+
+    pressed: frozenset  # Buttons that went down with this message
+    held: frozenset  # Buttons that are down
+    sticks: Sticks
+    problems: tuple  # sentences about what the message lacks
+
+
+class Joystick:
+    """Finds the edges of the buttons; keeps nothing but which were down."""
+
+    def __init__(self, params):
+        self._params = params
+        self._held = frozenset()
+
+    def update(self, buttons, axes):
+        """buttons: ints, axes: floats (+ left, + forward) of a Joy message, as long as they happen to be.
+
+        Returns a `JoystickInput`. What the message lacks counts as released or centred and is a problem, never an
+        error. A button that is down in the very first message counts as pressed: joy_node publishes on change only,
+        so the first message a node sees often *is* the press.
+        """
+        problems = []
+        held = frozenset(button for button in Button if self._button(buttons, button.value, problems))
+        pressed = held - self._held
+        self._held = held
+        p = self._params
+        climb = float(Button.UP in held) - float(Button.DOWN in held)
+        sticks = Sticks(
+            self._axis(axes, "AxisPitch", p.ScalePitch, problems),
+            self._axis(axes, "AxisRoll", p.ScaleRoll, problems),
+            _limit(climb / p.ScaleZ),
+            self._axis(axes, "AxisYaw", p.ScaleYaw, problems),
+        )
+        return JoystickInput(pressed, held, sticks, tuple(problems))
+
+    def _button(self, buttons, name, problems):
+        index = int(getattr(self._params, name))
+        if index >= len(buttons):
+            problems.append(
+                "the joystick has %d buttons, but %s is button %d (counted from 0): is it the right joystick, and "
+                "is the parameter %s right?" % (len(buttons), name, index, name)
+            )
+            return False
+        return bool(buttons[index])
+
+    def _axis(self, axes, name, scale, problems):
+        index = int(getattr(self._params, name))
+        if index >= len(axes):
+            problems.append(
+                "the joystick has %d axes, but %s is axis %d (counted from 0): is it the right joystick, and is the "
+                "parameter %s right?" % (len(axes), name, index, name)
+            )
+            return 0.0
+        if not math.isfinite(axes[index]):
+            problems.append("axis %d (%s) of the joystick is not a finite number: taken as 0" % (index, name))
+            return 0.0
+        return _limit(axes[index] / scale)
+
+
+def _limit(fraction):
+    return min(max(fraction, -1.0), 1.0)

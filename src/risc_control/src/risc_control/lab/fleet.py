@@ -1,0 +1,168 @@
+"""The fleet file: which vehicles fly, where they stand, and at which addresses everything is reached."""
+
+import ipaddress
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import Tuple
+
+from risc_control.lab.yaml_reader import Section, load_yaml
+
+
+@dataclass(frozen=True)
+class MocapEndpoint:
+    """Where the motion capture host is, and what it is set to."""
+
+    host: str  # address of the Cortex host
+    command_port: int = 1510
+    stream_group: str = "225.1.1.1"  # multicast group of the live stream
+    stream_port: int = 1001
+    interface: str = ""  # address of the local interface that receives the stream; "" lets the kernel choose
+    rate_hz: float = 200.0
+    reported_delay_s: float = 0.003  # virtual lab only: exposure to sending
+
+
+@dataclass(frozen=True)
+class FleetVehicle:
+    """One vehicle of the fleet."""
+
+    namespace: str  # ROS namespace, e.g. risc1
+    template: str  # mocap template and hence the vehicle's name on every topic, e.g. fluffy_II
+    type: str  # file name in config/types
+    address: str
+    calibration: str  # camera calibration file; "" = none
+    start_position_m: Tuple[float, float, float]  # where it stands before take-off; cortex frame
+    start_yaw_rad: float  # + clockwise from above, as States.psi
+
+
+@dataclass(frozen=True)
+class FleetLandmark:
+    """One landmark and where it is mounted (virtual lab only; in the lab mocap measures it)."""
+
+    name: str
+    position_m: Tuple[float, float, float]  # cortex frame
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Everything that differs between one experiment's hardware and another's."""
+
+    name: str
+    mocap: MocapEndpoint
+    vehicles: Tuple[FleetVehicle, ...]
+    landmarks: Tuple[FleetLandmark, ...] = ()
+
+    def with_vehicles(self, count):
+        """The same fleet with its first `count` vehicles. Raises ValueError when there are not so many."""
+        if not 1 <= count <= len(self.vehicles):
+            raise ValueError(
+                "fleet '%s' has %d vehicles, %d were asked for: use another fleet file"
+                % (self.name, len(self.vehicles), count)
+            )
+        return replace(self, vehicles=self.vehicles[:count])
+
+    def in_subnet(self, subnet):
+        """The same fleet with the host at <subnet>.0.1 and vehicle k at <subnet>.1.k, e.g. subnet '127.77'.
+
+        Several virtual labs fit on one computer this way. Raises ValueError for anything but two address bytes.
+        """
+        if not re.fullmatch(r"\d{1,3}\.\d{1,3}", subnet):
+            raise ValueError("subnet must be the first two bytes of an address, e.g. 127.77, found %r" % (subnet,))
+        vehicles = tuple(
+            replace(vehicle, address=_address("%s.1.%d" % (subnet, k), "subnet"))
+            for k, vehicle in enumerate(self.vehicles, start=1)
+        )
+        return replace(self, mocap=replace(self.mocap, host=_address(subnet + ".0.1", "subnet")), vehicles=vehicles)
+
+    def to_dict(self):
+        """The fleet as the plain dict that its YAML file would hold."""
+        return {
+            "name": self.name,
+            "mocap": dict(vars(self.mocap)),
+            "vehicles": [
+                {
+                    "namespace": v.namespace,
+                    "template": v.template,
+                    "type": v.type,
+                    "address": v.address,
+                    "calibration": v.calibration,
+                    "start": {"position_m": list(v.start_position_m), "yaw_deg": math.degrees(v.start_yaw_rad)},
+                }
+                for v in self.vehicles
+            ],
+            "landmarks": [{"name": m.name, "position_m": list(m.position_m)} for m in self.landmarks],
+        }
+
+
+def load_fleet(path):
+    """Read a fleet file. Raises ValueError that names the file, the key and what is wrong with it."""
+    return fleet_from_dict(load_yaml(path), str(path))
+
+
+def fleet_from_dict(content, where="fleet"):
+    """Fleet from the content of a fleet file (also: of the parameter /fleet). Raises ValueError."""
+    root = Section(content, where)
+    fleet = Fleet(
+        name=root.text("name"),
+        mocap=_mocap(root.section("mocap")),
+        vehicles=tuple(_vehicle(section) for section in root.sections("vehicles")),
+        landmarks=tuple(_landmark(section) for section in root.sections("landmarks", ())),
+    )
+    root.done()
+    if not fleet.vehicles:
+        raise ValueError("%s: a fleet needs at least one vehicle" % where)
+    for what in ("namespace", "template", "address"):
+        values = [getattr(vehicle, what) for vehicle in fleet.vehicles]
+        twice = sorted({value for value in values if values.count(value) > 1})
+        if twice:
+            raise ValueError("%s: two vehicles have the same %s: %s" % (where, what, ", ".join(twice)))
+    return fleet
+
+
+def _mocap(section):
+    endpoint = MocapEndpoint(
+        host=_address(section.text("host"), "mocap host"),
+        command_port=section.port("command_port", 1510),
+        stream_group=_address(section.text("stream_group", "225.1.1.1"), "mocap stream_group"),
+        stream_port=section.port("stream_port", 1001),
+        interface=section.text("interface", ""),
+        rate_hz=section.number("rate_hz", 200.0, 1.0, 2000.0),
+        reported_delay_s=section.number("reported_delay_s", 0.003, 0.0, 0.1),
+    )
+    section.done()
+    if endpoint.interface:
+        _address(endpoint.interface, "mocap interface")
+    if not ipaddress.ip_address(endpoint.stream_group).is_multicast:
+        raise ValueError("mocap stream_group %s is no multicast address (224.0.0.0/4)" % endpoint.stream_group)
+    return endpoint
+
+
+def _vehicle(section):
+    start = section.section("start")
+    vehicle = FleetVehicle(
+        namespace=section.text("namespace"),
+        template=section.text("template"),
+        type=section.text("type"),
+        address=_address(section.text("address"), "vehicle address"),
+        calibration=section.text("calibration", ""),
+        start_position_m=start.vector("position_m", 3),
+        start_yaw_rad=math.radians(start.number("yaw_deg", 0.0)),
+    )
+    start.done()
+    section.done()
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", vehicle.namespace):
+        raise ValueError("vehicle namespace %r is no ROS name (letter, then letters, digits, _)" % vehicle.namespace)
+    return vehicle
+
+
+def _landmark(section):
+    landmark = FleetLandmark(name=section.text("name"), position_m=section.vector("position_m", 3))
+    section.done()
+    return landmark
+
+
+def _address(text, what):
+    try:
+        return str(ipaddress.IPv4Address(text))
+    except ValueError as error:
+        raise ValueError("%s must be an IPv4 address, found %r" % (what, text)) from error

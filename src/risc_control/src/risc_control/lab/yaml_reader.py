@@ -1,0 +1,118 @@
+"""Reading YAML files strictly: every problem is one ValueError that names the file, the key and the cure."""
+
+import pathlib
+
+import numpy as np
+import yaml
+
+
+def package_file(package, relative_path):
+    """Path of a data file of one of our packages, from the source tree or from an install space.
+
+    Raises ValueError when it is in neither.
+    """
+    in_source = pathlib.Path(__file__).resolve().parents[4] / package / relative_path
+    if in_source.exists():
+        return in_source
+    import rospkg  # only an installed workspace needs it: without ROS the data lies beside the source
+
+    try:
+        installed = pathlib.Path(rospkg.RosPack().get_path(package)) / relative_path
+    except rospkg.ResourceNotFound:
+        installed = None
+    if installed is None or not installed.exists():
+        raise ValueError(
+            "cannot find %s of package %s: source the workspace's setup.bash first" % (relative_path, package)
+        )
+    return installed
+
+
+def load_yaml(path):
+    """Content of a YAML file as a dict. Raises ValueError when it is missing, malformed or not a mapping."""
+    try:
+        text = pathlib.Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError("cannot read %s: %s" % (path, error)) from error
+    try:
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ValueError("%s is not valid YAML: %s" % (path, " ".join(str(error).split()))) from error
+    if not isinstance(content, dict):
+        raise ValueError("%s must hold `key: value` lines, found %s" % (path, type(content).__name__))
+    return content
+
+
+class Section:
+    """One mapping of a YAML file with typed access; keys that nobody asked for are an error in `done`."""
+
+    def __init__(self, content, where):
+        if not isinstance(content, dict):
+            raise ValueError("%s must be a mapping, found %r" % (where, content))
+        self._content = content
+        self._where = where
+        self._asked = set()
+
+    def _value(self, key, default):
+        self._asked.add(key)
+        if key in self._content:
+            return self._content[key]
+        if default is None:
+            raise ValueError("%s: key '%s' is missing" % (self._where, key))
+        return default
+
+    def number(self, key, default=None, minimum=-np.inf, maximum=np.inf):
+        """A finite number within limits; without a default the key is required."""
+        value = self._value(key, default)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+            raise ValueError("%s: '%s' must be a number, found %r" % (self._where, key, value))
+        if not minimum <= value <= maximum:
+            raise ValueError("%s: '%s' must be in [%g, %g], found %r" % (self._where, key, minimum, maximum, value))
+        return float(value)
+
+    def port(self, key, default=None):
+        """A UDP port number."""
+        value = self.number(key, default, 1, 65535)
+        if value != int(value):
+            raise ValueError("%s: '%s' must be a whole port number, found %r" % (self._where, key, value))
+        return int(value)
+
+    def vector(self, key, length, default=None):
+        """A list of `length` finite numbers, as a tuple."""
+        value = self._value(key, default)
+        good = isinstance(value, (list, tuple)) and len(value) == length
+        if not good or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in value):
+            raise ValueError("%s: '%s' must be a list of %d numbers, found %r" % (self._where, key, length, value))
+        if not np.all(np.isfinite(value)):
+            raise ValueError("%s: '%s' must be finite, found %r" % (self._where, key, value))
+        return tuple(float(x) for x in value)
+
+    def text(self, key, default=None):
+        """A string; without a default the key is required and must not be empty."""
+        value = self._value(key, default)
+        if not isinstance(value, str) or (default is None and not value):
+            raise ValueError("%s: '%s' must be a text, found %r" % (self._where, key, value))
+        return value
+
+    def section(self, key, default=None):
+        """A nested mapping, as a `Section`."""
+        return Section(self._value(key, default), "%s, %s" % (self._where, key))
+
+    def sections(self, key, default=None):
+        """A list of mappings, as a list of `Section`."""
+        value = self._value(key, default)
+        if not isinstance(value, (list, tuple)):
+            raise ValueError("%s: '%s' must be a list, found %r" % (self._where, key, value))
+        return [Section(item, "%s, %s[%d]" % (self._where, key, i)) for i, item in enumerate(value)]
+
+    def keys(self):
+        """Names of all keys, in the order of the file."""
+        return list(self._content)
+
+    def done(self):
+        """Raises ValueError naming the keys that are present but unknown: most are spelling mistakes."""
+        unknown = sorted(str(key) for key in set(self._content) - self._asked)
+        if unknown:
+            raise ValueError(
+                "%s: unknown key(s) %s; known are %s"
+                % (self._where, ", ".join(unknown), ", ".join(sorted(self._asked)))
+            )

@@ -1,0 +1,1 @@
+"""What the nodes of this package share that needs ROS: messages <-> arrays, parameters, wiring."""

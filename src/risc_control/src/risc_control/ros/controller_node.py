@@ -1,0 +1,193 @@
+"""Wiring of the controller nodes: /cortex_raw and /trajectory -> /controls. The work is in `tracking`."""
+
+import threading
+import time
+from dataclasses import fields
+
+import diagnostic_updater
+import numpy as np
+import rospy
+from dynamic_reconfigure.server import Server
+from std_msgs.msg import Bool
+
+from risc_control.lab.vehicle_types import load_vehicle_type
+from risc_control.reference import ORDERS, ReferenceBuffer
+from risc_control.ros.conversions import ControlsMessage, sample_from_msg, states_from_msg
+from risc_control.ros.params import dataclass_from_params, limit, number, vehicles
+from risc_control.tracking import LqrWeights, TrackingParams
+from risc_msgs.msg import Controls, Cortex, Trajectories
+
+_OBJECTS_WITHOUT_COMMANDS = frozenset(("Pendulum_tip",))
+
+
+class ControllerNode:
+    """Runs a controller on every state. Subclasses may bring their own references (`_references`)."""
+
+    def __init__(self, controller_class, config_type, fleet_vehicles=None):
+        """controller_class: FlatnessController or DoubleIntegratorController.  config_type: of dynamic_reconfigure."""
+        fleet_vehicles = vehicles() if fleet_vehicles is None else fleet_vehicles
+        self.names = [vehicle.template for vehicle in fleet_vehicles]
+        self._index = {name: i for i, name in enumerate(self.names)}
+        kind = rospy.get_param("~vehicle_type", "")
+        types = [load_vehicle_type(kind or vehicle.type) for vehicle in fleet_vehicles]
+        params = dataclass_from_params(
+            TrackingParams,
+            {"command_delay_s": "command_delay"},
+            tilt_max_rad=limit("euler_angle_max"),
+            yaw_rate_max_rad_s=limit("control_yaw"),
+            climb_max_m_s=limit("control_vz_max", 1e-3),
+        )
+        self._state_timeout_s = number("~state_timeout", 0.2)
+        self._reference_timeout_s = number("~reference_timeout", 0.2)
+        weights = dataclass_from_params(LqrWeights, defaults=controller_class.WEIGHTS)
+        self._controller = controller_class(types, weights, params)
+        # A vehicle that nothing was heard of may be one without vehicle node: its commands count.
+        self._autonomous = np.ones(len(self.names), dtype=bool)
+        self._buffers = {}  # names of a message -> (ReferenceBuffer, rows, columns of the message)
+        self._lock = threading.Lock()
+        self._last_stamp_s = -np.inf
+        self._counts = dict.fromkeys(("states", "saturated", "without command", "late", "refused references"), 0)
+        self._reported, self._reported_s = dict(self._counts), time.monotonic()
+        self._cycle_max_s = self._age_max_s = 0.0
+        self._errors_m = np.full(len(self.names), np.nan)  # NaN: not seen, or no reference
+        self._message = ControlsMessage(self.names)
+        self._publisher = rospy.Publisher("/controls", Controls, queue_size=1, tcp_nodelay=True)
+        self._diagnostics = diagnostic_updater.Updater()
+        self._diagnostics.setHardwareID(", ".join(self.names))
+        self._diagnostics.add("controller", self._diagnose)
+        self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._diagnostics.update(), reset=True)
+        self._server = Server(config_type, self._on_reconfigure)
+        for i, vehicle in enumerate(fleet_vehicles):
+            topic = "/%s/controller_status" % vehicle.namespace
+            rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1)
+        self._subscribe()
+        rospy.loginfo(
+            "%s controls %s, acting %.0f ms ahead",
+            rospy.get_name(),
+            ", ".join(self.names),
+            1e3 * self._controller.delay_s,
+        )
+
+    def _subscribe(self):
+        options = {"queue_size": 1, "buff_size": 2**20, "tcp_nodelay": True}
+        rospy.Subscriber("/trajectory", Trajectories, self._on_trajectory, **options)
+        rospy.Subscriber("/cortex_raw", Cortex, self._on_states, **options)
+
+    def _on_reconfigure(self, config, _level):
+        """New weights in flight; impossible ones change nothing."""
+        weights = {field.name: config[field.name] for field in fields(LqrWeights) if field.name in config}
+        try:
+            with self._lock:
+                self._controller.set_weights(LqrWeights(**dict(vars(self._controller.weights), **weights)))
+        except ValueError as error:
+            rospy.logerr("weights not taken: %s", error)
+            config.update({name: getattr(self._controller.weights, name) for name in weights})
+        return config
+
+    def _on_status(self, message, i):
+        self._autonomous[i] = message.data
+
+    def _on_trajectory(self, message):
+        names, sample = sample_from_msg(message)
+        with self._lock:
+            entry = self._buffers.get(names)
+            if entry is None:
+                entry = self._buffers[names] = self._new_buffer(names)
+            if not entry[0].push(message.header.stamp.to_sec(), sample):
+                self._counts["refused references"] += 1
+
+    def _new_buffer(self, names):
+        columns = [k for k, name in enumerate(names) if name in self._index]
+        unknown = sorted(set(names) - set(self._index))
+        if unknown:
+            rospy.logwarn(
+                "/trajectory names %s, which this controller does not fly (it flies %s): a trajectory's name must be "
+                "its vehicle's",
+                ", ".join(unknown),
+                ", ".join(self.names),
+            )
+        return ReferenceBuffer(), [self._index[names[k]] for k in columns], columns
+
+    def _on_states(self, message):
+        started_s = time.perf_counter()
+        stamp_s, now_s = message.header.stamp.to_sec(), rospy.get_time()
+        states, unknown = states_from_msg(message, self._index)
+        if unknown and not _OBJECTS_WITHOUT_COMMANDS.issuperset(unknown):
+            rospy.logwarn_throttle(60.0, "/cortex_raw shows %s, which this controller does not fly", ", ".join(unknown))
+        with self._lock:
+            if stamp_s <= self._last_stamp_s <= stamp_s + 1.0:
+                return  # an older state than the last: a jump back of more than a second is a new clock or bag
+            self._last_stamp_s = stamp_s
+            age_s = now_s - stamp_s
+            ahead_s = self._controller.horizon_s(stamp_s, now_s)
+            if abs(age_s) > self._state_timeout_s:
+                # nothing that happened so long ago says what to do now
+                self._counts["late"] += 1
+                states = states._replace(visible=np.zeros(len(self.names), dtype=bool))
+                ahead_s = 0.0
+            present, ahead, usable = self._references(stamp_s, stamp_s + ahead_s, now_s)
+            output = self._controller.update(
+                stamp_s, min(now_s, stamp_s + self._state_timeout_s), states, present, ahead, usable, self._autonomous
+            )
+            # Silence about a vehicle is what the loss ladder of its node acts on: hold, then land. A command without
+            # a state or a reference behind it would look alive.
+            known = usable & states.visible
+            self._publisher.publish(self._message.fill(message.header.stamp, output.fractions, known))
+            off_m = np.sqrt(((present[0, :, :3] - states.position_m) ** 2).sum(axis=1))
+            self._errors_m = np.where(usable & states.visible, off_m, np.nan)
+            counts = self._counts
+            counts["states"] += 1
+            counts["saturated"] += bool(output.saturated.any())
+            counts["without command"] += not (usable.all() and states.visible.all())
+            self._age_max_s = max(self._age_max_s, age_s)
+            self._cycle_max_s = max(self._cycle_max_s, time.perf_counter() - started_s)
+
+    def _references(self, stamp_s, ahead_s, now_s):
+        """(reference at stamp_s (5, n, 4), reference at ahead_s, (n,) bool: there is a fresh one)."""
+        n = len(self.names)
+        fresh = [e for e in self._buffers.values() if abs(now_s - e[0].newest_s) <= self._reference_timeout_s and e[1]]
+        times = np.array([stamp_s, ahead_s])
+        if len(fresh) == 1 and fresh[0][1] == list(range(n)) == fresh[0][2]:
+            both = fresh[0][0].at(times)
+            return both[0], both[1], np.ones(n, dtype=bool)
+        both, usable = np.zeros((2, ORDERS, n, 4)), np.zeros(n, dtype=bool)
+        for buffer, rows, columns in sorted(fresh, key=lambda entry: entry[0].newest_s):
+            both[:, :, rows] = buffer.at(times)[:, :, columns]
+            usable[rows] = True
+        return both[0], both[1], usable
+
+    def _diagnose(self, status):
+        with self._lock:
+            now_s = time.monotonic()
+            elapsed_s = max(now_s - self._reported_s, 1e-3)
+            rates = {what: (self._counts[what] - self._reported[what]) / elapsed_s for what in self._counts}
+            self._reported, self._reported_s = dict(self._counts), now_s
+            cycle_s, age_s, errors_m = self._cycle_max_s, self._age_max_s, self._errors_m
+            self._cycle_max_s = self._age_max_s = 0.0
+        if rates["states"] == 0.0:
+            status.summary(1, "no states on /cortex_raw")
+        elif rates["without command"] > 0.0:
+            status.summary(1, "a vehicle is not seen or has no fresh reference: no command for it")
+        else:
+            status.summary(0, "controlling")
+        for what, rate in rates.items():
+            status.add("%s (Hz)" % what, "%.1f" % rate)
+        status.add("oldest state answered (ms)", "%.1f" % (1e3 * age_s))
+        status.add("longest cycle (ms)", "%.2f" % (1e3 * cycle_s))
+        for name, error_m in zip(self.names, errors_m):
+            status.add("position error of %s (mm)" % name, "%.1f" % (1e3 * error_m))
+        status.add("autonomous", ", ".join(np.array(self.names)[self._autonomous].tolist()) or "none")
+        return status
+
+
+def main(name, make_node):
+    """Run a node until shutdown; wrong parameters end it with one line. Returns the exit code."""
+    rospy.init_node(name)
+    try:
+        node = make_node()
+    except ValueError as error:
+        rospy.logfatal("%s: %s", rospy.get_name(), error)
+        return 1
+    rospy.spin()
+    del node
+    return 0

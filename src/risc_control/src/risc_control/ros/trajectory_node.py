@@ -1,0 +1,201 @@
+"""Wiring of the trajectory nodes: references of all vehicles at 200 Hz. The work is in `trajectory_manager`."""
+
+import inspect
+import math
+import threading
+
+import numpy as np
+import rospy
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger, TriggerResponse
+
+from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
+from risc_control.joystick import parse_bool
+from risc_control.lab.vehicle_types import load_vehicle_type
+from risc_control.ros.conversions import TrajectoriesMessage, states_from_msg
+from risc_control.ros.params import dataclass_from_params, number, vehicles
+from risc_control.trajectories import (
+    COURSES,
+    SAFE_SEPARATION_M,
+    YawProgram,
+    course_separation,
+    make_course,
+    peak_yaw_rate_rad_s,
+)
+from risc_control.trajectory_manager import WayLimits, make_manager, phase_text
+from risc_msgs.msg import Cortex, Trajectories
+
+
+class ManagerWiring:
+    """A TrajectoryManager with the topics and services around it, for nodes that publish what it samples."""
+
+    def __init__(self, fleet_vehicles, course):
+        self.vehicles = fleet_vehicles
+        smooth = parse_bool(rospy.get_param("~wait_for_autonomous", True), "~wait_for_autonomous")
+        self.manager = make_manager(
+            fleet_vehicles,
+            course,
+            number("~home_height", 1.0),
+            dataclass_from_params(WayLimits),
+            smooth=smooth,
+            wait_for_all=parse_bool(rospy.get_param("~wait_for_all", True), "~wait_for_all"),
+        )
+        self.lock = threading.Lock()
+        self._index = {name: i for i, name in enumerate(self.manager.names)}
+        self._phase = rospy.Publisher("trajectory_phase", String, queue_size=10, latch=True)
+        self._phases = None
+        self._watcher = None
+        self._services = [
+            rospy.Service("~go_home", Trigger, self._on_go_home),
+            rospy.Service("~start", Trigger, self._on_start),
+        ]
+        for vehicle in fleet_vehicles:
+            topic = "/%s/controller_status" % vehicle.namespace
+            rospy.Subscriber(topic, Bool, self._on_status, callback_args=vehicle.template, queue_size=1)
+        if smooth:
+            self._watch()
+
+    def sample(self, time_s):
+        """Reference at a time; the caller holds the lock. Announces a change of phase."""
+        reference = self.manager.sample(time_s)
+        waiting_for = self.manager.waiting_for(time_s)
+        if waiting_for:
+            rospy.logwarn_throttle(
+                5.0,
+                "nobody starts while %s hovers there and is not flown automatically (~wait_for_all)",
+                ", ".join(waiting_for),
+            )
+        if reference.phases != self._phases:
+            self._phases = reference.phases
+            self._phase.publish(phase_text(self.manager.names, reference.phases))
+        return reference
+
+    def set_course(self, course):
+        """Fly another course from now on, smoothly."""
+        check_course(course, self.vehicles)
+        with self.lock:
+            self.manager.set_course(course, rospy.get_time())
+        self._report()
+
+    def _watch(self):
+        """Look where the vehicles are as long as that matters, and no longer: states come 200 times a second."""
+        if self.manager.watching and self._watcher is None:
+            self._watcher = rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1, buff_size=2**20)
+        elif not self.manager.watching and self._watcher is not None:
+            self._watcher.unregister()
+            self._watcher = None
+
+    def _on_states(self, message):
+        states, _ = states_from_msg(message, self._index)
+        with self.lock:
+            for i in np.flatnonzero(states.visible):
+                self.manager.see(
+                    self.manager.names[i], states.position_m[i], states.velocity_m_s[i], states.angles_rad[i, 2]
+                )
+
+    def _on_status(self, message, name):
+        with self.lock:
+            changed = self.manager.set_autonomous(name, message.data, rospy.get_time())
+            if changed:
+                self._watch()
+        if changed:
+            rospy.loginfo("%s: %s", name, "flown automatically" if message.data else "no longer flown automatically")
+
+    def _on_go_home(self, _request):
+        with self.lock:
+            names = self.manager.go_home(rospy.get_time())
+        self._report()
+        return TriggerResponse(bool(names), "going home: %s" % ", ".join(names) if names else "nobody is flying")
+
+    def _on_start(self, _request):
+        with self.lock:
+            names = self.manager.start(rospy.get_time())
+        self._report()
+        message = "starting: %s" % ", ".join(names) if names else "nobody is home and flown automatically"
+        return TriggerResponse(bool(names), message)
+
+    def _report(self):
+        closest_m = self.manager.closest_m
+        if closest_m < SAFE_SEPARATION_M:
+            rospy.logwarn("on their ways vehicles come within %.2f m of each other", closest_m)
+
+
+class TrajectoryNode:
+    """Publishes the references of a fleet on `trajectory`, on an absolute schedule."""
+
+    def __init__(self, default_course, **default_options):
+        """default_course: name in COURSES, unless ~course says another.  default_options: as make_course takes them."""
+        fleet_vehicles = vehicles()
+        self.wiring = ManagerWiring(fleet_vehicles, course_from_params(fleet_vehicles, default_course, default_options))
+        self._message = TrajectoriesMessage(self.wiring.manager.names)
+        self._publisher = rospy.Publisher("trajectory", Trajectories, queue_size=1, tcp_nodelay=True)
+        rate_hz = number("~rate", 200.0)
+        if not 1.0 <= rate_hz <= 1000.0:
+            raise ValueError("parameter ~rate must be from 1 to 1000 Hz, got %r" % rate_hz)
+        self._timer = rospy.Timer(rospy.Duration(1.0 / rate_hz), self._on_tick, reset=True)
+        rospy.on_shutdown(self._timer.shutdown)
+
+    def _on_tick(self, _event):
+        with self.wiring.lock:
+            now = rospy.Time.now()
+            reference = self.wiring.sample(now.to_sec())
+        self._publisher.publish(self._message.fill(now, reference.derivatives))
+
+
+class CourseSelector:
+    """Steps a ManagerWiring through courses by the joystick's bumpers."""
+
+    def __init__(self, wiring, courses):
+        """courses: list of Course; the first is flown at the start."""
+        self._wiring, self._courses = wiring, courses
+        self._bumpers = BumperSelector(
+            len(courses), int(number("~next_button", NEXT_BUTTON)), int(number("~previous_button", PREVIOUS_BUTTON))
+        )
+        rospy.Subscriber("joy", Joy, self._on_joy, queue_size=10)
+
+    def _on_joy(self, message):
+        if self._bumpers.update(message.buttons):
+            course = self._courses[self._bumpers.index]
+            rospy.loginfo("course %d of %d: %s", self._bumpers.index + 1, len(self._courses), course.name)
+            self._wiring.set_course(course)
+
+
+def yaw_from_params():
+    """YawProgram of ~psi_deg (a constant yaw) or ~yaw_along_path; None = the course's own."""
+    psi_deg = rospy.get_param("~psi_deg", "")
+    along = parse_bool(rospy.get_param("~yaw_along_path", False), "~yaw_along_path")
+    if psi_deg == "":
+        return YawProgram(along_path=True) if along else None
+    return YawProgram((math.radians(number("~psi_deg", 0.0)),), along_path=along)
+
+
+def course_from_params(fleet_vehicles, default_course, default_options):
+    """The course of ~course with the options among the private parameters, checked against the vehicles."""
+    name = rospy.get_param("~course", default_course)
+    options = dict(default_options) if name == default_course else {}
+    if name in COURSES:
+        for option in list(inspect.signature(COURSES[name]).parameters)[1:]:
+            if rospy.has_param("~" + option):
+                options[option] = number("~" + option, None)
+    course = make_course(name, len(fleet_vehicles), yaw_from_params(), **options)
+    check_course(course, fleet_vehicles)
+    return course
+
+
+def check_course(course, fleet_vehicles):
+    """Warn of a course that the vehicles cannot fly as it is."""
+    closest_m = course_separation(course, 400)
+    if closest_m < SAFE_SEPARATION_M:
+        rospy.logwarn(
+            "on '%s' %d vehicles come within %.2f m of each other", course.name, len(fleet_vehicles), closest_m
+        )
+    limit_rad_s = min(load_vehicle_type(vehicle.type).yaw_rate_max_rad_s for vehicle in fleet_vehicles)
+    rate_rad_s = peak_yaw_rate_rad_s(course)
+    if rate_rad_s > limit_rad_s:
+        rospy.logwarn(
+            "'%s' turns the nose at %.2f rad/s, the vehicles at most at %.2f: they will lag in yaw",
+            course.name,
+            rate_rad_s,
+            limit_rad_s,
+        )

@@ -1,0 +1,448 @@
+"""What one vehicle's joystick node decides: mode, commands, take-off and landing. No ROS.
+
+The node feeds in what arrives and carries out the `Orders` that come back. Times `now_s` are seconds of a clock that
+never steps; `age_s` is the age of a message by its stamp when it arrived.
+"""
+
+import enum
+import math
+from collections import deque, namedtuple
+from dataclasses import dataclass, field, fields
+from typing import Tuple
+
+from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks, parse_bool
+from risc_control.mappings.ardrone import climb_rate_command
+from risc_control.safety import Rung, SafetyLadder, SafetyLimits
+
+LEGACY_VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"}  # of the lab, when no fleet is loaded
+
+
+class FlightState(enum.IntEnum):
+    """State numbers of ardrone_autonomy's Navdata."""
+
+    UNKNOWN = 0
+    INIT = 1
+    LANDED = 2
+    FLYING = 3
+    HOVERING = 4
+    TEST = 5
+    TAKING_OFF = 6
+    GOTO = 7
+    LANDING = 8
+    LOOPING = 9
+
+
+_TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
+_ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
+_NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
+
+
+@dataclass(frozen=True)
+class PilotParams:
+    """Everything of the node that is neither the joystick's mapping nor the ladder's."""
+
+    Simulation: bool = False  # send commands without navdata, for simulators that have none
+    euler_angle_max: float = 0.349066  # [rad] full scale of the tilt commands, as the driver has it: check_full_scale
+    delay: float = 0.3  # [s] delta of eq. 5.4; equal to the climb loop's time constant it inverts that loop exactly
+    command_delay: float = -1.0  # [s] of the link to the vehicle; negative: that of the vehicle type
+    command_rate_hz: float = 30.0  # [Hz] what the vehicle takes
+    land_repeat_s: float = 0.2  # [s] how often a landing of the ladder is ordered
+    takeoff_grace_s: float = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
+    stick_timeout: float = 0.5  # [s] no joystick message: sticks centred; 0 = off: the last deflection stays
+    hold_auto_hover: bool = True  # HOLD: True the vehicle's own position hold, False level without position hold
+
+    def __post_init__(self):
+        for name in ("euler_angle_max", "delay", "command_rate_hz", "land_repeat_s"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0:
+                raise ValueError("parameter %s must be a number > 0, found %r" % (name, value))
+        _number(self.command_delay, "command_delay")
+        for name in ("takeoff_grace_s", "stick_timeout"):
+            if _number(getattr(self, name), name) < 0.0:
+                raise ValueError("parameter %s must not be negative, found %r" % (name, getattr(self, name)))
+
+
+@dataclass(frozen=True)
+class VehicleNodeParams:
+    """All parameters of the vehicle node."""
+
+    pilot: PilotParams = field(default_factory=PilotParams)
+    joystick: JoystickParams = field(default_factory=JoystickParams)
+    limits: SafetyLimits = field(default_factory=SafetyLimits)
+
+
+def params_from_dict(values):
+    """Parameters by their names on the parameter server -> (`VehicleNodeParams`, names that mean nothing).
+
+    Raises ValueError that names the parameter.
+    """
+    values = dict(values)
+    for name in ("Simulation", "hold_auto_hover"):
+        if name in values:
+            values[name] = parse_bool(values[name], name)
+    for name in ("fence_min_m", "fence_max_m"):
+        if name in values:
+            vector = values[name]
+            if not isinstance(vector, (list, tuple)) or len(vector) != 3:
+                raise ValueError("parameter %s must be a list of 3 numbers, found %r" % (name, vector))
+            values[name] = tuple(_number(value, name) for value in vector)
+    parts = []
+    for part in (PilotParams, JoystickParams, SafetyLimits):
+        names = [item.name for item in fields(part) if item.name in values]
+        if part is SafetyLimits:
+            for name in names:
+                if not name.startswith("fence_m") or name == "fence_margin_m":
+                    _number(values[name], name)
+        parts.append(part(**{name: values.pop(name) for name in names}))
+    return VehicleNodeParams(*parts), sorted(values)
+
+
+def choose_vehicle(wanted, namespace, fleet):
+    """(template name, vehicle type) that a node flies.
+
+    wanted: the parameter ~vehicle, "" when not set.  namespace: e.g. "risc1", "" for none.  fleet: a `Fleet` or None.
+    Raises ValueError when it cannot be known.
+    """
+    vehicles = fleet.vehicles if fleet is not None else ()
+    for vehicle in vehicles:
+        if wanted == vehicle.template or (not wanted and namespace == vehicle.namespace):
+            return vehicle.template, vehicle.type
+    if wanted:
+        return wanted, "ardrone"
+    if not namespace and len(vehicles) == 1:
+        return vehicles[0].template, vehicles[0].type
+    if not vehicles and namespace in LEGACY_VEHICLES:
+        return LEGACY_VEHICLES[namespace], "ardrone"
+    raise ValueError(
+        "cannot tell which vehicle '%s' is: start the node inside the vehicle's group (%s), or set ~vehicle to its "
+        "mocap template" % (namespace or "/", ", ".join(v.namespace for v in vehicles) or ", ".join(LEGACY_VEHICLES))
+    )
+
+
+def check_full_scale(params, vehicle_type):
+    """A warning when the driver's full scale is not what controllers take it for, else "".
+
+    /controls carries fractions of the type's full scale and they are passed on as they are: with another one set on
+    the vehicle every tilt would be wrong by the ratio. The thrust mapping needs no full scale: it takes the tilt that
+    the vehicle has, not the one it was asked for.
+    """
+    ratio = params.pilot.euler_angle_max / vehicle_type.tilt_max_rad
+    if abs(ratio - 1.0) < 0.01:
+        return ""
+    return (
+        "euler_angle_max is %g rad, but controllers reckon with %g rad (tilt_max_rad of type '%s'): every tilt will be "
+        "%.2f times the wanted one; make the two equal"
+        % (params.pilot.euler_angle_max, vehicle_type.tilt_max_rad, vehicle_type.name, ratio)
+    )
+
+
+# Own entry of /cortex_raw, as far as the node needs it: position [m] and climb rate [m/s] in the cortex frame (z up),
+# angles [rad].
+OwnState = namedtuple("OwnState", "position_m climb_rate_m_s phi_rad theta_rad")
+
+# Own entry of /controls: fractions (+ left, + forward, + counter-clockwise) and thrust [N].
+OwnControl = namedtuple("OwnControl", "phi theta psi thrust_n")
+
+
+@dataclass
+class Orders:
+    """What the node has to do now, in this order."""
+
+    reset: bool = False
+    takeoff: bool = False
+    land: bool = False
+    command: Tuple[Sticks, float] = None  # (fractions, stamp [s] of the /controls answered; 0 = of none)
+    level_only: bool = False  # the command must not start the vehicle's own position hold
+    status: bool = None  # autonomous?, when it is time to say so
+    mode: bool = None  # autonomous?, when that has just changed
+    simulator_reset: bool = None  # value for the parameter RESET of simulators
+    safety: str = None  # new text of the safety topic
+    shut_down: bool = False
+    log: list = field(default_factory=list)  # (level "info" | "warn" | "error", sentence)
+
+
+class SlotClock:
+    """Lets one of many ticks through per slot, so that the average rate is exact whatever the ticks' rate."""
+
+    def __init__(self, rate_hz):
+        self._period_s = 1.0 / rate_hz
+        self._next_s = -math.inf
+
+    def due(self, now_s):
+        """True when a slot has begun that was not used; uses it."""
+        if now_s < self._next_s:
+            return False
+        late_s = now_s - self._next_s
+        self._next_s = now_s + self._period_s if late_s > self._period_s else self._next_s + self._period_s
+        return True
+
+    def restart(self, now_s):
+        """A slot was used out of turn: the next one is a full period away."""
+        self._next_s = now_s + self._period_s
+
+
+class ClimbPredictor:
+    """Climb rate at the moment a command takes effect, by the nominal climb loop zdot' = (command - zdot) / tau."""
+
+    def __init__(self, time_constant_s, command_delay_s):
+        self._tau_s = time_constant_s
+        self._delay_s = command_delay_s
+        self._sent = deque([(-math.inf, 0.0)])  # (takes effect at [s], climb command [m/s])
+
+    def sent(self, now_s, command_m_s):
+        """A climb command was sent."""
+        self._sent.append((now_s + self._delay_s, command_m_s))
+
+    def predict(self, climb_rate_m_s, measured_s, now_s):
+        """Climb rate [m/s, + up] when a command sent now takes effect; the measurement may be any age."""
+        sent = self._sent
+        while len(sent) > 1 and sent[1][0] <= measured_s:
+            sent.popleft()
+        until_s = now_s + self._delay_s
+        rate, since_s, command = climb_rate_m_s, measured_s, sent[0][1]
+        for effect_s, next_command in sent:
+            if effect_s > since_s:
+                end_s = min(effect_s, until_s)
+                rate = command + (rate - command) * math.exp((since_s - end_s) / self._tau_s)
+                since_s = end_s
+            command = next_command
+        if until_s > since_s:
+            rate = command + (rate - command) * math.exp((since_s - until_s) / self._tau_s)
+        return rate
+
+
+class VehiclePilot:
+    """Joystick state machine, input mapping and loss ladder of one vehicle."""
+
+    def __init__(self, params, vehicle_type, now_s):
+        self._params = params.pilot
+        self._type = vehicle_type
+        self._joystick = Joystick(params.joystick)
+        self._joystick_names = params.joystick
+        self.ladder = SafetyLadder(params.limits, now_s)
+        self.autonomous = False
+        self.flight_state = None  # the newest FlightState number, None before the first
+        self.airborne = self._params.Simulation  # may be in the air; simulators without navdata always fly
+        self._takeoff_s = None  # when a take-off was ordered of which nothing was heard yet
+        self._sticks = CENTRED
+        self._joy_s = now_s  # arrival of the newest joystick message
+        self._state = None
+        self._state_s = 0.0  # when the state held [s]
+        self._safety_text = None
+        self._simulator_reset = False
+        self._ended = False
+        self._land_s = -math.inf
+        self._slots = SlotClock(self._params.command_rate_hz)
+        self._status_slots = SlotClock(30.0)
+        half_period_s = 0.5 / self._params.command_rate_hz  # a command waits for the vehicle's next slot
+        delay_s = self._params.command_delay if self._params.command_delay >= 0.0 else vehicle_type.command_delay_s
+        self._climb = ClimbPredictor(vehicle_type.climb_time_constant_s, delay_s + half_period_s)
+
+    # --- what arrives -------------------------------------------------------------------------------------------
+
+    def on_joy(self, buttons, axes, now_s):
+        """A joystick message."""
+        orders = Orders()
+        self.ladder.note_joystick(now_s)
+        self._joy_s = now_s
+        joy = self._joystick.update(buttons, axes)
+        self._sticks = joy.sticks
+        orders.log.extend(("warn", problem) for problem in joy.problems)
+        if Button.EMERGENCY in joy.pressed:
+            orders.reset = True
+            orders.log.append(("warn", "emergency button: reset sent"))
+        if self._ended:
+            return orders
+        if Button.TAKEOFF_LAND in joy.pressed and not self._params.Simulation:
+            self._takeoff_or_land(orders, now_s)
+        reset = Button.TAKEOFF_LAND in joy.held
+        if self._params.Simulation and reset != self._simulator_reset:
+            self._simulator_reset = orders.simulator_reset = reset
+        if Button.TOGGLE_AUTONOMOUS in joy.pressed:
+            self._toggle(orders, now_s)
+        if Button.SHUT_DOWN in joy.pressed:
+            orders.shut_down = True
+            orders.log.append(("info", "shut-down button: landing and ending"))
+        self._judge(orders, now_s)
+        return orders
+
+    def on_navdata(self, state, battery_pct, now_s):
+        """The vehicle reported its state number and its battery."""
+        orders = Orders()
+        # A packet without the vehicle's main block is published as state 0 with battery 0.
+        self.ladder.note_navdata(battery_pct if state != FlightState.UNKNOWN else None, now_s)
+        self.flight_state = state
+        if not self._params.Simulation:
+            if state in _ON_GROUND:
+                if self._takeoff_s is None or now_s - self._takeoff_s > self._params.takeoff_grace_s:
+                    self.airborne, self._takeoff_s = False, None
+            elif state not in _NO_EVIDENCE:
+                self.airborne, self._takeoff_s = True, None
+        if state in _ON_GROUND and self.autonomous and not self.airborne:
+            self._set_mode(False, orders, "landed")
+        return orders
+
+    def on_state(self, own, age_s, now_s):
+        """The vehicle was seen (`OwnState`); do not call for entries that are not visible."""
+        if not all(map(math.isfinite, (*own.position_m, own.climb_rate_m_s, own.phi_rad, own.theta_rad))):
+            return
+        self.ladder.note_state(own.position_m, age_s, now_s)
+        self._state = own
+        self._state_s = now_s - max(age_s, 0.0)
+
+    def on_controls(self, own, stamp_s, age_s, now_s):
+        """A command of the controller (`OwnControl`) with the stamp of the state it answers."""
+        orders = Orders()
+        if not all(map(math.isfinite, own)):
+            orders.log.append(("warn", "the controller sent a command that is not finite: ignored"))
+            return orders
+        self.ladder.note_controls(age_s, now_s)
+        if not self.autonomous or self._ended:
+            return orders
+        self._judge(orders, now_s)
+        if self.ladder.verdict.rung == Rung.OK and self._takes_commands() and self._slots.due(now_s):
+            self._send(self._map(own, now_s), stamp_s, orders, now_s)
+        return orders
+
+    def tick(self, now_s):
+        """To be called at twice the command rate or more: manual commands, the ladder, the status."""
+        orders = Orders()
+        if self._ended:
+            return orders
+        self._centre_silent_sticks(orders, now_s)
+        self._judge(orders, now_s)
+        if self._status_slots.due(now_s):
+            orders.status = self.autonomous
+        safe = not self.autonomous or self.ladder.verdict.rung > Rung.OK
+        if orders.command is None and safe and self._takes_commands() and self._slots.due(now_s):
+            self._send_safe(orders, now_s)
+        return orders
+
+    def on_shutdown(self, now_s):
+        """One round of the last orders: level and, whatever is known of it, land. Nothing but a reset follows."""
+        self._ended = True
+        orders = Orders(land=True)
+        self._send(CENTRED, 0.0, orders, now_s)
+        return orders
+
+    def needs_landing(self, now_s):
+        """True while the vehicle may be in the air and does not report that it lands."""
+        obeys = self.flight_state == FlightState.LANDING and self.ladder.navdata_is_fresh(now_s)
+        return self.airborne and not obeys
+
+    # --- what is decided ----------------------------------------------------------------------------------------
+
+    def _takes_commands(self):
+        return self._params.Simulation or self.flight_state in _TAKES_COMMANDS
+
+    def _centre_silent_sticks(self, orders, now_s):
+        """A deflection holds only as long as the joystick repeats it: it may be unplugged, or its node dead."""
+        limit_s = self._params.stick_timeout
+        if 0.0 < limit_s < now_s - self._joy_s and self._sticks != CENTRED:
+            self._sticks = CENTRED
+            orders.log.append(
+                (
+                    "warn",
+                    "joystick silent for %g s with its sticks deflected: taken as centred (joy_node must repeat: set "
+                    "its autorepeat_rate, e.g. 20)" % limit_s,
+                )
+            )
+
+    def _takeoff_or_land(self, orders, now_s):
+        """The vehicle's own report decides, not what was pressed before (D-31); an old report decides nothing."""
+        fresh = self.ladder.navdata_is_fresh(now_s)
+        if self.flight_state != FlightState.LANDED or not fresh:
+            orders.land = True
+            unsure = "" if fresh else " (the vehicle is silent, so the button means land)"
+            if self.flight_state is None:
+                unsure = " (nothing was heard of the vehicle)"
+            orders.log.append(("info", "landing" + unsure))
+            if self.autonomous:
+                self._set_mode(False, orders, "landing")
+        elif self.ladder.battery_is_low():
+            orders.log.append(
+                (
+                    "warn",
+                    "take-off refused: the battery is at or below %g %%: charge it, or lower "
+                    "battery_min_pct" % self.ladder.limits.battery_min_pct,
+                )
+            )
+        else:
+            orders.takeoff = self.airborne = True
+            self._takeoff_s = now_s
+            orders.log.append(("info", "taking off"))
+
+    def _toggle(self, orders, now_s):
+        if self.autonomous:
+            self.ladder.take_over()
+            self._set_mode(False, orders, "joystick")
+            return
+        if self.ladder.verdict.rung > Rung.OK:
+            self.ladder.take_over()
+            orders.log.append(("info", "operator takes over, manual"))
+            return
+        problem = self.ladder.autonomy_problem(now_s, not self._params.Simulation)
+        if not problem and not self._takes_commands():
+            # References would leave at once, and no command follow them.
+            problem = "the vehicle does not fly yet (%s): take off and wait until it hovers" % self._state_text()
+        if problem:
+            orders.log.append(("warn", "autonomous mode refused: %s" % problem))
+            return
+        self._set_mode(True, orders, "joystick")
+
+    def _state_text(self):
+        """E.g. "state 6, taking off"."""
+        if self.flight_state is None:
+            return "no state yet"
+        known = self.flight_state in tuple(FlightState)
+        name = FlightState(self.flight_state).name.lower().replace("_", " ") if known else "not known"
+        return "state %d, %s" % (self.flight_state, name)
+
+    def _set_mode(self, autonomous, orders, why):
+        self.autonomous = orders.mode = autonomous
+        orders.log.append(("info", "%s mode (%s)" % ("autonomous" if autonomous else "manual", why)))
+
+    def _judge(self, orders, now_s):
+        """Run the ladder; a new rung is acted on at once, not at the next slot."""
+        ladder = self.ladder
+        before = ladder.verdict
+        obeys = self.flight_state == FlightState.LANDING
+        verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, not self._params.Simulation)
+        if verdict.text != self._safety_text:
+            self._safety_text = orders.safety = verdict.text
+            if verdict.rung > before.rung or verdict.operator:
+                orders.log.append(("error" if verdict.operator else "warn", verdict.text))
+            elif before.rung > Rung.OK:
+                orders.log.append(("info", "safety: %s" % verdict.text))
+        if verdict.rung == Rung.LAND and now_s - self._land_s >= self._params.land_repeat_s:
+            self._land_s = now_s
+            orders.land = True
+        if verdict.rung > before.rung and self._takes_commands():
+            self._slots.restart(now_s)
+            self._send_safe(orders, now_s)
+
+    def _map(self, own, now_s):
+        """`OwnControl` -> Sticks: eqs 5.3-5.4 for the climb rate; tilt and yaw rate are fractions already."""
+        state = self._state
+        climb_rate_m_s = self._climb.predict(state.climb_rate_m_s, self._state_s, now_s)
+        climb_m_s = climb_rate_command(
+            own.thrust_n, state.phi_rad, state.theta_rad, climb_rate_m_s, self._params.delay, self._type.mass_kg
+        )
+        up = climb_m_s / self._type.climb_max_m_s
+        return Sticks(*(min(max(value, -1.0), 1.0) for value in (own.theta, own.phi, up, own.psi)))
+
+    def _send_safe(self, orders, now_s):
+        """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""
+        holds = self.ladder.verdict.rung > Rung.OK
+        orders.level_only = holds and not self._params.hold_auto_hover
+        self._send(CENTRED if holds else self._sticks, 0.0, orders, now_s)
+
+    def _send(self, sticks, stamp_s, orders, now_s):
+        self._climb.sent(now_s, sticks.up * self._type.climb_max_m_s)
+        orders.command = (sticks, stamp_s)
+
+
+def _number(value, name):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError("parameter %s must be a number, found %r" % (name, value))
+    return float(value)

@@ -1,0 +1,168 @@
+#!/usr/bin/env python3
+"""The controller nodes on their topics: stamps, names, signs, silence, weights in flight."""
+
+import threading
+import time
+import unittest
+
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from dynamic_reconfigure.client import Client
+from std_msgs.msg import Bool
+
+from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
+
+NAMES = ("fluffy_II", "albatross")
+TIMEOUT_S = 20.0
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline, "not within %g s: %s" % (TIMEOUT_S, what)
+        time.sleep(0.005)
+
+
+class Lab:
+    """States at 200 Hz and references at 200 Hz, as long as they are switched on."""
+
+    def __init__(self):
+        self.offset_m = dict.fromkeys(NAMES, (0.0, 0.0, 0.0))  # reference - actual
+        self.psi_deg = 0.0
+        self.visible = dict.fromkeys(NAMES, True)
+        self.referenced = NAMES
+        self.age_s = 0.0
+        self.received = {"/controls": [], "/thesis_controls": []}
+        self.sent = []
+        self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
+        self._references = rospy.Publisher("/trajectory", Trajectories, queue_size=1)
+        self._status = [rospy.Publisher("/risc%d/controller_status" % k, Bool, queue_size=1) for k in (1, 2)]
+        for topic, messages in self.received.items():
+            rospy.Subscriber(topic, Controls, messages.append, queue_size=100)
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self):
+        rate = rospy.Rate(200)
+        try:
+            while not rospy.is_shutdown():
+                stamp = rospy.Time.now()
+                references = Trajectories()
+                references.header.stamp = stamp
+                states = Cortex()
+                states.header.stamp = stamp - rospy.Duration(self.age_s)
+                # the order differs from the fleet's, and there is somebody whom nobody knows
+                for name in (*reversed(NAMES), "ghost"):
+                    x, y, z = self.offset_m.get(name, (0.0, 0.0, 0.0))
+                    states.Obj.append(States(name=name, visible=self.visible.get(name, True), z=1.0, psi=self.psi_deg))
+                    if name in self.referenced:
+                        psi = self.psi_deg * 3.141592653589793 / 180.0
+                        references.Obj.append(Trajectory(name=name, x=x, y=y, z=1.0 + z, psi=psi))
+                self._references.publish(references)
+                self._states.publish(states)
+                self.sent.append(states.header.stamp)
+                for publisher in self._status:
+                    publisher.publish(True)
+                rate.sleep()
+        except rospy.ROSException:
+            pass  # the end of the test
+
+
+class ControllerNodeTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.lab = Lab()
+        wait_for(lambda: all(cls.lab.received.values()), "both controllers answer")
+
+    def setUp(self):
+        self.lab.__dict__.update(
+            offset_m=dict.fromkeys(NAMES, (0.0, 0.0, 0.0)),
+            psi_deg=0.0,
+            visible=dict.fromkeys(NAMES, True),
+            referenced=NAMES,
+            age_s=0.0,
+        )
+        time.sleep(0.3)
+
+    def newest(self, topic, after_s=0.25):
+        """{name: Control} of the newest message, after changes had time to arrive."""
+        time.sleep(after_s)
+        return {control.name: control for control in self.lab.received[topic][-1].Obj}
+
+    def test_answers_every_state_with_its_stamp(self):
+        begin = len(self.lab.sent)
+        time.sleep(1.0)
+        sent = set(self.lab.sent[begin : begin + 150])
+        for topic, messages in self.lab.received.items():
+            answered = sent & {message.header.stamp for message in messages}
+            self.assertGreater(len(answered), 0.9 * len(sent), topic)
+            self.assertEqual(messages[-1].header.frame_id, "cortex")
+            self.assertEqual([control.name for control in messages[-1].Obj], list(NAMES))
+
+    def test_signs_by_name(self):
+        for topic in self.lab.received:
+            self.lab.psi_deg = 0.0
+            self.lab.offset_m = {"fluffy_II": (0.1, 0.0, 0.0), "albatross": (0.0, 0.1, 0.0)}
+            controls = self.newest(topic)
+            self.assertGreater(controls["fluffy_II"].theta, 0.02, "forward")
+            self.assertAlmostEqual(controls["fluffy_II"].phi, 0.0, delta=0.01)
+            self.assertGreater(controls["albatross"].phi, 0.02, "left")
+            # nose to the right: what was left is behind
+            self.lab.psi_deg = 90.0
+            controls = self.newest(topic)
+            self.assertGreater(controls["fluffy_II"].phi, 0.02)
+            self.assertLess(controls["albatross"].theta, -0.02)
+
+    def test_who_is_not_seen_gets_no_command_and_the_others_fly_on(self):
+        self.lab.offset_m = dict.fromkeys(NAMES, (0.1, 0.1, 0.1))
+        self.lab.visible = {"fluffy_II": False, "albatross": True}
+        for topic in self.lab.received:
+            controls = self.newest(topic)
+            self.assertNotIn("fluffy_II", controls)
+            self.assertGreater(controls["albatross"].theta, 0.02)
+
+    def test_who_has_no_reference_gets_no_command(self):
+        """As when the trajectory node dies: silence is what the vehicle node's loss ladder acts on."""
+        self.lab.offset_m = dict.fromkeys(NAMES, (0.1, 0.1, 0.1))
+        self.lab.referenced = ("albatross",)
+        for topic in self.lab.received:
+            controls = self.newest(topic, after_s=0.6)
+            self.assertNotIn("fluffy_II", controls)
+            self.assertGreater(controls["albatross"].theta, 0.02)
+
+    def test_old_states_are_not_flown_on(self):
+        self.lab.offset_m = dict.fromkeys(NAMES, (0.1, 0.1, 0.1))
+        self.lab.age_s = 0.5
+        for topic in self.lab.received:
+            self.assertEqual(self.newest(topic, after_s=0.8), {})
+
+    def test_weights_change_in_flight_and_wrong_ones_do_not(self):
+        self.lab.offset_m = dict.fromkeys(NAMES, (0.05, 0.0, 0.0))
+        client = Client("/full", timeout=TIMEOUT_S)
+        before = client.get_configuration()
+        self.assertEqual(before["q_position"], 200.0, "from the YAML file")
+        strong = self.newest("/controls")["fluffy_II"].theta
+        client.update_configuration({"q_position": 5.0, "q_integral": 0.0, "q_velocity": 5.0})
+        weak = self.newest("/controls")["fluffy_II"].theta
+        self.assertLess(weak, 0.5 * strong)
+        refused = client.update_configuration({"q_position": 0.0, "q_velocity": 0.0})
+        self.assertEqual(refused["q_position"], 5.0)
+        client.update_configuration({name: before[name] for name in ("q_position", "q_integral", "q_velocity")})
+
+    def test_diagnostics(self):
+        statuses = {}
+
+        def collect(message):
+            statuses.update((status.name, status) for status in message.status)
+
+        rospy.Subscriber("/diagnostics", DiagnosticArray, collect)
+        wait_for(lambda: "full: controller" in statuses, "diagnostics")
+        wait_for(lambda: statuses["full: controller"].message == "controlling", "a good summary")
+        values = {value.key: value.value for value in statuses["full: controller"].values}
+        self.assertGreater(float(values["states (Hz)"]), 100.0)
+        self.assertEqual(values["autonomous"], "fluffy_II, albatross")
+
+
+if __name__ == "__main__":
+    rospy.init_node("controller_node_test")
+    rostest.rosrun("risc_control", "controller_node_test", ControllerNodeTest)

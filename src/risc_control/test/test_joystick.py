@@ -1,0 +1,108 @@
+"""risc_control.joystick: edges, sticks, and messages that lack something."""
+
+import math
+
+import pytest
+
+from risc_control.joystick import Button, Joystick, JoystickParams, Sticks, parse_bool
+
+
+def buttons(*down, count=11):
+    return [1 if index in down else 0 for index in range(count)]
+
+
+def axes(**values):
+    """Axes of the legacy defaults: roll 6, pitch 7, yaw 3."""
+    result = [0.0] * 8
+    for name, value in values.items():
+        result[{"roll": 6, "pitch": 7, "yaw": 3}[name]] = value
+    return result
+
+
+def test_defaults_are_those_of_the_original_release():
+    p = JoystickParams()
+    assert (p.JoytoWay, p.ButtonEmergency, p.TakeoffLand, p.Up, p.Down, p.ShutDownNode) == (5, 1, 2, 3, 4, 0)
+    assert (p.AxisRoll, p.AxisPitch, p.AxisYaw) == (6, 7, 3)
+    assert (p.ScaleRoll, p.ScalePitch, p.ScaleYaw, p.ScaleZ) == (1, 1, 1, 1)
+
+
+def test_buttons_count_once_however_long_they_are_held():
+    joystick = Joystick(JoystickParams())
+    assert joystick.update(buttons(), axes()).pressed == frozenset()
+    assert joystick.update(buttons(2), axes()).pressed == {Button.TAKEOFF_LAND}
+    again = joystick.update(buttons(2), axes())
+    assert (again.pressed, again.held) == (frozenset(), {Button.TAKEOFF_LAND})
+    assert joystick.update(buttons(2, 5), axes()).pressed == {Button.TOGGLE_AUTONOMOUS}
+    joystick.update(buttons(), axes())
+    assert joystick.update(buttons(2), axes()).pressed == {Button.TAKEOFF_LAND}
+
+
+def test_first_message_can_be_a_press():
+    assert Joystick(JoystickParams()).update(buttons(1), axes()).pressed == {Button.EMERGENCY}
+
+
+@pytest.mark.parametrize(
+    ("stick", "expected"),
+    [
+        ({"pitch": 0.5}, Sticks(0.25, 0.0, 0.0, 0.0)),
+        ({"roll": -0.9}, Sticks(0.0, -0.3, 0.0, 0.0)),
+        ({"yaw": 1.0}, Sticks(0.0, 0.0, 0.0, 1.0)),  # 1 / 0.5, limited
+    ],
+)
+def test_sticks_are_divided_by_their_scale(stick, expected):
+    joystick = Joystick(JoystickParams(ScalePitch=2.0, ScaleRoll=3.0, ScaleYaw=0.5))
+    assert joystick.update(buttons(), axes(**stick)).sticks == pytest.approx(expected)
+
+
+def test_up_and_down_buttons():
+    joystick = Joystick(JoystickParams(ScaleZ=4.0))
+    assert joystick.update(buttons(3), axes()).sticks.up == 0.25
+    assert joystick.update(buttons(4), axes()).sticks.up == -0.25
+    assert joystick.update(buttons(3, 4), axes()).sticks.up == 0.0
+    assert joystick.update(buttons(), axes()).sticks.up == 0.0
+
+
+def test_a_small_joystick_is_a_problem_and_no_error():
+    joystick = Joystick(JoystickParams())
+    joy = joystick.update([0, 1], [0.0])
+    assert joy.pressed == {Button.EMERGENCY}, "what is there works"
+    assert joy.sticks == Sticks(0.0, 0.0, 0.0, 0.0)
+    text = " ".join(joy.problems)
+    for name in ("TakeoffLand", "JoytoWay", "AxisRoll", "2 buttons", "1 axes"):
+        assert name in text
+    assert Joystick(JoystickParams()).update([], []).pressed == frozenset()
+
+
+def test_axis_that_is_no_number():
+    joy = Joystick(JoystickParams()).update(buttons(), axes(roll=math.nan))
+    assert joy.sticks.left == 0.0
+    assert "AxisRoll" in joy.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "name"),
+    [
+        ({"ScaleRoll": 0.0}, "ScaleRoll"),
+        ({"AxisYaw": -1}, "AxisYaw"),
+        ({"Up": 1.5}, "Up"),
+        ({"Down": "4"}, "Down"),
+        ({"Down": 3}, "Up and Down"),
+    ],
+)
+def test_bad_parameters_are_named(kwargs, name):
+    with pytest.raises(ValueError, match=name):
+        JoystickParams(**kwargs)
+
+
+@pytest.mark.parametrize(
+    ("value", "meaning"),
+    [("False", False), ("True", True), ("false", False), (True, True), (0, False), (1, True), ("0", False)],
+)
+def test_parse_bool(value, meaning):
+    assert parse_bool(value, "Simulation") is meaning
+
+
+@pytest.mark.parametrize("value", ["maybe", 2, None, [True]])
+def test_parse_bool_refuses(value):
+    with pytest.raises(ValueError, match="Simulation"):
+        parse_bool(value, "Simulation")

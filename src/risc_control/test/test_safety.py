@@ -1,0 +1,289 @@
+"""risc_control.safety: every rule of the loss ladder, with a clock that the test turns."""
+
+import dataclasses
+import math
+
+import pytest
+
+from risc_control.safety import Freshness, Rung, SafetyLadder, SafetyLimits
+
+INSIDE = (0.5, -0.5, 1.0)
+
+
+class Flight:
+    """A ladder in autonomous flight on which everything arrives at 200 Hz, except what the test cuts off."""
+
+    def __init__(self, limits=None, autonomous=True):
+        self.now_s = 1000.0
+        self.ladder = SafetyLadder(limits or SafetyLimits(), self.now_s)
+        self.autonomous = autonomous
+        self.position = INSIDE
+        self.battery = 80.0
+        self.alive = {"state", "controls", "navdata", "joystick"}
+        self.run(0.1)
+
+    def run(self, duration_s, airborne=True, obeys=False):
+        """Go on for so long; returns the verdict at the end."""
+        for _ in range(round(duration_s / 0.005)):
+            self.now_s += 0.005
+            if "state" in self.alive:
+                self.ladder.note_state(self.position, 0.004, self.now_s)
+            if "controls" in self.alive:
+                self.ladder.note_controls(0.006, self.now_s)
+            if "navdata" in self.alive:
+                self.ladder.note_navdata(self.battery, self.now_s)
+            if "joystick" in self.alive:
+                self.ladder.note_joystick(self.now_s)
+            self.ladder.update(self.now_s, self.autonomous, airborne, obeys)
+        return self.ladder.verdict
+
+
+def test_normal_flight_is_ok():
+    verdict = Flight().run(5.0)
+    assert (verdict.rung, verdict.text) == (Rung.OK, "ok")
+
+
+@pytest.mark.parametrize("what", ["state", "controls"])
+def test_loss_holds_then_lands(what):
+    flight = Flight()
+    flight.alive.remove(what)
+    assert flight.run(0.09).rung == Rung.OK
+    verdict = flight.run(0.02)
+    assert verdict.rung == Rung.HOLD
+    assert verdict.text.startswith("hold: %s 1" % what)
+    assert flight.run(0.35).rung == Rung.HOLD
+    verdict = flight.run(0.05)
+    assert verdict.rung == Rung.LAND
+    assert verdict.text.startswith("land: %s 50" % what)
+    assert [reaction.rung for reaction in flight.ladder.reactions] == [Rung.HOLD, Rung.LAND]
+    for reaction in flight.ladder.reactions:
+        assert 0.0 < reaction.beyond_s <= 0.0051, "noticed at the first look after the limit"
+
+
+def test_hold_ends_at_once_when_fresh_again():
+    flight = Flight()
+    flight.alive.remove("state")
+    assert flight.run(0.3).rung == Rung.HOLD
+    flight.alive.add("state")
+    assert flight.run(0.005).rung == Rung.OK
+
+
+def test_land_stays_when_fresh_again_until_landed():
+    flight = Flight()
+    flight.alive.remove("state")
+    flight.run(0.6)
+    flight.alive.add("state")
+    assert flight.run(1.0, obeys=True).rung == Rung.LAND
+    assert flight.run(0.005, airborne=False).rung == Rung.OK
+
+
+def test_land_ends_when_the_operator_takes_over():
+    flight = Flight()
+    flight.alive.remove("state")
+    assert flight.run(0.6).rung == Rung.LAND
+    flight.autonomous = False
+    flight.ladder.take_over()
+    assert flight.run(1.0).rung == Rung.OK, "in manual mode the operator's eyes replace mocap"
+
+
+def test_old_stamps_are_losses_even_when_messages_arrive():
+    ladder = SafetyLadder(SafetyLimits(), 0.0)
+    ladder.note_navdata(90.0, 10.0)
+    ladder.note_state(INSIDE, 0.3, 10.0)  # a network that delivers late
+    ladder.note_controls(0.3, 10.0)
+    assert ladder.update(10.0, True, True).rung == Rung.HOLD
+    ladder.note_state(INSIDE, 150.0, 10.1)  # the backlog after a cable was pulled
+    assert ladder.update(10.1, True, True).rung == Rung.LAND
+
+
+def test_stamps_in_the_future_do_not_count_and_say_why():
+    fresh = Freshness("state", 0.1)
+    fresh.note(-0.05, 5.0)
+    assert fresh.age_s(5.0) == 0.0, "a little is tolerated"
+    fresh.note(-2.0, 5.2)
+    assert fresh.age_s(5.2) == pytest.approx(0.2)
+    assert "2000 ms in the future" in fresh.describe(5.2)
+    assert "clocks" in fresh.describe(5.2)
+
+
+def test_before_the_first_message():
+    ladder = SafetyLadder(SafetyLimits(), 0.0)
+    assert math.isinf(ladder.state.age_s(1.0))
+    assert ladder.autonomy_problem(1.0) == "no state yet"
+    ladder.note_state(INSIDE, 0.0, 1.0)
+    assert ladder.autonomy_problem(1.0) == "no controls yet"
+    ladder.note_controls(0.0, 1.0)
+    assert ladder.autonomy_problem(1.0) == "no navdata yet"
+    assert ladder.autonomy_problem(1.0, needs_navdata=False) == ""
+    ladder.note_navdata(50.0, 1.0)
+    assert ladder.autonomy_problem(1.0) == ""
+    assert "state 110 ms" in ladder.autonomy_problem(1.11), "what would hold also refuses"
+
+
+def test_silent_vehicle_lands():
+    flight = Flight()
+    flight.alive.remove("navdata")
+    assert flight.run(0.99).rung == Rung.OK
+    assert flight.run(0.02).text == "land: navdata silent for 1.0 s"
+    off = Flight(SafetyLimits(navdata_timeout_s=0.0))
+    off.alive.remove("navdata")
+    assert off.run(5.0).rung == Rung.OK
+
+
+@pytest.mark.parametrize("autonomous", [True, False])
+def test_lost_joystick_lands_in_both_modes(autonomous):
+    flight = Flight(SafetyLimits(joystick_timeout=1.0), autonomous)
+    flight.alive.remove("joystick")
+    assert flight.run(0.99).rung == Rung.OK
+    assert flight.run(0.02).text == "land: joystick silent for 1.0 s"
+    flight.alive.add("joystick")
+    assert flight.run(1.0).rung == Rung.LAND, "stays until landed or taken over"
+
+
+def test_a_silent_joystick_is_no_loss_by_default():
+    flight = Flight()
+    flight.alive.remove("joystick")
+    assert flight.run(30.0).rung == Rung.OK
+
+
+@pytest.mark.parametrize("position", [(2.35, 0, 1), (-2.35, 0, 1), (0, 1.9, 1), (0, -1.9, 1), (0, 0, 2.9)])
+def test_fence_lands_after_some_frames(position):
+    flight = Flight()
+    flight.position = position
+    assert flight.run(0.045).rung == Rung.OK
+    verdict = flight.run(0.02)
+    assert verdict.rung == Rung.LAND
+    assert "fence at (%.2f, %.2f, %.2f)" % position in verdict.text
+    assert "fence" in flight.ladder.autonomy_problem(flight.now_s)
+
+
+@pytest.mark.parametrize("position", [(2.2, 1.8, 2.7), (-2.2, -1.8, 0.0)])
+def test_inside_the_fence(position):
+    flight = Flight()
+    flight.position = position
+    assert flight.run(1.0).rung == Rung.OK
+
+
+def test_one_false_position_is_no_escape():
+    flight = Flight()
+    flight.position = (9.0, 0.0, 1.0)
+    flight.run(0.005)
+    flight.position = INSIDE
+    assert flight.run(0.2).rung == Rung.OK
+    flight.position = (9.0, 0.0, 1.0)
+    flight.run(0.005)
+    flight.alive.remove("state")  # and neither is one followed by silence
+    assert flight.run(0.2).text.startswith("hold: state")
+
+
+def test_low_battery_lands():
+    flight = Flight()
+    flight.battery = 10.4
+    assert flight.run(0.1).rung == Rung.OK
+    flight.battery = 10.0
+    assert flight.run(0.495).rung == Rung.OK
+    assert flight.run(0.02).text == "land: battery at 10 %"
+    off = Flight(SafetyLimits(battery_min_pct=0.0))
+    off.battery = 0.0
+    assert off.run(1.0).rung == Rung.OK
+
+
+def test_one_false_battery_report_is_no_empty_battery():
+    flight = Flight()
+    for silence in (False, True):
+        flight.battery = 0.0
+        flight.run(0.4)
+        assert flight.ladder.battery_is_low(), "enough to refuse a take-off"
+        if silence:
+            flight.alive.remove("navdata")  # silence does not make it more true
+        flight.battery = 80.0
+        assert flight.run(0.5).rung == Rung.OK
+
+
+def test_reports_without_a_battery_change_nothing_about_it():
+    ladder = SafetyLadder(SafetyLimits(navdata_timeout_s=1.0), 0.0)
+    ladder.note_navdata(None, 1.0)
+    assert not ladder.battery_is_low()
+    assert ladder.navdata_is_fresh(1.9), "but they are reports"
+    ladder.note_navdata(9.0, 2.0)
+    ladder.note_navdata(None, 2.1)
+    assert ladder.battery_is_low()
+
+
+@pytest.mark.parametrize("limit_s", [0.5, 1.0, 0.0])
+def test_old_reports_tell_nothing(limit_s):
+    ladder = SafetyLadder(SafetyLimits(navdata_timeout_s=limit_s), 0.0)
+    assert not ladder.navdata_is_fresh(0.0), "none yet"
+    ladder.note_navdata(50.0, 10.0)
+    used_s = limit_s or 1.0
+    assert ladder.navdata_is_fresh(10.0 + used_s)
+    assert not ladder.navdata_is_fresh(10.01 + used_s)
+
+
+def test_manual_mode_needs_nothing_but_the_joystick():
+    flight = Flight(autonomous=False)
+    flight.alive.clear()
+    flight.position, flight.battery = (5.0, 5.0, 5.0), 1.0
+    assert flight.run(10.0).rung == Rung.OK
+
+
+def test_on_the_ground_nothing_is_lost():
+    flight = Flight()
+    flight.alive.clear()
+    assert flight.run(5.0, airborne=False).rung == Rung.OK
+
+
+def test_landing_without_effect_becomes_the_operators():
+    flight = Flight()
+    flight.alive.remove("state")
+    verdict = flight.run(0.6)
+    assert (verdict.rung, verdict.operator) == (Rung.LAND, False)
+    assert not flight.run(1.8).operator
+    verdict = flight.run(0.3)
+    assert verdict.operator
+    assert verdict.text.startswith("land: state 50")
+    assert "emergency stop" in verdict.text
+
+
+def test_a_vehicle_that_obeys_is_left_to_land():
+    flight = Flight()
+    flight.alive.remove("state")
+    flight.run(0.6)
+    assert not flight.run(20.0, obeys=True).operator
+
+
+def test_the_call_for_the_operator_ends_when_it_obeys():
+    flight = Flight()
+    flight.alive.remove("state")
+    assert flight.run(3.0).operator
+    verdict = flight.run(0.005, obeys=True)
+    assert (verdict.rung, verdict.operator) == (Rung.LAND, False)
+    assert "emergency stop" not in verdict.text
+
+
+def test_one_report_of_landing_followed_by_silence_does_not_count_for_ever():
+    flight = Flight()
+    flight.alive.remove("state")
+    flight.run(0.6, obeys=True)
+    flight.alive.remove("navdata")
+    assert not flight.run(2.9, obeys=True).operator
+    verdict = flight.run(0.2, obeys=True)
+    assert verdict.operator
+    assert "emergency stop" in verdict.text
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"state_hold_s": 0.0},
+        {"state_hold_s": 0.6},
+        {"controls_land_s": 0.05},
+        {"navdata_timeout_s": -1.0},
+        {"fence_margin_m": math.nan},
+        {"fence_margin_m": 3.0},
+        {"fence_min_m": (-1.0, -1.0, math.inf)},
+    ],
+)
+def test_bad_limits_are_named(bad):
+    with pytest.raises(ValueError, match=next(iter(bad)).split("_")[0]):
+        dataclasses.replace(SafetyLimits(), **bad)

@@ -1,0 +1,272 @@
+"""Controllers: equilibrium, signs at every yaw, limits, integrators, what cannot be used; closed loop on the nominal
+vehicle."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from risc_control.frames import GRAVITY_M_S2 as G
+from risc_control.lab import load_vehicle_type
+from risc_control.mappings.ardrone import ArdroneMapping
+from risc_control.prediction import NominalModel, discretised
+from risc_control.tracking import DoubleIntegratorController, FlatnessController, LqrWeights, States, TrackingParams
+from risc_control.trajectories import YawProgram, make_course
+
+ARDRONE = load_vehicle_type("ardrone")
+HOVER_N = ARDRONE.mass_kg * G
+BOTH = [FlatnessController, DoubleIntegratorController]
+YAWS_DEG = [0, 45, 90, 135, 180, -60, -120]
+DT_S = 0.005
+
+
+def states(position=(0, 0, 1), velocity=(0, 0, 0), angles=(0, 0, 0), rates=(0, 0, 0), n=1, visible=True):
+    parts = [np.tile(np.array(part, dtype=float), (n, 1)) for part in (position, velocity, angles, rates)]
+    return States(np.full(n, visible), *parts)
+
+
+def standing(x=0.0, y=0.0, z=1.0, psi=0.0, n=1):
+    reference = np.zeros((5, n, 4))
+    reference[0] = x, y, z, psi
+    return reference
+
+
+def update(controller, state, reference, stamp_s=100.0, usable=True, autonomous=True):
+    n = len(state.visible)
+    return controller.update(
+        stamp_s, stamp_s + 0.004, state, reference, reference, np.full(n, usable), np.full(n, autonomous)
+    )
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@pytest.mark.parametrize("psi_deg", YAWS_DEG)
+def test_hover_is_an_equilibrium(kind, psi_deg):
+    psi = math.radians(psi_deg)
+    output = update(kind([ARDRONE]), states(angles=(0, 0, psi)), standing(psi=psi))
+    for fraction in output.fractions[:3]:
+        assert fraction[0] == pytest.approx(0.0, abs=1e-12)
+    assert output.fractions.thrust_n[0] == pytest.approx(HOVER_N)
+    assert not output.saturated[0]
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@pytest.mark.parametrize("psi_deg", YAWS_DEG)
+@pytest.mark.parametrize("direction_deg", [0, 90, 200])
+def test_moves_toward_the_reference_at_every_yaw(kind, psi_deg, direction_deg):
+    """The commanded tilt, turned into cortex axes by hand, points from the vehicle to its reference (D-23, D-25)."""
+    psi, direction = math.radians(psi_deg), math.radians(direction_deg)
+    error = 0.1 * np.array([math.cos(direction), math.sin(direction)])
+    output = update(kind([ARDRONE]), states(angles=(0, 0, psi)), standing(*error, psi=psi))
+    forward, left = (
+        output.fractions.theta[0] * ARDRONE.pitch.gain,
+        output.fractions.phi[0] * ARDRONE.roll.gain,
+    )
+    # cortex: at yaw psi the nose is (cos, -sin) and the left wing (sin, cos)
+    moves = forward * np.array([math.cos(psi), -math.sin(psi)]) + left * np.array([math.sin(psi), math.cos(psi)])
+    assert moves / np.linalg.norm(moves) == pytest.approx(error / 0.1, abs=0.06)
+    assert output.fractions.thrust_n[0] == pytest.approx(HOVER_N, rel=0.06)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_brakes_climbs_and_turns_the_right_way(kind):
+    controller = kind([ARDRONE])
+    assert update(controller, states(velocity=(0.3, 0, 0)), standing()).fractions.theta[0] < -0.01
+    assert update(kind([ARDRONE]), states(velocity=(0, 0.3, 0)), standing()).fractions.phi[0] < -0.01
+    assert update(kind([ARDRONE]), states(), standing(z=1.1)).fractions.thrust_n[0] > 1.01 * HOVER_N
+    assert update(kind([ARDRONE]), states(velocity=(0, 0, 0.2)), standing()).fractions.thrust_n[0] < HOVER_N
+    # clockwise is + in psi and - in the fraction
+    assert update(kind([ARDRONE]), states(), standing(psi=0.1)).fractions.psi[0] < -0.01
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_turns_the_short_way_round(kind):
+    near = states(angles=(0, 0, math.radians(175)))
+    output = update(kind([ARDRONE]), near, standing(psi=math.radians(-175)))
+    assert -1.0 < output.fractions.psi[0] < -0.05, "10 degrees clockwise"
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_far_away_is_bounded_and_said(kind):
+    controller = kind([ARDRONE], params=TrackingParams(error_max_m=5.0))
+    output = update(controller, states(), standing(30.0, 40.0, 20.0, math.pi))
+    assert all(np.abs(fraction[0]) <= 1.0 for fraction in output.fractions[:3])
+    assert output.saturated[0] and 0.0 < output.fractions.thrust_n[0] < 10.0 * HOVER_N
+    tilt = output.fractions.theta[0] * ARDRONE.pitch.gain, output.fractions.phi[0] * ARDRONE.roll.gain
+    assert math.atan2(tilt[1], tilt[0]) == pytest.approx(math.atan2(40.0, 30.0), abs=0.1), "direction is kept"
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_without_state_or_reference_it_is_level_with_hover_thrust(kind):
+    """Thesis 7.7, and never a thrust of 0 (D-28); the other vehicle is not affected."""
+    controller = kind([ARDRONE] * 2)
+    state = states(position=(0.3, 0.1, 0.8), angles=(0.1, 0.1, 1.0), n=2)
+    broken = state._replace(
+        visible=np.array([False, True]), position_m=np.array([[np.nan, np.inf, 0.0], state.position_m[1]])
+    )
+    output = update(controller, broken, standing(n=2))
+    assert [part[0] for part in output.fractions] == pytest.approx([0.0, 0.0, 0.0, HOVER_N])
+    alone = update(kind([ARDRONE] * 2), state, standing(n=2))
+    assert [part[1] for part in output.fractions] == pytest.approx([part[1] for part in alone.fractions])
+    lost = kind([ARDRONE] * 2).update(
+        100.0, 100.004, state, standing(n=2) * np.nan, standing(n=2) * np.nan, np.zeros(2, bool), np.ones(2, bool)
+    )
+    assert np.array(lost.fractions) == pytest.approx(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [HOVER_N] * 2]))
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_numbers_that_are_not_finite_never_leave(kind):
+    reference = standing()
+    reference[2, 0, 1] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        update(kind([ARDRONE]), states(), reference)
+
+
+def test_thrust_counts_the_tilt_that_the_vehicle_has():
+    controller = FlatnessController([ARDRONE], params=TrackingParams(command_delay_s=0.0))
+    output = update(controller, states(angles=(0.25, 0.0, 0.0)), standing())
+    assert output.fractions.thrust_n[0] > 1.01 * HOVER_N
+
+
+def test_integral_grows_only_in_flight_and_starts_afresh():
+    controller = FlatnessController([ARDRONE])
+
+    def left_after(seconds, autonomous, height_m=1.0, begin_s=0.0):
+        for k in range(int(seconds / DT_S)):
+            stamp_s = begin_s + k * DT_S
+            output = update(controller, states(position=(0, 0, height_m)), standing(y=0.05, z=height_m), stamp_s,
+                            autonomous=autonomous)  # fmt: skip
+        return output.fractions.phi[0]
+
+    first = left_after(0.005, True)
+    assert left_after(1.0, False, begin_s=1.0) == pytest.approx(first, rel=1e-6), "manual: at rest"
+    assert left_after(1.0, True, height_m=0.1, begin_s=3.0) < 1.5 * first, "on the floor: at rest"
+    controller.reset()
+    grown = left_after(1.0, True, begin_s=6.0)
+    assert abs(controller._integral[0]) == pytest.approx(0.05, rel=0.02)
+    left_after(60.0, True, begin_s=8.0)
+    assert abs(controller._integral[0]) <= controller.params.integral_max_m_s + 1e-9
+    assert grown != first
+    left_after(0.1, False, begin_s=70.0)
+    assert controller._integral[0] == 0.0, "somebody else flew it"
+
+
+def test_integral_rests_while_the_command_is_cut():
+    controller = FlatnessController([ARDRONE], params=TrackingParams(error_max_m=5.0, integral_max_m_s=50.0))
+    for k in range(400):
+        update(controller, states(), standing(x=5.0, z=3.0), k * DT_S)
+    assert abs(controller._integral[0]) < 0.1 and abs(controller._height_integral[0]) < 0.1
+
+
+def test_weights_can_change_and_wrong_ones_change_nothing():
+    controller = FlatnessController([ARDRONE])
+    before = update(FlatnessController([ARDRONE]), states(), standing(x=0.1)).fractions.theta[0]
+    with pytest.raises(ValueError, match="q_position must be >= 0"):
+        controller.set_weights(LqrWeights(q_position=-1.0))
+    with pytest.raises(ValueError, match="no weight in Q sees"):
+        controller.set_weights(LqrWeights(q_integral=0.0, q_position=0.0))
+    assert update(controller, states(), standing(x=0.1), 1.0).fractions.theta[0] == pytest.approx(before)
+    controller.set_weights(LqrWeights(q_position=20.0, q_integral=0.0))
+    assert update(controller, states(), standing(x=0.1), 2.0).fractions.theta[0] < 0.8 * before
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: TrackingParams(error_max_m=0.0), "error_max_m must be > 0"),
+        (lambda: LqrWeights(r_yaw=0.0), "r_yaw must be > 0"),
+        (lambda: LqrWeights(q_yaw=math.nan), "q_yaw must be >= 0"),
+        (lambda: FlatnessController([ARDRONE], params=TrackingParams(command_delay_s=3.0)), "command delay must be"),
+        (lambda: FlatnessController([ARDRONE], params=TrackingParams(tilt_max_rad=0.0)), "must be positive"),
+        (
+            lambda: FlatnessController([ARDRONE, replace(ARDRONE, command_delay_s=0.02)]),
+            "vehicles of one command delay",
+        ),
+    ],
+)
+def test_wrong_settings_say_why(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+class NominalVehicles:
+    """Exactly what the controller believes in: linear loops, thrust along the body, drag, a delay. No radio slots."""
+
+    def __init__(self, n, position, psi):
+        self.model = NominalModel.of([ARDRONE] * n)
+        self.mapping = ArdroneMapping([ARDRONE] * n)
+        A, b = self.model.loops()
+        self._phi, self._gamma = discretised(A, b, DT_S)
+        self.x = np.zeros((n, 4, 2))  # (phi, theta, height, psi) and their rates
+        self.x[:, 2, 0], self.x[:, 3, 0] = position[:, 2], psi
+        self.p = position[:, 0] - 1j * position[:, 1]
+        self.v = np.zeros(n, dtype=complex)
+
+    def states(self):
+        position = np.stack([self.p.real, -self.p.imag, self.x[:, 2, 0]], axis=1)
+        velocity = np.stack([self.v.real, -self.v.imag, self.x[:, 2, 1]], axis=1)
+        columns = [0, 1, 3]
+        return States(np.ones(len(self.p), bool), position, velocity, self.x[:, columns, 0], self.x[:, columns, 1])
+
+    def step(self, fractions, climb_at_command_m_s):
+        inputs = self.mapping.to_inputs(fractions)
+        phi, theta, psi = self.x[:, 0, 0], self.x[:, 1, 0], self.x[:, 3, 0]
+        a_up = fractions.thrust_n * np.cos(phi) * np.cos(theta) / ARDRONE.mass_kg - G
+        climb = climb_at_command_m_s + ARDRONE.climb_time_constant_s * a_up
+        lift = G + (climb - self.x[:, 2, 1]) / ARDRONE.climb_time_constant_s
+        a = lift * (-np.tan(theta) + 1j * np.tan(phi) / np.cos(theta)) * np.exp(1j * psi)
+        a = a - self.model.drag_1_s * self.v
+        command = np.stack([inputs.phi_rad, inputs.theta_rad, climb, inputs.yaw_rate_rad_s], axis=1)
+        self.p, self.v = self.p + DT_S * self.v + 0.5 * DT_S**2 * a, self.v + DT_S * a
+        self.x = np.matmul(self._phi, self.x[..., None])[..., 0] + self._gamma * command[..., None]
+
+
+def fly(controller, course, psi, duration_s=13.0, steps_late=26):
+    """Errors (k, n) of a flight from rest at the course's start; commands act steps_late frames later."""
+    n = len(course.paths)
+
+    def reference(time_s):
+        result = np.zeros((5, n, 4))
+        result[..., :3], result[:3, :, 3] = course.at(time_s)
+        return result
+
+    vehicles = NominalVehicles(n, reference(0.0)[0, :, :3], psi)
+    pending, errors, everyone = [], [], np.ones(n, dtype=bool)
+    for k in range(int(duration_s / DT_S)):
+        time_s = k * DT_S
+        state = vehicles.states()
+        ahead = reference(time_s + controller.horizon_s(time_s, time_s))
+        output = controller.update(time_s, time_s, state, reference(time_s), ahead, everyone, everyone)
+        pending.append(output.fractions)
+        if k >= steps_late:
+            # the vehicle node predicts its climb rate to this moment; with the nominal loop it is the true one
+            vehicles.step(pending[k - steps_late], vehicles.x[:, 2, 1].copy())
+        errors.append(np.linalg.norm(reference(time_s)[0, :, :3] - state.position_m, axis=1))
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("name", ["circle", "flat8", "slanted8", "circles3"])
+@pytest.mark.parametrize("psi_deg", [0, 100, -135])
+def test_follows_courses_at_any_yaw_to_millimetres_on_the_nominal_vehicle(name, psi_deg):
+    psi = math.radians(psi_deg)
+    course = make_course(name, 2, YawProgram((psi,), 0.2 if psi_deg == 100 else 0.0))
+    controller = FlatnessController([ARDRONE] * 2)
+    errors = fly(controller, course, psi, steps_late=round(controller.delay_s / DT_S))
+    assert errors[-1000:].max() < 0.006
+    assert errors.max() < 0.35
+
+
+def test_prediction_is_worth_it():
+    """The thesis' controller on the same vehicle, with weights that suit the delay."""
+    course = make_course("circle", 1)
+    late = fly(DoubleIntegratorController([ARDRONE]), course, 0.0, steps_late=27)[-1000:].max()
+    full = fly(FlatnessController([ARDRONE]), course, 0.0, steps_late=27)[-1000:].max()
+    assert full < 0.3 * late < 0.1
+
+
+def test_stable_with_three_times_the_delay_and_with_a_wrong_one():
+    course = make_course("circle", 1)
+    told = FlatnessController([ARDRONE], params=TrackingParams(command_delay_s=0.3))
+    assert fly(told, course, 0.0, steps_late=67)[-1000:].max() < 0.01
+    for steps_late in (17, 37):  # 50 ms less and more than nominal
+        assert fly(FlatnessController([ARDRONE]), course, 0.0, steps_late=steps_late)[-1000:].max() < 0.05

@@ -1,0 +1,237 @@
+"""Courses: exact derivatives, the numbers of chapter 6, separation, the arena; transitions and yaw."""
+
+import math
+
+import numpy as np
+import pytest
+
+from risc_control.trajectories import (
+    COURSES,
+    SAFE_SEPARATION_M,
+    Blend,
+    YawProgram,
+    coasting,
+    course_separation,
+    make_course,
+    minimum_separation,
+    on_course,
+    peak_yaw_rate_rad_s,
+    quadrant,
+    smooth_step,
+    standing,
+)
+
+NET_X_M, NET_Y_M = 2.49, 2.05
+MARGIN_M = 0.4
+
+
+def sampled(course, count=500):
+    times = np.linspace(0.0, course.period_s, count, endpoint=False)
+    return times, np.array([course.at(time_s)[0] for time_s in times])
+
+
+@pytest.mark.parametrize("name", sorted(COURSES))
+@pytest.mark.parametrize("vehicles", [1, 3])
+def test_every_derivative_is_the_central_difference_of_the_one_before(name, vehicles):
+    course, step_s = make_course(name, vehicles), 1e-4
+    for time_s in np.linspace(0.013, course.period_s - 0.017, 41):
+        (before, yaw_before), (here, yaw), (after, yaw_after) = (course.at(time_s + d) for d in (-step_s, 0.0, step_s))
+        slopes = (after[:-1] - before[:-1]) / (2.0 * step_s)
+        assert slopes == pytest.approx(here[1:], abs=2e-5), time_s
+        assert (yaw_after[:-1] - yaw_before[:-1]) / (2.0 * step_s) == pytest.approx(yaw[1:], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["circle", "flat8", "slanted8", "knot"])
+def test_yaw_along_the_path_is_exact_and_points_forward(name):
+    course, step_s = make_course(name, 2, YawProgram(along_path=True)), 1e-5
+    for time_s in np.linspace(0.1, course.period_s, 37):
+        derivatives, yaw = course.at(time_s)
+        nose = np.stack([np.cos(yaw[0]), -np.sin(yaw[0])], axis=1)  # cortex x, y at a clockwise yaw
+        speed = np.linalg.norm(derivatives[1, :, :2], axis=1)
+        assert (nose * derivatives[1, :, :2]).sum(axis=1) == pytest.approx(speed)
+        before, after = course.at(time_s - step_s)[1], course.at(time_s + step_s)[1]
+        turned = np.angle(np.exp(1j * (after[0] - before[0])))
+        assert turned / (2.0 * step_s) == pytest.approx(yaw[1], abs=1e-5)
+        assert (after[1] - before[1]) / (2.0 * step_s) == pytest.approx(yaw[2], abs=1e-4)
+
+
+def test_circle_is_that_of_chapter_6():
+    course = make_course("circle", 1)
+    _, path = sampled(course)
+    assert course.period_s == 8.0
+    assert np.linalg.norm(path[:, 0, 0, :2], axis=1) == pytest.approx(0.8)
+    assert np.all(path[:, 0, 0, 2] == 1.0)
+    assert course.at(0.0)[0][0, 0].tolist() == pytest.approx([0.8, 0.0, 1.0])
+    assert course.at(2.0)[0][0, 0].tolist() == pytest.approx([0.0, 0.8, 1.0])
+
+
+@pytest.mark.parametrize(("name", "height", "slant"), [("flat8", 0.75, 0.0), ("slanted8", 1.0, 0.5)])
+def test_eights_are_those_of_chapter_6(name, height, slant):
+    course, w = make_course(name, 1), 2.0 * math.pi / 10.0
+    assert course.period_s == 20.0
+    for t in (0.0, 1.3, 7.7, 14.0):
+        expected = [1.5 * math.cos(w * t / 2), 0.75 * math.sin(w * t), height + slant * math.sin(w * t)]
+        assert course.at(t)[0][0, 0].tolist() == pytest.approx(expected)
+
+
+def test_knot_is_the_torus_form_with_the_chain_rule():
+    """r = a + b cos(q th/p), z = n + b sin(q th/p): the original's numbers, derivatives with respect to time (D-34)."""
+    course, w = make_course("knot", 1), 2.0 * math.pi / 10.0
+    for t in (0.0, 2.2, 9.9, 17.0):
+        th = w * t
+        r = 0.65 + 0.25 * math.cos(1.5 * th)
+        expected = [r * math.cos(th), r * math.sin(th), 1.0 + 0.25 * math.sin(1.5 * th)]
+        assert course.at(t)[0][0, 0].tolist() == pytest.approx(expected)
+
+
+def test_circles3_keep_a_constant_distance_and_turn_slowly_enough():
+    course = make_course("circles3", 3)
+    _, path = sampled(course)
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        assert np.linalg.norm(path[:, 0, i] - path[:, 0, j], axis=1) == pytest.approx(math.sqrt(3.0) * 0.5)
+    assert path[:, 0].mean(axis=0)[0] == pytest.approx([0.5, 0.0, 1.0], abs=1e-9)
+    assert peak_yaw_rate_rad_s(course) == pytest.approx(2.0 * math.pi / 24.0)
+    assert np.diff(course.at(0.0)[1][0]) == pytest.approx(2.0 * math.pi / 3.0)
+
+
+@pytest.mark.parametrize("vehicles", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("name", ["circle", "circles3", "flat8", "slanted8", "origin"])
+def test_vehicles_keep_apart_inside_the_net(name, vehicles):
+    course = make_course(name, vehicles)
+    assert course_separation(course) >= SAFE_SEPARATION_M
+    _, path = sampled(course)
+    furthest = np.abs(path[:, 0]).max(axis=(0, 1))
+    assert furthest[0] < NET_X_M - MARGIN_M and furthest[1] < NET_Y_M - MARGIN_M
+    assert path[:, 0, :, 2].min() > 0.4 and path[:, 0, :, 2].max() < 2.0
+
+
+def test_separation_of_three_is_what_it_is():
+    """Figures that the documentation may state."""
+    figures = {name: round(course_separation(make_course(name, 3)), 2) for name in COURSES}
+    assert figures == {
+        "circle": 1.39,
+        "circles3": 0.87,
+        "flat8": 1.30,
+        "knot": 0.94,
+        "origin": 0.95,
+        "quadrants": 1.06,
+        "slanted8": 1.49,
+    }
+
+
+def test_half_a_period_apart_two_vehicles_would_meet_on_an_eight():
+    course = make_course("flat8", 2)
+    crossing = course._replace(shifts_s=np.array([0.0, 10.0]))
+    assert course_separation(crossing) < 0.01 < course_separation(course)
+
+
+def test_quadrants_in_turn_with_a_rest_in_each():
+    course = make_course("quadrants", 1)
+    corners = [course.at(7.0 * k + 1.0)[0][:, 0] for k in range(5)]
+    assert [corner[0].tolist() for corner in corners] == [
+        [0.75, 0.75, 1.0],
+        [-0.75, 0.75, 1.0],
+        [-0.75, -0.75, 1.0],
+        [0.75, -0.75, 1.0],
+        [0.75, 0.75, 1.0],
+    ]
+    assert all(np.all(corner[1:] == 0.0) for corner in corners)
+    assert quadrant(3, 2).at(0.0)[0][0].tolist() == [[-0.75, -0.75, 1.0], [0.75, -0.75, 1.0]]
+
+
+def test_minimum_separation():
+    positions = np.zeros((4, 3, 3))
+    positions[:, 1, 0], positions[:, 2, 1] = 2.0, 3.0
+    positions[2, 2] = [2.0, 0.0, 0.5]
+    assert minimum_separation(positions) == pytest.approx(0.5)
+    assert minimum_separation(positions[:, :1]) == math.inf
+
+
+def test_reordering_swaps_whole_vehicles():
+    for name in ("circles3", "quadrants", "knot"):
+        course = make_course(name, 3)
+        other = course.reordered([2, 0, 1])
+        for plain, swapped in zip(course.at(3.3), other.at(3.3)):
+            assert np.array_equal(swapped, plain[:, [2, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("name", "vehicles", "options", "message"),
+    [
+        ("loop", 1, {}, "unknown trajectory 'loop'; known are: circle, circles3"),
+        ("circle", 0, {}, "at least one vehicle"),
+        ("quadrants", 5, {}, "at most 4 vehicles"),
+        ("circle", 1, {"radius": 1.0}, "has no radius; it has: radius_m, period_s, height_m"),
+        ("circle", 1, {"radius_m": -1.0}, "radius_m of trajectory 'circle' must be a number > 0"),
+        ("circle", 1, {"period_s": math.nan}, "must be a number > 0"),
+    ],
+)
+def test_wrong_courses_say_why(name, vehicles, options, message):
+    with pytest.raises(ValueError, match=message):
+        make_course(name, vehicles, **options)
+
+
+def course_motion(name="knot", vehicle=1, epoch_s=3.0):
+    return on_course(make_course(name, 3), vehicle, epoch_s)
+
+
+def test_motions_are_what_they_say():
+    times = np.array([10.0, 11.5])
+    derivatives, yaw = standing(np.array([1.0, 2.0, 3.0]), 0.4)(times)
+    assert derivatives[0].tolist() == [[1.0, 2.0, 3.0]] * 2 and np.all(derivatives[1:] == 0.0)
+    assert yaw.tolist() == [[0.4, 0.4], [0.0, 0.0], [0.0, 0.0]]
+    derivatives, _ = coasting(np.zeros(3), np.array([0.3, 0.0, 0.0]), 0.0, 10.0)(np.array([10.0, 30.0]))
+    assert derivatives[1, 0].tolist() == [0.3, 0.0, 0.0]
+    assert derivatives[:2, 1, 0] == pytest.approx([0.3, 0.0], abs=1e-6)
+    course = make_course("knot", 3)
+    derivatives, yaw = course_motion()(times)
+    for k, time_s in enumerate(times):
+        expected, expected_yaw = course.at(time_s - 3.0)
+        assert derivatives[:, k] == pytest.approx(expected[:, 1]) and yaw[:, k] == pytest.approx(expected_yaw[:, 1])
+
+
+def test_blend_meets_both_motions_to_snap():
+    start, end = coasting(np.array([1.5, -1.0, 0.8]), np.array([0.2, 0.1, -0.1]), 0.3, 4.0), course_motion()
+    for duration_s in (0.7, 3.0, 12.0):
+        way = Blend(start, end, 5.0, duration_s)
+        for time_s, motion in ((5.0, start), (5.0 + duration_s, end)):
+            (derivatives, yaw), (expected, expected_yaw) = way(np.array([time_s])), motion(np.array([time_s]))
+            assert derivatives == pytest.approx(expected, abs=1e-7)
+            assert np.exp(1j * yaw[0]) == pytest.approx(np.exp(1j * expected_yaw[0]))
+            assert yaw[1:] == pytest.approx(expected_yaw[1:], abs=1e-9)
+
+
+def test_blend_derivatives_are_central_differences():
+    way = Blend(course_motion("circle", 0), course_motion("slanted8", 2), 5.0, 3.0)
+    step_s = 1e-5
+    for time_s in (4.0, 5.4, 6.5, 7.9, 9.0):
+        derivatives, yaw = way(np.array([time_s - step_s, time_s, time_s + step_s]))
+        slopes = (derivatives[:-1, 2] - derivatives[:-1, 0]) / (2.0 * step_s)
+        assert slopes == pytest.approx(derivatives[1:, 1], rel=1e-5, abs=1e-4)
+        assert (yaw[:-1, 2] - yaw[:-1, 0]) / (2.0 * step_s) == pytest.approx(yaw[1:, 1], abs=1e-5)
+
+
+def test_blend_stays_between_its_motions():
+    """What a polynomial between two states of motion does not do: it may swing out of the net."""
+    start, end = course_motion("flat8", 0), course_motion("slanted8", 1)
+    times = np.linspace(5.0, 8.0, 200)
+    path, first, last = (motion(times)[0][0] for motion in (Blend(start, end, 5.0, 3.0), start, end))
+    assert np.all(path <= np.maximum(first, last) + 1e-12) and np.all(path >= np.minimum(first, last) - 1e-12)
+
+
+def test_blend_turns_the_short_way():
+    place = np.zeros(3)
+    way = Blend(standing(place, 3.0), standing(place, -3.0), 0.0, 4.0)
+    assert way(np.array([4.0]))[1][0, 0] == pytest.approx(2.0 * math.pi - 3.0)
+    assert way(np.array([9.0]))[1][0, 0] == pytest.approx(2.0 * math.pi - 3.0), "and stays there"
+    with pytest.raises(ValueError, match="needs a time > 0"):
+        Blend(standing(place, 0.0), standing(place, 0.0), 0.0, 0.0)
+
+
+def test_smooth_step_is_the_minimum_snap_way():
+    step = smooth_step(np.array([-1.0, 0.0, 0.5, 1.0, 2.0]))
+    assert step[0] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
+    assert step[1:, [0, 1, 3, 4]] == pytest.approx(np.zeros((4, 4)), abs=1e-9)
+    s = 0.3  # 126 s^5 - 420 s^6 + 540 s^7 - 315 s^8 + 70 s^9
+    expected = 126 * s**5 - 420 * s**6 + 540 * s**7 - 315 * s**8 + 70 * s**9
+    assert smooth_step(np.array([s]))[0, 0] == pytest.approx(expected)

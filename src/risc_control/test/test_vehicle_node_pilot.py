@@ -1,0 +1,626 @@
+"""risc_control.vehicle_pilot: what the vehicle node decides, with a clock that the test turns."""
+
+import math
+import pathlib
+
+import numpy as np
+import pytest
+import yaml
+from scipy.integrate import solve_ivp
+
+from risc_control.frames import GRAVITY_M_S2
+from risc_control.joystick import Sticks
+from risc_control.lab.fleet import fleet_from_dict
+from risc_control.lab.vehicle_types import load_vehicle_type
+from risc_control.safety import Rung
+from risc_control.vehicle_pilot import (
+    ClimbPredictor,
+    FlightState,
+    OwnControl,
+    OwnState,
+    SlotClock,
+    VehiclePilot,
+    check_full_scale,
+    choose_vehicle,
+    params_from_dict,
+)
+
+CONFIG = pathlib.Path(__file__).parents[1] / "config" / "vehicle_node.yaml"
+ARDRONE = load_vehicle_type("ardrone")
+HOVER_N = ARDRONE.mass_kg * GRAVITY_M_S2
+LEVEL = OwnState((0.0, 0.0, 1.0), 0.0, 0.0, 0.0)
+TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, SHUT_DOWN = 5, 1, 2, 3, 0  # legacy defaults
+
+
+class Desk:
+    """A pilot with everything around it: ticks at 60 Hz, states and controls at 200 Hz, navdata at 50 Hz.
+
+    With "joystick" in `alive` the newest joystick message is repeated at 20 Hz.
+    """
+
+    def __init__(self, **params):
+        parsed, unknown = params_from_dict(params)
+        assert unknown == []
+        self.now_s = 500.0
+        self.pilot = VehiclePilot(parsed, ARDRONE, self.now_s)
+        self.flight_state = FlightState.LANDED
+        self.battery = 90.0
+        self.state = LEVEL
+        self.control = OwnControl(0.0, 0.0, 0.0, HOVER_N)
+        self.alive = {"state", "controls", "navdata"}
+        self.orders = []  # (time, Orders) that ask for something
+        self._step = 0
+        self.run(0.2)
+
+    def take(self, orders):
+        self.orders.append((self.now_s, orders))
+        return orders
+
+    def run(self, duration_s):
+        """Go on; returns the commands that were sent meanwhile as [(time, Sticks, stamp)]."""
+        first = len(self.orders)
+        for _ in range(round(duration_s / 0.005)):
+            self.now_s += 0.005
+            self._step += 1
+            if "state" in self.alive:
+                self.pilot.on_state(self.state, 0.004, self.now_s)
+            if "controls" in self.alive:
+                self.take(self.pilot.on_controls(self.control, 1e9 + self.now_s, 0.005, self.now_s))
+            if "navdata" in self.alive and self._step % 4 == 0:
+                self.take(self.pilot.on_navdata(self.flight_state, self.battery, self.now_s))
+            if "joystick" in self.alive and self._step % 10 == 0:
+                self.take(self.pilot.on_joy(*self._joy, self.now_s))
+            if self._step % 3 == 0:
+                self.take(self.pilot.tick(self.now_s))
+        return [(t, *orders.command) for t, orders in self.orders[first:] if orders.command is not None]
+
+    def joy(self, *down, axes=(0.0,) * 8):
+        """One joystick message with these buttons down."""
+        self._joy = [1 if i in down else 0 for i in range(11)], axes
+        return self.take(self.pilot.on_joy(*self._joy, self.now_s))
+
+    def press(self, button):
+        orders = self.joy(button)
+        self.joy()
+        return orders
+
+    def fly(self, autonomous=False):
+        """Be in the air."""
+        self.flight_state = FlightState.FLYING
+        self.run(0.2)
+        if autonomous:
+            assert self.press(TOGGLE).mode is True
+        return self
+
+    def count(self, what, since=0):
+        return sum(bool(getattr(orders, what)) for _, orders in self.orders[since:])
+
+
+def texts(orders):
+    return " ".join(text for _, text in orders.log)
+
+
+# --- take-off and landing --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("state", list(FlightState))
+def test_the_reported_state_decides_between_takeoff_and_landing(state):
+    desk = Desk()
+    desk.flight_state = state
+    desk.run(0.1)
+    for _ in range(3):  # pressing again never inverts (D-31)
+        orders = desk.press(TAKEOFF_LAND)
+        assert (orders.takeoff, orders.land) == ((True, False) if state == FlightState.LANDED else (False, True))
+
+
+def test_without_navdata_the_button_lands():
+    desk = Desk()
+    desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
+    orders = desk.press(TAKEOFF_LAND)
+    assert (orders.takeoff, orders.land) == (False, True)
+    assert "nothing was heard" in texts(orders)
+
+
+@pytest.mark.parametrize("limit_s", [1.0, 0.4, 0.0])
+def test_an_old_report_of_landed_does_not_take_off_again(limit_s):
+    """Take-off was pressed, then the vehicle falls silent while its last word is "landed"."""
+    desk = Desk(navdata_timeout_s=limit_s)
+    assert desk.press(TAKEOFF_LAND).takeoff
+    desk.alive.remove("navdata")
+    desk.run(1.1)
+    for _ in range(3):
+        orders = desk.press(TAKEOFF_LAND)
+        assert (orders.takeoff, orders.land) == (False, True)
+        assert "silent" in texts(orders)
+        desk.run(20.0)
+    assert desk.pilot.airborne
+    assert desk.pilot.needs_landing(desk.now_s), "the last orders of the node are repeated"
+
+
+def test_landed_counts_again_some_time_after_a_takeoff_without_effect():
+    desk = Desk(joystick_timeout=1.0)
+    assert desk.press(TAKEOFF_LAND).takeoff
+    assert desk.pilot.airborne
+    desk.run(2.9)
+    assert desk.pilot.airborne
+    assert desk.pilot.ladder.verdict.rung == Rung.LAND, "the joystick fell silent, and it may be in the air"
+    desk.run(0.2)
+    assert not desk.pilot.airborne
+    assert desk.pilot.ladder.verdict.rung == Rung.OK
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s)
+    assert desk.press(TAKEOFF_LAND).takeoff
+
+
+def test_landed_counts_at_once_when_the_takeoff_was_seen():
+    desk = Desk()
+    desk.press(TAKEOFF_LAND)
+    for state, airborne in (
+        (FlightState.TAKING_OFF, True),
+        (FlightState.LANDING, True),
+        (FlightState.UNKNOWN, True),
+        (FlightState.LANDED, False),
+    ):
+        desk.flight_state = state
+        desk.run(0.1)
+        assert desk.pilot.airborne is airborne
+
+
+def test_needs_landing_until_it_reports_that_it_lands():
+    desk = Desk()
+    assert not desk.pilot.needs_landing(desk.now_s)
+    desk.fly()
+    assert desk.pilot.needs_landing(desk.now_s)
+    desk.flight_state = FlightState.LANDING
+    desk.run(0.1)
+    assert not desk.pilot.needs_landing(desk.now_s)
+    desk.alive.remove("navdata")
+    desk.run(1.1)
+    assert desk.pilot.needs_landing(desk.now_s), "an old report"
+
+
+def test_takeoff_is_refused_on_an_empty_battery():
+    desk = Desk()
+    desk.battery = 9.0
+    desk.run(0.1)
+    orders = desk.press(TAKEOFF_LAND)
+    assert not orders.takeoff
+    assert "battery" in texts(orders)
+
+
+def test_holding_the_button_counts_once():
+    desk = Desk()
+    assert desk.joy(TAKEOFF_LAND).takeoff
+    for _ in range(20):
+        assert not desk.joy(TAKEOFF_LAND).takeoff
+
+
+def test_landing_ends_autonomous_mode():
+    desk = Desk().fly(autonomous=True)
+    orders = desk.press(TAKEOFF_LAND)
+    assert (orders.land, orders.mode) == (True, False)
+
+
+@pytest.mark.parametrize("state", [FlightState.LANDED, FlightState.FLYING, FlightState.UNKNOWN])
+@pytest.mark.parametrize("autonomous", [True, False])
+def test_emergency_works_always(state, autonomous):
+    desk = Desk().fly(autonomous)
+    desk.flight_state = state
+    desk.alive = {"navdata"}
+    desk.run(1.0)
+    assert desk.press(EMERGENCY).reset
+
+
+def test_shut_down_button():
+    assert Desk().press(SHUT_DOWN).shut_down
+
+
+def test_last_orders_are_level_and_land_and_nothing_follows():
+    desk = Desk().fly(autonomous=True)
+    orders = desk.pilot.on_shutdown(desk.now_s)
+    assert orders.land
+    assert orders.command == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
+    assert desk.run(1.0) == [], "controls still arrive while the node ends"
+    assert not desk.press(TAKEOFF_LAND).takeoff
+    assert desk.press(EMERGENCY).reset
+
+
+# --- modes -----------------------------------------------------------------------------------------------------------
+
+
+def test_starts_in_manual_mode_and_toggles():
+    desk = Desk().fly()
+    assert not desk.pilot.autonomous
+    assert desk.press(TOGGLE).mode is True
+    assert desk.press(TOGGLE).mode is False
+
+
+@pytest.mark.parametrize(("lost", "text"), [("state", "no state yet"), ("controls", "no controls yet")])
+def test_autonomous_mode_is_refused_without_data(lost, text):
+    """D-30: the button before the first Controls message ended the node."""
+    desk = Desk()
+    desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
+    desk.alive.remove(lost)
+    desk.fly()
+    orders = desk.press(TOGGLE)
+    assert orders.mode is None
+    assert not desk.pilot.autonomous
+    assert "autonomous mode refused: " + text in texts(orders)
+
+
+def test_autonomous_mode_is_refused_on_old_data():
+    desk = Desk().fly()
+    desk.alive.remove("controls")
+    desk.run(0.2)
+    assert "autonomous mode refused: controls 2" in texts(desk.press(TOGGLE))
+
+
+@pytest.mark.parametrize("state", list(FlightState))
+def test_autonomous_mode_only_when_commands_go_out(state):
+    """References leave with the switch; a vehicle that takes no commands yet would be left behind."""
+    desk = Desk()
+    desk.flight_state = state
+    desk.run(0.1)
+    orders = desk.press(TOGGLE)
+    if state in (3, 4, 7):
+        assert orders.mode is True
+    else:
+        assert orders.mode is None
+        expected = "autonomous mode refused: the vehicle does not fly yet (state %d, %s)"
+        assert expected % (state, state.name.lower().replace("_", " ")) in texts(orders)
+
+
+def test_autonomous_mode_in_a_state_of_no_name():
+    desk = Desk()
+    desk.flight_state = 12
+    desk.run(0.1)
+    assert "state 12, not known" in texts(desk.press(TOGGLE))
+    off = Desk(navdata_timeout_s=0.0)
+    off.pilot = VehiclePilot(params_from_dict({"navdata_timeout_s": 0.0})[0], ARDRONE, off.now_s)
+    off.alive.remove("navdata")
+    off.run(0.1)
+    assert "no state yet" in texts(off.press(TOGGLE))
+
+
+def test_status_is_published_at_30_hz():
+    desk = Desk()
+    since = len(desk.orders)
+    desk.run(3.0)
+    statuses = [orders.status for _, orders in desk.orders[since:] if orders.status is not None]
+    assert len(statuses) == pytest.approx(90, abs=1)
+    assert not any(statuses)
+
+
+# --- commands --------------------------------------------------------------------------------------------------------
+
+
+def test_manual_commands_go_out_at_30_hz_and_follow_the_sticks():
+    desk = Desk(ScaleRoll=2.0).fly()
+    axes = [0.0] * 8
+    axes[6], axes[7], axes[3] = 0.5, -1.0, 0.25
+    desk.alive.add("joystick")
+    desk.joy(UP, axes=axes)
+    sent = desk.run(3.0)
+    assert len(sent) == pytest.approx(90, abs=1)
+    for _, sticks, stamp_s in sent:
+        assert (sticks, stamp_s) == (Sticks(-1.0, 0.25, 1.0, 0.25), 0.0)
+
+
+def test_a_silent_joystick_centres_its_sticks():
+    desk = Desk().fly()
+    axes = [0.0] * 8
+    axes[7] = 0.5
+    desk.joy(UP, axes=axes)
+    assert {sticks for _, sticks, _ in desk.run(0.45)} == {Sticks(0.5, 0.0, 1.0, 0.0)}
+    desk.run(0.1)
+    assert {sticks for _, sticks, _ in desk.run(5.0)} == {Sticks(0.0, 0.0, 0.0, 0.0)}
+    warnings = [text for _, orders in desk.orders for level, text in orders.log if level == "warn"]
+    assert len(warnings) == 1
+    assert "autorepeat_rate" in warnings[0]
+    desk.joy(UP, axes=axes)
+    assert desk.run(0.2)[-1][1] == Sticks(0.5, 0.0, 1.0, 0.0), "and it may come back"
+
+
+def test_a_silent_joystick_at_rest_is_no_warning():
+    desk = Desk().fly()
+    desk.joy()
+    desk.run(5.0)
+    assert not any("joystick" in texts(orders) for _, orders in desk.orders)
+
+
+def test_stick_timeout_off():
+    desk = Desk(stick_timeout=0.0).fly()
+    desk.joy(UP)
+    assert desk.run(60.0)[-1][1].up == 1.0
+
+
+@pytest.mark.parametrize("state", list(FlightState))
+def test_commands_only_in_flying_states(state):
+    desk = Desk()
+    desk.flight_state = state
+    desk.run(0.1)
+    assert bool(desk.run(0.5)) == (state in (3, 4, 7))
+
+
+@pytest.mark.parametrize(
+    ("control", "expected"),
+    [
+        (OwnControl(0.0, 0.3, 0.0, HOVER_N), Sticks(0.3, 0.0, 0.0, 0.0)),  # theta: forward
+        (OwnControl(-0.4, 0.0, 0.0, HOVER_N), Sticks(0.0, -0.4, 0.0, 0.0)),  # phi: left
+        (OwnControl(0.0, 0.0, 0.5, HOVER_N), Sticks(0.0, 0.0, 0.0, 0.5)),  # psi: counter-clockwise
+        (OwnControl(0.0, 0.0, 0.0, HOVER_N + 0.45), Sticks(0.0, 0.0, None, 0.0)),  # thrust: up
+        (OwnControl(2.0, -3.0, 1.5, 30.0), Sticks(-1.0, 1.0, 1.0, 1.0)),  # limited (D-29)
+        (OwnControl(0.0, 0.0, 0.0, 0.0), Sticks(0.0, 0.0, -1.0, 0.0)),
+    ],
+)
+def test_controls_become_commands(control, expected):
+    desk = Desk().fly(autonomous=True)
+    desk.run(0.2)
+    desk.control = control
+    _, sticks, stamp_s = desk.run(0.05)[0]
+    if expected.up is None:  # 1 m/s^2 for 0.3 s from rest
+        expected = expected._replace(up=0.3)
+    assert sticks == pytest.approx(expected, abs=1e-9)
+    assert stamp_s > 1e9
+
+
+def test_thrust_is_mapped_with_the_tilt_and_the_climb_rate():
+    desk = Desk().fly(autonomous=True)
+    desk.state = OwnState((0.0, 0.0, 1.0), -0.2, 0.2, -0.1)
+    _, sticks, _ = desk.run(0.05)[0]
+    lag = math.exp(-(0.004 + ARDRONE.command_delay_s + 0.5 / 30) / ARDRONE.climb_time_constant_s)
+    expected = -0.2 * lag + 0.3 * (GRAVITY_M_S2 * math.cos(0.2) * math.cos(0.1) - GRAVITY_M_S2)
+    assert sticks.up == pytest.approx(expected, abs=2e-3)
+
+
+def test_autonomous_commands_answer_a_controls_message_and_keep_the_rate():
+    desk = Desk().fly(autonomous=True)
+    sent = desk.run(4.0)
+    assert len(sent) == pytest.approx(120, abs=1)
+    for time_s, _, stamp_s in sent:
+        assert stamp_s == pytest.approx(1e9 + time_s, abs=1e-6), "sent on the cycle of the state it answers"
+    gaps = np.diff([time_s for time_s, _, _ in sent[1:]])  # the first slot is still that of the watchdog
+    assert gaps.min() > 0.029
+    assert gaps.max() < 0.036
+
+
+def test_slow_controls_are_all_sent():
+    slots = SlotClock(30.0)
+    assert all(slots.due(k / 20.0) for k in range(100))
+
+
+def test_slots_keep_the_average_rate():
+    slots = SlotClock(30.0)
+    rng = np.random.default_rng(3)
+    times = np.arange(0.0, 20.0, 0.005) + rng.uniform(0.0, 0.002, 4000)
+    assert sum(slots.due(t) for t in times) == pytest.approx(600, abs=1)
+
+
+def test_a_command_that_is_no_number_is_ignored():
+    desk = Desk().fly(autonomous=True)
+    desk.control = OwnControl(math.nan, 0.0, 0.0, HOVER_N)
+    sent = desk.run(0.09)
+    assert sent == []
+    assert any("not finite" in texts(orders) for _, orders in desk.orders)
+    assert desk.run(0.1)[0][1] == Sticks(0.0, 0.0, 0.0, 0.0), "and then it is a loss like any other"
+
+
+def test_climb_predictor_solves_the_climb_loop():
+    predictor = ClimbPredictor(0.3, 0.12)
+    commands = [(0.00, 0.5), (0.033, -0.3), (0.067, 0.8), (0.10, 0.1), (0.133, -1.0)]
+    for time_s, command in commands:
+        predictor.sent(time_s, command)
+
+    def in_force(t):
+        return next((c for s, c in reversed(commands) if s + 0.12 <= t), 0.0)
+
+    start_s, now_s = 0.145, 0.16
+    expected = solve_ivp(lambda t, v: (in_force(t) - v) / 0.3, (start_s, now_s + 0.12), [0.2], max_step=1e-4).y[0, -1]
+    assert predictor.predict(0.2, start_s, now_s) == pytest.approx(expected, abs=1e-4)
+
+
+def test_climb_predictor_without_commands_decays():
+    assert ClimbPredictor(0.3, 0.1).predict(0.6, 5.0, 5.0) == pytest.approx(0.6 * math.exp(-1.0 / 3.0))
+
+
+# --- loss ladder -----------------------------------------------------------------------------------------------------
+
+
+def test_loss_of_states_holds_then_lands_then_rests():
+    desk = Desk().fly(autonomous=True)
+    desk.control = OwnControl(0.3, 0.3, 0.3, HOVER_N)
+    desk.run(0.5)
+    desk.alive.remove("state")
+    lost_s, since = desk.now_s, len(desk.orders)
+    sent = desk.run(0.3)
+    first_hold_s = next(t for t, sticks, _ in sent if sticks == Sticks(0.0, 0.0, 0.0, 0.0))
+    assert 0.09 < first_hold_s - lost_s < 0.115
+    assert all(sticks == Sticks(0.0, 0.0, 0.0, 0.0) for t, sticks, _ in sent if t > first_hold_s)
+    assert desk.count("land", since) == 0
+    desk.run(0.4)
+    landings = [t for t, orders in desk.orders[since:] if orders.land]
+    assert 0.49 < landings[0] - lost_s < 0.515
+    desk.run(1.0)
+    landings = [t for t, orders in desk.orders[since:] if orders.land]
+    assert len(landings) == pytest.approx(6, abs=1), "ordered again every 0.2 s"
+    desk.alive.add("state")
+    desk.flight_state = FlightState.LANDING
+    desk.run(1.0)
+    assert desk.pilot.ladder.verdict.rung == Rung.LAND, "sticky"
+    desk.flight_state = FlightState.LANDED
+    desk.run(0.1)
+    since = len(desk.orders)
+    assert not desk.pilot.autonomous
+    assert desk.run(1.0) == []
+    assert desk.count("land", since) == 0
+    assert [orders.safety.split(":")[0] for _, orders in desk.orders if orders.safety] == ["ok", "hold", "land", "ok"]
+
+
+def test_hold_ends_on_the_first_fresh_controls():
+    desk = Desk().fly(autonomous=True)
+    desk.control = OwnControl(0.1, 0.0, 0.0, HOVER_N)
+    desk.alive -= {"state", "controls"}
+    desk.run(0.3)
+    assert desk.pilot.ladder.verdict.rung == Rung.HOLD
+    desk.alive |= {"state", "controls"}
+    sent = desk.run(0.05)
+    assert sent[-1][1].left == pytest.approx(0.1)
+
+
+def test_operator_takes_over_from_a_landing():
+    desk = Desk().fly(autonomous=True)
+    desk.alive.remove("state")
+    desk.run(0.7)
+    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+    assert desk.press(TOGGLE).mode is False
+    since = len(desk.orders)
+    axes = [0.0] * 8
+    axes[7] = 0.5
+    desk.alive.add("joystick")
+    desk.joy(axes=axes)
+    assert desk.run(0.5)[-1][1].forward == 0.5
+    assert desk.count("land", since) == 0
+
+
+def test_operator_takes_over_from_a_landing_in_manual_mode():
+    desk = Desk(joystick_timeout=1.0).fly()
+    desk.run(1.5)
+    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+    desk.press(TOGGLE)
+    assert desk.pilot.ladder.verdict.rung == Rung.OK
+    assert not desk.pilot.autonomous
+
+
+def test_level_only_hold():
+    desk = Desk(hold_auto_hover="false").fly(autonomous=True)
+    desk.alive.remove("state")
+    desk.run(0.3)
+    assert [orders.level_only for _, orders in desk.orders if orders.command is not None][-1] is True
+    desk = Desk().fly(autonomous=True)
+    desk.alive.remove("state")
+    desk.run(0.3)
+    assert not desk.count("level_only")
+
+
+def test_after_a_landing_of_the_ladder_it_can_start_again():
+    desk = Desk().fly(autonomous=True)
+    desk.battery = 5.0
+    desk.run(0.6)
+    assert desk.pilot.ladder.verdict.text == "land: battery at 5 %"
+    desk.flight_state = FlightState.LANDED
+    desk.run(0.1)
+    desk.battery = 95.0
+    desk.run(0.1)
+    assert desk.press(TAKEOFF_LAND).takeoff
+    desk.fly(autonomous=True)
+    assert desk.run(0.2)
+
+
+def test_emergency_in_the_air_is_not_taken_for_landed():
+    desk = Desk().fly(autonomous=True)
+    desk.flight_state = FlightState.UNKNOWN
+    desk.run(0.2)
+    assert desk.pilot.airborne
+    desk.alive.remove("state")
+    desk.run(0.7)
+    assert desk.count("land") > 0
+
+
+def test_packets_without_a_battery_are_no_empty_battery():
+    """The driver publishes a packet without the vehicle's main block as state 0, battery 0."""
+    desk = Desk().fly(autonomous=True)
+    desk.flight_state, desk.battery = FlightState.UNKNOWN, 0.0
+    desk.run(5.0)
+    assert desk.pilot.ladder.verdict.rung == Rung.OK
+    desk.flight_state, desk.battery = FlightState.FLYING, 90.0
+    assert desk.run(0.2), "flies on"
+
+
+# --- simulators without navdata --------------------------------------------------------------------------------------
+
+
+def test_simulation_sends_without_navdata_and_resets_the_simulator():
+    desk = Desk(Simulation="True")
+    desk.alive.remove("navdata")
+    assert desk.run(0.5)
+    assert desk.joy(TAKEOFF_LAND).simulator_reset is True
+    orders = desk.joy()
+    assert (orders.takeoff, orders.land) == (False, False)
+    assert desk.press(TOGGLE).mode is True
+
+
+def test_simulation_reset_parameter_falls_back_when_the_button_is_released():
+    desk = Desk(Simulation=True)
+    assert desk.joy(TAKEOFF_LAND).simulator_reset is True
+    assert desk.joy(TAKEOFF_LAND).simulator_reset is None, "written on change only"
+    assert desk.joy().simulator_reset is False
+    assert desk.joy().simulator_reset is None
+
+
+# --- parameters and identity -----------------------------------------------------------------------------------------
+
+
+def test_config_file_holds_every_parameter_with_the_values_of_appendix_c():
+    values = yaml.safe_load(CONFIG.read_text())
+    params, unknown = params_from_dict(values)
+    assert unknown == []
+    default, _ = params_from_dict({})
+    assert set(values) == set(vars(default.pilot)) | set(vars(default.joystick)) | set(vars(default.limits))
+    assert (params.pilot, params.limits) == (default.pilot, default.limits), "the file only remaps the joystick"
+    assert (params.joystick.JoytoWay, params.joystick.ButtonEmergency, params.joystick.TakeoffLand) == (0, 2, 6)
+    assert (params.joystick.ScaleRoll, params.joystick.ScalePitch, params.joystick.ScaleYaw) == (3, 3, 1)
+
+
+def test_unknown_and_bad_parameters():
+    assert params_from_dict({"JoyToWay": 3})[1] == ["JoyToWay"]
+    for name, value in (
+        ("Simulation", "perhaps"),
+        ("delay", 0),
+        ("fence_min_m", [1, 2]),
+        ("state_hold_s", "0.1"),
+        ("fence_max_m", [1, 2, "3"]),
+        ("AxisRoll", "six"),
+        ("command_rate_hz", True),
+        ("stick_timeout", -1),
+        ("takeoff_grace_s", "3"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            params_from_dict({name: value})
+
+
+def test_another_full_scale_than_the_controllers_is_a_warning():
+    assert check_full_scale(params_from_dict({})[0], ARDRONE) == ""
+    assert "2.00 times" in check_full_scale(params_from_dict({"euler_angle_max": 0.698132})[0], ARDRONE)
+
+
+def fleet(*vehicles):
+    return fleet_from_dict(
+        {
+            "name": "test",
+            "mocap": {"host": "127.0.0.1"},
+            "vehicles": [
+                {
+                    "namespace": namespace,
+                    "template": template,
+                    "type": kind,
+                    "address": "127.0.0.%d" % (k + 2),
+                    "start": {"position_m": [0, 0, 0]},
+                }
+                for k, (namespace, template, kind) in enumerate(vehicles)
+            ],
+        }
+    )
+
+
+def test_vehicle_is_found_by_name():
+    two = fleet(("risc1", "Raven", "ardrone"), ("risc2", "iris_1", "iris"))
+    assert choose_vehicle("", "risc1", two) == ("Raven", "ardrone"), "the fleet overrides the lab's table"
+    assert choose_vehicle("", "risc2", two) == ("iris_1", "iris")
+    assert choose_vehicle("iris_1", "risc1", two) == ("iris_1", "iris")
+    assert choose_vehicle("condor", "risc1", two) == ("condor", "ardrone")
+    assert choose_vehicle("", "", fleet(("risc1", "Raven", "ardrone"))) == ("Raven", "ardrone")
+    assert choose_vehicle("", "risc1", None) == ("fluffy_II", "ardrone")
+    assert choose_vehicle("", "risc2", None) == ("albatross", "ardrone")
+    assert choose_vehicle("", "risc3", None) == ("Raven", "ardrone")
+    for namespace, known in (("risc3", two), ("", two), ("", None), ("risc4", None)):
+        with pytest.raises(ValueError, match="~vehicle"):
+            choose_vehicle("", namespace, known)

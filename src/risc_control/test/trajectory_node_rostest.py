@@ -1,0 +1,179 @@
+#!/usr/bin/env python3
+"""The trajectory nodes on their topics: from hold over the course to home, bumpers, the nodes with the old names."""
+
+import collections
+import math
+import threading
+import time
+import unittest
+
+import rospy
+import rostest
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+
+from risc_msgs.msg import Controls, Cortex, States, Trajectories
+
+NODES = ("generic", "quadrants", "demo", "circle", "circles3", "knot")
+NAMES = ("fluffy_II", "albatross")
+HOVER = {"fluffy_II": (0.8, 0.1, 0.9), "albatross": (-0.9, 0.0, 1.0)}
+TIMEOUT_S = 30.0
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline, "not within %g s: %s" % (TIMEOUT_S, what)
+        time.sleep(0.01)
+
+
+class Lab:
+    """Two vehicles that hover where they are, and everything that the nodes publish."""
+
+    def __init__(self):
+        self.autonomous = False
+        self.references = collections.defaultdict(lambda: collections.deque(maxlen=8000))
+        self.phases = collections.defaultdict(list)
+        self.controls = []
+        self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
+        self._status = [rospy.Publisher("/risc%d/controller_status" % k, Bool, queue_size=1) for k in (1, 2)]
+        self.joy = {node: rospy.Publisher("/%s/joy" % node, Joy, queue_size=10) for node in ("quadrants", "demo")}
+        for node in NODES:
+            rospy.Subscriber("/%s/trajectory" % node, Trajectories, self.references[node].append, queue_size=100)
+            rospy.Subscriber("/%s/trajectory_phase" % node, String, self._on_phase, callback_args=node)
+        rospy.Subscriber("/demo/controls", Controls, self.controls.append)
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _on_phase(self, message, node):
+        self.phases[node].append(dict(entry.split(": ") for entry in message.data.split("; ")))
+
+    def _run(self):
+        rate = rospy.Rate(100)
+        try:
+            while not rospy.is_shutdown():
+                states = Cortex()
+                states.header.stamp = rospy.Time.now()
+                for name, (x, y, z) in HOVER.items():
+                    states.Obj.append(States(name=name, visible=True, x=x, y=y, z=z, psi=10.0))
+                self._states.publish(states)
+                for publisher in self._status:
+                    publisher.publish(self.autonomous)
+                rate.sleep()
+        except rospy.ROSException:
+            pass  # the end of the test
+
+    def phase(self, node, name="fluffy_II"):
+        return self.phases[node][-1].get(name) if self.phases[node] else None
+
+    def newest(self, node):
+        return {entry.name: entry for entry in self.references[node][-1].Obj}
+
+    def press(self, node, button):
+        for value in (0, 1, 0):
+            buttons = [0] * 11
+            buttons[button] = value
+            self.joy[node].publish(Joy(buttons=buttons))
+            time.sleep(0.05)
+
+
+class TrajectoryNodeTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.lab = Lab()
+        wait_for(lambda: all(cls.lab.references[node] for node in NODES), "every node publishes")
+
+    def test_1_holds_where_the_vehicles_are(self):
+        def holds(node):
+            return all(
+                math.dist((entry.x, entry.y, entry.z), HOVER[name]) < 1e-6 and entry.xdot == 0.0
+                for name, entry in self.lab.newest(node).items()
+            )
+
+        for node in ("generic", "quadrants", "demo", "circle", "circles3"):
+            wait_for(lambda node=node: holds(node), "%s: reference where the vehicles are" % node)
+            self.assertEqual(self.lab.phase(node, "albatross"), "hold")
+        names = [entry.name for entry in self.lab.references["generic"][-1].Obj]
+        self.assertEqual(names, list(NAMES))
+        self.assertEqual([entry.name for entry in self.lab.references["demo"][-1].Obj], ["albatross"])
+        self.assertEqual(self.lab.references["generic"][-1].header.frame_id, "cortex")
+        self.assertAlmostEqual(self.lab.newest("generic")["fluffy_II"].psi, math.radians(10.0), places=6)
+
+    def test_2_without_waiting_it_is_on_its_course_at_once(self):
+        self.assertEqual(self.lab.phase("knot"), "course")
+        self.assertGreater(abs(self.lab.newest("knot")["fluffy_II"].xdot), 0.0)
+
+    def test_3_nobody_flies_who_could_go_home(self):
+        answer = rospy.ServiceProxy("/generic/trajectory_node/go_home", Trigger)()
+        self.assertFalse(answer.success)
+        self.assertEqual(answer.message, "nobody is flying")
+
+    def test_4_to_the_course_and_home(self):
+        begin = rospy.get_time()
+        self.lab.autonomous = True
+        for name in NAMES:
+            wait_for(lambda name=name: self.lab.phase("generic", name) == "course", "%s on its course" % name)
+        time.sleep(1.0)
+        messages = [m for m in list(self.lab.references["generic"]) if m.header.stamp.to_sec() > begin]
+        stamps = [m.header.stamp.to_sec() for m in messages]
+        rate_hz = (len(stamps) - 1) / (stamps[-1] - stamps[0])
+        self.assertGreater(rate_hz, 150.0)
+        for before, after in zip(messages[:-1], messages[1:]):
+            step_s = (after.header.stamp - before.header.stamp).to_sec()
+            self.assertGreater(step_s, 0.0)
+            for first, second in zip(before.Obj, after.Obj):
+                # what is published belongs together: the change of position is the velocity
+                mean = 0.5 * (first.xdot + second.xdot)
+                self.assertAlmostEqual(second.x - first.x, mean * step_s, delta=1e-4 + 5.0 * step_s**3)
+        course = self.lab.newest("generic")
+        self.assertAlmostEqual(course["fluffy_II"].psi % (2.0 * math.pi), math.radians(30.0), places=6)
+        # 12 s of period instead of 10: the eight is slower
+        speed = max(math.hypot(m.Obj[0].xdot, m.Obj[0].ydot) for m in messages[-150:])
+        self.assertLess(speed, 0.62)
+
+        answer = rospy.ServiceProxy("/generic/trajectory_node/go_home", Trigger)()
+        self.assertTrue(answer.success)
+        self.assertEqual(answer.message, "going home: fluffy_II, albatross")
+        wait_for(lambda: set(self.lab.phases["generic"][-1].values()) == {"homed"}, "home")
+        time.sleep(0.1)
+        home = self.lab.newest("generic")["albatross"]
+        self.assertLess(math.dist((home.x, home.y, home.z), (-0.9, 0.0, 1.0)), 1e-6)
+        seen = [entry["fluffy_II"] for entry in self.lab.phases["generic"]]
+        order = [phase for i, phase in enumerate(seen) if i == 0 or phase != seen[i - 1]]
+        self.assertEqual(order, ["hold", "approach", "course", "home", "homed"])
+        self.assertTrue(rospy.ServiceProxy("/generic/trajectory_node/start", Trigger)().success)
+        wait_for(lambda: self.lab.phase("generic") == "approach", "off again")
+
+    def test_5_bumpers_step_through_the_quadrants(self):
+        self.lab.autonomous = True
+        wait_for(lambda: self.lab.phase("quadrants") == "course", "the origin")
+        for button, corner in ((5, (0.75, 0.75)), (5, (-0.75, 0.75)), (4, (0.75, 0.75))):
+            self.lab.press("quadrants", button)
+            wait_for(lambda: self.lab.phase("quadrants") == "approach", "leaving")
+            wait_for(lambda: self.lab.phase("quadrants") == "course", "arriving")
+            places = [(round(e.x, 6), round(e.y, 6)) for e in self.lab.newest("quadrants").values()]
+            self.assertIn(corner, places)
+            self.assertEqual(len(set(places)), 2, "the other vehicle stands in another quadrant")
+
+    def test_6_demo_is_controller_and_trajectory_in_one(self):
+        self.lab.autonomous = True
+        wait_for(lambda: self.lab.phase("demo", "albatross") == "course", "the origin")
+        self.lab.press("demo", 5)
+        wait_for(lambda: self.lab.phase("demo", "albatross") == "approach", "to the slanted eight")
+        self.assertEqual([control.name for control in self.lab.controls[-1].Obj], ["albatross"])
+        # the vehicle of this test does not move: the reference is ahead of it, and the command follows
+        self.assertGreater(max(abs(c.Obj[0].theta) for c in self.lab.controls[-100:]), 0.05)
+
+    def test_7_old_names_fly_their_courses(self):
+        self.lab.autonomous = True
+        for node in ("circle", "circles3"):
+            wait_for(lambda node=node: self.lab.phase(node) == "course", "%s on its course" % node)
+        entry = self.lab.newest("circle")["fluffy_II"]
+        self.assertAlmostEqual(math.hypot(entry.x, entry.y), 0.7, places=6)
+        self.assertAlmostEqual(math.hypot(entry.xdot, entry.ydot), 0.7 * 2.0 * math.pi / 5.0, places=6)
+        self.assertAlmostEqual(self.lab.newest("circles3")["albatross"].psidot, 2.0 * math.pi / 24.0, places=6)
+
+
+if __name__ == "__main__":
+    rospy.init_node("trajectory_node_test")
+    rostest.rosrun("risc_control", "trajectory_node_test", TrajectoryNodeTest)
