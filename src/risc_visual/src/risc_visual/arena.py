@@ -1,0 +1,118 @@
+"""The arena as data: net, floor numbers, motion capture cameras. Frame: cortex. Needs no ROS."""
+
+from dataclasses import dataclass
+from typing import Tuple
+
+import numpy as np
+
+from risc_control.lab.yaml_reader import Section, load_yaml, package_file
+
+
+@dataclass(frozen=True)
+class Net:
+    """The net: a box that stands on the floor around the origin."""
+
+    half_x_m: float
+    half_y_m: float
+    height_m: float
+    thickness_m: float
+
+    def walls(self):
+        """The four panels: list of (centre (3,) [m], size (3,) [m])."""
+        x, y, z, t = self.half_x_m, self.half_y_m, self.height_m, self.thickness_m
+        panel_x, panel_y = (t, 2.0 * y, z), (2.0 * x, t, z)
+        return [
+            ((x, 0.0, z / 2), panel_x),
+            ((-x, 0.0, z / 2), panel_x),
+            ((0.0, y, z / 2), panel_y),
+            ((0.0, -y, z / 2), panel_y),
+        ]
+
+    def edges(self):
+        """The box' twelve edges: (24, 3) [m], start and end in turn."""
+        x, y, z = self.half_x_m, self.half_y_m, self.height_m
+        corners = [(x, y), (-x, y), (-x, -y), (x, -y)]
+        ends = []
+        for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1]):
+            ends += [(x0, y0, 0.0), (x1, y1, 0.0), (x0, y0, z), (x1, y1, z), (x0, y0, 0.0), (x0, y0, z)]
+        return np.array(ends)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Numbers along two edges of the floor."""
+
+    from_m: float
+    to_m: float
+    step_m: float
+    edge_m: float
+    caption_m: float
+    text_height_m: float
+
+    def labels(self):
+        """List of (text, position (3,) [m]): the numbers of x, those of y, then the names of the axes."""
+        count = int(round((self.to_m - self.from_m) / self.step_m)) + 1
+        values = [self.to_m - k * self.step_m for k in range(count)]
+        along_x = [("%.1f" % value, (value, self.edge_m, 0.0)) for value in values]
+        along_y = [("%.1f" % value, (self.edge_m, value, 0.0)) for value in values]
+        return along_x + along_y + [("X (m)", (0.0, self.caption_m, 0.0)), ("Y (m)", (self.caption_m, 0.0, 0.0))]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A motion capture camera and where it looks."""
+
+    position_m: Tuple[float, float, float]
+    heading_rad: float  # of the optical axis in plan: 0 = along +y, + clockwise from above
+    tilt_rad: float  # of the optical axis below the horizon
+
+    def rotation_to_cortex(self):
+        """(3, 3) rotation from camera axes (x along the optical axis, y left, z up) to cortex axes."""
+        sin_h, cos_h, sin_t, cos_t = (
+            np.sin(self.heading_rad),
+            np.cos(self.heading_rad),
+            np.sin(self.tilt_rad),
+            np.cos(self.tilt_rad),
+        )
+        ahead = (cos_t * sin_h, cos_t * cos_h, -sin_t)
+        left = (-cos_h, sin_h, 0.0)
+        return np.column_stack([ahead, left, np.cross(ahead, left)])
+
+
+@dataclass(frozen=True)
+class Arena:
+    """Everything about the laboratory that never moves."""
+
+    net: Net
+    grid: Grid
+    cameras: Tuple[Camera, ...]
+
+
+def load_arena(path=None):
+    """Arena from `path` or from this package's config/arena.yaml. Raises ValueError naming file and key."""
+    if path is None:
+        path = package_file("risc_visual", "config/arena.yaml")
+    return arena_from_dict(load_yaml(path), str(path))
+
+
+def arena_from_dict(content, where="arena"):
+    """Arena from the content of its YAML file. Raises ValueError naming the key."""
+    root = Section(content, where)
+    net, grid, cameras = root.section("net"), root.section("grid"), root.section("cameras")
+    tilt_rad = np.radians(cameras.number("tilt_deg", minimum=-90.0, maximum=90.0))
+    arena = Arena(
+        net=Net(**{key: net.number(key, minimum=1e-3) for key in Net.__dataclass_fields__}),
+        grid=Grid(**{key: grid.number(key) for key in Grid.__dataclass_fields__}),
+        cameras=tuple(_camera(section, tilt_rad) for section in cameras.sections("poses", ())),
+    )
+    for section in (net, grid, cameras, root):
+        section.done()
+    if arena.grid.step_m <= 0.0 or arena.grid.to_m < arena.grid.from_m or arena.grid.text_height_m <= 0.0:
+        raise ValueError("%s, grid: needs step_m > 0, text_height_m > 0 and to_m >= from_m" % where)
+    return arena
+
+
+def _camera(section, tilt_rad):
+    camera = Camera(section.vector("position_m", 3), np.radians(section.number("heading_deg")), tilt_rad)
+    section.done()
+    return camera

@@ -1,0 +1,49 @@
+"""What a drawing node says of itself on /diagnostics."""
+
+import threading
+import time
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_updater import Updater
+
+_SILENCE_S = 3.0
+
+
+class Health:
+    """Counts what is drawn per input and reports rates and ages at 1 Hz. No input is a warning, never an error."""
+
+    def __init__(self, name, inputs):
+        """inputs: what `drawn` will be called with, and what a healthy laboratory sends."""
+        self._lock = threading.Lock()
+        self._drawn = dict.fromkeys(inputs, 0)
+        self._last_s = dict.fromkeys(inputs)
+        self._reported, self._reported_s = dict(self._drawn), time.monotonic()
+        self._updater = Updater()
+        self._updater.setHardwareID("none")
+        self._updater.add(name, self._diagnose)
+        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.update(), reset=True)
+        rospy.on_shutdown(timer.shutdown)
+
+    def drawn(self, what):
+        """One message of an input has been drawn."""
+        with self._lock:
+            self._drawn[what] += 1
+            self._last_s[what] = time.monotonic()
+
+    def _diagnose(self, status):
+        with self._lock:
+            now_s = time.monotonic()
+            elapsed_s = max(now_s - self._reported_s, 1e-3)
+            rates_hz = {what: (self._drawn[what] - self._reported[what]) / elapsed_s for what in self._drawn}
+            self._reported, self._reported_s = dict(self._drawn), now_s
+            ages_s = {what: None if last_s is None else now_s - last_s for what, last_s in self._last_s.items()}
+        silent = [what for what, age_s in ages_s.items() if age_s is None or age_s > _SILENCE_S]
+        if silent:
+            status.summary(DiagnosticStatus.WARN, "nothing on " + ", ".join(silent))
+        else:
+            status.summary(DiagnosticStatus.OK, "drawing")
+        for what, age_s in ages_s.items():
+            status.add("drawn from %s [Hz]" % what, "%.1f" % rates_hz[what])
+            status.add("age of last %s [s]" % what, "none yet" if age_s is None else "%.2f" % age_s)
+        return status

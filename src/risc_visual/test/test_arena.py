@@ -1,0 +1,79 @@
+"""The arena: numbers of the survey, and what follows from them."""
+
+import numpy as np
+import pytest
+import yaml
+
+from risc_control.lab.yaml_reader import package_file
+from risc_visual.arena import arena_from_dict, load_arena
+
+
+@pytest.fixture(scope="module")
+def arena():
+    return load_arena()
+
+
+def content():
+    return yaml.safe_load(package_file("risc_visual", "config/arena.yaml").read_text())
+
+
+def test_walls_are_those_of_the_original(arena):
+    centres = {tuple(np.round(centre, 6)) for centre, _ in arena.net.walls()}
+    assert centres == {(2.492954, 0, 1.5), (-2.492954, 0, 1.5), (0, 2.05178, 1.5), (0, -2.05178, 1.5)}
+    sizes = [size for _, size in arena.net.walls()]
+    np.testing.assert_allclose(sizes[:2], [(0.01, 4.1, 3)] * 2, atol=5e-3)
+    np.testing.assert_allclose(sizes[2:], [(4.986, 0.01, 3)] * 2, atol=5e-3)
+
+
+def test_edges_join_the_eight_corners(arena):
+    edges = arena.net.edges().reshape(12, 2, 3)
+    assert len({tuple(end) for end in edges.reshape(-1, 3)}) == 8
+    steps = edges[:, 1] - edges[:, 0]
+    assert (np.count_nonzero(steps, axis=1) == 1).all()  # along one axis each
+    assert np.linalg.norm(steps, axis=1).sum() == pytest.approx(4 * (2 * 2.492954 + 2 * 2.05178 + 3.0))
+
+
+def test_grid_has_nine_numbers_a_side_and_two_captions(arena):
+    labels = arena.grid.labels()
+    assert len(labels) == 20
+    assert labels[0] == ("2.0", (2.0, 2.5, 0.0))
+    assert labels[8] == ("-2.0", (-2.0, 2.5, 0.0))
+    assert labels[9] == ("2.0", (2.5, 2.0, 0.0))
+    assert labels[4][0] == labels[13][0] == "0.0"
+    assert labels[18:] == [("X (m)", (0.0, 3.0, 0.0)), ("Y (m)", (3.0, 0.0, 0.0))]
+
+
+def test_sixteen_cameras_look_down_into_the_arena(arena):
+    assert len(arena.cameras) == 16
+    np.testing.assert_allclose(arena.cameras[0].position_m, (-3.43574, 0.16033, 2.52688))
+    for camera in arena.cameras:
+        R = camera.rotation_to_cortex()
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+        assert R[2, 0] == pytest.approx(-0.5)  # 30 degrees below the horizon
+        assert R[2, 1] == pytest.approx(0.0)  # upright
+        assert R[2, 2] > 0.0
+        # the optical axis, drawn out to half the camera's height, is over the floor inside the net
+        at_m = np.array(camera.position_m) + R[:, 0] * (0.5 * camera.position_m[2] / 0.5)
+        assert np.hypot(*at_m[:2]) < np.hypot(*camera.position_m[:2])
+
+
+def test_heading_is_a_compass_course_from_y(arena):
+    np.testing.assert_allclose(arena.cameras[4].rotation_to_cortex()[:2, 0], (0.0, np.cos(np.radians(30))), atol=1e-12)
+    np.testing.assert_allclose(arena.cameras[0].rotation_to_cortex()[:2, 0], (np.cos(np.radians(30)), 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "change, complaint",
+    [
+        (lambda c: c["net"].pop("height_m"), "height_m"),
+        (lambda c: c["grid"].update(step_m=0.0), "step_m"),
+        (lambda c: c["cameras"]["poses"][3].update(heading_deg="north"), "heading_deg"),
+        (lambda c: c["cameras"].update(lens="8 mm"), "lens"),
+    ],
+)
+def test_bad_file_is_refused_by_name(change, complaint):
+    bad = content()
+    change(bad)
+    with pytest.raises(ValueError, match=complaint):
+        arena_from_dict(bad)
