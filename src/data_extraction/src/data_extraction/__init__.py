@@ -1,0 +1,1 @@
+"""Bags become data: CSV files, flight metrics, plots and summaries. Needs no ROS."""

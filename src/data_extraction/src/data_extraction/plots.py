@@ -1,0 +1,148 @@
+"""Plots of a flight that a person would put into a report. Writes PNG files; needs no display."""
+
+import pathlib
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first)
+import numpy as np  # noqa: E402
+
+ARENA_M = (2.49, 2.05, 2.5)  # half length, half width, height that is shown
+COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
+STYLE = {
+    "figure.dpi": 130,
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+}
+
+
+def draw_all(flight, folder, title):
+    """Draw every plot of a flight into a folder. Returns the list of the files' paths."""
+    folder = pathlib.Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with plt.rc_context(STYLE):
+        figures = {"paths": paths(flight, title)}
+        for name, vehicle in flight.vehicles.items():
+            figures["axes_" + name] = axes_over_time(name, vehicle, title)
+        figures["errors"] = errors(flight, title)
+        if any(len(values) for values in flight.latency_s.values()):
+            figures["latency"] = latency(flight, title)
+        files = []
+        for name, figure in figures.items():
+            files.append(folder / (name + ".png"))
+            figure.savefig(files[-1])
+            plt.close(figure)
+    return files
+
+
+def paths(flight, title):
+    """Desired and actual paths of all vehicles in the arena, in 3-D and from above."""
+    figure = plt.figure(figsize=(10.5, 5.2))
+    figure.suptitle(title)
+    space = figure.add_axes((0.0, 0.0, 0.58, 0.95), projection="3d")
+    plan = figure.add_axes((0.62, 0.17, 0.36, 0.72))
+    for colour, (name, vehicle) in zip(_colours(), flight.vehicles.items()):
+        for axes, columns in ((space, 3), (plan, 2)):
+            axes.plot(*_drawn(vehicle.desired_m[vehicle.course], columns), color="#777777", lw=0.8, ls="--")
+            axes.plot(*_drawn(vehicle.actual_m, columns), color=colour, lw=0.6, alpha=0.45)
+            axes.plot(*_drawn(vehicle.actual_m[vehicle.judged], columns), color=colour, lw=1.4, label=name)
+    space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    space.set(xlim=(-ARENA_M[0], ARENA_M[0]), ylim=(-ARENA_M[1], ARENA_M[1]), zlim=(0.0, ARENA_M[2]))
+    space.set_box_aspect((2 * ARENA_M[0], 2 * ARENA_M[1], ARENA_M[2]), zoom=1.05)
+    # Seen from above with x up and y to the left, as one stands in the arena looking forward.
+    plan.add_patch(
+        plt.Rectangle((-ARENA_M[1], -ARENA_M[0]), 2 * ARENA_M[1], 2 * ARENA_M[0], fill=False, color="#999999")
+    )
+    plan.set(xlabel="y [m]", ylabel="x [m]", title="from above (frame: net)", aspect="equal")
+    plan.set(xlim=(ARENA_M[1] + 0.15, -ARENA_M[1] - 0.15), ylim=(-ARENA_M[0] - 0.15, ARENA_M[0] + 0.15))
+    plan.plot([], [], color="#777777", lw=0.8, ls="--", label="desired")
+    plan.legend(loc="upper center", bbox_to_anchor=(0.45, -0.12), ncol=4)
+    return figure
+
+
+def axes_over_time(name, vehicle, title):
+    """Desired and actual x, y, z and yaw of one vehicle over time."""
+    figure, rows = plt.subplots(4, 1, sharex=True, figsize=(9.0, 7.0), layout="constrained")
+    figure.suptitle("%s: %s" % (title, name))
+    desired = np.column_stack((vehicle.desired_m, np.degrees(vehicle.desired_psi_rad)))
+    actual = np.column_stack((vehicle.actual_m, np.degrees(vehicle.actual_psi_rad)))
+    for axes, label, want, have in zip(rows, ("x [m]", "y [m]", "z [m]", "yaw [deg]"), desired.T, actual.T):
+        _shade(axes, vehicle)
+        axes.plot(vehicle.t_s, have, color=COLOURS[0], lw=1.2, label="actual")
+        axes.plot(vehicle.t_s, want, color=COLOURS[1], lw=1.0, ls="--", label="desired")
+        axes.set_ylabel(label)
+        if np.ptp(have) < 0.5:
+            axes.set_ylim(np.mean(have) - 0.5, np.mean(have) + 0.5)
+    rows[0].legend(loc="upper right", ncol=2, bbox_to_anchor=(1.0, 1.3))
+    rows[-1].set_xlabel("time [s]    (shaded: on the course and settled; judged)")
+    return figure
+
+
+def errors(flight, title):
+    """Position error of each vehicle over time, and its figures."""
+    figure, axes = plt.subplots(figsize=(9.0, 3.6), layout="constrained")
+    for colour, (name, vehicle) in zip(_colours(), flight.vehicles.items()):
+        label = name
+        if vehicle.position_rmse_m is not None:
+            label = "%s: RMSE %.1f mm, max %.1f mm" % (
+                name,
+                1e3 * vehicle.position_rmse_m,
+                1e3 * vehicle.position_max_m,
+            )
+        axes.plot(vehicle.t_s, 1e3 * vehicle.error_m, color=colour, lw=1.0, label=label)
+    judged = np.concatenate([v.error_m[v.judged] for v in flight.vehicles.values()])
+    everything = np.concatenate([v.error_m for v in flight.vehicles.values()])
+    # The climb after take-off is metres away from any course: it would flatten what one wants to see.
+    top = 3.0 * judged.max() if len(judged) else np.nanpercentile(everything, 95)
+    axes.set_ylim(0.0, 1e3 * top)
+    _shade(axes, next(iter(flight.vehicles.values())))
+    axes.set(title="%s: distance from the desired position" % title, xlabel="time [s]", ylabel="error [mm]")
+    axes.legend(loc="upper right")
+    return figure
+
+
+def latency(flight, title):
+    """How long after the datagram each hop's message arrives: histogram on a logarithmic axis."""
+    hops = {hop: 1e3 * values for hop, values in flight.latency_s.items() if len(values)}
+    figure, rows = plt.subplots(len(hops), 1, sharex=True, figsize=(8.0, 1.3 * len(hops) + 1.0), layout="constrained")
+    largest = max(values.max() for values in hops.values())
+    bins = np.geomspace(0.03, max(largest, 0.1), 90)
+    for axes, (hop, values) in zip(np.atleast_1d(rows), hops.items()):
+        p50, p99 = np.percentile(values, [50, 99])
+        axes.hist(np.clip(values, bins[0], None), bins=bins, color=COLOURS[0], alpha=0.8)
+        axes.axvline(p50, color="#333333", lw=0.9)
+        axes.axvline(p99, color=COLOURS[1], lw=0.9, ls="--")
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_yticks([])
+        axes.set_title(
+            "%s:  p50 %.2f ms,  p99 %.2f ms,  max %.1f ms" % (hop.replace("_", " "), p50, p99, values.max()), loc="left"
+        )
+    np.atleast_1d(rows)[-1].set_xlabel("time [ms]    (line: p50, dashed: p99)")
+    figure.suptitle("%s: latency" % title)
+    return figure
+
+
+def _colours():
+    while True:
+        yield from COLOURS
+
+
+def _drawn(position_m, columns):
+    """Columns to plot: (x, y, z) in space, (y, x) on the plan."""
+    return position_m.T if columns == 3 else position_m.T[[1, 0]]
+
+
+def _shade(axes, vehicle):
+    judged = vehicle.judged
+    if judged.any():
+        t_s = vehicle.t_s[judged]
+        axes.axvspan(t_s[0], t_s[-1], color="#f0f4e8", zorder=0)

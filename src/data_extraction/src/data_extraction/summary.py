@@ -1,0 +1,83 @@
+"""summary.json and the table that is printed after a flight."""
+
+import json
+import pathlib
+
+import numpy as np
+
+from data_extraction.flight import HOPS, percentiles_ms
+
+
+def summarise(flight, experiment, simulated, artefacts):
+    """The summary of a flight as a dict ready for JSON.
+
+    experiment: name; simulated: False, or a dict that says the noise and delay model;
+    artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths]}. `passed` is None until somebody has judged.
+    """
+    duration_s = max(float(vehicle.t_s[-1]) for vehicle in flight.vehicles.values())
+    return {
+        "experiment": experiment,
+        "simulated": simulated,
+        "passed": None,
+        "duration_s": round(duration_s, 3),
+        "judged_against": flight.judged_against,
+        "vehicles": {
+            name: {
+                "position_rmse_m": vehicle.position_rmse_m,
+                "position_max_m": vehicle.position_max_m,
+                "yaw_rmse_rad": vehicle.yaw_rmse_rad,
+                "settle_s": vehicle.settle_s,
+                "lag_s": vehicle.lag_s,
+            }
+            for name, vehicle in flight.vehicles.items()
+        },
+        "latency_ms": {hop: percentiles_ms(flight.latency_s.get(hop, np.array([]))) for hop in HOPS},
+        "mocap": {
+            "frames_sent": flight.mocap.frames_sent,
+            "frames_received": flight.mocap.frames_received,
+            "frames_estimated": flight.mocap.frames_estimated,
+            "rate_hz": round(flight.mocap.rate_hz, 3),
+        },
+        "artefacts": artefacts,
+    }
+
+
+def write(summary, path):
+    """Write the summary as JSON; NaN is not JSON, so a number that does not exist must be None."""
+    pathlib.Path(path).write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def table(summary):
+    """The summary as text for a terminal."""
+    lines = ["%-14s %10s %10s %10s %10s %10s" % ("vehicle", "RMSE", "max", "yaw RMSE", "settled", "lag")]
+    for name, figures in summary["vehicles"].items():
+        lines.append(
+            "%-14s %10s %10s %10s %10s %10s"
+            % (
+                name,
+                _unit(figures["position_rmse_m"], 1e3, "mm"),
+                _unit(figures["position_max_m"], 1e3, "mm"),
+                _unit(figures["yaw_rmse_rad"], np.degrees(1.0), "deg"),
+                _unit(figures["settle_s"], 1.0, "s"),
+                _unit(figures["lag_s"], 1e3, "ms"),
+            )
+        )
+    lines.append("")
+    lines.append("%-26s %10s %10s %10s" % ("latency", "p50", "p99", "max"))
+    for hop, figures in summary["latency_ms"].items():
+        lines.append(
+            "%-26s %10s %10s %10s"
+            % (hop.replace("_", " "), *(_unit(figures[key], 1.0, "ms", 2) for key in ("p50", "p99", "max")))
+        )
+    mocap = summary["mocap"]
+    lines.append("")
+    lines.append(
+        "mocap: %d frames sent, %d received, %d estimated, %.2f Hz"
+        % (mocap["frames_sent"], mocap["frames_received"], mocap["frames_estimated"], mocap["rate_hz"])
+    )
+    lines.append("positions judged against %s" % summary["judged_against"])
+    return "\n".join(lines)
+
+
+def _unit(value, factor, unit, digits=1):
+    return "-" if value is None else "%.*f %s" % (digits, factor * value, unit)
