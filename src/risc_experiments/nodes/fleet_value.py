@@ -1,0 +1,28 @@
+#!/usr/bin/env python3
+"""Print one value of a fleet file, for launch files: <param name="host" command="... FLEET mocap host"/>.
+
+Usage: fleet_value.py FLEET mocap KEY | fleet_value.py FLEET NAMESPACE KEY
+"""
+
+import sys
+
+from risc_control.lab import load_fleet
+
+
+def fleet_value(fleet, owner, key):
+    """Value of a key of `mocap` or of the vehicle with that namespace. Raises ValueError when there is none."""
+    owners = {vehicle.namespace: vehicle for vehicle in fleet.vehicles}
+    owners["mocap"] = fleet.mocap
+    if owner not in owners:
+        raise ValueError("fleet '%s' has no vehicle '%s'; it has %s" % (fleet.name, owner, ", ".join(sorted(owners))))
+    if key not in vars(owners[owner]):
+        raise ValueError("'%s' has no '%s'; it has %s" % (owner, key, ", ".join(vars(owners[owner]))))
+    return getattr(owners[owner], key)
+
+
+if __name__ == "__main__":
+    try:
+        fleet_path, owner_name, key_name = sys.argv[1:4]
+        print(fleet_value(load_fleet(fleet_path), owner_name, key_name), end="")
+    except ValueError as error:
+        sys.exit("fleet_value: %s" % error)

@@ -1,0 +1,167 @@
+#!/usr/bin/env python3
+"""The virtual operator: flies an experiment by pressing buttons of virtual joysticks; see risc_experiments.operator."""
+
+import threading
+import time
+from dataclasses import fields
+
+import diagnostic_updater
+import rospy
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger, TriggerResponse
+
+from ardrone_autonomy.msg import Navdata
+from risc_control.lab.fleet import fleet_from_dict
+from risc_experiments.operator import Operator, OperatorParams
+from risc_msgs.msg import Cortex
+
+JOY_RATE_HZ = 20.0
+BUTTONS, AXES = 11, 8  # of the game pad of Appendix C
+LOOK_PERIOD_S = 0.05  # how often a message of /cortex_raw is looked at
+SERVICE_TIMEOUT_S = 5.0
+
+
+class VirtualOperator:
+    """Wiring only: what is decided is decided in risc_experiments.operator."""
+
+    def __init__(self):
+        params = OperatorParams(
+            **{
+                item.name: rospy.get_param("~" + item.name)
+                for item in fields(OperatorParams)
+                if rospy.has_param("~" + item.name)
+            }
+        )
+        fleet = rospy.get_param("/fleet", None)
+        if fleet is None:
+            raise ValueError("there is no parameter /fleet: load a fleet file with <rosparam ns='fleet' file=.../>")
+        templates = {v.namespace: v.template for v in fleet_from_dict(fleet, "parameter /fleet").vehicles}
+        wanted = rospy.get_param("~vehicles", sorted(templates))
+        wanted = wanted.split() if isinstance(wanted, str) else wanted
+        unknown = [name for name in wanted if name not in templates]
+        if unknown or not wanted:
+            raise ValueError(
+                "parameter ~vehicles names %s; the fleet has %s"
+                % (", ".join(unknown) or "nobody", ", ".join(templates))
+            )
+        self._go_home = rospy.get_param("~trajectory_node", "/trajectory_node") + "/go_home"
+        self._namespaces = {templates[name]: name for name in wanted}
+        self._operator = Operator(wanted, params, time.monotonic())
+        self._lock = threading.Lock()
+        self._calling = False
+        self._looked_s = 0.0
+        self._said = {"phase": None, "result": None}
+        self._phase = rospy.Publisher("/operator/phase", String, queue_size=10, latch=True)
+        self._result = rospy.Publisher("/operator/result", String, queue_size=1, latch=True)
+        self._joys = {name: rospy.Publisher("/%s/joy" % name, Joy, queue_size=10, tcp_nodelay=True) for name in wanted}
+        self._diagnostics = diagnostic_updater.Updater()
+        self._diagnostics.setHardwareID("none")
+        self._diagnostics.add("virtual operator", self._diagnose)
+        rospy.Service("~land", Trigger, self._on_land)
+        for name in wanted:
+            for topic, message, callback in (
+                ("ardrone/navdata", Navdata, self._on_navdata),
+                ("controller_status", Bool, self._on_status),
+                ("safety", String, self._on_safety),
+            ):
+                rospy.Subscriber("/%s/%s" % (name, topic), message, callback, callback_args=name, queue_size=10)
+        rospy.Subscriber("/trajectory_phase", String, self._on_trajectory_phase, queue_size=10)
+        rospy.Subscriber("/cortex_raw", rospy.AnyMsg, self._on_states, queue_size=1, buff_size=2**20)
+        self._timer = rospy.Timer(rospy.Duration(1.0 / JOY_RATE_HZ), self._on_tick, reset=True)
+        rospy.on_shutdown(self._timer.shutdown)
+
+    def _on_states(self, raw):
+        now_s = time.monotonic()
+        if now_s - self._looked_s < LOOK_PERIOD_S:
+            return  # the operator need not read every frame
+        self._looked_s = now_s
+        message = Cortex()
+        message.deserialize(raw._buff)
+        with self._lock:
+            for entry in message.Obj:
+                if entry.visible and entry.name in self._namespaces:
+                    self._operator.on_seen(self._namespaces[entry.name], now_s)
+
+    def _on_navdata(self, message, name):
+        with self._lock:
+            self._operator.on_navdata(name, message.state, time.monotonic())
+
+    def _on_status(self, message, name):
+        with self._lock:
+            self._operator.on_status(name, message.data, time.monotonic())
+
+    def _on_safety(self, message, name):
+        with self._lock:
+            self._operator.on_safety(name, message.data)
+
+    def _on_trajectory_phase(self, message):
+        """Text like "fluffy_II: course; Raven: approach"."""
+        with self._lock:
+            for item in message.data.split(";"):
+                template, _, phase = item.partition(":")
+                if template.strip() in self._namespaces:
+                    self._operator.on_trajectory_phase(self._namespaces[template.strip()], phase.strip())
+
+    def _on_land(self, _request):
+        with self._lock:
+            self._operator.request_landing("landing was requested", time.monotonic())
+        return TriggerResponse(True, "landing all vehicles")
+
+    def _on_tick(self, _event):
+        with self._lock:
+            now_s = time.monotonic()
+            self._operator.step(now_s)
+            pressed = {name: watched.pad.buttons(now_s, BUTTONS) for name, watched in self._operator.vehicles.items()}
+            texts = {"phase": self._operator.phase_text, "result": self._operator.result}
+            call, self._calling = self._operator.call_home and not self._calling, self._operator.call_home
+        stamp = rospy.Time.now()
+        for name, buttons in pressed.items():
+            joy = Joy(axes=[0.0] * AXES, buttons=buttons)
+            joy.header.stamp = stamp
+            self._joys[name].publish(joy)
+        for what, publisher in (("phase", self._phase), ("result", self._result)):
+            if texts[what] and texts[what] != self._said[what]:
+                self._said[what] = texts[what]
+                publisher.publish(texts[what])
+                rospy.loginfo("operator: %s %s", what, texts[what])
+        if call:
+            threading.Thread(target=self._call_home, daemon=True).start()
+        self._diagnostics.update()
+
+    def _call_home(self):
+        problem = ""
+        try:
+            rospy.wait_for_service(self._go_home, SERVICE_TIMEOUT_S)
+            answer = rospy.ServiceProxy(self._go_home, Trigger)()
+            if not answer.success:
+                problem = answer.message or "refused"
+        except (rospy.ROSException, rospy.ServiceException) as error:
+            problem = "%s (%s)" % (self._go_home, error)
+        with self._lock:
+            self._operator.home_called(problem, time.monotonic())
+
+    def _diagnose(self, status):
+        with self._lock:
+            failed = self._operator.result.startswith("failed")
+            status.summary(2 if failed else 0, self._operator.phase_text)
+            for name, watched in self._operator.vehicles.items():
+                status.add("%s flight state (navdata)" % name, watched.flight_state)
+                status.add("%s mode" % name, "autonomous" if watched.autonomous else "manual")
+                status.add("%s trajectory phase" % name, watched.trajectory_phase)
+        return status
+
+
+def main():
+    rospy.init_node("operator")
+    try:
+        VirtualOperator()
+    except ValueError as error:
+        rospy.logfatal("operator: %s", error)
+        return 1
+    rospy.spin()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

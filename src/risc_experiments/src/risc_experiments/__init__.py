@@ -1,0 +1,1 @@
+"""Whole flights: the virtual operator, the runner behind `./maap fly`, and offline closed-loop studies."""

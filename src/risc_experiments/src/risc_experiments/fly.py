@@ -1,0 +1,268 @@
+"""`./maap fly`: a whole flight in the virtual lab, from nothing to the table of results."""
+
+import argparse
+import datetime
+import math
+import os
+import pathlib
+import re
+import signal
+import sys
+import threading
+import time
+
+import yaml
+
+from risc_control.lab import load_fleet
+from risc_control.trajectories import COURSES
+from risc_experiments.operator import OperatorParams, time_limit_s
+from risc_experiments.processes import Launch, PortReservation, free_tcp_port
+from risc_experiments.progress import Progress, flight_detail
+from risc_experiments.report import make_report
+
+ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
+STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
+CALL_PATIENCE_S = 3.0  # for the operator to take the order
+LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
+START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
+EXPERIMENTS_HELP = (
+    "circles3: several vehicles on courses (default); df_demo: one vehicle, the figures of the lab course"
+)
+
+
+class FlightError(Exception):
+    """The flight could not be carried out; the text says why and what to do."""
+
+
+def arguments(argv):
+    """Command line -> argparse namespace."""
+    parser = argparse.ArgumentParser(
+        prog="maap fly", description="Fly in the virtual lab: take off, fly, come home, land; record and report."
+    )
+    add = parser.add_argument
+    add("experiment", nargs="?", default="circles3", choices=("circles3", "df_demo"), help=EXPERIMENTS_HELP)
+    add("--vehicles", type=int, metavar="N", help="how many vehicles (default: 3, df_demo: 1)")
+    add("--trajectory", choices=sorted(COURSES), help="course to fly (default: circles3)")
+    add("--psi", type=float, metavar="DEG", help="constant heading, + clockwise (default: the course's own)")
+    add("--duration", type=float, metavar="S", help="time on each course (default: 30 s, df_demo: 20 s)")
+    add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
+    add("--delay", type=float, metavar="S", help="command delay (default: that of the type, 0.1 s)")
+    add("--ideal", action="store_true", help="plant exactly as the controllers believe it to be")
+    add("--gusts", action="store_true", help="with gusts of wind")
+    add("--rviz", action="store_true", help="open rviz")
+    add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/)")
+    add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
+    args = parser.parse_args(argv)
+    if args.vehicles is None:
+        args.vehicles = 1 if args.experiment == "df_demo" else 3
+    if args.duration is None:
+        args.duration = 20.0 if args.experiment == "df_demo" else 30.0
+    if args.experiment == "df_demo" and (args.vehicles != 1 or args.trajectory):
+        parser.error("df_demo is for one vehicle and flies its own figures: leave out --vehicles and --trajectory")
+    if args.vehicles < 1:
+        parser.error("--vehicles must be at least 1")
+    if not 5.0 <= args.duration <= 600.0:
+        parser.error("--duration must be from 5 to 600 s")
+    if args.delay is not None and not 0.0 <= args.delay <= LONGEST_DELAY_S:
+        parser.error("--delay must be from 0 to %g s" % LONGEST_DELAY_S)
+    if args.psi is not None and not math.isfinite(args.psi):
+        parser.error("--psi must be a number of degrees")
+    return args
+
+
+def prepare_folder(args):
+    """Make the folder of this flight. Returns its path. Raises FlightError when it holds a flight already."""
+    if args.out is not None:
+        if (args.out / "flight.bag").exists():
+            raise FlightError("%s holds a flight already: choose another --out" % args.out)
+        args.out.mkdir(parents=True, exist_ok=True)
+        return args.out.resolve()
+    stem = datetime.datetime.now().strftime("%Y%m%d-%H%M%S_") + (args.trajectory or args.experiment)
+    for suffix in ("", *("-%d" % k for k in range(2, 100))):
+        folder = ROOT / "flights" / (stem + suffix)
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return folder.resolve()
+    raise FlightError("flights/%s exists 99 times" % stem)
+
+
+def prepare_fleet(args, subnet, folder):
+    """The fleet of this flight, moved to its own loopback subnet and written beside the results."""
+    path = args.fleet or ROOT / "launch" / "fleets" / ("ardrones3.yaml" if args.vehicles <= 3 else "ardrones5.yaml")
+    content = load_fleet(path).with_vehicles(args.vehicles).in_subnet(subnet).to_dict()
+    (folder / "fleet.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return load_fleet(folder / "fleet.yaml")
+
+
+def launch_arguments(args, fleet, folder):
+    """Arguments of the launch file, {name: value}."""
+    result = {
+        "fleet": folder / "fleet.yaml",
+        "vehicles": " ".join(vehicle.namespace for vehicle in fleet.vehicles),
+        "duration": args.duration,
+        "seed": args.seed,
+        "ideal": str(args.ideal).lower(),
+        "gusts": str(args.gusts).lower(),
+        "delay": -1.0 if args.delay is None else args.delay,
+        "statistics": folder / "virtual_lab.json",
+        "bag": folder / "flight.bag",
+        "rviz": str(args.rviz).lower(),
+    }
+    if args.experiment == "circles3":
+        result["trajectory"] = args.trajectory or "circles3"
+        result["psi_deg"] = "" if args.psi is None else args.psi
+    return result
+
+
+class Watch:
+    """What the flight's nodes say, as a ROS node of our own: phase and result of the operator, diagnostics."""
+
+    def __init__(self):
+        import rospy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from std_msgs.msg import String
+
+        self.phase = "starting"
+        self.result = ""
+        self.errors_mm = {}
+        self.rate_hz = None
+        self._operator_s = None  # when the operator's diagnostics last came
+        rospy.init_node("maap_fly", disable_signals=True, disable_rostime=True)
+        rospy.Subscriber("/operator/phase", String, lambda message: setattr(self, "phase", message.data))
+        rospy.Subscriber("/operator/result", String, lambda message: setattr(self, "result", message.data))
+        rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)
+
+    def _on_diagnostics(self, message):
+        for status in message.status:
+            if status.name.endswith("virtual operator"):
+                self._operator_s = time.monotonic()
+            for pair in status.values:
+                error_of = re.fullmatch(r"position error of (\S+) \(mm\)", pair.key)
+                if error_of:
+                    self.errors_mm[error_of.group(1)] = _number(pair.value)
+                elif pair.key == "rate [Hz]" and status.name.endswith("mocap stream"):
+                    self.rate_hz = _number(pair.value)
+
+    def operator_silent(self, limit_s=5.0):
+        """Whether the operator was heard of, and then no more; he reports every second."""
+        return self._operator_s is not None and time.monotonic() - self._operator_s > limit_s
+
+    def land(self):
+        """Ask the operator to land everything now. Returns whether he took the order; never blocks for long."""
+        import rospy
+        from std_srvs.srv import Trigger
+
+        taken = threading.Event()
+
+        def call():
+            try:
+                rospy.ServiceProxy("/operator/land", Trigger)()
+            except rospy.ServiceException as error:
+                rospy.logwarn("the operator's land service failed: %s", error)
+                return
+            taken.set()
+
+        threading.Thread(target=call, daemon=True).start()  # a hanging operator must not make Ctrl-C hang
+        return taken.wait(CALL_PATIENCE_S)
+
+
+def fly(args, folder, progress, interrupted):
+    """Carry out the flight. Returns the operator's result. Raises FlightError when it could not be carried out."""
+    reservation = PortReservation()
+    launch = None
+    try:
+        fleet = prepare_fleet(args, reservation.subnet, folder)
+        master_port = free_tcp_port()
+        os.environ["ROS_MASTER_URI"] = "http://127.0.0.1:%d" % master_port
+        os.environ["ROS_IP"] = "127.0.0.1"
+        launch_file = ROOT / "launch" / (args.experiment + ".launch")
+        launch = Launch(launch_file, launch_arguments(args, fleet, folder), folder, master_port)
+        _wait_for_master(launch, master_port, interrupted)
+        watch = Watch()
+        return _follow(args, launch, watch, progress, interrupted)
+    finally:
+        if launch is not None:
+            progress.show("stopping")
+            killed = launch.stop()
+            if killed:
+                progress.say("these had to be killed: " + "; ".join(killed))
+        reservation.close()
+
+
+def _wait_for_master(launch, port, interrupted):
+    import xmlrpc.client
+
+    master = xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % port)
+    deadline = time.monotonic() + 30.0
+    while True:
+        try:
+            if master.lookupNode("/maap_fly", "/rosout")[0] == 1:
+                return
+        except (OSError, xmlrpc.client.Error):
+            time.sleep(0.05)  # not there yet, or just starting
+        if not launch.running():
+            raise FlightError("roslaunch ended at once:\n" + launch.log_tail())
+        if interrupted.is_set():
+            raise FlightError("interrupted before anything flew")
+        if time.monotonic() > deadline:
+            raise FlightError("the ROS master did not start within 30 s:\n" + launch.log_tail())
+        time.sleep(0.05)
+
+
+def _follow(args, launch, watch, progress, interrupted):
+    """Wait for the end of the flight, showing its progress. Returns the operator's result."""
+    courses = 3 if args.experiment == "df_demo" else 1
+    limit_s = time_limit_s(OperatorParams(duration=courses * args.duration))
+    deadline = time.monotonic() + limit_s + START_MARGIN_S
+    landing = False
+    while not watch.result:
+        phase, _, detail = watch.phase.partition(": ")
+        progress.show(phase, "  ".join(filter(None, (flight_detail(watch.errors_mm, watch.rate_hz), detail))))
+        if interrupted.wait(0.1) and not landing:
+            progress.say("interrupted: landing all vehicles (once more: stop at once)")
+            landing = True
+            interrupted.clear()
+            deadline = time.monotonic() + STOP_PATIENCE_S
+            if not watch.land():
+                return "failed: interrupted, and the operator does not answer"
+        elif interrupted.is_set():
+            return "failed: interrupted twice"
+        if not launch.running():
+            return "failed: a node that the flight needs has died (see roslaunch.log)"
+        if watch.operator_silent():
+            return "failed: the operator has died (see roslaunch.log)"
+        if time.monotonic() > deadline:
+            return "failed: interrupted" if landing else "failed: not finished in time (phase: %s)" % watch.phase
+    return watch.result
+
+
+def _number(text):
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def main(argv=None):
+    """Command line. Returns the exit code: 0 only when all vehicles flew and landed inside limits."""
+    args = arguments(argv)
+    interrupted = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: interrupted.set())
+    progress = Progress()
+    try:
+        folder = prepare_folder(args)
+        progress.say("flight %s, seed %d, results in %s" % (args.experiment, args.seed, folder))
+        result = fly(args, folder, progress, interrupted)
+        progress.say("all vehicles have landed" if result == "ok" else result)
+        return make_report(args, folder, result, progress, interrupted)
+    except (FlightError, ValueError, OSError, RuntimeError) as error:
+        progress.say("maap fly: %s" % error)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,53 @@
+"""Did the flight succeed? One place decides, from the figures of the bag."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_extraction.plots import ARENA_M
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a flight must keep."""
+
+    position_rmse_m: float = 0.10  # per vehicle, on the course after settling
+    position_max_m: float = 0.30
+    yaw_rmse_rad: float = 0.1
+    net_margin_m: float = 0.05  # nearest approach to the net
+    landed_height_m: float = 0.15  # at the end of the flight
+
+
+def judge(flight, operator_result, limits=None):
+    """List of reasons why the flight failed; empty when it passed.
+
+    flight: data_extraction.flight.Flight; operator_result: text of /operator/result, '' when it never came.
+    """
+    limits = limits or Limits()
+    reasons = []
+    if operator_result != "ok":
+        reasons.append(operator_result or "the operator never finished")
+    for name, vehicle in flight.vehicles.items():
+        reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits)]
+    return reasons
+
+
+def _judge_vehicle(vehicle, limits):
+    if not vehicle.course.any():
+        yield "never reached its course"
+        return
+    if vehicle.settle_s is None:
+        yield "never settled on its course"
+    else:
+        if vehicle.position_rmse_m > limits.position_rmse_m:
+            yield "RMSE %.0f mm is over %.0f mm" % (1e3 * vehicle.position_rmse_m, 1e3 * limits.position_rmse_m)
+        if vehicle.position_max_m > limits.position_max_m:
+            yield "largest error %.0f mm is over %.0f mm" % (1e3 * vehicle.position_max_m, 1e3 * limits.position_max_m)
+        if vehicle.yaw_rmse_rad > limits.yaw_rmse_rad:
+            yield "yaw RMSE %.1f deg is over %.1f deg" % tuple(np.degrees([vehicle.yaw_rmse_rad, limits.yaw_rmse_rad]))
+    half_length_m, half_width_m, _ = ARENA_M
+    reach = abs(vehicle.actual_m[:, :2]).max(axis=0)
+    if reach[0] > half_length_m - limits.net_margin_m or reach[1] > half_width_m - limits.net_margin_m:
+        yield "came closer than %.0f mm to the net" % (1e3 * limits.net_margin_m)
+    if vehicle.actual_m[-1, 2] > limits.landed_height_m:
+        yield "was still %.2f m up at the end" % vehicle.actual_m[-1, 2]

@@ -1,0 +1,294 @@
+"""Whole flights without ROS and as fast as the computer can: the same estimator, references, controller and vehicle
+logic as in the nodes, around the virtual lab's physics, cameras and radio.
+
+    python3 -m risc_experiments.offline --trajectory circle --vehicles 3 --seeds 5 --delay 0.1
+
+A seed reproduces a flight bit for bit. What is not here: processes, sockets and the scheduler's jitter; the time from
+exposure to the controller's answer is a constant.
+"""
+
+import argparse
+import json
+import math
+import pathlib
+import sys
+import time
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Optional
+
+import numpy as np
+
+from risc_control.lab import load_fleet, load_templates, load_vehicle_type
+from risc_control.lab.yaml_reader import package_file
+from risc_control.reference import ReferenceBuffer
+from risc_control.tracking import DoubleIntegratorController, FlatnessController, States, TrackingParams
+from risc_control.trajectories import COURSES, YawProgram, make_course
+from risc_control.trajectory_manager import Phase, make_manager
+from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehicleNodeParams, VehiclePilot
+from risc_estimation.states import S, StatesEstimator
+from risc_simulator.models.flight import FlightPhase, Setpoint
+from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
+from risc_simulator.models.radio_link import RadioLink
+from risc_simulator.world import World
+
+FRAME_S = 0.005
+LATENCY_S = 0.006  # exposure to the controller's answer: 3 ms in the mocap host, 3 ms in the nodes
+WARM_UP_S = 1.0  # hovering, before the operator presses the button
+SETTLE_S = 4.0  # on the course, before errors count
+JUDGE_EVERY = 4  # frames
+NAVDATA_EVERY = 13  # frames: about 15 Hz
+YAW_BY_SEED_DEG = 70.0  # the table flies another yaw with every seed
+
+CONTROLLERS = {"full": FlatnessController, "thesis": DoubleIntegratorController}
+_CAMERA_STREAM, _RADIO_STREAM = 1000, 1001  # spawn keys beside those of the vehicles in the world
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What is flown."""
+
+    trajectory: str = "circle"
+    vehicles: int = 3
+    seed: int = 1
+    duration_s: float = 20.0  # on the course after settling
+    delay_s: Optional[float] = None  # link delay, told to the controller as nominal; None = that of the vehicle type
+    psi_rad: Optional[float] = None  # constant yaw instead of the course's own
+    honest: bool = True
+    gusts: bool = False
+    noise: bool = True  # of the cameras
+    controller: str = "full"
+    params: TrackingParams = TrackingParams()
+    weights: object = None  # LqrWeights; None = the controller's defaults
+
+
+class Result(NamedTuple):
+    """How it was flown."""
+
+    names: tuple
+    rmse_m: np.ndarray  # (n,) position against truth, on the course after settling
+    max_m: np.ndarray  # (n,)
+    closest_m: float  # smallest distance between two vehicles from take-over to the end
+    crashes: tuple
+    saturated: float  # fraction of the commands that a limit cut
+    flown_s: float
+    took_s: float
+    times_s: np.ndarray  # (k,)
+    reference_m: np.ndarray  # (k, n, 3)
+    actual_m: np.ndarray  # (k, n, 3)
+
+
+def fly(flight):
+    """Fly a Flight. Returns its Result. Raises ValueError when it cannot be flown, and RuntimeError when it crashes."""
+    started = time.perf_counter()
+    fleet, types, vehicle_types = _lab(flight)
+    templates = load_templates()
+    world = World(fleet, types, templates, seed=flight.seed, honest=flight.honest, gusts=flight.gusts, step_s=FRAME_S)
+    cameras = MocapCameras(
+        CameraParams() if flight.noise else CameraParams.ideal(),
+        seed=np.random.SeedSequence(flight.seed, spawn_key=(_CAMERA_STREAM,)),
+    )
+    names = [vehicle.template for vehicle in fleet.vehicles]
+    estimator = StatesEstimator(templates, vehicles=names)
+    yaw = None if flight.psi_rad is None else YawProgram((flight.psi_rad,))
+    manager = make_manager(fleet.vehicles, make_course(flight.trajectory, len(names), yaw))
+    buffer = ReferenceBuffer()
+    controller = CONTROLLERS[flight.controller](vehicle_types, flight.weights, flight.params)
+    phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
+    chains = []
+    for vehicle, fleet_vehicle, phase in zip(world.vehicles.values(), fleet.vehicles, phases):
+        vehicle.fly_at(fleet_vehicle.start_position_m[:2] + (1.0,), fleet_vehicle.start_yaw_rad)
+        chains.append(_Chain(vehicle, phase))
+
+    everyone = np.ones(len(names), dtype=bool)
+    judged, times, references, truths = [], [], [], []
+    saturated, settled_s, frame = 0, math.inf, 0
+    while True:
+        time_s = frame * FRAME_S
+        now_s = time_s + LATENCY_S
+        world.step_to(time_s)
+        estimate = estimator.update(time_s, dict(cameras.observe(time_s, world.bodies()).bodies()))
+        states = _states(estimate)
+        if time_s >= WARM_UP_S and not chains[0].pilot.autonomous:
+            for name, chain, state in zip(names, chains, estimate.states):
+                manager.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])
+                chain.press_autonomous(now_s)
+                manager.set_autonomous(name, chain.pilot.autonomous, now_s)
+        reference = manager.sample(time_s)
+        # what /trajectory carries: no jerk, no snap
+        buffer.push(time_s, reference.derivatives[:3])
+        flying = time_s >= WARM_UP_S
+        ahead_s = controller.horizon_s(time_s, now_s)
+        present, ahead = buffer.at(np.array([time_s, time_s + ahead_s]))
+        output = controller.update(time_s, now_s, states, present, ahead, everyone, everyone & flying)
+        for i, chain in enumerate(chains):
+            chain.step(estimate.visible[i], estimate.states[i], output.fractions, i, time_s, now_s, frame)
+        if flying:
+            saturated += int(output.saturated.sum())
+            if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
+                settled_s = time_s + SETTLE_S
+            if frame % JUDGE_EVERY == 0:
+                times.append(time_s)
+                references.append(reference.derivatives[0, :, :3])
+                truths.append([vehicle.state.position_m for vehicle in world.vehicles.values()])
+                judged.append(time_s >= settled_s)
+        if world.crashes:
+            crash = world.crashes[0]
+            raise RuntimeError("%s %s after %.1f s (%r)" % (crash.namespace, crash.reason, crash.time_s, flight))
+        if time_s >= settled_s + flight.duration_s:
+            break
+        frame += 1
+
+    references, truths, judged = np.array(references), np.array(truths), np.array(judged)
+    errors = np.sqrt(((references - truths) ** 2).sum(axis=2))[judged]
+    first, second = np.triu_indices(len(names), 1)
+    between = np.sqrt(((truths[:, first] - truths[:, second]) ** 2).sum(axis=2))
+    return Result(
+        names=tuple(names),
+        rmse_m=np.sqrt((errors**2).mean(axis=0)),
+        max_m=errors.max(axis=0),
+        closest_m=float(between.min(initial=math.inf)),
+        crashes=tuple(world.crashes),
+        saturated=saturated / (len(names) * (frame + 1)),
+        flown_s=time_s,
+        took_s=time.perf_counter() - started,
+        times_s=np.array(times),
+        reference_m=references,
+        actual_m=truths,
+    )
+
+
+class _Chain:
+    """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
+
+    def __init__(self, vehicle, phase):
+        self._vehicle = vehicle
+        self._type = vehicle.type
+        self.pilot = VehiclePilot(VehicleNodeParams(), vehicle.type, 0.0)
+        rate_hz = vehicle.type.command_rate_hz
+        self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
+
+    def press_autonomous(self, now_s):
+        """The operator presses the button, and lets go."""
+        buttons = [0] * 11
+        self.pilot.on_joy(buttons, [0.0] * 8, now_s)
+        buttons[VehicleNodeParams().joystick.JoytoWay] = 1
+        self.pilot.on_joy(buttons, [0.0] * 8, now_s)
+
+    def step(self, visible, state, fractions, i, stamp_s, now_s, frame):
+        """One frame: its state and the answer to it."""
+        pilot = self.pilot
+        if frame % NAVDATA_EVERY == 0:
+            hovering = self._vehicle.phase is FlightPhase.HOVERING
+            pilot.on_navdata(FlightState.HOVERING if hovering else FlightState.FLYING, 90.0, now_s)
+        if visible:
+            pilot.on_state(
+                OwnState(tuple(state[: S.U].tolist()), float(state[S.W]), float(state[S.PHI]), float(state[S.THETA])),
+                now_s - stamp_s,
+                now_s,
+            )
+        own = OwnControl(*(float(part[i]) for part in fractions))
+        for orders in (pilot.on_controls(own, stamp_s, now_s - stamp_s, now_s), pilot.tick(now_s)):
+            if orders.command is not None:
+                self._radio.submit(now_s, self._setpoint(orders.command[0]))
+        for arrival_s, setpoint in self._radio.collect(now_s):
+            self._vehicle.schedule(arrival_s, setpoint)
+
+    def _setpoint(self, sticks):
+        """What the vehicle makes of the fractions of cmd_vel, in NED senses."""
+        return Setpoint(
+            roll_rad=-sticks.left * self._type.tilt_max_rad,
+            pitch_rad=-sticks.forward * self._type.tilt_max_rad,
+            climb_m_s=sticks.up * self._type.climb_max_m_s,
+            yaw_rate_rad_s=-sticks.turn_left * self._type.yaw_rate_max_rad_s,
+            hover=not any(sticks),
+        )
+
+
+def _lab(flight):
+    """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
+    file = "ardrones3.yaml" if flight.vehicles <= 3 else "ardrones5.yaml"
+    fleet = load_fleet(package_file("..", "launch/fleets/" + file)).with_vehicles(flight.vehicles)
+    if flight.psi_rad is not None:
+        fleet = replace(fleet, vehicles=tuple(replace(v, start_yaw_rad=flight.psi_rad) for v in fleet.vehicles))
+    types = {name: load_vehicle_type(name) for name in {vehicle.type for vehicle in fleet.vehicles}}
+    if flight.delay_s is not None:
+        types = {name: replace(kind, command_delay_s=flight.delay_s) for name, kind in types.items()}
+    return fleet, types, [types[vehicle.type] for vehicle in fleet.vehicles]
+
+
+def _states(estimate):
+    x = estimate.states
+    return States(estimate.visible, x[:, S.X : S.U], x[:, S.U : S.PHI], x[:, S.PHI : S.P], x[:, S.P : S.R + 1])
+
+
+def main(argv=None):
+    """Print a table of accuracy over seeds. Returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python3 -m risc_experiments.offline",
+        description="Accuracy of whole flights, offline: position RMSE against truth, on the course after settling.",
+    )
+    parser.add_argument("--trajectory", nargs="+", choices=sorted(COURSES), default=["circle", "flat8", "slanted8"])
+    parser.add_argument("--vehicles", type=int, default=3, metavar="N")
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds 1 to N (default: 5)")
+    parser.add_argument("--delay", type=float, nargs="+", metavar="S", help="link delay (default: that of the type)")
+    parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="judged time (default: 20 s)")
+    parser.add_argument("--psi", type=float, metavar="DEG", help="constant yaw (default: another for every seed)")
+    parser.add_argument("--controller", choices=sorted(CONTROLLERS), default="full")
+    parser.add_argument("--ideal", action="store_true", help="the plant is exactly the nominal model")
+    parser.add_argument("--gusts", action="store_true")
+    parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
+    args = parser.parse_args(argv)
+    print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
+          "worst", "closest", "speed"))  # fmt: skip
+    failed, rows = False, []
+    for trajectory in args.trajectory:
+        for delay_s in args.delay or [None]:
+            everyone = []
+            for seed in range(1, args.seeds + 1):
+                psi_deg = YAW_BY_SEED_DEG * seed if args.psi is None else args.psi
+                flight = Flight(
+                    trajectory=trajectory,
+                    vehicles=args.vehicles,
+                    seed=seed,
+                    duration_s=args.duration,
+                    delay_s=delay_s,
+                    psi_rad=math.radians(psi_deg),
+                    honest=not args.ideal,
+                    gusts=args.gusts,
+                    controller=args.controller,
+                )
+                label = "%-9s %6s %5d" % (trajectory, "type" if delay_s is None else "%.2f" % delay_s, seed)
+                try:
+                    result = fly(flight)
+                except ValueError as error:
+                    parser.error(str(error))
+                except RuntimeError as error:
+                    print("%s  %s" % (label, error))
+                    failed = True
+                    continue
+                rmse_mm = 1e3 * result.rmse_m
+                everyone.extend(rmse_mm)
+                rows.append(
+                    {
+                        "course": trajectory,
+                        "delay_s": delay_s,
+                        "seed": seed,
+                        "rmse_m": result.rmse_m.tolist(),
+                        "closest_m": result.closest_m if math.isfinite(result.closest_m) else None,
+                        "times_real_time": result.flown_s / result.took_s,
+                    }
+                )
+                print("%s  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (
+                    label, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm), rmse_mm.max(),
+                    result.closest_m, result.flown_s / result.took_s), flush=True)  # fmt: skip
+            if everyone:
+                label = "%-9s %6s %5s" % (trajectory, "type" if delay_s is None else "%.2f" % delay_s, "all")
+                print("%s  %-28s %6.1f %6.1f" % (label, "", np.median(everyone), max(everyone)))
+    if args.json:
+        figures = {"simulated": True, "controller": args.controller, "honest": not args.ideal, "flights": rows}
+        args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,404 @@
+"""The virtual operator: flies an experiment by pressing the buttons of joysticks, and by nothing else. No ROS.
+
+One joystick a vehicle. The operator looks at what a person would look at (is it seen by mocap, what does the vehicle
+report, what does its joystick node say) and presses two buttons: take-off/land and manual/autonomous.
+
+    waiting -> takeoff -> settle -> fly -> home -> land -> done | aborted
+
+Whatever lasts too long, and the request to land, leads to `land`. A vehicle that lands by itself (its loss ladder),
+falls silent or loses its joystick node is noted as failed: it is told to land, again and again until it reports that it
+stands, and is left alone from then on; the others fly on. Times are seconds of a clock that never steps.
+"""
+
+import enum
+import math
+from dataclasses import dataclass
+
+from risc_control.vehicle_pilot import FlightState
+
+_HOVERS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
+_ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
+_NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # packets without a state read 0, an emergency too
+_PRESS_S = 0.15  # a button is down for so long, three messages at 20 Hz, and up at least as long
+_LAND_AGAIN_S = 2.0
+_TAKEOFF_AGAIN_S = 2.0
+_TOGGLE_AGAIN_S = 1.0
+_TAKEOFF_PENDING_S = 3.0  # a take-off that was pressed may show that late: until then "landed" is no proof
+
+
+class Phase(enum.Enum):
+    WAITING = "waiting"
+    TAKEOFF = "takeoff"
+    SETTLE = "settle"
+    FLY = "fly"
+    HOME = "home"
+    LAND = "land"
+    DONE = "done"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True)
+class OperatorParams:
+    """Buttons (defaults: Appendix C), durations and time-outs."""
+
+    JoytoWay: int = 0  # button: manual/autonomous
+    TakeoffLand: int = 6  # button: take-off/land
+    bumper: int = 5  # button: next figure (DF_experiment_joy.py)
+    bumper_steps: int = 0  # how often the bumper is pressed on the course; 0 = the course needs none
+    duration: float = 40.0  # [s] on the course; with bumper steps: on each figure
+    rest: float = 8.0  # [s] at the origin before each figure, with bumper steps
+    settle: float = 2.0  # [s] hovering before the course
+    ready: float = 0.5  # [s] everything must have been ready for so long before take-off
+    seen_timeout: float = 0.3  # [s] mocap
+    # [s] navdata, controller_status. Longer than the joystick nodes' navdata_timeout_s: after that they take the button
+    # for land whatever was reported last, so that it may be pressed without fear of a take-off.
+    report_timeout: float = 2.0
+    waiting_timeout: float = 60.0  # [s] until all is ready
+    takeoff_timeout: float = 20.0  # [s] until all hover
+    autonomous_timeout: float = 10.0  # [s] until all are in autonomous mode
+    course_timeout: float = 40.0  # [s] until all are on their course
+    home_timeout: float = 40.0  # [s] until all are home
+    land_timeout: float = 30.0  # [s] until all stand
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            whole = name in ("JoytoWay", "TakeoffLand", "bumper", "bumper_steps")
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:
+                raise ValueError("operator: parameter %s must be a number >= 0, found %r" % (name, value))
+            if whole and value != int(value):
+                raise ValueError("operator: parameter %s must be a whole number, found %r" % (name, value))
+        if len({self.JoytoWay, self.TakeoffLand, self.bumper}) < 3:
+            raise ValueError("operator: JoytoWay, TakeoffLand and bumper must be three different buttons")
+
+
+def time_limit_s(params):
+    """How long a flight takes at most [s], all phases and their time-outs together.
+
+    Not in it: a few periods of `step`, one for each phase.
+    """
+    steps = int(params.bumper_steps)
+    # Both time-outs before the course count from the begin of the phase.
+    course_s = max(params.autonomous_timeout, params.course_timeout)
+    if steps:  # figures are every other stay, the origin is the first
+        figures = (steps + 1) // 2
+        course_s += figures * params.duration + (steps + 1 - figures) * params.rest + steps * 2.0 * _PRESS_S
+    else:
+        course_s += params.duration
+    return (
+        params.waiting_timeout
+        + params.ready
+        + params.takeoff_timeout
+        + params.settle
+        + course_s
+        + params.home_timeout
+        + params.land_timeout
+    )
+
+
+class Joypad:
+    """One virtual joystick: a press lasts a while, and presses do not run into each other."""
+
+    def __init__(self):
+        self._button = None
+        self._down_s = -math.inf
+
+    def press(self, button, now_s):
+        """Press a button; True when it went down, False while the last press is not over."""
+        if now_s - self._down_s < 2.0 * _PRESS_S:
+            return False
+        self._button, self._down_s = button, now_s
+        return True
+
+    def buttons(self, now_s, count):
+        """The buttons of a Joy message: list of `count` zeros and ones."""
+        down = self._button if now_s - self._down_s < _PRESS_S else None
+        return [1 if index == down else 0 for index in range(count)]
+
+
+class Watched:
+    """What the operator knows of one vehicle, and its joystick."""
+
+    def __init__(self):
+        self.pad = Joypad()
+        self.flight_state = None
+        self.autonomous = False
+        self.safety = ""
+        self.trajectory_phase = ""
+        self.failure = ""  # why it is out; "" while it takes part
+        self.seen_s = self.reported_s = self.status_s = -math.inf
+        self._in_air = False  # by the newest report that says anything about it
+        self._ground_s = -math.inf  # when it reported last that it stands
+        self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when the button was pressed last
+
+    def note_report(self, state, now_s):
+        """It reports its state number."""
+        self.flight_state, self.reported_s = state, now_s
+        if state in _ON_GROUND:
+            self._in_air, self._ground_s = False, now_s
+        elif state not in _NO_EVIDENCE:
+            self._in_air = True
+
+    def may_fly(self):
+        """True until it has reported that it stands, late enough after the last take-off that was pressed."""
+        return self._in_air or self._ground_s < self.takeoff_s + _TAKEOFF_PENDING_S
+
+    def is_silent(self, params, now_s):
+        """True when its newest report tells nothing any more."""
+        return now_s - self.reported_s > params.report_timeout
+
+    def not_ready(self, params, now_s):
+        """What is missing for a take-off, "" when nothing is."""
+        if self.is_silent(params, now_s):
+            return "no navdata (is the driver connected?)"
+        if self.flight_state != FlightState.LANDED:
+            return "does not report landed (state %s)" % self.flight_state
+        if now_s - self.status_s > params.report_timeout:
+            return "no controller_status (is the joystick node running?)"
+        if now_s - self.seen_s > params.seen_timeout:
+            return "not seen by mocap"
+        return ""
+
+
+class Operator:
+    """The sequence for all vehicles. Feed it what is heard, call `step` at the rate of the joystick messages.
+
+    vehicles: their namespaces. `call_home` is True from the moment on that the trajectory node is to bring all home
+    (or to hold, when there is no such node) until `home_called` is told how that went.
+    """
+
+    def __init__(self, vehicles, params, now_s):
+        self.vehicles = {name: Watched() for name in vehicles}
+        self.call_home = False
+        self.phase = Phase.WAITING
+        self.text = ""  # detail of the phase
+        self.result = ""  # "ok" or "failed: ..."; "" until the end
+        self._params = params
+        self._since_s = now_s  # begin of the phase
+        self._ready_since_s = None
+        self._course_since_s = None
+        self._step_since_s = None
+        self._steps_left = 0
+        self._homing = False
+        self._failure = ""  # why the whole flight failed, beside what single vehicles did
+
+    # --- what is heard ------------------------------------------------------------------------------------------
+
+    def on_seen(self, name, now_s):
+        """Mocap sees the vehicle."""
+        self.vehicles[name].seen_s = now_s
+
+    def on_navdata(self, name, state, now_s):
+        """The vehicle reports its state number."""
+        self.vehicles[name].note_report(int(state), now_s)
+
+    def on_status(self, name, autonomous, now_s):
+        """The joystick node says who flies."""
+        watched = self.vehicles[name]
+        watched.autonomous, watched.status_s = autonomous, now_s
+
+    def on_safety(self, name, text):
+        """The vehicle's loss ladder changed rungs: "ok", "hold: ...", "land: ..."."""
+        self.vehicles[name].safety = text
+
+    def on_trajectory_phase(self, name, phase):
+        """The trajectory node says where the vehicle is on its way: "approach", "course", "homed", ..."""
+        self.vehicles[name].trajectory_phase = phase
+
+    def request_landing(self, reason, now_s):
+        """Land everything now; the flight counts as failed."""
+        if self.phase not in (Phase.LAND, Phase.DONE, Phase.ABORTED):
+            self._fail(reason, now_s)
+
+    def home_called(self, problem, now_s):
+        """The trajectory node was asked to bring all home; problem: why that failed, "" when it did not."""
+        self.call_home = False
+        if problem and self.phase == Phase.HOME:
+            self._fail("cannot fly home: " + problem, now_s)
+
+    # --- what is done -------------------------------------------------------------------------------------------
+
+    @property
+    def finished(self):
+        return self.phase in (Phase.DONE, Phase.ABORTED)
+
+    @property
+    def phase_text(self):
+        """What goes out on /operator/phase, e.g. "waiting: risc2 not seen by mocap"."""
+        return self.phase.value + (": " + self.text if self.text else "")
+
+    def step(self, now_s):
+        """Look, decide, press."""
+        if self.phase in (Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME):
+            self._note_failures(now_s)
+            self._land_failed(now_s)
+            if self.phase != Phase.LAND and not self._taking_part():
+                self._fail("no vehicle flies any more", now_s)
+        {
+            Phase.WAITING: self._wait,
+            Phase.TAKEOFF: self._take_off,
+            Phase.SETTLE: self._settle,
+            Phase.FLY: self._fly,
+            Phase.HOME: self._go_home,
+            Phase.LAND: self._land,
+            Phase.DONE: self._rest,
+            Phase.ABORTED: self._rest,
+        }[self.phase](now_s)
+
+    def _wait(self, now_s):
+        missing = {name: w.not_ready(self._params, now_s) for name, w in self.vehicles.items()}
+        problems = ["%s %s" % item for item in missing.items() if item[1]]
+        self.text = "; ".join(problems)
+        if problems:
+            self._ready_since_s = None
+            if now_s - self._since_s > self._params.waiting_timeout:
+                self._fail("not ready within %g s: %s" % (self._params.waiting_timeout, self.text), now_s)
+            return
+        if self._ready_since_s is None:
+            self._ready_since_s = now_s
+        if now_s - self._ready_since_s >= self._params.ready:
+            self._enter(Phase.TAKEOFF, now_s)
+
+    def _take_off(self, now_s):
+        waiting = [name for name, w in self._taking_part() if w.flight_state not in _HOVERS]
+        if not waiting:
+            self._enter(Phase.SETTLE, now_s)
+            return
+        self.text = ", ".join(waiting)
+        for _, w in self._taking_part():
+            if w.flight_state == FlightState.LANDED and now_s - w.takeoff_s > _TAKEOFF_AGAIN_S:
+                if w.pad.press(self._params.TakeoffLand, now_s):
+                    w.takeoff_s = now_s
+        if self._overdue(self._params.takeoff_timeout, now_s):
+            self._fail("no hover within %g s: %s" % (self._params.takeoff_timeout, self.text), now_s)
+
+    def _settle(self, now_s):
+        if self._overdue(self._params.settle, now_s):
+            self._enter(Phase.FLY, now_s)
+
+    def _fly(self, now_s):
+        if self._course_since_s is None:
+            self._start_course(now_s)
+        elif self._params.bumper_steps:
+            self._step_through(now_s)
+        elif now_s - self._course_since_s >= self._params.duration:
+            self._enter(Phase.HOME, now_s)
+
+    def _start_course(self, now_s):
+        """Switch to autonomous mode and wait until all are on their course."""
+        params = self._params
+        manual = [name for name, w in self._taking_part() if not w.autonomous]
+        if manual:
+            self.text = "switching %s to autonomous" % ", ".join(manual)
+            for name in manual:
+                w = self.vehicles[name]
+                if now_s - w.toggle_s > _TOGGLE_AGAIN_S and w.pad.press(params.JoytoWay, now_s):
+                    w.toggle_s = now_s
+            if self._overdue(params.autonomous_timeout, now_s):
+                self._fail("no autonomous mode within %g s: %s" % (params.autonomous_timeout, ", ".join(manual)), now_s)
+            return
+        away = [name for name, w in self._taking_part() if w.trajectory_phase != "course"]
+        if away and not params.bumper_steps:
+            self.text = "%s on the way to the course" % ", ".join(away)
+            if self._overdue(params.course_timeout, now_s):
+                self._fail("not on course within %g s: %s" % (params.course_timeout, ", ".join(away)), now_s)
+            return
+        self._course_since_s = self._step_since_s = now_s
+        self._steps_left = int(params.bumper_steps)
+        self.text = "on course for %g s" % params.duration if not params.bumper_steps else "at the origin"
+
+    def _step_through(self, now_s):
+        """Figures of DF_experiment_joy: origin, figure, origin, figure, ...; the bumper leads to the next one."""
+        params = self._params
+        done = int(params.bumper_steps) - self._steps_left
+        on_figure = done % 2 == 1
+        if now_s - self._step_since_s < (params.duration if on_figure else params.rest):
+            return
+        if not self._steps_left:
+            self._enter(Phase.HOME, now_s)
+            return
+        if all(w.pad.press(params.bumper, now_s) for _, w in self._taking_part()):
+            self._steps_left -= 1
+            self._step_since_s = now_s
+            self.text = "figure %d" % (done // 2 + 1) if not on_figure else "at the origin"
+
+    def _go_home(self, now_s):
+        if not self._homing:
+            self._homing = self.call_home = True
+        away = [name for name, w in self._taking_part() if w.trajectory_phase != "homed"]
+        if not away:
+            self._enter(Phase.LAND, now_s)
+            return
+        self.text = ", ".join(away)
+        if self._overdue(self._params.home_timeout, now_s):
+            self._fail("not home within %g s: %s" % (self._params.home_timeout, self.text), now_s)
+
+    def _land(self, now_s):
+        flying = [name for name, w in self.vehicles.items() if w.may_fly()]
+        for w in self.vehicles.values():
+            self._press_land(w, now_s)
+        if not flying:
+            self._finish(now_s)
+        elif self._overdue(self._params.land_timeout, now_s):
+            for name in flying:
+                w = self.vehicles[name]
+                w.failure = w.failure or "did not land within %g s" % self._params.land_timeout
+            self._finish(now_s)
+
+    def _rest(self, now_s):
+        """Finished. Vehicles that did not land in time are still told to."""
+        for w in self.vehicles.values():
+            self._press_land(w, now_s)
+
+    def _press_land(self, w, now_s):
+        """Press land now and then, but never when it stands or is about to: the button would mean take-off."""
+        down = w.flight_state in _ON_GROUND or w.flight_state == FlightState.LANDING
+        if not w.may_fly() or (down and not w.is_silent(self._params, now_s)):
+            return
+        if now_s - w.land_s > _LAND_AGAIN_S and w.pad.press(self._params.TakeoffLand, now_s):
+            w.land_s = now_s
+
+    def _note_failures(self, now_s):
+        """Take out the vehicles that land, fell or fell back to manual mode without being told to."""
+        started = self.phase != Phase.TAKEOFF
+        limit_s = self._params.report_timeout
+        flew = self.phase == Phase.HOME or self._course_since_s is not None
+        for name, w in self._taking_part():
+            if w.safety.startswith("land"):
+                w.failure = "landed by its loss ladder (%s)" % w.safety[len("land") :].strip(": ")
+            elif started and w.flight_state in (FlightState.LANDED, FlightState.LANDING):
+                w.failure = "landed by itself"
+            elif w.is_silent(self._params, now_s):
+                w.failure = "silent: no navdata for %g s" % limit_s
+            elif now_s - w.status_s > limit_s:
+                w.failure = "lost its joystick node: no controller_status for %g s" % limit_s
+            elif flew and not w.autonomous and now_s - w.toggle_s > _TOGGLE_AGAIN_S:
+                w.failure = "fell back to manual mode"
+            if w.failure:
+                self.text = "%s: %s; the others fly on" % (name, w.failure)
+
+    def _land_failed(self, now_s):
+        """Press land for those that are out until they stand: a press may meet a dead joystick node or a lost link."""
+        for w in self.vehicles.values():
+            if w.failure:
+                self._press_land(w, now_s)
+
+    def _taking_part(self):
+        return [(name, w) for name, w in self.vehicles.items() if not w.failure]
+
+    def _overdue(self, limit_s, now_s):
+        return now_s - self._since_s > limit_s
+
+    def _enter(self, phase, now_s):
+        self.phase, self._since_s, self.text = phase, now_s, ""
+
+    def _fail(self, reason, now_s):
+        self._failure = self._failure or reason
+        self._enter(Phase.LAND, now_s)
+        self.text = reason
+
+    def _finish(self, now_s):
+        reasons = [self._failure] if self._failure else []
+        reasons += ["%s %s" % (name, w.failure) for name, w in self.vehicles.items() if w.failure]
+        self.result = "failed: " + "; ".join(reasons) if reasons else "ok"
+        self._enter(Phase.ABORTED if reasons else Phase.DONE, now_s)
+        self.text = "; ".join(reasons)

@@ -1,0 +1,127 @@
+"""Starting a whole launch file and ending it so that nothing is left behind."""
+
+import os
+import pathlib
+import signal
+import socket
+import subprocess
+import time
+import uuid
+
+MARK = "RISC_MAAP_FLIGHT"  # every process of a flight carries its identity in this environment variable
+
+
+class PortReservation:
+    """A part of the loopback network that belongs to one flight: 127.<n>.*.*, told apart by <n>.
+
+    The reservation is a listening socket, so it ends with the process whatever happens.
+    """
+
+    PORT = 1510
+
+    def __init__(self, numbers=range(78, 127)):  # 127.77 is that of the shipped fleet files, for `maap lab`
+        for number in numbers:
+            guard = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            try:
+                guard.bind(("127.%d.0.254" % number, self.PORT))
+                guard.listen(1)
+            except OSError:
+                guard.close()
+                continue
+            self._guard = guard
+            self.subnet = "127.%d" % number
+            return
+        raise RuntimeError("no free loopback subnet: %d flights are running already" % len(numbers))
+
+    def close(self):
+        """Give the subnet back."""
+        self._guard.close()
+
+
+def free_tcp_port():
+    """A TCP port on 127.0.0.1 that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Launch:
+    """One roslaunch with its own master, in its own session, with its output in a file."""
+
+    def __init__(self, launch_file, arguments, folder, master_port):
+        """Start it. arguments: {name: value}; folder: for its log and ROS home."""
+        self.identity = uuid.uuid4().hex
+        self.log_path = pathlib.Path(folder) / "roslaunch.log"
+        environment = dict(os.environ)
+        environment.update(
+            {
+                MARK: self.identity,
+                "ROS_MASTER_URI": "http://127.0.0.1:%d" % master_port,
+                "ROS_IP": "127.0.0.1",
+                "ROS_HOME": str(folder),
+                "ROS_LOG_DIR": str(pathlib.Path(folder) / "ros_log"),
+                "PYTHONUNBUFFERED": "1",
+            }
+        )
+        environment.pop("ROS_HOSTNAME", None)
+        command = ["roslaunch", "--skip-log-check", "-p", str(master_port), str(launch_file)]
+        command += ["%s:=%s" % item for item in arguments.items()]
+        with self.log_path.open("wb") as log:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,  # a Ctrl-C at the terminal is for us: the vehicles must land first
+            )
+
+    def running(self):
+        """Whether roslaunch is alive; it ends by itself when a required node dies."""
+        return self._process.poll() is None
+
+    def stop(self, patience_s=30.0):
+        """End all nodes, first kindly. Returns the command names of processes that had to be killed."""
+        if self.running():
+            self._process.send_signal(signal.SIGINT)
+            try:
+                self._process.wait(patience_s)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+        leftovers = marked_processes(self.identity)
+        for pid in leftovers:
+            _signal(pid, signal.SIGTERM)
+        deadline = time.monotonic() + 3.0
+        while marked_processes(self.identity) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        for pid in marked_processes(self.identity):
+            _signal(pid, signal.SIGKILL)
+        self._process.wait()
+        return sorted(leftovers.values())
+
+    def log_tail(self, lines=15):
+        """The last lines that roslaunch and its nodes printed."""
+        text = self.log_path.read_text(encoding="utf-8", errors="replace")
+        return "\n".join(text.splitlines()[-lines:])
+
+
+def marked_processes(identity):
+    """{process id: command} of the processes of one flight, without the caller."""
+    wanted = ("%s=%s" % (MARK, identity)).encode()
+    found = {}
+    for entry in pathlib.Path("/proc").glob("[0-9]*"):
+        if int(entry.name) == os.getpid():
+            continue
+        try:
+            if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        except (FileNotFoundError, ProcessLookupError, PermissionError):
+            continue  # it ended while we looked, or it belongs to somebody else
+    return found
+
+
+def _signal(pid, number):
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return  # already gone: what was wanted

@@ -1,0 +1,80 @@
+"""After the flight: the bag becomes CSV files, plots, summary.json and the table that is printed."""
+
+import json
+
+from data_extraction import plots, summary
+from data_extraction.csv_export import export
+from data_extraction.flight import FlightCollector
+from risc_control.lab import load_fleet, load_vehicle_type
+from risc_experiments.judge import Limits, judge
+from risc_simulator.models.mocap_cameras import CameraParams
+
+
+def make_report(args, folder, operator_result, progress, interrupted):
+    """Evaluate the flight in `folder` and print what came out. Returns the exit code, 0 when it passed.
+
+    args: of `fly.arguments`; operator_result: text of /operator/result; interrupted: threading.Event that stops it.
+    Raises ValueError for a useless bag, and when it is interrupted.
+    """
+    bag = folder / "flight.bag"
+    interrupted.clear()
+    collector = FlightCollector()
+
+    def collect(topic, receipt_s, message):
+        if interrupted.is_set():
+            raise ValueError("interrupted while extracting; the bag is complete: %s" % bag)
+        collector(topic, receipt_s, message)
+        collect.count += 1
+        if collect.count % 500 == 0:
+            progress.show("extracting", "%d messages" % collect.count)
+
+    collect.count = 0
+    files = export(bag, folder / "csv", on_message=collect)
+    flight = collector.flight()
+    progress.show("drawing")
+    title = "%s, seed %d (simulated)" % (args.trajectory or args.experiment, args.seed)
+    pictures = plots.draw_all(flight, folder / "plots", title)
+    artefacts = {
+        "bag": str(bag),
+        "csv_dir": str(folder / "csv"),
+        "plots": [str(picture) for picture in pictures],
+    }
+    result = summary.summarise(flight, args.experiment, simulation_model(args, folder), artefacts)
+    result["least_separation_m"] = least_separation_m(folder)
+    reasons = judge(flight, operator_result)
+    result["passed"] = not reasons
+    result["reasons"] = reasons
+    result["limits"] = dict(vars(Limits()))
+    summary.write(result, folder / "summary.json")
+    progress.say("")
+    print(summary.table(result))
+    print("simulated: %s" % ", ".join("%s %s" % item for item in result["simulated"].items()))
+    if result["least_separation_m"] is not None:
+        print("vehicles came no closer than %.2f m to each other" % result["least_separation_m"])
+    print()
+    print("bag      %s" % bag)
+    print("CSV      %s (%d files)" % (folder / "csv", len(files)))
+    print("plots    %s" % (folder / "plots"))
+    print("summary  %s" % (folder / "summary.json"))
+    print()
+    print("PASSED" if result["passed"] else "FAILED: " + "; ".join(reasons))
+    return 0 if result["passed"] else 1
+
+
+def simulation_model(args, folder):
+    """What the virtual lab simulated, for `summary.json`: its noise, delay and plant."""
+    type_name = load_fleet(folder / "fleet.yaml").vehicles[0].type
+    delay_s = load_vehicle_type(type_name).command_delay_s if args.delay is None else args.delay
+    return {
+        "plant": "ideal" if args.ideal else "honest",
+        "gusts": args.gusts,
+        "seed": args.seed,
+        "marker_noise_m": CameraParams().noise_std_m,
+        "command_delay_s": delay_s,
+    }
+
+
+def least_separation_m(folder):
+    """Smallest distance [m] between two vehicles in the air, by the virtual lab; None when it does not say."""
+    path = folder / "virtual_lab.json"
+    return json.loads(path.read_text(encoding="utf-8")).get("least_separation_m") if path.exists() else None

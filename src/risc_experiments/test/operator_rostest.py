@@ -1,0 +1,165 @@
+#!/usr/bin/env python3
+"""virtual_operator.py with real vehicle nodes: a whole flight, a request to land, a lost joystick."""
+
+import subprocess
+import threading
+import time
+import unittest
+
+import rospy
+import rostest
+from std_msgs.msg import Bool, Empty, String
+from std_srvs.srv import Trigger, TriggerResponse
+
+from ardrone_autonomy.msg import Navdata
+from risc_msgs.msg import Control, Controls, Cortex, States
+
+TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross"}
+LANDED, HOVERING, TAKING_OFF, LANDING = 2, 4, 6, 8
+TIMEOUT_S = 30.0
+TAKEOFF_S = LANDING_S = APPROACH_S = 0.5
+
+
+class World:
+    """Vehicles that take off and land in half a second, mocap, controller and trajectory node."""
+
+    def __init__(self):
+        self.state = dict.fromkeys(TEMPLATES, LANDED)
+        self.until_s = dict.fromkeys(TEMPLATES, 0.0)
+        self.autonomous_s = dict.fromkeys(TEMPLATES)  # since when, None = manual
+        self.home_s = None
+        self.phases, self.results = [], []
+        self._ended = False
+        self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
+        self._controls = rospy.Publisher("/controls", Controls, queue_size=1)
+        self._trajectory = rospy.Publisher("/trajectory_phase", String, queue_size=1)
+        self._navdata = {v: rospy.Publisher("/%s/ardrone/navdata" % v, Navdata, queue_size=1) for v in TEMPLATES}
+        for vehicle in TEMPLATES:
+            rospy.Subscriber("/%s/ardrone/takeoff" % vehicle, Empty, self._on_takeoff, vehicle)
+            rospy.Subscriber("/%s/ardrone/land" % vehicle, Empty, self._on_land, vehicle)
+            rospy.Subscriber("/%s/controller_status" % vehicle, Bool, self._on_status, vehicle)
+        rospy.Subscriber("/operator/phase", String, lambda m: self.phases.append(m.data))
+        rospy.Subscriber("/operator/result", String, lambda m: self.results.append(m.data))
+        rospy.Service("/trajectory_node/go_home", Trigger, self._on_home)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _on_takeoff(self, _message, vehicle):
+        if self.state[vehicle] == LANDED:
+            self.state[vehicle], self.until_s[vehicle] = TAKING_OFF, time.monotonic() + TAKEOFF_S
+
+    def _on_land(self, _message, vehicle):
+        if self.state[vehicle] not in (LANDED, LANDING):
+            self.state[vehicle], self.until_s[vehicle] = LANDING, time.monotonic() + LANDING_S
+
+    def _on_status(self, message, vehicle):
+        if not message.data:
+            self.autonomous_s[vehicle] = None
+        elif self.autonomous_s[vehicle] is None:
+            self.autonomous_s[vehicle] = time.monotonic()
+
+    def _on_home(self, _request):
+        self.home_s = time.monotonic()
+        return TriggerResponse(True, "")
+
+    def _run(self):
+        rate = rospy.Rate(100)
+        while not self._ended:
+            now_s = time.monotonic()
+            states, controls, phases = Cortex(), Controls(), []
+            states.header.stamp = controls.header.stamp = rospy.Time.now()
+            for vehicle, template in TEMPLATES.items():
+                if now_s > self.until_s[vehicle]:
+                    self.state[vehicle] = {TAKING_OFF: HOVERING, LANDING: LANDED}.get(
+                        self.state[vehicle], self.state[vehicle]
+                    )
+                self._navdata[vehicle].publish(Navdata(state=self.state[vehicle], batteryPercent=80.0))
+                states.Obj.append(States(name=template, visible=True, z=1.0))
+                controls.Obj.append(Control(template, 0.1, 0.1, 0.1, 4.41))
+                since_s, home_s = self.autonomous_s[vehicle], self.home_s
+                if home_s is not None:
+                    phase = "homed" if now_s > home_s + APPROACH_S else "home"
+                else:
+                    phase = "hold" if since_s is None else "course" if now_s > since_s + APPROACH_S else "approach"
+                phases.append("%s: %s" % (template, phase))
+            self._states.publish(states)
+            self._controls.publish(controls)
+            self._trajectory.publish("; ".join(phases))
+            rate.sleep()
+
+    def end(self):
+        self._ended = True
+        self._thread.join()
+
+    def reset(self):
+        self.home_s = None
+        del self.phases[:], self.results[:]
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline, "not within %g s: %s" % (TIMEOUT_S, what)
+        time.sleep(0.02)
+
+
+class OperatorTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.world = World()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.world.end()
+
+    def start(self, duration_s):
+        """Start an operator; it ends with the test."""
+        self.world.reset()
+        operator = subprocess.Popen(
+            [
+                "rosrun",
+                "risc_experiments",
+                "virtual_operator.py",
+                "_duration:=%g" % duration_s,
+                "_settle:=0.2",
+                "_vehicles:=risc1 risc2",
+            ]
+        )
+        self.addCleanup(operator.wait)
+        self.addCleanup(operator.terminate)
+
+    def seen(self, phase):
+        return any(text.split(":")[0] == phase for text in self.world.phases)
+
+    def test_1_whole_flight(self):
+        world = self.world
+        self.start(duration_s=1.0)
+        wait_for(lambda: world.results, "a result; phases: %s" % world.phases)
+        self.assertEqual(world.results, ["ok"])
+        self.assertEqual(world.phases[-1], "done")
+        order = list(dict.fromkeys(text.split(":")[0] for text in world.phases))
+        self.assertEqual(order, ["waiting", "takeoff", "settle", "fly", "home", "land", "done"])
+        self.assertEqual(set(world.state.values()), {LANDED})
+
+    def test_2_request_to_land(self):
+        world = self.world
+        self.start(duration_s=100.0)
+        wait_for(lambda: any("on course" in text for text in world.phases), "being on course: %s" % world.phases)
+        self.assertTrue(rospy.ServiceProxy("/operator/land", Trigger)().success)
+        wait_for(lambda: world.results, "a result")
+        self.assertEqual(world.results, ["failed: landing was requested"])
+        self.assertEqual(world.phases[-1], "aborted: landing was requested")
+        self.assertEqual(set(world.state.values()), {LANDED})
+
+    def test_3_an_operator_that_dies_is_a_lost_joystick(self):
+        world = self.world
+        self.start(duration_s=100.0)
+        wait_for(lambda: any("on course" in text for text in world.phases), "being on course: %s" % world.phases)
+        self.doCleanups()
+        wait_for(lambda: set(world.state.values()) == {LANDED}, "landing without the operator")
+        self.assertEqual(world.results, [])
+
+
+if __name__ == "__main__":
+    rospy.init_node("operator_test")
+    rostest.rosrun("risc_experiments", "operator_test", OperatorTest)

@@ -1,0 +1,79 @@
+"""Whole flights offline: accuracy on honest plants at any yaw, delay, reproducibility."""
+
+import math
+
+import numpy as np
+import pytest
+
+from risc_experiments import offline
+from risc_experiments.offline import Flight, fly
+
+HULL_M = 0.55
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "seed", "psi_deg"), [("circle", 1, 0.0), ("flat8", 2, 110.0), ("slanted8", 3, -160.0)]
+)
+def test_three_vehicles_on_honest_plants(trajectory, seed, psi_deg):
+    result = fly(Flight(trajectory, seed=seed, psi_rad=math.radians(psi_deg), duration_s=10.0))
+    assert result.names == ("fluffy_II", "albatross", "Raven")
+    assert result.rmse_m.max() < 0.02, "the requirement is 0.03"
+    assert result.max_m.max() < 0.05
+    assert result.closest_m > HULL_M + 0.1
+    assert result.crashes == ()
+
+
+def test_turning_noses():
+    result = fly(Flight("circles3", seed=4, duration_s=12.0))
+    assert result.rmse_m.max() < 0.02
+
+
+def test_a_delay_of_0_3_s_that_the_controller_knows():
+    result = fly(Flight("circle", seed=5, delay_s=0.3, psi_rad=1.0, duration_s=10.0))
+    assert result.rmse_m.max() < 0.06, "the requirement is 0.1"
+
+
+def test_the_thesis_controller_flies_and_is_less_accurate():
+    thesis = fly(Flight("flat8", vehicles=1, seed=2, psi_rad=2.0, duration_s=10.0, controller="thesis"))
+    full = fly(Flight("flat8", vehicles=1, seed=2, psi_rad=2.0, duration_s=10.0))
+    assert 2.0 * full.rmse_m[0] < thesis.rmse_m[0] < 0.15
+
+
+def test_a_seed_reproduces_a_flight_bit_for_bit():
+    first, second, other = (fly(Flight("circle", vehicles=2, seed=seed, duration_s=2.0)) for seed in (7, 7, 8))
+    assert np.array_equal(first.actual_m, second.actual_m) and np.array_equal(first.rmse_m, second.rmse_m)
+    assert not np.array_equal(first.actual_m[:100], other.actual_m[:100])
+
+
+def test_gusts_and_an_ideal_plant_without_noise():
+    ideal = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, honest=False, noise=False))
+    assert ideal.rmse_m[0] < 0.006
+    gusty = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, gusts=True))
+    assert ideal.rmse_m[0] < gusty.rmse_m[0] < 0.1
+
+
+def test_the_table(capsys):
+    arguments = ["--trajectory", "circle", "--vehicles", "1", "--seeds", "2", "--duration", "1", "--delay", "0.1"]
+    assert offline.main(arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[:3] == ["course", "delay", "seed"]
+    assert [line.split()[:3] for line in lines[1:]] == [
+        ["circle", "0.10", "1"],
+        ["circle", "0.10", "2"],
+        ["circle", "0.10", "all"],
+    ]
+    assert 0.0 < float(lines[3].split()[3]) < 30.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--vehicles", "9"], "has 5 vehicles, 9 were asked for"),
+        (["--delay", "2"], "command delay must be from 0"),
+        (["--trajectory", "loop"], "invalid choice"),
+    ],
+)
+def test_wrong_use_is_one_clear_line(arguments, message, capsys):
+    with pytest.raises(SystemExit):
+        offline.main(["--seeds", "1"] + arguments)
+    assert message in capsys.readouterr().err

@@ -1,0 +1,441 @@
+"""risc_experiments.operator: the whole sequence against model vehicles, with a clock that the test turns."""
+
+import pytest
+
+from risc_control.vehicle_pilot import FlightState
+from risc_experiments.operator import Joypad, Operator, OperatorParams, Phase, time_limit_s
+
+TOGGLE, TAKEOFF_LAND, BUMPER = 0, 6, 5
+STEP_S = 0.05
+
+
+class ModelVehicle:
+    """Vehicle and joystick node in a few lines: reacts to edges of the two buttons as the real ones do."""
+
+    def __init__(self):
+        self.state = FlightState.LANDED
+        self.autonomous = False
+        self.safety = "ok"
+        self.course = "hold"
+        self.seen = self.connected = self.node_alive = True
+        self.obeys = {"takeoff", "land", "toggle"}
+        self.presses = []
+        self._down = None
+        self._timer_s = 0.0
+
+    def joy(self, buttons, now_s):
+        down = buttons.index(1) if 1 in buttons else None
+        assert sum(buttons) <= 1
+        if down is not None and down != self._down:
+            self.presses.append((now_s, down))
+            if not self.node_alive:
+                pass
+            elif down == TAKEOFF_LAND and self.state == FlightState.LANDED and self.connected:
+                if "takeoff" in self.obeys:
+                    self.state, self._timer_s = FlightState.TAKING_OFF, now_s + 4.0
+            elif down == TAKEOFF_LAND and "land" in self.obeys:
+                self.land(now_s)
+            elif down == TOGGLE and "toggle" in self.obeys and self.state == FlightState.HOVERING:
+                self.autonomous = not self.autonomous
+                self.course, self._course_s = "approach", now_s + 3.0
+        self._down = down
+
+    def land(self, now_s):
+        self.autonomous = False
+        if self.state != FlightState.LANDING:
+            self.state, self._timer_s = FlightState.LANDING, now_s + 2.5
+
+    def go(self, now_s):
+        if self.state == FlightState.TAKING_OFF and now_s >= self._timer_s:
+            self.state = FlightState.HOVERING
+        if self.state == FlightState.LANDING and now_s >= self._timer_s:
+            self.state, self.safety = FlightState.LANDED, "ok"
+        if self.autonomous and self.course == "approach" and now_s >= self._course_s:
+            self.course = "course"
+        if self.course == "home" and now_s >= self._course_s:
+            self.course = "homed"
+
+    def home(self, now_s):
+        self.course, self._course_s = "home", now_s + 3.0
+
+    def count(self, button):
+        return sum(pressed == button for _, pressed in self.presses)
+
+
+class Flight:
+    """An operator with model vehicles."""
+
+    def __init__(self, count=3, **params):
+        params = dict({"duration": 10.0}, **params)
+        self.now_s = 100.0
+        self.vehicles = {"risc%d" % (k + 1): ModelVehicle() for k in range(count)}
+        self.operator = Operator(list(self.vehicles), OperatorParams(**params), self.now_s)
+        self.home_problem = ""
+        self.home_calls = 0
+        self.phases = []
+
+    def step(self):
+        self.now_s += STEP_S
+        for name, vehicle in self.vehicles.items():
+            vehicle.go(self.now_s)
+            if vehicle.seen:
+                self.operator.on_seen(name, self.now_s)
+            if vehicle.connected:
+                self.operator.on_navdata(name, vehicle.state, self.now_s)
+            if vehicle.node_alive:
+                self.operator.on_status(name, vehicle.autonomous, self.now_s)
+            self.operator.on_safety(name, vehicle.safety)
+            self.operator.on_trajectory_phase(name, vehicle.course)
+        self.operator.step(self.now_s)
+        if self.operator.call_home:
+            self.home_calls += 1
+            self.operator.home_called(self.home_problem, self.now_s)
+            if not self.home_problem:
+                for vehicle in self.vehicles.values():
+                    vehicle.home(self.now_s)
+        for name, vehicle in self.vehicles.items():
+            vehicle.joy(self.operator.vehicles[name].pad.buttons(self.now_s, 11), self.now_s)
+        if not self.phases or self.phases[-1] != self.operator.phase:
+            self.phases.append(self.operator.phase)
+
+    def run(self, until, limit_s=300.0):
+        """Go on until a Phase is reached or a condition holds."""
+        end_s = self.now_s + limit_s
+        while not (self.operator.phase == until if isinstance(until, Phase) else until()):
+            assert self.now_s < end_s, "stuck in " + self.operator.phase_text
+            self.step()
+        return self
+
+    def finish(self):
+        return self.run(lambda: self.operator.finished)
+
+    def on_course(self):
+        return self.run(lambda: self.operator.text.startswith("on course"))
+
+
+def test_a_whole_flight():
+    flight = Flight().finish()
+    assert flight.operator.result == "ok"
+    assert flight.operator.phase_text == "done"
+    assert flight.phases == [Phase.WAITING, Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME, Phase.LAND, Phase.DONE]
+    assert flight.home_calls == 1
+    for vehicle in flight.vehicles.values():
+        assert [button for _, button in vehicle.presses] == [TAKEOFF_LAND, TOGGLE, TAKEOFF_LAND]
+        assert vehicle.state == FlightState.LANDED
+
+
+def test_duration_counts_from_when_all_are_on_course():
+    flight = Flight(duration=10.0).on_course()
+    assert all(vehicle.course == "course" for vehicle in flight.vehicles.values())
+    begin_s = flight.now_s
+    flight.run(Phase.HOME)
+    assert flight.now_s - begin_s == pytest.approx(10.0, abs=2 * STEP_S)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda v: setattr(v, "seen", False), "risc2 not seen by mocap"),
+        (lambda v: setattr(v, "connected", False), "risc2 no navdata"),
+        (lambda v: setattr(v, "state", FlightState.UNKNOWN), "risc2 does not report landed (state 0)"),
+    ],
+)
+def test_waits_says_for_what_and_gives_up(spoil, text):
+    flight = Flight(waiting_timeout=5.0)
+    spoil(flight.vehicles["risc2"])
+    flight.step()
+    assert flight.operator.phase_text.startswith("waiting: ")
+    assert text in flight.operator.phase_text
+    flight.finish()
+    assert flight.operator.phase == Phase.ABORTED
+    assert text in flight.operator.result
+    for vehicle in flight.vehicles.values():
+        assert TAKEOFF_LAND not in [button for _, button in vehicle.presses] or vehicle is flight.vehicles["risc2"]
+
+
+def test_starts_when_the_last_one_is_ready():
+    flight = Flight()
+    flight.vehicles["risc3"].seen = False
+    for _ in range(100):
+        flight.step()
+    assert flight.operator.phase == Phase.WAITING
+    flight.vehicles["risc3"].seen = True
+    assert flight.finish().operator.result == "ok"
+
+
+def test_presses_again_when_a_takeoff_was_not_heard():
+    flight = Flight()
+    vehicle = flight.vehicles["risc1"]
+    vehicle.obeys.remove("takeoff")
+    flight.run(lambda: vehicle.count(TAKEOFF_LAND) == 2)
+    vehicle.obeys.add("takeoff")
+    assert flight.finish().operator.result == "ok"
+
+
+@pytest.mark.parametrize(
+    ("order", "text"),
+    [("takeoff", "no hover within 20 s: risc2"), ("toggle", "no autonomous mode within 10 s: risc2")],
+)
+def test_timeouts_land_all(order, text):
+    flight = Flight()
+    flight.vehicles["risc2"].obeys.remove(order)
+    flight.finish()
+    assert flight.operator.result == "failed: " + text
+    assert flight.operator.phase_text == "aborted: " + text
+    assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
+
+
+def test_never_on_course_and_never_home():
+    flight = Flight()
+    for vehicle in flight.vehicles.values():
+        vehicle.go = lambda now_s, v=vehicle: ModelVehicle.go(v, now_s) if v.course != "approach" else None
+    flight.finish()
+    assert "not on course within 40 s: risc1, risc2, risc3" in flight.operator.result
+    flight = Flight()
+    flight.vehicles["risc3"].home = lambda now_s: None
+    flight.finish()
+    assert flight.operator.result == "failed: not home within 40 s: risc3"
+    assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
+
+
+def test_without_a_way_home_it_lands_where_it_is():
+    flight = Flight()
+    flight.home_problem = "no such service"
+    flight.finish()
+    assert flight.operator.result == "failed: cannot fly home: no such service"
+    assert flight.home_calls == 1
+
+
+def test_a_vehicle_that_does_not_land_is_told_again():
+    flight = Flight()
+    flight.run(Phase.LAND)
+    flight.vehicles["risc1"].obeys.remove("land")
+    flight.finish()
+    assert flight.operator.result == "failed: risc1 did not land within 30 s"
+    before = flight.vehicles["risc1"].count(TAKEOFF_LAND)
+    assert before > 10
+    flight.run(lambda: flight.vehicles["risc1"].count(TAKEOFF_LAND) > before)
+
+
+@pytest.mark.parametrize("phase", [Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME])
+def test_request_lands_everything(phase):
+    flight = Flight().run(phase)
+    for _ in range(10):
+        flight.step()
+    flight.operator.request_landing("landing was requested", flight.now_s)
+    assert flight.operator.phase_text == "land: landing was requested"
+    flight.finish()
+    assert flight.operator.result == "failed: landing was requested"
+    assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
+
+
+def test_request_right_after_the_takeoff_was_pressed():
+    """The vehicles still report landed then: pressing the button would do nothing, or the wrong thing."""
+    flight = Flight().run(Phase.TAKEOFF)
+    for vehicle in flight.vehicles.values():
+        vehicle.obeys.remove("takeoff")  # reacts late
+    flight.run(lambda: all(vehicle.presses for vehicle in flight.vehicles.values()))
+    flight.operator.request_landing("landing was requested", flight.now_s)
+    for _ in range(20):
+        flight.step()
+    for vehicle in flight.vehicles.values():
+        vehicle.state, vehicle._timer_s = FlightState.TAKING_OFF, flight.now_s + 4.0
+    flight.finish()
+    assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
+    assert all(vehicle.count(TAKEOFF_LAND) == 2 for vehicle in flight.vehicles.values())
+
+
+def test_request_before_takeoff_ends_at_once():
+    flight = Flight()
+    flight.step()
+    flight.operator.request_landing("landing was requested", flight.now_s)
+    flight.finish()
+    assert not any(vehicle.presses for vehicle in flight.vehicles.values())
+
+
+def test_a_vehicle_landed_by_its_ladder_is_noted_and_the_others_fly_on():
+    flight = Flight().on_course()
+    vehicle = flight.vehicles["risc2"]
+    vehicle.safety = "land: state 500 ms old"
+    flight.step()
+    vehicle.land(flight.now_s)
+    flight.step()
+    assert "risc2: landed by its loss ladder (state 500 ms old); the others fly on" in flight.operator.phase_text
+    flight.run(Phase.HOME)
+    assert flight.vehicles["risc1"].autonomous
+    flight.finish()
+    assert flight.operator.result == "failed: risc2 landed by its loss ladder (state 500 ms old)"
+    for name in ("risc1", "risc3"):
+        assert [button for _, button in flight.vehicles[name].presses] == [TAKEOFF_LAND, TOGGLE, TAKEOFF_LAND]
+    assert vehicle.count(TAKEOFF_LAND) <= 2, "never pressed when it stands: that would be a take-off"
+    assert vehicle.state == FlightState.LANDED
+
+
+def test_a_short_hold_does_not_matter():
+    flight = Flight().on_course()
+    flight.vehicles["risc2"].safety = "hold: state 110 ms old"
+    for _ in range(5):
+        flight.step()
+    flight.vehicles["risc2"].safety = "ok"
+    assert flight.finish().operator.result == "ok"
+
+
+def test_when_nobody_flies_any_more_it_ends():
+    flight = Flight(count=1, duration=1000.0).on_course()
+    flight.vehicles["risc1"].safety = "land: battery at 9 %"
+    flight.vehicles["risc1"].land(flight.now_s)
+    flight.run(lambda: flight.operator.finished, 10.0)
+    assert flight.operator.result == (
+        "failed: no vehicle flies any more; risc1 landed by its loss ladder (battery at 9 %)"
+    )
+
+
+def test_a_vehicle_that_falls_back_to_manual_mode_is_landed():
+    flight = Flight().on_course()
+    flight.vehicles["risc1"].autonomous = False
+    flight.finish()
+    assert flight.operator.result == "failed: risc1 fell back to manual mode"
+    assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
+
+
+def test_a_silent_vehicle_is_noted():
+    flight = Flight().on_course()
+    flight.vehicles["risc1"].connected = False
+    flight.run(lambda: "risc1: silent" in flight.operator.phase_text, 3.0)
+
+
+def test_a_failed_vehicle_is_told_to_land_until_it_stands():
+    """The first press is lost: by a hiccup of the link, or by a joystick node that comes back only later."""
+    flight = Flight(duration=60.0).on_course()
+    vehicle = flight.vehicles["risc2"]
+    before = vehicle.count(TAKEOFF_LAND)
+    vehicle.obeys.remove("land")
+    vehicle.autonomous = False
+    flight.run(lambda: vehicle.count(TAKEOFF_LAND) == before + 5, 15.0)
+    times = [t for t, button in vehicle.presses if button == TAKEOFF_LAND][before:]
+    assert min(b - a for a, b in zip(times, times[1:])) >= 2.0
+    vehicle.obeys.add("land")
+    flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
+    assert flight.operator.phase == Phase.FLY
+    pressed = len(vehicle.presses)
+    flight.finish()
+    assert len(vehicle.presses) == pressed, "left alone once it stands: a press would mean take-off"
+    assert vehicle.state == FlightState.LANDED
+    for name in ("risc1", "risc3"):
+        assert [button for _, button in flight.vehicles[name].presses] == [TAKEOFF_LAND, TOGGLE, TAKEOFF_LAND]
+
+
+def test_a_vehicle_whose_joystick_node_died_is_landed_when_it_is_back():
+    flight = Flight(duration=60.0).on_course()
+    vehicle = flight.vehicles["risc2"]
+    vehicle.node_alive = False
+    since_s = flight.now_s
+    flight.run(lambda: "risc2: lost its joystick node" in flight.operator.phase_text, 3.0)
+    assert flight.now_s - since_s == pytest.approx(2.0, abs=3 * STEP_S)
+    flight.run(lambda: flight.now_s > since_s + 6.0)
+    assert vehicle.state == FlightState.HOVERING
+    vehicle.node_alive, vehicle.autonomous = True, False  # started again, in manual mode
+    flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
+    assert flight.operator.phase == Phase.FLY
+    flight.finish()
+    assert flight.operator.result == "failed: risc2 lost its joystick node: no controller_status for 2 s"
+    assert vehicle.state == FlightState.LANDED
+
+
+def test_a_vehicle_that_falls_silent_while_taking_off_is_landed():
+    """Its last word is "landed", but take-off was pressed: it may be in the air, and the button means land now."""
+    flight = Flight()
+    vehicle = flight.vehicles["risc2"]
+    vehicle.obeys.remove("land")
+    flight.run(lambda: vehicle.presses)
+    vehicle.connected = False
+    flight.run(lambda: vehicle.count(TAKEOFF_LAND) == 2, 5.0)
+    assert flight.operator.phase == Phase.TAKEOFF, "the others do not wait for it"
+    assert flight.now_s - vehicle.presses[0][0] > 1.9, "not while the joystick node may take it for a take-off"
+    vehicle.obeys.add("land")
+    flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
+    vehicle.connected = True
+    flight.finish()
+    assert flight.operator.result == "failed: risc2 silent: no navdata for 2 s"
+    assert vehicle.state == FlightState.LANDED
+
+
+def test_a_silent_vehicle_that_stood_is_not_pressed_into_the_air():
+    flight = Flight(duration=30.0).on_course()
+    vehicle = flight.vehicles["risc2"]
+    vehicle.land(flight.now_s)
+    flight.run(lambda: vehicle.state == FlightState.LANDED)
+    flight.step()
+    pressed = len(vehicle.presses)
+    vehicle.connected = False
+    for _ in range(200):
+        flight.step()
+    vehicle.connected, vehicle.state = True, FlightState.UNKNOWN  # a packet without a state
+    flight.step()
+    vehicle.state = FlightState.LANDED
+    flight.finish()
+    assert len(vehicle.presses) == pressed
+    assert vehicle.state == FlightState.LANDED
+
+
+def test_time_limit_is_the_sum_of_all_phases():
+    assert time_limit_s(OperatorParams(duration=30.0)) == 60.0 + 0.5 + 20.0 + 2.0 + (40.0 + 30.0) + 40.0 + 30.0
+    longer = time_limit_s(OperatorParams(autonomous_timeout=50.0, duration=30.0))
+    assert longer == time_limit_s(OperatorParams(duration=30.0)) + 10.0
+    figures = OperatorParams(duration=20.0, rest=8.0, bumper_steps=5)
+    stays_s = 3 * 8.0 + 3 * 20.0 + 5 * 0.3
+    assert time_limit_s(figures) == pytest.approx(time_limit_s(OperatorParams(duration=0.0)) + stays_s)
+
+
+@pytest.mark.parametrize("stuck", ["nowhere", "waiting", "takeoff", "toggle", "course", "home", "land"])
+@pytest.mark.parametrize("bumper_steps", [0, 5])
+def test_no_flight_outlasts_the_time_limit(stuck, bumper_steps):
+    """With time-outs that are only just long enough, one phase takes for ever."""
+    params = {"waiting_timeout": 5.0, "takeoff_timeout": 4.5, "autonomous_timeout": 1.0, "course_timeout": 3.5}
+    params.update(home_timeout=3.5, land_timeout=3.0, duration=10.0, rest=4.0, bumper_steps=bumper_steps)
+    flight = Flight(**params)
+    vehicle, begin_s = flight.vehicles["risc1"], flight.now_s
+    vehicle.obeys.discard(stuck)
+    vehicle.seen = False
+    flight.run(lambda: flight.now_s > begin_s + 4.9)
+    vehicle.seen = stuck != "waiting"
+    if stuck == "course":
+        vehicle.go = lambda now_s: ModelVehicle.go(vehicle, now_s) if vehicle.course != "approach" else None
+    elif stuck == "home":
+        vehicle.home = lambda now_s: None
+    flight.finish()
+    fails = stuck != "nowhere" and not (stuck == "course" and bumper_steps)  # figures have no approach
+    assert flight.operator.result.startswith("failed: ") == fails
+    limit_s = time_limit_s(OperatorParams(**params))
+    lasted_s = flight.now_s - begin_s
+    assert lasted_s <= limit_s + len(Phase) * STEP_S
+    if not fails or stuck == "land":
+        assert lasted_s > limit_s - 6.0
+
+
+def test_bumpers_step_through_the_figures():
+    flight = Flight(count=1, bumper_steps=5, duration=10.0, rest=4.0)
+    vehicle = flight.vehicles["risc1"]
+    vehicle.go = lambda now_s: ModelVehicle.go(vehicle, now_s) if vehicle.course != "approach" else None
+    flight.finish()
+    assert flight.operator.result == "ok"
+    toggled_s = next(t for t, button in vehicle.presses if button == TOGGLE)
+    times = [t for t, button in vehicle.presses if button == BUMPER]
+    gaps = [b - a for a, b in zip([toggled_s, *times], times)]
+    assert gaps == pytest.approx([4.0, 10.0, 4.0, 10.0, 4.0], abs=0.4)
+    assert flight.home_calls == 1
+
+
+def test_presses_do_not_run_into_each_other():
+    pad = Joypad()
+    assert pad.press(3, 10.0)
+    assert pad.buttons(10.1, 5) == [0, 0, 0, 1, 0]
+    assert not pad.press(4, 10.2)
+    assert pad.buttons(10.2, 5) == [0] * 5
+    assert pad.press(4, 10.31)
+
+
+@pytest.mark.parametrize("bad", [{"duration": -1.0}, {"bumper_steps": 1.5}, {"settle": "2"}, {"bumper": 6}])
+def test_bad_parameters_are_named(bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        OperatorParams(**bad)

@@ -1,0 +1,130 @@
+"""The parts of the runner: what judges a flight, ends processes, shows progress."""
+
+import io
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from data_extraction.flight import Flight, Mocap, VehicleFlight
+from risc_experiments.fly import arguments
+from risc_experiments.judge import judge
+from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes
+from risc_experiments.progress import Progress, flight_detail
+
+
+def vehicle(**changes):
+    """A vehicle that flew a circle perfectly and landed."""
+    t_s = np.arange(0.0, 40.0, 0.01)
+    path = np.column_stack((np.cos(t_s), np.sin(t_s), np.where(t_s < 39.0, 1.0, 0.08)))
+    result = VehicleFlight(t_s, path, path.copy(), np.zeros(len(t_s)), np.zeros(len(t_s)), (t_s > 5.0) & (t_s < 35.0))
+    result.settle_s, result.position_rmse_m, result.position_max_m, result.yaw_rmse_rad = 0.0, 0.01, 0.02, 0.01
+    for name, value in changes.items():
+        setattr(result, name, value)
+    return result
+
+
+def reasons(result="ok", **changes):
+    return judge(Flight(0.0, {"Raven": vehicle(**changes)}, {}, Mocap(), "ground truth"), result)
+
+
+def test_a_good_flight_passes():
+    assert reasons() == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"course": np.zeros(4000, dtype=bool)}, "never reached its course"),
+        ({"settle_s": None, "position_rmse_m": None}, "never settled"),
+        ({"position_rmse_m": 0.2}, "RMSE 200 mm is over 100 mm"),
+        ({"position_max_m": 0.5}, "largest error 500 mm"),
+        ({"yaw_rmse_rad": 0.5}, "yaw RMSE 28.6 deg"),
+        ({"actual_m": np.tile([2.47, 0.0, 0.1], (4000, 1))}, "net"),
+        ({"actual_m": np.tile([0.0, 0.0, 0.9], (4000, 1))}, "still 0.90 m up"),
+    ],
+)
+def test_each_way_to_fail_is_named(changes, reason):
+    assert len(reasons(**changes)) == 1
+    assert reasons(**changes)[0].startswith("Raven: ") and reason in reasons(**changes)[0]
+
+
+def test_two_faults_are_both_named():
+    assert len(reasons(position_rmse_m=0.2, position_max_m=0.5)) == 2
+
+
+@pytest.mark.parametrize(("result", "reason"), [("failed: no take-off", "no take-off"), ("", "never finished")])
+def test_the_operator_has_a_say(result, reason):
+    assert reason in reasons(result)[0]
+
+
+def test_marked_processes_are_found_by_their_mark_only():
+    sleepers = [
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], env=dict(os.environ, **{MARK: mark}))
+        for mark in ("flight-a", "flight-b")
+    ]
+    try:
+        assert list(marked_processes("flight-a")) == [sleepers[0].pid]
+        assert marked_processes("flight") == {}
+    finally:
+        for sleeper in sleepers:
+            sleeper.kill()
+            sleeper.wait()
+    assert marked_processes("flight-a") == {}
+
+
+def test_reservations_do_not_share_a_subnet():
+    numbers = range(200, 202)
+    first, second = PortReservation(numbers), PortReservation(numbers)
+    try:
+        assert {first.subnet, second.subnet} == {"127.200", "127.201"}
+        with pytest.raises(RuntimeError, match="no free loopback subnet"):
+            PortReservation(numbers)
+        first.close()
+        third = PortReservation(numbers)
+        assert third.subnet == "127.200"
+        third.close()
+    finally:
+        first.close()
+        second.close()
+
+
+def test_free_port_is_free():
+    assert 1024 < free_tcp_port() < 65536
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_progress_on_a_terminal_renews_one_line_that_fits(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    terminal = Terminal()
+    Progress(terminal).show(
+        "fly", flight_detail({"fluffy_II": 4.2, "albatross": None, "Raven": 12.0}, 200.0) + "x" * 80
+    )
+    assert terminal.getvalue().startswith("\r\033[K") and "\n" not in terminal.getvalue()
+    assert len(terminal.getvalue()) <= 59 + len("\r\033[K")
+
+
+def test_progress_into_a_file_is_lines_without_control_characters():
+    stream = io.StringIO()
+    progress = Progress(stream)
+    progress.show("takeoff")
+    progress.show("takeoff", "too soon to be shown again")
+    progress.show("fly", flight_detail({"Raven": 3.0}, 200.0))
+    progress.say("done")
+    lines = stream.getvalue().splitlines()
+    assert [line.split()[2] for line in lines[:2]] == ["takeoff", "fly"]
+    assert lines[1].endswith("Raven    3 mm  mocap 200 Hz") and lines[2] == "done"
+    assert "\033" not in stream.getvalue()
+
+
+def test_defaults_of_the_command_line():
+    args = arguments([])
+    assert (args.experiment, args.vehicles, args.duration, args.seed, args.delay) == ("circles3", 3, 30.0, 1, None)
+    demo = arguments(["df_demo"])
+    assert (demo.vehicles, demo.duration) == (1, 20.0)
