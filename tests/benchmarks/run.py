@@ -1,0 +1,59 @@
+"""`./maap bench [NAME ...] [--json FILE]`: the measurements behind the figures in README and docs."""
+
+import argparse
+import json
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+HERE = pathlib.Path(__file__).resolve().parent
+PYTHON = sys.executable
+
+# name: (what it measures, command; {json} is the file that the command writes its figures to)
+BENCHMARKS = {
+    "world": ("speed of the offline world", [PYTHON, "-m", "risc_simulator.bench", "--json", "{json}"]),
+    "offline": ("offline closed loop: accuracy and speed", [PYTHON, "-m", "risc_experiments.offline", "--seeds", "3",
+                                                            "--delay", "0.1", "0.3", "--json", "{json}"]),
+    "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
+    "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),
+    "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
+                                                                           "--json", "{json}"]),
+}  # fmt: skip
+LONG = {"flights"}  # half an hour: only by name
+
+
+def run(name):
+    """Run one benchmark; it prints its table. Returns (exit code, its figures)."""
+    what, command = BENCHMARKS[name]
+    print("== %s: %s" % (name, what), flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder) / "figures.json"
+        code = subprocess.call([part.replace("{json}", str(path)) for part in command])
+        figures = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+    print(flush=True)
+    return code, figures
+
+
+def main():
+    """Command line. Returns 1 when a benchmark failed or missed what it requires."""
+    parser = argparse.ArgumentParser(prog="maap bench", description=__doc__)
+    names = "; ".join("%s: %s" % (name, what) for name, (what, _) in BENCHMARKS.items())
+    parser.add_argument("names", nargs="*", metavar="NAME", help="%s. Default: all but %s" % (names, ", ".join(LONG)))
+    parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write all figures here")
+    args = parser.parse_args()
+    unknown = sorted(set(args.names) - set(BENCHMARKS))
+    if unknown:
+        parser.error("unknown: %s; known are %s" % (", ".join(unknown), ", ".join(BENCHMARKS)))
+    results = {name: run(name) for name in args.names or [name for name in BENCHMARKS if name not in LONG]}
+    if args.json:
+        figures = {name: figures for name, (_, figures) in results.items()}
+        args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    failed = [name for name, (code, _) in results.items() if code != 0]
+    if failed:
+        print("failed or below what is required: %s" % ", ".join(failed), file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

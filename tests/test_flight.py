@@ -1,0 +1,170 @@
+"""Whole flights of the whole graph over the real wire protocols, as `./maap fly` makes them."""
+
+import csv
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from risc_experiments.processes import MARK
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
+
+
+def start(folder, *arguments, **environment):
+    """Start a flight; its output goes to a file in the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return subprocess.Popen(
+        [sys.executable, "-m", "risc_experiments.fly", "--out", str(folder), *arguments],
+        env=dict(os.environ, RISC_MAAP_ROOT=str(ROOT), **environment),
+        stdin=subprocess.DEVNULL,
+        stdout=(folder / "out.txt").open("w"),
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
+
+
+def finish(process, folder, timeout_s=180.0):
+    """Wait for a flight. Returns (exit code, output)."""
+    try:
+        process.wait(timeout_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    return process.returncode, (folder / "out.txt").read_text()
+
+
+def left_behind(folder):
+    """Processes of flights that write into the folder."""
+    found = []
+    for entry in pathlib.Path("/proc").glob("[0-9]*/environ"):
+        try:
+            content = entry.read_bytes()
+        except OSError:
+            continue  # it ended meanwhile
+        if MARK.encode() in content and str(folder).encode() in content:
+            found.append(entry.parent.name)
+    return found
+
+
+def wait_for_line(folder, text, timeout_s=90.0):
+    deadline = time.monotonic() + timeout_s
+    while text not in (folder / "out.txt").read_text():
+        assert time.monotonic() < deadline, (folder / "out.txt").read_text()
+        time.sleep(0.2)
+
+
+@pytest.fixture(scope="module")
+def circles(tmp_path_factory):
+    """The default experiment, shorter: (exit code, output, summary, folder)."""
+    folder = tmp_path_factory.mktemp("flight") / "circles3"
+    code, output = finish(start(folder, "--duration", "15"), folder)
+    return code, output, json.loads((folder / "summary.json").read_text()), folder
+
+
+def test_three_vehicles_fly_their_circles_and_land(circles):
+    code, output, summary, _ = circles
+    assert code == 0 and summary["passed"], output
+    assert set(summary["vehicles"]) == {"fluffy_II", "albatross", "Raven"}
+    for name, figures in summary["vehicles"].items():
+        assert figures["position_rmse_m"] < RMSE_LIMIT_M, name
+        assert figures["settle_s"] < 5.0, name
+
+
+def test_summary_has_every_key_of_the_design(circles):
+    summary = circles[2]
+    assert summary["experiment"] == "circles3" and summary["simulated"]["plant"] == "honest"
+    assert summary["duration_s"] > 15.0
+    for figures in summary["vehicles"].values():
+        assert {"position_rmse_m", "position_max_m", "settle_s", "lag_s"} <= set(figures)
+    for hop, figures in summary["latency_ms"].items():
+        assert set(figures) == {"p50", "p99", "max"}, hop
+        assert figures["p50"] is not None and figures["p50"] < 50.0, hop
+    assert {"bag", "csv_dir", "plots"} == set(summary["artefacts"])
+
+
+def test_every_frame_is_received_and_estimated(circles):
+    mocap = circles[2]["mocap"]
+    assert mocap["frames_sent"] > 4000
+    assert mocap["frames_received"] == mocap["frames_sent"]
+    assert mocap["frames_estimated"] == mocap["frames_received"]
+    assert mocap["rate_hz"] == pytest.approx(200.0, abs=0.2)
+
+
+def test_artefacts_are_there(circles):
+    artefacts, folder = circles[2]["artefacts"], circles[3]
+    assert pathlib.Path(artefacts["bag"]).stat().st_size > 1e6
+    assert {pathlib.Path(plot).name for plot in artefacts["plots"]} >= {"paths.png", "errors.png", "latency.png"}
+    with (folder / "csv" / "cortex_raw.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) > 3000
+    assert {"stamp", "fluffy_II.x", "albatross.psi", "Raven.visible"} <= set(rows[0])
+
+
+def test_nothing_is_left_running(circles):
+    assert left_behind(circles[3]) == []
+
+
+def test_two_flights_at_the_same_time_beside_another_master(tmp_path):
+    """One vehicle each; a master on the default port that is none of ours; a course and a heading of the caller's."""
+    master = subprocess.Popen(
+        ["rosmaster", "--core", "-p", "11311"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        folders = [tmp_path / "a", tmp_path / "b"]
+        flights = [
+            start(folders[0], "--vehicles", "1", "--trajectory", "circle", "--psi", "135", "--duration", "10"),
+            start(folders[1], "--vehicles", "1", "--trajectory", "slanted8", "--psi", "-70", "--duration", "10"),
+        ]
+        for flight, folder in zip(flights, folders):
+            code, output = finish(flight, folder)
+            assert code == 0, output
+            assert left_behind(folder) == []
+    finally:
+        master.terminate()
+        master.wait()
+
+
+def test_interrupt_lands_and_leaves_nothing(tmp_path):
+    folder = tmp_path / "interrupted"
+    flight = start(folder, "--vehicles", "1", "--duration", "60")
+    wait_for_line(folder, " fly")
+    time.sleep(3.0)
+    flight.send_signal(signal.SIGINT)
+    code, output = finish(flight, folder)
+    assert code == 1
+    assert "landing all vehicles" in output
+    assert left_behind(folder) == []
+    with (folder / "csv" / "ground_truth.csv").open() as file:
+        last = list(csv.DictReader(file))[-1]
+    assert float(last["fluffy_II.z"]) < 0.1, "the vehicle stands on the floor"
+
+
+def test_df_demo_flies_its_figures(tmp_path):
+    folder = tmp_path / "demo"
+    code, output = finish(start(folder, "df_demo", "--duration", "30"), folder)
+    assert code == 0, output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--vehicles", "0"], "at least 1"),
+        (["--vehicles", "9"], "has 5 vehicles, 9 were asked for"),
+        (["--fleet", "nowhere.yaml"], "cannot read nowhere.yaml"),
+        (["df_demo", "--vehicles", "2"], "df_demo is for one vehicle"),
+        (["--duration", "1"], "from 5 to 600"),
+        (["--trajectory", "loop"], "invalid choice: 'loop'"),
+    ],
+)
+def test_wrong_use_is_one_clear_line(tmp_path, arguments, message):
+    code, output = finish(start(tmp_path / "x", *arguments), tmp_path / "x")
+    assert code != 0
+    assert message in output
+    assert "Traceback" not in output

@@ -1,0 +1,22 @@
+"""A bounded run of the decoder's fuzzer; `./maap fuzz` runs it for longer."""
+
+import pathlib
+import re
+import subprocess
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+RUNS = 1_000_000
+
+
+def test_cortex_decoder_survives_a_million_inputs(tmp_path):
+    done = subprocess.run(
+        [str(ROOT / "src/cortex_ros/fuzz/run.sh"), str(RUNS), str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        timeout=900,
+    )
+    assert done.returncode == 0, done.stdout[-4000:]
+    finished = re.search(r"Done (\d+) runs", done.stdout)
+    assert finished and int(finished.group(1)) >= RUNS, done.stdout[-2000:]

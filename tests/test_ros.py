@@ -1,0 +1,64 @@
+"""Runs what catkin would run (gtest, rostest) and checks that every launch file loads; one result a file."""
+
+import os
+import pathlib
+import signal
+import subprocess
+import xml.etree.ElementTree as ET
+
+import pytest
+import roslaunch
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+ROSTESTS = sorted((ROOT / "src").rglob("test/*.test"))
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch")) + sorted((ROOT / "src").rglob("launch/*.launch"))
+GTESTS = sorted(path for path in (ROOT / "devel" / "lib").glob("*/test_*") if os.access(str(path), os.X_OK))
+# Arguments for launch files that cannot do without.
+REQUIRED_ARGUMENTS = {"fleet": str(ROOT / "launch/fleets/ardrones3.yaml"), "name": "risc1", "names": "risc1 risc2",
+                      "bag": "/tmp/x.bag"}  # fmt: skip
+
+
+def package_of(path):
+    return next(parent.name for parent in path.parents if (parent / "package.xml").exists())
+
+
+def label(path):
+    return "%s/%s" % (path.parent.name if path.suffix != ".test" else package_of(path), path.stem)
+
+
+@pytest.mark.parametrize("path", ROSTESTS, ids=label)
+def test_rostest(path, tmp_path):
+    environment = dict(os.environ, ROS_HOME=str(tmp_path), ROS_IP="127.0.0.1")
+    output = tmp_path / "out.txt"
+    with output.open("w") as stream:
+        process = subprocess.Popen(
+            ["rostest", str(path)], env=environment, stdout=stream, stderr=subprocess.STDOUT, start_new_session=True
+        )
+    try:
+        code = process.wait(300)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)  # its master and nodes must not disturb the tests that follow
+        raise
+    assert code == 0, output.read_text(errors="replace")[-6000:]
+
+
+def test_gtests_are_built():
+    assert GTESTS, "no gtest in devel/lib: run ./maap test, which builds them"
+
+
+@pytest.mark.parametrize("path", GTESTS, ids=lambda path: path.name)
+def test_gtest(path):
+    done = subprocess.run([str(path)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout[-6000:]
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: "%s/%s" % (path.parent.parent.name, path.stem))
+def test_launch_file_loads(path):
+    """Every include, package, executable and YAML file that it names exists."""
+    wanted = [arg.get("name") for arg in ET.parse(str(path)).getroot().findall("arg")
+              if arg.get("default") is None and arg.get("value") is None]  # fmt: skip
+    argv = ["%s:=%s" % (name, REQUIRED_ARGUMENTS[name]) for name in wanted]
+    config = roslaunch.config.ROSLaunchConfig()
+    roslaunch.xmlloader.XmlLoader().load(str(path), config, argv=argv, verbose=False)
+    for node in config.nodes:
+        assert roslaunch.node_args.create_local_process_args(node, roslaunch.core.Machine("local", "localhost"))
