@@ -31,7 +31,7 @@ class ExperimentNode(ControllerNode):
         super().__init__(FlatnessController, TrackingWeightsConfig, fleet_vehicles)
 
     def _subscribe(self):
-        rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1, buff_size=2**20, tcp_nodelay=True)
+        rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1, tcp_nodelay=True)
 
     def _references(self, stamp_s, ahead_s, now_s):
         with self._wiring.lock:

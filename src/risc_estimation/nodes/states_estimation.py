@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks). Wiring only; see risc_estimation.states."""
 
-import gc
 import sys
 import threading
 import time
@@ -11,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_updater import Updater
 
 from risc_control.lab.templates import load_templates
+from risc_control.ros import low_latency
 from risc_estimation.ros.conversions import (
     bodies_from_msg,
     cortex_from_estimate,
@@ -50,7 +50,7 @@ class StatesEstimationNode(object):
         for timer in self._timers:
             rospy.on_shutdown(timer.shutdown)
         rospy.Subscriber(
-            "mocap_data", Mocap_data, self._on_frame, queue_size=params.queue_frames, buff_size=2**20, tcp_nodelay=True
+            "mocap_data", Mocap_data, self._on_frame, queue_size=params.queue_frames, tcp_nodelay=True
         )
 
     def _on_frame(self, msg):
@@ -109,16 +109,13 @@ class StatesEstimationNode(object):
 
 
 def main():
-    rospy.init_node("Mocap_State_Estimator")
+    low_latency.start("Mocap_State_Estimator")
     try:
         StatesEstimationNode()
     except ValueError as error:
         rospy.logfatal("states_estimation.py: %s", error)
         sys.exit(1)
-    sys.setswitchinterval(0.0005)  # a timer's thread must not hold up a frame for the default 5 ms
-    gc.collect()
-    gc.freeze()  # or full collections walk all imported modules: a pause of many ms
-    rospy.spin()
+    low_latency.spin()
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ class VirtualOperator:
             ):
                 rospy.Subscriber("/%s/%s" % (name, topic), message, callback, callback_args=name, queue_size=10)
         rospy.Subscriber("/trajectory_phase", String, self._on_trajectory_phase, queue_size=10)
-        rospy.Subscriber("/cortex_raw", rospy.AnyMsg, self._on_states, queue_size=1, buff_size=2**20)
+        rospy.Subscriber("/cortex_raw", rospy.AnyMsg, self._on_states, queue_size=1)
         self._timer = rospy.Timer(rospy.Duration(1.0 / JOY_RATE_HZ), self._on_tick, reset=True)
         rospy.on_shutdown(self._timer.shutdown)
 

@@ -14,8 +14,9 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64, String
 
-from risc_control.frames import euler_rates_from_body_rates
+from risc_control.frames import wrap_angle
 from risc_control.lab import fleet_from_dict, load_fleet
+from risc_control.ros import low_latency
 from risc_msgs.msg import Cortex, States
 from risc_simulator.virtual_lab import VirtualLab, configure_fleet, raise_priority, summary, write_statistics
 
@@ -39,7 +40,7 @@ _DEFAULTS = {
     "rate": -1.0,  # [Hz] of motion capture
     "stats": "",  # file for the statistics at the end
 }
-_SWITCH_INTERVAL_S = 0.0005  # rospy's threads may hold up a frame for this long at most
+_DEG_PER_RAD = math.degrees(1.0)
 _NODE_KEYS = {"diagnostic_period"}  # read by diagnostic_updater
 
 
@@ -147,15 +148,11 @@ class VirtualLabNode(object):
     def _publish(self):
         age_s = self._lab.now_s() - self._lab.exposure_s
         self._message.header.stamp = rospy.Time.from_sec(rospy.get_time() - age_s)
-        for out, vehicle in zip(self._message.Obj, self._vehicles):
-            state = vehicle.state
-            out.x, out.y, out.z = state.position_m.tolist()
-            out.u, out.v, out.w = state.velocity_m_s.tolist()
-            out.phi, out.theta, out.psi = math.degrees(state.phi), math.degrees(state.theta), math.degrees(state.psi)
-            # the message holds the rates of the angles, as motion capture would find them
-            out.p, out.q, out.r = map(
-                math.degrees, euler_rates_from_body_rates(state.phi, state.theta, state.p, state.q, state.r)
-            )
+        rows = self._lab.world.truth()
+        rows[:, 8] = wrap_angle(rows[:, 8])
+        rows[:, 6:] *= _DEG_PER_RAD
+        for out, row in zip(self._message.Obj, rows.tolist()):
+            out.x, out.y, out.z, out.u, out.v, out.w, out.phi, out.theta, out.psi, out.p, out.q, out.r = row
         try:
             self._publisher.publish(self._message)
         except rospy.ROSException:
@@ -210,7 +207,7 @@ def main():
     """Run until ROS shuts down. Returns the exit code."""
     handle_signals(lambda *_: rospy.signal_shutdown("signal"))  # while it waits for a master
     try:
-        rospy.init_node("virtual_lab", disable_signals=True)
+        low_latency.start("virtual_lab", disable_signals=True)
     except rospy.ROSException:
         return 1
     # rospy's own handlers would spend half a second inside the schedule; these let the lab finish its frame
@@ -228,7 +225,6 @@ def main():
         node = VirtualLabNode(lab)
         rospy.loginfo("%s", lab.describe())
         raise_priority()
-        sys.setswitchinterval(_SWITCH_INTERVAL_S)
         lab.run(stop_event, on_frame=node.after_frame)
         statistics = lab.statistics()
     finally:

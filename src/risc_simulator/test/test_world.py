@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from risc_control.frames import GRAVITY_M_S2
+from risc_control.frames import GRAVITY_M_S2, euler_rates_from_body_rates
 from risc_control.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
 from risc_simulator import world as world_module
 from risc_simulator.models import ardrone_firmware as firmware
@@ -151,6 +151,21 @@ def test_battery_lasts_as_long_as_its_type_says():
     resting.step_to(20.0)
     drained = 100 - resting.vehicles["risc1"].state.battery_pct
     assert 0 < drained < 0.2 * 100 * 20 / TYPES["ardrone"].battery_life_s
+
+
+def test_truth_is_the_states_of_all_vehicles_with_rates_of_the_angles():
+    world, vehicle = flying((0.5, -0.4, 1.2), yaw=2.0)
+    np.testing.assert_array_equal(make_world().truth()[0, 3:6], 0.0)  # it stands
+    vehicle.schedule(0.0, Setpoint(pitch_rad=-0.2, roll_rad=0.15, climb_m_s=0.3, yaw_rate_rad_s=0.3))
+    world.step_to(0.4)
+    state = vehicle.state
+    row = world.truth()[0]
+    np.testing.assert_allclose(row[:3], state.position_m)
+    np.testing.assert_allclose(row[3:6], state.velocity_m_s)
+    np.testing.assert_allclose(row[6:9], [state.phi, state.theta, state.psi])
+    rates = euler_rates_from_body_rates(state.phi, state.theta, state.p, state.q, state.r)
+    assert max(abs(rate) for rate in rates) > 0.1
+    np.testing.assert_allclose(row[9:], rates)
 
 
 # ------------------------------------------------------------------ floor and net

@@ -17,6 +17,7 @@ from std_msgs.msg import Bool, Empty, String
 from ardrone_autonomy.msg import Navdata
 from risc_control.lab.fleet import fleet_from_dict
 from risc_control.lab.vehicle_types import load_vehicle_type
+from risc_control.ros import low_latency
 from risc_control.safety import Rung
 from risc_control.vehicle_pilot import (
     OwnControl,
@@ -100,7 +101,7 @@ class VehicleNode:
             ("/controls", Controls, self._on_controls),
         ):
             # Only the newest counts, and a backlog must not be worked off message by message.
-            rospy.Subscriber(topic, message, self._guarded(callback), queue_size=1, buff_size=2**20, tcp_nodelay=True)
+            rospy.Subscriber(topic, message, self._guarded(callback), queue_size=1, tcp_nodelay=True)
         period_s = 1.0 / (_TICKS_PER_COMMAND * params.pilot.command_rate_hz)
         self._timers = (
             rospy.Timer(rospy.Duration(period_s), self._guarded(self._on_tick), reset=True),
@@ -291,11 +292,11 @@ class VehicleNode:
 
 def main(namespace=""):
     """Run the node until shutdown; returns the exit code."""
-    rospy.init_node("risc_hand_controller")
+    low_latency.start("risc_hand_controller")
     try:
         VehicleNode(namespace)
     except ValueError as error:
         rospy.logfatal("%s: %s", rospy.get_name(), error)
         return 1
-    rospy.spin()
+    low_latency.spin()
     return 0

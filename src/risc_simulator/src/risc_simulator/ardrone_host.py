@@ -141,7 +141,7 @@ class ArdroneHost(object):
         self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, rest_height_m=None
     ):
         self._vehicle = vehicle
-        self._state = vehicle.state  # as of this cycle
+        self._known_state = None  # VehicleState of this cycle, once somebody has asked for it
         self.address = address
         rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
         rate_hz = vehicle.type.command_rate_hz
@@ -240,7 +240,7 @@ class ArdroneHost(object):
         """To be called once per cycle of the lab, after the world has moved."""
         self._now_s = now_s
         phase = self._vehicle.phase
-        self._state = self._vehicle.state
+        self._known_state = None
         self._watch_phase(phase)
         self._watch_link(now_s, phase)
         self._pilot(now_s, phase)
@@ -290,6 +290,12 @@ class ArdroneHost(object):
         result["radio_slots_lost"] = self._radio.slots_lost
         result["sticks_superseded"] = self._radio.items_superseded
         return result
+
+    @property
+    def _state(self):
+        if self._known_state is None:
+            self._known_state = self._vehicle.state
+        return self._known_state
 
     # --- sockets --------------------------------------------------------------------------------------------------
 

@@ -357,14 +357,33 @@ class World(object):
             for vehicle, rotation, place in zip(self._vehicles, rotations, places)
         ] + self._landmark_bodies
 
-    def _state(self, i):
-        x = self._x[:, i]
+    def truth(self):
+        """(n, 12) what perfect motion capture would say of the vehicles, in fleet order.
+
+        Columns: position [m] and velocity [m/s] in cortex axes; roll, pitch, yaw [rad], yaw not wrapped; their rates
+        of change [rad/s].
+        """
+        self._differentiate()
+        x, slope = self._x, self._derivative
+        rows = np.concatenate((x[: X.H + 1], slope[: X.H + 1], x[X.PHI : X.PSI + 1], slope[X.PHI : X.PSI + 1]))
+        rows[[1, 4]] *= -1.0  # east is right, cortex' y points left
+        if self._any_standing:
+            standing = self._standing[0]
+            rows[3:6, standing] = rows[9:12, standing] = 0.0
+        return rows.T
+
+    def _differentiate(self):
+        """Slopes and thrust at world time, once."""
         if self._derivative_at != self._steps:
             if self._inputs_changed:
                 self._quadrotors.load_inputs(self._u)
                 self._inputs_changed = False
             self._derivative, self._thrust = self._quadrotors.derivative(self._x), self._quadrotors.demanded_thrust_n
             self._derivative_at = self._steps
+
+    def _state(self, i):
+        x = self._x[:, i]
+        self._differentiate()
         p_n, p_e, h, u, v, w, phi, theta, psi, p, q, r = x.tolist()
         slope = self._derivative[:, i].tolist()
         firmware, plant = self._vehicles[i].firmware, self._vehicles[i].plant

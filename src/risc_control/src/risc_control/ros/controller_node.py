@@ -12,6 +12,7 @@ from std_msgs.msg import Bool
 
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.reference import ORDERS, ReferenceBuffer
+from risc_control.ros import low_latency
 from risc_control.ros.conversions import ControlsMessage, sample_from_msg, states_from_msg
 from risc_control.ros.params import dataclass_from_params, limit, number, vehicles
 from risc_control.tracking import LqrWeights, TrackingParams
@@ -69,7 +70,7 @@ class ControllerNode:
         )
 
     def _subscribe(self):
-        options = {"queue_size": 1, "buff_size": 2**20, "tcp_nodelay": True}
+        options = {"queue_size": 1, "tcp_nodelay": True}
         rospy.Subscriber("/trajectory", Trajectories, self._on_trajectory, **options)
         rospy.Subscriber("/cortex_raw", Cortex, self._on_states, **options)
 
@@ -182,12 +183,12 @@ class ControllerNode:
 
 def main(name, make_node):
     """Run a node until shutdown; wrong parameters end it with one line. Returns the exit code."""
-    rospy.init_node(name)
+    low_latency.start(name)
     try:
         node = make_node()
     except ValueError as error:
         rospy.logfatal("%s: %s", rospy.get_name(), error)
         return 1
-    rospy.spin()
+    low_latency.spin()
     del node
     return 0

@@ -81,7 +81,7 @@ class ManagerWiring:
     def _watch(self):
         """Look where the vehicles are as long as that matters, and no longer: states come 200 times a second."""
         if self.manager.watching and self._watcher is None:
-            self._watcher = rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1, buff_size=2**20)
+            self._watcher = rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1)
         elif not self.manager.watching and self._watcher is not None:
             self._watcher.unregister()
             self._watcher = None
