@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from risc_experiments.processes import MARK
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
+ATTEMPTS = 3  # of a flight that failed on a computer without time for it
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
 
 
@@ -40,6 +42,25 @@ def finish(process, folder, timeout_s=180.0):
     return process.returncode, (folder / "out.txt").read_text()
 
 
+def fly(folder, *arguments):
+    """Fly to the end. Returns (exit code, output, summary, folder) of the flight.
+
+    A flight that failed while the virtual lab could not keep its schedule says something about the computer, not about
+    the code: it is flown again, and in the end the test is skipped with that reason.
+    """
+    for attempt in range(ATTEMPTS):
+        place = folder / str(attempt)
+        code, output = finish(start(place, *arguments), place)
+        path = place / "summary.json"
+        summary = json.loads(path.read_text()) if path.exists() else {}
+        if code == 0 or summary.get("on_schedule") is not False:
+            return code, output, summary, place
+    pytest.skip(
+        "this computer is too busy to fly: %d flights failed with the lab late by %.0f ms (p99)"
+        % (ATTEMPTS, summary["lab_late_ms"]["p99"])
+    )
+
+
 def left_behind(folder):
     """Processes of flights that write into the folder."""
     found = []
@@ -63,9 +84,7 @@ def wait_for_line(folder, text, timeout_s=90.0):
 @pytest.fixture(scope="module")
 def circles(tmp_path_factory):
     """The default experiment, shorter: (exit code, output, summary, folder)."""
-    folder = tmp_path_factory.mktemp("flight") / "circles3"
-    code, output = finish(start(folder, "--duration", "15"), folder)
-    return code, output, json.loads((folder / "summary.json").read_text()), folder
+    return fly(tmp_path_factory.mktemp("flight"), "--duration", "15")
 
 
 def test_three_vehicles_fly_their_circles_and_land(circles):
@@ -117,13 +136,16 @@ def test_two_flights_at_the_same_time_beside_another_master(tmp_path):
         ["rosmaster", "--core", "-p", "11311"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
-        folders = [tmp_path / "a", tmp_path / "b"]
-        flights = [
-            start(folders[0], "--vehicles", "1", "--trajectory", "circle", "--psi", "135", "--duration", "10"),
-            start(folders[1], "--vehicles", "1", "--trajectory", "slanted8", "--psi", "-70", "--duration", "10"),
-        ]
-        for flight, folder in zip(flights, folders):
-            code, output = finish(flight, folder)
+        courses = (("circle", "135"), ("slanted8", "-70"))
+        with ThreadPoolExecutor() as pool:
+            flights = [
+                pool.submit(
+                    fly, tmp_path / course, "--vehicles", "1", "--trajectory", course, "--psi", psi, "--duration", "10"
+                )
+                for course, psi in courses
+            ]
+        for flight in flights:
+            code, output, _, folder = flight.result()
             assert code == 0, output
             assert left_behind(folder) == []
     finally:
@@ -147,8 +169,7 @@ def test_interrupt_lands_and_leaves_nothing(tmp_path):
 
 
 def test_df_demo_flies_its_figures(tmp_path):
-    folder = tmp_path / "demo"
-    code, output = finish(start(folder, "df_demo", "--duration", "30"), folder)
+    code, output, _, _ = fly(tmp_path, "df_demo", "--duration", "30")
     assert code == 0, output
 
 

@@ -49,9 +49,7 @@ class StatesEstimationNode(object):
             self._timers.append(rospy.Timer(rospy.Duration(0.25 * self._silence_s), self._on_check, reset=True))
         for timer in self._timers:
             rospy.on_shutdown(timer.shutdown)
-        rospy.Subscriber(
-            "mocap_data", Mocap_data, self._on_frame, queue_size=params.queue_frames, tcp_nodelay=True
-        )
+        rospy.Subscriber("mocap_data", Mocap_data, self._on_frame, queue_size=params.queue_frames, tcp_nodelay=True)
 
     def _on_frame(self, msg):
         with self._lock:

@@ -107,7 +107,7 @@ class DrawNodesTest(unittest.TestCase):
         wanted = {topic: "visualization_msgs/" + kind.split("/")[1] for kind, topic in displays()}
         deadline_s = time.monotonic() + 20.0
         offered = {}
-        # A node subscribes before it advertises its last topic; connected inputs do not yet mean that all outputs stand.
+        # A node subscribes before it advertises its last topic: connected inputs do not mean that all outputs stand.
         while not wanted.items() <= offered.items() and time.monotonic() < deadline_s:
             offered = dict(rospy.get_published_topics())
             time.sleep(0.05)

@@ -9,6 +9,8 @@ from risc_control.lab import load_fleet, load_vehicle_type
 from risc_experiments.judge import Limits, judge
 from risc_simulator.models.mocap_cameras import CameraParams
 
+LATE_LIMIT_MS = 10.0  # two frames at 200 Hz: a lab that is later than this (p99) had too slow a computer
+
 
 def make_report(args, folder, operator_result, progress, interrupted):
     """Evaluate the flight in `folder` and print what came out. Returns the exit code, 0 when it passed.
@@ -40,7 +42,10 @@ def make_report(args, folder, operator_result, progress, interrupted):
         "plots": [str(picture) for picture in pictures],
     }
     result = summary.summarise(flight, args.experiment, simulation_model(args, folder), artefacts)
-    result["least_separation_m"] = least_separation_m(folder)
+    lab = lab_statistics(folder)
+    result["least_separation_m"] = lab.get("least_separation_m")
+    result["lab_late_ms"] = lab.get("late_ms")
+    result["on_schedule"] = lab["late_ms"]["p99"] <= LATE_LIMIT_MS if lab else None
     reasons = judge(flight, operator_result)
     result["passed"] = not reasons
     result["reasons"] = reasons
@@ -51,6 +56,11 @@ def make_report(args, folder, operator_result, progress, interrupted):
     print("simulated: %s" % ", ".join("%s %s" % item for item in result["simulated"].items()))
     if result["least_separation_m"] is not None:
         print("vehicles came no closer than %.2f m to each other" % result["least_separation_m"])
+    if result["on_schedule"] is False:
+        print(
+            "this computer had too little time: the virtual lab's frames were late (p99 %.0f ms; more than %.0f ms is "
+            "not fair to a controller). Close other programs and fly again" % (lab["late_ms"]["p99"], LATE_LIMIT_MS)
+        )
     print()
     print("bag      %s" % bag)
     print("CSV      %s (%d files)" % (folder / "csv", len(files)))
@@ -74,7 +84,7 @@ def simulation_model(args, folder):
     }
 
 
-def least_separation_m(folder):
-    """Smallest distance [m] between two vehicles in the air, by the virtual lab; None when it does not say."""
+def lab_statistics(folder):
+    """What the virtual lab counted; empty when it wrote nothing."""
     path = folder / "virtual_lab.json"
-    return json.loads(path.read_text(encoding="utf-8")).get("least_separation_m") if path.exists() else None
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}

@@ -63,12 +63,12 @@ class DirectConnection(rospy.topics.QueuedConnection):
                 work += self._queue
                 self._queue, self._rest = [], b""
                 self._relaying = True
-            for data in work:
-                try:
+            try:
+                for data in work:
                     self._connection.write_data(data)
-                except Exception as error:  # whatever it is, the publisher is to hear of it
-                    with self._lock:
-                        self._error = error
+            except Exception as error:  # whatever it is, the publisher is to hear of it
+                with self._lock:
+                    self._error = error
 
 
 _lock = threading.Lock()
