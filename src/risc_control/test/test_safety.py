@@ -8,6 +8,7 @@ import pytest
 from risc_control.safety import Freshness, Rung, SafetyLadder, SafetyLimits
 
 INSIDE = (0.5, -0.5, 1.0)
+AT_REST = (0.0, 0.0, 0.0)
 
 
 class Flight:
@@ -18,6 +19,7 @@ class Flight:
         self.ladder = SafetyLadder(limits or SafetyLimits(), self.now_s)
         self.autonomous = autonomous
         self.position = INSIDE
+        self.velocity = AT_REST
         self.battery = 80.0
         self.alive = {"state", "controls", "navdata", "joystick"}
         self.run(0.1)
@@ -27,7 +29,7 @@ class Flight:
         for _ in range(round(duration_s / 0.005)):
             self.now_s += 0.005
             if "state" in self.alive:
-                self.ladder.note_state(self.position, 0.004, self.now_s)
+                self.ladder.note_state(self.position, self.velocity, 0.004, self.now_s)
             if "controls" in self.alive:
                 self.ladder.note_controls(0.006, self.now_s)
             if "navdata" in self.alive:
@@ -89,10 +91,10 @@ def test_land_ends_when_the_operator_takes_over():
 def test_old_stamps_are_losses_even_when_messages_arrive():
     ladder = SafetyLadder(SafetyLimits(), 0.0)
     ladder.note_navdata(90.0, 10.0)
-    ladder.note_state(INSIDE, 0.3, 10.0)  # a network that delivers late
+    ladder.note_state(INSIDE, AT_REST, 0.3, 10.0)  # a network that delivers late
     ladder.note_controls(0.3, 10.0)
     assert ladder.update(10.0, True, True).rung == Rung.HOLD
-    ladder.note_state(INSIDE, 150.0, 10.1)  # the backlog after a cable was pulled
+    ladder.note_state(INSIDE, AT_REST, 150.0, 10.1)  # the backlog after a cable was pulled
     assert ladder.update(10.1, True, True).rung == Rung.LAND
 
 
@@ -110,7 +112,7 @@ def test_before_the_first_message():
     ladder = SafetyLadder(SafetyLimits(), 0.0)
     assert math.isinf(ladder.state.age_s(1.0))
     assert ladder.autonomy_problem(1.0) == "no state yet"
-    ladder.note_state(INSIDE, 0.0, 1.0)
+    ladder.note_state(INSIDE, AT_REST, 0.0, 1.0)
     assert ladder.autonomy_problem(1.0) == "no controls yet"
     ladder.note_controls(0.0, 1.0)
     assert ladder.autonomy_problem(1.0) == "no navdata yet"
@@ -162,6 +164,23 @@ def test_inside_the_fence(position):
     flight = Flight()
     flight.position = position
     assert flight.run(1.0).rung == Rung.OK
+
+
+@pytest.mark.parametrize(
+    "position, velocity, lands",
+    [
+        ((1.95, 0.0, 1.0), (0.7, 0.0, 0.0), True),  # 0.35 m further it would be past the margin
+        ((1.95, 0.0, 1.0), (0.6, 0.0, 0.0), False),
+        ((1.95, 0.0, 1.0), (-2.0, 0.0, 0.0), False),  # on its way in
+        ((0.0, -1.6, 1.0), (0.0, -0.6, 0.0), True),
+        ((0.0, 0.0, 2.5), (0.0, 0.0, 0.7), True),
+        ((0.0, 0.0, 0.2), (0.0, 0.0, -1.0), False),  # the floor is no fence
+    ],
+)
+def test_a_fast_vehicle_lands_before_it_is_at_the_fence(position, velocity, lands):
+    flight = Flight()
+    flight.position, flight.velocity = position, velocity
+    assert (flight.run(0.1).rung == Rung.LAND) is lands
 
 
 def test_one_false_position_is_no_escape():

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
@@ -21,7 +22,6 @@ from risc_control.trajectories import (
     standing,
 )
 
-NET_X_M, NET_Y_M = 2.49, 2.05
 MARGIN_M = 0.4
 
 
@@ -101,7 +101,7 @@ def test_vehicles_keep_apart_inside_the_net(name, vehicles):
     assert course_separation(course) >= SAFE_SEPARATION_M
     _, path = sampled(course)
     furthest = np.abs(path[:, 0]).max(axis=(0, 1))
-    assert furthest[0] < NET_X_M - MARGIN_M and furthest[1] < NET_Y_M - MARGIN_M
+    assert furthest[0] < NET_HALF_X_M - MARGIN_M and furthest[1] < NET_HALF_Y_M - MARGIN_M
     assert path[:, 0, :, 2].min() > 0.4 and path[:, 0, :, 2].max() < 2.0
 
 

@@ -28,7 +28,7 @@ from risc_control.vehicle_pilot import (
 CONFIG = pathlib.Path(__file__).parents[1] / "config" / "vehicle_node.yaml"
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * GRAVITY_M_S2
-LEVEL = OwnState((0.0, 0.0, 1.0), 0.0, 0.0, 0.0)
+LEVEL = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0)
 TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, SHUT_DOWN = 5, 1, 2, 3, 0  # legacy defaults
 
 
@@ -365,7 +365,7 @@ def test_controls_become_commands(control, expected):
 
 def test_thrust_is_mapped_with_the_tilt_and_the_climb_rate():
     desk = Desk().fly(autonomous=True)
-    desk.state = OwnState((0.0, 0.0, 1.0), -0.2, 0.2, -0.1)
+    desk.state = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, -0.2), 0.2, -0.1)
     _, sticks, _ = desk.run(0.05)[0]
     lag = math.exp(-(0.004 + ARDRONE.command_delay_s + 0.5 / 30) / ARDRONE.climb_time_constant_s)
     expected = -0.2 * lag + 0.3 * (GRAVITY_M_S2 * math.cos(0.2) * math.cos(0.1) - GRAVITY_M_S2)

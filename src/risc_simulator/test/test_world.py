@@ -7,6 +7,7 @@ import pytest
 
 from risc_control.frames import GRAVITY_M_S2, euler_rates_from_body_rates
 from risc_control.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
 from risc_simulator import world as world_module
 from risc_simulator.models import ardrone_firmware as firmware
 from risc_simulator.world import REST_HEIGHT_M, FlightAction, FlightPhase, Setpoint, World
@@ -174,10 +175,10 @@ def test_truth_is_the_states_of_all_vehicles_with_rates_of_the_angles():
 @pytest.mark.parametrize(
     "setpoint, yaw, axis, limit",
     [
-        (Setpoint(pitch_rad=-0.3), 0.0, 0, world_module.NET_HALF_X_M),
-        (Setpoint(pitch_rad=0.3), 0.0, 0, -world_module.NET_HALF_X_M),
-        (Setpoint(pitch_rad=-0.3), np.pi / 2, 1, -world_module.NET_HALF_Y_M),
-        (Setpoint(roll_rad=-0.3), 0.0, 1, world_module.NET_HALF_Y_M),
+        (Setpoint(pitch_rad=-0.3), 0.0, 0, NET_HALF_X_M),
+        (Setpoint(pitch_rad=0.3), 0.0, 0, -NET_HALF_X_M),
+        (Setpoint(pitch_rad=-0.3), np.pi / 2, 1, -NET_HALF_Y_M),
+        (Setpoint(roll_rad=-0.3), 0.0, 1, NET_HALF_Y_M),
     ],
 )
 def test_net_stops_the_flight_and_tells(setpoint, yaw, axis, limit):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_control.lab.yaml_reader import package_file
 from risc_visual.arena import arena_from_dict, load_arena
 
@@ -23,6 +24,10 @@ def test_walls_are_those_of_the_original(arena):
     sizes = [size for _, size in arena.net.walls()]
     np.testing.assert_allclose(sizes[:2], [(0.01, 4.1, 3)] * 2, atol=5e-3)
     np.testing.assert_allclose(sizes[2:], [(4.986, 0.01, 3)] * 2, atol=5e-3)
+
+
+def test_the_net_that_is_drawn_is_the_one_that_is_flown_in(arena):
+    assert (arena.net.half_x_m, arena.net.half_y_m, arena.net.height_m) == (NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M)
 
 
 def test_edges_join_the_eight_corners(arena):

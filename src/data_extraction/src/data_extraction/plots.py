@@ -9,7 +9,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first)
 import numpy as np  # noqa: E402
 
-ARENA_M = (2.49, 2.05, 2.5)  # half length, half width, height that is shown
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M  # noqa: E402
+
+_HEIGHT_M = 2.5  # of the arena, as far as it is shown
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 STYLE = {
     "figure.dpi": 130,
@@ -55,14 +57,14 @@ def paths(flight, title):
             axes.plot(*_drawn(vehicle.actual_m, columns), color=colour, lw=0.6, alpha=0.45)
             axes.plot(*_drawn(vehicle.actual_m[vehicle.judged], columns), color=colour, lw=1.4, label=name)
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    space.set(xlim=(-ARENA_M[0], ARENA_M[0]), ylim=(-ARENA_M[1], ARENA_M[1]), zlim=(0.0, ARENA_M[2]))
-    space.set_box_aspect((2 * ARENA_M[0], 2 * ARENA_M[1], ARENA_M[2]), zoom=1.05)
+    space.set(xlim=(-NET_HALF_X_M, NET_HALF_X_M), ylim=(-NET_HALF_Y_M, NET_HALF_Y_M), zlim=(0.0, _HEIGHT_M))
+    space.set_box_aspect((2 * NET_HALF_X_M, 2 * NET_HALF_Y_M, _HEIGHT_M), zoom=1.05)
     # Seen from above with x up and y to the left, as one stands in the arena looking forward.
     plan.add_patch(
-        plt.Rectangle((-ARENA_M[1], -ARENA_M[0]), 2 * ARENA_M[1], 2 * ARENA_M[0], fill=False, color="#999999")
+        plt.Rectangle((-NET_HALF_Y_M, -NET_HALF_X_M), 2 * NET_HALF_Y_M, 2 * NET_HALF_X_M, fill=False, color="#999999")
     )
     plan.set(xlabel="y [m]", ylabel="x [m]", title="from above (frame: net)", aspect="equal")
-    plan.set(xlim=(ARENA_M[1] + 0.15, -ARENA_M[1] - 0.15), ylim=(-ARENA_M[0] - 0.15, ARENA_M[0] + 0.15))
+    plan.set(xlim=(NET_HALF_Y_M + 0.15, -NET_HALF_Y_M - 0.15), ylim=(-NET_HALF_X_M - 0.15, NET_HALF_X_M + 0.15))
     plan.plot([], [], color="#777777", lw=0.8, ls="--", label="desired")
     plan.legend(loc="upper center", bbox_to_anchor=(0.45, -0.12), ncol=4)
     return figure

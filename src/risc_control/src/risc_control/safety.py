@@ -19,6 +19,8 @@ import math
 from dataclasses import dataclass
 from typing import Tuple
 
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
+
 
 class Rung(enum.IntEnum):
     OK = 0
@@ -40,9 +42,10 @@ class SafetyLimits:
     clock_tolerance_s: float = 0.1  # [s] a stamp that far in the future means that clocks differ
     battery_min_pct: float = 10.0  # [%] at or below: LAND; 0 = off
     battery_delay_s: float = 0.5  # [s] reported low for so long: LAND (one false report is no reason)
-    fence_min_m: Tuple[float, float, float] = (-2.492954, -2.05178, -1.0)  # [m] the net; the floor is no fence
-    fence_max_m: Tuple[float, float, float] = (2.492954, 2.05178, 3.0)  # [m] cortex frame
+    fence_min_m: Tuple[float, float, float] = (-NET_HALF_X_M, -NET_HALF_Y_M, -1.0)  # [m] the net; the floor is no fence
+    fence_max_m: Tuple[float, float, float] = (NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M)  # [m] cortex frame
     fence_margin_m: float = 0.2  # [m] the vehicle's centre must stay this far inside
+    fence_lookahead_s: float = 0.5  # [s] ... and so must the place that it reaches this much later at its velocity
     fence_delay_s: float = 0.05  # [s] outside for so long: LAND (one false measurement is no reason)
 
     def __post_init__(self):
@@ -163,14 +166,16 @@ class SafetyLadder:
         self._kind = ""  # which rule set the verdict
         self._land_since_s = None
 
-    def note_state(self, position_m, age_at_arrival_s, now_s):
-        """The vehicle was seen: its position (3,) [m], cortex frame."""
+    def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s):
+        """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame."""
         self.state.note(age_at_arrival_s, now_s)
         limits = self.limits
         self._position_m = position_m
+        # a landing vehicle keeps its velocity at first: the fast one must be told earlier than the slow one
+        ahead_s, margin_m = limits.fence_lookahead_s, limits.fence_margin_m
         inside = all(
-            low + limits.fence_margin_m <= value <= high - limits.fence_margin_m
-            for low, value, high in zip(limits.fence_min_m, position_m, limits.fence_max_m)
+            low + margin_m <= value <= high - margin_m and low + margin_m <= value + ahead_s * rate <= high - margin_m
+            for low, value, rate, high in zip(limits.fence_min_m, position_m, velocity_m_s, limits.fence_max_m)
         )
         self._outside.note(not inside, now_s)
 
@@ -264,7 +269,7 @@ class SafetyLadder:
             return Rung.LAND, "navdata", reason, (age_s, age_s - limits.navdata_timeout_s)
         # Seen outside for that long: one false position followed by silence is a loss, not an escape.
         if self._outside.lasts(limits.fence_delay_s):
-            return Rung.LAND, "fence", "outside the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
+            return Rung.LAND, "fence", "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
         if self._battery_low.lasts(limits.battery_delay_s):
             return Rung.LAND, "battery", "battery at %.0f %%" % self._battery_pct, None
         return hold or (Rung.OK, "", "", None)

@@ -169,7 +169,8 @@ class VehicleNode:
         if not entry.visible:
             self._counts["unseen"] += 1
             return
-        own = OwnState((entry.x, entry.y, entry.z), entry.w, entry.phi * _RAD_PER_DEG, entry.theta * _RAD_PER_DEG)
+        position_m, velocity_m_s = (entry.x, entry.y, entry.z), (entry.u, entry.v, entry.w)
+        own = OwnState(position_m, velocity_m_s, entry.phi * _RAD_PER_DEG, entry.theta * _RAD_PER_DEG)
         age_s = rospy.get_time() - message.header.stamp.to_sec()
         with self._lock:
             self._counts["states"] += 1

@@ -138,7 +138,7 @@ def check_full_scale(params, vehicle_type):
 
 # Own entry of /cortex_raw, as far as the node needs it: position [m] and climb rate [m/s] in the cortex frame (z up),
 # angles [rad].
-OwnState = namedtuple("OwnState", "position_m climb_rate_m_s phi_rad theta_rad")
+OwnState = namedtuple("OwnState", "position_m velocity_m_s phi_rad theta_rad")
 
 # Own entry of /controls: fractions (+ left, + forward, + counter-clockwise) and thrust [N].
 OwnControl = namedtuple("OwnControl", "phi theta psi thrust_n")
@@ -284,9 +284,9 @@ class VehiclePilot:
 
     def on_state(self, own, age_s, now_s):
         """The vehicle was seen (`OwnState`); do not call for entries that are not visible."""
-        if not all(map(math.isfinite, (*own.position_m, own.climb_rate_m_s, own.phi_rad, own.theta_rad))):
+        if not all(map(math.isfinite, (*own.position_m, *own.velocity_m_s, own.phi_rad, own.theta_rad))):
             return
-        self.ladder.note_state(own.position_m, age_s, now_s)
+        self.ladder.note_state(own.position_m, own.velocity_m_s, age_s, now_s)
         self._state = own
         self._state_s = now_s - max(age_s, 0.0)
 
@@ -424,7 +424,7 @@ class VehiclePilot:
     def _map(self, own, now_s):
         """`OwnControl` -> Sticks: eqs 5.3-5.4 for the climb rate; tilt and yaw rate are fractions already."""
         state = self._state
-        climb_rate_m_s = self._climb.predict(state.climb_rate_m_s, self._state_s, now_s)
+        climb_rate_m_s = self._climb.predict(state.velocity_m_s[2], self._state_s, now_s)
         climb_m_s = climb_rate_command(
             own.thrust_n, state.phi_rad, state.theta_rad, climb_rate_m_s, self._params.delay, self._type.mass_kg
         )

@@ -12,6 +12,7 @@ from typing import NamedTuple, Tuple
 import numpy as np
 
 from risc_control.frames import cortex_to_ned, euler_from_body_to_ned, wrap_angle
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_estimation.landmarks import LandmarkTracker
 from risc_estimation.least_squares import SlidingFit
 from risc_estimation.rigid_fit import MIN_MARKERS, TemplateStack, fit_rigid, fit_without_worst
@@ -45,10 +46,10 @@ class EstimatorParams:
     residual_max_m: float = 0.015  # [m] worst rms misfit between template and markers
     min_spread_m: float = 0.01  # [m] least extent of the visible markers across their line
     tilt_max_rad: float = 2.1  # [rad] more is taken for swapped markers, not for flight
-    arena_x_m: float = 2.49  # [m] half length of the net
-    arena_y_m: float = 2.05  # [m] half width
+    arena_x_m: float = NET_HALF_X_M  # [m] half length of the net
+    arena_y_m: float = NET_HALF_Y_M  # [m] half width
     arena_z_min_m: float = -0.1  # [m] floor; a landed vehicle must stay visible
-    arena_z_max_m: float = 3.0  # [m] top of the net
+    arena_z_max_m: float = NET_HEIGHT_M  # [m] top of the net
     arena_margin_m: float = 0.05  # [m] how far outside a vehicle still counts as inside
 
     def __post_init__(self):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_extraction.plots import ARENA_M
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,8 @@ def _judge_vehicle(vehicle, limits):
             yield "largest error %.0f mm is over %.0f mm" % (1e3 * vehicle.position_max_m, 1e3 * limits.position_max_m)
         if vehicle.yaw_rmse_rad > limits.yaw_rmse_rad:
             yield "yaw RMSE %.1f deg is over %.1f deg" % tuple(np.degrees([vehicle.yaw_rmse_rad, limits.yaw_rmse_rad]))
-    half_length_m, half_width_m, _ = ARENA_M
     reach = abs(vehicle.actual_m[:, :2]).max(axis=0)
-    if reach[0] > half_length_m - limits.net_margin_m or reach[1] > half_width_m - limits.net_margin_m:
+    if reach[0] > NET_HALF_X_M - limits.net_margin_m or reach[1] > NET_HALF_Y_M - limits.net_margin_m:
         yield "came closer than %.0f mm to the net" % (1e3 * limits.net_margin_m)
     if vehicle.actual_m[-1, 2] > limits.landed_height_m:
         yield "was still %.2f m up at the end" % vehicle.actual_m[-1, 2]

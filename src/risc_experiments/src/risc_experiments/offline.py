@@ -182,7 +182,12 @@ class _Chain:
             pilot.on_navdata(FlightState.HOVERING if hovering else FlightState.FLYING, 90.0, now_s)
         if visible:
             pilot.on_state(
-                OwnState(tuple(state[: S.U].tolist()), float(state[S.W]), float(state[S.PHI]), float(state[S.THETA])),
+                OwnState(
+                    tuple(state[: S.U].tolist()),
+                    tuple(state[S.U : S.PHI].tolist()),
+                    float(state[S.PHI]),
+                    float(state[S.THETA]),
+                ),
                 now_s - stamp_s,
                 now_s,
             )

@@ -11,7 +11,8 @@ import sys
 import time
 
 from risc_control.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
-from risc_simulator.world import NET_HALF_X_M, NET_HALF_Y_M, Setpoint, World
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_simulator.world import Setpoint, World
 
 COUNTS = (1, 10, 50)
 REPEATS = 5

@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 
 from risc_control.frames import GRAVITY_M_S2, rotation_body_to_cortex, wrap_angle
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_simulator.models.ardrone_firmware import ArdroneFirmware
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.models.plant import draw_plant, stack_plants
@@ -19,9 +20,6 @@ from risc_simulator.models.quadrotor import Quadrotors, U, X
 
 __all__ = ["Crash", "FlightAction", "FlightPhase", "Setpoint", "Vehicle", "VehicleState", "World"]
 
-NET_HALF_X_M = 2.492954  # the net around the arena, as built
-NET_HALF_Y_M = 2.05178
-NET_HEIGHT_M = 3.0
 NET_REBOUND_M_S = 0.5
 REST_HEIGHT_M = 0.08  # of a vehicle's centre above the floor when it stands
 COLLISION_DISTANCE_M = 0.5  # between centres, in any direction: indoor hulls are 0.52 m across and give way a little
