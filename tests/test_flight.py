@@ -1,84 +1,16 @@
 """Whole flights of the whole graph over the real wire protocols, as `./maap fly` makes them."""
 
 import csv
-import json
-import os
 import pathlib
 import signal
 import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from flying import finish, fly, judged, left_behind, start, try_to_fly, wait_for_line
 
-from risc_experiments.processes import MARK
-
-ROOT = pathlib.Path(__file__).resolve().parents[1]
-ATTEMPTS = 3  # of a flight that failed on a computer without time for it
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
-
-
-def start(folder, *arguments, **environment):
-    """Start a flight; its output goes to a file in the folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return subprocess.Popen(
-        [sys.executable, "-m", "risc_experiments.fly", "--out", str(folder), *arguments],
-        env=dict(os.environ, RISC_MAAP_ROOT=str(ROOT), **environment),
-        stdin=subprocess.DEVNULL,
-        stdout=(folder / "out.txt").open("w"),
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-    )
-
-
-def finish(process, folder, timeout_s=180.0):
-    """Wait for a flight. Returns (exit code, output)."""
-    try:
-        process.wait(timeout_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        raise
-    return process.returncode, (folder / "out.txt").read_text()
-
-
-def fly(folder, *arguments):
-    """Fly to the end. Returns (exit code, output, summary, folder) of the flight.
-
-    A flight that failed while the virtual lab could not keep its schedule says something about the computer, not about
-    the code: it is flown again, and in the end the test is skipped with that reason.
-    """
-    for attempt in range(ATTEMPTS):
-        place = folder / str(attempt)
-        code, output = finish(start(place, *arguments), place)
-        path = place / "summary.json"
-        summary = json.loads(path.read_text()) if path.exists() else {}
-        if code == 0 or summary.get("on_schedule") is not False:
-            return code, output, summary, place
-    pytest.skip(
-        "this computer is too busy to fly: %d flights failed with the lab late by %.0f ms (p99)"
-        % (ATTEMPTS, summary["lab_late_ms"]["p99"])
-    )
-
-
-def left_behind(folder):
-    """Processes of flights that write into the folder."""
-    found = []
-    for entry in pathlib.Path("/proc").glob("[0-9]*/environ"):
-        try:
-            content = entry.read_bytes()
-        except OSError:
-            continue  # it ended meanwhile
-        if MARK.encode() in content and str(folder).encode() in content:
-            found.append(entry.parent.name)
-    return found
-
-
-def wait_for_line(folder, text, timeout_s=90.0):
-    deadline = time.monotonic() + timeout_s
-    while text not in (folder / "out.txt").read_text():
-        assert time.monotonic() < deadline, (folder / "out.txt").read_text()
-        time.sleep(0.2)
 
 
 @pytest.fixture(scope="module")
@@ -140,12 +72,14 @@ def test_two_flights_at_the_same_time_beside_another_master(tmp_path):
         with ThreadPoolExecutor() as pool:
             flights = [
                 pool.submit(
-                    fly, tmp_path / course, "--vehicles", "1", "--trajectory", course, "--psi", psi, "--duration", "10"
+                    try_to_fly,
+                    tmp_path / course,
+                    *("--vehicles", "1", "--trajectory", course, "--psi", psi, "--duration", "10"),
                 )
                 for course, psi in courses
             ]
         for flight in flights:
-            code, output, _, folder = flight.result()
+            code, output, _, folder = judged(flight.result())
             assert code == 0, output
             assert left_behind(folder) == []
     finally:
@@ -156,7 +90,7 @@ def test_two_flights_at_the_same_time_beside_another_master(tmp_path):
 def test_interrupt_lands_and_leaves_nothing(tmp_path):
     folder = tmp_path / "interrupted"
     flight = start(folder, "--vehicles", "1", "--duration", "60")
-    wait_for_line(folder, " fly")
+    wait_for_line(flight, folder, " fly")
     time.sleep(3.0)
     flight.send_signal(signal.SIGINT)
     code, output = finish(flight, folder)

@@ -1,14 +1,19 @@
 """Runs what catkin would run (gtest, rostest) and checks that every launch file loads; one result a file."""
 
+import contextlib
 import os
 import pathlib
 import signal
 import subprocess
+import uuid
 import xml.etree.ElementTree as ET
 
 import pytest
 import roslaunch
 
+from risc_experiments.processes import MARK, marked_processes
+
+ROSTEST_S = 300.0
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 ROSTESTS = sorted((ROOT / "src").rglob("test/*.test"))
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch")) + sorted((ROOT / "src").rglob("launch/*.launch"))
@@ -28,18 +33,27 @@ def label(path):
 
 @pytest.mark.parametrize("path", ROSTESTS, ids=label)
 def test_rostest(path, tmp_path):
-    environment = dict(os.environ, ROS_HOME=str(tmp_path), ROS_IP="127.0.0.1")
+    identity = uuid.uuid4().hex
+    environment = dict(os.environ, ROS_HOME=str(tmp_path), ROS_IP="127.0.0.1", **{MARK: identity})
     output = tmp_path / "out.txt"
     with output.open("w") as stream:
         process = subprocess.Popen(
             ["rostest", str(path)], env=environment, stdout=stream, stderr=subprocess.STDOUT, start_new_session=True
         )
     try:
-        code = process.wait(300)
+        code = process.wait(ROSTEST_S)
     except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)  # its master and nodes must not disturb the tests that follow
-        raise
-    assert code == 0, output.read_text(errors="replace")[-6000:]
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(30)
+        code = "not finished within %g s" % ROSTEST_S
+    finally:
+        # Its master and nodes have sessions of their own; they must not disturb the tests that follow.
+        for pid in marked_processes(identity):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        process.wait()
+    assert code == 0, "%s\n%s" % (code, output.read_text(errors="replace")[-6000:])
 
 
 def test_gtests_are_built():

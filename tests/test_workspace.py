@@ -7,6 +7,7 @@ import shutil
 import subprocess
 
 import pytest
+from flying import fly
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PYTHON = "-DPYTHON_EXECUTABLE=%s" % (ROOT / ".venv/bin/python")
@@ -39,14 +40,35 @@ def install_space(tmp_path_factory):
 
 
 def test_a_vehicle_flies_from_the_install_space(install_space, tmp_path):
-    fly = "python3 -m risc_experiments.fly --vehicles 1 --duration 5 --out %s" % (tmp_path / "flight")
-    script = ". %s/setup.bash && which python3 && rospack find risc_control && %s" % (install_space, fly)
-    output = run(["bash", "-c", script], tmp_path, env=dict(BARE, RISC_MAAP_ROOT=str(ROOT)))
-    assert "PASSED" in output
+    # setup.bash reads the arguments of the script that sources it
+    script = """arguments=("$@"); set --; . "$0/setup.bash"
+        which python3 && rospack find risc_control && exec python3 "${arguments[@]}" """
+    code, output, _, folder = fly(
+        tmp_path / "flight",
+        *("--vehicles", "1", "--duration", "5"),
+        command=("bash", "-c", script, str(install_space)),
+        env=dict(BARE, RISC_MAAP_ROOT=str(ROOT)),
+        cwd=str(tmp_path),
+    )
+    assert code == 0 and "PASSED" in output, output
     assert str(ROOT / ".venv/bin/python3") in output, "setup.bash puts the right Python first"
     assert str(install_space / "share/risc_control") in output
-    log = (tmp_path / "flight/roslaunch.log").read_text()
-    assert "%s/lib/" % install_space in log or str(ROOT / "devel") not in log
+    # The log that roslaunch writes for itself names every program that it starts, and its whole environment.
+    logs = [folder / "roslaunch.log", *folder.glob("ros_log/*/roslaunch-*.log")]
+    text = "".join(path.read_text(errors="replace") for path in logs)
+    programs = {pathlib.Path(program) for program in re.findall(r"args\[\['(/[^']+)'", text)}
+    ours = {program for program in programs if pathlib.Path("/usr") not in program.parents}
+    assert {program.name for program in ours} >= {
+        "stream_markers",
+        "states_estimation.py",
+        "generic_DF_controller.py",
+        "risc_controller.py",
+        "ardrone_driver",
+        "virtual_lab_node.py",
+    }
+    assert [str(program) for program in ours if install_space / "lib" not in program.parents] == []
+    for devel_space in (ROOT / "devel", install_space.parent / "devel"):
+        assert str(devel_space) not in text
 
 
 def test_catkin_build_builds_it_too(tmp_path):

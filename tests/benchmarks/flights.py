@@ -1,6 +1,8 @@
 """Whole graph in real time over several seeds: accuracy, latency, lost frames.
 
 Each seed flies another heading. The figure of a course is the median over the seeds, of the vehicle that has the worst.
+"lab late" is how late the virtual lab itself was against its schedule (p99, median over the seeds). It waits for
+nobody, so this is what the computer took from every process, those of the graph as well.
 """
 
 import argparse
@@ -46,6 +48,7 @@ def row_of(course, delay_s, summaries):
         else math.inf
         for hop in REQUIRED_P99_MS
     }
+    late_ms = [_or_infinite((summary.get("lab_late_ms") or {}).get("p99")) for summary in flown]
     mocap = [summary["mocap"] for summary in flown]
     return {
         "course": course,
@@ -58,6 +61,7 @@ def row_of(course, delay_s, summaries):
         "frames_lost": sum(m["frames_sent"] - m["frames_received"] for m in mocap),
         "frames_not_estimated": sum(m["frames_received"] - m["frames_estimated"] for m in mocap),
         "p99_ms": p99,
+        "lab_late_p99_ms": statistics.median(late_ms) if late_ms else math.inf,
     }
 
 
@@ -89,9 +93,7 @@ def main():
     """Command line. Returns 1 when a row misses what is required."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=pathlib.Path, help="write the rows here, after each one")
-    parser.add_argument(
-        "--out", type=pathlib.Path, default=pathlib.Path("flights/bench"), help="folder for the flights"
-    )
+    parser.add_argument("--out", type=pathlib.Path, help="folder for the flights (default: flights/bench_DATE)")
     parser.add_argument("--courses", nargs="+", default=COURSES)
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     parser.add_argument("--delays", nargs="+", type=float, default=(0.1, 0.3))
@@ -101,8 +103,8 @@ def main():
     out = args.out or ROOT / "flights" / datetime.datetime.now().strftime("bench_%Y%m%d-%H%M%S")
     print("%d vehicles, honest plant, 2 mm noise, %d seeds, another heading for each (simulated)"
           % (args.vehicles, len(args.seeds)))  # fmt: skip
-    print("%-9s %6s %7s %12s %11s %7s %6s %10s %12s" % ("course", "delay", "passed", "RMSE median", "RMSE worst",
-          "frames", "lost", "p99 state", "p99 cmd_vel"), flush=True)  # fmt: skip
+    print("%-9s %6s %7s %12s %11s %7s %6s %10s %12s %9s" % ("course", "delay", "passed", "RMSE median", "RMSE worst",
+          "frames", "lost", "p99 state", "p99 cmd_vel", "lab late"), flush=True)  # fmt: skip
     rows = []
     for delay_s in args.delays:
         for course in args.courses:
@@ -114,10 +116,10 @@ def main():
             row = row_of(course, delay_s, summaries)
             rows.append(row)
             print(
-                "%-9s %4.1f s %5d/%d %9.1f mm %8.1f mm %7d %6d %7.2f ms %9.2f ms%s"
+                "%-9s %4.1f s %5d/%d %9.1f mm %8.1f mm %7d %6d %7.2f ms %9.2f ms %6.2f ms%s"
                 % (course, delay_s, row["passed"], row["flights"], 1e3 * max(row["rmse_m"].values()),
                    1e3 * row["rmse_worst_m"], row["frames"], row["frames_lost"] + row["frames_not_estimated"],
-                   *row["p99_ms"].values(), "" if met(row) else "   misses what is required"),
+                   *row["p99_ms"].values(), row["lab_late_p99_ms"], "" if met(row) else "   misses what is required"),
                 flush=True,
             )  # fmt: skip
             if args.json:

@@ -254,10 +254,12 @@ void Client::dispatch_while_searching(const Packet& packet, const Datagram& data
 
 void Client::dispatch(const Packet& packet, const Datagram& datagram, Channel channel) {
   const Time now = clock_.monotonic();
-  const bool answer =
-      channel == Channel::kCommand && (requests_.offer(packet, now) || polls_.offer(packet, now));
+  const bool requested = channel == Channel::kCommand && requests_.offer(packet, now);
+  const bool answer = requested || (channel == Channel::kCommand && polls_.offer(packet, now));
   if (const auto* frame = std::get_if<FrameOfData>(&packet)) {
-    handle_frame(*frame, datagram, channel);
+    if (!requested) {  // a frame that somebody asked for by text is his: it may hold base poses, not markers
+      handle_frame(*frame, datagram, channel);
+    }
   } else if (const auto* comment = std::get_if<Comment>(&packet)) {
     events_.on_comment(comment->text);
   } else if (const auto* hello = std::get_if<HelloWorld>(&packet)) {
@@ -534,9 +536,9 @@ void Client::join_group() {
   }
   // Without a configured interface take the one that leads to the host: the route for the group, which the
   // kernel would use, is often another one or missing.
-  const Address interface =
-      local_.any() ? source_address_towards(host_->address).value_or(Address()) : local_;
   try {
+    const Address interface =
+        local_.any() ? source_address_towards(host_->address).value_or(Address()) : local_;
     stream_->join(*parse_address(options_.stream_group), interface);
   } catch (const NetworkError& error) {
     report_once(std::string("no multicast stream: ") + error.what() +

@@ -1,17 +1,27 @@
 #include "cortex_ros/request_queue.hpp"
 
 #include <stdexcept>
+#include <string>
 #include <utility>
 
 namespace cortex_ros {
 
+namespace {
+// The one text request, alone or with an argument, that a frame answers instead of a general reply.
+const std::string kFrameRequest = "GetFrameOfData";
+}  // namespace
+
 void RequestQueue::push(const Packet& request, int tries, Time timeout, Done done) {
   Kind kind = Kind::kText;
-  if (std::holds_alternative<RequestBodyDefs>(request)) {
+  if (const auto* text = std::get_if<GeneralRequest>(&request)) {
+    if (text->text.compare(0, kFrameRequest.size(), kFrameRequest) == 0) {
+      kind = Kind::kTextFrame;
+    }
+  } else if (std::holds_alternative<RequestBodyDefs>(request)) {
     kind = Kind::kBodyDefs;
   } else if (std::holds_alternative<RequestFrame>(request)) {
     kind = Kind::kFrame;
-  } else if (!std::holds_alternative<GeneralRequest>(request)) {
+  } else {
     throw std::invalid_argument("RequestQueue: the packet is not a request");
   }
   waiting_.push_back({kind, encode(request), tries, timeout, std::move(done)});
@@ -25,6 +35,9 @@ bool RequestQueue::answers(Kind kind, const Packet& packet) {
   switch (kind) {
     case Kind::kText:
       return std::holds_alternative<GeneralReply>(packet) ||
+             std::holds_alternative<UnrecognizedRequest>(packet);
+    case Kind::kTextFrame:
+      return std::holds_alternative<FrameOfData>(packet) ||
              std::holds_alternative<UnrecognizedRequest>(packet);
     case Kind::kBodyDefs:
       return std::holds_alternative<BodyDefs>(packet);

@@ -364,7 +364,7 @@ int run_node(int argc, char** argv) {
   try {
     Params params = load_params(ros::NodeHandle("~"));
     apply_legacy_arguments(argc, argv, params);
-    const StreamMarkers stream_markers(node, params);
+    StreamMarkers stream_markers(node, params);
     ros::spin();
     return 0;
   } catch (const std::exception& error) {

@@ -11,13 +11,14 @@ from diagnostic_updater import Updater
 
 from risc_control.lab.templates import load_templates
 from risc_control.ros import low_latency
+from risc_control.ros.params import fleet_vehicles, load_params
 from risc_estimation.ros.conversions import (
     bodies_from_msg,
     cortex_from_estimate,
     header_for,
     landmarks_from_estimate,
 )
-from risc_estimation.ros.params import NodeParams, fleet_vehicles, load_params
+from risc_estimation.ros.params import NodeParams
 from risc_estimation.states import EstimatorParams, StatesEstimator
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data
 
@@ -28,7 +29,9 @@ class StatesEstimationNode(object):
     def __init__(self):
         params, estimator_params = load_params(NodeParams, EstimatorParams)
         self._estimator = StatesEstimator(
-            load_templates(params.templates_file or None), estimator_params, params.vehicles or fleet_vehicles()
+            load_templates(params.templates_file or None),
+            estimator_params,
+            params.vehicles or [v.template for v in fleet_vehicles()],
         )
         self._silence_s = params.silence_s
         self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each

@@ -7,7 +7,8 @@ import yaml
 
 pytest.importorskip("rospy")
 
-from risc_estimation.ros.params import NodeParams, params_from_dict  # noqa: E402
+from risc_control.ros.params import params_from_dict  # noqa: E402
+from risc_estimation.ros.params import NodeParams  # noqa: E402
 from risc_estimation.states import EstimatorParams  # noqa: E402
 
 CONFIG = pathlib.Path(__file__).resolve().parents[1] / "config" / "states_estimation.yaml"

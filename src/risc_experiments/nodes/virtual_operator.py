@@ -13,12 +13,13 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_control.lab.fleet import fleet_from_dict
+from risc_control.ros.paced import PacedSubscriber
 from risc_experiments.operator import Operator, OperatorParams
 from risc_msgs.msg import Cortex
 
 JOY_RATE_HZ = 20.0
 BUTTONS, AXES = 11, 8  # of the game pad of Appendix C
-LOOK_PERIOD_S = 0.05  # how often a message of /cortex_raw is looked at
+LOOK_RATE_HZ = 20.0  # of looks at /cortex_raw
 SERVICE_TIMEOUT_S = 5.0
 
 
@@ -50,7 +51,6 @@ class VirtualOperator:
         self._operator = Operator(wanted, params, time.monotonic())
         self._lock = threading.Lock()
         self._calling = False
-        self._looked_s = 0.0
         self._said = {"phase": None, "result": None}
         self._phase = rospy.Publisher("/operator/phase", String, queue_size=10, latch=True)
         self._result = rospy.Publisher("/operator/result", String, queue_size=1, latch=True)
@@ -67,17 +67,12 @@ class VirtualOperator:
             ):
                 rospy.Subscriber("/%s/%s" % (name, topic), message, callback, callback_args=name, queue_size=10)
         rospy.Subscriber("/trajectory_phase", String, self._on_trajectory_phase, queue_size=10)
-        rospy.Subscriber("/cortex_raw", rospy.AnyMsg, self._on_states, queue_size=1)
+        self._states = PacedSubscriber("/cortex_raw", Cortex, self._on_states, LOOK_RATE_HZ)
         self._timer = rospy.Timer(rospy.Duration(1.0 / JOY_RATE_HZ), self._on_tick, reset=True)
         rospy.on_shutdown(self._timer.shutdown)
 
-    def _on_states(self, raw):
+    def _on_states(self, message):
         now_s = time.monotonic()
-        if now_s - self._looked_s < LOOK_PERIOD_S:
-            return  # the operator need not read every frame
-        self._looked_s = now_s
-        message = Cortex()
-        message.deserialize(raw._buff)
         with self._lock:
             for entry in message.Obj:
                 if entry.visible and entry.name in self._namespaces:

@@ -114,7 +114,7 @@ class VirtualLabNode(object):
         self._message.header.frame_id = "cortex"
         self._vehicles = list(lab.world.vehicles.values())
         self._message.Obj = [States(name=vehicle.name, visible=True) for vehicle in self._vehicles]
-        # sent by a thread of rospy's: the lab's own thread never waits for a subscriber
+        # sent without waiting (risc_control.ros.direct_connection): the lab never waits for a subscriber
         self._publisher = rospy.Publisher("/ground_truth", Cortex, queue_size=50, tcp_nodelay=True)
 
         self._updater = diagnostic_updater.Updater()

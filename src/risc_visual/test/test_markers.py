@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
-from risc_visual import markers
 from risc_visual.arena import load_arena
 from risc_visual.cast import Cast, Index, Pose
+from risc_visual.ros import markers
 from risc_visual.trails import MAX_PIECES
 
 STAMP = genpy.Time(100, 5)

@@ -4,7 +4,8 @@ import pytest
 import yaml
 
 from risc_control.lab.yaml_reader import package_file
-from risc_visual.ros.params import ArenaParams, CortexParams, TrajectoryParams, params_from_dict
+from risc_control.ros.params import params_from_dict
+from risc_visual.ros.params import ArenaParams, CortexParams, TrajectoryParams
 
 FILES = {"draw_risc_maap": ArenaParams, "draw_cortex": CortexParams, "draw_trajectories": TrajectoryParams}
 
@@ -12,7 +13,7 @@ FILES = {"draw_risc_maap": ArenaParams, "draw_cortex": CortexParams, "draw_traje
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_files_hold_every_parameter_with_its_default(name):
     values = yaml.safe_load(package_file("risc_visual", "config/%s.yaml" % name).read_text())
-    params, unknown = params_from_dict(FILES[name], values)
+    (params,), unknown = params_from_dict([FILES[name]], values)
     assert (params, unknown) == (FILES[name](), [])
     assert set(values) == set(FILES[name].__dataclass_fields__)
 
@@ -23,8 +24,8 @@ def test_files_hold_every_parameter_with_its_default(name):
 )
 def test_wrong_value_is_named(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        params_from_dict(CortexParams, wrong)
+        params_from_dict([CortexParams], wrong)
 
 
 def test_unknown_keys_are_told():
-    assert params_from_dict(CortexParams, {"rate": 3.0, "diagnostic_period": 1.0})[1] == ["rate"]
+    assert params_from_dict([CortexParams], {"rate": 3.0, "diagnostic_period": 1.0})[1] == ["rate"]

@@ -46,8 +46,8 @@ class RequestQueue {
   void clear();  // drops all requests without calling back
 
  private:
-  enum class Kind { kText, kBodyDefs, kFrame };
-  static constexpr std::size_t kKinds = 3;
+  enum class Kind { kText, kTextFrame, kBodyDefs, kFrame };
+  static constexpr std::size_t kKinds = 4;
 
   struct Request {
     Kind kind;

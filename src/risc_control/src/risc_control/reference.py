@@ -17,6 +17,7 @@ _NODE_SPACING_S = 0.1
 _KEEP_S = (_NODES - 1) * _NODE_SPACING_S + 0.02
 _SHORT_SPAN_S = 0.1  # less than this is too short for a degree of 5: two samples and a constant jerk,
 _SHORT_DEGREE = 3
+NEW_CLOCK_S = 1.0
 _MIN_SPAN_S = 0.02  # and less than this even for that: the newest sample alone
 # A step between two samples of one smooth path obeys the trapezoidal rule to the sixth decimal. A jump, a stamp that
 # is not the time the sample was computed for, or an acceleration that is not the velocity's derivative does not.
@@ -43,10 +44,13 @@ class ReferenceBuffer:
         return self._samples[-1][0] if self._samples else -np.inf
 
     def push(self, stamp_s, sample):
-        """Add a sample (3, n, 4). A jump, or another set of vehicles, forgets what was before.
+        """Add a sample (3, n, 4). A jump, another set of vehicles or a new clock forgets what was before.
 
-        Returns False, and changes nothing, for a stamp that is not newer or a number that is not finite.
+        Returns False, and changes nothing, for a stamp that is not newer or a number that is not finite. A stamp that
+        falls back by more than NEW_CLOCK_S is newer: a bag was started again, or the clock was set.
         """
+        if stamp_s < self.newest_s - NEW_CLOCK_S and np.isfinite(sample).all():
+            self._samples.clear()
         if not stamp_s > self.newest_s or not np.isfinite(sample).all():
             return False
         if self._samples:

@@ -118,6 +118,14 @@ class _Tracker:
         self._climb_max_m_s = np.array([_override(self.params.climb_max_m_s) or t.climb_max_m_s for t in vehicle_types])
         self.set_weights(weights or self.WEIGHTS)
 
+    def set_weights(self, weights):
+        """Other weights. Raises ValueError, and keeps the old ones, when there is no solution."""
+        self.use(weights, self.design(weights))
+
+    def use(self, weights, gains):
+        """Fly with the gains that `design` has found for these weights."""
+        self.weights, self._gains = weights, gains
+
     def horizon_s(self, stamp_s, now_s):
         """How far [s] after the state's stamp the controller wants to know the reference."""
         return max(0.0, now_s - stamp_s) + self.delay_s
@@ -152,10 +160,9 @@ class FlatnessController(_Tracker):
         self._height_frozen = np.zeros(self._n, dtype=bool)
         self._stamp_s = -np.inf
 
-    def set_weights(self, weights):
-        """Recompute the gains. Raises ValueError, and keeps the old ones, when there is no solution."""
-        self._gains = _full_gains(self.model, weights)
-        self.weights = weights
+    def design(self, weights):
+        """Gains for these weights; changes nothing. Raises ValueError when there is no solution."""
+        return _full_gains(self.model, weights)
 
     def reset(self):
         """Forget the integrals and the commands under way."""
@@ -298,16 +305,14 @@ class DoubleIntegratorController(_Tracker):
     # about the best without prediction; the original's gains (17.22, 1.62) oscillate at 0.1 s of command delay
     WEIGHTS = LqrWeights(q_position=2.0, q_velocity=4.0, q_height=2.0, q_climb=1.0, q_yaw=1.0)
 
-    def set_weights(self, weights):
-        """Recompute the gains from position, velocity, height, climb and yaw weights."""
+    def design(self, weights):
+        """Gains from position, velocity, height, climb and yaw weights; changes nothing. Raises ValueError."""
         A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
         horizontal = lqr_gain(A, B, [weights.q_position, weights.q_velocity], [weights.r_horizontal])[0]
         vertical = lqr_gain(A, B, [weights.q_height, weights.q_climb], [weights.r_vertical])[0]
         yaw = lqr_gain([[0.0]], [[1.0]], [weights.q_yaw], [weights.r_yaw])[0, 0]
-        self._kp = np.array([horizontal[0], horizontal[0], vertical[0]])
-        self._kd = np.array([horizontal[1], horizontal[1], vertical[1]])
-        self._k_yaw = yaw
-        self.weights = weights
+        k_position, k_velocity = (np.array([horizontal[i], horizontal[i], vertical[i]]) for i in (0, 1))
+        return k_position, k_velocity, yaw
 
     def reset(self):
         """Nothing is remembered."""
@@ -321,12 +326,13 @@ class DoubleIntegratorController(_Tracker):
         error[0] *= np.minimum(1.0, self.params.error_max_m / np.maximum(np.sqrt((error[0] ** 2).sum(axis=1)), 1e-9))[
             :, None
         ]
-        u = self._kp * error[0] + self._kd * error[1] + present[2, :, :3]
+        k_position, k_velocity, k_yaw = self._gains
+        u = k_position * error[0] + k_velocity * error[1] + present[2, :, :3]
         f = u * (1.0, -1.0, 1.0) + (0.0, 0.0, GRAVITY_M_S2)  # (7.10) in north, east, up
         f, shortened = limit_tilt(f, self._tilt_max_rad)
         yaw_error = present[0, :, 3] - states.angles_rad[:, 2]
         yaw_error -= 2.0 * np.pi * np.rint(yaw_error / (2.0 * np.pi))
-        yaw_rate = present[1, :, 3] + self._k_yaw * yaw_error
+        yaw_rate = present[1, :, 3] + k_yaw * yaw_error
         inputs = flat_inputs(f, states.angles_rad[:, 2], yaw_rate, self.model.mass_kg)
         fractions, cut = self._mapping.to_fractions(inputs)
         if not usable.all():

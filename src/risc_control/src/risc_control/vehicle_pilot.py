@@ -34,6 +34,7 @@ class FlightState(enum.IntEnum):
 
 _TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
+_CLIMB_MEMORY_S = 2.0  # [s] climb commands that took effect longer ago answer no state that anybody acts on
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
 
 
@@ -192,6 +193,8 @@ class ClimbPredictor:
     def sent(self, now_s, command_m_s):
         """A climb command was sent."""
         self._sent.append((now_s + self._delay_s, command_m_s))
+        while self._sent[1][0] < now_s - _CLIMB_MEMORY_S:
+            self._sent.popleft()
 
     def predict(self, climb_rate_m_s, measured_s, now_s):
         """Climb rate [m/s, + up] when a command sent now takes effect; the measurement may be any age."""

@@ -5,7 +5,6 @@ import datetime
 import math
 import os
 import pathlib
-import re
 import signal
 import sys
 import threading
@@ -22,7 +21,6 @@ from risc_experiments.report import make_report
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
-CALL_PATIENCE_S = 3.0  # for the operator to take the order
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
 EXPERIMENTS_HELP = (
@@ -109,63 +107,11 @@ def launch_arguments(args, fleet, folder):
         "statistics": folder / "virtual_lab.json",
         "bag": folder / "flight.bag",
         "rviz": str(args.rviz).lower(),
+        "psi_deg": "" if args.psi is None else args.psi,
     }
     if args.experiment == "circles3":
         result["trajectory"] = args.trajectory or "circles3"
-        result["psi_deg"] = "" if args.psi is None else args.psi
     return result
-
-
-class Watch:
-    """What the flight's nodes say, as a ROS node of our own: phase and result of the operator, diagnostics."""
-
-    def __init__(self):
-        import rospy
-        from diagnostic_msgs.msg import DiagnosticArray
-        from std_msgs.msg import String
-
-        self.phase = "starting"
-        self.result = ""
-        self.errors_mm = {}
-        self.rate_hz = None
-        self._operator_s = None  # when the operator's diagnostics last came
-        rospy.init_node("maap_fly", disable_signals=True, disable_rostime=True)
-        rospy.Subscriber("/operator/phase", String, lambda message: setattr(self, "phase", message.data))
-        rospy.Subscriber("/operator/result", String, lambda message: setattr(self, "result", message.data))
-        rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)
-
-    def _on_diagnostics(self, message):
-        for status in message.status:
-            if status.name.endswith("virtual operator"):
-                self._operator_s = time.monotonic()
-            for pair in status.values:
-                error_of = re.fullmatch(r"position error of (\S+) \(mm\)", pair.key)
-                if error_of:
-                    self.errors_mm[error_of.group(1)] = _number(pair.value)
-                elif pair.key == "rate [Hz]" and status.name.endswith("mocap stream"):
-                    self.rate_hz = _number(pair.value)
-
-    def operator_silent(self, limit_s=5.0):
-        """Whether the operator was heard of, and then no more; he reports every second."""
-        return self._operator_s is not None and time.monotonic() - self._operator_s > limit_s
-
-    def land(self):
-        """Ask the operator to land everything now. Returns whether he took the order; never blocks for long."""
-        import rospy
-        from std_srvs.srv import Trigger
-
-        taken = threading.Event()
-
-        def call():
-            try:
-                rospy.ServiceProxy("/operator/land", Trigger)()
-            except rospy.ServiceException as error:
-                rospy.logwarn("the operator's land service failed: %s", error)
-                return
-            taken.set()
-
-        threading.Thread(target=call, daemon=True).start()  # a hanging operator must not make Ctrl-C hang
-        return taken.wait(CALL_PATIENCE_S)
 
 
 def fly(args, folder, progress, interrupted):
@@ -180,6 +126,8 @@ def fly(args, folder, progress, interrupted):
         launch_file = ROOT / "launch" / (args.experiment + ".launch")
         launch = Launch(launch_file, launch_arguments(args, fleet, folder), folder, master_port)
         _wait_for_master(launch, master_port, interrupted)
+        from risc_experiments.ros.watch import Watch  # rospy is to see the environment of this flight
+
         watch = Watch()
         return _follow(args, launch, watch, progress, interrupted)
     finally:
@@ -236,14 +184,6 @@ def _follow(args, launch, watch, progress, interrupted):
         if time.monotonic() > deadline:
             return "failed: interrupted" if landing else "failed: not finished in time (phase: %s)" % watch.phase
     return watch.result
-
-
-def _number(text):
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
 
 
 def main(argv=None):

@@ -404,7 +404,7 @@ class ArdroneHost(object):
     def _on_ref(self, command, now_s):
         bits = command.arguments[0]
         if self._ref_time_s is not None:
-            self._ref_gap_ms += 0.1 * (1e3 * (now_s - self._ref_time_s) - self._ref_gap_ms)
+            self._ref_gap_ms += 0.1 * (1e3 * max(0.0, now_s - self._ref_time_s) - self._ref_gap_ms)
         self._ref_time_s, self._ref_sequence = now_s, command.sequence
         if bits != self._submitted_ref:
             self._submitted_ref = bits

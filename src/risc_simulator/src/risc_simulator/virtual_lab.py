@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import gc
 import json
+import math
 import os
 import select
 import signal
@@ -21,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from risc_control.lab import load_fleet, load_templates, load_vehicle_type
+from risc_control.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
 from risc_simulator.ardrone_host import ArdroneHost
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
@@ -65,6 +66,8 @@ class VirtualLab(object):
         self.seed, self.honest, self.gusts = seed, honest, gusts
         self._period_s = 1.0 / fleet.mocap.rate_hz
         self._send_after_s = fleet.mocap.reported_delay_s
+        if command_delay_s is not None and not (math.isfinite(command_delay_s) and command_delay_s >= 0.0):
+            raise ValueError("the command delay must be 0 s or more, got %r" % (command_delay_s,))
         if templates is None:
             templates = load_templates()
         if vehicle_types is None:
@@ -74,7 +77,7 @@ class VirtualLab(object):
                 name: replace(vehicle_type, command_delay_s=command_delay_s)
                 for name, vehicle_type in vehicle_types.items()
             }
-        steps_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
+        self._cycles_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
         self.world = World(
             fleet,
             vehicle_types,
@@ -82,7 +85,7 @@ class VirtualLab(object):
             seed=seed,
             honest=honest,
             gusts=gusts,
-            step_s=self._period_s / steps_per_frame,
+            step_s=self._period_s / self._cycles_per_frame,
         )
         self.frame = 0  # of the newest exposure
         self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
@@ -92,6 +95,7 @@ class VirtualLab(object):
             seed=np.random.SeedSequence(seed, spawn_key=_CAMERA_STREAM),
         )
         self._start_s = time.monotonic()
+        self._served_s = 0.0  # lab time that hosts were last told
         self._hosts = []
         try:
             self.cortex_host = CortexHost(
@@ -136,30 +140,39 @@ class VirtualLab(object):
         """Serve clients until the next frame is due, then expose and send it."""
         if self.frame == 0:
             self._start_s = time.monotonic()  # what came before the first frame is not lateness
-        frame = self.frame + 1
-        due_s = frame * self._period_s + self._send_after_s
-        while True:
-            wait_s = due_s - self.now_s()
-            self._serve(max(wait_s, 0.0))
-            if wait_s <= 0.0:
-                break
+        for cycle in range(1, self._cycles_per_frame + 1):
+            time_s = (self.frame + cycle / self._cycles_per_frame) * self._period_s
+            due_s = time_s + self._send_after_s
+            self._serve_until(due_s)
+            now_s = self._forgive(due_s)
+            if cycle == self._cycles_per_frame:
+                self.frame += 1
+                self.lateness.add(now_s - due_s)
+            self.world.step_to(time_s)
+            for host in self._hosts:
+                host.tick(now_s)
+
+    def _forgive(self, due_s):
+        """Lab time. If the computer slept for long after due_s, the clock is set back to what was served last."""
         now_s = self.now_s()
         if now_s - due_s > MAX_CATCH_UP_S:
-            self._start_s += now_s - due_s
+            resumed_s = max(due_s, self._served_s)  # never back behind what the hosts have seen
+            self._start_s += now_s - resumed_s
             self.stalls += 1
-            now_s = due_s
-        self.lateness.add(now_s - due_s)
-        self.frame = frame
-        self.world.step_to(frame * self._period_s)
-        for host in self._hosts:
-            host.tick(now_s)
+            now_s = resumed_s
+        self._served_s = now_s
+        return now_s
 
-    def _serve(self, wait_s):
-        owners = {sock: host for host in self._hosts for sock in host.sockets()}
-        readable, _, _ = select.select(owners, (), (), wait_s)
-        for sock in readable:
-            if sock.fileno() >= 0:  # an earlier one of this round may have closed it
-                owners[sock].on_readable(sock, self.now_s())
+    def _serve_until(self, due_s):
+        while True:
+            wait_s = due_s - self._forgive(due_s)
+            owners = {sock: host for host in self._hosts for sock in host.sockets()}
+            readable, _, _ = select.select(owners, (), (), max(wait_s, 0.0))
+            for sock in readable:
+                if sock.fileno() >= 0:  # an earlier one of this round may have closed it
+                    owners[sock].on_readable(sock, self._forgive(due_s))
+            if wait_s <= 0.0:
+                return
 
     def run(self, stop_event=None, duration_s=None, on_frame=None):
         """Run in real time until stop_event (threading.Event) is set or duration_s of lab time has passed.
@@ -315,7 +328,8 @@ def configure_fleet(
         "rate_hz": rate_hz,
     }
     changes = {name: value for name, value in changes.items() if value is not None}
-    return replace(fleet, mocap=replace(fleet.mocap, **changes))
+    changed = replace(fleet, mocap=replace(fleet.mocap, **changes))
+    return fleet_from_dict(changed.to_dict(), "fleet with these options")  # what a file must not say, options must not
 
 
 def _parse_arguments(arguments):

@@ -111,6 +111,7 @@ class DroneLink(object):
         self.phase = Phase.SEARCHING
         self.due_s = float("-inf")  # poll wants to be called at this time
         self.accepted = 0  # packets
+        self.configurations = 0  # times that the vehicle was configured: what was written before no longer holds
         self.stale = 0  # packets older than one seen before
         self.refused = 0  # datagrams that are no navdata, or damaged
         self.connections = 0
@@ -322,6 +323,7 @@ class DroneLink(object):
 
     def _start_configuration(self, now_s):
         self.phase = Phase.CONFIGURING
+        self.configurations += 1
         self._setup_started_s = now_s
         self._writes.clear()
         self._writes.extend(self._setup_writes)

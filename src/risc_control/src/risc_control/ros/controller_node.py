@@ -11,10 +11,10 @@ from dynamic_reconfigure.server import Server
 from std_msgs.msg import Bool
 
 from risc_control.lab.vehicle_types import load_vehicle_type
-from risc_control.reference import ORDERS, ReferenceBuffer
+from risc_control.reference import NEW_CLOCK_S, ORDERS, ReferenceBuffer
 from risc_control.ros import low_latency
 from risc_control.ros.conversions import ControlsMessage, sample_from_msg, states_from_msg
-from risc_control.ros.params import dataclass_from_params, limit, number, vehicles
+from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
 from risc_control.tracking import LqrWeights, TrackingParams
 from risc_msgs.msg import Controls, Cortex, Trajectories
 
@@ -29,7 +29,7 @@ class ControllerNode:
         fleet_vehicles = vehicles() if fleet_vehicles is None else fleet_vehicles
         self.names = [vehicle.template for vehicle in fleet_vehicles]
         self._index = {name: i for i, name in enumerate(self.names)}
-        kind = rospy.get_param("~vehicle_type", "")
+        kind = private("vehicle_type", "")
         types = [load_vehicle_type(kind or vehicle.type) for vehicle in fleet_vehicles]
         params = dataclass_from_params(
             TrackingParams,
@@ -78,8 +78,10 @@ class ControllerNode:
         """New weights in flight; impossible ones change nothing."""
         weights = {field.name: config[field.name] for field in fields(LqrWeights) if field.name in config}
         try:
+            wanted = LqrWeights(**dict(vars(self._controller.weights), **weights))
+            gains = self._controller.design(wanted)  # Riccati equations: frames must not wait for them
             with self._lock:
-                self._controller.set_weights(LqrWeights(**dict(vars(self._controller.weights), **weights)))
+                self._controller.use(wanted, gains)
         except ValueError as error:
             rospy.logerr("weights not taken: %s", error)
             config.update({name: getattr(self._controller.weights, name) for name in weights})
@@ -90,6 +92,11 @@ class ControllerNode:
 
     def _on_trajectory(self, message):
         names, sample = sample_from_msg(message)
+        if not message.header.stamp:
+            rospy.logwarn_throttle(
+                10.0, "/trajectory comes without a stamp and is not flown: set header.stamp to the time it is meant for"
+            )
+            return
         with self._lock:
             entry = self._buffers.get(names)
             if entry is None:
@@ -116,8 +123,8 @@ class ControllerNode:
         if unknown and not _OBJECTS_WITHOUT_COMMANDS.issuperset(unknown):
             rospy.logwarn_throttle(60.0, "/cortex_raw shows %s, which this controller does not fly", ", ".join(unknown))
         with self._lock:
-            if stamp_s <= self._last_stamp_s <= stamp_s + 1.0:
-                return  # an older state than the last: a jump back of more than a second is a new clock or bag
+            if stamp_s <= self._last_stamp_s <= stamp_s + NEW_CLOCK_S:
+                return  # an older state than the last; one from long before is of a new clock or bag
             self._last_stamp_s = stamp_s
             age_s = now_s - stamp_s
             ahead_s = self._controller.horizon_s(stamp_s, now_s)
@@ -189,6 +196,7 @@ def main(name, make_node):
     except ValueError as error:
         rospy.logfatal("%s: %s", rospy.get_name(), error)
         return 1
+    warn_of_unknown()
     low_latency.spin()
     del node
     return 0

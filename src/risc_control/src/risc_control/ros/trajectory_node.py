@@ -14,7 +14,7 @@ from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
 from risc_control.joystick import parse_bool
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros.conversions import TrajectoriesMessage, states_from_msg
-from risc_control.ros.params import dataclass_from_params, number, vehicles
+from risc_control.ros.params import dataclass_from_params, has_private, number, private, vehicles
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
@@ -32,20 +32,21 @@ class ManagerWiring:
 
     def __init__(self, fleet_vehicles, course):
         self.vehicles = fleet_vehicles
-        smooth = parse_bool(rospy.get_param("~wait_for_autonomous", True), "~wait_for_autonomous")
+        smooth = parse_bool(private("wait_for_autonomous", True), "~wait_for_autonomous")
         self.manager = make_manager(
             fleet_vehicles,
             course,
             number("~home_height", 1.0),
             dataclass_from_params(WayLimits),
             smooth=smooth,
-            wait_for_all=parse_bool(rospy.get_param("~wait_for_all", True), "~wait_for_all"),
+            wait_for_all=parse_bool(private("wait_for_all", True), "~wait_for_all"),
         )
         self.lock = threading.Lock()
         self._index = {name: i for i, name in enumerate(self.manager.names)}
         self._phase = rospy.Publisher("trajectory_phase", String, queue_size=10, latch=True)
         self._phases = None
         self._watcher = None
+        self._watch_lock = threading.Lock()  # its own: the master is asked meanwhile, and references must not wait
         self._services = [
             rospy.Service("~go_home", Trigger, self._on_go_home),
             rospy.Service("~start", Trigger, self._on_start),
@@ -80,11 +81,12 @@ class ManagerWiring:
 
     def _watch(self):
         """Look where the vehicles are as long as that matters, and no longer: states come 200 times a second."""
-        if self.manager.watching and self._watcher is None:
-            self._watcher = rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1)
-        elif not self.manager.watching and self._watcher is not None:
-            self._watcher.unregister()
-            self._watcher = None
+        with self._watch_lock:
+            if self.manager.watching and self._watcher is None:
+                self._watcher = rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1)
+            elif not self.manager.watching and self._watcher is not None:
+                self._watcher.unregister()
+                self._watcher = None
 
     def _on_states(self, message):
         states, _ = states_from_msg(message, self._index)
@@ -97,9 +99,8 @@ class ManagerWiring:
     def _on_status(self, message, name):
         with self.lock:
             changed = self.manager.set_autonomous(name, message.data, rospy.get_time())
-            if changed:
-                self._watch()
         if changed:
+            self._watch()
             rospy.loginfo("%s: %s", name, "flown automatically" if message.data else "no longer flown automatically")
 
     def _on_go_home(self, _request):
@@ -163,8 +164,8 @@ class CourseSelector:
 
 def yaw_from_params():
     """YawProgram of ~psi_deg (a constant yaw) or ~yaw_along_path; None = the course's own."""
-    psi_deg = rospy.get_param("~psi_deg", "")
-    along = parse_bool(rospy.get_param("~yaw_along_path", False), "~yaw_along_path")
+    psi_deg = private("psi_deg", "")
+    along = parse_bool(private("yaw_along_path", False), "~yaw_along_path")
     if psi_deg == "":
         return YawProgram(along_path=True) if along else None
     return YawProgram((math.radians(number("~psi_deg", 0.0)),), along_path=along)
@@ -172,11 +173,11 @@ def yaw_from_params():
 
 def course_from_params(fleet_vehicles, default_course, default_options):
     """The course of ~course with the options among the private parameters, checked against the vehicles."""
-    name = rospy.get_param("~course", default_course)
+    name = private("course", default_course)
     options = dict(default_options) if name == default_course else {}
     if name in COURSES:
         for option in list(inspect.signature(COURSES[name]).parameters)[1:]:
-            if rospy.has_param("~" + option):
+            if has_private(option):
                 options[option] = number("~" + option, None)
     course = make_course(name, len(fleet_vehicles), yaw_from_params(), **options)
     check_course(course, fleet_vehicles)

@@ -18,6 +18,7 @@ from ardrone_autonomy.msg import Navdata
 from risc_control.lab.fleet import fleet_from_dict
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
+from risc_control.ros.paced import PacedSubscriber
 from risc_control.safety import Rung
 from risc_control.vehicle_pilot import (
     OwnControl,
@@ -31,7 +32,7 @@ from risc_msgs.msg import Controls, Cortex
 
 _RAD_PER_DEG = 0.017453292519943295
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
-_LAND_ROUNDS = 20  # at shutdown in flight: how often the last orders are repeated, at most
+_LAND_ROUNDS = 60  # at shutdown in flight: how often the last orders are repeated, at most
 _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
@@ -90,19 +91,18 @@ class VehicleNode:
         self._diagnostics = diagnostic_updater.Updater()
         self._diagnostics.setHardwareID(self.vehicle)
         self._diagnostics.add("vehicle " + self.vehicle, self._diagnose)
+        self._timers = ()
         rospy.on_shutdown(self._on_shutdown)
         for topic, message, callback in (
             (name("joy"), Joy, self._on_joy),
             (name("ardrone/navdata"), Navdata, self._on_navdata),
         ):
             rospy.Subscriber(topic, message, self._guarded(callback), queue_size=10, tcp_nodelay=True)
-        for topic, message, callback in (
-            ("/cortex_raw", Cortex, self._on_states),
-            ("/controls", Controls, self._on_controls),
-        ):
-            # Only the newest counts, and a backlog must not be worked off message by message.
-            rospy.Subscriber(topic, message, self._guarded(callback), queue_size=1, tcp_nodelay=True)
+        # Only the newest counts, and a backlog must not be worked off message by message.
+        rospy.Subscriber("/controls", Controls, self._guarded(self._on_controls), queue_size=1, tcp_nodelay=True)
+        # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
         period_s = 1.0 / (_TICKS_PER_COMMAND * params.pilot.command_rate_hz)
+        self._states = PacedSubscriber("/cortex_raw", Cortex, self._guarded(self._on_states), 1.0 / period_s)
         self._timers = (
             rospy.Timer(rospy.Duration(period_s), self._guarded(self._on_tick), reset=True),
             rospy.Timer(rospy.Duration(0.5), self._guarded(lambda _: self._diagnostics.update(), False), reset=True),
@@ -274,7 +274,7 @@ class VehicleNode:
         status.add("mode", "autonomous" if autonomous else "manual")
         status.add("flight state (navdata)", "none yet" if flight_state is None else flight_state)
         for what, label in (
-            ("states", "visible states"),
+            ("states", "visible states looked at"),
             ("unseen", "states while not visible"),
             ("controls", "controls"),
             ("commands", "commands sent"),

@@ -1,1 +1,1 @@
-"""The ROS side of risc_visual: paced subscriptions, parameters, conversions, health."""
+"""The ROS side of risc_visual: parameters, conversions, markers, health."""

@@ -91,6 +91,7 @@ class ArdroneDriver(object):
         )
         self._link = self._udp.link
         self._channel = params.video_channel
+        self._channel_set_in = 0  # which configuration of the vehicle the channel was chosen in
         self._telemetry = None
         self._failing_since_s = None  # publishing has failed without a success since then
         self._health = _Health(self._udp)
@@ -136,7 +137,8 @@ class ArdroneDriver(object):
 
     def _on_toggle_camera(self, _request):
         self._require_vehicle("togglecam")
-        self._select_channel(self._channel + 1)
+        is_chosen = self._channel_set_in == self._link.configurations
+        self._select_channel((self._channel if is_chosen else self._params.video_channel) + 1)
         return EmptyResponse()
 
     def _on_camera_channel(self, request):
@@ -147,6 +149,7 @@ class ArdroneDriver(object):
 
     def _select_channel(self, channel):
         self._channel = channel % CHANNELS
+        self._channel_set_in = self._link.configurations
         self._write("video_channel", "%d" % self._channel)
 
     def _on_led_animation(self, request):

@@ -1,4 +1,4 @@
-"""Subscriptions at the pace of drawing to topics that are much faster."""
+"""Subscriptions to topics that are much faster than what is done with them."""
 
 import threading
 import time
@@ -17,7 +17,7 @@ class PacedSubscriber:
     timer 4.8 % and 5 ms, with plain subscriptions 5.9 %. The publisher does not notice: what waits are some
     40 ms of messages, in a socket of our own.
 
-    callback(message) has no lock to take: topics have a thread each, and their drawings are independent.
+    Each topic has a thread of its own; callbacks that share something lock it themselves.
     """
 
     def __init__(self, topic, message_class, callback, rate_hz, args=()):

@@ -1,0 +1,145 @@
+"""Whole flights for tests: started, waited for, ended whatever happens, flown again on a computer that was too busy."""
+
+import contextlib
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from risc_experiments.processes import MARK
+from risc_experiments.report import LATE_LIMIT_MS
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+ATTEMPTS = 3  # of a flight that failed on a computer without time for it
+TIMEOUT_S = 400.0  # of a whole flight and its report
+PATIENCE_S = 60.0  # for landing, ending the nodes and the report, after an interrupt
+STALL_LIMIT_MS = 250.0  # half of what the loss ladder waits before it lands
+
+
+def start(folder, *arguments, command=(sys.executable,), **options):
+    """Start a flight; its output goes to a file in the folder. command: what runs Python.  options: of Popen."""
+    folder.mkdir(parents=True, exist_ok=True)
+    options.setdefault("env", dict(os.environ, RISC_MAAP_ROOT=str(ROOT)))
+    with (folder / "out.txt").open("w") as out:
+        return subprocess.Popen(
+            [*command, "-m", "risc_experiments.fly", "--out", str(folder), *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            **options,
+        )
+
+
+def output_of(folder):
+    """What the flight has printed so far."""
+    return (folder / "out.txt").read_text(errors="replace")
+
+
+def finish(process, folder, timeout_s=TIMEOUT_S):
+    """Wait for a flight. Returns (exit code, output). One that does not end is ended, and fails the test."""
+    try:
+        process.wait(timeout_s)
+    except subprocess.TimeoutExpired:
+        end(process, folder)
+        raise AssertionError("not finished within %g s:\n%s" % (timeout_s, output_of(folder))) from None
+    return process.returncode, output_of(folder)
+
+
+def end(process, folder):
+    """End a flight and everything that it started, first kindly."""
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    for pid in left_behind(folder):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+def left_behind(folder):
+    """Process ids of flights that write into the folder; they have sessions of their own."""
+    found = []
+    for entry in pathlib.Path("/proc").glob("[0-9]*/environ"):
+        try:
+            content = entry.read_bytes()
+        except OSError:
+            continue  # it ended meanwhile
+        if MARK.encode() in content and str(folder).encode() in content:
+            found.append(int(entry.parent.name))
+    return found
+
+
+def wait_for_line(process, folder, text, timeout_s=180.0):
+    """Until a flight has printed the text. One that does not is ended, and fails the test."""
+    deadline = time.monotonic() + timeout_s
+    while text not in output_of(folder):
+        if process.poll() is not None or time.monotonic() > deadline:
+            end(process, folder)
+            raise AssertionError("'%s' did not come:\n%s" % (text, output_of(folder)))
+        time.sleep(0.2)
+
+
+def try_to_fly(folder, *arguments, **options):
+    """Fly to the end. Returns (exit code, output, summary, folder) of the flight.
+
+    A flight that failed while the virtual lab could not keep its schedule is flown again; `judged` says whose fault it
+    was in the end.
+    """
+    for attempt in range(ATTEMPTS):
+        place = folder / str(attempt)
+        code, output = finish(start(place, *arguments, **options), place)
+        path = place / "summary.json"
+        summary = json.loads(path.read_text()) if path.exists() else {}
+        if code == 0 or not off_schedule(summary):
+            break
+    return code, output, summary, place
+
+
+def off_schedule(summary):
+    """True when the lab of a flight was late, as a rule or in one long stall."""
+    late_ms = summary.get("lab_late_ms")
+    return bool(late_ms) and (late_ms["p99"] > LATE_LIMIT_MS or late_ms["max"] > STALL_LIMIT_MS)
+
+
+def judged(flight):
+    """The flight, for the test to look at. Call it when no other flight is under way.
+
+    After flights that failed off schedule the lab alone tells whose fault it was: if this computer has no time even for
+    that, the test is skipped; else our own nodes may be what took the time, and the test fails.
+    """
+    code, output, summary, folder = flight
+    if code == 0 or not off_schedule(summary):
+        return flight
+    busy_ms, idle_ms = summary["lab_late_ms"]["p99"], lateness_of_the_lab_alone_ms(folder)
+    text = "%d flights failed with the lab late by %.0f ms (p99); alone it is late by %.1f ms" % (
+        ATTEMPTS,
+        busy_ms,
+        idle_ms,
+    )
+    if idle_ms > LATE_LIMIT_MS:
+        pytest.skip("this computer is too busy to fly: " + text)
+    pytest.fail("%s\n%s" % (text, output))
+
+
+def lateness_of_the_lab_alone_ms(folder):
+    """p99 of the virtual lab's lateness [ms] while nothing of ours runs beside it."""
+    statistics = folder / "lab_alone.json"
+    fleet = ROOT / "launch" / "fleets" / "ardrones3.yaml"
+    command = [sys.executable, "-m", "risc_simulator.virtual_lab", str(fleet)]
+    command += ["--subnet", "127.76", "--live", "--duration", "5", "--stats", str(statistics)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout
+    return json.loads(statistics.read_text())["late_ms"]["p99"]
+
+
+def fly(folder, *arguments, **options):
+    """`try_to_fly` and `judged` in one, for a flight that nothing flies beside."""
+    return judged(try_to_fly(folder, *arguments, **options))
