@@ -1,5 +1,5 @@
-// The client against a fake host on loopback. Time-outs are shortened; every wait has a generous limit, so
-// that a busy machine makes the tests slower but not wrong.
+// The client against a fake host on loopback. Every wait has a generous limit, and a time-out is short only
+// where the test waits for it, so that a busy machine makes the tests slower but not wrong.
 
 #include <gtest/gtest.h>
 
@@ -16,7 +16,8 @@ namespace {
 using namespace cortex_ros;  // NOLINT
 using std::chrono::milliseconds;
 
-constexpr std::chrono::seconds kPatience{10};
+constexpr std::chrono::seconds kPatience{20};
+constexpr milliseconds kStall{2000};  // longer than this computer ever stops all of its programs
 
 bool wait_until(const std::function<bool()>& condition) {
   const auto deadline = std::chrono::steady_clock::now() + kPatience;
@@ -120,11 +121,11 @@ class ClientTest : public testing::Test {
     options.stream_port = stream_port_;
     options.hello_interval = milliseconds(10);
     options.hello_interval_max = milliseconds(50);
-    options.search_patience = milliseconds(100);
-    options.request_timeout = milliseconds(200);
-    options.stream_timeout = milliseconds(300);
+    options.search_patience = kStall;
+    options.request_timeout = kStall;
+    options.stream_timeout = kStall;
     options.probe_interval = milliseconds(50);
-    options.host_timeout = milliseconds(600);
+    options.host_timeout = kStall;
     return options;
   }
   ClientOptions options() const { return options(host_->port()); }
@@ -188,7 +189,9 @@ TEST_F(ClientTest, FindsAHostByBroadcast) {
 
 TEST_F(ClientTest, WaitsForAHostThatComesLater) {
   const std::uint16_t port = free_port();
-  RunningClient client(options(port));
+  ClientOptions o = options(port);
+  o.search_patience = milliseconds(100);
+  RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
   EXPECT_FALSE(client.statistics().host_up);
   start_host(port);
@@ -206,7 +209,7 @@ TEST_F(ClientTest, ReconnectsWhenTheHostWasAway) {
   EXPECT_FALSE(client.statistics().host_up);
   start_host(port);
   ASSERT_TRUE(client.up(2));
-  EXPECT_TRUE(wait_until([&] { return host_->received("LiveMode") == 1; }))
+  EXPECT_TRUE(wait_until([&] { return host_->received("LiveMode") >= 1; }))
       << "the new host must be put into live mode again";
   std::int32_t number = 1;
   EXPECT_TRUE(stream_until_seen(client, group(), number));
@@ -286,7 +289,7 @@ TEST_F(ClientTest, PollingGoesOnWhileAnAnnouncedHostIsAskedAnew) {
     std::this_thread::sleep_for(milliseconds(5));
     return host_->received("GetConversionToMillimeters") >= 2;
   }));
-  // The questions take 2.4 s and more; these polls take 0.1 s.
+  // The questions take 24 s and more; these polls take 0.1 s.
   const std::size_t before = client.events().frames().size();
   ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= before + 20; }));
   EXPECT_EQ(client.events().ups().size(), 1u) << "still being asked";
@@ -471,6 +474,7 @@ TEST_F(ClientTest, LateAndDuplicateAnswersAreNotMixedUp) {
   });
   ClientOptions o = options();
   o.request_timeout = milliseconds(60);
+  o.request_tries = 30;  // as many as it takes when the host stalls, too
   RunningClient client(o);
   ASSERT_TRUE(client.up());
   const HostInfo info = client.events().ups()[0];
@@ -545,7 +549,7 @@ TEST_F(ClientTest, MalformedPacketsAreCountedAndChangeNothing) {
   host_->stream(Bytes{1, 2}, group());
   host_->stream(Bytes(), group());
   EXPECT_TRUE(wait_until([&] { return client.statistics().malformed == 4; }));
-  EXPECT_EQ(client.events().malformed().size(), 4u);
+  EXPECT_TRUE(wait_until([&] { return client.events().malformed().size() == 4u; }));
   EXPECT_LT(client.events().frames().back().number, 500000);
   EXPECT_TRUE(stream_until_seen(client, group(), number));
 }
@@ -563,7 +567,7 @@ TEST_F(ClientTest, FaultyOptionalPartsAreCountedAndTheFrameIsUsed) {
     std::this_thread::sleep_for(milliseconds(5));
     return !client.events().frames().empty();
   }));
-  EXPECT_GE(client.statistics().faulty_items, 1u);
+  EXPECT_TRUE(wait_until([&] { return client.statistics().faulty_items >= 1u; }));
   EXPECT_EQ(client.statistics().malformed, 0u);
 }
 
@@ -682,9 +686,12 @@ TEST_F(ClientTest, AHostThatStandsStillIsPolledLess) {
   o.mode = Mode::kPoll;
   RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return host_->received("12") >= 22; }));
+  const auto start = std::chrono::steady_clock::now();
   const int before = host_->received("12");
   std::this_thread::sleep_for(milliseconds(500));
-  EXPECT_LE(host_->received("12") - before, 8) << "200 Hz would be 100 polls";
+  const int polls = host_->received("12") - before;
+  const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
+  EXPECT_LE(polls, 3.0 + 10.0 * elapsed.count()) << "200 Hz would be 100 polls and more";
   EXPECT_EQ(client.events().frames().size(), 1u);
   EXPECT_EQ(client.statistics().duplicates, 0u);
 }
@@ -735,6 +742,7 @@ TEST_F(ClientTest, AStreamThatRunsAlreadyIsEvidenceOfTheHost) {
 TEST_F(ClientTest, AnOwnAddressThatIsMissingIsReportedAndTriedAgain) {
   start_host();
   ClientOptions o = options();
+  o.search_patience = milliseconds(100);
   o.local_address = "192.0.2.77";
   RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
@@ -749,13 +757,14 @@ TEST_F(ClientTest, AnOwnAddressThatIsMissingIsReportedAndTriedAgain) {
     host_->stream(simple_frame(i), unicast());
     std::this_thread::sleep_for(milliseconds(5));
   }
-  EXPECT_GT(client.statistics().early, 0u);
+  EXPECT_TRUE(wait_until([&] { return client.statistics().early > 0u; }));
   EXPECT_EQ(client.events().problems().size(), 1u) << "reported once";
   EXPECT_TRUE(client.events().ups().empty());
 }
 
 TEST_F(ClientTest, ANameThatDoesNotResolveIsReportedAndTriedAgain) {
   ClientOptions o = options(free_port());
+  o.search_patience = milliseconds(100);
   o.host = "cortex.invalid";  // RFC 2606: never resolves
   RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return !client.events().downs().empty(); }));
@@ -772,7 +781,8 @@ TEST_F(ClientTest, StopsPromptly) {
     std::this_thread::sleep_for(milliseconds(30));
     const auto start = std::chrono::steady_clock::now();
     client.stop();
-    EXPECT_LT(std::chrono::steady_clock::now() - start, milliseconds(500));
+    EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(5))
+        << "no time-out is waited for";
   }
 }
 
@@ -783,7 +793,7 @@ TEST_F(ClientTest, PausesTheHostAtTheEndOnRequest) {
   RunningClient client(o);
   ASSERT_TRUE(client.up());
   client.stop();
-  EXPECT_EQ(host_->received("Pause"), 1);
+  EXPECT_TRUE(wait_until([&] { return host_->received("Pause") >= 1; }));
 }
 
 TEST_F(ClientTest, DoesNotPauseTheHostUnasked) {

@@ -164,6 +164,21 @@ TEST_F(RequestQueueTest, AnswersOfAnotherTypeAreNotTaken) {
   EXPECT_TRUE(queue_.offer(FrameOfData(), milliseconds(8)));
 }
 
+TEST_F(RequestQueueTest, TextRequestForAFrameIsAnsweredByAFrame) {
+  for (const char* text : {"GetFrameOfData", "GetFrameOfData=BasePositions"}) {
+    ask(text);
+    EXPECT_EQ(text_of(queue_.update(milliseconds(0))), text);
+    EXPECT_FALSE(queue_.offer(reply("a"), milliseconds(1)));
+    EXPECT_TRUE(queue_.offer(FrameOfData(), milliseconds(2)));
+    EXPECT_EQ(log_.back(), std::string(text) + "=other");
+    queue_.clear();
+    queue_ = RequestQueue({milliseconds(250), milliseconds(20)});
+  }
+  ask("GetUpAxis");
+  queue_.update(milliseconds(0));
+  EXPECT_FALSE(queue_.offer(FrameOfData(), milliseconds(1)));
+}
+
 TEST_F(RequestQueueTest, UnrecognizedCommandAnswersAnything) {
   queue_.push(RequestBodyDefs(), 1,
               [this](const Packet* answer) { log_.push_back(answer ? "answer" : "silence"); });

@@ -112,6 +112,16 @@ def test_what_is_old_or_not_finite_is_refused():
     assert buffer.newest_s == now_s
 
 
+def test_a_clock_that_falls_back_starts_afresh():
+    """A bag that is played again, or a computer whose clock was set."""
+    course = make_course("circle", 1)
+    buffer, now_s = filled(course)
+    sample = sample_of(course, now_s)[:3]
+    assert not buffer.push(now_s - 0.9, sample), "late messages stay refused"
+    assert buffer.push(now_s - 1.1, sample)
+    assert buffer.newest_s == now_s - 1.1
+
+
 def test_nothing_known():
     buffer = ReferenceBuffer()
     assert buffer.newest_s == -np.inf

@@ -16,7 +16,7 @@ from risc_msgs.msg import Control, Controls, Cortex, States
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross"}
 LANDED, HOVERING, TAKING_OFF, LANDING = 2, 4, 6, 8
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 TAKEOFF_S = LANDING_S = APPROACH_S = 0.5
 
 
@@ -136,9 +136,10 @@ class OperatorTest(unittest.TestCase):
         self.start(duration_s=1.0)
         wait_for(lambda: world.results, "a result; phases: %s" % world.phases)
         self.assertEqual(world.results, ["ok"])
-        self.assertEqual(world.phases[-1], "done")
+        wait_for(lambda: world.phases[-1:] == ["done"], "the last phase")  # on a topic of its own
         order = list(dict.fromkeys(text.split(":")[0] for text in world.phases))
-        self.assertEqual(order, ["waiting", "takeoff", "settle", "fly", "home", "land", "done"])
+        expected = ["waiting", "takeoff", "settle", "fly", "home", "land", "done"]
+        self.assertIn(order, (expected, expected[1:]))  # the first may be over before the topic is connected
         self.assertEqual(set(world.state.values()), {LANDED})
 
     def test_2_request_to_land(self):
@@ -148,7 +149,7 @@ class OperatorTest(unittest.TestCase):
         self.assertTrue(rospy.ServiceProxy("/operator/land", Trigger)().success)
         wait_for(lambda: world.results, "a result")
         self.assertEqual(world.results, ["failed: landing was requested"])
-        self.assertEqual(world.phases[-1], "aborted: landing was requested")
+        wait_for(lambda: world.phases[-1:] == ["aborted: landing was requested"], "the last phase")
         self.assertEqual(set(world.state.values()), {LANDED})
 
     def test_3_an_operator_that_dies_is_a_lost_joystick(self):

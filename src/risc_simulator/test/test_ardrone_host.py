@@ -771,7 +771,7 @@ def test_long_link_loss_lands(lab):
 
 def read_all(lab, connection, seconds=0.1):
     lab.run(seconds, ref=IDLE)
-    connection.settimeout(1.0)
+    connection.settimeout(15.0)
     data = b""
     while not data.endswith(b"\0"):
         data += connection.recv(65536)

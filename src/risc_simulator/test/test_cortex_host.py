@@ -68,7 +68,7 @@ class Lab:
         """A client's command socket."""
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         sock.bind((address, 0))
-        sock.settimeout(2.0)
+        sock.settimeout(15.0)
         self._clients.append(sock)
         return sock
 
@@ -143,7 +143,7 @@ def listen():
         sock.setsockopt(
             socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + socket.inet_aton("127.0.0.1")
         )
-        sock.settimeout(2.0)
+        sock.settimeout(15.0)
         opened.append(sock)
         return sock
 

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import select
 import signal
 import socket
 import struct
@@ -67,7 +68,7 @@ def stream_client(port):
     sock.bind((GROUP, port))
     membership = socket.inet_aton(GROUP) + socket.inet_aton("127.0.0.1")
     sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-    sock.settimeout(2.0)
+    sock.settimeout(15.0)
     return sock
 
 
@@ -82,6 +83,31 @@ def first_body(datagram):
     return number, datagram[12:end].decode(), markers
 
 
+class Clock:
+    """Time that passes while the lab waits and when the test turns it: a stall of this computer is not in it."""
+
+    def __init__(self):
+        self.now_s = 0.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def select(self, readable, writable, exceptional, timeout_s):
+        ready = select.select(readable, writable, exceptional, 0.0)
+        if not any(ready):
+            self.now_s += timeout_s + 1e-6  # always a little late
+        return ready
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The lab's modules for time and waiting."""
+    clock = Clock()
+    monkeypatch.setattr(virtual_lab, "time", clock)
+    monkeypatch.setattr(virtual_lab, "select", clock)
+    return clock
+
+
 @pytest.fixture
 def running(net):
     """The lab in a thread of its own."""
@@ -91,7 +117,7 @@ def running(net):
     thread.start()
     yield lab
     stop.set()
-    thread.join(5.0)
+    thread.join(15.0)
     assert not thread.is_alive()
     lab.close()
 
@@ -113,8 +139,9 @@ def test_stream_reaches_a_raw_client_complete_and_on_time(running, net):
     assert np.all((noise > 0.0015) & (noise < 0.0025))  # 400 samples of 2 mm
     exact = dict(running.world.bodies())["fluffy_II"]
     np.testing.assert_allclose(np.nanmean(seen, axis=0), exact, atol=0.0006)
-    # on the average the schedule is kept, whatever else this computer does
-    assert (arrivals[-1] - arrivals[0]) == pytest.approx(399 / 200.0, abs=0.1)
+    # The schedule is kept whatever else this computer does: after stalls there are frames on time again.
+    late_s = np.array(arrivals) - np.arange(400) / 200.0
+    assert late_s[200:].min() == pytest.approx(late_s[:200].min(), abs=0.05)
 
 
 def test_polling_client_and_a_flight_over_at_commands(running, net):
@@ -123,7 +150,7 @@ def test_polling_client_and_a_flight_over_at_commands(running, net):
         socket.AF_INET, socket.SOCK_DGRAM
     ) as pilot:
         host = (net["net"] + ".0.1", 1510)
-        commands.settimeout(2.0)
+        commands.settimeout(15.0)
         commands.sendto(LIVE_MODE, host)
         commands.recv(100)
 
@@ -134,47 +161,48 @@ def test_polling_client_and_a_flight_over_at_commands(running, net):
 
         time.sleep(0.1)
         on_floor_m = height_m()
+        deadline_s = time.monotonic() + 15.0
         sequence = 1
-        for _ in range(90):  # three seconds at the rate of the radio
+        while height_m() - on_floor_m < 0.5:
+            assert time.monotonic() < deadline_s, "it does not climb"
             pilot.sendto(b"AT*REF=%d,290718208\r" % sequence, (net["net"] + ".1.1", 5556))
             sequence += 1
-            time.sleep(1 / 30.0)
-        assert running.world.vehicles["risc1"].phase is FlightPhase.TAKING_OFF
+            time.sleep(1 / 30.0)  # the rate of the radio
+        assert running.world.vehicles["risc1"].phase in (FlightPhase.TAKING_OFF, FlightPhase.HOVERING)
         assert running.world.vehicles["risc2"].phase is FlightPhase.LANDED
-        assert height_m() - on_floor_m > 0.5
 
 
-def test_world_time_follows_lab_time_and_catches_up_without_losing_frames(net):
+def test_world_time_follows_lab_time_and_catches_up_without_losing_frames(net, clock):
     lab = VirtualLab(make_fleet(net, 1), live_on_start=True)
     try:
         with stream_client(net["port"]) as stream:
             lab.run(duration_s=0.1)
-            time.sleep(0.2)  # the computer is busy elsewhere
+            clock.now_s += 0.2  # the computer is busy elsewhere
             lab.run(duration_s=0.5)
             numbers = [first_body(stream.recv(65536))[0] for _ in range(lab.frame)]
         assert numbers == list(range(1, 101))
         assert lab.world.time_s == pytest.approx(0.5)
         assert lab.lateness.max_s > 0.15 and lab.stalls == 0
-        assert 0.0 <= lab.now_s() - 0.503 < 0.1
+        assert lab.now_s() == pytest.approx(0.503, abs=1e-3)
     finally:
         lab.close()
 
 
-def test_a_long_stall_stops_the_clock(net, monkeypatch):
+def test_a_long_stall_stops_the_clock(net, clock, monkeypatch):
     monkeypatch.setattr(virtual_lab, "MAX_CATCH_UP_S", 0.1)
     lab = VirtualLab(make_fleet(net, 1))
     try:
         lab.run(duration_s=0.05)
-        time.sleep(0.3)
+        clock.now_s += 0.3
         before = lab.now_s()
         lab.step()
         assert lab.stalls == 1 and before > 0.3
-        assert lab.now_s() < 0.1  # frame 11 was due at 0.058 s
+        assert lab.now_s() == pytest.approx(0.058, abs=1e-3)  # when frame 11 was due
     finally:
         lab.close()
 
 
-def test_faults_by_name(net):
+def test_faults_by_name(net, clock):
     lab = VirtualLab(make_fleet(net, 1), live_on_start=True)
     try:
         with stream_client(net["port"]) as stream:
@@ -242,7 +270,7 @@ def test_stream_needs_no_card_of_the_client(net):
         VirtualLab(fleet, interface="192.0.2.254")
 
 
-def test_radio_loss_reaches_every_vehicle(net):
+def test_radio_loss_reaches_every_vehicle(net, clock):
     lab = VirtualLab(make_fleet(net), radio_loss=0.5)
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as pilot:
@@ -305,14 +333,16 @@ def start_program(tmp_path, net, *options):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_program_tells_what_listens_and_ends_cleanly(tmp_path, net, number):
     stats = tmp_path / "stats.json"
-    program = start_program(tmp_path, net, "--live", "--seed", "7", "--stats", str(stats))
-    lines = [program.stdout.readline() for _ in range(7)]
-    text = "".join(lines)
-    for expected in ("seed 7", net["net"] + ".0.1:1510", "%s:%d" % (GROUP, net["port"]), net["net"] + ".1.2"):
-        assert expected in text
-    time.sleep(0.5)
+    with stream_client(net["port"]) as stream:
+        program = start_program(tmp_path, net, "--live", "--seed", "7", "--stats", str(stats))
+        lines = [program.stdout.readline() for _ in range(7)]
+        text = "".join(lines)
+        for expected in ("seed 7", net["net"] + ".0.1:1510", "%s:%d" % (GROUP, net["port"]), net["net"] + ".1.2"):
+            assert expected in text
+        for _ in range(51):
+            stream.recv(65536)
     program.send_signal(number)
-    out, err = program.communicate(timeout=10)
+    out, err = program.communicate(timeout=60)
     assert (program.returncode, err) == (0, "")
     assert "frames in" in out
     content = json.loads(stats.read_text())
@@ -323,7 +353,7 @@ def test_program_tells_what_listens_and_ends_cleanly(tmp_path, net, number):
 
 def test_program_ends_by_itself_after_its_duration(tmp_path, net):
     program = start_program(tmp_path, net, "--duration", "0.5", "--ideal", "--gusts", "--delay", "0.2")
-    out, err = program.communicate(timeout=20)
+    out, err = program.communicate(timeout=60)
     assert (program.returncode, err) == (0, "")
     assert "100 frames in 0.5 s" in out and "ideal plants" in out and "gusts" in out
 
@@ -332,17 +362,17 @@ def test_errors_are_one_line_with_cause_and_cure(tmp_path, net):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as occupied:
         occupied.bind((net["net"] + ".1.2", 5556))
         program = start_program(tmp_path, net)
-        out, err = program.communicate(timeout=20)
+        out, err = program.communicate(timeout=60)
     assert program.returncode == 1 and out == ""
     assert len(err.strip().splitlines()) == 1
     for expected in ("risc2", net["net"] + ".1.2:5556", "in use", "Stop the other"):
         assert expected in err
     program = start_program(tmp_path, net, "--vehicles", "5")
-    _, err = program.communicate(timeout=20)
+    _, err = program.communicate(timeout=60)
     assert program.returncode == 1 and "2 vehicles" in err and len(err.strip().splitlines()) == 1
     for option, value, expected in (("--radio-loss", "1.5", "probability"), ("--interface", "eth9", "eth9")):
         program = start_program(tmp_path, net, option, value)
-        _, err = program.communicate(timeout=20)
+        _, err = program.communicate(timeout=60)
         assert program.returncode == 1 and expected in err and len(err.strip().splitlines()) == 1
 
 

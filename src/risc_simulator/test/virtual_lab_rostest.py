@@ -28,7 +28,7 @@ class VirtualLabTest(unittest.TestCase):
             else:
                 full.set()
 
-        subscriber = rospy.Subscriber("/ground_truth", Cortex, on_message, queue_size=100, tcp_nodelay=True)
+        subscriber = rospy.Subscriber("/ground_truth", Cortex, on_message, queue_size=1000, tcp_nodelay=True)
         self.assertTrue(full.wait(timeout_s), "only %d messages on /ground_truth" % len(received))
         subscriber.unregister()
         return received
@@ -44,7 +44,7 @@ class VirtualLabTest(unittest.TestCase):
         self.assertEqual(struct.unpack("<HHf", answer), (15, 4, 200.0))
         return True
 
-    def wait_until(self, condition, what, timeout_s=10.0):
+    def wait_until(self, condition, what, timeout_s=20.0):
         deadline_s = rospy.get_time() + timeout_s
         while not condition():
             self.assertLess(rospy.get_time(), deadline_s, what)
@@ -55,10 +55,12 @@ class VirtualLabTest(unittest.TestCase):
         stamps = [msg.header.stamp.to_sec() for _, msg in received]
         gaps = sorted(b - a for a, b in zip(stamps, stamps[1:]))
         self.assertAlmostEqual(gaps[len(gaps) // 2], 0.005, delta=1e-4)
-        self.assertAlmostEqual(stamps[-1] - stamps[0], 399 * 0.005, delta=0.01)  # none missing
+        # None is missing: that would shift all that follow by 5 ms. Some may be dated late, in a computer's stall.
+        shifts = sorted(stamp - 0.005 * k for k, stamp in enumerate(stamps))
+        self.assertLess(shifts[360] - shifts[4], 0.004)
         ages = sorted(time_s - stamp for (time_s, _), stamp in zip(received, stamps))
         self.assertGreater(ages[0], 0.003 - 5e-4)  # the reported delay
-        self.assertLess(ages[len(ages) // 2], 0.1)
+        self.assertLess(ages[len(ages) // 2], 0.5)
         msg = received[-1][1]
         self.assertEqual(msg.header.frame_id, "cortex")
         self.assertEqual([(state.name, state.visible) for state in msg.Obj], [("fluffy_II", True), ("Raven", True)])
@@ -85,13 +87,13 @@ class VirtualLabTest(unittest.TestCase):
             for name, kind in (("mocap_silence", Float64), ("hide", String), ("link_loss", String), ("battery", String))
         }
         self.wait_until(lambda: all(p.get_num_connections() for p in publishers.values()), "nobody listens")
-        self.assertTrue(self.host_answers(2.0))
+        self.assertTrue(self.host_answers(15.0))
         for bad in ("", "risc1", "risc9 1.0", "risc1 -1", "risc1 soon"):
             publishers["link_loss"].publish(bad)
             publishers["hide"].publish(bad)
             publishers["battery"].publish(bad)
         publishers["mocap_silence"].publish(float("nan"))
-        publishers["mocap_silence"].publish(1.0)
+        publishers["mocap_silence"].publish(4.0)
         self.wait_until(lambda: not self.host_answers(), "the host still answers")
         self.wait_until(self.host_answers, "the host does not come back")
         self.collect(10)  # bad orders did not end the node

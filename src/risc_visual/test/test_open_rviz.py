@@ -16,7 +16,7 @@ def run(folder, **environment):
         ),
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=120,
     )
 
 

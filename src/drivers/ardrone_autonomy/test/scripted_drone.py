@@ -40,6 +40,7 @@ class ScriptedDrone(object):
         self.options = {}  # tag -> fields of the next packets besides those that follow from the state
         self.silent = False  # True: neither hears nor speaks
         self.reboots = 0
+        self.packets = 0  # of navdata that were sent
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._sockets = []
@@ -111,6 +112,7 @@ class ScriptedDrone(object):
                 self._advance()
                 if self._client is not None and not self.silent:
                     self._sockets[0].sendto(self._packet(), self._client)
+                    self.packets += 1
 
     def _obey(self, command):
         if not self._gate.accept(command.sequence):

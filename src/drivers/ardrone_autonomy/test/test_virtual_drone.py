@@ -17,6 +17,7 @@ from ardrone_autonomy.udp import UdpThread
 from risc_control.lab import load_fleet
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.virtual_lab import VirtualLab
+from risc_simulator.world import REST_HEIGHT_M
 
 SESSION = "0badcafe"
 FLEET = """
@@ -122,7 +123,8 @@ def test_flight_emergency_and_lost_link(lab, thread):
     # reset in the air stops the motors, on the ground it clears the emergency
     thread.post(thread.link.reset)
     wait_for(lambda: thread.link.emergency)
-    time.sleep(1.5)  # it falls
+    wait_for(lambda: vehicle.state.position_m[2] < REST_HEIGHT_M + 0.01)  # it falls
+    time.sleep(0.5)  # and lies
     thread.post(thread.link.reset)
     wait_for(lambda: not thread.link.emergency)
     wait_for(lambda: vehicle.phase is FlightPhase.LANDED)

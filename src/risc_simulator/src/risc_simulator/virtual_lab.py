@@ -145,11 +145,12 @@ class VirtualLab(object):
             due_s = time_s + self._send_after_s
             self._serve_until(due_s)
             now_s = self._forgive(due_s)
+            self.world.step_to(time_s)
             if cycle == self._cycles_per_frame:
                 self.frame += 1
                 self.lateness.add(now_s - due_s)
-            self.world.step_to(time_s)
-            for host in self._hosts:
+                self.cortex_host.tick(now_s)
+            for host in self.vehicle_hosts.values():
                 host.tick(now_s)
 
     def _forgive(self, due_s):

@@ -1,0 +1,131 @@
+"""The lab's schedule with a clock that the test turns: long stalls under traffic, slow frame rates, wrong options."""
+
+import random
+import select
+import socket
+
+import pytest
+
+from risc_control.lab import FleetVehicle
+from risc_control.lab.fleet import Fleet, MocapEndpoint
+from risc_simulator import virtual_lab
+from risc_simulator.virtual_lab import VirtualLab, configure_fleet
+from risc_simulator.world import FlightPhase
+
+TAKE_OFF = 290718208
+
+
+class Clock:
+    """Time passes while the lab waits for its clients, and when the test says so."""
+
+    def __init__(self):
+        self.now_s = 100.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def select(self, readable, writable, exceptional, timeout_s):
+        found = select.select(readable, writable, exceptional, 0.0)
+        if not found[0]:
+            self.now_s += timeout_s + 1e-9  # or rounding keeps it for ever just before the time waited for
+        return found
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    result = Clock()
+    monkeypatch.setattr(virtual_lab, "time", result)
+    monkeypatch.setattr(virtual_lab, "select", result)
+    return result
+
+
+def make_fleet(rate_hz=200.0):
+    net = "127.%d" % random.SystemRandom().randint(100, 250)  # that no other test run uses
+    vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", net + ".1.1", "", (0.5, 0.0, 0.0), 0.0)
+    return Fleet("one", MocapEndpoint(net + ".0.1", stream_port=21001, rate_hz=rate_hz), (vehicle,), ())
+
+
+class Pilot:
+    """Sends AT commands as a real client does, one REF and one PCMD a datagram."""
+
+    def __init__(self, fleet):
+        self._address = (fleet.vehicles[0].address, 5556)
+        self._sequence = 0
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def send(self):
+        self._socket.sendto(
+            b"AT*REF=%d,%d\rAT*PCMD=%d,1,0,0,0,0\r" % (self._sequence + 1, TAKE_OFF, self._sequence + 2), self._address
+        )
+        self._sequence += 2
+
+    def wake_up(self):
+        self._socket.sendto(b"\1\0\0\0", (self._address[0], 5554))
+
+    def close(self):
+        self._socket.close()
+
+
+@pytest.mark.parametrize("stall_s", [0.5, 3.0])
+def test_commands_that_waited_through_a_stall_do_not_lie_in_the_future(clock, stall_s):
+    """The lab once served them with the time before its clock was set back: later commands then waited behind them."""
+    fleet = make_fleet()
+    lab, pilot = VirtualLab(fleet), Pilot(fleet)
+    try:
+        pilot.wake_up()
+        for _ in range(100):
+            pilot.send()
+            lab.step()
+        for _ in range(5):
+            pilot.send()
+        clock.now_s += stall_s
+        before_s = lab.exposure_s
+        lab.step()
+        assert lab.stalls == (1 if stall_s > virtual_lab.MAX_CATCH_UP_S else 0)
+        if lab.stalls:
+            assert lab.now_s() - before_s < 0.02, "the clock stood still"
+        for _ in range(1100):
+            pilot.send()
+            lab.step()
+        assert lab.lateness.max_s <= max(stall_s if not lab.stalls else 0.0, 0.011)
+        assert lab.world.vehicles["risc1"].phase is FlightPhase.FLYING
+        counts = lab.vehicle_hosts["risc1"].statistics()
+        assert counts["com_watchdogs"] == 0 and counts["take_offs"] == 1
+        assert lab.statistics()["vehicles"]["risc1"]["host"]["navdata_sent"] > 5
+    finally:
+        pilot.close()
+        lab.close()
+
+
+@pytest.mark.parametrize("rate_hz, frames", [(10.0, 5), (60.0, 30), (200.0, 100), (400.0, 200)])
+def test_vehicles_are_served_at_200_hz_whatever_the_cameras_do(clock, rate_hz, frames):
+    fleet = make_fleet(rate_hz)
+    lab, pilot = VirtualLab(fleet, live_on_start=True), Pilot(fleet)
+    ticks = []
+    tick = lab.vehicle_hosts["risc1"].tick
+    lab.vehicle_hosts["risc1"].tick = lambda now_s: (ticks.append(now_s), tick(now_s))
+    try:
+        lab.run(duration_s=0.5)
+        assert lab.frame == frames
+        assert lab.statistics()["cortex"]["frames_exposed"] == frames
+        assert lab.world.time_s == pytest.approx(0.5)
+        gaps_s = [after - before for before, after in zip(ticks, ticks[1:])]
+        assert max(gaps_s) < 0.0051
+    finally:
+        pilot.close()
+        lab.close()
+
+
+@pytest.mark.parametrize(
+    "options, key",
+    [({"rate_hz": 0.0}, "rate_hz"), ({"cortex_port": 70000}, "command_port"), ({"stream_port": -1}, "stream_port")],
+)
+def test_options_are_checked_like_the_fleet_file(options, key):
+    with pytest.raises(ValueError, match=key):
+        configure_fleet(make_fleet(), **options)
+
+
+@pytest.mark.parametrize("delay_s", [-1.0, float("nan"), float("inf")])
+def test_impossible_delay_is_refused(delay_s):
+    with pytest.raises(ValueError, match="command delay"):
+        VirtualLab(make_fleet(), command_delay_s=delay_s)
