@@ -62,16 +62,21 @@ def test_the_operator_has_a_say(result, reason):
 
 def test_marked_processes_are_found_by_their_mark_only():
     sleepers = [
-        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], env=dict(os.environ, **{MARK: mark}))
+        subprocess.Popen(
+            [sys.executable, "-c", "import time; print('here', flush=True); time.sleep(60)"],
+            env=dict(os.environ, **{MARK: mark}),
+            stdout=subprocess.PIPE,
+        )
         for mark in ("flight-a", "flight-b")
     ]
     try:
+        assert [sleeper.stdout.readline() for sleeper in sleepers] == [b"here\n"] * 2  # its environment is its own now
         assert list(marked_processes("flight-a")) == [sleepers[0].pid]
         assert marked_processes("flight") == {}
     finally:
         for sleeper in sleepers:
             sleeper.kill()
-            sleeper.wait()
+            sleeper.communicate()
     assert marked_processes("flight-a") == {}
 
 
