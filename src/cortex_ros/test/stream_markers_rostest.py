@@ -182,7 +182,7 @@ class StreamMarkersTest(unittest.TestCase):
         self.assertLessEqual(abs(int(reference.source) - self.host.number), 1000)
         self.assertGreaterEqual((reference.time_ref - stamp).to_sec(), DELAY_S - 1e-6)
         self.assertLess((reference.time_ref - stamp).to_sec(), 5.0)
-        self.assertLess(abs(time.time() - stamp.to_sec()), 5.0)
+        self.assertLess(abs(rospy.get_time() - stamp.to_sec()), 5.0)
 
         status = self.status(DiagnosticStatus.OK)
         values = {value.key: value.value for value in status.values}

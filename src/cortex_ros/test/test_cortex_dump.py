@@ -20,11 +20,11 @@ def find_program():
 
 
 PROGRAM = find_program()
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="cortex_dump is not built (source devel/setup.bash)")
 
 
 def dump(*arguments, stdin=b""):
     """Exit code, JSON objects of the output lines, text of standard error."""
+    assert PROGRAM, "cortex_dump is not built: run ./maap test, which builds and finds it"
     environment = {key: value for key, value in os.environ.items() if not key.startswith("ROS_MASTER")}
     done = subprocess.run([PROGRAM] + list(arguments), input=stdin, capture_output=True, env=environment, timeout=60)
     return done.returncode, [json.loads(line) for line in done.stdout.splitlines()], done.stderr.decode()

@@ -37,7 +37,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
             rospy.Subscriber("/diagnostics", DiagnosticArray, cls.keep, cls.diagnostics),
         ]
         cls.pub = rospy.Publisher("/mocap_data", Mocap_data, queue_size=1000, tcp_nodelay=True)
-        cls.sent_to_s = 100.0 + math.floor(time.time())
+        cls.sent_to_s = 100.0 + math.floor(rospy.get_time())
         cls.newest = None  # stamp
         deadline_s = time.monotonic() + PATIENCE_S
         while not (cls.pub.get_num_connections() and all(s.get_num_connections() for s in cls.subscribers)):

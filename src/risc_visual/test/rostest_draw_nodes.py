@@ -93,7 +93,7 @@ class DrawNodesTest(unittest.TestCase):
         """
         start_s = time.monotonic()
         for k in range(int(200 * seconds)):
-            angle = 2.0 * math.pi * (time.time() % 8.0) / 8.0
+            angle = 2.0 * math.pi * (rospy.get_time() % 8.0) / 8.0
             x, y = math.cos(angle), math.sin(angle)
             head = Header(stamp=rospy.Time.now(), frame_id="/cortex")
             states = [States("fluffy_II", visible, x, y, 1.0, *[0.0] * 9), States("Raven", True, *[0.0] * 12)]
@@ -151,7 +151,7 @@ class DrawNodesTest(unittest.TestCase):
         still = ("/Land_Markers", "/Land_Labels", "/desired_trajectory_name")
         self.fly_until(lambda: all(map(self.taken, moving)), "any drawing")
         self.clear()
-        begin_s = time.time()
+        begin_s = rospy.get_time()
         elapsed_s = self.fly(3.0)
         elapsed_s += self.fly_until(lambda: all(len(self.taken(topic)) > 8 for topic in moving), "8 drawings each")
         counts = {topic: len(self.taken(topic)) for topic in moving}
@@ -164,7 +164,8 @@ class DrawNodesTest(unittest.TestCase):
         self.assertEqual({m.header.frame_id for m in latest}, {"cortex"})
         ids = {tuple((m.ns, m.id) for m in found) for found in self.taken("/Quad_Markers")}
         self.assertEqual(len(ids), 1, "ids changed from one drawing to the next")
-        self.assertTrue(all(begin_s < m.header.stamp.to_sec() < time.time() for m in latest), "stamps of this flight")
+        end_s = rospy.get_time()
+        self.assertTrue(all(begin_s < m.header.stamp.to_sec() < end_s for m in latest), "stamps of this flight")
         self.assertEqual([len(m.points) for m in self.latest("/Cortex_Markers")], [1])
         self.assertEqual([m.ns for m in self.latest("/Land_Markers")], ["Green_pink"])
         self.assertEqual([m.text for m in self.latest("/Land_Labels")], ["Green_pink"])
