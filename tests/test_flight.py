@@ -62,6 +62,13 @@ def test_nothing_is_left_running(circles):
     assert left_behind(circles[3]) == []
 
 
+def time_at_heading(folder, vehicle, psi_deg):
+    """How long [s] the vehicle's nose pointed there, within 8 degrees."""
+    with (folder / "csv" / "ground_truth.csv").open() as file:
+        headings = [float(row[vehicle + ".psi"]) for row in csv.DictReader(file)]
+    return sum(abs((heading - psi_deg + 180.0) % 360.0 - 180.0) < 8.0 for heading in headings) / 200.0
+
+
 def test_two_flights_at_the_same_time_beside_another_master(tmp_path):
     """One vehicle each; a master on the default port that is none of ours; a course and a heading of the caller's."""
     master = subprocess.Popen(
@@ -78,10 +85,11 @@ def test_two_flights_at_the_same_time_beside_another_master(tmp_path):
                 )
                 for course, psi in courses
             ]
-        for flight in flights:
+        for flight, (_, psi) in zip(flights, courses):
             code, output, _, folder = judged(flight.result())
             assert code == 0, output
             assert left_behind(folder) == []
+            assert time_at_heading(folder, "fluffy_II", float(psi)) > 8.0, "of 10 s on the course"
     finally:
         master.terminate()
         master.wait()

@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cstdio>
 #include <cstdlib>
+#include <iomanip>
+#include <iostream>
 #include <string>
 #include <vector>
 
@@ -50,7 +51,7 @@ int main(int argc, char** argv) {
     }
   }
   if (iterations < 1) {
-    std::fprintf(stderr, "usage: cortex_decode_bench [iterations >= 1] [--json]\n");
+    std::cerr << "usage: cortex_decode_bench [iterations >= 1] [--json]\n";
     return 2;
   }
 
@@ -70,13 +71,18 @@ int main(int argc, char** argv) {
   const double median_us = percentile(times_us, 0.5);
   const double p99_us = percentile(times_us, 0.99);
   if (bodies != static_cast<std::size_t>(iterations + kWarmUp) * kBodies) {
-    std::fprintf(stderr, "cortex_decode_bench: decoded %zu bodies, which is wrong\n", bodies);
+    std::cerr << "cortex_decode_bench: decoded " << bodies << " bodies, which is wrong\n";
     return 1;
   }
-  const char* format = json ? "{\"bodies\": %d, \"markers\": %d, \"bytes\": %zu, \"iterations\": %ld, "
-                              "\"median_us\": %.3f, \"p99_us\": %.3f}\n"
-                            : "decode of a frame of %d bodies x %d markers (%zu bytes), %ld times: "
-                              "median %.3f us, p99 %.3f us\n";
-  std::printf(format, kBodies, kMarkers, bytes.size(), iterations, median_us, p99_us);
+  std::cout << std::fixed << std::setprecision(3);
+  if (json) {
+    std::cout << "{\"bodies\": " << kBodies << ", \"markers\": " << kMarkers
+              << ", \"bytes\": " << bytes.size() << ", \"iterations\": " << iterations
+              << ", \"median_us\": " << median_us << ", \"p99_us\": " << p99_us << "}\n";
+  } else {
+    std::cout << "decode of a frame of " << kBodies << " bodies x " << kMarkers << " markers ("
+              << bytes.size() << " bytes), " << iterations << " times: median " << median_us << " us, p99 "
+              << p99_us << " us\n";
+  }
   return 0;
 }
