@@ -17,6 +17,8 @@ BENCHMARKS = {
                                                             "--delay", "0.1", "0.3", "--json", "{json}"]),
     "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
     "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),
+    "vision": ("landmark detection on a rendered set: precision, recall, centre error, time",
+               [PYTHON, str(HERE / "vision.py"), "--json", "{json}"]),
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),
 }  # fmt: skip

@@ -1,26 +1,18 @@
 """Private parameters of the virtual lab's node, without a master."""
 
-import importlib.util
-import pathlib
-
 import pytest
 
 rospy = pytest.importorskip("rospy", reason="needs ROS")
-
-NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "virtual_lab_node.py"
 
 
 @pytest.fixture
 def load_params(monkeypatch):
     """load_params(given): what the node makes of these private parameters."""
-    pytest.importorskip("risc_msgs.msg", reason="needs the built workspace")
-    spec = importlib.util.spec_from_file_location("virtual_lab_node_under_test", str(NODE))
-    node = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(node)
+    from risc_simulator.ros import params
 
     def load(**given):
         monkeypatch.setattr(rospy, "get_param", lambda name, default=None: given if name == "~" else default)
-        return node.load_params()
+        return params.load_params()
 
     return load
 

@@ -23,9 +23,11 @@ ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
-EXPERIMENTS_HELP = (
-    "circles3: several vehicles on courses (default); df_demo: one vehicle, the figures of the lab course"
-)
+EXPERIMENTS = {
+    "circles3": "several vehicles on courses (default)",
+    "df_demo": "one vehicle, the figures of the lab course",
+    "coop": "as circles3 with cameras: landmarks are seen, bearings measured",
+}
 
 
 class FlightError(Exception):
@@ -38,7 +40,8 @@ def arguments(argv):
         prog="maap fly", description="Fly in the virtual lab: take off, fly, come home, land; record and report."
     )
     add = parser.add_argument
-    add("experiment", nargs="?", default="circles3", choices=("circles3", "df_demo"), help=EXPERIMENTS_HELP)
+    help_text = "; ".join("%s: %s" % item for item in EXPERIMENTS.items())
+    add("experiment", nargs="?", default="circles3", choices=EXPERIMENTS, help=help_text)
     add("--vehicles", type=int, metavar="N", help="how many vehicles (default: 3, df_demo: 1)")
     add("--trajectory", choices=sorted(COURSES), help="course to fly (default: circles3)")
     add("--psi", type=float, metavar="DEG", help="constant heading, + clockwise (default: the course's own)")
@@ -48,6 +51,7 @@ def arguments(argv):
     add("--ideal", action="store_true", help="plant exactly as the controllers believe it to be")
     add("--gusts", action="store_true", help="with gusts of wind")
     add("--rviz", action="store_true", help="open rviz")
+    add("--fps", type=float, metavar="HZ", help="pictures a second of each camera (coop; default: 15)")
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
     args = parser.parse_args(argv)
@@ -63,6 +67,10 @@ def arguments(argv):
         parser.error("--duration must be from 5 to 600 s")
     if args.delay is not None and not 0.0 <= args.delay <= LONGEST_DELAY_S:
         parser.error("--delay must be from 0 to %g s" % LONGEST_DELAY_S)
+    if args.fps is not None and args.experiment != "coop":
+        parser.error("--fps is for coop: the other experiments use no cameras")
+    if args.fps is not None and not 1.0 <= args.fps <= 30.0:
+        parser.error("--fps must be from 1 to 30")
     if args.psi is not None and not math.isfinite(args.psi):
         parser.error("--psi must be a number of degrees")
     return args
@@ -109,8 +117,10 @@ def launch_arguments(args, fleet, folder):
         "rviz": str(args.rviz).lower(),
         "psi_deg": "" if args.psi is None else args.psi,
     }
-    if args.experiment == "circles3":
+    if args.experiment != "df_demo":
         result["trajectory"] = args.trajectory or "circles3"
+    if args.fps is not None:
+        result["video_fps"] = args.fps
     return result
 
 

@@ -1,8 +1,8 @@
 """An AR.Drone 2.0 on the wire: the sockets, state machine and telemetry of one aircraft of the virtual lab.
 
 UDP 5556 takes AT commands, UDP 5554 answers wake-up datagrams with navdata, TCP 5559 gives the configuration text,
-TCP 5555 accepts video clients and stays silent.  Each aircraft has its own loopback address, so all use the standard
-ports.  Any real client can connect.
+TCP 5555 is for video: a camera process serves it (`attach_video`), without one it stays silent.  Each aircraft has its
+own loopback address, so all use the standard ports.  Any real client can connect.
 
 Piloting (PCMD, REF) passes the simulated radio: one set of sticks per 1/30 s slot, the vehicle's command delay later.
 Configuration and navdata are not delayed.  One thread, non-blocking sockets; bad input is counted, never raised.
@@ -197,7 +197,8 @@ class ArdroneHost(object):
         self._writer = None
 
         self._control_clients = {}  # socket -> bytes waiting
-        self._video_clients = []
+        self._video_clients = []  # of a silent aircraft
+        self._video = None  # video.launcher.VehicleVideo
         self._sockets = {}  # name -> socket
         try:
             self._open(ports)
@@ -209,9 +210,21 @@ class ArdroneHost(object):
 
     # --- the host interface of the virtual lab ------------------------------------------------------------------
 
+    @property
+    def video_listener(self):
+        """The socket that video clients connect to."""
+        return self._sockets["video"]
+
+    def attach_video(self, video):
+        """Let a camera process serve the video clients.  video: video.launcher.VehicleVideo."""
+        self._video = video
+        self._configure_video()
+
     def sockets(self):
         """Sockets to wait on; when one can be read call on_readable(). Empty after close()."""
         udp_and_listeners = list(self._sockets.values())
+        if self._video is not None and not self._video.wants_clients:
+            udp_and_listeners.remove(self.video_listener)  # the camera process accepts
         if self.link_lost:  # streams stall; they would be readable for ever if they were waited on
             return [s for s in udp_and_listeners if s.type == socket.SOCK_DGRAM]
         return udp_and_listeners + list(self._control_clients) + self._video_clients
@@ -230,6 +243,9 @@ class ArdroneHost(object):
             if client is not None:
                 self._control_clients[client] = b""
         elif sock is self._sockets.get("video"):
+            if self._video is not None:
+                self._video.start()  # accepts as soon as it is up
+                return
             client = self._accept(sock)
             if client is not None:
                 self._video_clients.append(client)
@@ -244,6 +260,8 @@ class ArdroneHost(object):
         self._watch_phase(phase)
         self._watch_link(now_s, phase)
         self._pilot(now_s, phase)
+        if self._video is not None:
+            self._video.set_link(not self.link_lost)
         if self._control_clients and not self.link_lost:
             self._flush_control_clients()
         if self._client is not None and now_s >= self._next_packet_s - 0.1 * FULL_PERIOD_S:
@@ -259,9 +277,18 @@ class ArdroneHost(object):
         """One line for people: what listens where."""
         p = self.ports
         return (
-            "%s (%s) AR.Drone 2.0 at %s: navdata udp %d, video tcp %d (silent), AT commands udp %d, "
+            "%s (%s) AR.Drone 2.0 at %s: navdata udp %d, video tcp %d%s, AT commands udp %d, "
             "configuration tcp %d"
-            % (self._vehicle.namespace, self._vehicle.name, self.address, p.navdata, p.video, p.at, p.control)
+            % (
+                self._vehicle.namespace,
+                self._vehicle.name,
+                self.address,
+                p.navdata,
+                p.video,
+                " (silent)" if self._video is None else "",
+                p.at,
+                p.control,
+            )
         )
 
     # --- for the lab's operator -----------------------------------------------------------------------------------
@@ -432,7 +459,17 @@ class ArdroneHost(object):
             self._next_packet_s = min(self._next_packet_s, self._now_s + FULL_PERIOD_S)
         if key in ("control:flight_anim", "leds:leds_anim", "userbox:userbox_cmd"):
             self.notes[key] = value
+        if self._video is not None and (key.startswith("video:") or key == "general:video_enable"):
+            self._configure_video()
         self._rebuild_writer()
+
+    def _configure_video(self):
+        self._video.configure(
+            channel=self.get("video:video_channel"),
+            rate_hz=self.get("video:codec_fps"),
+            bitrate_kbit_s=self.get("video:max_bitrate"),
+            enabled=self.get("general:video_enable"),
+        )
 
     def _on_ctrl(self, command, _):
         mode = command.arguments[0]
@@ -695,7 +732,7 @@ class ArdroneHost(object):
         bits = _BASE_STATE
         if phase in _IN_FLIGHT:
             bits |= _FLYING
-        if self._video_clients:
+        if self._video_clients or (self._video is not None and self._video.watchers):
             bits |= _VIDEO
         if self._start:
             bits |= _USER_START

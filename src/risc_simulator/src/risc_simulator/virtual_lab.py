@@ -1,5 +1,7 @@
 """The virtual lab as one program without ROS: physics, a Cortex host and a host for each vehicle, in one thread.
 
+Pictures are made by a process of their own, which starts when the first client asks for video.
+
     python3 -m risc_simulator.virtual_lab FLEET.yaml [options]
 
 Lab time is seconds since the start. World time runs behind it by the reported delay of motion capture: frame k is
@@ -26,6 +28,7 @@ from risc_control.lab import fleet_from_dict, load_fleet, load_templates, load_v
 from risc_simulator.ardrone_host import ArdroneHost
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
+from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
 from risc_simulator.world import World
 
 MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
@@ -66,6 +69,7 @@ class VirtualLab(object):
         self.seed, self.honest, self.gusts = seed, honest, gusts
         self._period_s = 1.0 / fleet.mocap.rate_hz
         self._send_after_s = fleet.mocap.reported_delay_s
+        self._frames_per_second = max(1, int(fleet.mocap.rate_hz))
         if command_delay_s is not None and not (math.isfinite(command_delay_s) and command_delay_s >= 0.0):
             raise ValueError("the command delay must be 0 s or more, got %r" % (command_delay_s,))
         if templates is None:
@@ -97,6 +101,8 @@ class VirtualLab(object):
         self._start_s = time.monotonic()
         self._served_s = 0.0  # lab time that hosts were last told
         self._hosts = []
+        self._video = None
+        self._board_until_s = {}  # {namespace: lab time} of the checkerboards that are waved
         try:
             self.cortex_host = CortexHost(
                 self.world,
@@ -115,6 +121,9 @@ class VirtualLab(object):
                 )
                 self.vehicle_hosts[vehicle.namespace] = host
                 self._hosts.append(host)
+            self._video = VideoLauncher(fleet, seed, [host.video_listener for host in self.vehicle_hosts.values()])
+            for index, host in enumerate(self.vehicle_hosts.values()):
+                host.attach_video(VehicleVideo(self._video, index))
         except (OSError, ValueError):
             self.close()
             raise
@@ -150,8 +159,19 @@ class VirtualLab(object):
                 self.frame += 1
                 self.lateness.add(now_s - due_s)
                 self.cortex_host.tick(now_s)
+                if self._video.running:
+                    self._tend_video(now_s)
             for host in self.vehicle_hosts.values():
                 host.tick(now_s)
+
+    def _tend_video(self, now_s):
+        self._video.publish(self._start_s + self.exposure_s, self.exposure_s, self.world.truth())
+        if self.frame % self._frames_per_second == 0:
+            self._video.check()
+        for namespace, until_s in list(self._board_until_s.items()):
+            if now_s > until_s:
+                self._video.put_board_away(namespace)
+                del self._board_until_s[namespace]
 
     def _forgive(self, due_s):
         """Lab time. If the computer slept for long after due_s, the clock is set back to what was served last."""
@@ -207,6 +227,18 @@ class VirtualLab(object):
         self._check_namespace(namespace)
         self.world.vehicles[namespace].set_battery_pct(pct)
 
+    def set_light(self, brightness):
+        """Light of the room for the vehicles' cameras: 1 = normal. Raises ValueError unless it is from 0 to 10."""
+        if not 0.0 <= brightness <= 10.0:
+            raise ValueError("the light must be from 0 to 10 times the normal one, got %r" % (brightness,))
+        self._video.set_light(brightness)
+
+    def wave_board(self, namespace, duration_s):
+        """Wave a checkerboard in front of a vehicle's camera, from now on. Raises ValueError for an unknown vehicle."""
+        self._check_namespace(namespace)
+        self._video.wave_board(namespace)
+        self._board_until_s[namespace] = self._served_s + duration_s
+
     def _check_namespace(self, namespace):
         if namespace not in self.vehicle_hosts:
             raise ValueError("no vehicle '%s'; known are: %s" % (namespace, ", ".join(self.vehicle_hosts)))
@@ -229,6 +261,7 @@ class VirtualLab(object):
                     "command_delay_s": plant.command_delay_s,
                 },
                 "host": self.vehicle_hosts[namespace].statistics(),
+                "video": self._video.statistics(namespace),
             }
         return {
             "simulated": True,
@@ -261,7 +294,9 @@ class VirtualLab(object):
         }
 
     def close(self):
-        """Close all sockets. May be called twice."""
+        """Close all sockets and end the camera process. May be called twice."""
+        if self._video is not None:
+            self._video.close()
         for host in self._hosts:
             host.close()
         self._hosts = []

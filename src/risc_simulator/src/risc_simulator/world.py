@@ -114,7 +114,11 @@ class World(object):
         self.vehicles = {vehicle.namespace: vehicle for vehicle in vehicles}
         self._vehicles = vehicles
         self._landmark_bodies = [
-            (mark.name, _look_up(templates, mark.name, "mocap template").markers_m + np.array(mark.position_m))
+            (
+                mark.name,
+                _look_up(templates, mark.name, "mocap template").markers_m @ _turned(mark.facing_rad).T
+                + np.array(mark.position_m),
+            )
             for mark in fleet.landmarks
         ]
 
@@ -416,6 +420,12 @@ def _motor_pwm(firmware, thrust_fraction):
         return (0, 0, 0, 0)
     pwm = int(255.0 * math.sqrt(thrust_fraction)) if firmware.lifted else 40
     return (pwm, pwm, pwm, pwm)
+
+
+def _turned(yaw_rad):
+    """Rotation matrix of an upright object, cortex axes, from facing along x to facing there (+ clockwise)."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _rng(seed, vehicle_index, stream):

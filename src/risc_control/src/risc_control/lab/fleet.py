@@ -30,9 +30,10 @@ class FleetVehicle:
     template: str  # mocap template and hence the vehicle's name on every topic, e.g. fluffy_II
     type: str  # file name in config/types
     address: str
-    calibration: str  # camera calibration file; "" = none
+    calibration: str  # of the front camera, see lab.calibration.resolve_url; "" = none
     start_position_m: Tuple[float, float, float]  # where it stands before take-off; cortex frame
     start_yaw_rad: float  # + clockwise from above, as States.psi
+    camera_mount: str = ""  # where the front camera sits, see lab.calibration; "" = the type's nominal place
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class FleetLandmark:
 
     name: str
     position_m: Tuple[float, float, float]  # cortex frame
+    facing_rad: float = 0.0  # where its painted side looks: 0 = along cortex x, + clockwise from above, as States.psi
 
 
 @dataclass(frozen=True)
@@ -86,11 +88,15 @@ class Fleet:
                     "type": v.type,
                     "address": v.address,
                     "calibration": v.calibration,
+                    "camera_mount": v.camera_mount,
                     "start": {"position_m": list(v.start_position_m), "yaw_deg": math.degrees(v.start_yaw_rad)},
                 }
                 for v in self.vehicles
             ],
-            "landmarks": [{"name": m.name, "position_m": list(m.position_m)} for m in self.landmarks],
+            "landmarks": [
+                {"name": m.name, "position_m": list(m.position_m), "facing_deg": math.degrees(m.facing_rad)}
+                for m in self.landmarks
+            ],
         }
 
 
@@ -145,6 +151,7 @@ def _vehicle(section):
         type=section.text("type"),
         address=_address(section.text("address"), "vehicle address"),
         calibration=section.text("calibration", ""),
+        camera_mount=section.text("camera_mount", ""),
         start_position_m=start.vector("position_m", 3),
         start_yaw_rad=math.radians(start.number("yaw_deg", 0.0)),
     )
@@ -156,7 +163,11 @@ def _vehicle(section):
 
 
 def _landmark(section):
-    landmark = FleetLandmark(name=section.text("name"), position_m=section.vector("position_m", 3))
+    landmark = FleetLandmark(
+        name=section.text("name"),
+        position_m=section.vector("position_m", 3),
+        facing_rad=math.radians(section.number("facing_deg", 0.0)),
+    )
     section.done()
     return landmark
 

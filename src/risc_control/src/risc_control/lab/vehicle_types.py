@@ -34,6 +34,7 @@ class VehicleType:
     command_rate_hz: float  # how often the vehicle takes a command
     drag_n_s_m: float  # linear drag: force = -drag * airspeed
     battery_life_s: float  # full to empty in flight
+    video_latency_s: float = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
 
 
 def load_vehicle_type(name):
@@ -69,6 +70,7 @@ def vehicle_type_from_dict(content, where="vehicle type"):
         command_rate_hz=root.number("command_rate_hz", minimum=1.0, maximum=1000.0),
         drag_n_s_m=root.number("drag_n_s_m", minimum=0.0),
         battery_life_s=root.number("battery_life_s", minimum=1.0),
+        video_latency_s=root.number("video_latency_s", 0.0, 0.0, 2.0),
     )
     root.done()
     if min(vehicle_type.inertia_kg_m2) <= 0.0:

@@ -1,0 +1,71 @@
+"""Calibration and mount files: what is written is read back, what is wrong is told with file and key."""
+
+import pytest
+import yaml
+
+from risc_control.lab.calibration import (
+    CameraCalibration,
+    CameraMount,
+    load_calibration,
+    load_mount,
+    resolve_url,
+    save_calibration,
+    save_mount,
+)
+
+CALIBRATION = CameraCalibration.from_intrinsics(
+    "front", (640, 360), (570.0, 568.0), (331.4, 135.9), (-0.53, 0.27, 0.02, -0.006, 0.0)
+)
+
+
+def test_calibration_survives_its_file(tmp_path):
+    path = tmp_path / "front.yaml"
+    save_calibration(CALIBRATION, path)
+    assert load_calibration(str(path)) == CALIBRATION
+    assert load_calibration("file://%s" % path) == CALIBRATION
+
+
+def test_mount_survives_its_file(tmp_path):
+    mount = CameraMount((0.2, -0.01, 0.03), 0.1, -0.2, 0.3)
+    save_mount(mount, tmp_path / "mount.yaml")
+    loaded = load_mount(str(tmp_path / "mount.yaml"))
+    assert loaded.position_m == mount.position_m
+    assert (loaded.roll_rad, loaded.pitch_rad, loaded.yaw_rad) == pytest.approx((0.1, -0.2, 0.3))
+
+
+def broken(tmp_path, change):
+    path = tmp_path / "broken.yaml"
+    save_calibration(CALIBRATION, path)
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    change(content)
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.pop("image_width"), "key 'image_width' is missing"),
+        (lambda c: c["camera_matrix"].update(rows=2), "'rows' must be in"),
+        (lambda c: c["camera_matrix"]["data"].__setitem__(0, 0.0), "not calibrated"),
+        (lambda c: c["distortion_coefficients"].update(data="-0.5 0.2 0 0 0"), "list of 5 numbers"),
+        (lambda c: c.update(distortion_model="equidistant"), "must be plumb_bob"),
+        (lambda c: c.update(image_widht=640), "unknown key"),
+    ],
+)
+def test_a_wrong_calibration_file_is_one_clear_error(tmp_path, change, message):
+    path = broken(tmp_path, change)
+    with pytest.raises(ValueError, match=message) as error:
+        load_calibration(path)
+    assert "broken.yaml" in str(error.value)
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(ValueError, match="nowhere.yaml"):
+        load_calibration("/tmp/nowhere.yaml")
+
+
+def test_bare_names_and_packages_are_found_in_the_workspace():
+    assert resolve_url("package://risc_control/config/types/ardrone.yaml").name == "ardrone.yaml"
+    with pytest.raises(ValueError, match="cannot find"):
+        resolve_url("no_such_camera.yaml")

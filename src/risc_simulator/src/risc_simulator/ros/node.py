@@ -1,0 +1,116 @@
+"""What ROS sees of the virtual lab: /ground_truth, diagnostics and fault injection."""
+
+import itertools
+import math
+import queue
+
+import diagnostic_updater
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import Float64, String
+
+from risc_control.frames import wrap_angle
+from risc_msgs.msg import Cortex, States
+
+_DEG_PER_RAD = math.degrees(1.0)
+
+
+class VirtualLabNode(object):
+    """Runs the lab in the main thread; callbacks only leave orders for it."""
+
+    def __init__(self, lab):
+        self._lab = lab
+        self._orders = queue.SimpleQueue()
+        self._last_crash = None
+        self._diagnosed = (0, lab.now_s())  # frame, lab time of the last report
+
+        self._message = Cortex()
+        self._message.header.frame_id = "cortex"
+        self._vehicles = list(lab.world.vehicles.values())
+        self._message.Obj = [States(name=vehicle.name, visible=True) for vehicle in self._vehicles]
+        # sent without waiting (risc_control.ros.direct_connection): the lab never waits for a subscriber
+        self._publisher = rospy.Publisher("/ground_truth", Cortex, queue_size=50, tcp_nodelay=True)
+
+        self._updater = diagnostic_updater.Updater()
+        self._updater.setHardwareID("virtual lab %s" % lab.fleet.name)
+        self._updater.add("virtual lab", self._diagnose)
+        self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._updater.force_update(), reset=True)
+        rospy.on_shutdown(self._timer.shutdown)
+
+        rospy.Subscriber("~mocap_silence", Float64, self._on_mocap_silence, queue_size=10)
+        rospy.Subscriber("~light", Float64, self._on_light, queue_size=10)
+        rospy.Subscriber("~hide", String, lambda msg: self._on_fault(msg, lab.hide), queue_size=10)
+        rospy.Subscriber("~link_loss", String, lambda msg: self._on_fault(msg, lab.lose_link), queue_size=10)
+        rospy.Subscriber("~battery", String, lambda msg: self._on_fault(msg, lab.set_battery_pct), queue_size=10)
+        rospy.Subscriber("~board", String, lambda msg: self._on_fault(msg, lab.wave_board), queue_size=10)
+
+    def after_frame(self):
+        """Carry out orders, then tell the truth about the frame that has just gone out."""
+        while not self._orders.empty():
+            order, arguments = self._orders.get_nowait()
+            try:
+                order(*arguments)
+            except ValueError as error:
+                rospy.logerr("fault injection: %s", error)
+        crashes = self._lab.world.crashes
+        if crashes and crashes[-1] is not self._last_crash:
+            new = list(itertools.takewhile(lambda crash: crash is not self._last_crash, reversed(crashes)))
+            self._last_crash = crashes[-1]
+            for crash in reversed(new):  # a collision makes two at once
+                rospy.logwarn("%s %s at (%.2f, %.2f, %.2f) m", crash.namespace, crash.reason, *crash.position_m)
+        if self._publisher.get_num_connections():
+            self._publish()
+
+    def _publish(self):
+        age_s = self._lab.now_s() - self._lab.exposure_s
+        self._message.header.stamp = rospy.Time.from_sec(rospy.get_time() - age_s)
+        rows = self._lab.world.truth()
+        rows[:, 8] = wrap_angle(rows[:, 8])
+        rows[:, 6:] *= _DEG_PER_RAD
+        for out, row in zip(self._message.Obj, rows.tolist()):
+            out.x, out.y, out.z, out.u, out.v, out.w, out.phi, out.theta, out.psi, out.p, out.q, out.r = row
+        try:
+            self._publisher.publish(self._message)
+        except rospy.ROSException:
+            if not rospy.is_shutdown():
+                raise
+
+    def _on_mocap_silence(self, msg):
+        if not (math.isfinite(msg.data) and msg.data >= 0.0):
+            rospy.logerr("fault injection: a duration in seconds is needed, got %r", msg.data)
+            return
+        self._orders.put((self._lab.silence_mocap, (msg.data,)))
+
+    def _on_light(self, msg):
+        self._orders.put((self._lab.set_light, (msg.data,)))
+
+    def _on_fault(self, msg, order):
+        name, _, number = msg.data.strip().rpartition(" ")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not name or not (math.isfinite(value) and value >= 0.0):
+            rospy.logerr("fault injection: send 'NAME NUMBER' (e.g. 'risc1 1.5'), got %r", msg.data)
+            return
+        self._orders.put((order, (name.strip(), value)))
+
+    def _diagnose(self, status):
+        lab = self._lab
+        frame, now_s = lab.frame, lab.now_s()
+        rate_hz = (frame - self._diagnosed[0]) / max(now_s - self._diagnosed[1], 1e-3)
+        self._diagnosed = frame, now_s
+        on_time = rate_hz > 0.95 * lab.fleet.mocap.rate_hz
+        status.summary(
+            DiagnosticStatus.OK if on_time else DiagnosticStatus.WARN,
+            "on schedule" if on_time else "behind its schedule: the computer is too busy",
+        )
+        status.add("frames", frame)
+        status.add("rate (Hz)", "%.1f" % rate_hz)
+        status.add("late p99 (ms)", "%.2f" % (1e3 * lab.lateness.percentile_s(99.0)))
+        status.add("late max (ms)", "%.2f" % (1e3 * lab.lateness.max_s))
+        status.add("stalls", lab.stalls)
+        status.add("crashes", len(lab.world.crashes))
+        for vehicle in self._vehicles:
+            status.add(vehicle.namespace, vehicle.phase.value)
+        return status
