@@ -1,0 +1,352 @@
+"""Video framing of the aircraft: PaVE headers around the pictures of the TCP stream, port 5555.
+
+Every picture is a header ("PaVE", little-endian, 64 bytes in early firmware, 68 later; skipped by its own size field)
+and a payload: one access unit of H.264 Annex B.  The aircraft sends as soon as a client connects and drops pictures
+for a client that is slow; a client that joins in the middle waits for a picture of type IDR, which carries SPS and PPS.
+
+Reading: `parse_header` looks at one header; `StreamParser` cuts a byte stream into `Packet`s and finds its way back
+after anything that is no PaVE; `FrameAssembler` joins pictures that come in several packets.
+Writing: `pack_header`, or a `StreamWriter`, which counts as the aircraft does.
+
+Nothing that arrives raises, except in parse_header: the parser drops and counts what it cannot use.
+"""
+
+import struct
+from collections import namedtuple
+from enum import IntEnum, IntFlag
+
+MAGIC = b"PaVE"
+VERSION = 2
+HEADER_SIZES = (64, 68)  # that aircraft send
+MAX_HEADER_BYTES = 256  # other sizes up to this are skipped by their field
+MAX_PAYLOAD_BYTES = 1 << 20  # the largest pictures seen have 19 kB, 720p about ten times that
+MAX_SIDE_PX = 4096
+
+_FIELDS = struct.Struct("<4sBBHI4H2I4B2IH4BHI")
+MIN_HEADER_BYTES = 64
+_UINT32 = 0xFFFFFFFF
+
+
+class PaveError(ValueError):
+    """Bytes that are no sound PaVE header."""
+
+
+class Codec(IntEnum):
+    """Of the payload."""
+
+    UNKNOWN = 0
+    VLIB = 1
+    P264 = 2
+    MPEG4_VISUAL = 3
+    MPEG4_AVC = 4  # H.264, what an AR.Drone 2.0 sends
+
+
+class FrameType(IntEnum):
+    """Kind of a picture."""
+
+    UNKNOWN = 0
+    IDR = 1  # decodes by itself, SPS and PPS are in front
+    I = 2  # noqa: E741 - its name
+    P = 3
+    HEADERS = 4  # SPS and PPS only
+
+
+class Control(IntFlag):
+    """Bits of the control field."""
+
+    ADVERTISEMENT = 1  # announces a picture that is not sent: no payload follows
+    LAST_FRAME = 2  # the stream ends here
+
+
+class PaveHeader(
+    namedtuple(
+        "PaveHeader",
+        "version codec header_bytes payload_bytes encoded_width_px encoded_height_px display_width_px "
+        "display_height_px frame_number timestamp_ms total_chunks chunk_index frame_type control stream_position_low "
+        "stream_position_high stream_id total_slices slice_index sps_bytes pps_bytes reserved advertised_bytes",
+    )
+):
+    """All fields of a header, in the order of the wire, as plain ints (timestamp_ms: the aircraft's clock)."""
+
+    __slots__ = ()
+
+    @property
+    def stream_position(self):
+        """Byte of the stream at which the payload begins."""
+        return self.stream_position_high << 32 | self.stream_position_low
+
+    @property
+    def encoded_px(self):
+        """(width, height) that the decoder gives; H.264 works in blocks of 16."""
+        return self.encoded_width_px, self.encoded_height_px
+
+    @property
+    def display_px(self):
+        """(width, height) that is to be shown, the top left part of the decoded picture."""
+        return self.display_width_px, self.display_height_px
+
+    @property
+    def following_bytes(self):
+        """Payload that follows the header."""
+        return 0 if self.control & Control.ADVERTISEMENT else self.payload_bytes
+
+    @property
+    def is_first_part(self):
+        """The first (or only) packet of its picture."""
+        return self.chunk_index == 0 and self.slice_index == 0
+
+    @property
+    def is_last_part(self):
+        """The last (or only) packet of its picture."""
+        return self.chunk_index + 1 >= self.total_chunks and self.slice_index + 1 >= self.total_slices
+
+
+Packet = namedtuple("Packet", "header payload")  # PaveHeader, bytes
+
+
+# --- headers ---------------------------------------------------------------------------------------------------------
+def parse_header(data, offset=0):
+    """PaveHeader at a place of a bytes-like object.
+
+    Needs MIN_HEADER_BYTES there, although header_bytes may be more.  PaveError when that is not a sound header.
+    """
+    if len(data) - offset < MIN_HEADER_BYTES:
+        raise PaveError("a PaVE header has at least %d bytes, got %d" % (MIN_HEADER_BYTES, max(0, len(data) - offset)))
+    magic, *fields = _FIELDS.unpack_from(data, offset)
+    if magic != MAGIC:
+        raise PaveError("not a PaVE header: it begins with %r" % magic)
+    header = PaveHeader._make(fields)
+    if not MIN_HEADER_BYTES <= header.header_bytes <= MAX_HEADER_BYTES:
+        raise PaveError("a PaVE header of %d bytes" % header.header_bytes)
+    if header.payload_bytes > MAX_PAYLOAD_BYTES:
+        raise PaveError("a picture of %d bytes, at most %d are accepted" % (header.payload_bytes, MAX_PAYLOAD_BYTES))
+    if max(header.encoded_px + header.display_px) > MAX_SIDE_PX:
+        raise PaveError("a picture of %d x %d px, shown as %d x %d" % (header.encoded_px + header.display_px))
+    return header
+
+
+def pack_header(header):
+    """The header_bytes of a header, reserved ones zero. ValueError when a field is out of range."""
+    if not MIN_HEADER_BYTES <= header.header_bytes <= MAX_HEADER_BYTES:
+        raise ValueError(
+            "a PaVE header has %d to %d bytes, got %d" % (MIN_HEADER_BYTES, MAX_HEADER_BYTES, header.header_bytes)
+        )
+    if header.payload_bytes > MAX_PAYLOAD_BYTES:
+        raise ValueError("a payload has at most %d bytes, got %d" % (MAX_PAYLOAD_BYTES, header.payload_bytes))
+    try:
+        return _FIELDS.pack(MAGIC, *header).ljust(header.header_bytes, b"\0")
+    except struct.error as error:
+        raise ValueError("a field of the PaVE header is out of range: %s (%s)" % (header, error)) from None
+
+
+# --- H.264 -----------------------------------------------------------------------------------------------------------
+_NAL_IDR, _NAL_SPS, _NAL_PPS = 5, 7, 8
+_START = b"\0\0\1"
+
+
+def nal_units(payload):
+    """(type, first byte, end) of every NAL unit of an Annex B payload; its start code (3 or 4 bytes) counts to it."""
+    starts = []
+    position = payload.find(_START)
+    while 0 <= position < len(payload) - 3:
+        begin = position - 1 if position > 0 and payload[position - 1] == 0 else position
+        starts.append((payload[position + 3] & 0x1F, begin))
+        position = payload.find(_START, position + 3)
+    ends = [begin for _, begin in starts[1:]] + [len(payload)]
+    return [(kind, begin, end) for (kind, begin), end in zip(starts, ends)]
+
+
+# --- aircraft side ---------------------------------------------------------------------------------------------------
+class StreamWriter(object):
+    """Puts the pictures of one encoder into PaVE; frame number and stream position count on from picture to picture.
+
+    encoded_px, display_px: (width, height).  header_bytes: 64 (firmware 2.0 and 2.1) or 68.
+    stream_id: another one for each codec and camera; may be changed between pictures, the next one must be an IDR.
+    """
+
+    def __init__(self, encoded_px=(640, 368), display_px=(640, 360), header_bytes=68, stream_id=1):
+        self.encoded_px = tuple(encoded_px)
+        self.display_px = tuple(display_px)
+        self.header_bytes = header_bytes
+        self.stream_id = stream_id
+        self._frame_number = 0
+        self._position = 0
+        self._last = None  # PaveHeader of the newest picture
+
+    def picture(self, payload, timestamp_ms):
+        """Header and payload of one picture, in one bytes object.
+
+        payload: one access unit, Annex B.  timestamp_ms: the aircraft's clock at exposure, any integer; it wraps at
+        2**32.  The type is found in the payload: IDR, headers only, else P.  ValueError for a payload too large.
+        """
+        units = nal_units(payload)
+        kinds = {kind for kind, _, _ in units}
+        if _NAL_IDR in kinds:
+            frame_type = FrameType.IDR
+        elif kinds and kinds <= {_NAL_SPS, _NAL_PPS}:
+            frame_type = FrameType.HEADERS
+        else:
+            frame_type = FrameType.P
+        header = PaveHeader(
+            version=VERSION,
+            codec=int(Codec.MPEG4_AVC),
+            header_bytes=self.header_bytes,
+            payload_bytes=len(payload),
+            encoded_width_px=self.encoded_px[0],
+            encoded_height_px=self.encoded_px[1],
+            display_width_px=self.display_px[0],
+            display_height_px=self.display_px[1],
+            frame_number=self._frame_number,
+            timestamp_ms=int(timestamp_ms) & _UINT32,
+            total_chunks=1,
+            chunk_index=0,
+            frame_type=int(frame_type),
+            control=0,
+            stream_position_low=self._position & _UINT32,
+            stream_position_high=self._position >> 32,
+            stream_id=self.stream_id,
+            total_slices=1,
+            slice_index=0,
+            sps_bytes=_bytes_of(units, _NAL_SPS),
+            pps_bytes=_bytes_of(units, _NAL_PPS),
+            reserved=0,
+            advertised_bytes=len(payload),
+        )
+        data = pack_header(header) + payload
+        self._frame_number = self._frame_number + 1 & _UINT32
+        self._position += len(payload)
+        return data
+
+
+def _bytes_of(units, wanted):
+    return min(255, sum(end - begin for kind, begin, end in units if kind == wanted))  # the field has one byte
+
+
+# --- client side -----------------------------------------------------------------------------------------------------
+class StreamParser(object):
+    """Cuts the bytes of a TCP stream into Packets, however the network has split them.
+
+    A packet is handed out with its last byte: nothing waits for the next header.  Whatever is not PaVE is skipped up
+    to the next sound header.  A payload that holds a sound header of the same stream was announced too long: it is
+    dropped and the header inside is taken, so that a damaged length costs one picture and not all that follow.
+    """
+
+    def __init__(self):
+        self.packets = 0  # handed out
+        self.bad_headers = 0  # "PaVE" that no sound header follows
+        self.broken_payloads = 0  # announced longer than they were
+        self.skipped_bytes = 0  # that belong to no packet
+        self._buffer = bytearray()
+        self._header = None  # at the beginning of the buffer
+        self._searched = 0  # its payload holds no header before this byte of the buffer
+
+    def reset(self):
+        """Forget the bytes of a connection that has ended."""
+        self._buffer.clear()
+        self._header = None
+
+    def feed(self, data):
+        """List of the Packets that these bytes complete, in order."""
+        self._buffer += data
+        packets = []
+        while True:
+            if self._header is None and not self._find_header():
+                return packets
+            if not self._check_payload():
+                return packets
+            if self._header is not None:
+                end = self._header.header_bytes + self._header.following_bytes
+                if len(self._buffer) < end:
+                    return packets
+                packets.append(Packet(self._header, bytes(self._buffer[self._header.header_bytes : end])))
+                self.packets += 1
+                self._header = None
+                del self._buffer[:end]
+
+    def _find_header(self):
+        """Bring the next sound header to the beginning of the buffer. False: more bytes are needed."""
+        buffer = self._buffer
+        while True:
+            begin = buffer.find(MAGIC)
+            if begin < 0:
+                # The end may be the beginning of the magic
+                keep = next((n for n in (3, 2, 1) if buffer.endswith(MAGIC[:n])), 0)
+                self._skip(len(buffer) - keep)
+                return False
+            self._skip(begin)
+            if len(buffer) < MIN_HEADER_BYTES:
+                return False
+            try:
+                self._header = parse_header(buffer)
+            except PaveError:
+                self.bad_headers += 1
+                self._skip(len(MAGIC))
+                continue
+            self._searched = self._header.header_bytes
+            return True
+
+    def _check_payload(self):
+        """Look for a header inside the payload; go on with that one. False: more bytes are needed to tell."""
+        buffer, header = self._buffer, self._header
+        end = header.header_bytes + header.following_bytes
+        while True:
+            begin = buffer.find(MAGIC, self._searched, end)
+            if begin < 0:
+                self._searched = max(self._searched, min(len(buffer), end) - len(MAGIC) + 1)
+                return True
+            if len(buffer) < begin + MIN_HEADER_BYTES:
+                self._searched = begin
+                return False
+            try:
+                inner = parse_header(buffer, begin)
+            except PaveError:
+                inner = None
+            if inner is not None and (inner.version, inner.codec) == (header.version, header.codec):
+                self.broken_payloads += 1
+                self._header = None
+                self._skip(begin)
+                return True
+            self._searched = begin + len(MAGIC)
+
+    def _skip(self, count):
+        self.skipped_bytes += count
+        del self._buffer[:count]
+
+
+class FrameAssembler(object):
+    """Joins the packets of one picture, which some settings of the aircraft make it send in chunks or slices."""
+
+    def __init__(self):
+        self.incomplete = 0  # pictures of which a part is missing
+        self._parts = []  # Packets of one picture, from its first part on
+
+    def add(self, packet):
+        """The Packet of a whole picture that this one completes (header of its first part), or None."""
+        header = packet.header
+        if header.is_first_part:
+            self._give_up()
+            if header.is_last_part:
+                return packet
+            self._parts.append(packet)
+            return None
+        if not self._parts or not self._continues(header):
+            self._give_up()
+            return None
+        self._parts.append(packet)
+        if not header.is_last_part:
+            return None
+        first, payload = self._parts[0].header, b"".join(part.payload for part in self._parts)
+        self._parts = []
+        return Packet(first._replace(payload_bytes=len(payload)), payload)
+
+    def _continues(self, header):
+        last = self._parts[-1].header
+        return (header.frame_number, header.stream_id) == (last.frame_number, last.stream_id) and (
+            (header.slice_index, header.chunk_index)
+            in ((last.slice_index, last.chunk_index + 1), (last.slice_index + 1, 0))
+        )
+
+    def _give_up(self):
+        if self._parts:
+            self.incomplete += 1
+            self._parts = []

@@ -1,0 +1,54 @@
+"""Pictures to what an AR.Drone 2.0 sends: H.264 baseline, coded 640 x 368, one slice group a frame, no B frames."""
+
+from fractions import Fraction
+
+import av
+import cv2
+import numpy as np
+
+MACROBLOCK_PX = 16
+KEYFRAME_PERIOD_S = 1.0
+
+
+class H264Encoder(object):
+    """One elementary stream. A new one starts with an IDR frame that carries SPS and PPS."""
+
+    def __init__(self, width_px, height_px, rate_hz, bitrate_kbit_s):
+        self.coded_px = _round_up(width_px), _round_up(height_px)
+        self._padding = (self.coded_px[1] - height_px, self.coded_px[0] - width_px)
+        self._frames = 0
+        context = self._context = av.CodecContext.create("libx264", "w")
+        context.width, context.height = self.coded_px
+        context.pix_fmt = "yuv420p"
+        context.time_base = Fraction(1, 90000)
+        context.framerate = Fraction(rate_hz).limit_denominator(1000)
+        context.bit_rate = int(1000 * bitrate_kbit_s)
+        context.gop_size = max(1, int(round(rate_hz * KEYFRAME_PERIOD_S)))
+        context.max_b_frames = 0
+        context.thread_count = 1
+        context.profile = "Baseline"
+        context.options = {
+            "preset": "ultrafast",
+            "tune": "zerolatency",
+            "level": "3.0",
+            "x264-params": "repeat-headers=1:annexb=1:scenecut=0:sliced-threads=0",
+            "maxrate": str(int(1000 * bitrate_kbit_s)),
+            "bufsize": str(int(1000 * bitrate_kbit_s / 4)),
+        }
+
+    def encode(self, picture_bgr):
+        """One access unit (Annex B bytes) of one picture (h, w, 3) uint8, BGR."""
+        if self._padding != (0, 0):
+            picture_bgr = cv2.copyMakeBorder(
+                picture_bgr, 0, self._padding[0], 0, self._padding[1], cv2.BORDER_REPLICATE
+            )
+        planes = cv2.cvtColor(picture_bgr, cv2.COLOR_BGR2YUV_I420)
+        frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+        frame.pts = self._frames
+        frame.time_base = self._context.time_base
+        self._frames += int(self._context.time_base.denominator / self._context.framerate)
+        return b"".join(map(bytes, self._context.encode(frame)))
+
+
+def _round_up(size_px):
+    return int(np.ceil(size_px / MACROBLOCK_PX)) * MACROBLOCK_PX

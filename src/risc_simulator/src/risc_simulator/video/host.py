@@ -1,0 +1,130 @@
+"""The camera process of the virtual lab: renders, encodes and serves every vehicle's video.
+
+It is a process of its own so that the lab keeps its 5 ms schedule: pictures give way to flight.  The lab starts it
+when the first client asks for video (see launcher.py) and hands it the listening sockets and the blackboard; it ends
+when its standard input does, so it never outlives the lab.
+"""
+
+import json
+import logging
+import math
+import os
+import select
+import socket
+import sys
+import time
+
+import cv2
+
+from risc_control.lab import fleet_from_dict, load_vehicle_type
+from risc_simulator.video.blackboard import Blackboard
+from risc_simulator.video.camera_pose import vehicle_pose
+from risc_simulator.video.scene import load_scene
+from risc_simulator.video.station import BOTTOM, FRONT, Station, bottom_eye, front_eye, seed_of
+
+_LOG = logging.getLogger(__name__)
+_NICENESS = 5
+_IDLE_S = 0.25  # longest wait
+
+
+class VideoHost(object):
+    """All stations on one schedule."""
+
+    def __init__(self, fleet, seed, board, listeners):
+        """board: Blackboard. listeners: bound TCP sockets in fleet order. Raises ValueError for bad camera files."""
+        self._board = board
+        scene, imaging = load_scene(fleet)
+        self._names = [vehicle.namespace for vehicle in fleet.vehicles]
+        self._stations = []
+        for index, (vehicle, listener) in enumerate(zip(fleet.vehicles, listeners)):
+            eyes = {
+                FRONT: front_eye(vehicle, scene, imaging, seed_of(seed, index, FRONT)),
+                BOTTOM: bottom_eye(scene, imaging, seed_of(seed, index, BOTTOM)),
+            }
+            self._stations.append(Station(listener, eyes, load_vehicle_type(vehicle.type).video_latency_s))
+
+    def serve(self, stop_fd):
+        """Until stop_fd can be read."""
+        while True:
+            wait_s = self._work()
+            readers = {sock: station for station in self._stations for sock in station.sockets()}
+            writers = [
+                sock
+                for index, station in enumerate(self._stations)
+                if self._board.link_up[index]
+                for sock in station.blocked()
+            ]
+            readable, _, _ = select.select([stop_fd, *readers], writers, (), wait_s)
+            if stop_fd in readable:
+                return
+            for sock in readable:
+                if sock.fileno() >= 0:
+                    readers[sock].on_readable(sock)
+
+    def close(self):
+        """Close all sockets."""
+        for station in self._stations:
+            station.close()
+
+    def _work(self):
+        """Do what is due. Returns how long to wait at most."""
+        board = self._board
+        snapshot = board.snapshot()
+        now_s = time.monotonic()
+        wake_s = now_s + _IDLE_S
+        for index, station in enumerate(self._stations):
+            due_s = station.due_s(float(board.rate_hz[index]), now_s)
+            if due_s is not None and snapshot is not None and board.enabled[index]:
+                if due_s <= now_s:
+                    self._expose(index, station, snapshot)
+                    due_s = station.next_s
+                wake_s = min(wake_s, due_s)
+            station.send(time.monotonic(), bool(board.link_up[index]))
+            send_s = station.send_due_s()
+            if send_s is not None:
+                wake_s = min(wake_s, send_s)
+            board.watchers[index] = station.watchers
+            board.pictures[index] = station.pictures
+            board.skipped[index] = station.skipped
+        return max(0.0, wake_s - time.monotonic())
+
+    def _expose(self, index, station, snapshot):
+        board = self._board
+        waved_s = snapshot.time_s - float(board.board_since_s[index])
+        station.expose(
+            snapshot,
+            index,
+            int(board.channel[index]),
+            float(board.rate_hz[index]),
+            float(board.bitrate_kbit_s[index]),
+            vehicles=[
+                vehicle_pose(row, name) for k, (row, name) in enumerate(zip(snapshot.rows, self._names)) if k != index
+            ],
+            light=float(board.light),
+            waved_s=None if math.isnan(waved_s) else max(0.0, waved_s),
+        )
+
+
+def main():
+    """Started by launcher.py: the job as one line of JSON on standard input. Returns the exit code."""
+    logging.basicConfig(format="virtual cameras: %(message)s", level=logging.INFO)
+    job = json.loads(sys.stdin.readline())
+    os.nice(_NICENESS)
+    cv2.setNumThreads(1)
+    try:
+        fleet = fleet_from_dict(job["fleet"])
+        board = Blackboard(len(fleet.vehicles), job["board_fd"])
+        listeners = [socket.socket(fileno=fd) for fd in job["listener_fds"]]
+        host = VideoHost(fleet, job["seed"], board, listeners)
+    except (ValueError, OSError) as error:
+        _LOG.error("%s", error)
+        return 1
+    try:
+        host.serve(sys.stdin.fileno())
+    finally:
+        host.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""The lab's side of the camera process: starts it when the first client wants video, and keeps the blackboard."""
+
+import contextlib
+import json
+import logging
+import math
+import subprocess
+import sys
+import time
+
+from risc_simulator.video.blackboard import Blackboard
+
+_LOG = logging.getLogger(__name__)
+_MODULE = "risc_simulator.video.host"
+STOP_PATIENCE_S = 3.0
+START_REST_S = 5.0  # a camera process that has ended is started again after this time, not sooner
+
+
+class VideoLauncher(object):
+    """Video for all vehicles of one lab. Used from the lab's thread."""
+
+    def __init__(self, fleet, seed, listeners):
+        """listeners: the TCP listeners of the vehicles, in fleet order; they stay the caller's."""
+        self._fleet, self._seed, self._listeners = fleet, seed, listeners
+        self._index = {vehicle.namespace: index for index, vehicle in enumerate(fleet.vehicles)}
+        self.board = Blackboard(len(listeners))
+        self._process = None
+        self._rest_until_s = -math.inf
+
+    @property
+    def running(self):
+        """Whether the camera process serves the listeners."""
+        return self._process is not None
+
+    @property
+    def may_start(self):
+        """Whether `start` would start the camera process: it does not run, and has not just ended."""
+        return not self.running and time.monotonic() >= self._rest_until_s
+
+    def start(self):
+        """Start the camera process if it may."""
+        if not self.may_start:
+            return
+        descriptors = [listener.fileno() for listener in self._listeners]
+        job = {
+            "fleet": self._fleet.to_dict(),
+            "seed": self._seed,
+            "board_fd": self.board.fd,
+            "listener_fds": descriptors,
+        }
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", _MODULE],
+            stdin=subprocess.PIPE,
+            pass_fds=[self.board.fd, *descriptors],
+            start_new_session=True,  # Ctrl-C is for the lab, whose end ends this process
+        )
+        with contextlib.suppress(BrokenPipeError):  # it has ended at once: `check` will tell
+            self._process.stdin.write((json.dumps(job) + "\n").encode("utf-8"))
+            self._process.stdin.flush()
+
+    def check(self):
+        """Notice the end of the camera process. To be called now and then."""
+        if self.running and self._process.poll() is not None:
+            _LOG.error(
+                "the camera process has ended (code %s), its last lines say why: vehicles send no video until it is "
+                "started again, in %g s",
+                self._process.returncode,
+                START_REST_S,
+            )
+            self._process.stdin.close()
+            self._process = None
+            self._rest_until_s = time.monotonic() + START_REST_S
+            self.board.watchers[:] = 0
+
+    def publish(self, time_s, lab_s, rows):
+        """Where the vehicles are, see Blackboard.publish."""
+        self.board.publish(time_s, lab_s, rows)
+
+    def set_light(self, brightness):
+        """Brightness of the room, 1 = normal."""
+        self.board.light[...] = brightness
+
+    def wave_board(self, namespace):
+        """Wave a checkerboard in front of a vehicle's camera."""
+        self.board.board_since_s[self._index[namespace]] = time.monotonic()
+
+    def put_board_away(self, namespace):
+        """No checkerboard any more."""
+        self.board.board_since_s[self._index[namespace]] = math.nan
+
+    def statistics(self, namespace):
+        """What a vehicle's camera has done, as plain numbers."""
+        index = self._index[namespace]
+        return {"pictures": int(self.board.pictures[index]), "skipped": int(self.board.skipped[index])}
+
+    def close(self):
+        """End the camera process. May be called twice."""
+        if self._process is not None:
+            self._process.stdin.close()
+            try:
+                self._process.wait(STOP_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+            self._process = None
+        self.board.close()
+
+
+class VehicleVideo(object):
+    """The video of one vehicle, as its host sees it."""
+
+    def __init__(self, launcher, index):
+        self._launcher, self._index = launcher, index
+
+    @property
+    def wants_clients(self):
+        """Whether somebody has to wait for clients and call `start` for them."""
+        return self._launcher.may_start
+
+    @property
+    def watchers(self):
+        """How many clients are connected."""
+        return int(self._launcher.board.watchers[self._index])
+
+    def start(self):
+        """A client has come: let the camera process serve it."""
+        self._launcher.start()
+
+    def set_link(self, is_up):
+        """Whether anything passes."""
+        self._launcher.board.link_up[self._index] = is_up
+
+    def configure(self, channel, rate_hz, bitrate_kbit_s, enabled):
+        """What the vehicle's configuration says."""
+        board, index = self._launcher.board, self._index
+        board.channel[index], board.enabled[index] = channel, enabled
+        board.rate_hz[index], board.bitrate_kbit_s[index] = rate_hz, bitrate_kbit_s

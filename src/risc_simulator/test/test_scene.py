@@ -1,0 +1,211 @@
+"""The scene file, and the shapes that it makes."""
+
+import copy
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from risc_control.lab.yaml_reader import load_yaml, package_file
+from risc_simulator.video.scene import (
+    Board,
+    Disc,
+    ImagingParams,
+    Scene,
+    VehiclePose,
+    board_layers,
+    load_scene,
+    load_style,
+    normal_of_facing,
+    plane_axes,
+    room_geometry,
+    style_from_dict,
+)
+
+PAINTS_HSV = {"green": (66, 150, 170), "blue": (98, 150, 170), "pink": (167, 150, 200), "orange": (15, 160, 230)}
+LANDMARKS = {
+    "Green_pink": ("green", "pink"),
+    "Pink_blue": ("pink", "blue"),
+    "Orange_blue": ("orange", "blue"),
+    "Blue_green": ("blue", "green"),
+}
+
+
+@pytest.fixture(scope="module")
+def content():
+    return load_yaml(package_file("risc_simulator", "config/scene.yaml"))
+
+
+def hsv_of(bgr):
+    return cv2.cvtColor(np.uint8([[bgr]]), cv2.COLOR_BGR2HSV)[0, 0].astype(int)
+
+
+def test_landmarks_have_the_paints_of_the_laboratory():
+    style = load_style()
+    assert sorted(style.landmark_bgr) == sorted(LANDMARKS)
+    for template, names in LANDMARKS.items():
+        for bgr, name in zip(style.landmark_bgr[template], names):
+            assert np.abs(hsv_of(bgr) - PAINTS_HSV[name]).max() <= 1  # 8-bit rounding
+    assert (style.centre_diameter_m, style.ring_diameter_m) == (0.20, 0.30)
+
+
+def test_hulls_differ_from_each_other_and_in_front_from_behind():
+    hulls = load_style().scene.hull_colours
+    assert len(hulls) >= 4
+    pairs = {frozenset((hull.nose_bgr, hull.tail_bgr)) for hull in hulls}
+    assert len(pairs) == len(hulls) and all(len(pair) == 2 for pair in pairs)
+
+
+@pytest.mark.parametrize(
+    "path, value, message",
+    [
+        ("paints.green", [300, 0, 0], "colour 'green' must be OpenCV HSV"),
+        ("paints.green", [1, 2], "'green' must be a list of 3 numbers"),
+        ("discs.landmarks.Green_pink.ring", "purple", "'ring' is 'purple', which is not among the paints"),
+        ("discs.ring_diameter_m", 0.1, "ring_diameter_m must be greater"),
+        ("discs.centre_diameter_m", "large", "'centre_diameter_m' must be a number"),
+        ("discs.colour", 1, "unknown key(s) colour"),
+        ("hulls.colours", {}, "needs one hull at least"),
+        ("hulls.colours.red_yellow.wing", [0, 0, 0], "unknown key(s) wing"),
+        ("room.half_x_m", 1.0, "'half_x_m' must be in"),
+        ("room.tile_m", None, "key 'tile_m' is missing"),
+        ("room.walls.front", None, "key 'front' is missing"),
+        ("room.panels.0.surface", "roof", "'surface' must be one of front, back, left, right, floor"),
+        ("room.panels.0.size_m", [0.0, 1.0], "'size_m' must be positive"),
+        ("imaging.exposure_s", -1.0, "'exposure_s' must be in"),
+        ("imaging.shutter", 1.0, "unknown key(s) shutter"),
+        ("boards.margin_squares", True, "'margin_squares' must be a number"),
+        ("lights", {}, "unknown key(s) lights"),
+    ],
+)
+def test_every_mistake_in_the_file_is_named(content, path, value, message):
+    broken = copy.deepcopy(content)
+    keys = [int(key) if key.isdigit() else key for key in path.split(".")]
+    place = broken
+    for key in keys[:-1]:
+        place = place[key]
+    if value is None:
+        del place[keys[-1]]
+    else:
+        place[keys[-1]] = value
+    with pytest.raises(ValueError) as error:
+        style_from_dict(broken, "file.yaml")
+    assert message in str(error.value) and "file.yaml" in str(error.value)
+
+
+def test_missing_file_is_one_error(tmp_path):
+    with pytest.raises(ValueError, match="cannot read .*none.yaml"):
+        load_style(tmp_path / "none.yaml")
+
+
+def test_facing_is_clockwise_from_above_as_yaw():
+    assert np.allclose(normal_of_facing(0.0), (1.0, 0.0, 0.0))
+    assert np.allclose(normal_of_facing(math.radians(90.0)), (0.0, -1.0, 0.0))
+
+
+def test_plane_axes_are_right_and_up_for_somebody_in_front():
+    across, upward = plane_axes((-1.0, 0.0, 0.0))  # seen by somebody who looks along +x: right is -y
+    assert np.allclose(across, (0.0, -1.0, 0.0)) and np.allclose(upward, (0.0, 0.0, 1.0))
+    across, upward = plane_axes((0.0, 0.0, 1.0))  # a disc on the floor
+    assert np.allclose(np.cross(across, upward), (0.0, 0.0, 1.0))
+
+
+def test_disc_outline_lies_in_its_plane_and_has_the_area_of_the_circle():
+    normal = np.array([0.6, -0.64, 0.48])
+    disc = Disc("d", (1.0, 2.0, 3.0), tuple(normal), (0, 0, 0), (1, 1, 1))
+    relative = disc.outline(0.30) - (1.0, 2.0, 3.0)
+    assert np.allclose(relative @ normal, 0.0, atol=1e-12)
+    assert np.allclose(np.linalg.norm(relative, axis=1), 0.15, rtol=2e-3)
+    area = 0.5 * np.linalg.norm(np.cross(relative, np.roll(relative, -1, axis=0)).sum(axis=0))
+    assert area == pytest.approx(math.pi * 0.15**2, rel=1e-9)
+
+
+@pytest.mark.parametrize("change", [{"normal": (1.0, 1.0, 0.0)}, {"centre_diameter_m": 0.3}])
+def test_impossible_discs_are_refused(change):
+    values = {
+        "name": "d",
+        "centre_m": (0, 0, 0),
+        "normal": (1.0, 0.0, 0.0),
+        "centre_bgr": (0, 0, 0),
+        "ring_bgr": (0, 0, 0),
+    }
+    with pytest.raises(ValueError, match="landmark d"):
+        Disc(**dict(values, **change))
+
+
+def test_board_corners_are_in_opencvs_order():
+    # the board stands upright before somebody who looks along +x: its x is -y, its y down, its z +x
+    R = np.array([(0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+    corners = Board(3, 2, 0.1, (5.0, 0.0, 1.0), R).corners()
+    assert np.allclose(corners[0], (5.0, 0.1, 1.05))
+    assert np.allclose(corners[1] - corners[0], (0.0, -0.1, 0.0))
+    assert np.allclose(corners[3] - corners[0], (0.0, 0.0, -0.1))
+    assert np.allclose(corners.mean(axis=0), (5.0, 0.0, 1.0))
+
+
+def test_board_squares_meet_at_the_corners():
+    board = Board(8, 6, 0.025, (0.0, 0.0, 0.0), np.eye(3))
+    (_, white), (_, black) = board_layers(board, Scene())
+    assert len(black) == 32  # of 9 x 7 squares
+    assert np.ptp(white[0], axis=0) == pytest.approx([0.025 * 11, 0.025 * 9, 0.0])
+    points = np.concatenate(black)
+    for corner in board.corners():  # each inner corner is one of two black squares
+        assert (np.linalg.norm(points - corner, axis=1) < 1e-9).sum() == 2
+
+
+def test_boards_without_squares_are_refused():
+    with pytest.raises(ValueError, match="board"):
+        Board(1, 6, 0.025, (0, 0, 0), np.eye(3))
+
+
+def test_hull_by_order_by_name_and_by_number():
+    scene = load_style().scene
+    names = [hull.name for hull in scene.hull_colours]
+    scene = Scene(**dict(vars(scene), colour_of_vehicle={"risc2": 1}))
+
+    def name_of(vehicle, colour=None):
+        return scene.hull_colour(VehiclePose(vehicle, (0, 0, 0), np.eye(3), colour)).name
+
+    assert name_of("risc2") == names[1]
+    assert name_of("stranger") == names[0]
+    assert name_of("risc2", 2) == names[2]
+    assert name_of("risc2", len(names)) == names[0]
+    assert name_of("risc2", names[3]) == names[3]
+    with pytest.raises(ValueError, match="no hull is called 'gold'; known are " + names[0]):
+        name_of("risc2", "gold")
+
+
+def test_landmark_without_paints_is_named():
+    with pytest.raises(ValueError, match="landmark Red_white has no paints"):
+        load_style().disc("Red_white", (0, 0, 1), (1, 0, 0))
+
+
+def test_imaging_out_of_range_is_named():
+    with pytest.raises(ValueError, match="imaging: defocus_px"):
+        ImagingParams(defocus_px=-1.0)
+
+
+def test_room_encloses_the_net():
+    style = load_style()
+    room = room_geometry(style.scene.room)
+    points = np.concatenate([outline for _, group in room.polygons for outline in group])
+    low, high = points.min(axis=0), points.max(axis=0)
+    cords = room.cords.reshape(-1, 3)
+    assert (cords >= low).all() and (cords <= high).all()
+    assert np.linalg.norm(np.diff(room.cords, axis=1), axis=2).max() <= 0.5 + 1e-9
+
+
+def test_scene_of_a_fleet():
+    fleet = package_file("risc_simulator", "test/two_ardrones.yaml")
+    from risc_control.lab import load_fleet
+
+    fleet = load_fleet(fleet)
+    scene, imaging = load_scene(fleet)
+    assert [disc.name for disc in scene.discs] == [landmark.name for landmark in fleet.landmarks]
+    for disc, landmark in zip(scene.discs, fleet.landmarks):
+        assert disc.centre_m == landmark.position_m
+        assert disc.normal == normal_of_facing(landmark.facing_rad)
+    first, second = (scene.hull_colour(VehiclePose(v.namespace, (0, 0, 0), np.eye(3))) for v in fleet.vehicles[:2])
+    assert first != second
+    assert isinstance(imaging, ImagingParams)

@@ -1,0 +1,206 @@
+"""The video of the virtual lab on the wire: real lab, real camera process, seen by a client of the protocol."""
+
+import os
+import random
+import socket
+import subprocess
+import threading
+import time
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from ardrone_autonomy.protocol.video import FrameType, StreamParser
+from risc_control.camera import Camera, cortex_to_camera
+from risc_control.lab import FleetLandmark, FleetVehicle
+from risc_control.lab.calibration import FRONT_MOUNT, load_calibration
+from risc_control.lab.fleet import Fleet, MocapEndpoint
+from risc_simulator.video.station import DEFAULT_FRONT_CALIBRATION
+from risc_simulator.virtual_lab import VirtualLab
+from risc_simulator.world import REST_HEIGHT_M
+
+DISC_M = (2.3, 0.3, 0.25)
+PATIENCE_S = 60.0  # for a camera process to start on a busy computer
+GREEN_HUE, GREEN_TOLERANCE = 66, 8
+
+
+@pytest.fixture
+def lab():
+    """A lab with two vehicles on the floor, one of which looks at a disc; in a thread of its own."""
+    net = "127.%d" % random.SystemRandom().randint(100, 250)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port = probe.getsockname()[1]
+    vehicles = tuple(
+        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "%s.1.%d" % (net, k + 1), "", (0.5, y, 0.0), 0.0)
+        for k, (name, y) in enumerate([("fluffy_II", 0.0), ("Raven", -1.0)])
+    )
+    mocap = MocapEndpoint(net + ".0.1", stream_port=port, interface="127.0.0.1")
+    disc = FleetLandmark("Green_pink", DISC_M, facing_rad=np.pi)
+    lab = VirtualLab(Fleet("two", mocap, vehicles, (disc,)), seed=4)
+    stop = threading.Event()
+    thread = threading.Thread(target=lab.run, args=(stop,))
+    thread.start()
+    yield lab
+    stop.set()
+    thread.join(15.0)
+    lab.close()
+    assert not thread.is_alive()
+
+
+class Client:
+    """Reads pictures as any client does."""
+
+    def __init__(self, address):
+        self.socket = socket.create_connection((address, 5555), PATIENCE_S)
+        self._parser, self._decoder = StreamParser(), None
+        self._packets = []
+
+    def packet(self):
+        """The next packet; raises socket.timeout when none comes."""
+        while not self._packets:
+            data = self.socket.recv(1 << 16)
+            assert data, "the vehicle hung up"
+            self._packets = self._parser.feed(data)
+        return self._packets.pop(0)
+
+    def picture(self):
+        """(header, (h, w, 3) BGR) of the next picture that can be decoded."""
+        while True:
+            header, payload = self.packet()
+            if header.frame_type == FrameType.IDR:
+                self._decoder = av.CodecContext.create("h264", "r")
+            if self._decoder is not None:
+                (frame,) = self._decoder.decode(av.Packet(payload))
+                return header, frame.to_ndarray(format="bgr24")[: header.display_height_px, : header.display_width_px]
+
+    def close(self):
+        self.socket.close()
+
+
+@pytest.fixture
+def client(lab):
+    client = Client(lab.fleet.vehicles[0].address)
+    yield client
+    client.close()
+
+
+def children():
+    """Ids of the camera processes that this process has started."""
+    command = ["pgrep", "-P", str(os.getpid()), "-f", "risc_simulator.video.host"]
+    return [int(pid) for pid in subprocess.run(command, stdout=subprocess.PIPE, check=False).stdout.split()]
+
+
+def green_centre(picture):
+    """Centre (2,) [px] of what is green."""
+    hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
+    mask = (abs(hsv[..., 0].astype(int) - GREEN_HUE) < GREEN_TOLERANCE) & (hsv[..., 1] > 90) & (hsv[..., 2] > 60)
+    count, _, sizes, centres = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    assert count > 1, "nothing green in the picture"
+    return centres[1 + np.argmax(sizes[1:, cv2.CC_STAT_AREA])]
+
+
+def test_the_picture_shows_the_disc_where_the_geometry_says(lab, client):
+    header, picture = client.picture()
+    assert picture.shape == (360, 640, 3)
+    assert header.encoded_px == (640, 368) and header.display_px == (640, 360)
+    point = cortex_to_camera(DISC_M, (0.5, 0.0, REST_HEIGHT_M), np.diag([1.0, -1.0, -1.0]), FRONT_MOUNT)
+    expected = Camera(load_calibration(DEFAULT_FRONT_CALIBRATION)).project(point)
+    assert np.linalg.norm(green_centre(picture) - expected) < 1.5
+
+
+def test_pictures_keep_their_rhythm_and_their_clock(lab, client):
+    headers = [client.packet().header for _ in range(40)]
+    assert headers[0].frame_type == FrameType.IDR, "the first watcher gets the beginning of the stream"
+    numbers = [header.frame_number for header in headers]
+    assert numbers == list(range(numbers[0], numbers[0] + 40))
+    steps_ms = np.diff([header.timestamp_ms for header in headers])
+    assert (steps_ms > 0).all()
+    assert np.median(steps_ms) == pytest.approx(1000.0 / 30.0, abs=6.0), "exposures fall on the lab's 5 ms grid"
+    assert any(header.frame_type == FrameType.P for header in headers)
+    assert abs(headers[-1].timestamp_ms - 1e3 * lab.now_s()) < 2000.0
+
+
+def test_a_second_watcher_joins_in_the_middle(lab, client):
+    client.picture()
+    late = Client(lab.fleet.vehicles[0].address)
+    try:
+        _, picture = late.picture()
+        np.testing.assert_allclose(green_centre(picture), green_centre(client.picture()[1]), atol=1.0)
+    finally:
+        late.close()
+
+
+def test_switching_the_camera_changes_stream_and_picture(lab, client):
+    header, _ = client.picture()
+    lab.vehicle_hosts["risc1"].configuration.write("video:video_channel", "1", None)
+    lab.vehicle_hosts["risc1"]._configure_video()
+    deadline_s = time.monotonic() + PATIENCE_S
+    while True:
+        now, picture = client.picture()
+        if now.stream_id != header.stream_id:
+            break
+        assert time.monotonic() < deadline_s, "the stream never changed"
+    assert now.frame_type == FrameType.IDR
+    with pytest.raises(AssertionError, match="nothing green"):
+        green_centre(picture)  # the floor
+
+
+def test_a_lost_link_sends_nothing_and_comes_back_with_a_keyframe(lab, client):
+    client.picture()
+    lab.lose_link("risc1", 1.5)
+    client.socket.settimeout(0.5)
+    with pytest.raises(socket.timeout):
+        for _ in range(200):
+            client.packet()
+    client.socket.settimeout(PATIENCE_S)
+    assert client.packet().header.frame_type == FrameType.IDR
+
+
+def test_nothing_runs_before_somebody_watches_and_nothing_is_left_behind(lab):
+    assert children() == []
+    client = Client(lab.fleet.vehicles[1].address)
+    client.picture()
+    assert len(children()) == 1
+    assert lab.statistics()["vehicles"]["risc2"]["video"]["pictures"] > 0
+    client.close()
+    lab._video.close()  # as close() does; the fixture closes the rest
+    assert children() == []
+
+
+def test_a_camera_process_that_died_is_started_again(lab):
+    address = lab.fleet.vehicles[0].address
+    first = Client(address)
+    first.picture()
+    (pid,) = children()
+    os.kill(pid, 9)
+    with pytest.raises((AssertionError, ConnectionError)):
+        for _ in range(1000):
+            first.packet()
+    first.close()
+    again = Client(address)
+    try:
+        again.picture()
+        assert children() != [pid]
+    finally:
+        again.close()
+
+
+def test_light_and_board_are_seen(lab, client):
+    _, bright = client.picture()
+    lab.set_light(0.3)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while client.picture()[1].mean() > 0.6 * bright.mean():
+        assert time.monotonic() < deadline_s, "the light never went down"
+    lab.set_light(1.0)
+    lab.wave_board("risc1", 600.0)
+    while not cv2.findChessboardCornersSB(cv2.cvtColor(client.picture()[1], cv2.COLOR_BGR2GRAY), (8, 6))[0]:
+        assert time.monotonic() < deadline_s + PATIENCE_S, "no checkerboard was seen"
+
+
+@pytest.mark.parametrize("brightness", [-0.1, 11.0, float("nan")])
+def test_impossible_light_is_refused(lab, brightness):
+    with pytest.raises(ValueError, match="from 0 to 10"):
+        lab.set_light(brightness)

@@ -1,0 +1,87 @@
+"""Blackboard, encoder and camera poses of the virtual cameras, each by itself."""
+
+import threading
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from risc_control.frames import rotation_body_to_cortex
+from risc_control.lab.calibration import CameraMount
+from risc_simulator.video.blackboard import STATE_WIDTH, Blackboard
+from risc_simulator.video.camera_pose import camera_pose
+from risc_simulator.video.encoder import H264Encoder
+
+
+def test_blackboard_carries_both_ways():
+    lab = Blackboard(3)
+    cameras = Blackboard(3, lab.fd)
+    assert cameras.snapshot() is None
+    rows = np.arange(3.0 * STATE_WIDTH).reshape(3, STATE_WIDTH)
+    lab.publish(10.0, 2.5, rows)
+    lab.channel[1], lab.light[...] = 1, 0.4
+    cameras.watchers[2] = 5
+    snapshot = cameras.snapshot()
+    assert (snapshot.time_s, snapshot.lab_s) == (10.0, 2.5)
+    np.testing.assert_array_equal(snapshot.rows, rows)
+    assert cameras.channel.tolist() == [0, 1, 0] and float(cameras.light) == 0.4
+    assert lab.watchers.tolist() == [0, 0, 5]
+
+
+def test_a_snapshot_is_never_half_of_one_and_half_of_another():
+    lab = Blackboard(4)
+    cameras = Blackboard(4, lab.fd)
+    over = threading.Event()
+
+    def write():
+        k = 0
+        while not over.is_set():
+            k += 1
+            lab.publish(k, k, np.full((4, STATE_WIDTH), float(k)))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        seen = set()
+        while len(seen) < 200:
+            snapshot = cameras.snapshot()
+            if snapshot is not None:
+                assert (snapshot.rows == snapshot.time_s).all() and snapshot.lab_s == snapshot.time_s
+                seen.add(snapshot.time_s)
+    finally:
+        over.set()
+        writer.join()
+
+
+@pytest.mark.parametrize("size_px", [(640, 360), (320, 180), (64, 48)])
+def test_encoded_pictures_decode_one_by_one(size_px):
+    rng = np.random.default_rng(3)
+    scene = cv2.GaussianBlur(rng.integers(0, 255, (size_px[1] + 40, size_px[0] + 40, 3), np.uint8), (0, 0), 5)
+    scene = cv2.normalize(scene, None, 30, 220, cv2.NORM_MINMAX)
+    encoder, decoder = H264Encoder(*size_px, 30.0, 4000.0), av.CodecContext.create("h264", "r")
+    for k in range(35):
+        picture = scene[k : k + size_px[1], k : k + size_px[0]]
+        frames = decoder.decode(av.Packet(encoder.encode(picture)))
+        assert len(frames) == 1, "one picture in, one out: nothing waits"
+        assert (frames[0].width, frames[0].height) == encoder.coded_px
+        decoded = frames[0].to_ndarray(format="bgr24")[: size_px[1], : size_px[0]]
+        assert abs(decoded.astype(int) - picture).mean() < 6.0
+    assert all(side % 16 == 0 for side in encoder.coded_px)
+
+
+def test_camera_pose_is_that_of_the_mount_and_moves_with_the_vehicle():
+    """Position and axes against their derivatives: the pose a moment later is where velocity and rate say."""
+    mount = CameraMount(position_m=(0.2, -0.03, 0.05), roll_rad=0.1, pitch_rad=0.3, yaw_rad=-0.2)
+    row = np.array([0.5, -1.0, 1.2, 0.4, -0.3, 0.2, 0.1, -0.2, 1.9, 0.5, -0.4, 0.8])
+    dt = 1e-5
+    later = row.copy()
+    later[:3] += dt * row[3:6]
+    later[6:9] += dt * row[9:12]
+    now, then = camera_pose(row, mount), camera_pose(later, mount)
+    np.testing.assert_allclose((then.position_m - now.position_m) / dt, now.velocity_m_s, atol=1e-4)
+    turn = now.R_camera_to_cortex.T @ then.R_camera_to_cortex
+    rate = np.array([turn[2, 1], turn[0, 2], turn[1, 0]]) / dt
+    np.testing.assert_allclose(rate, now.rate_rad_s, atol=1e-4)
+    R = rotation_body_to_cortex(*row[6:9])
+    np.testing.assert_allclose(now.position_m, row[:3] + R @ mount.position_m, atol=1e-12)
