@@ -2,11 +2,13 @@
 
 import copy
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from risc_control.lab import load_fleet
 from risc_control.lab.yaml_reader import load_yaml, package_file
 from risc_simulator.video.scene import (
     Board,
@@ -70,6 +72,7 @@ def test_hulls_differ_from_each_other_and_in_front_from_behind():
         ("hulls.colours.red_yellow.wing", [0, 0, 0], "unknown key(s) wing"),
         ("room.half_x_m", 1.0, "'half_x_m' must be in"),
         ("room.tile_m", None, "key 'tile_m' is missing"),
+        ("room.marks", 2.5, "'marks' must be a whole number"),
         ("room.walls.front", None, "key 'front' is missing"),
         ("room.panels.0.surface", "roof", "'surface' must be one of front, back, left, right, floor"),
         ("room.panels.0.size_m", [0.0, 1.0], "'size_m' must be positive"),
@@ -162,7 +165,7 @@ def test_boards_without_squares_are_refused():
 def test_hull_by_order_by_name_and_by_number():
     scene = load_style().scene
     names = [hull.name for hull in scene.hull_colours]
-    scene = Scene(**dict(vars(scene), colour_of_vehicle={"risc2": 1}))
+    scene = replace(scene, colour_of_vehicle={"risc2": 1})
 
     def name_of(vehicle, colour=None):
         return scene.hull_colour(VehiclePose(vehicle, (0, 0, 0), np.eye(3), colour)).name
@@ -197,10 +200,7 @@ def test_room_encloses_the_net():
 
 
 def test_scene_of_a_fleet():
-    fleet = package_file("risc_simulator", "test/two_ardrones.yaml")
-    from risc_control.lab import load_fleet
-
-    fleet = load_fleet(fleet)
+    fleet = load_fleet(package_file("risc_simulator", "test/two_ardrones.yaml"))
     scene, imaging = load_scene(fleet)
     assert [disc.name for disc in scene.discs] == [landmark.name for landmark in fleet.landmarks]
     for disc, landmark in zip(scene.discs, fleet.landmarks):

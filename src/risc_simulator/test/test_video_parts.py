@@ -70,6 +70,26 @@ def test_encoded_pictures_decode_one_by_one(size_px):
     assert all(side % 16 == 0 for side in encoder.coded_px)
 
 
+def test_coding_moves_no_colour():
+    """A disc that differs from its ground by colour more than by brightness stays where it is."""
+    ground, paint = np.array([140.0, 150.0, 150.0]), np.array([110.0, 140.0, 215.0])
+    cover = np.zeros((360 * 4, 640 * 4), np.uint8)
+    cv2.circle(cover, (320 * 4, 180 * 4), 40 * 4, 255, -1)
+    cover = cv2.resize(cover, (640, 360), interpolation=cv2.INTER_AREA)[..., None] / 255.0
+    picture = np.rint(ground * (1.0 - cover) + paint * cover).astype(np.uint8)
+
+    def centre(image):
+        weight = image[..., 2].astype(float) - image[..., 0]
+        weight = np.where(weight > 40.0, weight, 0.0)
+        y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+        return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
+
+    encoder, decoder = H264Encoder(640, 360, 30.0, 4000.0), av.CodecContext.create("h264", "r")
+    (frame,) = decoder.decode(av.Packet(encoder.encode(picture)))
+    decoded = frame.to_ndarray(format="bgr24")[:360]
+    np.testing.assert_allclose(centre(decoded), centre(picture), atol=0.1)
+
+
 def test_camera_pose_is_that_of_the_mount_and_moves_with_the_vehicle():
     """Position and axes against their derivatives: the pose a moment later is where velocity and rate say."""
     mount = CameraMount(position_m=(0.2, -0.03, 0.05), roll_rad=0.1, pitch_rad=0.3, yaw_rad=-0.2)

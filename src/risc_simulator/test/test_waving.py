@@ -24,7 +24,7 @@ def held_corners(waving):
 
 def test_the_board_is_whole_in_the_picture_whenever_it_is_held(waved):
     camera, waving = waved
-    assert len(waving.held_s) == 40
+    assert len(waving.held_s) == 60
     assert camera.in_picture(held_corners(waving)).all()
 
 
@@ -85,7 +85,7 @@ def test_chosen_postures_tell_more_of_the_lens_than_others():
     """The reason for the choice: the principal point of a narrow lens that distorts strongly."""
     camera = Camera(load_calibration("risc1.yaml"))
     waving = Waving(camera, seed=0)
-    params = WavingParams(postures=40, candidates=40)  # no choice
+    params = WavingParams(postures=60, candidates=60)  # no choice
     at_random = Waving(camera, seed=0, params=params)
 
     def sigma_cy(waving):
@@ -124,7 +124,7 @@ def test_a_board_that_cannot_be_shown_is_refused():
 
 
 @pytest.mark.parametrize(
-    "bad", [{"postures": 1}, {"postures": 50, "candidates": 40}, {"move_s": 0.0}, {"hold_s": -1.0}]
+    "bad", [{"postures": 1}, {"postures": 70, "candidates": 60}, {"move_s": 0.0}, {"hold_s": -1.0}]
 )
 def test_bad_params_are_refused(bad):
     with pytest.raises(ValueError, match="needed"):

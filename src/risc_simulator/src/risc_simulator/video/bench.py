@@ -18,7 +18,8 @@ from risc_simulator.video.scene import Board, CameraPose, VehiclePose, load_styl
 
 REPEATS = 200
 STAGES = {"room": "_draw_room", "things": "_draw_things", "sensor": "_expose"}
-REQUIRED_MS = {"hover": 4.0, "turning": 8.0}  # median; one picture in 33 ms for each of three vehicles leaves room
+AIM_MS = {"hover": 4.0, "turning": 8.0}
+REQUIRED_MS = {"hover": 6.0, "turning": 12.0}  # medians: three cameras at 30 Hz must leave half a core for the encoders
 TURN_RAD_S = 0.7  # 5 px in an exposure of 12 ms
 
 _LANDMARKS = (
@@ -48,12 +49,17 @@ def cases():
     }
 
 
-def measure(name, repeats=REPEATS):
-    """{"case", "median_ms", "p90_ms", and the median of each stage in ms}."""
+def make_renderer():
+    """Renderer of the scene that is measured."""
     style = load_style()
     scene = replace(style.scene, discs=tuple(style.disc(*landmark) for landmark in _LANDMARKS))
     camera = Camera(CameraCalibration.from_intrinsics("bench", SIZE_PX, *CALIBRATIONS["albatross"]))
-    renderer = Renderer(camera, scene, style.imaging)
+    return Renderer(camera, scene, style.imaging)
+
+
+def measure(name, repeats=REPEATS):
+    """{"case", "median_ms", "p90_ms", and the median of each stage in ms}."""
+    renderer = make_renderer()
     took_s = {stage: [] for stage in STAGES}
     for stage, method in STAGES.items():
         setattr(renderer, method, _timed(getattr(renderer, method), took_s[stage]))
@@ -97,9 +103,9 @@ def main(arguments=None):
     cv2.setNumThreads(1)
     rows = [measure(name, REPEATS) for name in cases()]
     print("pictures of 640 x 360, CPU time on one core, %d each [ms]:" % REPEATS)
-    print("  case       median    p90  least  |   room  things  sensor  | required median")
+    print("  case       median    p90  least  |   room  things  sensor  | aim, required")
     for row in rows:
-        required = REQUIRED_MS.get(row["case"])
+        limits = AIM_MS.get(row["case"]), REQUIRED_MS.get(row["case"])
         print(
             "  %-9s %7.2f %6.2f %6.2f  | %6.2f  %6.2f  %6.2f  | %s"
             % (
@@ -110,7 +116,7 @@ def main(arguments=None):
                 row["room_ms"],
                 row["things_ms"],
                 row["sensor_ms"],
-                "<= %g" % required if required else "-",
+                "%g, %g" % limits if all(limits) else "-",
             )
         )
     if options.json:

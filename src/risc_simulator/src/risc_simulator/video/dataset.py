@@ -30,12 +30,13 @@ TEMPLATES = ("Green_pink", "Pink_blue", "Orange_blue", "Blue_green")
 DISTANCE_M = (0.7, 4.0)
 OBLIQUENESS_RAD = (0.0, math.radians(70.0))
 GAIN = (0.3, 2.0)  # drawn evenly on a logarithmic scale
-BLUR_PX = (0.0, 6.0)
+BLUR_PX = (0.0, 6.0)  # of the picture's middle; near and off the axis a little more
 
 _HALL_HALF_M = 6.5
 _COUNT_SHARES = (0.12, 0.26, 0.26, 0.18, 0.18)  # of pictures with 0, 1, ... 4 landmarks
 _PLACE_TRIES = 60
-_BEYOND_BORDER = 0.06  # of the picture: how far outside a landmark's centre may be
+_WHOLE_SHARE = 0.65  # of landmarks that are put wholly into the picture; the others may be cut by its border
+_BEYOND_BORDER = 0.06  # of the picture: how far outside their centres may be
 _HUES = {"green": 66.0, "blue": 98.0, "pink": 167.0, "orange": 15.0}
 _RING_OF_CENTRE = {"green": "pink", "pink": "blue", "orange": "blue", "blue": "green"}
 
@@ -116,8 +117,8 @@ def _camera_pose(rng, camera, exposure_s):
     blur_px = rng.uniform(*BLUR_PX) if rng.random() < 0.7 else 0.0
     direction = rng.uniform(0.0, 2.0 * math.pi)
     turn = blur_px / (camera.K[0, 0] * exposure_s)
-    rate = np.array([rng.normal(0.0, 0.2) if blur_px else 0.0, turn * math.sin(direction), turn * math.cos(direction)])
-    velocity = rng.normal(0.0, 0.25, 3) if blur_px else np.zeros(3)
+    rate = np.array([rng.normal(0.0, 0.15) if blur_px else 0.0, turn * math.sin(direction), turn * math.cos(direction)])
+    velocity = rng.normal(0.0, 0.1, 3) if blur_px else np.zeros(3)
     return CameraPose(position, R, velocity, rate)
 
 
@@ -129,11 +130,14 @@ def _discs(rng, style, camera, pose):
         distance_m = math.sqrt(rng.uniform(DISTANCE_M[0] ** 2, DISTANCE_M[1] ** 2))  # as often as there is room
         obliqueness = rng.uniform(*OBLIQUENESS_RAD)
         leaning = rng.uniform(0.0, 2.0 * math.pi) if rng.random() < 0.3 else rng.choice((0.0, math.pi))
+        reach_px = 0.6 * style.ring_diameter_m * camera.K[0, 0] / distance_m
+        margin_px = np.array(SIZE_PX) * -_BEYOND_BORDER
+        if rng.random() < _WHOLE_SHARE:
+            margin_px = np.minimum(reach_px, 0.45 * np.array(SIZE_PX))
         for _ in range(_PLACE_TRIES):
-            pixel = rng.uniform(-_BEYOND_BORDER, 1.0 + _BEYOND_BORDER, 2) * SIZE_PX
+            pixel = rng.uniform(margin_px, SIZE_PX - margin_px)
             ray = np.asarray(pose.R_camera_to_cortex) @ camera.rays(pixel)
             centre = pose.position_m + distance_m * ray
-            reach_px = 0.6 * style.ring_diameter_m * camera.K[0, 0] / distance_m
             free = all(np.hypot(*(pixel - other)) > reach_px + reach for other, reach in circles_px)
             if free and 0.1 < centre[2] < 3.4:
                 across, upward = plane_axes(-ray)
@@ -213,7 +217,7 @@ def _anywhere(rng, position, R_camera_to_cortex):
     """A place (3,) in the field of view or a little beyond, and the unit vector towards it."""
     ray = R_camera_to_cortex @ np.array([1.0, rng.uniform(-0.6, 0.6), rng.uniform(-0.35, 0.35)])
     ray /= np.linalg.norm(ray)
-    return position + rng.uniform(0.9, 4.5) * ray, ray
+    return position + rng.uniform(1.5, 5.0) * ray, ray
 
 
 def _panel(rng, place, normal, size_m, hsv):

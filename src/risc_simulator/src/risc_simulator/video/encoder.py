@@ -5,6 +5,7 @@ from fractions import Fraction
 import av
 import cv2
 import numpy as np
+from av.video.reformatter import Interpolation, VideoReformatter
 
 MACROBLOCK_PX = 16
 KEYFRAME_PERIOD_S = 1.0
@@ -17,6 +18,7 @@ class H264Encoder(object):
         self.coded_px = _round_up(width_px), _round_up(height_px)
         self._padding = (self.coded_px[1] - height_px, self.coded_px[0] - width_px)
         self._frames = 0
+        self._reformatter = VideoReformatter()
         context = self._context = av.CodecContext.create("libx264", "w")
         context.width, context.height = self.coded_px
         context.pix_fmt = "yuv420p"
@@ -42,8 +44,13 @@ class H264Encoder(object):
             picture_bgr = cv2.copyMakeBorder(
                 picture_bgr, 0, self._padding[0], 0, self._padding[1], cv2.BORDER_REPLICATE
             )
-        planes = cv2.cvtColor(picture_bgr, cv2.COLOR_BGR2YUV_I420)
-        frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+        # Not OpenCV's conversion: it takes the colour of each 2 x 2 block from one corner, and moves it half a pixel.
+        frame = self._reformatter.reformat(
+            av.VideoFrame.from_ndarray(picture_bgr, format="bgr24"),
+            format="yuv420p",
+            interpolation=Interpolation.BILINEAR,
+            threads=1,
+        )
         frame.pts = self._frames
         frame.time_base = self._context.time_base
         self._frames += int(self._context.time_base.denominator / self._context.framerate)

@@ -23,7 +23,7 @@ from risc_simulator.video.scene import load_scene
 from risc_simulator.video.station import BOTTOM, FRONT, Station, bottom_eye, front_eye, seed_of
 
 _LOG = logging.getLogger(__name__)
-_NICENESS = 5
+_NICENESS = 10
 _IDLE_S = 0.25  # longest wait
 
 

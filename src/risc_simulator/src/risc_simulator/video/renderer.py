@@ -34,7 +34,7 @@ _ROOM_STEP_PX = 1.5  # the same for the room, for that part of the motion that d
 _MAX_ROOM_MOMENTS = 4
 _MAX_SHIFT_LEVELS = 5
 _STRIP_ROWS = 60  # of the picture that the sensor works on at once: they stay in the processor's cache
-_TRUTH_RASTER = 256  # cells along the longer side of an outline in which its visible share is counted
+_TRUTH_RASTER = 128  # cells along the longer side of an outline in which its visible share is counted
 _PLANCK_K = 0.014388  # second radiation constant [m K]
 _WAVELENGTHS_M = np.array([460e-9, 540e-9, 610e-9])  # of a sensor's blue, green and red
 _DAYLIGHT_K = 6500.0
@@ -113,21 +113,26 @@ class Renderer(object):
         self._probe_rays = camera.rays(grid.reshape(-1, 2))
 
         geometry = room_geometry(self.scene.room)
-        groups = geometry.polygons + geometry.posts
+        groups = [(bgr, group) for bgr, group in geometry.polygons + geometry.posts if group]
         outlines = [outline for _, group in groups for outline in group]
         self._room_points = np.concatenate(outlines)
         self._room_counts = np.array([len(outline) for outline in outlines])
         self._room_group = np.repeat(np.arange(len(groups)), [len(group) for _, group in groups])
         self._room_bgr = [bgr for bgr, _ in groups]
-        self._first_post = len(geometry.polygons)
+        self._first_post = len(groups) - len(geometry.posts)
         self._cords, self._cord_bgr = geometry.cords, geometry.cord_bgr
 
     def render(self, pose, vehicles=(), boards=(), gain=1.0):
         """Picture (h, w, 3) uint8 BGR.
 
         pose: CameraPose in the middle of the exposure (and of the middle row's). vehicles: of VehiclePose.
-        boards: of Board. gain: brightness, 1 = the room's normal light. Raises ValueError for an unknown hull.
+        boards: of Board. gain: brightness, 1 = the room's normal light. Raises ValueError for an unknown hull, for a
+        gain that is no brightness and for a pose that is not finite.
         """
+        if not 0.0 <= gain < np.inf:
+            raise ValueError("the gain must be a number that is not negative, found %r" % (gain,))
+        if not (np.isfinite(pose.position_m).all() and np.isfinite(pose.R_camera_to_cortex).all()):
+            raise ValueError("the camera's pose is not finite: position %r" % (pose.position_m,))
         picture = self._draw_room(pose)
         self._draw_things(picture, pose, self._things(pose, vehicles, boards))
         return self._expose(picture, gain)
@@ -136,17 +141,20 @@ class Renderer(object):
         """List of Truth, nearest last: landmarks that face the camera and vehicles whose outline meets the picture.
 
         Arguments as in `render`. An object that something nearer hides completely is listed with seen_fraction 0.
+        A vehicle's outline is convex: what is seen between its rotors counts as vehicle.
         """
-        things = self._things(pose, vehicles, boards)
-        outlines = [self._outline(thing, pose) for thing in things]
-        truths = []
-        for index, (thing, (outline, share)) in enumerate(zip(things, outlines)):
-            if thing.kind in ("landmark", "vehicle") and self._meets_picture(outline):
-                nearer = [other for other, _ in outlines[index + 1 :] if len(other) > 2]
-                truth = self._truth_of(thing, outline, share * self._seen_fraction(outline, nearer), pose)
-                if truth is not None:
-                    truths.append(truth)
-        return truths
+        truths, nearer = [], []
+        for thing in reversed(self._things(pose, vehicles, boards)):
+            if thing.kind in ("landmark", "vehicle"):
+                outline, share = self._outline(thing.outline_m, thing.is_solid, pose)
+                if self._meets_picture(outline):
+                    truth = self._truth_of(thing, outline, share * self._seen_fraction(outline, nearer), pose)
+                    truths += [truth] if truth is not None else []
+            shapes = [
+                self._outline(shape, layer.is_solid, pose)[0] for layer in thing.layers for shape in layer.outlines
+            ]
+            nearer += [shape for shape in shapes if len(shape) > 2]
+        return truths[::-1]
 
     def project(self, points_m, pose):
         """Pixels (n, 2) at which points (n, 3) [m], cortex frame, are drawn; NaN where they cannot be seen.
@@ -311,7 +319,7 @@ class Renderer(object):
                     if len(polygon) > 2:
                         polygons.append(polygon)
             first = last
-            batch.add(polygons, reach, layer.bgr)
+            batch.add(polygons, reach, layer)
         batch.blend_into(picture)
 
     def _cut_outline(self, points, is_solid, pose):
@@ -328,7 +336,7 @@ class Renderer(object):
         imaging = self.imaging
         if imaging.defocus_px > 0.0:
             reach = 2 * int(np.ceil(2.0 * imaging.defocus_px)) + 1
-            picture = cv2.GaussianBlur(picture, (reach, reach), imaging.defocus_px)
+            picture = cv2.GaussianBlur(picture, (reach, reach), imaging.defocus_px, dst=self._paint)
         if gain != self._gain:
             self._gain, self._brightness = gain, self._light * np.float32(gain)
         height, width = picture.shape[:2]
@@ -407,14 +415,14 @@ class Renderer(object):
 
     # truth
 
-    def _outline(self, thing, pose):
-        """(pixels (n, 2) of what of a thing's outline is in front of the camera, share of its points that are)."""
-        points = to_camera(pose, thing.outline_m)
+    def _outline(self, outline_m, is_solid, pose):
+        """(pixels (n, 2) of that part of an outline (k, 3) that is in front of the camera, share of points in it)."""
+        points = to_camera(pose, outline_m)
         in_front = points[:, 0] >= NEAR_M
         if not in_front.all():
-            return self._cut_outline(points, thing.is_solid, pose), float(in_front.mean())
+            return self._cut_outline(points, is_solid, pose), float(in_front.mean())
         pixels = self._pixels(points, pose)
-        return (_convex_hull(pixels) if thing.is_solid else pixels), 1.0
+        return (_convex_hull(pixels) if is_solid else pixels), 1.0
 
     def _meets_picture(self, outline):
         if len(outline) < 3:
@@ -472,7 +480,12 @@ class Renderer(object):
         corners = np.array([(-0.5, -0.5), (self.camera.width_px - 0.5, self.camera.height_px - 0.5)])
         corners = (corners - low) * scale
         frame = np.array([corners[0], (corners[1, 0], corners[0, 1]), corners[1], (corners[0, 0], corners[1, 1])])
-        outlines = [(pixels - low) * scale, frame] + [(other - low) * scale for other in nearer]
+        outlines = [(pixels - low) * scale, frame]
+        outlines += [
+            (other - low) * scale
+            for other in nearer
+            if (other.min(axis=0) < high).all() and (other.max(axis=0) > low).all()
+        ]
         masks = coverage(
             np.concatenate(outlines),
             [len(outline) for outline in outlines],
@@ -498,10 +511,13 @@ def to_camera(pose, points_m, time_s=0.0):
 
 
 class _Layer(object):
-    """Outlines of one colour. A solid's outline is the convex hull of its points in the picture."""
+    """Outlines of one colour. A solid's outline is the convex hull of its points in the picture.
 
-    def __init__(self, outlines, bgr, is_solid):
-        self.outlines, self.bgr, self.is_solid = outlines, bgr, is_solid
+    ground_bgr: colour of the layer before, when this one is painted on it: it never reaches beyond. None: on its own.
+    """
+
+    def __init__(self, outlines, bgr, is_solid=False, ground_bgr=None):
+        self.outlines, self.bgr, self.is_solid, self.ground_bgr = outlines, bgr, is_solid, ground_bgr
 
 
 class _Thing(object):
@@ -520,9 +536,9 @@ class _Batch(object):
     def __init__(self, paint, weight):
         """paint: (h, w, 3) uint8 of the picture's size, to work in. weight: of one polygon."""
         self._paint, self._weight = paint, weight
-        self._polygons, self._masks, self._boxes, self._colours = [], [], [], []
+        self._polygons, self._masks, self._boxes, self._layers = [], [], [], []
 
-    def add(self, polygons, reach, bgr):
+    def add(self, polygons, reach, layer):
         """The next layer: pixels (n, 2) of its outlines at all moments, and a list of pixels that spans them all."""
         if not polygons:
             return
@@ -535,7 +551,7 @@ class _Batch(object):
         self._masks += [len(self._boxes)] * len(polygons)
         self._polygons += polygons
         self._boxes.append((x0, y0, x1, y1))
-        self._colours.append(bgr)
+        self._layers.append(layer)
 
     def blend_into(self, picture):
         """Paint all layers, in order, into picture (h, w, 3) uint8."""
@@ -548,10 +564,15 @@ class _Batch(object):
             np.full(len(self._polygons), self._weight),
             self._boxes,
         )
-        for (x0, y0, x1, y1), bgr, mask in zip(self._boxes, self._colours, masks):
-            below, paint = picture[y0:y1, x0:x1], self._paint[: y1 - y0, : x1 - x0]
-            _fill(paint, bgr)
-            cv2.blendLinear(paint, below, mask, 1.0 - mask, dst=below)
+        for (x0, y0, x1, y1), layer, mask in zip(self._boxes, self._layers, masks):
+            below = picture[y0:y1, x0:x1]
+            if layer.ground_bgr is None:
+                paint = self._paint[: y1 - y0, : x1 - x0]
+                _fill(paint, layer.bgr)
+                cv2.blendLinear(paint, below, mask, 1.0 - mask, dst=below)
+            else:  # where it covers a part of a pixel, its ground covers that part and not the rest in proportion
+                change = mask[:, :, None] * np.subtract(layer.bgr, layer.ground_bgr).astype(np.float32)
+                cv2.add(below, change, dst=below, dtype=cv2.CV_8U)
 
 
 def _itself(thing):
@@ -567,16 +588,16 @@ def _prop_thing(prop):
     """(_Thing, radius [m] of the sphere around its centre that holds it)."""
     centre = prop.outline_m.mean(axis=0)
     reach = float(np.linalg.norm(prop.outline_m - centre, axis=1).max())
-    return _Thing("", "prop", centre, [_Layer([prop.outline_m], prop.bgr, False)]), reach
+    return _Thing("", "prop", centre, [_Layer([prop.outline_m], prop.bgr)]), reach
 
 
 def _disc_things(disc, back_bgr):
     """The _Things that a Disc is from its front and from behind."""
     centre, normal = np.asarray(disc.centre_m, dtype=float), np.asarray(disc.normal, dtype=float)
     ring, inner = disc.outline(disc.ring_diameter_m), disc.outline(disc.centre_diameter_m)
-    layers = [_Layer([ring], disc.ring_bgr, False), _Layer([inner], disc.centre_bgr, False)]
+    layers = [_Layer([ring], disc.ring_bgr), _Layer([inner], disc.centre_bgr, ground_bgr=disc.ring_bgr)]
     front = _Thing(disc.name, "landmark", centre, layers, ring, normal, inner)
-    return front, _Thing(disc.name, "back", centre, [_Layer([ring], back_bgr, False)], ring, normal)
+    return front, _Thing(disc.name, "back", centre, [_Layer([ring], back_bgr)], ring, normal)
 
 
 def _vehicle_thing(vehicle, parts, position):
@@ -589,14 +610,16 @@ def _vehicle_thing(vehicle, parts, position):
     outline = np.concatenate([part.points for part, _ in facing]) @ R.T + centre
     stops = np.cumsum([len(part.points) for part, _ in facing]).tolist()
     layers = [
-        _Layer([outline[stop - len(part.points) : stop]], part.bgr, True) for stop, (part, _) in zip(stops, facing)
+        _Layer([outline[stop - len(part.points) : stop]], part.bgr, is_solid=True)
+        for stop, (part, _) in zip(stops, facing)
     ]
     return _Thing(vehicle.name, "vehicle", centre, layers, outline)
 
 
 def _board_thing(board, position, scene):
     centre = np.asarray(board.centre_m, dtype=float)
-    layers = [_Layer(outlines, bgr, False) for bgr, outlines in board_layers(board, scene)]
+    (white, sheet), (black, squares) = board_layers(board, scene)
+    layers = [_Layer(sheet, white), _Layer(squares, black, ground_bgr=white)]
     if (centre - position) @ np.asarray(board.R_board_to_cortex)[:, 2] <= 0.0:  # its z points away from the viewer
         layers = layers[:1]
     return _Thing("", "board", centre, layers)

@@ -5,7 +5,7 @@ Colours are BGR 0..255, written as OpenCV HSV in config/scene.yaml.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Dict, NamedTuple, Optional, Tuple, Union
 
 import cv2
@@ -191,6 +191,10 @@ class RoomParams:
     tile_m: float = 0.6
     floor_bgr: Bgr = (118.0, 112.0, 108.0)
     tile_bgr: Bgr = (108.0, 103.0, 100.0)
+    marks: int = 0  # wear marks on the arena's floor
+    mark_m: float = 0.05  # length of the largest
+    dark_mark_bgr: Bgr = (84.0, 80.0, 76.0)
+    light_mark_bgr: Bgr = (136.0, 132.0, 128.0)
     ceiling_bgr: Bgr = (195.0, 203.0, 205.0)
     lamp_bgr: Bgr = (246.0, 251.0, 252.0)
     lamp_size_m: Tuple[float, float] = (1.2, 0.3)
@@ -227,7 +231,6 @@ class ImagingParams:
     temperature_k: float = 6500.0  # of the light that the sensor does not correct; 6500: colours as painted
     read_noise: float = 1.2  # standard deviation without light [levels]
     shot_noise: float = 0.16  # deviation = shot_noise * sqrt(level)
-    latency_s: float = 0.06  # from exposure to the first byte on the network (encoder, radio); the renderer ignores it
 
     def __post_init__(self):
         for name, (low, high) in _IMAGING_LIMITS.items():
@@ -244,7 +247,6 @@ _IMAGING_LIMITS = {
     "temperature_k": (2000.0, 20000.0),
     "read_noise": (0.0, 30.0),
     "shot_noise": (0.0, 2.0),
-    "latency_s": (0.0, 2.0),
 }
 
 
@@ -338,8 +340,7 @@ def load_scene(fleet, path=None):
     colours = {}
     for index, vehicle in enumerate(fleet.vehicles):  # whichever of its names the caller uses
         colours[vehicle.namespace] = colours[vehicle.template] = index
-    scene = Scene(**dict(vars(style.scene), discs=discs, colour_of_vehicle=colours))
-    return scene, style.imaging
+    return replace(style.scene, discs=discs, colour_of_vehicle=colours), style.imaging
 
 
 def load_style(path=None):
@@ -402,6 +403,8 @@ def room_geometry(room):
             x1, y1 = min(x0 + room.tile_m, x), min(y0 + room.tile_m, y)
             tiles.append(np.array([(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)]))
     polygons.append((room.tile_bgr, tiles))
+    marks = _marks(room)
+    polygons += [(room.dark_mark_bgr, marks[::2]), (room.light_mark_bgr, marks[1::2])]
     polygons.append((room.ceiling_bgr, [floor + (0.0, 0.0, z)]))
     width_m, depth_m = room.lamp_size_m
     lamps = [
@@ -435,6 +438,24 @@ def board_layers(board, scene):
     corners = (middles[:, None] + square).reshape(-1, 2)
     black = np.split(board.to_cortex(corners[:, 0], corners[:, 1]), len(middles))
     return [(scene.board_white_bgr, [white]), (scene.board_black_bgr, black)]
+
+
+def _marks(room):
+    """Outlines of the wear marks: always the same, at random places of the arena."""
+    rng = np.random.default_rng(0)
+    half_m = (NET_HALF_X_M, NET_HALF_Y_M)
+    marks = []
+    for _ in range(room.marks):
+        (x, y), length_m, angle = (
+            rng.uniform(-1.0, 1.0, 2) * half_m,
+            rng.uniform(0.3, 1.0) * room.mark_m,
+            rng.uniform(0.0, 3.1),
+        )
+        along = 0.5 * length_m * np.array([math.cos(angle), math.sin(angle), 0.0])
+        across = rng.uniform(0.2, 0.8) * np.array([-along[1], along[0], 0.0])
+        centre = np.array([x, y, 0.0])
+        marks.append(centre + np.array([-along - across, along - across, along + across, -along + across]))
+    return marks
 
 
 def _net(room):
@@ -539,6 +560,10 @@ def _room(section, where):
         tile_m=section.number("tile_m", minimum=0.1, maximum=100.0),
         floor_bgr=_colour(section, "floor", where),
         tile_bgr=_colour(section, "floor_tiles", where),
+        marks=_whole(section, "marks", where, 2000),
+        mark_m=section.number("mark_m", minimum=0.001, maximum=1.0),
+        dark_mark_bgr=_colour(section, "dark_marks", where),
+        light_mark_bgr=_colour(section, "light_marks", where),
         ceiling_bgr=_colour(section, "ceiling", where),
         lamp_bgr=_colour(section, "lamps", where),
         lamp_size_m=section.vector("lamp_size_m", 2),
@@ -554,6 +579,13 @@ def _room(section, where):
     walls.done()
     section.done()
     return room
+
+
+def _whole(section, key, where, maximum):
+    value = section.number(key, minimum=0, maximum=maximum)
+    if value != int(value):
+        raise ValueError("%s: '%s' must be a whole number, found %r" % (where, key, value))
+    return int(value)
 
 
 def _panel(section, where):

@@ -25,7 +25,7 @@ _TO_OPENCV = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # ca
 class WavingParams:
     """How a board is waved."""
 
-    postures: int = 40
+    postures: int = 60
     candidates: int = 400  # the postures are chosen among these
     hold_s: float = 0.6  # a posture is held
     move_s: float = 0.8  # from one to the next
@@ -186,7 +186,7 @@ class CalibrationPicture:
     corners_px: np.ndarray  # (rows * columns, 2)
 
 
-def calibration_pictures(camera, scene, imaging, seed, count=40, waving=None):
+def calibration_pictures(camera, scene, imaging, seed, count=60, waving=None):
     """Yield `count` CalibrationPicture of a board waved in front of a camera that stands in the scene.
 
     camera: risc_control.camera.Camera. scene, imaging: as of scene.load_scene. waving: default that of the seed, with
