@@ -2,18 +2,14 @@
 """The driver node against a scripted aircraft: topics, services, tf, emergency, reconnection, shutdown."""
 
 import contextlib
-import itertools
-import os
-import signal
-import subprocess
 import sys
 import time
 import unittest
 
-import roslib.packages
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
+from driver_process import LIMIT_S, Driver, wait_for
 from geometry_msgs.msg import Twist, Vector3, Vector3Stamped
 from nav_msgs.msg import Odometry
 from scripted_drone import ScriptedDrone
@@ -27,79 +23,7 @@ from ardrone_autonomy.protocol import at
 from ardrone_autonomy.protocol.navdata import ControlState, Tag
 from ardrone_autonomy.srv import CamSelect, FlightAnim, LedAnim, RecordEnable
 
-PARAMS = {
-    "settle_time": 0.1,
-    "euler_angle_max": 0.349066,
-    "outdoor": 0,
-    "detections": 3,
-    "enemy_colors": 3,
-    "enable_navdata_demo": True,
-    "enable_navdata_magneto": True,
-    "tf_prefix": "lab",
-    "cov": {"imu_la": [1, 0, 0, 0, 2, 0, 0, 0, 3]},
-}
-LIMIT_S = 30.0
 RECEIPT_JITTER_S = 1.0  # a stall of this computer between publishing and counting
-_namespaces = ("/fleet%d" % number for number in itertools.count(1))
-
-
-def wait_for(condition, what):
-    deadline_s = time.monotonic() + LIMIT_S
-    while not condition():
-        if time.monotonic() > deadline_s:
-            raise AssertionError("waited %g s for %s" % (LIMIT_S, what))
-        time.sleep(0.005)
-
-
-class Driver(object):
-    """A driver node in its own process and namespace, with publishers and subscribers on its topics."""
-
-    def __init__(self, drone, params=None, arguments=()):
-        self.namespace = next(_namespaces)
-        rospy.set_param(self.namespace + "/ardrone_driver", dict(PARAMS, **(params or {})))
-        executable = roslib.packages.find_node("ardrone_autonomy", "ardrone_driver")[0]
-        self._process = subprocess.Popen(
-            [executable, "-ip", drone.address, *arguments], env=dict(os.environ, ROS_NAMESPACE=self.namespace)
-        )
-        self._publishers = {}
-        self.received = {}
-
-    def subscribe(self, topic, message_type):
-        """All messages of the topic from now on go to the list received[topic]."""
-        messages = self.received[topic] = []
-        name = topic if topic.startswith("/") else self.namespace + "/" + topic
-        rospy.Subscriber(name, message_type, messages.append, queue_size=1000)
-        return messages
-
-    def publish(self, topic, message):
-        publisher = self._publishers.get(topic)
-        if publisher is None:
-            publisher = self._publishers[topic] = rospy.Publisher(
-                self.namespace + "/" + topic, type(message), queue_size=10
-            )
-            wait_for(publisher.get_num_connections, "the driver to subscribe to " + topic)
-        publisher.publish(message)
-
-    def call(self, service, service_type, *arguments):
-        name = "%s/ardrone/%s" % (self.namespace, service)
-        rospy.wait_for_service(name, LIMIT_S)
-        return rospy.ServiceProxy(name, service_type)(*arguments)
-
-    def newest(self, topic):
-        return self.received[topic][-1] if self.received[topic] else None
-
-    def alive(self):
-        return self._process.poll() is None
-
-    def end(self):
-        """Ctrl-C; the exit code."""
-        if self.alive():
-            self._process.send_signal(signal.SIGINT)
-        try:
-            return self._process.wait(LIMIT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            raise
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ def test_defaults_are_those_of_the_original():
     assert (params.options, params.frame_prefix) == ((), "ardrone_base")
     assert params.cov_imu_la == params.cov_imu_av == params.cov_imu_or == (0.0,) * 9
     assert (params.settle_time_s, params.command_timeout_s) == (5.0, 0.0)
+    assert (params.realtime_video, params.video_latency_s, params.camera_info_urls) == (False, 0.0, ("", ""))
     assert params.warnings == ()
 
 
@@ -40,6 +41,11 @@ def test_wrong_arguments(arguments):
         ("settle_time", -1),
         ("cmd_timeout", -0.1),
         ("realtime_navdata", "maybe"),
+        ("realtime_video", "maybe"),
+        ("video_latency", -0.1),
+        ("video_latency", "long"),
+        ("camera_info_url", 5),
+        ("bottom_camera_info_url", ["a"]),
         ("drone_frame_id", ""),
         ("drone_ip", 5),
         ("altitude_max", "high"),

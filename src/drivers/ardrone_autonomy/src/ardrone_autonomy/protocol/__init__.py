@@ -3,9 +3,10 @@
 at      commands, client to aircraft (UDP 5556)
 navdata telemetry, aircraft to client (UDP 5554)
 config  configuration keys, their text on TCP 5559, multi-configuration ids
+video   framing of the pictures, aircraft to client (TCP 5555)
 
 Everything is little-endian; floats are IEEE-754 single precision.  No sockets, no clock, no ROS: the driver and the
-emulator of the aircraft both stand on these three modules.
+emulator of the aircraft both stand on these modules.
 """
 
 NAVDATA_PORT = 5554  # UDP, answers to the source address of the last wake-up datagram

@@ -1,6 +1,7 @@
 """The node `ardrone_driver`: wires one vehicle (udp.UdpThread, link.DroneLink) to topics, services and tf.
 
-Three kinds of threads: rospy's own, which only hand orders over; the UDP thread, which pilots; and one that publishes.
+Four kinds of threads: rospy's own, which only hand orders over; the UDP thread, which pilots; one that publishes; and
+one that receives and decodes pictures.
 """
 
 import functools
@@ -29,6 +30,7 @@ from ardrone_autonomy.protocol.at import FLIGHT_ANIMATIONS, LedAnimation
 from ardrone_autonomy.protocol.navdata import Navdata, NavdataError, State, Tag
 from ardrone_autonomy.ros import conversions
 from ardrone_autonomy.ros.params import frame_name, parse_params
+from ardrone_autonomy.ros.video import Video
 from ardrone_autonomy.settings import VIDEO_CODEC_LIVE, VIDEO_CODEC_RECORD, WRITABLE_KEYS, setup_writes
 from ardrone_autonomy.udp import UdpThread, resolve
 
@@ -38,6 +40,7 @@ REALTIME_BACKLOG = 20  # packets that may wait for the publishing thread with re
 REPEAT_WARNING_S = 5.0
 PUBLISH_PATIENCE_S = 5.0  # how long every packet may fail to be published before the driver gives up and lands
 
+CAMERA_FRAMES = ("_frontcam", "_bottomcam")  # by channel
 # The services count through these numbers.
 CHANNELS = 2
 LED_ANIMATIONS = (
@@ -68,7 +71,10 @@ class ArdroneDriver(object):
     def __init__(self, arguments=()):
         """arguments: command line, see parse_params. ValueError naming what is wrong and the cure."""
         tree = rospy.get_param("~", {})
-        self._params = params = parse_params(tree if isinstance(tree, dict) else {}, arguments)
+        tree = tree if isinstance(tree, dict) else {}
+        # Launch files of the laboratory set it for the group of the camera's nodes, not for the driver
+        tree["camera_info_url"] = tree.get("camera_info_url") or rospy.get_param("ardrone/camera_info_url", "")
+        self._params = params = parse_params(tree, arguments)
         for text in params.warnings:
             rospy.logwarn(text)
         self._address = resolve(params.address)
@@ -92,9 +98,19 @@ class ArdroneDriver(object):
         self._link = self._udp.link
         self._channel = params.video_channel
         self._channel_set_in = 0  # which configuration of the vehicle the channel was chosen in
+        self._video = Video(
+            self._address,
+            tuple(_frame(params, suffix) for suffix in CAMERA_FRAMES),
+            params.video_channel,
+            params.camera_info_urls,
+            params.video_latency_s,
+            params.realtime_video,
+            self._report,
+        )
+        self._video_configured = 0  # the configuration of the vehicle that the video knows of
         self._telemetry = None
         self._failing_since_s = None  # publishing has failed without a success since then
-        self._health = _Health(self._udp)
+        self._health = _Health(self._udp, self._video)
         self._subscribe()
 
     def run(self):
@@ -102,10 +118,12 @@ class ArdroneDriver(object):
         rospy.loginfo("looking for the vehicle at %s", self._address)
         threading.Thread(target=self._publish_loop, name="ardrone_publish", daemon=True).start()
         self._udp.start()
+        self._video.start()
         try:
             rospy.spin()
         finally:
             self._udp.stop()
+            self._video.stop()
 
     # --- orders: handed over, nothing else ------------------------------------------------------------------------
     def _subscribe(self):
@@ -137,8 +155,7 @@ class ArdroneDriver(object):
 
     def _on_toggle_camera(self, _request):
         self._require_vehicle("togglecam")
-        is_chosen = self._channel_set_in == self._link.configurations
-        self._select_channel((self._channel if is_chosen else self._params.video_channel) + 1)
+        self._select_channel(self._current_channel() + 1)
         return EmptyResponse()
 
     def _on_camera_channel(self, request):
@@ -147,9 +164,14 @@ class ArdroneDriver(object):
             return True
         return False
 
+    def _current_channel(self):
+        is_chosen = self._channel_set_in == self._link.configurations
+        return self._channel if is_chosen else self._params.video_channel
+
     def _select_channel(self, channel):
         self._channel = channel % CHANNELS
         self._channel_set_in = self._link.configurations
+        self._video.on_order(self._channel)
         self._write("video_channel", "%d" % self._channel)
 
     def _on_led_animation(self, request):
@@ -251,6 +273,14 @@ class ArdroneDriver(object):
             except Exception as error:  # whatever it is: the values of one packet must not end a flight
                 if not self._tolerable(error):
                     raise
+            self._tick_video()
+
+    def _tick_video(self):
+        is_ready = self._link.phase is Phase.READY
+        if is_ready and self._video_configured != self._link.configurations:
+            self._video_configured = self._link.configurations
+            self._video.on_configured(self._current_channel())
+        self._video.tick(is_ready)
 
     def _next_packet(self):
         try:
@@ -284,14 +314,18 @@ def _post_empty(post, order, _message):
     post(order)
 
 
+def _frame(params, suffix):
+    """tf name of one of the vehicle's frames."""
+    tf_prefix_key = rospy.search_param("tf_prefix")
+    return frame_name(rospy.get_param(tf_prefix_key) if tf_prefix_key else "", params.frame_prefix + suffix)
+
+
 class _Telemetry(object):
     """The topics and tf frames that come from navdata. What nobody listens to is not computed."""
 
     def __init__(self, params):
         self._params = params
-        tf_prefix_key = rospy.search_param("tf_prefix")
-        tf_prefix = rospy.get_param(tf_prefix_key) if tf_prefix_key else ""
-        base = frame_name(tf_prefix, params.frame_prefix + "_link")
+        base = _frame(params, "_link")
         self._base_frame = base
         self._odometry = Odometry()
         self._navdata = self._imu = self._mag = None
@@ -309,11 +343,8 @@ class _Telemetry(object):
             )
         self._camera_frames = TFMessage(
             [
-                conversions.camera_transform(base, frame_name(tf_prefix, params.frame_prefix + suffix), camera)
-                for suffix, camera in (
-                    ("_frontcam", conversions.FRONT_CAMERA),
-                    ("_bottomcam", conversions.BOTTOM_CAMERA),
-                )
+                conversions.camera_transform(base, _frame(params, suffix), camera)
+                for suffix, camera in zip(CAMERA_FRAMES, (conversions.FRONT_CAMERA, conversions.BOTTOM_CAMERA))
             ]
         )
 
@@ -375,7 +406,7 @@ class _Telemetry(object):
 class _Health(object):
     """What /diagnostics says, once a second."""
 
-    def __init__(self, udp):
+    def __init__(self, udp, video):
         self.refused_commands = 0  # cmd_vel that is not finite
         self.skipped_packets = 0  # realtime_navdata faster than it can be published
         self.bad_packets = 0  # header sound, content not
@@ -389,6 +420,7 @@ class _Health(object):
         self._updater = diagnostic_updater.Updater()
         self._updater.setHardwareID("AR.Drone %s" % udp.address)
         self._updater.add("vehicle", self._fill)
+        self._updater.add("video", video.fill)
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.force_update(), reset=True)
         rospy.on_shutdown(self._timer.shutdown)
 

@@ -10,7 +10,7 @@ from ardrone_autonomy.settings import WRITABLE_KEYS, SettingError, wanted_texts
 OPTION_NAMES = tuple(layout.name for _, layout in sorted(LAYOUTS.items()))
 
 # Parameters of the original driver (and of its older releases) that change nothing here.
-WITHOUT_EFFECT = ("realtime_video", "root_frame", "do_imu_caliberation")
+WITHOUT_EFFECT = ("root_frame", "do_imu_caliberation")
 READ_ELSEWHERE = ("cov", "diagnostic_period", "tf_prefix")
 
 _NO_COVARIANCE = (0.0,) * 9
@@ -26,6 +26,9 @@ DriverParams = namedtuple(
         "address",  # host name or IPv4 address of the vehicle
         "looprate_hz",
         "realtime_navdata",  # publish every packet, not the newest one per loop
+        "realtime_video",  # publish every picture at once, not the newest one per loop
+        "video_latency_s",  # from exposure to reception of a picture
+        "camera_info_urls",  # calibrations of front and bottom camera, "" = default
         "legacy_navdata",  # publish navdata, imu, mag
         "options",  # names of the enabled selective messages, e.g. "demo"
         "frame_prefix",  # drone_frame_id
@@ -61,6 +64,9 @@ def parse_params(tree, arguments=()):
     except SettingError as error:
         raise ParameterError(str(error)) from None
     realtime_navdata = reader.flag("realtime_navdata", False)
+    realtime_video = reader.flag("realtime_video", False)
+    video_latency_s = reader.duration("video_latency", 0.0)
+    camera_info_urls = tuple(reader.url(name) for name in ("camera_info_url", "bottom_camera_info_url"))
     legacy_navdata = reader.flag("enable_legacy_navdata", True)
     frame_prefix = reader.text("drone_frame_id", "ardrone_base")
     settle_time_s = reader.duration("settle_time", 5.0)
@@ -75,6 +81,9 @@ def parse_params(tree, arguments=()):
         address=address,
         looprate_hz=looprate_hz,
         realtime_navdata=realtime_navdata,
+        realtime_video=realtime_video,
+        video_latency_s=video_latency_s,
+        camera_info_urls=camera_info_urls,
         legacy_navdata=legacy_navdata,
         options=options,
         frame_prefix=frame_prefix,
@@ -141,6 +150,12 @@ class _Reader(object):
         if not isinstance(value, str) or not value.strip("/ "):
             raise ParameterError("parameter ~%s: a text is needed, got %r" % (name, value))
         return value
+
+    def url(self, name):
+        value = self._get(name, "")
+        if not isinstance(value, str):
+            raise ParameterError("parameter ~%s: a URL like file:///PATH.yaml is needed, got %r" % (name, value))
+        return value.strip()
 
     def covariance(self, path, warnings):
         group, name = path.split("/")

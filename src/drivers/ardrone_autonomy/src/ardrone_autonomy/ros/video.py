@@ -1,0 +1,188 @@
+"""The camera topics of the driver: wires a video_stream.VideoStream to images, camera_info and set_camera_info."""
+
+import threading
+import time
+from collections import namedtuple
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import CameraInfo, Image
+
+from ardrone_autonomy.video_channel import CameraTracker
+from ardrone_autonomy.video_stream import VideoStream
+from camera_info_manager import CameraInfoManager
+
+CAMERA_NAMES = ("front", "bottom")  # by channel
+QUEUE_SIZE = 10  # as in the original
+REPEAT_WARNING_S = 5.0
+STALE_S = 1.0  # /diagnostics warns when the last picture is older
+_CHANNELS_PER_PIXEL = 3
+
+_Topics = namedtuple("_Topics", "image info")
+
+
+def _advertise(name):
+    return _Topics(
+        rospy.Publisher(name + "/image_raw", Image, queue_size=QUEUE_SIZE),
+        rospy.Publisher(name + "/camera_info", CameraInfo, queue_size=QUEUE_SIZE),
+    )
+
+
+class Video(object):
+    """Pictures of both cameras, and of the selected one; nothing is received while nobody listens to any of them.
+
+    address: IPv4 address of the vehicle.
+    frames: frame ids of front and bottom camera.
+    channel: that the vehicle sends after its configuration, 0 front, 1 bottom.
+    camera_info_urls: of front and bottom camera, "" = the default of camera_info_manager.
+    latency_s: from exposure to reception, taken off the stamps.
+    realtime: publish every picture at once; otherwise `tick` publishes the newest one.
+    report: function (level, text).
+    """
+
+    def __init__(self, address, frames, channel, camera_info_urls, latency_s, realtime, report):
+        self._frames = frames
+        self._realtime = realtime
+        self._lock = threading.Lock()
+        self._newest = None  # (Picture, channel) that is not published yet
+        self._tracker = CameraTracker(channel)
+        self._selected = _advertise("ardrone")
+        self._cameras = tuple(_advertise("ardrone/" + name) for name in CAMERA_NAMES)
+        self._managers = tuple(
+            CameraInfoManager("ardrone_" + name, url, "ardrone/" + name)
+            for name, url in zip(CAMERA_NAMES, camera_info_urls)
+        )
+        for manager in self._managers:
+            manager.loadCameraInfo()
+        self._sizes_warned = set()
+        self._channel = channel
+        self._published = 0
+        self._unpublished = 0  # failures to publish
+        self._superseded = 0  # a newer picture came before the loop did
+        self._of_unknown_camera = 0
+        self._counted = 0
+        self._counted_s = time.monotonic()
+        self._stream = VideoStream(address, self._on_picture, report, latency_s)
+
+    def start(self):
+        """Start the thread of the stream."""
+        self._stream.start()
+
+    def stop(self):
+        """End it."""
+        self._stream.stop()
+
+    def on_order(self, channel):
+        """The vehicle is being told to send this channel."""
+        self._tracker.order(channel, time.monotonic())
+
+    def on_configured(self, channel):
+        """The vehicle was configured anew and sends this channel."""
+        self._tracker.reset(channel)
+
+    def tick(self, is_ready):
+        """Once per loop: open or close the stream as subscribers come and go, publish the newest picture.
+
+        is_ready: the vehicle is configured; before, nobody knows which camera it would send.
+        """
+        self._stream.want(is_ready and any(topic.get_num_connections() for topics in self._all() for topic in topics))
+        with self._lock:
+            newest, self._newest = self._newest, None
+        if newest is not None:
+            self._publish(*newest)
+
+    def _all(self):
+        return (self._selected, *self._cameras)
+
+    # --- pictures -------------------------------------------------------------------------------------------------
+    def _on_picture(self, picture):
+        """In the thread of the stream."""
+        channel = self._tracker.camera(picture.header, picture.is_key, picture.connection, picture.received_s)
+        if channel is None:
+            self._of_unknown_camera += 1
+        elif self._realtime:
+            self._publish(picture, channel)
+        else:
+            with self._lock:
+                self._superseded += self._newest is not None
+                self._newest = picture, channel
+
+    def _publish(self, picture, channel):
+        try:
+            self._send(picture, channel)
+        except Exception as error:  # whatever it is: pictures are not worth a landing
+            if not rospy.is_shutdown():  # then topics close under our feet
+                self._unpublished += 1
+                rospy.logerr_throttle(REPEAT_WARNING_S, "a picture could not be published: %r" % error)
+
+    def _send(self, picture, channel):
+        height, width, _ = picture.rgb.shape
+        stamp = rospy.Time.now() - rospy.Duration.from_sec(time.monotonic() - picture.exposure_s)
+        outputs = (self._cameras[channel], self._selected)
+        self._channel = channel
+        self._published += 1
+        if any(topics.image.get_num_connections() for topics in outputs):
+            image = Image(height=height, width=width, encoding="rgb8", step=_CHANNELS_PER_PIXEL * width)
+            image.header.stamp = stamp
+            image.header.frame_id = self._frames[channel]
+            image.data = picture.rgb.tobytes()
+            for topics in outputs:
+                if topics.image.get_num_connections():
+                    topics.image.publish(image)
+        if any(topics.info.get_num_connections() for topics in outputs):
+            info = self._camera_info(channel, width, height)
+            info.header.stamp = stamp
+            info.header.frame_id = self._frames[channel]
+            for topics in outputs:
+                if topics.info.get_num_connections():
+                    topics.info.publish(info)
+
+    def _camera_info(self, channel, width, height):
+        info = self._managers[channel].getCameraInfo()
+        size = info.width, info.height
+        if size not in ((0, 0), (width, height)) and (channel, size) not in self._sizes_warned:
+            self._sizes_warned.add((channel, size))
+            rospy.logwarn(
+                "the calibration of the %s camera is for %d x %d px, the vehicle sends %d x %d px: calibrate again",
+                CAMERA_NAMES[channel],
+                *size,
+                width,
+                height,
+            )
+        info.width, info.height = width, height
+        return info
+
+    # --- diagnostics ------------------------------------------------------------------------------------------------
+    def fill(self, status):
+        """A task of diagnostic_updater."""
+        stream, decoder = self._stream, self._stream.decoder
+        now_s = time.monotonic()
+        published = self._published
+        rate_hz = (published - self._counted) / max(1e-3, now_s - self._counted_s)
+        self._counted, self._counted_s = published, now_s
+        age_s = None if stream.last_s is None else now_s - stream.last_s
+        if not stream.wanted:
+            status.summary(DiagnosticStatus.OK, "not received: nobody listens, or the vehicle is not ready")
+        elif not stream.connected:
+            status.summary(DiagnosticStatus.WARN, "no connection to the video of the vehicle")
+        elif age_s is None or age_s > STALE_S:
+            status.summary(DiagnosticStatus.WARN, "no pictures")
+        else:
+            status.summary(DiagnosticStatus.OK, "pictures")
+        status.add("camera", CAMERA_NAMES[self._channel])
+        for name, manager in zip(CAMERA_NAMES, self._managers):
+            status.add(name + " calibrated", manager.isCalibrated())
+        status.add("rate [Hz]", "%.1f" % rate_hz)
+        status.add("age [s]", "unknown" if age_s is None else "%.3f" % age_s)
+        status.add("decode errors", decoder.errors)
+        status.add("pictures of another codec", decoder.foreign)
+        status.add("pictures missing in the stream", decoder.missing + stream.assembler.incomplete)
+        status.add("undecodable until the next IDR", decoder.unusable)
+        status.add("skipped", stream.skipped + self._superseded)
+        status.add("of an unknown camera", self._of_unknown_camera)
+        status.add("not published", self._unpublished)
+        status.add("damaged headers", stream.parser.bad_headers + stream.parser.broken_payloads)
+        status.add("bytes skipped", stream.parser.skipped_bytes)
+        status.add("connections", stream.connections)
+        status.add("restarts of the video clock", stream.clock.restarts)
+        return status

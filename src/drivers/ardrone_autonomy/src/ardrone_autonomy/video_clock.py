@@ -1,0 +1,89 @@
+"""Exposure time of a picture on our clock, from the aircraft's millisecond clock. Pure: no clock of its own.
+
+A picture is received some time after its exposure: encoding, radio and TCP, which is never less than a certain latency
+and now and then much more, when the radio stalls and several pictures come at once.  The header carries the time of the
+aircraft, so per picture
+
+    offset = received - aircraft's time = difference of the clocks + latency + (time that the picture was held up, >= 0)
+
+and the least offset belongs to the pictures that were not held up.  With it,
+
+    exposure = aircraft's time + least offset - latency
+
+has the jitter of the aircraft's clock (1 ms) instead of the network's.  The least offset rises by MAX_DRIFT per second,
+so that it can follow an aircraft whose clock is slower than ours; a faster one lowers it by itself.
+
+The latency cannot be seen from here.  Without it (0) the result is the time at which the picture would have been
+received had nothing held it up; with it, the time of exposure.
+"""
+
+MAX_DRIFT = 3e-4  # [s/s] crystals stay well below
+HELD_UP_S = 0.05  # a picture further above the least offset does not support it
+PATIENCE_S = 4.0  # without support for longer: the aircraft's clock has been set back, or was stopped
+LEAST_STEP_S = 1e-3  # between two results: the resolution of the aircraft's clock
+
+_WRAP_MS = 1 << 32
+
+
+class ExposureClock(object):
+    """Feed every picture that arrives, also those that are not shown.
+
+    latency_s: from exposure to reception when nothing holds the picture up [s], >= 0.  ValueError otherwise.
+    """
+
+    def __init__(self, latency_s=0.0):
+        if not 0.0 <= latency_s < float("inf"):
+            raise ValueError("the latency of the video must be a time >= 0 s, got %r" % (latency_s,))
+        self.restarts = 0  # of the aircraft's clock
+        self._latency_s = latency_s
+        self._timestamp_ms = None  # of the last picture
+        self._elapsed_ms = 0  # aircraft's time since the first picture, without wrap
+        self._last_received_s = 0.0
+        self._offset_s = 0.0  # the least
+        self._unsupported = None  # (since when, least offset since then)
+        self._last_s = float("-inf")  # newest result
+
+    def exposure_s(self, timestamp_ms, received_s):
+        """Time of exposure on the clock of received_s, at most received_s - latency_s.
+
+        timestamp_ms: of the PaVE header, wraps at 2**32.  received_s: monotonic, not decreasing.  The results
+        increase from picture to picture, unless the pictures arrive in less than LEAST_STEP_S.
+        """
+        if self._timestamp_ms is None or not self._advance(timestamp_ms):
+            self._start(timestamp_ms, received_s)
+        offset_s = received_s - 1e-3 * self._elapsed_ms
+        raised_s = self._offset_s + MAX_DRIFT * (received_s - self._last_received_s)
+        self._last_received_s = received_s
+        self._offset_s = min(raised_s, offset_s)
+        self._check_support(offset_s, received_s)
+        exposure_s = 1e-3 * self._elapsed_ms + self._offset_s
+        self._last_s = min(max(exposure_s, self._last_s + LEAST_STEP_S), received_s)
+        return self._last_s - self._latency_s
+
+    def _advance(self, timestamp_ms):
+        """Count on to this time of the aircraft; False when its clock has not advanced: it has started anew."""
+        step_ms = (timestamp_ms - self._timestamp_ms) % _WRAP_MS
+        if not 0 < step_ms < _WRAP_MS // 2:
+            return False
+        self._timestamp_ms = timestamp_ms
+        self._elapsed_ms += step_ms
+        return True
+
+    def _start(self, timestamp_ms, received_s):
+        self.restarts += self._timestamp_ms is not None
+        self._timestamp_ms = timestamp_ms
+        self._elapsed_ms = 0
+        self._last_received_s = received_s
+        self._offset_s = received_s
+        self._unsupported = None
+
+    def _check_support(self, offset_s, received_s):
+        if offset_s - self._offset_s <= HELD_UP_S:
+            self._unsupported = None
+            return
+        since_s, least_s = self._unsupported or (received_s, offset_s)
+        self._unsupported = since_s, min(least_s, offset_s)
+        if received_s - since_s > PATIENCE_S:
+            self._offset_s = self._unsupported[1]
+            self._unsupported = None
+            self.restarts += 1

@@ -1,0 +1,109 @@
+"""Pictures of the video stream -> RGB. One picture in, at most one out, nothing is held back. No sockets, no ROS.
+
+H.264 is what an AR.Drone 2.0 sends; while it records to its USB key it sends MPEG-4 part 2.
+
+What cannot be shown whole is not shown at all: after a gap in the frame numbers or a damaged picture the decoder would
+go on, with smears where the missing one had changed something, and whoever measures in the pictures would measure
+smears.  So it waits for the next key picture, which decodes by itself, as it does when it joins in the middle.
+"""
+
+import av
+import numpy as np
+from av.codec.context import Flags
+from av.video.reformatter import VideoReformatter
+
+from ardrone_autonomy.protocol.video import Codec, FrameType
+
+MAX_PIXELS = 1 << 20  # 720p has 921600; a damaged header must not make the decoder ask for gigabytes
+_CHANNELS = 3
+_DECODERS = {Codec.MPEG4_AVC: "h264", Codec.MPEG4_VISUAL: "mpeg4"}
+
+
+def is_key(header):
+    """Whether a picture (its PaveHeader) decodes by itself, and those that follow need nothing from before it."""
+    return header.frame_type == FrameType.IDR or (
+        header.codec == Codec.MPEG4_VISUAL and header.frame_type == FrameType.I
+    )
+
+
+class PictureDecoder(object):
+    """Decodes the Packets of one stream after the other; a new stream id, codec or size starts it anew."""
+
+    def __init__(self):
+        self.decoded = 0  # pictures
+        self.errors = 0  # damaged pictures
+        self.unusable = 0  # sound, but something that they build upon is missing
+        self.missing = 0  # pictures that the aircraft or the network has left out
+        self.foreign = 0  # pictures of a codec that is neither
+        self.waiting = True  # for a key picture
+        self._context = None
+        self._reformatter = None
+        self._stream = None
+        self._frame_number = None
+
+    def decode(self, packet, convert=True):
+        """The picture as (height, width, 3) uint8 array, R G B, cropped to the display size; None when there is none.
+
+        packet: protocol.video.Packet of a whole picture.  convert=False: None as well; the picture is decoded only
+        because the next ones build upon it.
+        """
+        header = packet.header
+        if header.codec not in _DECODERS:
+            self.foreign += 1
+            return None
+        stream = header.stream_id, header.codec, header.encoded_px
+        if stream != self._stream:
+            self._start(stream, _DECODERS[header.codec])
+        elif self._frame_number is not None and header.frame_number != self._frame_number:
+            self.missing += max(0, header.frame_number - self._frame_number)
+            self.waiting = True
+        self._frame_number = header.frame_number + 1
+        if not packet.payload:
+            return None
+        if header.frame_type == FrameType.HEADERS:
+            self._feed_headers(packet.payload)
+            return None
+        if self.waiting and not is_key(header):
+            self.unusable += 1
+            return None
+        frame = self._decode(packet.payload)
+        self.waiting = frame is None
+        if frame is None:
+            self.errors += 1
+            return None
+        self.decoded += 1
+        return self._rgb(frame, header) if convert else None
+
+    def _start(self, stream, decoder):
+        self._stream = stream
+        self._frame_number = None
+        self.waiting = True
+        self._context = av.CodecContext.create(decoder, "r")
+        self._context.flags |= Flags.low_delay
+        self._context.thread_count = 1  # more would hold pictures back, and the other core has its own work
+        self._context.options = {"max_pixels": "%d" % MAX_PIXELS}
+        self._reformatter = VideoReformatter()
+
+    def _feed_headers(self, payload):
+        try:
+            self._context.decode(av.Packet(payload))
+        except av.FFmpegError:
+            return  # "no picture in it", which is true; what it holds is remembered
+
+    def _decode(self, payload):
+        try:
+            frames = self._context.decode(av.Packet(payload))
+        except av.FFmpegError:
+            return None
+        if not frames or frames[-1].is_corrupt:
+            return None
+        return frames[-1]
+
+    def _rgb(self, frame, header):
+        rgb = self._reformatter.reformat(frame, format="rgb24", threads=1)
+        plane = rgb.planes[0]
+        rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+        width_px, height_px = (
+            min(decoded, shown or decoded) for decoded, shown in zip((rgb.width, rgb.height), header.display_px)
+        )
+        return rows[:height_px, : _CHANNELS * width_px].reshape(height_px, width_px, _CHANNELS)

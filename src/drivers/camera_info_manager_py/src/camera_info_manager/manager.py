@@ -1,0 +1,149 @@
+"""CameraInfoManager: a camera's calibration as sensor_msgs/CameraInfo, and the service that replaces it."""
+
+import copy
+import threading
+
+import rospy
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.srv import SetCameraInfo, SetCameraInfoResponse
+
+from camera_info_manager import urls
+from camera_info_manager.calibration_file import (
+    Calibration,
+    CalibrationFileError,
+    read_calibration,
+    write_calibration,
+)
+
+
+class CameraInfoError(Exception):
+    """Base of the exceptions of this module."""
+
+
+class CameraInfoMissingError(CameraInfoError):
+    """getCameraInfo was called before loadCameraInfo, or after the name or URL has changed."""
+
+
+class CameraInfoManager(object):
+    """Calibration of one camera.
+
+    cname: name of the camera (letters, digits, underscores); it is written into the file, and ${NAME} in the URL.
+    url: of the calibration: file:///PATH or package://PACKAGE/PATH, with ${NAME} and ${ROS_HOME} replaced;
+    "" is file://${ROS_HOME}/camera_info/${NAME}.yaml.
+    namespace: of the service set_camera_info, which takes a calibration and saves it under the URL.
+
+    Call loadCameraInfo once, before getCameraInfo. A camera without a file, or with a malformed one (one error is
+    logged), is not calibrated: its CameraInfo is empty. CameraInfoError for a name that is not allowed.
+    """
+
+    def __init__(self, cname="camera", url="", namespace=""):
+        if not urls.is_valid_name(cname):
+            raise CameraInfoError("the camera name %r must consist of letters, digits and underscores" % cname)
+        self._lock = threading.Lock()  # the service is called in a thread of its own
+        self._name = cname
+        self._url = url
+        self._info = None  # CameraInfo, None before it is loaded
+        self._namespace = namespace.rstrip("/")
+        self._service = rospy.Service(
+            self._namespace + "/set_camera_info" if self._namespace else "set_camera_info",
+            SetCameraInfo,
+            self.setCameraInfo,
+        )
+
+    def __str__(self):
+        return "[%s] calibration of %s at %s" % (self._namespace, self._name, self._url or urls.DEFAULT_URL)
+
+    def getCameraInfo(self):
+        """CameraInfo (a copy) without header; empty when not calibrated. CameraInfoMissingError before it is loaded."""
+        with self._lock:
+            if self._info is None:
+                raise CameraInfoMissingError("the calibration of %s is not loaded: call loadCameraInfo" % self._name)
+            return copy.deepcopy(self._info)
+
+    def getCameraName(self):
+        """The name of the camera."""
+        return self._name
+
+    def getURL(self):
+        """The URL as it was given, variables not replaced."""
+        return self._url
+
+    def isCalibrated(self):
+        """Whether a calibration is known. CameraInfoMissingError before it is loaded."""
+        return self.getCameraInfo().K[0] != 0.0
+
+    def loadCameraInfo(self):
+        """Read the calibration of the URL. Whatever is wrong is logged once; the camera is not calibrated then."""
+        with self._lock:
+            self._info = CameraInfo()
+            try:
+                path = urls.path_of(self._url, self._name)
+            except urls.UrlError as error:
+                rospy.logerr("camera %s is not calibrated: %s", self._name, error)
+                return
+            try:
+                calibration = read_calibration(path)
+            except CalibrationFileError as error:
+                if isinstance(error.__context__, FileNotFoundError):
+                    log = rospy.logwarn if self._url.strip() else rospy.loginfo  # nobody has asked for the default
+                    log("camera %s is not calibrated: there is no file %s", self._name, path)
+                else:
+                    rospy.logerr("camera %s is not calibrated: %s", self._name, error)
+                return
+            if calibration.name != self._name:
+                rospy.logwarn(
+                    "the calibration %s is of a camera named %s, it is used for %s", path, calibration.name, self._name
+                )
+            self._info = _message(calibration)
+
+    def setCameraInfo(self, request):
+        """Callback of the service: take the calibration of a SetCameraInfoRequest and save it.
+
+        The answer says whether it could be saved; it is used in any case.
+        """
+        with self._lock:
+            self._info = copy.deepcopy(request.camera_info)
+            try:
+                path = urls.path_of(self._url, self._name)
+                write_calibration(_calibration(self._name, self._info), path)
+            except (urls.UrlError, CalibrationFileError) as error:
+                rospy.logerr("the new calibration of %s is used but not saved: %s", self._name, error)
+                return SetCameraInfoResponse(success=False, status_message="used but not saved: %s" % error)
+            rospy.loginfo("the new calibration of %s is saved in %s", self._name, path)
+            return SetCameraInfoResponse(success=True, status_message="saved in %s" % path)
+
+    def setCameraName(self, cname):
+        """Another name; False (and no change) when it is not allowed. The calibration has to be loaded again."""
+        if not urls.is_valid_name(cname):
+            return False
+        with self._lock:
+            self._name = cname
+            self._info = None
+        return True
+
+    def setURL(self, url):
+        """Another URL; False (and no change) when it names no file. The calibration has to be loaded again."""
+        try:
+            urls.path_of(url, self._name)
+        except urls.UrlError:
+            return False
+        with self._lock:
+            self._url = url
+            self._info = None
+        return True
+
+
+def _message(calibration):
+    return CameraInfo(
+        width=calibration.width_px,
+        height=calibration.height_px,
+        distortion_model=calibration.distortion_model,
+        D=list(calibration.D),
+        K=list(calibration.K),
+        R=list(calibration.R),
+        P=list(calibration.P),
+    )
+
+
+def _calibration(name, info):
+    return Calibration(name, info.width, info.height, info.distortion_model, info.D, info.K, info.R, info.P)

@@ -1,0 +1,59 @@
+import os
+
+import pytest
+
+from camera_info_manager import urls
+
+
+@pytest.fixture(autouse=True)
+def ros_home(monkeypatch):
+    monkeypatch.setenv("ROS_HOME", "/var/home_of_ros")
+
+
+@pytest.mark.parametrize(
+    ("url", "path"),
+    [
+        ("", "/var/home_of_ros/camera_info/ardrone_front.yaml"),
+        ("   ", "/var/home_of_ros/camera_info/ardrone_front.yaml"),
+        ("file:///etc/cameras/${NAME}.yaml", "/etc/cameras/ardrone_front.yaml"),
+        ("file://${ROS_HOME}/${NAME}_${NAME}.yaml", "/var/home_of_ros/ardrone_front_ardrone_front.yaml"),
+        ("FILE:///a b.yaml", "/a b.yaml"),
+    ],
+)
+def test_path_of_a_file_url(url, path):
+    assert urls.path_of(url, "ardrone_front") == path
+
+
+def test_the_home_of_ros_is_in_the_users_home_by_default(monkeypatch):
+    monkeypatch.delenv("ROS_HOME")
+    assert urls.path_of("", "x") == os.path.expanduser("~/.ros/camera_info/x.yaml")
+
+
+def test_path_in_a_package():
+    path = urls.path_of("package://sensor_msgs/calibrations/${NAME}.yaml", "left")
+    assert path.endswith("sensor_msgs/calibrations/left.yaml")
+    assert os.path.isabs(path)
+
+
+@pytest.mark.parametrize(
+    ("url", "cause"),
+    [
+        ("risc1.yaml", "no calibration URL"),
+        ("/etc/risc1.yaml", "no calibration URL"),
+        ("file://relative.yaml", "no calibration URL"),
+        ("http://example.org/x.yaml", "no calibration URL"),
+        ("package://sensor_msgs", "no calibration URL"),
+        ("package:///x.yaml", "no calibration URL"),
+        ("package://no_such_package_anywhere/x.yaml", "no package no_such_package_anywhere"),
+        ("file:///${HOME}/x.yaml", r"\$\{HOME\} is not known"),
+    ],
+)
+def test_what_names_no_file_is_refused(url, cause):
+    with pytest.raises(urls.UrlError, match=cause):
+        urls.path_of(url, "x")
+
+
+def test_names():
+    assert urls.is_valid_name("ardrone_front")
+    for name in ("", "a b", "a/b", "../x", "x\n", "ä"):
+        assert not urls.is_valid_name(name)
