@@ -10,6 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from flying import finish, fly, judged, left_behind, start, try_to_fly, wait_for_line
 
+from data_extraction.bags import Bag
+
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
 
 
@@ -115,6 +117,27 @@ def test_df_demo_flies_its_figures(tmp_path):
     assert code == 0, output
 
 
+def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
+    """Thesis 7.12: cameras, navdata, bearings, regions, inputs, transforms, trajectories, truth, landmarks."""
+    code, output, summary, folder = fly(tmp_path, "coop", "--vehicles", "2", "--duration", "20", "--fps", "8")
+    assert code == 0, output
+    bearings = summary["bearings"]["vehicles"]
+    assert set(bearings) == {"fluffy_II", "albatross"}
+    for vehicle, targets in bearings.items():
+        measured = [figures for figures in targets.values() if figures["count"]]
+        assert measured, "%s saw nothing" % vehicle
+        for figures in measured:
+            assert max(figures["azimuth_rms_deg"], figures["elevation_rms_deg"]) < 0.2, (vehicle, targets)
+    with Bag(folder / "flight.bag") as bag:
+        recorded = {topic for topic, count in bag.topics.items() if count}
+    own = ("image_rect_color/compressed", "camera_info", "navdata")
+    assert recorded >= {"/%s/ardrone/%s" % (name, topic) for name in ("risc1", "risc2") for topic in own}
+    assert recorded >= {"/risc1/cmd_vel", "/risc2/cmd_vel", "/controls", "/trajectory", "/cortex_raw", "/ground_truth"}
+    assert recorded >= {"/angles", "/land_rois", "/states3", "/tf", "/tf_static"}
+    assert pathlib.Path(folder, "plots", "bearings.png").stat().st_size > 10000
+    assert left_behind(folder) == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -123,6 +146,7 @@ def test_df_demo_flies_its_figures(tmp_path):
         (["--fleet", "nowhere.yaml"], "cannot read nowhere.yaml"),
         (["df_demo", "--vehicles", "2"], "df_demo is for one vehicle"),
         (["--duration", "1"], "from 5 to 600"),
+        (["--fps", "10"], "--fps is for coop"),
         (["--trajectory", "loop"], "invalid choice: 'loop'"),
     ],
 )

@@ -49,6 +49,11 @@ class Bag:
         return {name: info.msgcount for name, info in self._reader.topics.items()}
 
     @property
+    def types(self):
+        """{topic: message type, as sensor_msgs/msg/Image} of the bag."""
+        return {name: info.msgtype for name, info in self._reader.topics.items()}
+
+    @property
     def duration_s(self):
         """Time from the first to the last message [s]."""
         return 1e-9 * self._reader.duration

@@ -11,7 +11,8 @@ def flatten(message):
     - `header` gives the columns `stamp` [s], `seq`, `frame_id`; other times and durations become seconds;
     - nested fields are joined with dots: `linear.x`;
     - an element of an array that has a name is called by it: `fluffy_II.x`, so that columns stay in place when the
-      order of `Obj[]` changes; a name that occurs twice in one array gets its index: `fluffy_II[1].x`;
+      order of `Obj[]` changes; a name that occurs twice in one array gets its index: `fluffy_II[1].x`; one that another
+      array of the same message has taken already gets its own array's name: `quads.Raven.azim`;
     - elements without a name are numbered: `ranges[3]`;
     - binary arrays (images) become their length in bytes.
 
@@ -68,11 +69,18 @@ def _add_array(row, prefix, name, items):
         if label in seen:
             label = "%s[%d]" % (label, index)
         seen.add(label)
-        inner = {}
-        _add_fields(inner, "%s%s." % (prefix, label), item)
-        if own_name:
-            inner.pop("%s%s.name" % (prefix, label))
+        inner = _inner_fields(prefix + label, item, own_name)
+        if not row.keys().isdisjoint(inner):
+            inner = _inner_fields("%s%s.%s" % (prefix, name, label), item, own_name)
         row.update(inner)
+
+
+def _inner_fields(label, item, own_name):
+    inner = {}
+    _add_fields(inner, label + ".", item)
+    if own_name:
+        inner.pop(label + ".name")
+    return inner
 
 
 def _is_time(value):

@@ -6,6 +6,7 @@ from typing import Dict, List, Optional
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from data_extraction.bearings import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
 
 SETTLED_ERROR_M = 0.05  # settled: the position error stays below this ...
@@ -81,12 +82,19 @@ class Flight:
     mocap: Mocap
     judged_against: str  # "ground truth" or "mocap"
     events: List[str] = field(default_factory=list)
+    bearings: Optional[BearingStatistics] = None  # None when nothing looked
 
 
 class FlightCollector:
     """Takes the messages of a bag one by one, keeps what `Flight` needs."""
 
-    def __init__(self):
+    def __init__(self, fleet=None, bearing_delay_s=0.0):
+        """fleet: risc_control.lab.Fleet, None = the original laboratory's. Raises ValueError, from BearingCollector.
+
+        bearing_delay_s: how much later than their exposure pictures are stamped.
+        """
+        self._bearings = BearingCollector(fleet)
+        self._bearing_delay_s = bearing_delay_s
         self._desired = {}
         self._states = {"/cortex_raw": {}, "/ground_truth": {}}
         # First arrival of each stamp: the estimator repeats its last one, invisible, when the cameras fall silent.
@@ -98,6 +106,7 @@ class FlightCollector:
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
+        self._bearings(topic, receipt_s, message)
         if topic == "/trajectory":
             stamp = seconds(message.header.stamp)
             for reference in message.Obj:
@@ -145,6 +154,7 @@ class FlightCollector:
             mocap=self._mocap(),
             judged_against="ground truth" if source == "/ground_truth" else "mocap",
             events=self._events,
+            bearings=self._bearings.statistics(self._bearing_delay_s),
         )
 
     def _course_spans(self, name):

@@ -37,6 +37,8 @@ def draw_all(flight, folder, title):
         figures["errors"] = errors(flight, title)
         if any(len(values) for values in flight.latency_s.values()):
             figures["latency"] = latency(flight, title)
+        if flight.bearings is not None and flight.bearings.has_judged:
+            figures["bearings"] = bearings(flight.bearings, title)
         files = []
         for name, figure in figures.items():
             files.append(folder / (name + ".png"))
@@ -130,6 +132,51 @@ def latency(flight, title):
         )
     np.atleast_1d(rows)[-1].set_xlabel("time [ms]    (line: p50, dashed: p99)")
     figure.suptitle("%s: latency" % title)
+    return figure
+
+
+def bearings(statistics, title):
+    """Bearing errors of every vehicle: scatter of the fully seen ones, and RMS and what was found for each landmark."""
+    rows = [
+        (vehicle, target, target.figures())
+        for vehicle, targets in sorted(statistics.vehicles.items())
+        for target in sorted(targets.values(), key=lambda item: (item.is_vehicle, item.name))
+    ]
+    rows = [row for row in rows if row[2]["count"]]
+    figure, (cloud, bars) = plt.subplots(
+        1, 2, figsize=(10.5, max(4.6, 1.6 + 0.3 * len(rows))), width_ratios=(1.0, 1.15), layout="constrained"
+    )
+    figure.suptitle("%s: bearings against %s (fully seen, stamps less %.0f ms)" % (
+        title, statistics.truth, 1e3 * statistics.delay_s))  # fmt: skip
+    colours = dict(zip(sorted(statistics.vehicles), _colours()))
+    errors_deg = np.vstack([target.judged_deg for _, target, _ in rows])
+    reach_deg = max(0.15, 1.3 * np.percentile(np.abs(errors_deg), 98.0))
+    for vehicle in colours:
+        points = np.vstack([target.judged_deg for name, target, _ in rows if name == vehicle] or [np.zeros((0, 2))])
+        inside = (np.abs(points) <= reach_deg).all(axis=1)
+        label = vehicle if inside.all() else "%s (%d outside)" % (vehicle, (~inside).sum())
+        cloud.plot(*points[inside].T, ".", color=colours[vehicle], ms=2.5, alpha=0.5, label=label)
+    angles = np.linspace(0.0, 2.0 * np.pi, 100)
+    cloud.plot(0.1 * np.cos(angles), 0.1 * np.sin(angles), color="#333333", lw=0.9, label="0.1 deg")
+    cloud.set(xlabel="azimuth error [deg]", ylabel="elevation error [deg]", aspect="equal")
+    cloud.set(xlim=(-reach_deg, reach_deg), ylim=(-reach_deg, reach_deg))
+    cloud.legend(loc="upper right", markerscale=4.0)
+    places = np.arange(len(rows))[::-1]
+    for offset, key, alpha in ((0.19, "azimuth_rms_deg", 1.0), (-0.19, "elevation_rms_deg", 0.5)):
+        for place, (vehicle, _, figures) in zip(places, rows):
+            bars.barh(place + offset, figures[key], 0.36, color=colours[vehicle], alpha=alpha)
+    widest = max(max(figures["azimuth_rms_deg"], figures["elevation_rms_deg"]) for _, _, figures in rows)
+    for place, (_, _, figures) in zip(places, rows):
+        seen = "" if figures["seen_percent"] is None else ", found in %.0f %%" % figures["seen_percent"]
+        wide = max(figures["azimuth_rms_deg"], figures["elevation_rms_deg"])
+        text = "n %d%s" % (figures["count"], seen)
+        paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}
+        bars.text(wide + 0.03 * widest, place, text, va="center", fontsize=7, bbox=paper)
+    bars.set_yticks(places, ["%s: %s" % (vehicle, target.name) for vehicle, target, _ in rows])
+    bars.axvline(0.1, color="#333333", lw=0.9)
+    bars.set(xlabel="RMS error [deg]    (dark: azimuth, light: elevation; line: 0.1 deg)", xlim=(0.0, 1.55 * widest))
+    bars.set_axisbelow(True)
+    bars.grid(axis="y", visible=False)
     return figure
 
 

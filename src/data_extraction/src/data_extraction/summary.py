@@ -38,6 +38,7 @@ def summarise(flight, experiment, simulated, artefacts):
             "frames_estimated": flight.mocap.frames_estimated,
             "rate_hz": round(flight.mocap.rate_hz, 3),
         },
+        "bearings": flight.bearings.figures() if flight.bearings is not None else None,
         "artefacts": artefacts,
     }
 
@@ -76,7 +77,31 @@ def table(summary):
         % (mocap["frames_sent"], mocap["frames_received"], mocap["frames_estimated"], mocap["rate_hz"])
     )
     lines.append("positions judged against %s" % summary["judged_against"])
+    if summary["bearings"] is not None:
+        lines += ["", *_bearing_lines(summary["bearings"])]
     return "\n".join(lines)
+
+
+def _bearing_lines(bearings):
+    heading = ("bearing", "count", "azimuth", "elevation", "az. RMS", "el. RMS", "found", "false")
+    yield "%-26s %7s %11s %11s %10s %10s %8s %6s" % heading
+    for vehicle, targets in bearings["vehicles"].items():
+        for name, figures in targets.items():
+            yield "%-26s %7d %11s %11s %10s %10s %8s %6d" % (
+                "%s: %s" % (vehicle, name),
+                figures["count"],
+                *(
+                    _unit(figures[key + "_deg"], 1.0, "deg", 3)
+                    for key in ("azimuth_bias", "elevation_bias", "azimuth_rms", "elevation_rms")
+                ),
+                _unit(figures["seen_percent"], 1.0, "%", 0),
+                figures["false_alarms"],
+            )
+    yield "bearings of what is fully seen, against %s, landmarks from %s" % (
+        bearings["truth"],
+        bearings["landmarks_from"],
+    )
+    yield from bearings["notes"]
 
 
 def _unit(value, factor, unit, digits=1):

@@ -16,12 +16,14 @@ class Limits:
     yaw_rmse_rad: float = 0.1
     net_margin_m: float = 0.05  # nearest approach to the net
     landed_height_m: float = 0.15  # at the end of the flight
+    bearing_rms_deg: float = 0.3  # per vehicle and angle, of what its camera saw whole
 
 
-def judge(flight, operator_result, limits=None):
+def judge(flight, operator_result, limits=None, with_cameras=False):
     """List of reasons why the flight failed; empty when it passed.
 
     flight: data_extraction.flight.Flight; operator_result: text of /operator/result, '' when it never came.
+    with_cameras: every vehicle had to measure bearings.
     """
     limits = limits or Limits()
     reasons = []
@@ -29,7 +31,20 @@ def judge(flight, operator_result, limits=None):
         reasons.append(operator_result or "the operator never finished")
     for name, vehicle in flight.vehicles.items():
         reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits)]
+        if with_cameras:
+            reasons += ["%s: %s" % (name, reason) for reason in _judge_bearings(name, flight.bearings, limits)]
     return reasons
+
+
+def _judge_bearings(name, bearings, limits):
+    targets = bearings.vehicles.get(name, {}).values() if bearings is not None else ()
+    errors_deg = np.vstack([np.zeros((0, 2)), *(target.judged_deg for target in targets)])
+    if not len(errors_deg):
+        yield "measured no bearing of a landmark that was fully in the picture"
+        return
+    rms_deg = float(np.sqrt((errors_deg**2).mean(axis=0)).max())
+    if rms_deg > limits.bearing_rms_deg:
+        yield "bearings are wrong by %.2f deg RMS, more than %.2f deg" % (rms_deg, limits.bearing_rms_deg)
 
 
 def _judge_vehicle(vehicle, limits):

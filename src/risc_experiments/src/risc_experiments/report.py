@@ -9,6 +9,7 @@ from risc_control.lab import load_fleet, load_vehicle_type
 from risc_experiments.judge import Limits, judge
 from risc_simulator.models.mocap_cameras import CameraParams
 
+WITH_CAMERAS = ("coop",)  # experiments that have to measure bearings
 LATE_LIMIT_MS = 10.0  # two frames at 200 Hz: a lab that is later than this (p99) had too slow a computer
 
 
@@ -20,7 +21,7 @@ def make_report(args, folder, operator_result, progress, interrupted):
     """
     bag = folder / "flight.bag"
     interrupted.clear()
-    collector = FlightCollector()
+    collector = FlightCollector(load_fleet(folder / "fleet.yaml"))
 
     def collect(topic, receipt_s, message):
         if interrupted.is_set():
@@ -46,7 +47,7 @@ def make_report(args, folder, operator_result, progress, interrupted):
     result["least_separation_m"] = lab.get("least_separation_m")
     result["lab_late_ms"] = lab.get("late_ms")
     result["on_schedule"] = lab["late_ms"]["p99"] <= LATE_LIMIT_MS if lab else None
-    reasons = judge(flight, operator_result)
+    reasons = judge(flight, operator_result, with_cameras=args.experiment in WITH_CAMERAS)
     result["passed"] = not reasons
     result["reasons"] = reasons
     result["limits"] = dict(vars(Limits()))

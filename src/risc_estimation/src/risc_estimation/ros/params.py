@@ -1,4 +1,4 @@
-"""Parameters of the node beside those of the estimator."""
+"""Parameters of the nodes beside those of the modules that they wire."""
 
 from dataclasses import dataclass
 from typing import Tuple
@@ -18,3 +18,20 @@ class NodeParams:
             raise ValueError("silence_s must be 0 (off) or positive, got %r" % (self.silence_s,))
         if self.queue_frames < 1:
             raise ValueError("queue_frames must be at least 1, got %r" % (self.queue_frames,))
+
+
+@dataclass(frozen=True)
+class AngleParams:
+    """Settings of angle_estimation; config/angle_estimation.yaml explains and holds the same values."""
+
+    rectified: bool = True  # regions are of image_rect_color, not of image_raw
+    camera: str = "ardrone"  # namespace of the pictures below the vehicle's
+    default_calibration: str = ""  # calibration file of vehicles that have none; empty = none
+
+
+@dataclass(frozen=True)
+class SyntheticNodeParams:
+    """Settings of synthetic_angles beside those of the cameras; config/synthetic_angles.yaml holds the same values."""
+
+    vehicles: Tuple[str, ...] = ()  # templates or namespaces of those that observe; empty = the whole fleet
+    default_calibration: str = ""  # calibration file of vehicles whose fleet entry names none; empty = none

@@ -1,0 +1,301 @@
+"""Pictures of a bag with labels from motion capture, as a COCO data set (thesis 4.4.4: automatic image labelling)."""
+
+import json
+import pathlib
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from data_extraction.bags import Bag, BagError
+from data_extraction.flatten import seconds
+from data_extraction.surroundings import Surroundings, is_bottom, namespace_of
+from risc_estimation.bearings import make_camera
+from risc_estimation.sight import LANDMARK, Observer, look
+
+PICTURES = ("image_raw", "image_rect_color")
+_COMPRESSED = "/compressed"
+_TO_BGR = {
+    "bgr8": (3, None),
+    "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "bgra8": (4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR),
+    "mono8": (1, cv2.COLOR_GRAY2BGR),
+}
+_GREEN, _YELLOW, _BLACK = (80, 220, 80), (60, 220, 240), (0, 0, 0)
+
+
+@dataclass(frozen=True)
+class LabelParams:
+    """What is labelled."""
+
+    delay_s: float = 0.0  # a picture stamped t shows the world at t - delay_s
+    min_fraction: float = 0.25  # least part of an object that must be in the picture
+    min_size_px: float = 6.0  # least width and height of its box
+    max_distance_m: float = 6.0
+    every: int = 1  # take every nth picture of a camera
+    overlay: bool = False  # also write the pictures with their labels drawn in
+    format: str = "jpg"  # of the pictures: jpg or png
+    states_topic: str = "/cortex_raw"
+
+    def __post_init__(self):
+        if not np.isfinite(self.delay_s):
+            raise ValueError("delay must be a number of seconds, got %r" % (self.delay_s,))
+        if not 0.0 < self.min_fraction <= 1.0:
+            raise ValueError("min-fraction must be in (0, 1], got %r" % (self.min_fraction,))
+        if self.min_size_px <= 0.0 or self.max_distance_m <= 0.0:
+            raise ValueError("min-size and max-distance must be positive")
+        if self.every < 1:
+            raise ValueError("every must be at least 1, got %r" % (self.every,))
+        if self.format not in ("jpg", "png"):
+            raise ValueError("format must be jpg or png, got %r" % (self.format,))
+
+
+@dataclass
+class LabelResult:
+    """What `label` wrote."""
+
+    path: pathlib.Path  # of the JSON file
+    pictures: int = 0
+    labels: int = 0
+    without_pose: int = 0  # pictures left out: motion capture did not see their vehicle just then
+
+
+def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None):
+    """Write the pictures of a bag and one labels.json into a folder. Returns LabelResult.
+
+    fleet: risc_control.lab.Fleet, see Surroundings. topics: of the pictures; None = all that there are.
+    progress: called with the number of pictures done, now and then. Raises BagError for a bag that lacks something,
+    ValueError for calibrations that are not usable, OSError when the folder cannot be written.
+    """
+    params = params or LabelParams()
+    surroundings = Surroundings(fleet, (params.states_topic,))
+    with Bag(bag_path) as bag:
+        topics = _picture_topics(bag, topics)
+        _need_states(bag, params.states_topic)
+        for message in bag.messages([topic for topic in bag.topics if surroundings.wants(topic)]):
+            surroundings(*message)
+        data_set = _DataSet(pathlib.Path(folder), surroundings, params)
+        seen = dict.fromkeys(topics, 0)
+        for topic, _, message in bag.messages(topics):
+            seen[topic] += 1
+            if (seen[topic] - 1) % params.every == 0:
+                try:
+                    data_set.add(topic, message)
+                except ValueError as error:
+                    raise BagError("%s, %s: %s" % (bag.path, topic, error)) from error
+                if progress is not None and data_set.result.pictures % 50 == 0:
+                    progress(data_set.result.pictures)
+    if not data_set.result.pictures:
+        raise BagError(
+            "%s: no picture could be labelled: %s does not say where the vehicle was at any picture's time. Are the "
+            "stamps of the two of one clock, and is the delay (%g s) right?"
+            % (bag_path, params.states_topic, params.delay_s)
+        )
+    data_set.write(bag_path)
+    return data_set.result
+
+
+def decode(message):
+    """BGR picture (h, w, 3) of a sensor_msgs Image or CompressedImage of the rosbags library. Raises ValueError."""
+    kind = message.__msgtype__.rpartition("/")[2]
+    if kind == "CompressedImage":
+        picture = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        if picture is None:
+            raise ValueError("a compressed picture (%s) is damaged" % message.format)
+        return picture
+    if kind != "Image":
+        raise ValueError("this is no topic of pictures but of %s" % message.__msgtype__)
+    if message.encoding not in _TO_BGR:
+        raise ValueError(
+            "encoding %s is not supported (only %s): let image_proc convert it"
+            % (message.encoding or "''", ", ".join(sorted(_TO_BGR)))
+        )
+    channels, conversion = _TO_BGR[message.encoding]
+    width_bytes = message.width * channels
+    if not 0 < width_bytes <= message.step or len(message.data) < message.step * message.height or message.height < 1:
+        raise ValueError(
+            "a picture is damaged: %d bytes for %dx%d" % (len(message.data), message.width, message.height)
+        )
+    rows = np.asarray(message.data, dtype=np.uint8)[: message.step * message.height].reshape(message.height, -1)
+    picture = rows[:, :width_bytes].reshape(message.height, message.width, channels)
+    return np.ascontiguousarray(picture) if conversion is None else cv2.cvtColor(picture, conversion)
+
+
+class _DataSet:
+    """COCO's images, annotations and categories while they grow; pictures are written at once."""
+
+    def __init__(self, folder, surroundings, params):
+        self._folder, self._surroundings, self._params = folder, surroundings, params
+        self._discs = surroundings.discs()
+        self._observers = {}
+        self._images, self._annotations = [], []
+        names = [(disc.name, LANDMARK) for disc in self._discs]
+        names += [(name, "vehicle") for name in sorted(surroundings.tracks[params.states_topic])]
+        self._categories = {name: (k, kind) for k, (name, kind) in enumerate(names, start=1)}
+        (folder / "images").mkdir(parents=True, exist_ok=True)
+        if params.overlay:
+            (folder / "overlays").mkdir(exist_ok=True)
+        self.result = LabelResult(folder / "labels.json")
+
+    def add(self, topic, message):
+        """Label and write one picture."""
+        params, surroundings = self._params, self._surroundings
+        picture = decode(message)
+        vehicle = surroundings.vehicle(namespace_of(topic))
+        stamp_s = seconds(message.header.stamp)
+        exposure_s = stamp_s - params.delay_s
+        pose = surroundings.tracks[params.states_topic][vehicle].at(exposure_s)
+        if not pose.known[0]:
+            self.result.without_pose += 1
+            return
+        observer = self._observer(topic, vehicle, is_bottom(message), picture.shape)
+        targets = self._discs + surroundings.hulls(params.states_topic, exposure_s, without=vehicle)
+        sightings = [
+            sighting
+            for sighting in look(observer, pose.positions_m[0], pose.R_body_to_cortex[0], targets)
+            if self._is_labelled(sighting)
+        ]
+        stamp = message.header.stamp
+        name = "%s_%d%09d.%s" % (topic.strip("/").replace("/", "_"), stamp.sec, stamp.nanosec, params.format)
+        self._save(self._folder / "images" / name, picture)
+        image_id = len(self._images) + 1
+        self._images.append(
+            {
+                "id": image_id,
+                "file_name": "images/" + name,
+                "width": picture.shape[1],
+                "height": picture.shape[0],
+                "vehicle": vehicle,
+                "topic": topic,
+                "stamp": round(stamp_s, 9),
+                "exposure": round(exposure_s, 9),
+            }
+        )
+        self._annotations += [
+            self._annotation(len(self._annotations) + k, image_id, sighting)
+            for k, sighting in enumerate(sightings, start=1)
+        ]
+        if params.overlay:
+            self._save(self._folder / "overlays" / name, draw(picture, sightings))
+        self.result.pictures, self.result.labels = len(self._images), len(self._annotations)
+
+    def write(self, bag_path):
+        """Write labels.json."""
+        content = {
+            "info": {
+                "description": "labelled from motion capture (%s, %s) by label_images.py"
+                % (self._params.states_topic, "/states3"),
+                "bag": str(bag_path),
+                "delay_s": self._params.delay_s,
+                "coordinates": "pixels from the top left corner of the picture; the middle of its first pixel is at "
+                "(0.5, 0.5)",
+            },
+            "images": self._images,
+            "annotations": self._annotations,
+            "categories": [
+                {"id": number, "name": name, "supercategory": kind} for name, (number, kind) in self._categories.items()
+            ],
+        }
+        self.result.path.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+
+    def _observer(self, topic, vehicle, bottom, shape):
+        key = (topic, bottom)
+        if key not in self._observers:
+            calibration = self._surroundings.calibration(vehicle, bottom)
+            if calibration is None:
+                raise ValueError(
+                    "no calibration of this camera: record camera_info beside the pictures, or give a fleet file whose "
+                    "vehicle %s has a `calibration`" % vehicle
+                )
+            if (calibration.height_px, calibration.width_px) != shape[:2]:
+                raise ValueError(
+                    "its pictures are %dx%d, its calibration is for %dx%d: calibrate the camera at the size it is used"
+                    % (shape[1], shape[0], calibration.width_px, calibration.height_px)
+                )
+            camera = make_camera(calibration, "image_rect" in topic)
+            self._observers[key] = Observer(camera, self._surroundings.mount(vehicle, bottom))
+        return self._observers[key]
+
+    def _is_labelled(self, sighting):
+        if sighting.fraction < self._params.min_fraction or sighting.distance_m > self._params.max_distance_m:
+            return False
+        x0, y0, x1, y1 = sighting.box_px
+        return min(x1 - x0, y1 - y0) >= self._params.min_size_px
+
+    def _annotation(self, number, image_id, sighting):
+        # COCO counts from the corner of the picture, OpenCV and the messages from the middle of its first pixel
+        outline = sighting.outline_px + 0.5
+        x0, y0 = outline.min(axis=0)
+        width, height = np.ptp(outline, axis=0)
+        centre = sighting.centre_px + 0.5
+        return {
+            "id": number,
+            "image_id": image_id,
+            "category_id": self._categories[sighting.name][0],
+            "bbox": _rounded((x0, y0, width, height)),
+            "segmentation": [_rounded(outline.ravel())],
+            "area": round(float(cv2.contourArea(outline.astype(np.float32))), 2),
+            "iscrowd": 0,
+            "center": _rounded(centre) if np.isfinite(centre).all() else None,  # None: outside what the lens sees
+            "distance": round(sighting.distance_m, 4),
+            "azimuth_deg": round(float(np.degrees(sighting.azimuth_rad)), 4),
+            "elevation_deg": round(float(np.degrees(sighting.elevation_rad)), 4),
+            "fraction": round(sighting.fraction, 4),
+        }
+
+    def _save(self, path, picture):
+        if not cv2.imwrite(str(path), picture):
+            raise OSError("cannot write %s" % path)
+
+
+def draw(picture, sightings):
+    """A copy of the picture with the outlines, centres and names of what is to be seen."""
+    drawn = picture.copy()
+    for sighting in sightings:
+        colour = _GREEN if sighting.kind == LANDMARK else _YELLOW
+        outline = np.rint(16.0 * sighting.outline_px).astype(np.int32)
+        cv2.polylines(drawn, [outline], True, colour, 1, cv2.LINE_AA, 4)
+        if np.isfinite(sighting.centre_px).all():
+            cv2.drawMarker(drawn, tuple(int(v) for v in np.rint(sighting.centre_px)), colour, cv2.MARKER_CROSS, 7)
+        x0, y0, _, _ = sighting.box_px
+        text = "%s %.1f m" % (sighting.name, sighting.distance_m)
+        corner = (max(0, int(x0)), max(10, int(y0) - 3))
+        for bgr, thickness in ((_BLACK, 3), (colour, 1)):
+            cv2.putText(drawn, text, corner, cv2.FONT_HERSHEY_PLAIN, 0.8, bgr, thickness, cv2.LINE_AA)
+    return drawn
+
+
+def _picture_topics(bag, wanted):
+    """The topics that are labelled: those asked for, else all that look like a camera's."""
+    if wanted:
+        missing = sorted(set(wanted) - set(bag.topics))
+        if missing:
+            raise BagError(
+                "%s has no topic %s; it has %s"
+                % (bag.path, ", ".join(missing), ", ".join(sorted(bag.topics)) or "none")
+            )
+        return list(wanted)
+    found = [
+        topic
+        for topic in sorted(bag.topics)
+        if (topic[: -len(_COMPRESSED)] if topic.endswith(_COMPRESSED) else topic).rpartition("/")[2] in PICTURES
+    ]
+    if not found:
+        raise BagError(
+            "%s has no pictures (no topic ends in %s): record with the cameras, or name the topics with --topics; it "
+            "has %s" % (bag.path, " or ".join(PICTURES), ", ".join(sorted(bag.topics)) or "none")
+        )
+    return found
+
+
+def _need_states(bag, states_topic):
+    if not bag.topics.get(states_topic):
+        raise BagError(
+            "%s has no %s, so nobody knows where the vehicles were: record it, or name another topic of states with "
+            "--states" % (bag.path, states_topic)
+        )
+
+
+def _rounded(values):
+    return [round(float(value), 2) for value in values]

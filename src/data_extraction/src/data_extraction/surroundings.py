@@ -1,0 +1,169 @@
+"""What a bag tells of the cameras' surroundings: where vehicles and landmarks were, and what the cameras are like."""
+
+import math
+from collections import defaultdict
+
+import numpy as np
+
+from data_extraction.flatten import seconds
+from risc_control.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT
+from risc_control.lab.templates import load_templates
+from risc_control.vehicle_pilot import LEGACY_VEHICLES
+from risc_estimation.bearings import calibration_from_info, fleet_calibration, fleet_mount
+from risc_estimation.landmark_catalogue import load_landmark_catalogue
+from risc_estimation.sight import Hull
+from risc_estimation.tracks import PoseTrack
+
+CAMERA_INFO = "/camera_info"
+LANDMARKS, MOCAP = "/states3", "/mocap_data"
+_MARKER_FRAMES = 200  # enough to average the noise of the markers
+_BOTTOM = "bottomcam"  # how the frame_id of the bottom camera ends
+
+
+class Surroundings:
+    """Takes the messages of a bag one by one; afterwards it is asked."""
+
+    def __init__(self, fleet=None, states_topics=("/cortex_raw",)):
+        """fleet: risc_control.lab.Fleet; None = the original laboratory's names, no calibrations.
+
+        states_topics: which topics say where vehicles are. Raises ValueError for calibrations, mounts, templates or a
+        landmarks file that are not usable.
+        """
+        vehicles = fleet.vehicles if fleet else ()
+        self._fleet = fleet
+        self._template = {vehicle.namespace: vehicle.template for vehicle in vehicles} or dict(LEGACY_VEHICLES)
+        self._fleet_calibrations = {vehicle.namespace: fleet_calibration(vehicle) for vehicle in vehicles}
+        self._mounts = {vehicle.namespace: fleet_mount(vehicle) for vehicle in vehicles}
+        self._templates = load_templates()
+        self.catalogue = load_landmark_catalogue()
+        self.tracks = {topic: defaultdict(PoseTrack) for topic in states_topics}
+        self._landmarks = defaultdict(list)
+        self._rims = {}  # name -> [frames, sum of the markers' positions (n, 3)]
+        self._infos = {}  # (namespace, is bottom) -> CameraInfo
+
+    def __call__(self, topic, _receipt_s, message):
+        """Take one message; topics that are of no interest are passed over."""
+        if topic in self.tracks:
+            stamp_s = seconds(message.header.stamp)
+            tracks = self.tracks[topic]
+            for state in message.Obj:
+                if state.visible:
+                    angles_rad = (math.radians(state.phi), math.radians(state.theta), math.radians(state.psi))
+                    tracks[state.name].append(stamp_s, (state.x, state.y, state.z), angles_rad)
+        elif topic == LANDMARKS:
+            for landmark in message.Obj:
+                self._landmarks[landmark.name].append((landmark.x, landmark.y, landmark.z))
+        elif topic == MOCAP:
+            self._keep_rims(message)
+        elif topic.endswith(CAMERA_INFO):
+            self._infos[namespace_of(topic), is_bottom(message)] = message
+
+    def wants(self, topic):
+        """Whether messages of this topic say anything here."""
+        return topic in self.tracks or topic in (LANDMARKS, MOCAP) or topic.endswith(CAMERA_INFO)
+
+    def vehicle(self, name):
+        """Mocap template of a vehicle that is named by its namespace or by its template. Raises ValueError.
+
+        "" (topics without a namespace) is the only vehicle of a fleet of one.
+        """
+        if not name and len(self._template) == 1:
+            return next(iter(self._template.values()))
+        if name in self._template.values():
+            return name
+        if name not in self._template:
+            raise ValueError(
+                "no vehicle has the namespace '%s'; known are %s: give the fleet file of this flight"
+                % (name, ", ".join("%s (%s)" % item for item in self._template.items()))
+            )
+        return self._template[name]
+
+    def calibration(self, name, bottom=False):
+        """CameraCalibration of a vehicle (namespace or template): the bag's camera_info, else the fleet's; or None.
+
+        Raises ValueError for a camera_info that is not usable.
+        """
+        namespace = self._namespace(name)
+        info = self._infos.get((namespace, bottom))
+        calibration = None if info is None else calibration_from_info(info, namespace)
+        if calibration is None and not bottom:
+            calibration = self._fleet_calibrations.get(namespace)
+        return calibration
+
+    def mount(self, name, bottom=False):
+        """CameraMount of a vehicle's camera (namespace or template)."""
+        return BOTTOM_MOUNT if bottom else self._mounts.get(self._namespace(name), FRONT_MOUNT)
+
+    def discs(self, from_fleet=False):
+        """The landmarks, as a list of sight.Disc named by template.
+
+        from_fleet: their places are those of the fleet file (that is where the virtual lab puts them), not what
+        motion capture measured.
+        """
+        if from_fleet:
+            places = {landmark.name: landmark.position_m for landmark in self._fleet.landmarks}
+        else:
+            places = {name: np.nanmedian(rows, axis=0) for name, rows in self._landmarks.items()}
+        return [self.catalogue.disc(name, place, self._normal(name, place)) for name, place in sorted(places.items())]
+
+    def hulls(self, topic, time_s, without=""):
+        """The vehicles at a time, as a list of sight.Hull; those whose pose is not known then are left out."""
+        hulls = []
+        for name, track in self.tracks[topic].items():
+            template = self._templates.get(name)
+            if name == without or (template is not None and template.kind != "vehicle"):
+                continue
+            poses = track.at(time_s)
+            if poses.known[0]:
+                hulls.append(Hull(name, poses.positions_m[0], poses.R_body_to_cortex[0]))
+        return hulls
+
+    def _namespace(self, name):
+        of_template = {template: namespace for namespace, template in self._template.items()}
+        return of_template.get(name, name)
+
+    def _keep_rims(self, message):
+        for body in message.Obj:
+            template = self._templates.get(body.name)
+            if template is None or template.kind != "landmark" or len(body.marker) != len(template.markers_m):
+                continue
+            frames, total = self._rims.get(body.name, (0, 0.0))
+            if frames < _MARKER_FRAMES:
+                markers_m = np.array([(marker.x, marker.y, marker.z) for marker in body.marker])
+                if np.all(np.abs(markers_m) < 100.0):  # False for NaN, too
+                    self._rims[body.name] = (frames + 1, total + markers_m)
+
+    def _normal(self, name, place):
+        """Unit vector (3,) out of the painted side, cortex frame; None when nothing tells.
+
+        The plane is that of the markers on the rim, as measured or else as in the template; which of its sides is
+        painted says the fleet file, else it is the one towards the middle of the arena.
+        """
+        towards = -np.asarray(place, dtype=float) * (1.0, 1.0, 0.0)
+        facing = {landmark.name: landmark.facing_rad for landmark in self._fleet.landmarks} if self._fleet else {}
+        if facing.get(name) is not None:
+            towards = np.array([np.cos(facing[name]), -np.sin(facing[name]), 0.0])
+        if name in self._rims:
+            frames, total = self._rims[name]
+            markers_m = total / frames
+        elif name in facing:
+            return tuple(towards)
+        elif name in self._templates:
+            markers_m = self._templates[name].markers_m
+        else:
+            return None
+        if len(markers_m) < 3:
+            return None
+        normal = np.linalg.svd(markers_m - markers_m.mean(axis=0))[2][2]
+        return tuple(-normal if normal @ towards < 0.0 else normal)
+
+
+def namespace_of(topic):
+    """Vehicle's namespace of a topic of one of its cameras: /risc1/ardrone/image_raw -> risc1; '' if it has none."""
+    first, _, rest = topic.strip("/").partition("/")
+    return first if "/" in rest else ""
+
+
+def is_bottom(message):
+    """Whether a picture or camera_info is of the bottom camera: both cameras share topics, the frame tells."""
+    return message.header.frame_id.endswith(_BOTTOM)

@@ -1,0 +1,112 @@
+#!/usr/bin/env python3
+"""cortex_raw, states3 -> angles_synthetic (Observed_angles). Wiring only; see risc_estimation.synthetic."""
+
+import sys
+import threading
+import time
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_updater import Updater
+from std_msgs.msg import Header
+
+from risc_control.ros.params import load_params, vehicles
+from risc_estimation.bearings import fleet_calibration, fleet_mount, make_camera
+from risc_estimation.landmark_catalogue import load_landmark_catalogue
+from risc_estimation.ros.bearing_conversions import observed_angles, states_from_msg
+from risc_estimation.ros.conversions import FRAME_ID
+from risc_estimation.ros.params import SyntheticNodeParams
+from risc_estimation.sight import Observer
+from risc_estimation.synthetic import SyntheticBearings, SyntheticParams
+from risc_msgs.msg import Cortex, Landmarks, Observed_angles
+
+_SILENCE_S = 3.0
+
+
+class SyntheticAnglesNode(object):
+    """What the vehicles' cameras would see of the landmarks and of each other, from motion capture."""
+
+    def __init__(self):
+        self._params, synthetic_params = load_params(SyntheticNodeParams, SyntheticParams)
+        fleet = vehicles()
+        self._namespace = {vehicle.template: vehicle.namespace for vehicle in fleet}
+        self._catalogue = load_landmark_catalogue()
+        self._region = self._catalogue.region_of_template
+        observers = {vehicle.template: self._observer(vehicle) for vehicle in fleet}
+        self._blind = sorted(self._namespace[name] for name, observer in observers.items() if observer is None)
+        if self._blind:
+            rospy.logwarn(
+                "%s: no calibration, so nothing is seen: give `calibration` in the fleet file, or default_calibration",
+                ", ".join(self._blind),
+            )
+        self._synthetic = SyntheticBearings(observers, synthetic_params)
+        self._lock = threading.Lock()  # states, landmarks and diagnostics have a thread each
+        self._pictures, self._last_s = 0, None
+        self._reported, self._reported_s = 0, time.monotonic()
+        self._pub = rospy.Publisher("angles_synthetic", Observed_angles, queue_size=10, tcp_nodelay=True)
+        self._diagnostics = Updater()
+        self._diagnostics.setHardwareID("none")
+        self._diagnostics.add("synthetic angles", self._diagnose)
+        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.update(), reset=True)
+        rospy.on_shutdown(timer.shutdown)
+        rospy.Subscriber("states3", Landmarks, self._on_landmarks, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber("cortex_raw", Cortex, self._on_states, queue_size=100, tcp_nodelay=True)
+
+    def _observer(self, vehicle):
+        calibration = fleet_calibration(vehicle, self._params.default_calibration)
+        return None if calibration is None else Observer(make_camera(calibration, False), fleet_mount(vehicle))
+
+    def _on_landmarks(self, msg):
+        discs = [
+            self._catalogue.disc(self._region.get(entry.name, entry.name), (entry.x, entry.y, entry.z))
+            for entry in msg.Obj
+        ]
+        with self._lock:
+            self._synthetic.see_landmarks(discs)
+
+    def _on_states(self, msg):
+        with self._lock:
+            due = self._synthetic.update(msg.header.stamp.to_sec(), states_from_msg(msg))
+            self._pictures += len(due)
+            self._last_s = time.monotonic()
+        for stamp_s, pictures in due:
+            header = Header(stamp=rospy.Time.from_sec(stamp_s), frame_id=FRAME_ID)
+            named = [(self._called(item.vehicle), item.landmarks, self._renamed(item.quads)) for item in pictures]
+            self._pub.publish(observed_angles(header, named))
+
+    def _called(self, template):
+        """What vision calls a vehicle: its namespace."""
+        return self._namespace.get(template, template)
+
+    def _renamed(self, quads):
+        return [item._replace(name=self._called(item.name)) for item in quads]
+
+    def _diagnose(self, status):
+        now_s = time.monotonic()
+        with self._lock:
+            pictures, last_s = self._pictures, self._last_s
+        rate_hz = (pictures - self._reported) / max(now_s - self._reported_s, 1e-3)
+        self._reported, self._reported_s = pictures, now_s
+        if last_s is None or now_s - last_s > _SILENCE_S:
+            status.summary(DiagnosticStatus.WARN, "nothing on " + rospy.resolve_name("cortex_raw"))
+        elif self._blind:
+            status.summary(DiagnosticStatus.WARN, "no camera of " + ", ".join(self._blind))
+        else:
+            status.summary(DiagnosticStatus.OK, "angles are published")
+        status.add("rate [Hz]", "%.1f" % rate_hz)
+        status.add("age of last states [s]", "none yet" if last_s is None else "%.2f" % (now_s - last_s))
+        return status
+
+
+def main():
+    rospy.init_node("synthetic_angles")
+    try:
+        SyntheticAnglesNode()
+    except ValueError as error:
+        rospy.logfatal("synthetic_angles.py: %s", error)
+        sys.exit(1)
+    rospy.spin()
+
+
+if __name__ == "__main__":
+    main()

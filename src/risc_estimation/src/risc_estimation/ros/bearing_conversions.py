@@ -1,0 +1,38 @@
+"""Between the messages of cameras and bearings (degrees) and values (SI units): the only place that does it."""
+
+import math
+
+from risc_estimation.bearings import Region
+from risc_msgs.msg import Angle, Angles, Observed_angles
+
+
+def regions_from_msg(rois):
+    """List of Risc_roi -> list of Region."""
+    return [Region(roi.name, roi.visible, roi.x, roi.y) for roi in rois]
+
+
+def angles_to_msg(bearings):
+    """List of Bearing -> list of Angle, degrees."""
+    return [
+        Angle(item.name, item.visible, math.degrees(item.azimuth_rad), math.degrees(item.elevation_rad))
+        for item in bearings
+    ]
+
+
+def observed_angles(header, pictures):
+    """[(vehicle, landmarks' Bearings, quads' Bearings)] -> Observed_angles."""
+    return Observed_angles(
+        header, [Angles(name, angles_to_msg(landmarks), angles_to_msg(quads)) for name, landmarks, quads in pictures]
+    )
+
+
+def states_from_msg(message):
+    """Cortex -> {vehicle: (position (3,) [m] cortex, roll pitch yaw (3,) [rad])} of the visible vehicles."""
+    return {
+        entry.name: (
+            (entry.x, entry.y, entry.z),
+            (math.radians(entry.phi), math.radians(entry.theta), math.radians(entry.psi)),
+        )
+        for entry in message.Obj
+        if entry.visible
+    }

@@ -1,0 +1,98 @@
+"""The camera of every vehicle: from its camera_info while it is published, else from the fleet file."""
+
+import threading
+import time
+
+import rospy
+from sensor_msgs.msg import CameraInfo
+
+from risc_control.ros.paced import PacedSubscriber
+from risc_estimation.bearings import calibration_from_info, fleet_calibration, make_camera
+
+_LOOK_HZ = 1.0  # camera_info comes with every picture and hardly ever changes
+_PATIENCE_S = 3.0  # the first camera_info may come after the first picture
+
+
+class VehicleCameras(object):
+    """Cameras by vehicle namespace. Problems are logged once each, with the cure, and listed for diagnostics."""
+
+    def __init__(self, fleet, rectified, camera, default_calibration=""):
+        """fleet: FleetVehicles. rectified: which pictures. camera: namespace of the pictures below the vehicle's.
+
+        default_calibration: file for vehicles whose fleet entry names none. Raises ValueError for a bad file.
+        """
+        self._rectified = rectified
+        self._topic = "%%s/%s/camera_info" % camera if camera else "%s/camera_info"
+        self._default = default_calibration
+        self._lock = threading.Lock()  # every camera_info has a thread of its own
+        self._namespace = {vehicle.template: vehicle.namespace for vehicle in fleet}
+        self._calibrations, self._cameras, self._sources, self._problems = {}, {}, {}, {}
+        self._subscribers, self._first_asked_s = {}, {}
+        for vehicle in fleet:
+            calibration = fleet_calibration(vehicle, default_calibration)
+            if calibration is not None:
+                self._accept(vehicle.namespace, calibration, "fleet")
+        for vehicle in fleet:
+            self._listen(vehicle.namespace)
+
+    def __getitem__(self, name):
+        """Camera of a vehicle, by namespace or mocap template; None, with a warning the first time, if unknown."""
+        namespace = self._namespace.get(name, name)
+        self._listen(namespace)
+        with self._lock:
+            camera = self._cameras.get(namespace)
+            first_s = self._first_asked_s.setdefault(namespace, time.monotonic())
+        if camera is None and time.monotonic() - first_s > _PATIENCE_S:
+            self._complain(
+                namespace,
+                "it has no calibration, so its angles are not visible: give `calibration` in the fleet file, or "
+                "calibrate the driver's camera (%s says nothing)" % rospy.resolve_name(self._topic % namespace),
+            )
+        return camera
+
+    def sources(self):
+        """{namespace: where its camera comes from}, for diagnostics."""
+        with self._lock:
+            return dict(self._sources)
+
+    def problems(self):
+        """{namespace: what is wrong}, for diagnostics; only of vehicles that have no camera."""
+        with self._lock:
+            return {name: text for name, text in self._problems.items() if name not in self._cameras}
+
+    def _listen(self, namespace):
+        with self._lock:
+            if namespace in self._subscribers:
+                return
+            self._subscribers[namespace] = None  # the next caller need not wait for the subscription
+        self._subscribers[namespace] = PacedSubscriber(
+            self._topic % namespace, CameraInfo, self._on_info, _LOOK_HZ, (namespace,)
+        )
+
+    def _on_info(self, info, namespace):
+        try:
+            calibration = calibration_from_info(info, namespace)
+            if calibration is None:
+                return  # the driver is not calibrated: the fleet file may know
+            self._accept(namespace, calibration, "camera_info")
+        except ValueError as error:
+            self._complain(namespace, str(error))
+
+    def _accept(self, namespace, calibration, source):
+        with self._lock:
+            if self._calibrations.get(namespace) == calibration:
+                self._sources[namespace] = source
+                return
+        camera = make_camera(calibration, self._rectified)
+        with self._lock:
+            self._calibrations[namespace] = calibration
+            self._cameras[namespace] = camera
+            self._sources[namespace] = source
+        rospy.loginfo("%s: camera from %s (%s)", namespace, source, calibration.name)
+
+    def _complain(self, namespace, text):
+        with self._lock:
+            known = self._problems.get(namespace) == text
+            self._problems[namespace] = text
+        if not known:
+            rospy.logwarn("%s: %s", namespace, text)

@@ -1,0 +1,119 @@
+"""Bearings that cameras would have measured, from motion capture alone (thesis 4.4.4). Needs no ROS."""
+
+import math
+from dataclasses import dataclass
+from typing import Dict, List, NamedTuple
+
+import numpy as np
+
+from risc_estimation.bearings import Bearing
+from risc_estimation.sight import LANDMARK, Disc, Hull, look
+from risc_estimation.tracks import PoseTrack
+
+_RESTART_S = 1.0
+
+
+@dataclass(frozen=True)
+class SyntheticParams:
+    """What the imagined cameras and detectors are like; config/synthetic_angles.yaml explains and holds the same."""
+
+    rate_hz: float = 30.0  # pictures a second
+    delay_s: float = 0.0  # a picture stamped t shows the world at t - delay_s
+    noise_deg: float = 0.0  # standard deviation of each angle
+    seed: int = 1
+    min_fraction: float = 0.9  # an object is found when this much of it is in the picture, and
+    min_diameter_px: float = 14.0  # its least diameter is this, and
+    max_distance_m: float = 6.0  # it is no farther than this
+
+    def __post_init__(self):
+        for key in ("rate_hz", "max_distance_m"):
+            if not getattr(self, key) > 0.0:
+                raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(self, key)))
+        for key in ("delay_s", "noise_deg", "min_diameter_px"):
+            if not getattr(self, key) >= 0.0:
+                raise ValueError("parameter '%s' must not be negative, got %r" % (key, getattr(self, key)))
+        if not 0.0 < self.min_fraction <= 1.0:
+            raise ValueError("parameter 'min_fraction' must be in (0, 1], got %r" % (self.min_fraction,))
+
+
+class Picture(NamedTuple):
+    """What one imagined camera measured. All lists hold one Bearing per known object, found or not."""
+
+    vehicle: str  # that observes
+    landmarks: List[Bearing]
+    quads: List[Bearing]
+
+
+class SyntheticBearings(object):
+    """States in, pictures out, on a fixed schedule of stamps. Not thread-safe. A seed reproduces the noise."""
+
+    def __init__(self, observers, params=None):
+        """observers: {vehicle: sight.Observer, None = its camera is not known, so it sees nothing}."""
+        self._params = params or SyntheticParams()
+        self._observers = dict(observers)
+        self._tracks = {name: PoseTrack(span_s=self._params.delay_s + 0.5) for name in self._observers}
+        self._discs: Dict[str, Disc] = {}
+        self._random = np.random.default_rng(self._params.seed)
+        self._tick = None  # number of the next picture; its stamp is tick / rate
+        self._last_s = None
+
+    def see_landmarks(self, discs):
+        """The landmarks as they are now, a list of Disc; those not named stay where they were last seen."""
+        self._discs.update({disc.name: disc for disc in discs})
+
+    def update(self, stamp_s, states):
+        """Take one frame of states; returns the pictures that are due: [(stamp [s], [Picture, one per vehicle])].
+
+        states: {vehicle: (position (3,) [m] cortex, roll pitch yaw (3,) [rad])} of the visible vehicles.
+        """
+        for name, (position_m, euler_rad) in states.items():
+            if name not in self._tracks:
+                self._tracks[name] = PoseTrack(span_s=self._params.delay_s + 0.5)
+            self._tracks[name].append(stamp_s, position_m, euler_rad)
+        rate_hz = self._params.rate_hz
+        if self._tick is None or stamp_s < self._last_s - _RESTART_S or stamp_s > self._last_s + _RESTART_S:
+            self._tick = math.ceil(stamp_s * rate_hz)
+        self._last_s = stamp_s
+        due = []
+        while self._tick / rate_hz <= stamp_s:
+            due.append((self._tick / rate_hz, self._pictures(self._tick / rate_hz)))
+            self._tick += 1
+        return due
+
+    def _pictures(self, stamp_s):
+        poses = {name: track.at(stamp_s - self._params.delay_s) for name, track in self._tracks.items()}
+        hulls = {
+            name: Hull(name, pose.positions_m[0], pose.R_body_to_cortex[0])
+            for name, pose in poses.items()
+            if pose.known[0]
+        }
+        return [self._picture(name, observer, hulls) for name, observer in self._observers.items()]
+
+    def _picture(self, vehicle, observer, hulls):
+        others = [name for name in self._tracks if name != vehicle]
+        own = hulls.get(vehicle)
+        sightings = []
+        if observer is not None and own is not None:
+            targets = list(self._discs.values()) + [hulls[name] for name in others if name in hulls]
+            sightings = look(observer, own.position_m, own.R_body_to_cortex, targets)
+        found = {(item.kind == LANDMARK, item.name): self._measured(item) for item in sightings if self._is_found(item)}
+
+        def bearings(is_landmark, names):
+            return [found.get((is_landmark, name), Bearing(name, False, np.nan, np.nan)) for name in names]
+
+        return Picture(vehicle, bearings(True, self._discs), bearings(False, others))
+
+    def _is_found(self, sighting):
+        params = self._params
+        return (
+            sighting.fraction >= params.min_fraction
+            and sighting.diameter_px >= params.min_diameter_px
+            and sighting.distance_m <= params.max_distance_m
+            and bool(np.isfinite(sighting.centre_px).all())
+        )
+
+    def _measured(self, sighting):
+        noise = np.radians(self._params.noise_deg) * self._random.standard_normal(2)
+        return Bearing(
+            sighting.name, True, sighting.azimuth_rad + float(noise[0]), sighting.elevation_rad + float(noise[1])
+        )
