@@ -1,0 +1,142 @@
+"""A virtual camera is calibrated from pictures of the waved checkerboard, by calibrate.py and by camera_calibration."""
+
+import functools
+import pathlib
+import subprocess
+import sys
+
+import camera_calibration_parsers
+import cv2
+import numpy as np
+import pytest
+import rosbag
+import rospy
+from camera_calibration.calibrator import ChessboardInfo, MonoCalibrator
+from cv_bridge import CvBridge
+
+from risc_control.camera import Camera
+from risc_control.lab.calibration import load_calibration
+from risc_simulator.video.scene import load_style
+from risc_simulator.video.waving import calibration_pictures
+from risc_visual.calibration import Checkerboard, View
+from risc_visual.calibration import calibrate as calibration_of_views
+
+CALIBRATE = pathlib.Path(__file__).resolve().parents[1] / "src/risc_visual/nodes/calibrate.py"
+CAMERAS = ("risc1", "risc2", "risc3", "albatross_ardrone_front", "ardrone_front", "ardrone_bottom")
+PICTURES = 60
+SEED = 11
+
+INTRINSICS_LIMIT = 0.01  # relative
+POINT_LIMIT_PX = 0.5
+STRONG_LENSES = ("risc1", "risc3")
+STEEP = 3.0  # by how much undistortion may magnify an error; only corners of risc3's picture are beyond, up to 18
+
+
+@pytest.fixture(scope="module")
+def show(tmp_path_factory):
+    """show(name): the true Camera, a folder with pictures of the board, and the pictures (BGR)."""
+
+    @functools.lru_cache(maxsize=None)
+    def of(name):
+        camera = Camera(load_calibration("%s.yaml" % name))
+        style = load_style()
+        folder = tmp_path_factory.mktemp(name)
+        images = []
+        for k, picture in enumerate(calibration_pictures(camera, style.scene, style.imaging, SEED, PICTURES)):
+            cv2.imwrite(str(folder / ("%03d.png" % k)), picture.image)
+            images.append(picture.image)
+        return camera, folder, images
+
+    return of
+
+
+def calibrate(source, out, *arguments):
+    done = subprocess.run(
+        [
+            sys.executable,
+            str(CALIBRATE),
+            str(source),
+            "--size",
+            "8x6",
+            "--square",
+            "0.025",
+            "--out",
+            str(out),
+            *arguments,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return load_calibration(str(out)), done.stdout
+
+
+def intrinsics_error(K, camera):
+    """Greatest relative error of fx, fy, cx, cy."""
+    true = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
+    return float(np.max(np.abs(np.asarray(K).reshape(3, 3)[[0, 1, 0, 1], [0, 1, 2, 2]] - true) / true))
+
+
+def point_errors_px(calibration, camera):
+    """Errors of undistorted points all over the picture [true focal lengths], where undistortion is no steep slope.
+
+    That is the error of the direction in space: a principal point that is off is not forgiven.
+    """
+    pixels = np.stack(np.meshgrid(np.linspace(0.0, 639.0, 33), np.linspace(0.0, 359.0, 19)), axis=-1).reshape(-1, 2)
+    focal_px = camera.K[[0, 1], [0, 1]]
+    slopes = [camera.undistort(pixels + step) - camera.undistort(pixels - step) for step in ((0.5, 0.0), (0.0, 0.5))]
+    steepness = np.linalg.norm(np.stack(slopes, axis=-1) * focal_px[:, None], ord=2, axis=(1, 2))
+    usable = steepness < STEEP
+    assert usable.mean() > 0.97
+    off = (Camera(calibration).undistort(pixels) - camera.undistort(pixels)) * focal_px
+    return np.linalg.norm(off[usable], axis=1)
+
+
+@pytest.mark.parametrize("lens", CAMERAS)
+def test_calibrate_recovers_the_camera(show, lens, tmp_path):
+    camera, folder, _ = show(lens)
+    calibration, text = calibrate(folder, tmp_path / "found.yaml", "--name", "ardrone_front")
+    assert "reprojection error" in text and "warning" not in text, text
+    assert (calibration.name, calibration.width_px, calibration.height_px) == ("ardrone_front", 640, 360)
+    assert intrinsics_error(calibration.K, camera) < INTRINSICS_LIMIT
+    assert point_errors_px(calibration, camera).max() < POINT_LIMIT_PX
+    name, info = camera_calibration_parsers.readCalibration(str(tmp_path / "found.yaml"))  # as the driver reads it
+    assert (name, tuple(info.K), tuple(info.D), tuple(info.P)) == (
+        (calibration.name, calibration.K, calibration.D, calibration.P)
+    )
+
+
+@pytest.mark.parametrize("lens", CAMERAS)
+def test_camera_calibration_agrees(show, lens):
+    """Debian's calibrator on the same pictures as messages, as its node gets them from a camera; without its window."""
+    camera, _, images = show(lens)
+    bridge = CvBridge()
+    debian = MonoCalibrator([ChessboardInfo("chessboard", 8, 6, 0.025)], flags=cv2.CALIB_FIX_K3, name="ardrone_front")
+    for image in images:
+        debian.handle_msg(bridge.cv2_to_imgmsg(image, "bgr8"))
+    assert debian.goodenough, "the waving covers all that camera_calibration asks for: its CALIBRATE button lights up"
+    debian.do_calibration()
+    if lens not in STRONG_LENSES:
+        assert intrinsics_error(debian.as_message().K, camera) < INTRINSICS_LIMIT
+    # It lets OpenCV start once, which strong distortion can trap. The corners that it found are good in any case:
+    views = [
+        View(str(k), corners.reshape(-1, 2).astype(float)) for k, (corners, _, _) in enumerate(debian.good_corners)
+    ]
+    ours = calibration_of_views(views, Checkerboard(), (640, 360))
+    assert intrinsics_error(ours.calibration.K, camera) < INTRINSICS_LIMIT
+
+
+def test_a_bag_gives_the_same_as_the_folder(show, tmp_path):
+    camera, folder, images = show("risc2")
+    bridge = CvBridge()
+    path = tmp_path / "pictures.bag"
+    with rosbag.Bag(str(path), "w") as bag:
+        for k, image in enumerate(images):
+            message = bridge.cv2_to_imgmsg(image[..., ::-1], "rgb8")
+            message.header.stamp = rospy.Time(100 + k)
+            bag.write("/risc2/ardrone/front/image_raw", message, message.header.stamp)
+    from_bag, _ = calibrate(path, tmp_path / "bag.yaml", "--topic", "/risc2/ardrone/front/image_raw")
+    from_folder, _ = calibrate(folder, tmp_path / "folder.yaml")
+    assert intrinsics_error(from_bag.K, camera) < INTRINSICS_LIMIT
+    assert np.allclose(from_bag.K, from_folder.K, rtol=1e-4)
