@@ -8,10 +8,11 @@ import threading
 
 import rospy
 
+from risc_control.priority import VIRTUAL_LAB, raise_priority
 from risc_control.ros import low_latency
 from risc_simulator.ros.node import VirtualLabNode
 from risc_simulator.ros.params import load_params, make_lab
-from risc_simulator.virtual_lab import raise_priority, summary, write_statistics
+from risc_simulator.virtual_lab import summary, write_statistics
 
 
 def handle_signals(handler):
@@ -41,7 +42,7 @@ def main():
     try:
         node = VirtualLabNode(lab)
         rospy.loginfo("%s", lab.describe())
-        raise_priority()
+        raise_priority(VIRTUAL_LAB)
         lab.run(stop_event, on_frame=node.after_frame)
         statistics = lab.statistics()
     finally:

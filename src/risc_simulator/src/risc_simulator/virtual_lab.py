@@ -10,11 +10,9 @@ drift; after a delay of the computer the missed frames follow at once, each with
 """
 
 import argparse
-import contextlib
 import gc
 import json
 import math
-import os
 import select
 import signal
 import sys
@@ -25,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from risc_control.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
+from risc_control.priority import VIRTUAL_LAB, raise_priority
 from risc_simulator.ardrone_host import ArdroneHost
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
@@ -33,7 +32,6 @@ from risc_simulator.world import World
 
 MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
 MAX_CATCH_UP_S = 1.0  # a computer that slept longer than this stops the lab's clock meanwhile
-_NICENESS = -10
 _CAMERA_STREAM = (1000000,)  # random stream of the cameras beside the vehicles' (index, purpose)
 
 
@@ -327,13 +325,6 @@ def summary(statistics):
     return "\n".join(lines)
 
 
-def raise_priority():
-    """Let the lab go first where that is allowed (root): it stands for other computers with their own processors."""
-    if os.getpriority(os.PRIO_PROCESS, 0) == 0:  # somebody who set a niceness meant it
-        with contextlib.suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
-
-
 def write_statistics(statistics, path):
     """Statistics to a JSON file. Raises OSError."""
     with open(path, "w", encoding="utf-8") as stream:
@@ -433,7 +424,7 @@ def main(arguments=None):
         return 1
     try:
         print(lab.describe(), flush=True)
-        raise_priority()
+        raise_priority(VIRTUAL_LAB)
         lab.run(stop_event, options.duration)
         statistics = lab.statistics()
     finally:

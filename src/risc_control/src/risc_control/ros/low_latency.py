@@ -5,6 +5,7 @@ import sys
 
 import rospy
 
+from risc_control.priority import FLIGHT, raise_priority
 from risc_control.ros.direct_connection import send_directly
 
 _SWITCH_INTERVAL_S = 0.0005  # the default of 5 ms is how long a timer's thread could hold up a frame
@@ -12,6 +13,7 @@ _SWITCH_INTERVAL_S = 0.0005  # the default of 5 ms is how long a timer's thread 
 
 def start(name, **options):
     """rospy.init_node for a node whose latency matters; same arguments, same errors."""
+    raise_priority(FLIGHT)
     send_directly()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     rospy.init_node(name, **options)

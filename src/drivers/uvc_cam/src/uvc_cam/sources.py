@@ -1,0 +1,232 @@
+"""Where pictures come from: a camera (V4L2, by OpenCV), a video file, a folder of pictures. No ROS.
+
+A source is asked in two steps: `wait` returns when the next picture is there (its time is now), `picture` hands it out
+as (h, w, 3) uint8, blue green red. `SourceError` says in one sentence what is wrong and what helps.
+"""
+
+import fcntl
+import os
+import pathlib
+import stat
+import struct
+import time
+
+import cv2
+
+from uvc_cam.settings import FORMATS, Settings, changed_controls
+
+SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+
+_VIDIOC_S_CTRL = 0xC008561C  # _IOWR('V', 28, struct v4l2_control {u32 id; s32 value})
+_V4L2_CID_POWER_LINE_FREQUENCY = 0x00980918
+_PROPERTIES = {
+    "exposure": cv2.CAP_PROP_AUTO_EXPOSURE,  # before the time, which a camera refuses while it is automatic
+    "absolute_exposure": cv2.CAP_PROP_EXPOSURE,
+    "sharpness": cv2.CAP_PROP_SHARPNESS,
+    "white_balance_temperature": cv2.CAP_PROP_AUTO_WB,
+    "gain": cv2.CAP_PROP_GAIN,
+    "saturation": cv2.CAP_PROP_SATURATION,
+    "contrast": cv2.CAP_PROP_CONTRAST,
+    "brightness": cv2.CAP_PROP_BRIGHTNESS,
+}
+
+
+class SourceError(Exception):
+    """There are no pictures, and why."""
+
+
+class NoMorePicturesError(SourceError):
+    """A file or folder has been played to its end."""
+
+
+def open_source(settings):
+    """The source that `settings.device` names. Raises SourceError."""
+    device = settings.device
+    if device.isdigit():
+        device = "/dev/video" + device
+    path = pathlib.Path(device).expanduser()
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise SourceError(
+            "there is no %s (%s): plug the camera in, or set the parameter device to a camera, a video file or a folder"
+            % (path, error.strerror)
+        ) from error
+    if stat.S_ISDIR(mode):
+        return FolderSource(path, settings)
+    if stat.S_ISREG(mode):
+        return VideoSource(path, settings)
+    return CameraSource(path, settings)
+
+
+class _Pace:
+    """Sleeps from picture to picture; a late one does not make the next ones hurry."""
+
+    def __init__(self, rate_hz):
+        self._period_s = 1.0 / rate_hz
+        self._due_s = time.monotonic()
+
+    def wait(self):
+        now_s = time.monotonic()
+        if now_s < self._due_s:
+            time.sleep(self._due_s - now_s)
+        self._due_s = max(self._due_s, now_s) + self._period_s
+
+
+class FolderSource:
+    """The pictures of a folder in the order of their names, at the frame rate."""
+
+    def __init__(self, folder, settings):
+        self.notes = []  # sentences that are worth a warning
+        try:
+            entries = sorted(folder.iterdir())
+        except OSError as error:
+            raise SourceError("cannot read the folder %s: %s" % (folder, error.strerror)) from error
+        self._paths = [path for path in entries if path.suffix.lower() in SUFFIXES]
+        if not self._paths:
+            raise SourceError("no pictures (%s) in the folder %s" % (", ".join(SUFFIXES), folder))
+        self._folder, self._loop = folder, settings.loop
+        self._pace = _Pace(settings.frame_rate)
+        self._next, self._picture = 0, None
+
+    def wait(self):
+        """Wait for the next picture."""
+        self._pace.wait()
+        while self._paths:
+            if self._next == len(self._paths):
+                if not self._loop and self._picture is not None:
+                    raise NoMorePicturesError("all %d pictures of %s are shown" % (len(self._paths), self._folder))
+                self._next = 0
+            path = self._paths[self._next]
+            picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+            if picture is not None:
+                self._next += 1
+                self._picture = picture
+                return
+            self.notes.append("%s cannot be read as a picture and is left out" % path)
+            self._paths.remove(path)
+        raise SourceError("none of the pictures in %s can be read (any more)" % self._folder)
+
+    def picture(self):
+        """The picture that was waited for."""
+        return self._picture
+
+    def set_controls(self, controls):
+        """Pictures have none."""
+
+    def close(self):
+        """Nothing is open."""
+
+
+class VideoSource:
+    """A video file at the frame rate, whatever rate it was taken at."""
+
+    def __init__(self, path, settings):
+        self.notes = []
+        self._path, self._loop = path, settings.loop
+        self._pace = _Pace(settings.frame_rate)
+        self._capture = self._open()
+        self._read_any = False
+
+    def _open(self):
+        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        if not capture.isOpened():
+            raise SourceError("%s is no video that OpenCV can read: give it an .avi, .mp4 or .mkv" % self._path)
+        return capture
+
+    def wait(self):
+        """Wait for the next picture."""
+        self._pace.wait()
+        if not self._capture.grab():
+            if not self._read_any:
+                raise SourceError("the video %s holds no pictures" % self._path)
+            if not self._loop:
+                raise NoMorePicturesError("the video %s is at its end" % self._path)
+            self._capture.release()
+            # seeking to the start is not exact in every format
+            if not self._capture.open(str(self._path), cv2.CAP_FFMPEG) or not self._capture.grab():
+                raise SourceError("the video %s cannot be read any more" % self._path)
+        self._read_any = True
+
+    def picture(self):
+        """The picture that was waited for."""
+        return _retrieved(self._capture, self._path)
+
+    def set_controls(self, controls):
+        """A file has none."""
+
+    def close(self):
+        """Close the file."""
+        self._capture.release()
+
+
+class CameraSource:
+    """A camera by V4L2, at its own pace."""
+
+    def __init__(self, path, settings, capture_class=cv2.VideoCapture, ioctl=fcntl.ioctl):
+        """capture_class, ioctl: replaced in tests."""
+        self.notes = []
+        self._path, self._ioctl = path, ioctl
+        if not os.access(str(path), os.R_OK | os.W_OK):
+            raise SourceError("%s may not be opened by this user: add the user to the group video, log in anew" % path)
+        self._capture = capture_class(str(path), cv2.CAP_V4L2)
+        if not self._capture.isOpened():
+            raise SourceError(
+                "%s cannot be opened as a camera: is another program using it, or is it the camera's second device "
+                "(v4l2-ctl --list-devices lists them)?" % path
+            )
+        if FORMATS[settings.format_mode]:
+            self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter_fourcc(*FORMATS[settings.format_mode]))
+        self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, settings.width)
+        self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, settings.height)
+        self._capture.set(cv2.CAP_PROP_FPS, settings.frame_rate)
+        given = (
+            round(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
+            round(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+        )
+        if given != (settings.width, settings.height):
+            self.notes.append(
+                "%s gives %d x %d instead of %d x %d: set width and height to a size that it has "
+                "(v4l2-ctl --list-formats-ext)" % ((path,) + given + (settings.width, settings.height))
+            )
+        self.set_controls(changed_controls(Settings(), settings))
+
+    def wait(self):
+        """Wait for the next picture. Raises SourceError when the camera is gone."""
+        if not self._capture.grab():
+            raise SourceError("%s sends no more pictures: is it unplugged?" % self._path)
+
+    def picture(self):
+        """The picture that was waited for."""
+        return _retrieved(self._capture, self._path)
+
+    def set_controls(self, controls):
+        """Set controls, a dict of name -> value; those that the camera has not are noted."""
+        for name in (*_PROPERTIES, "power_line_frequency"):
+            if name in controls and not self._set_control(name, controls[name]):
+                self.notes.append("%s does not take %s = %r" % (self._path, name, controls[name]))
+
+    def _set_control(self, name, value):
+        if name in _PROPERTIES:
+            return self._capture.set(_PROPERTIES[name], float(value))
+        # OpenCV has no name for this one; a second opening may set controls while the first one streams.
+        try:
+            fd = os.open(str(self._path), os.O_RDWR | os.O_NONBLOCK)
+            try:
+                self._ioctl(fd, _VIDIOC_S_CTRL, struct.pack("=Ii", _V4L2_CID_POWER_LINE_FREQUENCY, value))
+            finally:
+                os.close(fd)
+        except OSError:
+            return False
+        return True
+
+    def close(self):
+        """Let go of the camera."""
+        self._capture.release()
+
+
+def _retrieved(capture, path):
+    there, picture = capture.retrieve()
+    if not there or picture is None or not picture.size:
+        raise SourceError("%s sent a picture that cannot be decoded: try another format_mode" % path)
+    return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)

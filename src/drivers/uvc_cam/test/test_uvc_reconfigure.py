@@ -1,0 +1,14 @@
+"""What dynamic_reconfigure offers is what the settings know, with the same defaults and ranges."""
+
+import dataclasses
+
+from uvc_cam.cfg import UVCCamConfig
+from uvc_cam.settings import Settings
+
+
+def test_parameters_are_the_settings():
+    assert dict(UVCCamConfig.defaults) == dataclasses.asdict(Settings())
+    for ends in (UVCCamConfig.min, UVCCamConfig.max):
+        for name, value in ends.items():
+            if not isinstance(value, str):  # texts have no range
+                Settings(**{name: value})

@@ -1,0 +1,81 @@
+"""Parameters: the table's defaults, mistakes named, and what a change asks of the camera."""
+
+import dataclasses
+
+import pytest
+
+from uvc_cam.settings import CONTROLS, Settings, changed_controls, needs_reopening, settings_from_params
+
+
+def test_defaults_are_those_of_the_original():
+    settings, unknown = settings_from_params({})
+    assert unknown == []
+    assert dataclasses.asdict(settings) == {
+        "device": "/dev/video0",
+        "camera_name": "camera",
+        "format_mode": 1,
+        "width": 640,
+        "height": 480,
+        "frame_rate": 15.0,
+        "frame_id": "camera",
+        "camera_info_url": "",
+        "loop": True,
+        "absolute_exposure": 2089,
+        "exposure": 1,
+        "sharpness": 142,
+        "power_line_frequency": 0,
+        "white_balance_temperature": True,
+        "gain": 82,
+        "saturation": 50,
+        "contrast": 50,
+        "brightness": 66,
+    }
+
+
+def test_values_of_launch_files_are_taken():
+    settings, unknown = settings_from_params({"device": 2, "width": 320.0, "frame_rate": 20, "with": 1})
+    assert (settings.device, settings.width, settings.frame_rate, unknown) == ("2", 320, 20.0, ["with"])
+    assert isinstance(settings.width, int) and isinstance(settings.frame_rate, float)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"device": ""},
+        {"device": True},
+        {"camera_name": "my camera"},
+        {"format_mode": 4},
+        {"width": 0},
+        {"height": "tall"},
+        {"width": 320.5},
+        {"frame_rate": 1.0},
+        {"frame_rate": float("nan")},
+        {"loop": "yes"},
+        {"gain": False},
+    ],
+)
+def test_a_wrong_value_is_named(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        settings_from_params(wrong)
+
+
+@pytest.mark.parametrize(
+    "change, reopen, controls",
+    [
+        ({}, False, {}),
+        ({"width": 320}, True, {}),
+        ({"device": "/dev/video1", "gain": 3}, True, {"gain": 3}),
+        ({"loop": False}, True, {}),
+        ({"frame_id": "eye", "camera_name": "left", "camera_info_url": "file:///x.yaml"}, False, {}),
+        ({"white_balance_temperature": False, "brightness": 10}, False,
+         {"white_balance_temperature": False, "brightness": 10}),
+    ],
+)  # fmt: skip
+def test_what_a_change_asks_of_the_camera(change, reopen, controls):
+    after = dataclasses.replace(Settings(), **change)
+    assert needs_reopening(Settings(), after) is reopen
+    assert changed_controls(Settings(), after) == controls
+
+
+def test_every_control_is_a_setting():
+    assert set(CONTROLS) < {item.name for item in dataclasses.fields(Settings)}
