@@ -2,7 +2,12 @@
 
 import math
 
+from std_msgs.msg import Header
+
+from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 from risc_visual.cast import Pose
+
+FRAME_ID = "cortex"
 
 
 def poses_from_cortex(msg):
@@ -34,3 +39,26 @@ def references_from_trajectories(msg):
         entry.name: ((entry.x, entry.y, entry.z), math.sqrt(entry.xdot**2 + entry.ydot**2 + entry.zdot**2))
         for entry in msg.Obj
     }
+
+
+def rois_of_picture(header, observer, names, landmarks, others, vehicles):
+    """Observed_rois of one picture: every landmark and vehicle that is looked for, seen or not.
+
+    header: of the picture; its stamp is kept. observer: namespace of the vehicle that took it. names, others: of
+    landmarks and vehicles; landmarks, vehicles: landmarks.Detections, vehicles.VehicleDetections, best first.
+    """
+    entry = Risc_rois(observer, _rois(names, landmarks), _rois(others, vehicles))
+    return Observed_rois(Header(stamp=header.stamp, frame_id=FRAME_ID), [entry])
+
+
+def _rois(names, found):
+    best = {}
+    for item in found:
+        best.setdefault(item.name, item)
+    return [_roi(name, best.get(name)) for name in names]
+
+
+def _roi(name, item):
+    if item is None:
+        return Risc_roi(name, False, 0, 0, 0.0, 0.0, 0.0)
+    return Risc_roi(name, True, round(item.x), round(item.y), item.width, item.height, item.angle)

@@ -1,0 +1,141 @@
+#!/usr/bin/env python3
+"""Calibrate a camera from pictures of a checkerboard: a bag or a folder. Needs no screen and no ROS master."""
+
+import argparse
+import pathlib
+import sys
+
+import cv2
+
+from data_extraction.bags import BagError
+from risc_control.lab.calibration import save_calibration
+from risc_visual.calibration import (
+    CalibrationError,
+    CalibrationParams,
+    Checkerboard,
+    View,
+    calibrate,
+    find_board,
+    shown_board,
+)
+from risc_visual.pictures import PictureError, open_pictures
+
+_HINT_PICTURES = 12  # in which some other board is looked for when the right one is nowhere
+
+
+def find_views(pictures, board, progress):
+    """Look for the board in all pictures. Returns (views, (width, height)). Raises CalibrationError."""
+    views, sample, size_px, size_of, unreadable = [], [], None, None, 0
+    for number, (name, grey) in enumerate(pictures, 1):
+        progress("%d of %d pictures, board in %d" % (number, pictures.count, len(views)))
+        if grey is None:
+            unreadable += 1
+            continue
+        if size_px is None:
+            size_px, size_of = grey.shape[::-1], name
+        if grey.shape[::-1] != size_px:
+            raise CalibrationError(
+                "%s is %d x %d, but %s is %d x %d: one calibration is for one camera in one mode"
+                % ((name,) + grey.shape[::-1] + (size_of,) + size_px)
+            )
+        corners = find_board(grey, board)
+        if corners is not None:
+            views.append(View(name, corners))
+        elif len(sample) < _HINT_PICTURES:
+            sample.append(grey)
+    progress("")
+    if unreadable:
+        print("calibrate.py: %d of %d pictures cannot be read" % (unreadable, pictures.count), file=sys.stderr)
+    if size_px is None:
+        raise CalibrationError("none of the %d pictures of %s can be read" % (pictures.count, pictures.name))
+    if len(views) < CalibrationParams().min_views:
+        raise CalibrationError(_too_few(len(views), pictures.count, sample, board))
+    return views, size_px
+
+
+def _too_few(found, count, sample, board):
+    text = "the board (%dx%d inner corners) was found in %d of %d pictures, at least %d are needed: " % (
+        (board.columns, board.rows, found, count, CalibrationParams().min_views)
+    )
+    for grey in sample:
+        other = shown_board(grey)
+        if other is not None and sorted(other) != sorted((board.columns, board.rows)):
+            return text + "they show a board of %dx%d, try --size %dx%d" % (other + other)
+    return text + (
+        "--size counts the corners between squares, not the squares; the whole board with its white margin must be in "
+        "view, sharp and evenly lit"
+    )
+
+
+def report(result, pictures, found, all_views):
+    """Print what came out."""
+    calibration = result.calibration
+    values = dict(zip(("fx", "fy", "cx", "cy"), (calibration.K[i] for i in (0, 4, 2, 5))))
+    values.update(zip(("k1", "k2", "p1", "p2", "k3"), calibration.D))
+    print("%s: board found in %d of %d pictures" % (pictures.name, found, pictures.count))
+    for key, value in values.items():
+        deviation = result.sigma[key]
+        print("  %-3s %12.6g  %s" % (key, value, "+- %.2g" % deviation if deviation > 0.0 else "(not sought)"))
+    print("reprojection error: %.3f px RMS over %d views" % (result.rms_px, len(result.used)))
+    worst = sorted(result.used, key=lambda view: view.rms_px, reverse=True)
+    for view in worst if all_views else worst[:3]:
+        print("  %6.3f px  tilt %2.0f deg  %s" % (view.rms_px, view.tilt_deg, view.name))
+    if len(worst) > 3 and not all_views:
+        print("  ... (all of them: --views)")
+    for view in result.dropped:
+        print("  dropped, does not fit: %.2f px  %s" % (view.rms_px, view.name))
+    for warning in result.warnings:
+        print("warning: %s" % warning)
+
+
+def _show_progress(text):
+    if sys.stderr.isatty():
+        print("\r\033[K%s" % text, end="", file=sys.stderr, flush=True)
+
+
+def main():
+    """Command line. Returns the exit code."""
+    parser = argparse.ArgumentParser(prog="calibrate.py", description=__doc__)
+    parser.add_argument("source", help="a bag, or a folder of pictures")
+    parser.add_argument("--size", default="8x6", help="inner corners of the board (default: %(default)s)")
+    parser.add_argument(
+        "--square", type=float, default=0.025, metavar="M", help="side of a square (default: %(default)s)"
+    )
+    parser.add_argument("--topic", help="picture topic of the bag (default: its only one)")
+    parser.add_argument("--name", default="ardrone_front", help="name of the camera (default: %(default)s)")
+    parser.add_argument("--out", type=pathlib.Path, metavar="FILE.yaml", help="default: NAME.yaml, in this folder")
+    parser.add_argument("--max-pictures", type=int, default=200, help="read at most so many (default: %(default)s)")
+    parser.add_argument("--radial", type=int, choices=(2, 3), default=2, help="3: k3 too, for very wide lenses")
+    parser.add_argument("--views", action="store_true", help="print the error of every view")
+    args = parser.parse_args()
+    out = args.out or pathlib.Path(args.name + ".yaml")
+    cv2.setNumThreads(1)
+    try:
+        if args.max_pictures < 1:
+            raise CalibrationError("--max-pictures must be 1 or more, found %d" % args.max_pictures)
+        board = Checkerboard.from_text(args.size, args.square)
+        pictures = open_pictures(args.source, args.topic, args.max_pictures)
+        views, size_px = find_views(pictures, board, _show_progress)
+        _show_progress("calibrating with %d views ..." % len(views))
+        result = calibrate(views, board, size_px, args.name, CalibrationParams(radial_terms=args.radial))
+        _show_progress("")
+        save_calibration(result.calibration, out)
+    except (BagError, PictureError, ValueError) as error:
+        _show_progress("")
+        print("calibrate.py: %s" % error, file=sys.stderr)
+        return 1
+    except OSError as error:
+        print("calibrate.py: cannot write %s: %s" % (out, error.strerror), file=sys.stderr)
+        return 1
+    report(result, pictures, len(views), args.views)
+    print("wrote %s" % out)
+    print(
+        "The driver reads ~/.ros/camera_info/%s.yaml, or what its camera_info_url says; for a vehicle of a fleet file"
+        % args.name
+    )
+    print("put the file into risc_visual/config/cameras/ and name it there: calibration: %s" % out.name)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,205 @@
+"""Ellipses in pictures: from moments, from edge points, and where the centre of a tilted circle is seen.
+
+Coordinates: x right, y down; angles clockwise as seen. Needs no ROS.
+"""
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+_POINTS_MIN = 6  # of a fit
+_ROUNDS = 3  # of the robust fit; more change nothing that could be measured
+_LEAST_LIMIT = 0.75  # [px] distances that count in any case
+
+
+class Ellipse(NamedTuple):
+    """One ellipse; `angle_rad` is the direction of its major axis. Unit of lengths: that of the points, e.g. px."""
+
+    x: float
+    y: float
+    semi_major: float
+    semi_minor: float
+    angle_rad: float
+
+    @property
+    def area(self):
+        """Its area."""
+        return math.pi * self.semi_major * self.semi_minor
+
+    def grown(self, scale):
+        """The concentric ellipse that is `scale` times as large."""
+        return self._replace(semi_major=scale * self.semi_major, semi_minor=scale * self.semi_minor)
+
+    def axes(self):
+        """(2, 2) matrix of the semi-axes as columns: centre + axes @ unit circle is the outline."""
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        return np.array([[self.semi_major * c, -self.semi_minor * s], [self.semi_major * s, self.semi_minor * c]])
+
+    def rectangle(self):
+        """(width, height, angle [deg]) of the enclosing rotated rectangle as OpenCV's minAreaRect: 0 < angle <= 90."""
+        angle_deg = math.degrees(self.angle_rad) % 180.0
+        sides = 2.0 * self.semi_major, 2.0 * self.semi_minor
+        if 0.0 < angle_deg <= 90.0:
+            return sides + (angle_deg,)
+        return sides[1], sides[0], angle_deg - 90.0 if angle_deg else 90.0
+
+    def conic(self):
+        """(3, 3) symmetric C with (x, y, 1) C (x, y, 1)' = 0 on the outline and < 0 inside."""
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        p, q = self.semi_major**-2, self.semi_minor**-2
+        xx, xy, yy = p * c * c + q * s * s, (p - q) * c * s, p * s * s + q * c * c
+        x, y = xx * self.x + xy * self.y, xy * self.x + yy * self.y
+        return np.array([[xx, xy, -x], [xy, yy, -y], [-x, -y, x * self.x + y * self.y - 1.0]])
+
+
+def ellipse_of_spread(x, y, qxx, qxy, qyy):
+    """Ellipse (p - centre)' Q^-1 (p - centre) = 1, or None if Q is not positive definite."""
+    mean, half = 0.5 * (qxx + qyy), 0.5 * (qxx - qyy)
+    reach = math.hypot(half, qxy)
+    if not mean - reach > 0.0:  # also NaN
+        return None
+    return Ellipse(x, y, math.sqrt(mean + reach), math.sqrt(mean - reach), 0.5 * math.atan2(qxy, half))
+
+
+def ellipse_of_moments(moments):
+    """The ellipse with the centroid and second moments (thesis eq. 4.3) of a shape; None for one without extent.
+
+    moments: dict of cv2.moments.
+    """
+    area = moments["m00"]
+    if area <= 0.0:
+        return None
+    factor = 4.0 / area  # the variance of a filled ellipse along an axis is a quarter of the semi-axis squared
+    return ellipse_of_spread(
+        moments["m10"] / area,
+        moments["m01"] / area,
+        factor * moments["mu20"],
+        factor * moments["mu11"],
+        factor * moments["mu02"],
+    )
+
+
+def unit_circle(count):
+    """(count, 2) points, evenly around."""
+    angles = np.arange(count) * (2.0 * math.pi / count)
+    return np.column_stack((np.cos(angles), np.sin(angles)))
+
+
+def fit_ellipse(points, outlier=3.0, least_outlier=0.3):
+    """Ellipse through edge points (n, 2), once without outliers, by OpenCV's direct least squares.
+
+    outlier: distances above this many (robust) standard deviations are left out, but none below least_outlier (unit
+    of the points). Returns (ellipse, distances (n,), with sign, + outside), or (None, None) if there is none.
+    """
+    points = points.astype(np.float32)
+    ellipse = direct_ellipse(points)
+    if ellipse is None:
+        return None, None
+    off = distances(points, ellipse)
+    spread = np.abs(off)
+    keep = spread <= max(least_outlier, outlier * 1.4826 * _median(spread))
+    if _POINTS_MIN <= np.count_nonzero(keep) < len(keep):
+        ellipse = direct_ellipse(points[keep])
+        if ellipse is None:
+            return None, None
+        off = distances(points, ellipse)
+    return ellipse, off
+
+
+def direct_ellipse(points):
+    """Ellipse through points (n, 2) float32; None if there is none."""
+    if len(points) < _POINTS_MIN:
+        return None
+    (x, y), (first, second), angle_deg = cv2.fitEllipseDirect(points)
+    if not (first > 0.0 and second > 0.0 and math.isfinite(x + y + first + second)):
+        return None
+    if first >= second:
+        return Ellipse(x, y, 0.5 * first, 0.5 * second, math.radians(angle_deg))
+    return Ellipse(x, y, 0.5 * second, 0.5 * first, math.radians(angle_deg + 90.0))
+
+
+def distances(points, ellipse):
+    """Distances (n,) of points (n, 2) from an ellipse that they are near, with sign, + outside."""
+    lengths = np.array([ellipse.semi_major, ellipse.semi_minor])
+    local = (points - (ellipse.x, ellipse.y)) @ (ellipse.axes() / lengths**2)  # the ellipse is the unit circle
+    local *= local
+    # (square - 1) over its gradient
+    return (local.sum(axis=1) - 1.0) / (2.0 * np.sqrt(np.maximum(local @ lengths**-2, 1e-12)))
+
+
+def _median(values):
+    """Faster than numpy's, which is made for large arrays."""
+    return float(np.sort(values)[len(values) // 2])
+
+
+def fit_grown(points, inner, scale):
+    """The ellipse `inner`, grown about `scale` times and shifted, through edge points (n, 2), and their distances.
+
+    The outline of a concentric circle is nearly that; three numbers instead of five are robust against points that
+    belong to something else. Returns (ellipse, distances (n,), with sign, + outside), or (None, None).
+    """
+    if len(points) < _POINTS_MIN:
+        return None, None
+    axes = inner.axes()
+    a, b = inner.semi_major, inner.semi_minor
+    u, v = ((points - (inner.x, inner.y)) @ (axes / (a * a, b * b))).T  # `inner` is the unit circle
+    shift_u, shift_v, size = 0.0, 0.0, scale
+    rows = np.empty((3, len(u)))
+    for _ in range(_ROUNDS):
+        du, dv = u - shift_u, v - shift_v
+        radius = np.hypot(du, dv)
+        if not radius.all():
+            return None, None
+        du, dv = du / radius, dv / radius
+        off = radius - size
+        pixels = 1.0 / np.hypot(du / a, dv / b)  # of one unit across the outline
+        off_px = off * pixels
+        limit = max(_LEAST_LIMIT, 4.0 * _median(np.abs(off_px)))
+        weight = np.maximum(0.0, 1.0 - np.square(off_px / limit)) * pixels  # Tukey's
+        rows[0], rows[1], rows[2] = du * weight, dv * weight, weight
+        solved, step = cv2.solve(rows @ rows.T, rows @ (off * weight), flags=cv2.DECOMP_CHOLESKY)
+        if not solved:
+            return None, None
+        (step_u,), (step_v,), (step_size,) = step.tolist()
+        shift_u, shift_v, size = shift_u + step_u, shift_v + step_v, size + step_size
+    if not 0.5 * scale < size < 2.0 * scale:
+        return None, None
+    x, y = (axes @ (shift_u, shift_v)).tolist()
+    return inner.grown(size)._replace(x=inner.x + x, y=inner.y + y), off_px
+
+
+def circle_centres(conic, ring_scale):
+    """Where the centre of a circle may be seen whose outline in normalised coordinates is this conic.
+
+    conic: (3, 3) of the outline in coordinates right, down at depth 1 (C as Ellipse.conic). Two circles have the same
+    outline, tilted to opposite sides. Returns a list of two (image of the circle's centre, middle of the ellipse that
+    the concentric circle `ring_scale` times as large is seen as), each (x, y); equal for a circle seen frontally.
+    Empty if there is none.
+    """
+    values, vectors = np.linalg.eigh(conic)  # ascending: one negative, two positive
+    (a, b, c), rows = values.tolist(), vectors.tolist()
+    if not a < 0.0 < b:
+        return []
+    across, along = math.sqrt((c - b) / (c - a)), math.sqrt((b - a) / (c - a))
+    (xx, xy, xz), (_, yy, yz), _ = conic.tolist()
+    found = []
+    for sign in (across, -across):
+        # The normal of the circle's plane is also the line that is the image of its line at infinity; the image of
+        # the centre is that line's pole: C^-1 normal, in the axes of the eigenvectors.
+        nx, ny, nz = (along * row[0] + sign * row[2] for row in rows)
+        px, py, pz = (along / a * row[0] + sign / c * row[2] for row in rows)
+        distance = along * along / a + sign * sign / c  # normal' C^-1 normal, which is pole' C pole, too
+        if distance == 0.0 or pz == 0.0:
+            return []
+        # All concentric circles: C + m normal normal'. In the plane, C = diag(1, 1, -r^2) and the pole is (0, 0, 1).
+        grow = (ring_scale**2 - 1.0) / distance
+        rxx, rxy, ryy = xx + grow * nx * nx, xy + grow * nx * ny, yy + grow * ny * ny
+        rxz, ryz = xz + grow * nx * nz, yz + grow * ny * nz
+        determinant = rxx * ryy - rxy * rxy
+        if not determinant > 0.0:  # no ellipse: the larger circle reaches behind the camera
+            return []
+        ring = (rxy * ryz - ryy * rxz) / determinant, (rxy * rxz - rxx * ryz) / determinant
+        found.append(((px / pz, py / pz), ring))
+    return found

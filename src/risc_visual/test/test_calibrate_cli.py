@@ -1,0 +1,178 @@
+"""calibrate.py: every problem is one line that names cause and cure; and pictures out of folders and bags."""
+
+import os
+import pathlib
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import rosbag
+import rospy
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import String
+
+from risc_visual.pictures import PictureError, open_pictures
+
+NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "calibrate.py"
+
+
+def run(folder, *arguments):
+    environment = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "ROS_MASTER_URI")}
+    return subprocess.run(
+        [sys.executable, str(NODE), *map(str, arguments)],
+        cwd=str(folder),
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def error_of(folder, *arguments):
+    """The one line that it says before it gives up; nothing is written."""
+    done = run(folder, *arguments)
+    assert done.returncode == 1 and done.stdout == "", done.stdout + done.stderr
+    assert done.stderr.startswith("calibrate.py: ") and done.stderr.count("\n") == 1, done.stderr
+    assert list(pathlib.Path(folder).glob("*.yaml")) == []
+    return done.stderr
+
+
+def board_picture(columns, rows, square_px=30):
+    colours = np.indices((rows + 1, columns + 1)).sum(axis=0) % 2 * 200 + 20
+    picture = np.kron(colours, np.ones((square_px, square_px))).astype(np.uint8)
+    return cv2.copyMakeBorder(picture, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=220)
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    return folder
+
+
+def test_nothing_there(tmp_path):
+    assert "no such file or folder" in error_of(tmp_path, "nowhere")
+
+
+def test_folder_without_pictures(tmp_path, pictures):
+    (pictures / "notes.txt").write_text("no picture")
+    assert "holds no pictures" in error_of(tmp_path, pictures)
+
+
+def test_no_board_in_sight(tmp_path, pictures):
+    for k in range(3):
+        cv2.imwrite(str(pictures / ("%d.png" % k)), np.full((360, 640), 100 + k, np.uint8))
+    text = error_of(tmp_path, pictures)
+    assert "found in 0 of 3 pictures" in text and "corners between squares" in text
+
+
+def test_another_board_is_named(tmp_path, pictures):
+    for k in range(3):
+        cv2.imwrite(str(pictures / ("%d.png" % k)), board_picture(7, 5))
+    assert "show a board of 7x5, try --size 7x5" in error_of(tmp_path, pictures)
+
+
+def test_pictures_of_two_sizes(tmp_path, pictures):
+    cv2.imwrite(str(pictures / "a.png"), np.zeros((360, 640), np.uint8))
+    cv2.imwrite(str(pictures / "b.png"), np.zeros((480, 640), np.uint8))
+    assert "b.png is 640 x 480, but a.png is 640 x 360" in error_of(tmp_path, pictures)
+
+
+def test_damaged_pictures(tmp_path, pictures):
+    (pictures / "a.png").write_bytes(b"not a picture")
+    done = run(tmp_path, pictures)
+    assert done.returncode == 1
+    assert "1 of 1 pictures cannot be read" in done.stderr and "none of the 1 pictures" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--size", "8by6"), "COLUMNSxROWS"),
+        (("--square", "0"), "side of a square"),
+        (("--max-pictures", "0"), "--max-pictures"),
+        (("--topic", "/camera/image_raw"), "a topic is for bags"),
+    ],
+)
+def test_bad_arguments(tmp_path, pictures, arguments, says):
+    cv2.imwrite(str(pictures / "a.png"), board_picture(8, 6))
+    assert says in error_of(tmp_path, pictures, *arguments)
+
+
+def image(picture, encoding, padding=0):
+    rows = np.pad(picture.reshape(picture.shape[0], -1), ((0, 0), (0, padding)), constant_values=77)
+    message = Image(height=picture.shape[0], width=picture.shape[1], encoding=encoding, step=rows.shape[1])
+    message.data = rows.tobytes()
+    return message
+
+
+def write_bag(path, messages):
+    """messages: (topic, message)."""
+    with rosbag.Bag(str(path), "w") as bag:
+        for k, (topic, message) in enumerate(messages):
+            stamp = rospy.Time(100 + k, 5)
+            if hasattr(message, "header"):
+                message.header.stamp = stamp
+            bag.write(topic, message, stamp)
+    return path
+
+
+def test_bag_without_pictures(tmp_path):
+    bag = write_bag(tmp_path / "talk.bag", [("/talk", String("no picture"))])
+    assert "no topic with pictures" in error_of(tmp_path, bag)
+
+
+def test_bag_topics_are_named(tmp_path):
+    picture = np.zeros((36, 64), np.uint8)
+    topics = [("/front/image_raw", image(picture, "mono8"))] * 2 + [("/bottom/image_raw", image(picture, "mono8"))]
+    bag = write_bag(tmp_path / "two.bag", topics + [("/talk", String("no picture"))])
+    listing = "/bottom/image_raw (1), /front/image_raw (2)"
+    assert "choose one: " + listing in error_of(tmp_path, bag)
+    assert "no pictures on /talk; it has " + listing in error_of(tmp_path, bag, "--topic", "/talk")
+
+
+def test_bag_that_is_none(tmp_path):
+    (tmp_path / "broken.bag").write_bytes(b"#ROSBAG V2.0\n and then nothing")
+    assert "not a complete ROS 1 bag" in error_of(tmp_path, tmp_path / "broken.bag")
+
+
+def test_pictures_of_a_bag_are_grey_whatever_their_encoding(tmp_path):
+    grey = np.tile(np.arange(0, 256, 4, dtype=np.uint8), (36, 1))
+    colour = np.zeros((36, 64, 3), np.uint8)
+    colour[..., 0] = 200  # blue in bgr8, red in rgb8
+    png = CompressedImage(format="png", data=cv2.imencode(".png", grey)[1].tobytes())
+    messages = [
+        image(grey, "mono8"),
+        image(grey, "mono8", padding=16),
+        image(np.repeat(grey[..., None], 3, axis=2), "rgb8", padding=4),
+        image(colour, "bgr8"),
+        image(colour, "rgb8"),
+        image(grey, "no_such_encoding"),
+    ]
+    bag = write_bag(tmp_path / "all.bag", [("/camera/image_raw", message) for message in messages])
+    names, read = zip(*open_pictures(bag))
+    assert names[:2] == ("100.000000005", "101.000000005")
+    for picture in read[:3]:
+        assert np.array_equal(picture, grey)
+    assert abs(int(read[3][0, 0]) - 0.114 * 200) <= 1 and abs(int(read[4][0, 0]) - 0.299 * 200) <= 1
+    assert read[5] is None
+    compressed = write_bag(tmp_path / "compressed.bag", [("/camera/image_raw/compressed", png)])
+    assert np.array_equal(next(iter(open_pictures(compressed)))[1], grey)
+
+
+def test_many_pictures_are_thinned_evenly(tmp_path, pictures):
+    for k in range(20):
+        cv2.imwrite(str(pictures / ("%02d.png" % k)), np.full((4, 4), 10 * k, np.uint8))
+    source = open_pictures(pictures, most=5)
+    assert source.count == 5
+    assert [name for name, _ in source] == ["00.png", "05.png", "10.png", "14.png", "19.png"]
+    grey = np.zeros((4, 4), np.uint8)
+    bag = write_bag(tmp_path / "many.bag", [("/image_raw", image(grey, "mono8")) for _ in range(20)])
+    assert len(list(open_pictures(bag, most=7))) == 7
+
+
+def test_a_topic_of_a_folder_is_refused(pictures):
+    with pytest.raises(PictureError, match="a topic is for bags"):
+        open_pictures(pictures, "/image_raw")

@@ -1,0 +1,50 @@
+"""risc_camera_setup.launch and risc_camera_setup_bottom.launch: arguments reach the programs that need them."""
+
+import pathlib
+
+import pytest
+import roslaunch.config
+import roslaunch.xmlloader
+
+PACKAGE = pathlib.Path(__file__).resolve().parents[1]
+FLEET = PACKAGE.parents[1] / "launch" / "fleets" / "ardrones3.yaml"
+
+
+def load(file_name, *arguments):
+    """({node name: node}, {parameter: value}) that a launch file makes."""
+    config = roslaunch.config.ROSLaunchConfig()
+    path = str(PACKAGE / "launch" / file_name)
+    roslaunch.xmlloader.XmlLoader().load(path, config, argv=list(arguments), verbose=False)
+    nodes = {node.namespace + node.name: node for node in config.nodes}
+    return nodes, {name: param.value for name, param in config.params.items()}
+
+
+@pytest.mark.parametrize(
+    ("file_name", "camera", "channel"),
+    [("risc_camera_setup.launch", "front", 0), ("risc_camera_setup_bottom.launch", "bottom", 1)],
+)
+def test_calibrator_and_driver_are_about_the_same_camera(file_name, camera, channel):
+    nodes, params = load(file_name, "name:=albatross", "ip:=192.168.1.7", "size:=7x5", "square:=0.03")
+    assert set(nodes) == {"/albatross/ardrone_driver", "/albatross/cameracalibrator"}
+    calibrator = nodes["/albatross/cameracalibrator"]
+    assert calibrator.args == "--size 7x5 --square 0.03 --camera_name ardrone_%s" % camera
+    assert dict(calibrator.remap_args) == {
+        "image": "ardrone/%s/image_raw" % camera,
+        "camera": "ardrone/%s" % camera,
+    }
+    assert params["/albatross/ardrone_driver/video_channel"] == channel
+    assert params["/albatross/ardrone_driver/drone_ip"] == "192.168.1.7"
+
+
+def test_board_and_address_have_the_lab_s_defaults():
+    nodes, params = load("risc_camera_setup.launch", "name:=risc2", "fleet:=%s" % FLEET)
+    assert "--size 8x6 --square 0.025" in nodes["/risc2/cameracalibrator"].args
+    assert params["/risc2/ardrone_driver/drone_ip"] == "127.77.1.2"
+
+
+def test_without_a_screen_a_bag_is_recorded():
+    nodes, params = load("risc_camera_setup_bottom.launch", "gui:=false", "driver:=false", "bag:=/tmp/board.bag")
+    assert set(nodes) == {"/risc1/camera_compressor", "/risc1/camera_recorder"}
+    topic = params["/risc1/camera_compressor/topic"]
+    assert topic == "ardrone/bottom/image_raw"
+    assert nodes["/risc1/camera_recorder"].args == "-O /tmp/board.bag /risc1/%s/compressed" % topic
