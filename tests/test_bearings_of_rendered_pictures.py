@@ -89,7 +89,7 @@ def test_bearings_of_fully_seen_discs_are_true(name, rectified):
     camera = make_camera(calibration, rectified)
     config = load_landmarks()
     region_of = {kind.name: kind.roi_name for kind in config.landmarks}
-    detector = LandmarkDetector(config, None if rectified else scenery.camera)
+    detector = LandmarkDetector(config, camera)  # as risc_landmarks makes it
     maps = cv2.initUndistortRectifyMap(  # what image_proc does
         scenery.camera.K, scenery.camera.D, np.eye(3), camera.K, (640, 360), cv2.CV_32FC1
     )

@@ -6,8 +6,28 @@ import subprocess
 import sys
 
 import cv2
+import pytest
 
 PROGRAM = pathlib.Path(__file__).resolve().parent / "benchmarks" / "vision.py"
+sys.path.insert(0, str(PROGRAM.parent))
+from vision import BEGIN, END, write_tables  # noqa: E402
+
+
+def test_tables_take_their_place_in_a_document_and_nothing_else_changes(tmp_path):
+    path = tmp_path / "vision.md"
+    path.write_text("# Title\n\n%s\nold\n%s\n\nmore\n" % (BEGIN, END), encoding="utf-8")
+    for text in ("| a |\n", "| b |\n| c |\n"):
+        write_tables(text, path)
+        assert path.read_text(encoding="utf-8") == "# Title\n\n%s\n%s%s\n\nmore\n" % (BEGIN, text, END)
+
+
+@pytest.mark.parametrize("document", [BEGIN, END, END + BEGIN])
+def test_a_document_with_one_mark_is_refused_and_stays(tmp_path, document):
+    path = tmp_path / "vision.md"
+    path.write_text(document, encoding="utf-8")
+    with pytest.raises(ValueError, match="vision.md: the tables' place"):
+        write_tables("| a |\n", path)
+    assert path.read_text(encoding="utf-8") == document
 
 
 def test_a_small_run_writes_everything_and_reaches_the_aims_of_accuracy(tmp_path):

@@ -8,6 +8,7 @@ import sys
 import tempfile
 
 HERE = pathlib.Path(__file__).resolve().parent
+DOCS = HERE.parents[1] / "docs"
 PYTHON = sys.executable
 
 # name: (what it measures, command; {json} is the file that the command writes its figures to)
@@ -18,11 +19,12 @@ BENCHMARKS = {
     "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
     "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),
     "vision": ("landmark detection on a rendered set: precision, recall, centre error, time",
-               [PYTHON, str(HERE / "vision.py"), "--json", "{json}"]),
+               [PYTHON, str(HERE / "vision.py"), "--json", "{json}", "--markdown", str(DOCS / "vision.md"),
+                "--pictures", str(DOCS / "images" / "vision")]),
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),
 }  # fmt: skip
-LONG = {"flights"}  # half an hour: only by name
+BY_NAME_ONLY = {"flights", "vision"}  # the one takes half an hour, the other rewrites its tables in docs/vision.md
 
 
 def run(name):
@@ -41,13 +43,14 @@ def main():
     """Command line. Returns 1 when a benchmark failed or missed what it requires."""
     parser = argparse.ArgumentParser(prog="maap bench", description=__doc__)
     names = "; ".join("%s: %s" % (name, what) for name, (what, _) in BENCHMARKS.items())
-    parser.add_argument("names", nargs="*", metavar="NAME", help="%s. Default: all but %s" % (names, ", ".join(LONG)))
+    help_text = "%s. Default: all but %s" % (names, ", ".join(sorted(BY_NAME_ONLY)))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=help_text)
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write all figures here")
     args = parser.parse_args()
     unknown = sorted(set(args.names) - set(BENCHMARKS))
     if unknown:
         parser.error("unknown: %s; known are %s" % (", ".join(unknown), ", ".join(BENCHMARKS)))
-    results = {name: run(name) for name in args.names or [name for name in BENCHMARKS if name not in LONG]}
+    results = {name: run(name) for name in args.names or [name for name in BENCHMARKS if name not in BY_NAME_ONLY]}
     if args.json:
         figures = {name: figures for name, (_, figures) in results.items()}
         args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")

@@ -39,6 +39,7 @@ BINS = {  # title: (unit, limits)
 }
 REPEATS = 3  # of each picture; the fastest counts
 CROP_PX, SHEET = 120, (6, 4)  # side of a crop; crops across and down a sheet
+BEGIN, END = ("<!-- ./maap bench vision: %s -->" % word for word in ("begin", "end"))  # the tables' place in a document
 
 
 @dataclass
@@ -330,6 +331,20 @@ def write_sheets(crops, folder):
                 raise OSError("cannot write %s: check the folder's permissions and the disk" % path)
 
 
+def write_tables(text, path):
+    """Into a document that has the marks BEGIN and END: between them; else the file is the tables.
+
+    Raises ValueError for a document with one of the marks only, OSError.
+    """
+    before, begin, rest = path.read_text(encoding="utf-8").partition(BEGIN) if path.exists() else ("", "", "")
+    _, end, after = rest.partition(END)
+    if begin and end:
+        text = "%s%s\n%s%s%s" % (before, begin, text, end, after)
+    elif begin or END in before:
+        raise ValueError("%s: the tables' place needs the line %s and after it %s" % (path, BEGIN, END))
+    path.write_text(text, encoding="utf-8")
+
+
 def met(figures):
     """Names of what misses its aim."""
     reached = dict(figures["total"], ms_mean=figures["ms"]["mean"])
@@ -345,7 +360,9 @@ def main(arguments=None):
     parser.add_argument("--seed", type=int, default=20)
     parser.add_argument("--count", type=int, default=1000, help="pictures (default 1000: some minutes)")
     parser.add_argument("--json", type=pathlib.Path, help="also write the figures here")
-    parser.add_argument("--markdown", type=pathlib.Path, metavar="FILE", help="also write the tables here")
+    parser.add_argument(
+        "--markdown", type=pathlib.Path, metavar="FILE", help="write the tables here, between its marks if it has them"
+    )
     parser.add_argument(
         "--pictures", type=pathlib.Path, metavar="DIR", help="write hits.png, misses.png, false.png here"
     )
@@ -357,8 +374,6 @@ def main(arguments=None):
     figures = dict(judge.figures(), seed=options.seed, simulated=True)
     figures["vehicles"] = measure_vehicles(options.seed, max(1, options.count // 4))
     figures["crops"] = {kind: len(pieces) for kind, pieces in judge.crops.items()}
-    if options.pictures:
-        write_sheets(judge.crops, options.pictures)
     folder = None
     if options.pictures and options.markdown:
         try:
@@ -367,10 +382,16 @@ def main(arguments=None):
             folder = options.pictures.resolve().as_posix()
     text = markdown(figures, folder)
     print(text)
-    if options.markdown:
-        options.markdown.write_text(text, encoding="utf-8")
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    try:
+        if options.json:
+            options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        if options.pictures:
+            write_sheets(judge.crops, options.pictures)
+        if options.markdown:
+            write_tables(text, options.markdown)
+    except (ValueError, OSError) as error:
+        print("vision.py: %s" % error, file=sys.stderr)
+        return 1
     missed = met(figures)
     if missed:
         print("misses its aim: %s" % ", ".join(missed), file=sys.stderr)

@@ -25,6 +25,16 @@ def test_calibration_survives_its_file(tmp_path):
     assert load_calibration("file://%s" % path) == CALIBRATION
 
 
+def test_numbers_are_read_as_programs_in_cpp_write_them(tmp_path):
+    """yaml-cpp, and with it camera_calibration_parsers, writes 1e-05; YAML 1.1 would make a text of it."""
+    path = tmp_path / "front.yaml"
+    save_calibration(CALIBRATION, path)
+    text = path.read_text(encoding="utf-8")
+    assert "-0.006" in text
+    path.write_text(text.replace("-0.006", "-6e-03").replace("-0.53", "-5.3E-1"), encoding="utf-8")
+    assert load_calibration(str(path)) == CALIBRATION
+
+
 def test_mount_survives_its_file(tmp_path):
     mount = CameraMount((0.2, -0.01, 0.03), 0.1, -0.2, 0.3)
     save_mount(mount, tmp_path / "mount.yaml")

@@ -77,6 +77,7 @@ def set_in(content, path, value):
         (["vehicles", 0, "address"], "localhost", "IPv4 address"),
         (["vehicles", 0, "start", "position_m"], [0.0, 1.0], "list of 3 numbers"),
         (["vehicles", 0, "start", "position_m"], [0.0, 1.0, float("nan")], "finite"),
+        (["landmarks", 0, "name"], "Pink_blue", "same name: Pink_blue"),
         (["mocap", "stream_port"], 70000, "65535"),
         (["mocap", "stream_group"], "10.0.0.1", "no multicast"),
         (["mocap", "rate_hz"], "fast", "must be a number"),

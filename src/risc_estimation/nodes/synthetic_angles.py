@@ -57,6 +57,7 @@ class SyntheticAnglesNode(object):
         return None if calibration is None else Observer(make_camera(calibration, False), fleet_mount(vehicle))
 
     def _on_landmarks(self, msg):
+        # states3 says where a disc is, not where it looks: it is taken to face whoever looks at it
         discs = [
             self._catalogue.disc(self._region.get(entry.name, entry.name), (entry.x, entry.y, entry.z))
             for entry in msg.Obj

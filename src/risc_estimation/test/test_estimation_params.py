@@ -8,10 +8,16 @@ import yaml
 pytest.importorskip("rospy")
 
 from risc_control.ros.params import params_from_dict  # noqa: E402
-from risc_estimation.ros.params import NodeParams  # noqa: E402
+from risc_estimation.ros.params import AngleParams, NodeParams, SyntheticNodeParams  # noqa: E402
 from risc_estimation.states import EstimatorParams  # noqa: E402
+from risc_estimation.synthetic import SyntheticParams  # noqa: E402
 
-CONFIG = pathlib.Path(__file__).resolve().parents[1] / "config" / "states_estimation.yaml"
+CONFIG = pathlib.Path(__file__).resolve().parents[1] / "config"
+FILES = {
+    "states_estimation": [NodeParams, EstimatorParams],
+    "angle_estimation": [AngleParams],
+    "synthetic_angles": [SyntheticNodeParams, SyntheticParams],
+}
 
 
 def test_values_are_converted_and_unknown_keys_reported():
@@ -54,9 +60,10 @@ def test_bad_values_name_their_key(values, message):
         params_from_dict([NodeParams, EstimatorParams], values)
 
 
-def test_config_file_holds_every_setting_at_its_default():
-    values = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    instances, unknown = params_from_dict([NodeParams, EstimatorParams], values)
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_config_files_hold_every_setting_at_its_default(name):
+    values = yaml.safe_load((CONFIG / (name + ".yaml")).read_text(encoding="utf-8"))
+    instances, unknown = params_from_dict(FILES[name], values)
     assert unknown == []
-    assert instances == [NodeParams(), EstimatorParams()]
-    assert set(values) == set(vars(NodeParams())) | set(vars(EstimatorParams()))
+    assert instances == [params() for params in FILES[name]]
+    assert set(values) == {key for params in instances for key in vars(params)}

@@ -2,6 +2,7 @@
 
 import io
 import os
+import pathlib
 import subprocess
 import sys
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from data_extraction.flight import Flight, Mocap, VehicleFlight
-from risc_experiments.fly import arguments
+from risc_experiments.fly import FlightError, arguments, prepare_fleet
 from risc_experiments.judge import judge
 from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes
 from risc_experiments.progress import Progress, flight_detail
@@ -133,3 +134,15 @@ def test_defaults_of_the_command_line():
     assert (args.experiment, args.vehicles, args.duration, args.seed, args.delay) == ("circles3", 3, 30.0, 1, None)
     demo = arguments(["df_demo"])
     assert (demo.vehicles, demo.duration) == (1, 20.0)
+
+
+def test_bearings_need_a_calibrated_camera_on_every_vehicle(tmp_path):
+    fleets = pathlib.Path(__file__).resolve().parents[3] / "launch" / "fleets"
+    several = ["--fleet", str(fleets / "ardrones5.yaml"), "--vehicles", "4"]
+    assert len(prepare_fleet(arguments(["circles3", *several]), "127.99", tmp_path).vehicles) == 4
+    with pytest.raises(FlightError, match="risc4 has no camera calibration"):
+        prepare_fleet(arguments(["coop", *several]), "127.99", tmp_path)
+    typo = tmp_path / "typo.yaml"
+    typo.write_text((fleets / "ardrones3.yaml").read_text(encoding="utf-8").replace("risc2.yaml", "risk2.yaml"))
+    with pytest.raises(ValueError, match="risk2.yaml"):
+        prepare_fleet(arguments(["coop", "--fleet", str(typo)]), "127.99", tmp_path)

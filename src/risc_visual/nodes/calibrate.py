@@ -114,16 +114,19 @@ def main():
         if args.max_pictures < 1:
             raise CalibrationError("--max-pictures must be 1 or more, found %d" % args.max_pictures)
         board = Checkerboard.from_text(args.size, args.square)
+        if not out.absolute().parent.is_dir():
+            raise CalibrationError("cannot write %s: there is no folder %s, make it" % (out, out.parent))
         pictures = open_pictures(args.source, args.topic, args.max_pictures)
         views, size_px = find_views(pictures, board, _show_progress)
         _show_progress("calibrating with %d views ..." % len(views))
         result = calibrate(views, board, size_px, args.name, CalibrationParams(radial_terms=args.radial))
         _show_progress("")
-        save_calibration(result.calibration, out)
-    except (BagError, PictureError, ValueError) as error:
+    except (BagError, PictureError, ValueError, OSError) as error:
         _show_progress("")
         print("calibrate.py: %s" % error, file=sys.stderr)
         return 1
+    try:
+        save_calibration(result.calibration, out)
     except OSError as error:
         print("calibrate.py: cannot write %s: %s" % (out, error.strerror), file=sys.stderr)
         return 1

@@ -93,6 +93,7 @@ def test_damaged_pictures(tmp_path, pictures):
         (("--size", "8by6"), "COLUMNSxROWS"),
         (("--square", "0"), "side of a square"),
         (("--max-pictures", "0"), "--max-pictures"),
+        (("--out", "gone/risc1.yaml"), "there is no folder gone"),
         (("--topic", "/camera/image_raw"), "a topic is for bags"),
     ],
 )

@@ -67,7 +67,8 @@ def test_unreadable_pictures_are_told_and_the_others_done(pictures):
     code, out, _ = run("gone.png", "text.png", "empty.png", ".", "two.png", "--json", folder=folder)
     lines = [json.loads(line) for line in out.splitlines()]
     assert code == 1
-    assert [set(line) for line in lines] == [{"image", "error"}] * 4 + [{"image", "detections"}]
+    assert [set(line) for line in lines] == [{"image", "detections", "error"}] * 4 + [{"image", "detections"}]
+    assert [line["detections"] for line in lines[:4]] == [[]] * 4
     assert "no such file" in lines[0]["error"]
     assert "it is no picture" in lines[1]["error"]
     assert "it is a folder" in lines[3]["error"]

@@ -65,7 +65,7 @@ def test_wrong_settings_are_named(wrong):
 
 def test_a_new_file_is_the_package_s_with_the_colour(tmp_path):
     path = tmp_path / "my.yaml"
-    save_colour(path, "pink", PAINT)
+    assert save_colour(path, "pink", PAINT) == path
     shipped, saved = load_landmarks(), load_landmarks(path)
     assert saved.colours.pop("pink") == PAINT
     shipped.colours.pop("pink")
@@ -74,6 +74,12 @@ def test_a_new_file_is_the_package_s_with_the_colour(tmp_path):
     after = path.read_text(encoding="utf-8").splitlines()
     assert sum(a != b for a, b in zip(before, after)) == 1
     assert len(before) == len(after)
+
+
+def test_a_relative_path_is_told_in_full(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert save_colour("my.yaml", "pink", PAINT) == tmp_path / "my.yaml"
+    assert load_landmarks(tmp_path / "my.yaml").colours["pink"] == PAINT
 
 
 def test_a_colour_is_added_and_changed_and_the_rest_stays(tmp_path):

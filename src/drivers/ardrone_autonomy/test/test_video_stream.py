@@ -297,6 +297,7 @@ def test_a_backlog_is_skipped_up_to_the_newest_pictures(address, count, per_idr)
         else:
             assert numbers[1:] == list(range(count - video_stream.MAX_BACKLOG + 1, count + 3))
         assert viewer.stream.decoder.errors == 0
+        assert viewer.stream.decoder.missing == 0, "they came, they were not wanted"
         if per_idr == 10 and count == 57:  # pictures before the newest IDR need not even be decoded
             assert viewer.stream.decoder.decoded < 15
         for picture in viewer.pictures:

@@ -48,6 +48,7 @@ def test_values_of_launch_files_are_taken():
         {"width": 0},
         {"height": "tall"},
         {"width": 320.5},
+        {"height": float("inf")},
         {"frame_rate": 1.0},
         {"frame_rate": float("nan")},
         {"loop": "yes"},

@@ -1,10 +1,17 @@
-"""Who goes first when the computer is busy. Only root may go before others; elsewhere nothing changes."""
+"""Who goes first when the computer is busy. Only root may go before others; elsewhere nothing changes.
+
+Linux divides the processor among sessions first and among their threads then (autogroup, on by default), and roslaunch
+gives every node a session of its own: a niceness alone says nothing to the other nodes. So the leader of a session sets
+the session's niceness as well.
+"""
 
 import contextlib
 import os
 
 VIRTUAL_LAB = -10  # it stands for other computers with their own processors
 FLIGHT = -5  # what lies between the frame and the command
+
+_AUTOGROUP = "/proc/self/autogroup"  # not there when the kernel does not divide so
 
 
 def raise_priority(niceness):
@@ -13,5 +20,13 @@ def raise_priority(niceness):
     What somebody has started with `nice` stays as it is: it was meant.
     """
     if niceness < os.getpriority(os.PRIO_PROCESS, 0) <= 0:
-        with contextlib.suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, 0, niceness)
+        set_priority(niceness)
+
+
+def set_priority(niceness):
+    """Give this thread, those that it starts from now on, and the session that it leads a niceness, where allowed."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+    if os.getsid(0) == os.getpid():
+        with contextlib.suppress(OSError), open(_AUTOGROUP, "w", encoding="ascii") as group:
+            group.write("%d" % niceness)

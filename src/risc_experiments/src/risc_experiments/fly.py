@@ -13,11 +13,12 @@ import time
 import yaml
 
 from risc_control.lab import load_fleet
+from risc_control.lab.calibration import load_calibration
 from risc_control.trajectories import COURSES
 from risc_experiments.operator import OperatorParams, time_limit_s
 from risc_experiments.processes import Launch, PortReservation, free_tcp_port
 from risc_experiments.progress import Progress, flight_detail
-from risc_experiments.report import make_report
+from risc_experiments.report import WITH_CAMERAS, make_report
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
@@ -95,10 +96,21 @@ def prepare_folder(args):
 
 
 def prepare_fleet(args, subnet, folder):
-    """The fleet of this flight, moved to its own loopback subnet and written beside the results."""
+    """The fleet of this flight, moved to its own loopback subnet and written beside the results.
+
+    Raises ValueError for a bad file, FlightError when a vehicle has no calibration and the experiment needs one.
+    """
     path = args.fleet or ROOT / "launch" / "fleets" / ("ardrones3.yaml" if args.vehicles <= 3 else "ardrones5.yaml")
-    content = load_fleet(path).with_vehicles(args.vehicles).in_subnet(subnet).to_dict()
-    (folder / "fleet.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    fleet = load_fleet(path).with_vehicles(args.vehicles).in_subnet(subnet)
+    if args.experiment in WITH_CAMERAS:
+        for vehicle in fleet.vehicles:
+            if not vehicle.calibration:
+                raise FlightError(
+                    "%s measures bearings, but %s has no camera calibration: give it one in %s, or fly fewer vehicles"
+                    % (args.experiment, vehicle.namespace, path)
+                )
+            load_calibration(vehicle.calibration)  # the driver would fly without it, and no bearing would come
+    (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False), encoding="utf-8")
     return load_fleet(folder / "fleet.yaml")
 
 

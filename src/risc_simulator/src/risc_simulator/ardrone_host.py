@@ -223,7 +223,7 @@ class ArdroneHost(object):
     def sockets(self):
         """Sockets to wait on; when one can be read call on_readable(). Empty after close()."""
         udp_and_listeners = list(self._sockets.values())
-        if self._video is not None and not self._video.wants_clients:
+        if udp_and_listeners and self._video is not None and not self._video.wants_clients:
             udp_and_listeners.remove(self.video_listener)  # the camera process accepts
         if self.link_lost:  # streams stall; they would be readable for ever if they were waited on
             return [s for s in udp_and_listeners if s.type == socket.SOCK_DGRAM]
@@ -459,7 +459,7 @@ class ArdroneHost(object):
             self._next_packet_s = min(self._next_packet_s, self._now_s + FULL_PERIOD_S)
         if key in ("control:flight_anim", "leds:leds_anim", "userbox:userbox_cmd"):
             self.notes[key] = value
-        if self._video is not None and (key.startswith("video:") or key == "general:video_enable"):
+        if self._video is not None:  # whatever the key: another session's or user's profile changes values of the video
             self._configure_video()
         self._rebuild_writer()
 

@@ -31,12 +31,6 @@ class HsvRange:
             if low > high:
                 raise ValueError("'%s' must be [lowest, highest], found %r: swap them" % (name, [low, high]))
 
-    @property
-    def middle_hue(self):
-        """Hue in the middle of the range, 0 <= hue < 180."""
-        low, high = self.hue
-        return (low + 0.5 * ((high - low) % HUES)) % HUES
-
 
 class Planes(object):
     """Hue, saturation and value of one picture, and its masks; what several paints share is computed once."""

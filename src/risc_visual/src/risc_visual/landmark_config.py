@@ -100,8 +100,8 @@ def landmarks_from_dict(content, where="landmarks"):
         section.done()
     discs = root.section("discs", {})
     sizes = {
-        key: discs.number(key, default, 0.0, 100.0)
-        for key, default in (("centre_diameter_m", 0.20), ("ring_diameter_m", 0.30))
+        key: discs.number(key, getattr(LandmarksConfig, key), 0.0, 100.0)
+        for key in ("centre_diameter_m", "ring_diameter_m")
     }
     discs.done()
     thresholds = root.section("detector", {})

@@ -68,13 +68,14 @@ def draw_mask(bgr, mask):
 def save_colour(path, name, paint):
     """Write an HsvRange into a landmarks file, whose other lines stay as they are; a new file begins as the package's.
 
-    Raises ValueError with cause and cure, and then the file is what it was.
+    Returns the absolute path: a node that roslaunch starts is not in the user's folder. Raises ValueError with cause
+    and cure, and then the file is what it was.
     """
     if not str(path):
         raise ValueError("no file to write: give the parameter ~file, e.g. _file:=my_landmarks.yaml")
     if not re.fullmatch(r"\w+", name):
         raise ValueError("%r is no name of a colour: letters, digits and _" % name)
-    path = pathlib.Path(path).expanduser()
+    path = pathlib.Path(path).expanduser().absolute()
     source = path if path.exists() else package_file("risc_visual", CONFIG)
     try:
         text = source.read_text(encoding="utf-8")
@@ -91,6 +92,7 @@ def save_colour(path, name, paint):
         os.replace(str(new), str(path))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ValueError("cannot write %s: %s" % (path, " ".join(str(error).split()))) from error
+    return path
 
 
 def _with_colour(text, name, value):

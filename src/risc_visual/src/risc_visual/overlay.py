@@ -11,28 +11,6 @@ _OTHER = (255, 255, 255)
 _VEHICLE = (255, 255, 0)
 _BLACK, _RED, _WHITE = (0, 0, 0), (0, 0, 255), (255, 255, 255)
 _SHIFT = 4  # binary digits of a pixel that OpenCV's drawing functions get
-_ARC_DEG = 10  # half the length of the arcs of the cross hair
-
-
-def draw_cross_hair(bgr):
-    """The original's cross hair in the middle of the picture (h, w, 3), which is drawn on."""
-    height, width = bgr.shape[:2]
-    x, y = width // 2, height // 2
-    gap_x, gap_y = width // 10, height // 5
-    for start, end in (
-        ((0, y), (x - gap_x, y)),
-        ((x + gap_x, y), (width - 1, y)),
-        ((x, 0), (x, y - gap_y)),
-        ((x, y + gap_y), (x, height - 1)),
-    ):
-        cv2.line(bgr, start, end, _BLACK, 1, cv2.LINE_AA)
-    for step in range(1, 13):
-        radius = step * width // 24
-        for direction in (0, 90, 180, 270):
-            cv2.ellipse(
-                bgr, (x, y), (radius, radius), 0, direction - _ARC_DEG, direction + _ARC_DEG, _BLACK, 1, cv2.LINE_AA
-            )
-    cv2.circle(bgr, (x, y), 2, _RED, cv2.FILLED, cv2.LINE_AA)
 
 
 def draw_landmarks(bgr, detections, ring_scale):

@@ -104,7 +104,7 @@ def main(arguments=None):
         except PictureError as error:
             failed = True
             if options.json:
-                print(json.dumps({"image": image, "error": str(error)}), flush=True)
+                print(json.dumps({"image": image, "detections": [], "error": str(error)}), flush=True)
             else:
                 print("%s: %s" % (image, error), file=sys.stderr, flush=True)
             continue

@@ -74,6 +74,12 @@ class PictureDecoder(object):
         self.decoded += 1
         return self._rgb(frame, header) if convert else None
 
+    def pass_over(self, header):
+        """Leave out the picture of this PaveHeader: it is not missing, but what follows waits for a key picture."""
+        self.waiting = True
+        if self._frame_number is not None:
+            self._frame_number = header.frame_number + 1
+
     def _start(self, stream, decoder):
         self._stream = stream
         self._frame_number = None

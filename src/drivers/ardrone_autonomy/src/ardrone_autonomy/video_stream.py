@@ -245,6 +245,7 @@ class VideoStream(object):
         for i, (packet, received_s) in enumerate(pictures):
             exposure_s = self.clock.exposure_s(packet.header.timestamp_ms, received_s)
             if i < begin:
+                self.decoder.pass_over(packet.header)
                 self.skipped += 1
                 continue
             decoded = self.decoder.decoded

@@ -94,7 +94,7 @@ def _converted(key, value, default):
         wanted = "a number"
     elif isinstance(default, float):
         return float(value)
-    elif value == int(value):
+    elif math.isfinite(value) and value == int(value):
         return int(value)
     else:
         wanted = "a whole number"

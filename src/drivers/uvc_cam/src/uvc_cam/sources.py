@@ -150,7 +150,7 @@ class VideoSource:
 
     def picture(self):
         """The picture that was waited for."""
-        return _retrieved(self._capture, self._path)
+        return _retrieved(self._capture, "%s holds a picture that cannot be decoded: the file is damaged" % self._path)
 
     def set_controls(self, controls):
         """A file has none."""
@@ -198,7 +198,9 @@ class CameraSource:
 
     def picture(self):
         """The picture that was waited for."""
-        return _retrieved(self._capture, self._path)
+        return _retrieved(
+            self._capture, "%s sent a picture that cannot be decoded: try another format_mode" % self._path
+        )
 
     def set_controls(self, controls):
         """Set controls, a dict of name -> value; those that the camera has not are noted."""
@@ -225,8 +227,8 @@ class CameraSource:
         self._capture.release()
 
 
-def _retrieved(capture, path):
+def _retrieved(capture, complaint):
     there, picture = capture.retrieve()
     if not there or picture is None or not picture.size:
-        raise SourceError("%s sent a picture that cannot be decoded: try another format_mode" % path)
+        raise SourceError(complaint)
     return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)

@@ -122,6 +122,10 @@ def fleet_from_dict(content, where="fleet"):
         twice = sorted({value for value in values if values.count(value) > 1})
         if twice:
             raise ValueError("%s: two vehicles have the same %s: %s" % (where, what, ", ".join(twice)))
+    names = [landmark.name for landmark in fleet.landmarks]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError("%s: two landmarks have the same name: %s" % (where, ", ".join(twice)))
     return fleet
 
 

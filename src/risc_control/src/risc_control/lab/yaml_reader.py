@@ -1,6 +1,7 @@
 """Reading YAML files strictly: every problem is one ValueError that names the file, the key and the cure."""
 
 import pathlib
+import re
 
 import numpy as np
 import yaml
@@ -27,6 +28,14 @@ def package_file(package, relative_path):
     return installed
 
 
+class _Loader(yaml.SafeLoader):
+    """Takes 1e-05 for a number, as programs in C++ write it; YAML 1.1 wants a point in it and makes it a text."""
+
+
+_EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+\Z")
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+0123456789"))
+
+
 def load_yaml(path):
     """Content of a YAML file as a dict. Raises ValueError when it is missing, malformed or not a mapping."""
     try:
@@ -34,7 +43,7 @@ def load_yaml(path):
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError("cannot read %s: %s" % (path, error)) from error
     try:
-        content = yaml.safe_load(text)
+        content = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         raise ValueError("%s is not valid YAML: %s" % (path, " ".join(str(error).split()))) from error
     if not isinstance(content, dict):

@@ -10,6 +10,12 @@ from collections import namedtuple
 
 import numpy as np
 
+CHANNELS = 2
+FRONT, BOTTOM = range(CHANNELS)  # video:video_channel modulo CHANNELS
+RATES_HZ = (1.0, 30.0)  # of video:codec_fps
+BITRATES_KBIT_S = (250.0, 8000.0)
+BAD_FILES = 3  # exit code of the camera process: a file that the fleet names cannot be used
+
 STATE_WIDTH = 12  # columns of World.truth(): position, velocity, roll pitch yaw, their rates
 _SLOTS = 64  # poses kept: a third of a second at 200 Hz
 
@@ -28,9 +34,9 @@ class Blackboard(object):
             ("newest", np.int64, ()),  # number of the newest snapshot, 0 = none yet
             ("slots", np.float64, (_SLOTS, 2 + n * STATE_WIDTH)),
             ("light", np.float64, ()),  # brightness of the room, 1 = normal
-            ("channel", np.int32, (n,)),  # video:video_channel
-            ("rate_hz", np.float64, (n,)),  # video:codec_fps
-            ("bitrate_kbit_s", np.float64, (n,)),  # video:max_bitrate
+            ("channel", np.int32, (n,)),  # FRONT or BOTTOM
+            ("rate_hz", np.float64, (n,)),  # within RATES_HZ
+            ("bitrate_kbit_s", np.float64, (n,)),  # of video:max_bitrate, within BITRATES_KBIT_S
             ("enabled", np.int32, (n,)),  # general:video_enable
             ("link_up", np.int32, (n,)),  # 0: nothing passes
             ("board_since_s", np.float64, (n,)),  # monotonic time since when a checkerboard is waved; NaN = none

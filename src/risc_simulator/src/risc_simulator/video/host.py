@@ -8,7 +8,6 @@ when its standard input does, so it never outlives the lab.
 import json
 import logging
 import math
-import os
 import select
 import socket
 import sys
@@ -17,13 +16,14 @@ import time
 import cv2
 
 from risc_control.lab import fleet_from_dict, load_vehicle_type
-from risc_simulator.video.blackboard import Blackboard
+from risc_control.priority import set_priority
+from risc_simulator.video.blackboard import BAD_FILES, BOTTOM, FRONT, Blackboard
 from risc_simulator.video.camera_pose import vehicle_pose
 from risc_simulator.video.scene import load_scene
-from risc_simulator.video.station import BOTTOM, FRONT, Station, bottom_eye, front_eye, seed_of
+from risc_simulator.video.station import Station, bottom_eye, front_eye, seed_of
 
 _LOG = logging.getLogger(__name__)
-_NICENESS = 10
+_NICENESS = 5
 _IDLE_S = 0.25  # longest wait
 
 
@@ -41,7 +41,10 @@ class VideoHost(object):
                 FRONT: front_eye(vehicle, scene, imaging, seed_of(seed, index, FRONT)),
                 BOTTOM: bottom_eye(scene, imaging, seed_of(seed, index, BOTTOM)),
             }
-            self._stations.append(Station(listener, eyes, load_vehicle_type(vehicle.type).video_latency_s))
+            station = Station(listener, eyes, load_vehicle_type(vehicle.type).video_latency_s)
+            station.pictures = int(board.pictures[index])  # of a camera process before this one
+            station.skipped = int(board.skipped[index])
+            self._stations.append(station)
 
     def serve(self, stop_fd):
         """Until stop_fd can be read."""
@@ -73,8 +76,9 @@ class VideoHost(object):
         now_s = time.monotonic()
         wake_s = now_s + _IDLE_S
         for index, station in enumerate(self._stations):
-            due_s = station.due_s(float(board.rate_hz[index]), now_s)
-            if due_s is not None and snapshot is not None and board.enabled[index]:
+            is_on = snapshot is not None and bool(board.enabled[index])
+            due_s = station.due_s(float(board.rate_hz[index]), now_s, is_on)
+            if due_s is not None:
                 if due_s <= now_s:
                     self._expose(index, station, snapshot)
                     due_s = station.next_s
@@ -109,14 +113,17 @@ def main():
     """Started by launcher.py: the job as one line of JSON on standard input. Returns the exit code."""
     logging.basicConfig(format="virtual cameras: %(message)s", level=logging.INFO)
     job = json.loads(sys.stdin.readline())
-    os.nice(_NICENESS)
+    set_priority(_NICENESS)
     cv2.setNumThreads(1)
     try:
         fleet = fleet_from_dict(job["fleet"])
         board = Blackboard(len(fleet.vehicles), job["board_fd"])
         listeners = [socket.socket(fileno=fd) for fd in job["listener_fds"]]
         host = VideoHost(fleet, job["seed"], board, listeners)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
+        _LOG.error("%s", error)
+        return BAD_FILES
+    except OSError as error:
         _LOG.error("%s", error)
         return 1
     try:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 
-from risc_simulator.video.blackboard import Blackboard
+from risc_simulator.video.blackboard import BAD_FILES, BITRATES_KBIT_S, CHANNELS, RATES_HZ, Blackboard
 
 _LOG = logging.getLogger(__name__)
 _MODULE = "risc_simulator.video.host"
@@ -38,7 +38,7 @@ class VideoLauncher(object):
         return not self.running and time.monotonic() >= self._rest_until_s
 
     def start(self):
-        """Start the camera process if it may."""
+        """Start the camera process if it may. A computer that cannot start it now is asked again later."""
         if not self.may_start:
             return
         descriptors = [listener.fileno() for listener in self._listeners]
@@ -48,29 +48,44 @@ class VideoLauncher(object):
             "board_fd": self.board.fd,
             "listener_fds": descriptors,
         }
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", _MODULE],
-            stdin=subprocess.PIPE,
-            pass_fds=[self.board.fd, *descriptors],
-            start_new_session=True,  # Ctrl-C is for the lab, whose end ends this process
-        )
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", _MODULE],
+                stdin=subprocess.PIPE,
+                pass_fds=[self.board.fd, *descriptors],
+                start_new_session=True,  # Ctrl-C is for the lab, whose end ends this process
+            )
+        except OSError as error:  # no memory, too many processes: the lab goes on
+            _LOG.error("the camera process cannot be started (%s), the next try is in %g s", error, START_REST_S)
+            self._rest_until_s = time.monotonic() + START_REST_S
+            return
         with contextlib.suppress(BrokenPipeError):  # it has ended at once: `check` will tell
             self._process.stdin.write((json.dumps(job) + "\n").encode("utf-8"))
             self._process.stdin.flush()
 
     def check(self):
         """Notice the end of the camera process. To be called now and then."""
-        if self.running and self._process.poll() is not None:
+        if not self.running or self._process.poll() is None:
+            return
+        code = self._process.returncode
+        if code == BAD_FILES:
+            rest_s = math.inf
+            _LOG.error(
+                "vehicles send no video: the camera process cannot use what its last line names. Mend that and start "
+                "the lab again"
+            )
+        else:
+            rest_s = START_REST_S
             _LOG.error(
                 "the camera process has ended (code %s), its last lines say why: vehicles send no video until it is "
                 "started again, in %g s",
-                self._process.returncode,
-                START_REST_S,
+                code,
+                rest_s,
             )
-            self._process.stdin.close()
-            self._process = None
-            self._rest_until_s = time.monotonic() + START_REST_S
-            self.board.watchers[:] = 0
+        self._close_pipe()
+        self._process = None
+        self._rest_until_s = time.monotonic() + rest_s
+        self.board.watchers[:] = 0
 
     def publish(self, time_s, lab_s, rows):
         """Where the vehicles are, see Blackboard.publish."""
@@ -96,7 +111,7 @@ class VideoLauncher(object):
     def close(self):
         """End the camera process. May be called twice."""
         if self._process is not None:
-            self._process.stdin.close()
+            self._close_pipe()
             try:
                 self._process.wait(STOP_PATIENCE_S)
             except subprocess.TimeoutExpired:
@@ -104,6 +119,10 @@ class VideoLauncher(object):
                 self._process.wait()
             self._process = None
         self.board.close()
+
+    def _close_pipe(self):
+        with contextlib.suppress(BrokenPipeError):  # it has ended before it read its job
+            self._process.stdin.close()
 
 
 class VehicleVideo(object):
@@ -131,7 +150,12 @@ class VehicleVideo(object):
         self._launcher.board.link_up[self._index] = is_up
 
     def configure(self, channel, rate_hz, bitrate_kbit_s, enabled):
-        """What the vehicle's configuration says."""
+        """What the vehicle's configuration says; clients write any number there, cameras do what they can."""
         board, index = self._launcher.board, self._index
-        board.channel[index], board.enabled[index] = channel, enabled
-        board.rate_hz[index], board.bitrate_kbit_s[index] = rate_hz, bitrate_kbit_s
+        board.channel[index], board.enabled[index] = channel % CHANNELS, enabled
+        board.rate_hz[index] = _within(RATES_HZ, rate_hz)
+        board.bitrate_kbit_s[index] = _within(BITRATES_KBIT_S, bitrate_kbit_s)
+
+
+def _within(limits, value):
+    return min(max(value, limits[0]), limits[1])

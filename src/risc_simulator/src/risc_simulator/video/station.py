@@ -14,15 +14,12 @@ from risc_simulator.video.encoder import H264Encoder
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.waving import Waving
 
-FRONT, BOTTOM = 0, 1  # video:video_channel modulo 2
 DEFAULT_FRONT_CALIBRATION = "ardrone_front.yaml"
 BOTTOM_CALIBRATION = "ardrone_bottom.yaml"
 BOTTOM_SENSOR_PX = (320, 180)  # of the small camera; firmware scales it up to the picture's size
 
 MAX_CLIENTS = 8
 MAX_BACKLOG_BYTES = 512 * 1024  # a client that reads slower than this loses pictures up to the next keyframe
-RATES_HZ = (1.0, 30.0)  # of video:codec_fps
-BITRATES_KBIT_S = (250.0, 8000.0)
 
 
 class Eye(object):
@@ -80,6 +77,7 @@ class Station(object):
         self._encoder, self._encoder_settings = None, None
         self._writer = StreamWriter()
         self._on_the_way = deque()  # (time to send, bytes)
+        self._timestamp_ms = None  # of the newest picture, on the lab's clock
         self.next_s = None  # monotonic time of the next exposure
         self.pictures = self.skipped = 0
 
@@ -110,16 +108,17 @@ class Station(object):
         if gone:
             self._hang_up(sock)
 
-    def due_s(self, rate_hz, now_s):
-        """When the next picture is to be exposed; None while nobody watches."""
+    def due_s(self, rate_hz, now_s, is_on=True):
+        """When the next picture is to be exposed; None while nobody watches, or the camera is off."""
         if not self._clients:
-            self.next_s = None
             self._encoder = None  # the next watcher starts with an IDR frame
             self._on_the_way.clear()
+        if not self._clients or not is_on:
+            self.next_s = None
             return None
         if self.next_s is None:
             self.next_s = now_s
-        period_s = 1.0 / min(max(rate_hz, RATES_HZ[0]), RATES_HZ[1])
+        period_s = 1.0 / rate_hz
         late = int((now_s - self.next_s) / period_s)
         if late > 0:  # the computer is too slow: pictures are left out, the rhythm is kept
             self.skipped += late
@@ -127,11 +126,16 @@ class Station(object):
         return self.next_s
 
     def expose(self, snapshot, index, channel, rate_hz, bitrate_kbit_s, **view):
-        """Take a picture of a Snapshot from the vehicle of this index, and put it on its way. view: of Eye.look."""
-        channel %= 2
-        rate_hz = min(max(rate_hz, RATES_HZ[0]), RATES_HZ[1])
-        bitrate_kbit_s = min(max(bitrate_kbit_s, BITRATES_KBIT_S[0]), BITRATES_KBIT_S[1])
+        """Take a picture of a Snapshot from the vehicle of this index, and put it on its way. view: of Eye.look.
+
+        While the lab stands still there is nothing new: two pictures of one time would look like a clock set back.
+        """
         self.next_s += 1.0 / rate_hz
+        timestamp_ms = round(1e3 * snapshot.lab_s)
+        if timestamp_ms == self._timestamp_ms:
+            self.skipped += 1
+            return
+        self._timestamp_ms = timestamp_ms
         picture = self._eyes[channel].look(snapshot.rows[index], **view)
         settings = (channel, rate_hz, bitrate_kbit_s)
         if self._encoder is None or settings != self._encoder_settings:
@@ -140,7 +144,7 @@ class Station(object):
             self._writer.stream_id = self._writer.stream_id % 0xFFFF + 1
             self._writer.encoded_px = self._encoder.coded_px
             self._writer.display_px = picture.shape[1::-1]
-        data = self._writer.picture(self._encoder.encode(picture), round(1e3 * snapshot.lab_s))
+        data = self._writer.picture(self._encoder.encode(picture), timestamp_ms)
         self._on_the_way.append((snapshot.time_s + self._latency_s, data))
 
     def send_due_s(self):

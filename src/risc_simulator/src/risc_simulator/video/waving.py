@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from risc_control.camera import CAMERA_TO_OPTICAL
 from risc_control.frames import rotation_body_to_cortex
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import Board, CameraPose
@@ -18,7 +19,6 @@ _OUTLINE_POINTS = 9  # to a side: the outline is curved in a distorted picture
 _BATCH = 1000
 _MAX_BATCHES = 50
 _FACING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # board to camera axes, squarely in front
-_TO_OPENCV = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # camera axes to x right, y down, z forward
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,8 @@ class Waving(object):
         corners = self._corners()
         information = []
         for centre, turn in zip(centres, turns):
-            rotation = cv2.Rodrigues(_TO_OPENCV @ turn)[0]
-            jacobian = cv2.projectPoints(corners, rotation, _TO_OPENCV @ centre, self._camera.K, self._camera.D)[1]
+            rotation, place_m = cv2.Rodrigues(CAMERA_TO_OPTICAL @ turn)[0], CAMERA_TO_OPTICAL @ centre
+            jacobian = cv2.projectPoints(corners, rotation, place_m, self._camera.K, self._camera.D)[1]
             place, lens = jacobian[:, :6], jacobian[:, 6:14]
             place = place / np.linalg.norm(place, axis=0)
             mixed = place.T @ lens

@@ -19,9 +19,10 @@ from risc_msgs.msg import Observed_rois
 from risc_visual.colours import SIDE_MIN_PX, Planes, shrunk
 from risc_visual.landmark_config import load_landmarks
 from risc_visual.landmarks import LandmarkDetector
-from risc_visual.overlay import draw_cross_hair, draw_landmarks, draw_vehicles
+from risc_visual.overlay import draw_landmarks, draw_vehicles
 from risc_visual.ros.conversions import rois_of_picture
 from risc_visual.ros.picture_node import picture_from_msg
+from risc_visual.templates.drawing import draw_crosshair
 from risc_visual.vehicles import VehicleDetector, load_vehicles
 
 _BUFFER_BYTES = 2**24  # several pictures: what waits is read at one go, and all but the newest is thrown away
@@ -103,7 +104,7 @@ class Lookout:
 
     def draw(self, picture, landmarks, vehicles):
         """Draw what was found into the picture."""
-        draw_cross_hair(picture)
+        draw_crosshair(picture)
         if self._config is not None:
             draw_landmarks(picture, landmarks, self._config.ring_scale)
         draw_vehicles(picture, vehicles)

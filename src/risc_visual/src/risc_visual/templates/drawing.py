@@ -9,7 +9,6 @@ import numpy as np
 BLACK = (0, 0, 0)
 WHITE = (255, 255, 255)
 RED = (0, 0, 255)
-GREEN = (0, 255, 0)
 YELLOW = (0, 255, 255)
 
 
