@@ -61,5 +61,5 @@ class TransformsTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("transforms_rostest")
-    rostest.rosrun("risc_control", "transforms", TransformsTest)
+    rospy.init_node("transforms_test")
+    rostest.rosrun("risc_control", "transforms_test", TransformsTest)
