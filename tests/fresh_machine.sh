@@ -25,10 +25,13 @@ chmod +x "$folder/usr/sbin/policy-rc.d"
 rm -rf "$folder/risc_maap"
 git clone --quiet "$root" "$folder/risc_maap"
 
+mounts='mount -t proc proc /proc && mount -t tmpfs tmpfs /dev/shm'
+# catkin build wants pseudo terminals
+mounts+=' && mkdir -p /dev/pts && mount -t devpts -o newinstance,ptmxmode=0666 devpts /dev/pts && ln -sf pts/ptmx /dev/ptmx'
 for command in "$@"; do
   printf '== %s\n' "$command"
   # its own process namespace: whatever the command leaves behind ends with it
   env -i HOME=/root TERM="${TERM:-dumb}" PATH=/usr/sbin:/usr/bin:/sbin:/bin PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
     unshare --pid --fork --kill-child --mount chroot "$folder" bash -c \
-    "mount -t proc proc /proc && mount -t tmpfs tmpfs /dev/shm && cd /risc_maap && $command"
+    "$mounts && cd /risc_maap && $command"
 done

@@ -56,7 +56,10 @@ def test_a_vehicle_flies_from_the_install_space(install_space, tmp_path):
     # The log that roslaunch writes for itself names every program that it starts, and its whole environment.
     logs = [folder / "roslaunch.log", *folder.glob("ros_log/*/roslaunch-*.log")]
     text = "".join(path.read_text(errors="replace") for path in logs)
-    programs = {pathlib.Path(program) for program in re.findall(r"args\[\['(/[^']+)'", text)}
+    commands = [re.findall(r"'([^']*)'", command) for command in re.findall(r"args\[\[([^\]]+)\]", text)]
+    # with_priority is followed by a number and the program that it becomes
+    commands += [words[2:] for words in commands if words[0].endswith("/with_priority")]
+    programs = {pathlib.Path(words[0]) for words in commands if words[0].startswith("/")}
     ours = {program for program in programs if pathlib.Path("/usr") not in program.parents}
     assert {program.name for program in ours} >= {
         "stream_markers",
