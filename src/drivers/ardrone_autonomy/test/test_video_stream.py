@@ -289,7 +289,7 @@ def test_a_backlog_is_skipped_up_to_the_newest_pictures(address, count, per_idr)
         wait_for(lambda: viewer.stream.shown + viewer.stream.skipped == 1 + count)
         for picture in data[1 + count :]:
             server.send(picture)
-        viewer.wait_for_more(2)
+        wait_for(lambda: viewer.pictures[-1].header.frame_number == count + 2)
         numbers = [picture.header.frame_number for picture in viewer.pictures]
         assert numbers[0] == 0
         if count <= video_stream.MAX_BACKLOG:
