@@ -3,6 +3,7 @@
 A node is a class with `process`; see nodes/edge_drone for the shortest one.
 """
 
+import abc
 import sys
 import threading
 import time
@@ -37,7 +38,7 @@ class _Demand(rospy.SubscribeListener):
         self._on_change()
 
 
-class PictureNode:
+class PictureNode(abc.ABC):
     """Subscribes to pictures while somebody listens to a result, and calls `process` with the newest one."""
 
     def __init__(self, topic, outputs, settings_class, config_type=None):
@@ -76,12 +77,12 @@ class PictureNode:
 
     # -------- what a node brings
 
-    def use(self, settings):
+    def use(self, settings):  # noqa: B027 - not every node has settings
         """Take new settings; called at the start and by dynamic_reconfigure. Raises ValueError to refuse them."""
 
+    @abc.abstractmethod
     def process(self, picture, header):
         """Work on one picture (h, w, 3), blue green red, and `publish`; it may be drawn on."""
-        raise NotImplementedError
 
     # -------- what a node needs
 
