@@ -1,7 +1,6 @@
 """The lab's schedule with a clock that the test turns: long stalls under traffic, slow frame rates, wrong options."""
 
 import random
-import select
 import socket
 
 import pytest
@@ -13,30 +12,6 @@ from risc_simulator.virtual_lab import VirtualLab, configure_fleet
 from risc_simulator.world import FlightPhase
 
 TAKE_OFF = 290718208
-
-
-class Clock:
-    """Time passes while the lab waits for its clients, and when the test says so."""
-
-    def __init__(self):
-        self.now_s = 100.0
-
-    def monotonic(self):
-        return self.now_s
-
-    def select(self, readable, writable, exceptional, timeout_s):
-        found = select.select(readable, writable, exceptional, 0.0)
-        if not found[0]:
-            self.now_s += timeout_s + 1e-9  # or rounding keeps it for ever just before the time waited for
-        return found
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    result = Clock()
-    monkeypatch.setattr(virtual_lab, "time", result)
-    monkeypatch.setattr(virtual_lab, "select", result)
-    return result
 
 
 def make_fleet(rate_hz=200.0):

@@ -3,7 +3,6 @@
 import json
 import os
 import random
-import select
 import signal
 import socket
 import struct
@@ -81,31 +80,6 @@ def first_body(datagram):
     (count,) = struct.unpack_from("<i", datagram, end + 1)
     markers = np.frombuffer(datagram, "<f4", 3 * count, end + 5).reshape(count, 3) / 1000.0
     return number, datagram[12:end].decode(), markers
-
-
-class Clock:
-    """Time that passes while the lab waits and when the test turns it: a stall of this computer is not in it."""
-
-    def __init__(self):
-        self.now_s = 0.0
-
-    def monotonic(self):
-        return self.now_s
-
-    def select(self, readable, writable, exceptional, timeout_s):
-        ready = select.select(readable, writable, exceptional, 0.0)
-        if not any(ready):
-            self.now_s += timeout_s + 1e-6  # always a little late
-        return ready
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    """The lab's modules for time and waiting."""
-    clock = Clock()
-    monkeypatch.setattr(virtual_lab, "time", clock)
-    monkeypatch.setattr(virtual_lab, "select", clock)
-    return clock
 
 
 @pytest.fixture

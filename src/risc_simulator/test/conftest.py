@@ -1,0 +1,32 @@
+"""Time that tests turn."""
+
+import select
+
+import pytest
+
+from risc_simulator import virtual_lab
+
+
+class Clock:
+    """Time that passes while the lab waits and when the test turns it: a stall of this computer is not in it."""
+
+    def __init__(self):
+        self.now_s = 100.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def select(self, readable, writable, exceptional, timeout_s):
+        ready = select.select(readable, writable, exceptional, 0.0)
+        if not any(ready):
+            self.now_s += timeout_s + 1e-6  # always a little late
+        return ready
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """In place of the lab's modules for time and waiting."""
+    result = Clock()
+    monkeypatch.setattr(virtual_lab, "time", result)
+    monkeypatch.setattr(virtual_lab, "select", result)
+    return result
