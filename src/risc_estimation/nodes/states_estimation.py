@@ -12,6 +12,7 @@ from diagnostic_updater import Updater
 from risc_control.lab.templates import load_templates
 from risc_control.ros import low_latency
 from risc_control.ros.params import fleet_vehicles, load_params
+from risc_control.ros.until_shutdown import until_shutdown
 from risc_estimation.ros.conversions import (
     bodies_from_msg,
     cortex_from_estimate,
@@ -54,6 +55,7 @@ class StatesEstimationNode(object):
             rospy.on_shutdown(timer.shutdown)
         rospy.Subscriber("mocap_data", Mocap_data, self._on_frame, queue_size=params.queue_frames, tcp_nodelay=True)
 
+    @until_shutdown
     def _on_frame(self, msg):
         with self._lock:
             estimate = self._estimator.update(msg.header.stamp.to_sec(), bodies_from_msg(msg))
@@ -66,6 +68,7 @@ class StatesEstimationNode(object):
             self._states_pub.publish(cortex_from_estimate(self._last_header, estimate))
         self._landmarks_pub.publish(landmarks_from_estimate(self._last_header, estimate))
 
+    @until_shutdown
     def _on_check(self, _event):
         """Once per silence: tell everybody that the last numbers are just that. The stamp stays what it was."""
         with self._lock:

@@ -15,6 +15,7 @@ from risc_control.reference import NEW_CLOCK_S, ORDERS, ReferenceBuffer
 from risc_control.ros import low_latency
 from risc_control.ros.conversions import ControlsMessage, sample_from_msg, states_from_msg
 from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
+from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.tracking import LqrWeights, TrackingParams
 from risc_msgs.msg import Controls, Cortex, Trajectories
 
@@ -116,6 +117,7 @@ class ControllerNode:
             )
         return ReferenceBuffer(), [self._index[names[k]] for k in columns], columns
 
+    @until_shutdown
     def _on_states(self, message):
         started_s = time.perf_counter()
         stamp_s, now_s = message.header.stamp.to_sec(), rospy.get_time()

@@ -15,6 +15,7 @@ from risc_control.joystick import parse_bool
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros.conversions import TrajectoriesMessage, states_from_msg
 from risc_control.ros.params import dataclass_from_params, has_private, number, private, vehicles
+from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
@@ -44,6 +45,8 @@ class ManagerWiring:
         self.lock = threading.Lock()
         self._index = {name: i for i, name in enumerate(self.manager.names)}
         self._phase = rospy.Publisher("trajectory_phase", String, queue_size=10, latch=True)
+        self._course = rospy.Publisher("trajectory_course", String, queue_size=10, latch=True)
+        self._course.publish(course.name)
         self._phases = None
         self._watcher = None
         self._watch_lock = threading.Lock()  # its own: the master is asked meanwhile, and references must not wait
@@ -77,6 +80,7 @@ class ManagerWiring:
         check_course(course, self.vehicles)
         with self.lock:
             self.manager.set_course(course, rospy.get_time())
+        self._course.publish(course.name)
         self._report()
 
     def _watch(self):
@@ -137,6 +141,7 @@ class TrajectoryNode:
         self._timer = rospy.Timer(rospy.Duration(1.0 / rate_hz), self._on_tick, reset=True)
         rospy.on_shutdown(self._timer.shutdown)
 
+    @until_shutdown
     def _on_tick(self, _event):
         with self.wiring.lock:
             now = rospy.Time.now()

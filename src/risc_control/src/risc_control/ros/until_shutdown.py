@@ -1,0 +1,23 @@
+"""Callbacks that may still run while ROS shuts down."""
+
+import functools
+
+import rospy
+
+
+def until_shutdown(callback):
+    """The callback, without the error it meets when rospy has closed its topics under it.
+
+    rospy closes publishers before it ends the threads that publish: a message on its way at that moment raises, and
+    the node would end with a traceback that tells nobody anything.
+    """
+
+    @functools.wraps(callback)
+    def run(*args):
+        try:
+            callback(*args)
+        except rospy.ROSException:
+            if not rospy.is_shutdown():
+                raise
+
+    return run
