@@ -76,6 +76,16 @@ def test_the_rhythm_is_absolute_and_what_the_computer_missed_is_counted(watched)
     assert station.due_s(RATE_HZ, 100.17) == pytest.approx(100.15) and station.skipped == 2
 
 
+def test_lateness_is_that_of_the_pictures_that_came_soonest(watched):
+    station, _ = watched
+    station.due_s(RATE_HZ, 100.0)
+    assert station.late_s == 0.0
+    for k, late_s in enumerate((0.02, 0.03, 0.5)):
+        station.expose(Snapshot(100.0 + k, 1.0 + k, np.zeros((1, 12))), 0, FRONT, RATE_HZ, BITRATE_KBIT_S)
+        station.send(100.0 + k + late_s, link_up=True)
+    assert 0.02 <= station.late_s < 0.03
+
+
 def test_a_camera_that_is_off_misses_nothing(watched):
     station, _ = watched
     station.due_s(RATE_HZ, 100.0)

@@ -90,6 +90,7 @@ class VideoHost(object):
             board.watchers[index] = station.watchers
             board.pictures[index] = station.pictures
             board.skipped[index] = station.skipped
+            board.late_s[index] = station.late_s
         return max(0.0, wake_s - time.monotonic())
 
     def _expose(self, index, station, snapshot):

@@ -106,7 +106,11 @@ class VideoLauncher(object):
     def statistics(self, namespace):
         """What a vehicle's camera has done, as plain numbers."""
         index = self._index[namespace]
-        return {"pictures": int(self.board.pictures[index]), "skipped": int(self.board.skipped[index])}
+        return {
+            "pictures": int(self.board.pictures[index]),
+            "skipped": int(self.board.skipped[index]),
+            "late_ms": 1e3 * float(self.board.late_s[index]),
+        }
 
     def close(self):
         """End the camera process. May be called twice."""

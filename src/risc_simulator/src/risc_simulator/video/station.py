@@ -19,6 +19,8 @@ BOTTOM_CALIBRATION = "ardrone_bottom.yaml"
 BOTTOM_SENSOR_PX = (320, 180)  # of the small camera; firmware scales it up to the picture's size
 
 MAX_CLIENTS = 8
+LATE_PICTURES = 300  # the newest ones, of which the lateness is told
+LATE_PERCENT = 10.0
 MAX_BACKLOG_BYTES = 512 * 1024  # a client that reads slower than this loses pictures up to the next keyframe
 
 
@@ -80,6 +82,10 @@ class Station(object):
         self._timestamp_ms = None  # of the newest picture, on the lab's clock
         self.next_s = None  # monotonic time of the next exposure
         self.pictures = self.skipped = 0
+        self._lateness_s = deque(maxlen=LATE_PICTURES)
+        # How late nine out of ten of the newest pictures were sent, at least. A client takes the pictures that came
+        # soonest as on time: when the computer has made all of them late, so are its stamps.
+        self.late_s = 0.0
 
     @property
     def watchers(self):
@@ -154,7 +160,9 @@ class Station(object):
     def send(self, now_s, link_up):
         """Send what has arrived; with the link down it is lost."""
         while self._on_the_way and self._on_the_way[0][0] <= now_s:
-            _, data = self._on_the_way.popleft()
+            due_s, data = self._on_the_way.popleft()
+            self._lateness_s.append(now_s - due_s)
+            self.late_s = float(np.percentile(self._lateness_s, LATE_PERCENT))
             is_keyframe = parse_header(data).frame_type == FrameType.IDR
             if not link_up:
                 for client in self._clients.values():
