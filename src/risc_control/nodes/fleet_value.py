@@ -20,7 +20,7 @@ def fleet_value(fleet, owner, key):
     values = dict(vars(owners[owner]))
     if owner != "mocap":
         calibration = values["calibration"]
-        values["camera_info_url"] = "file://%s" % resolve_url(calibration) if calibration else ""
+        values["camera_info_url"] = "file://%s" % resolve_url(calibration).absolute() if calibration else ""
         if key not in values:
             values.update(vars(load_vehicle_type(values["type"])))
     if key not in values:

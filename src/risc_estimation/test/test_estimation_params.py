@@ -46,6 +46,10 @@ def test_values_are_converted_and_unknown_keys_reported():
     [
         ({"max_gap_s": "0.1"}, "'max_gap_s' must be a number"),
         ({"max_gap_s": True}, "'max_gap_s' must be a number"),
+        ({"max_gap_s": float("inf")}, "'max_gap_s' must be a number, got inf"),
+        ({"max_gap_s": float("nan")}, "'max_gap_s' must be a number, got nan"),
+        ({"min_samples": float("-inf")}, "'min_samples' must be a number, got -inf"),
+        ({"min_samples": float("nan")}, "'min_samples' must be a number, got nan"),
         ({"min_samples": 2.5}, "'min_samples' must be a whole number"),
         ({"legacy_window": "false"}, "'legacy_window' must be true or false"),
         ({"vehicles": "Raven"}, "'vehicles' must be a list of names"),

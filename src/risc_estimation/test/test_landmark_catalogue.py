@@ -27,10 +27,18 @@ def test_both_names_and_the_sizes_are_those_of_the_detectors_file():
     assert (disc.diameter_m, disc.ring_diameter_m) == (0.20, 0.30)
 
 
+def test_what_only_the_detector_needs_may_be_missing(tmp_path):
+    short = {key: value for key, value in content().items() if key == "landmarks"}
+    (tmp_path / "my.yaml").write_text(yaml.safe_dump(short))
+    assert load_landmark_catalogue(tmp_path / "my.yaml") == load_landmark_catalogue()
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda c: c.pop("discs"), "discs"),
+        (lambda c: c.pop("landmarks"), "landmarks"),
+        (lambda c: c["landmarks"][1].update(name="Green_pink"), "same name: Green_pink"),
+        (lambda c: c["discs"].update(centre_diameter_m="small"), "centre_diameter_m"),
         (lambda c: c["discs"].update(ring_diameter_m=-1.0), "ring_diameter_m"),
         (lambda c: c["landmarks"][0].pop("roi_name"), "roi_name"),
     ],

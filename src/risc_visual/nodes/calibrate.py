@@ -7,7 +7,6 @@ import sys
 
 import cv2
 
-from data_extraction.bags import BagError
 from risc_control.lab.calibration import save_calibration
 from risc_visual.calibration import (
     CalibrationError,
@@ -18,7 +17,7 @@ from risc_visual.calibration import (
     find_board,
     shown_board,
 )
-from risc_visual.pictures import PictureError, open_pictures
+from risc_visual.pictures import open_pictures
 
 _HINT_PICTURES = 12  # in which some other board is looked for when the right one is nowhere
 
@@ -121,7 +120,7 @@ def main():
         _show_progress("calibrating with %d views ..." % len(views))
         result = calibrate(views, board, size_px, args.name, CalibrationParams(radial_terms=args.radial))
         _show_progress("")
-    except (BagError, PictureError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         _show_progress("")
         print("calibrate.py: %s" % error, file=sys.stderr)
         return 1
@@ -133,10 +132,9 @@ def main():
     report(result, pictures, len(views), args.views)
     print("wrote %s" % out)
     print(
-        "The driver reads ~/.ros/camera_info/%s.yaml, or what its camera_info_url says; for a vehicle of a fleet file"
-        % args.name
+        "Put it where the driver reads it: what `calibration` of the fleet file names (a bare name is a file in\n"
+        "risc_visual/config/cameras), without a fleet file ~/.ros/camera_info/%s.yaml" % args.name
     )
-    print("put the file into risc_visual/config/cameras/ and name it there: calibration: %s" % out.name)
     return 0
 
 

@@ -17,9 +17,10 @@ from dynamic_reconfigure.client import Client
 from geometry_msgs.msg import Vector3Stamped
 from matplotlib import cbook
 from rosgraph_msgs.msg import Log
-from sensor_msgs.msg import Image, RegionOfInterest
+from sensor_msgs.msg import CompressedImage, Image, RegionOfInterest
 
 from ardrone_autonomy.msg import Navdata
+from risc_control.pictures import picture_from_msg
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 
 PACKAGE = "risc_visual"
@@ -274,6 +275,31 @@ class TemplateNodesTest(unittest.TestCase):
             finally:
                 type(self).encoding = "bgr8"
             edges.wait_for(lambda m: m.header.frame_id == "eye", "edges again")
+
+    def test_c_compressed_pictures_for_bags(self):
+        topic = "/risc1/ardrone/image_rect_color/compressed"
+        with Results(topic, CompressedImage) as pictures, Results("/diagnostics", DiagnosticArray) as diagnostics:
+            messages = [pictures.wait_for() for _ in range(6)]
+            self.check_header(messages[0])
+            gaps_s = np.diff([message.header.stamp.to_sec() for message in messages])
+            self.assertGreater(np.median(gaps_s), 0.19, "10 a second come, 4 are wanted")
+            picture = picture_from_msg(messages[0]).astype(int)
+            errors = [np.abs(np.roll(picture, -STEP_PX * step, axis=1) - self.photograph) for step in range(STEPS)]
+            self.assertLess(min(error.mean() for error in errors), 3.0)  # of 255: JPEG
+
+            def says(text):
+                return lambda m: any(
+                    "compress_images" in s.name and text in [s.message, *(value.key for value in s.values)]
+                    for s in m.status
+                )
+
+            diagnostics.wait_for(says("working"), "a working compress_images")
+            type(self).encoding = "nonsense"
+            try:
+                diagnostics.wait_for(says("not taken: pictures that cannot be decoded"), "the refusal")
+            finally:
+                type(self).encoding = "bgr8"
+            pictures.wait_for(what="a picture again")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,8 @@ import rospy
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String
 
-from risc_visual.pictures import PictureError, open_pictures
+from risc_control.pictures import PictureError
+from risc_visual.pictures import open_pictures
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "calibrate.py"
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from camera_info_manager.calibration_file import read_calibration
 from risc_control.camera import Camera, cortex_to_camera, rotation_camera_to_body
 from risc_control.frames import rotation_body_to_cortex
 from risc_control.lab.calibration import load_calibration, load_mount, resolve_url
@@ -48,7 +49,7 @@ def test_every_file_of_the_table_is_there():
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
-def test_both_readers_agree_with_the_table(name):
+def test_all_readers_agree_with_the_table(name):
     calibration = load_calibration(name)
     camera_name, info = camera_calibration_parsers.readCalibration(str(FOLDER / name))
     assert camera_name == calibration.name == ("ardrone_bottom" if "bottom" in name else "ardrone_front")
@@ -57,6 +58,11 @@ def test_both_readers_agree_with_the_table(name):
     for read, expected in ((info.K, calibration.K), (info.D, calibration.D), (info.R, calibration.R)):
         assert tuple(read) == expected
     assert tuple(info.P) == calibration.P
+    drivers = read_calibration(str(FOLDER / name))
+    assert (drivers.name, drivers.width_px, drivers.height_px) == (camera_name, 640, 360)
+    assert (drivers.K, drivers.D, drivers.R, drivers.P) == (
+        (calibration.K, calibration.D, calibration.R, calibration.P)
+    )
     (fx, fy, cx, cy), D, projection = LAB[name]
     assert np.array_equal(calibration.K, (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0))
     assert np.array_equal(calibration.D, D)

@@ -5,15 +5,20 @@ import pathlib
 import pytest
 import roslaunch.config
 import roslaunch.xmlloader
+import yaml
+
+from camera_info_manager.urls import path_of
+from risc_control.lab.calibration import resolve_url
 
 PACKAGE = pathlib.Path(__file__).resolve().parents[1]
-FLEET = PACKAGE.parents[1] / "launch" / "fleets" / "ardrones3.yaml"
+LAUNCH = PACKAGE.parents[1] / "launch"
+FLEET, VEHICLE = LAUNCH / "fleets" / "ardrones3.yaml", LAUNCH / "vehicle.launch"
 
 
 def load(file_name, *arguments):
     """({node name: node}, {parameter: value}) that a launch file makes."""
     config = roslaunch.config.ROSLaunchConfig()
-    path = str(PACKAGE / "launch" / file_name)
+    path = str(PACKAGE / "launch" / file_name)  # an absolute one stays what it is
     roslaunch.xmlloader.XmlLoader().load(path, config, argv=list(arguments), verbose=False)
     nodes = {node.namespace + node.name: node for node in config.nodes}
     return nodes, {name: param.value for name, param in config.params.items()}
@@ -40,6 +45,24 @@ def test_board_and_address_have_the_lab_s_defaults():
     nodes, params = load("risc_camera_setup.launch", "name:=risc2", "fleet:=%s" % FLEET)
     assert "--size 8x6 --square 0.025" in nodes["/risc2/cameracalibrator"].args
     assert params["/risc2/ardrone_driver/drone_ip"] == "127.77.1.2"
+
+
+@pytest.mark.parametrize("calibration", ["risc2.yaml", "not_calibrated_yet.yaml", "relative/to/here.yaml", ""])
+def test_what_is_committed_is_what_the_next_flight_reads(tmp_path, calibration):
+    content = yaml.safe_load(FLEET.read_text(encoding="utf-8"))
+    content["vehicles"][1]["calibration"] = calibration
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(yaml.safe_dump(content), encoding="utf-8")
+    _, setup = load("risc_camera_setup.launch", "name:=risc2", "fleet:=%s" % fleet)
+    _, flight = load(VEHICLE, "name:=risc2", "fleet:=%s" % fleet)
+    url = setup["/risc2/ardrone_driver/camera_info_url"]
+    assert url == flight["/risc2/ardrone_driver/camera_info_url"]
+    if calibration:
+        assert path_of(url, "ardrone_front") == str(resolve_url(calibration).absolute())
+    else:
+        assert url == ""
+    _, setup = load("risc_camera_setup_bottom.launch", "name:=risc2", "fleet:=%s" % fleet)
+    assert [name for name in (*setup, *flight) if "bottom_camera_info_url" in name] == []  # the driver's default
 
 
 def test_without_a_screen_a_bag_is_recorded():

@@ -10,18 +10,12 @@ import numpy as np
 from data_extraction.bags import Bag, BagError
 from data_extraction.flatten import seconds
 from data_extraction.surroundings import Surroundings, is_bottom, namespace_of
+from risc_control.pictures import MESSAGES, picture_from_msg
 from risc_estimation.bearings import make_camera
 from risc_estimation.sight import LANDMARK, Observer, look
 
 PICTURES = ("image_raw", "image_rect_color")
 _COMPRESSED = "/compressed"
-_TO_BGR = {
-    "bgr8": (3, None),
-    "rgb8": (3, cv2.COLOR_RGB2BGR),
-    "bgra8": (4, cv2.COLOR_BGRA2BGR),
-    "rgba8": (4, cv2.COLOR_RGBA2BGR),
-    "mono8": (1, cv2.COLOR_GRAY2BGR),
-}
 _GREEN, _YELLOW, _BLACK = (80, 220, 80), (60, 220, 240), (0, 0, 0)
 
 
@@ -96,32 +90,6 @@ def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None)
     return data_set.result
 
 
-def decode(message):
-    """BGR picture (h, w, 3) of a sensor_msgs Image or CompressedImage of the rosbags library. Raises ValueError."""
-    kind = message.__msgtype__.rpartition("/")[2]
-    if kind == "CompressedImage":
-        picture = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_COLOR)
-        if picture is None:
-            raise ValueError("a compressed picture (%s) is damaged" % message.format)
-        return picture
-    if kind != "Image":
-        raise ValueError("this is no topic of pictures but of %s" % message.__msgtype__)
-    if message.encoding not in _TO_BGR:
-        raise ValueError(
-            "encoding %s is not supported (only %s): let image_proc convert it"
-            % (message.encoding or "''", ", ".join(sorted(_TO_BGR)))
-        )
-    channels, conversion = _TO_BGR[message.encoding]
-    width_bytes = message.width * channels
-    if not 0 < width_bytes <= message.step or len(message.data) < message.step * message.height or message.height < 1:
-        raise ValueError(
-            "a picture is damaged: %d bytes for %dx%d" % (len(message.data), message.width, message.height)
-        )
-    rows = np.asarray(message.data, dtype=np.uint8)[: message.step * message.height].reshape(message.height, -1)
-    picture = rows[:, :width_bytes].reshape(message.height, message.width, channels)
-    return np.ascontiguousarray(picture) if conversion is None else cv2.cvtColor(picture, conversion)
-
-
 class _DataSet:
     """COCO's images, annotations and categories while they grow; pictures are written at once."""
 
@@ -141,7 +109,7 @@ class _DataSet:
     def add(self, topic, message):
         """Label and write one picture."""
         params, surroundings = self._params, self._surroundings
-        picture = decode(message)
+        picture = picture_from_msg(message)
         vehicle = surroundings.vehicle(namespace_of(topic))
         stamp_s = seconds(message.header.stamp)
         exposure_s = stamp_s - params.delay_s
@@ -275,6 +243,9 @@ def _picture_topics(bag, wanted):
                 "%s has no topic %s; it has %s"
                 % (bag.path, ", ".join(missing), ", ".join(sorted(bag.topics)) or "none")
             )
+        for topic in wanted:
+            if bag.types[topic] not in MESSAGES:
+                raise BagError("%s, %s: this is no topic of pictures but of %s" % (bag.path, topic, bag.types[topic]))
         return list(wanted)
     found = [
         topic

@@ -1,41 +1,84 @@
-"""The landmarks that vision looks for: what they are called where, and how large they are. Needs no ROS."""
+"""The landmarks: what they are called where, how they are painted, and how large they are. Needs no ROS."""
 
-from dataclasses import dataclass
-from typing import Dict
+from dataclasses import dataclass, fields
+from typing import Tuple
 
-from risc_control.lab.yaml_reader import Section, load_yaml, package_file
+from risc_control.lab.checks import check_different
+from risc_control.lab.yaml_reader import Section, errors_of, load_yaml, package_file
 from risc_estimation.sight import Disc
 
 
 @dataclass(frozen=True)
-class LandmarkCatalogue:
-    """What every landmark has in common, and their two names."""
+class LandmarkKind:
+    """One landmark: a disc with a centre of one paint in a ring of another."""
 
-    template_of_region: Dict[str, str]  # name on /land_rois and /angles -> mocap template
-    disc_diameter_m: float  # of the disc in the middle
-    ring_diameter_m: float  # outer, of the ring
+    name: str  # motion capture template
+    roi_name: str  # name on /land_rois and /angles
+    centre: str  # paint
+    ring: str  # paint
+
+
+@dataclass(frozen=True)
+class LandmarkCatalogue:
+    """All landmarks, and what they have in common."""
+
+    landmarks: Tuple[LandmarkKind, ...]
+    centre_diameter_m: float = 0.20
+    ring_diameter_m: float = 0.30  # outer
+
+    def __post_init__(self):
+        if not 0.0 < self.centre_diameter_m < self.ring_diameter_m:
+            raise ValueError(
+                "'ring_diameter_m' (%g) must be larger than 'centre_diameter_m' (%g), and both positive"
+                % (self.ring_diameter_m, self.centre_diameter_m)
+            )
+        if not self.landmarks:
+            raise ValueError("'landmarks' is empty: list at least one")
+        for key in ("name", "roi_name"):
+            check_different(self.landmarks, key, "landmarks")
+        for kind in self.landmarks:
+            if kind.centre == kind.ring:
+                raise ValueError("landmark %s: centre and ring have the same colour, %s" % (kind.name, kind.ring))
+
+    @property
+    def template_of_region(self):
+        """Name on /land_rois and /angles -> mocap template."""
+        return {kind.roi_name: kind.name for kind in self.landmarks}
 
     @property
     def region_of_template(self):
         """Mocap template -> name on /land_rois and /angles."""
-        return {template: region for region, template in self.template_of_region.items()}
+        return {kind.name: kind.roi_name for kind in self.landmarks}
 
     def disc(self, name, centre_m, normal=None):
         """sight.Disc of a landmark at a place (cortex frame)."""
-        return Disc(name, tuple(centre_m), normal, self.disc_diameter_m, self.ring_diameter_m)
+        return Disc(name, tuple(centre_m), normal, self.centre_diameter_m, self.ring_diameter_m)
+
+
+def landmarks_file():
+    """Path of the landmarks' file that ships with risc_visual (which depends on this package, not the reverse)."""
+    return package_file("risc_visual", "config/landmarks.yaml")
 
 
 def load_landmark_catalogue(path=None):
-    """Read the landmarks' file of risc_visual. Raises ValueError that names the file, the key and what is wrong.
+    """Read a landmarks' file, None = that of risc_visual; its keys that concern detection alone are passed over.
 
-    path: None = config/landmarks.yaml of risc_visual. Its keys that concern detection alone are passed over.
+    Raises ValueError that names the file, the key and what is wrong.
     """
-    if path is None:
-        path = package_file("risc_visual", "config/landmarks.yaml")
-    root = Section(load_yaml(path), str(path))
-    discs = root.section("discs")
-    return LandmarkCatalogue(
-        template_of_region={item.text("roi_name"): item.text("name") for item in root.sections("landmarks")},
-        disc_diameter_m=discs.number("centre_diameter_m", minimum=1e-3),
-        ring_diameter_m=discs.number("ring_diameter_m", minimum=1e-3),
-    )
+    path = landmarks_file() if path is None else path
+    return catalogue_from_section(Section(load_yaml(path), str(path)))
+
+
+def catalogue_from_section(root):
+    """LandmarkCatalogue of a landmarks' file, of which this reads `landmarks` and `discs`. Raises ValueError."""
+    kinds = []
+    for section in root.sections("landmarks"):
+        kinds.append(LandmarkKind(*[section.text(item.name) for item in fields(LandmarkKind)]))
+        section.done()
+    discs = root.section("discs", {})
+    sizes = {
+        key: discs.number(key, getattr(LandmarkCatalogue, key)) for key in ("centre_diameter_m", "ring_diameter_m")
+    }
+    discs.done()
+    with errors_of(root.where):
+        return LandmarkCatalogue(tuple(kinds), **sizes)

@@ -6,6 +6,7 @@ from typing import Dict, List, NamedTuple
 
 import numpy as np
 
+from risc_control.lab.checks import check_positive, check_ranges
 from risc_estimation.bearings import Bearing
 from risc_estimation.sight import LANDMARK, Disc, Hull, look
 from risc_estimation.tracks import PoseTrack
@@ -26,14 +27,10 @@ class SyntheticParams:
     max_distance_m: float = 6.0  # it is no farther than this
 
     def __post_init__(self):
-        for key in ("rate_hz", "max_distance_m"):
-            if not getattr(self, key) > 0.0:
-                raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(self, key)))
-        for key in ("delay_s", "noise_deg", "min_diameter_px"):
-            if not getattr(self, key) >= 0.0:
-                raise ValueError("parameter '%s' must not be negative, got %r" % (key, getattr(self, key)))
-        if not 0.0 < self.min_fraction <= 1.0:
-            raise ValueError("parameter 'min_fraction' must be in (0, 1], got %r" % (self.min_fraction,))
+        check_positive(self, "rate_hz", "max_distance_m", "min_fraction")
+        check_ranges(
+            self, delay_s=(0.0, np.inf), noise_deg=(0.0, np.inf), min_diameter_px=(0.0, np.inf), min_fraction=(0.0, 1.0)
+        )
 
 
 class Picture(NamedTuple):

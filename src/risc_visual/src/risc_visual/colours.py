@@ -9,6 +9,8 @@ from typing import Tuple
 import cv2
 import numpy as np
 
+from risc_control.lab.yaml_reader import errors_of
+
 HUES = 180  # of an 8-bit picture
 SIDE_MIN_PX = 8  # a smaller picture holds nothing
 
@@ -87,24 +89,28 @@ def shrunk(bgr, factor):
     return cv2.resize(bgr[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
 
 
-def colours_from_section(section, where):
+def colours_from_section(section):
     """dict name -> HsvRange of a yaml_reader.Section. Raises ValueError that names the key."""
-    return {name: _colour(section.section(name), "%s, %s" % (where, name)) for name in section.keys()}
+    return {name: _colour(section.section(name)) for name in section.keys()}
 
 
-def _colour(section, where):
+def _colour(section):
     limits = {}
-    for key, default in (("hue", None), ("saturation", (0, 255)), ("value", (0, 255))):
-        limits[key] = tuple(whole(number, key, where) for number in section.vector(key, 2, default))
-    section.done()
-    try:
+    with errors_of(section.where):
+        for key, default in (("hue", None), ("saturation", (0, 255)), ("value", (0, 255))):
+            numbers = section.vector(key, 2, default)
+            limits[key] = tuple(map(int, numbers))
+            if limits[key] != numbers:
+                raise ValueError("'%s' must be whole numbers, found %r" % (key, list(numbers)))
+        section.done()
         return HsvRange(**limits)
-    except ValueError as error:
-        raise ValueError("%s: %s" % (where, error)) from error
 
 
-def whole(number, key, where=""):
-    """The number as an int. Raises ValueError if it is none."""
-    if number != int(number):
-        raise ValueError("%s'%s' must be whole numbers, found %r" % (where and where + ": ", key, number))
-    return int(number)
+def check_paints(colours, item, keys):
+    """Raises ValueError for the first of these fields of an item (which has a name) that is none of the colours."""
+    for key in keys:
+        paint = getattr(item, key)
+        if paint not in colours:
+            raise ValueError(
+                "%s: '%s' is %r, which is no colour; known are %s" % (item.name, key, paint, ", ".join(colours))
+            )

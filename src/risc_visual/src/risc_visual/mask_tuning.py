@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 import yaml
 
-from risc_control.lab.yaml_reader import package_file
+from risc_control.lab.checks import check_ranges
+from risc_estimation.landmark_catalogue import landmarks_file
 from risc_visual.colours import HUES, HsvRange, Planes
-from risc_visual.landmark_config import CONFIG, landmarks_from_dict
+from risc_visual.landmark_config import landmarks_from_dict
 
 _SIGMA_PX = 2.0  # of the blur, as in the original release
 
@@ -32,9 +33,7 @@ class MaskSettings:
     file: str = ""  # landmarks file that `save` writes
 
     def __post_init__(self):
-        for key, greatest in (("kernel", 20), ("blur", 100)):
-            if not 0 <= getattr(self, key) <= greatest:
-                raise ValueError("parameter '%s' must be in 0..%d, got %r" % (key, greatest, getattr(self, key)))
+        check_ranges(self, kernel=(0, 20), blur=(0, 100))
         self.paint()
 
     def paint(self):
@@ -76,7 +75,7 @@ def save_colour(path, name, paint):
     if not re.fullmatch(r"\w+", name):
         raise ValueError("%r is no name of a colour: letters, digits and _" % name)
     path = pathlib.Path(path).expanduser().absolute()
-    source = path if path.exists() else package_file("risc_visual", CONFIG)
+    source = path if path.exists() else landmarks_file()
     try:
         text = source.read_text(encoding="utf-8")
         limits = ", ".join("%s: [%d, %d]" % (key, *getattr(paint, key)) for key in ("hue", "saturation", "value"))

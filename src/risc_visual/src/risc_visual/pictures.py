@@ -4,17 +4,11 @@ import pathlib
 
 import cv2
 import numpy as np
-from cv_bridge import CvBridge, CvBridgeError
 
 from data_extraction.bags import Bag
+from risc_control.pictures import MESSAGES, PictureError, picture_from_file, picture_from_msg
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff")
-_IMAGE = "sensor_msgs/msg/Image"
-_COMPRESSED = "sensor_msgs/msg/CompressedImage"
-
-
-class PictureError(ValueError):
-    """A source that gives no pictures, with cause and cure."""
 
 
 class FolderPictures(object):
@@ -32,7 +26,7 @@ class FolderPictures(object):
     def __iter__(self):
         """Yield (name, picture); the picture is None when it cannot be read."""
         for path in self._paths:
-            yield path.name, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            yield path.name, _grey(picture_from_file, path)
 
 
 class BagPictures(object):
@@ -44,9 +38,8 @@ class BagPictures(object):
         Raises PictureError, which names the picture topics, and data_extraction.bags.BagError.
         """
         self._path = path
-        self._bridge = CvBridge()
         with Bag(path) as bag:
-            topics = {name: bag.topics[name] for name, kind in bag.types.items() if kind in (_IMAGE, _COMPRESSED)}
+            topics = {name: bag.topics[name] for name, kind in bag.types.items() if kind in MESSAGES}
         listing = ", ".join("%s (%d)" % item for item in sorted(topics.items()))
         if not topics:
             raise PictureError("%s has no topic with pictures: record the camera's image_raw" % path)
@@ -67,20 +60,7 @@ class BagPictures(object):
             for index, (_, _, message) in enumerate(bag.messages([self._topic])):
                 if index in self._wanted:
                     stamp = message.header.stamp
-                    yield "%d.%09d" % (stamp.sec, stamp.nanosec), self._grey(message)
-
-    def _grey(self, message):
-        if not hasattr(message, "encoding"):
-            return cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_GRAYSCALE)
-        try:
-            depth, channels = self._bridge.encoding_to_dtype_with_channels(message.encoding)
-            row_bytes = message.width * channels * np.dtype(depth).itemsize
-            if message.step > row_bytes:  # cv_bridge takes rows for packed
-                rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
-                message.data = np.ascontiguousarray(rows[:, :row_bytes]).reshape(-1)
-            return np.ascontiguousarray(self._bridge.imgmsg_to_cv2(message, "mono8"))
-        except (CvBridgeError, TypeError, ValueError):
-            return None
+                    yield "%d.%09d" % (stamp.sec, stamp.nanosec), _grey(picture_from_msg, message)
 
 
 def open_pictures(source, topic=None, most=200):
@@ -98,3 +78,11 @@ def open_pictures(source, topic=None, most=200):
 def _spread(count, most):
     """Indices of at most `most` of `count` things, evenly spread."""
     return range(count) if count <= most else np.linspace(0, count - 1, most).round().astype(int).tolist()
+
+
+def _grey(decode, source):
+    """Grey picture (h, w) that `decode` makes of a source; None when it cannot."""
+    try:
+        return cv2.cvtColor(decode(source), cv2.COLOR_BGR2GRAY)
+    except PictureError:
+        return None

@@ -9,31 +9,12 @@ import cv2
 
 from risc_control.camera import Camera
 from risc_control.lab.calibration import load_calibration
+from risc_control.pictures import PictureError, picture_from_file
 from risc_visual.landmark_config import load_landmarks
 from risc_visual.landmarks import LandmarkDetector
 from risc_visual.overlay import draw_landmarks
 
 _DIGITS = 2  # of a pixel
-
-
-class PictureError(ValueError):
-    """A file that is no picture, with the cause."""
-
-
-def read_picture(path):
-    """(h, w, 3) uint8 BGR of a file. Raises PictureError."""
-    path = pathlib.Path(path)
-    if not path.exists():
-        raise PictureError("no such file: check the path")
-    if path.is_dir():
-        raise PictureError("it is a folder: name the files in it, e.g. %s/*.png" % path)
-    try:
-        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    except cv2.error as error:  # e.g. larger than OpenCV takes
-        raise PictureError("OpenCV cannot read it: %s" % error.err) from error
-    if picture is None:
-        raise PictureError("it is no picture that OpenCV can read, or may not be read: convert it to PNG or JPEG")
-    return picture
 
 
 def as_json(image, detections):
@@ -90,7 +71,7 @@ def main(arguments=None):
     written = set()
     for image in options.images:
         try:
-            picture = read_picture(image)
+            picture = picture_from_file(image)
             size = picture.shape[1], picture.shape[0]
             if camera is not None and size != (camera.width_px, camera.height_px):
                 raise PictureError(

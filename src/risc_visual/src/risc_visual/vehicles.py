@@ -7,8 +7,9 @@ from typing import Dict, NamedTuple, Tuple
 import cv2
 import numpy as np
 
-from risc_control.lab.yaml_reader import Section, load_yaml, package_file
-from risc_visual.colours import HsvRange, Planes, as_bgr, colours_from_section, shrunk, whole
+from risc_control.lab.checks import check_ranges
+from risc_control.lab.yaml_reader import Section, errors_of, load_yaml, package_file
+from risc_visual.colours import HsvRange, Planes, as_bgr, check_paints, colours_from_section, shrunk
 
 CONFIG = "config/vehicles.yaml"  # of package risc_visual
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -35,16 +36,15 @@ class VehicleParams:
     alone_aspect: float = 1.8
 
     def __post_init__(self):
-        for key, low, high in (
-            ("shrink", 1, 8),
-            ("area_min_px", 1, np.inf),
-            ("gap", 0, 5),
-            ("second_min", 0, 0.5),
-            ("alone_area_min_px", 1, np.inf),
-            ("alone_aspect", 0, 100),
-        ):
-            if not low <= getattr(self, key) <= high:
-                raise ValueError("'%s' must be in [%g, %g], found %r" % (key, low, high, getattr(self, key)))
+        check_ranges(
+            self,
+            shrink=(1, 8),
+            area_min_px=(1, np.inf),
+            gap=(0, 5),
+            second_min=(0, 0.5),
+            alone_area_min_px=(1, np.inf),
+            alone_aspect=(0, 100),
+        )
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,7 @@ class VehiclesConfig:
             raise ValueError("'hulls' is empty: list at least one")
         pairs = [frozenset((hull.nose, hull.tail)) for hull in self.hulls]
         for hull, pair in zip(self.hulls, pairs):
-            for key in ("nose", "tail"):
-                paint = getattr(hull, key)
-                if paint not in self.colours:
-                    raise ValueError(
-                        "hull %s: '%s' is %r, which is no colour; known are %s"
-                        % (hull.name, key, paint, ", ".join(self.colours))
-                    )
+            check_paints(self.colours, hull, ("nose", "tail"))
             if pairs.count(pair) > 1:
                 raise ValueError("hull %s: another hull has the same two colours" % hull.name)
 
@@ -93,20 +87,15 @@ def load_vehicles(path=None):
 def vehicles_from_dict(content, where="vehicles"):
     """VehiclesConfig from the content of its YAML file. Raises ValueError that names the key."""
     root = Section(content, where)
-    colours = colours_from_section(root.section("colours"), where + ", colours")
+    colours = colours_from_section(root.section("colours"))
     hulls = []
     for section in root.sections("hulls"):
         hulls.append(Hull(*[section.text(item.name) for item in fields(Hull)]))
         section.done()
-    thresholds = root.section("detector", {})
-    values = {item.name: thresholds.number(item.name, item.default) for item in fields(VehicleParams)}
-    thresholds.done()
+    detector = root.section("detector", {}).settings(VehicleParams)
     root.done()
-    try:
-        values["shrink"] = whole(values["shrink"], "shrink")
-        return VehiclesConfig(colours, tuple(hulls), VehicleParams(**values))
-    except ValueError as error:
-        raise ValueError("%s: %s" % (where, error)) from error
+    with errors_of(where):
+        return VehiclesConfig(colours, tuple(hulls), detector)
 
 
 class _Blob(NamedTuple):

@@ -1,4 +1,8 @@
-"""Camera calibration files (the YAML of ROS' camera_info) and where a camera sits on its vehicle. Needs no ROS."""
+"""Camera calibration files (the YAML of ROS' camera_info) and where a camera sits on its vehicle. Needs no ROS.
+
+camera_info_manager.calibration_file reads and writes the same files for the drivers. The two stay apart: drivers must
+do without this package, which depends on them, and this module without ROS.
+"""
 
 import math
 import pathlib
@@ -8,10 +12,12 @@ from typing import Tuple
 import numpy as np
 import yaml
 
-from risc_control.lab.yaml_reader import Section, load_yaml, package_file
+from risc_control.lab.yaml_reader import Section, errors_of, load_yaml, package_file
 
 DISTORTION_MODEL = "plumb_bob"
-_CONFIG = "config/cameras"  # of package risc_visual: what a bare file name means
+# What a bare file name means. That package depends on this one, so package.xml cannot name it here; those that load
+# calibrations by such names depend on it themselves.
+_FOLDER = "package://risc_visual/config/cameras/"
 
 
 @dataclass(frozen=True)
@@ -71,17 +77,17 @@ BOTTOM_MOUNT = CameraMount(position_m=(0.0, 0.02, 0.0), pitch_rad=-0.5 * math.pi
 def resolve_url(url):
     """Path of a calibration or mount: file://, package://PACKAGE/, a path, or a name in risc_visual/config/cameras.
 
-    Raises ValueError when nothing can be there.
+    The file need not be there: a driver writes it when its camera is calibrated. ValueError when the package is not.
     """
-    if url.startswith("package://"):
-        package, _, relative = url[len("package://") :].partition("/")
-        return package_file(package, relative)
     if url.startswith("file://"):
         return pathlib.Path(url[len("file://") :])
-    path = pathlib.Path(url).expanduser()
-    if path.is_absolute() or len(path.parts) > 1:
-        return path
-    return package_file("risc_visual", "%s/%s" % (_CONFIG, url))
+    if not url.startswith("package://"):
+        path = pathlib.Path(url).expanduser()
+        if path.is_absolute() or len(path.parts) > 1:
+            return path
+        url = _FOLDER + url
+    package, _, relative = url[len("package://") :].partition("/")
+    return package_file(package, "package.xml").parent / relative
 
 
 def load_calibration(url):
@@ -91,19 +97,16 @@ def load_calibration(url):
     model = root.text("distortion_model", DISTORTION_MODEL)
     if model != DISTORTION_MODEL:
         raise ValueError("%s: distortion_model must be %s, found %s" % (path, DISTORTION_MODEL, model))
-    try:
+    with errors_of(path):
         calibration = CameraCalibration(
             name=root.text("camera_name", path.stem),
-            width_px=int(root.number("image_width", minimum=1)),
-            height_px=int(root.number("image_height", minimum=1)),
+            width_px=root.whole("image_width", minimum=1),
+            height_px=root.whole("image_height", minimum=1),
             K=_matrix(root, "camera_matrix", 3, 3),
             D=_matrix(root, "distortion_coefficients", 1, 5),
             R=_matrix(root, "rectification_matrix", 3, 3),
             P=_matrix(root, "projection_matrix", 3, 4),
         )
-    except ValueError as error:
-        text = str(error)
-        raise ValueError(text if text.startswith(str(path)) else "%s: %s" % (path, text)) from error
     root.done()
     return calibration
 

@@ -6,7 +6,8 @@ import re
 from dataclasses import dataclass, replace
 from typing import Tuple
 
-from risc_control.lab.yaml_reader import Section, load_yaml
+from risc_control.lab.checks import check_different
+from risc_control.lab.yaml_reader import Section, errors_of, load_yaml
 
 
 @dataclass(frozen=True)
@@ -117,15 +118,10 @@ def fleet_from_dict(content, where="fleet"):
     root.done()
     if not fleet.vehicles:
         raise ValueError("%s: a fleet needs at least one vehicle" % where)
-    for what in ("namespace", "template", "address"):
-        values = [getattr(vehicle, what) for vehicle in fleet.vehicles]
-        twice = sorted({value for value in values if values.count(value) > 1})
-        if twice:
-            raise ValueError("%s: two vehicles have the same %s: %s" % (where, what, ", ".join(twice)))
-    names = [landmark.name for landmark in fleet.landmarks]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError("%s: two landmarks have the same name: %s" % (where, ", ".join(twice)))
+    with errors_of(where):
+        for key in ("namespace", "template", "address"):
+            check_different(fleet.vehicles, key, "vehicles")
+        check_different(fleet.landmarks, "name", "landmarks")
     return fleet
 
 

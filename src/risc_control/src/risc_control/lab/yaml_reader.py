@@ -1,7 +1,9 @@
 """Reading YAML files strictly: every problem is one ValueError that names the file, the key and the cure."""
 
+import contextlib
 import pathlib
 import re
+from dataclasses import fields
 
 import numpy as np
 import yaml
@@ -51,6 +53,16 @@ def load_yaml(path):
     return content
 
 
+@contextlib.contextmanager
+def errors_of(where):
+    """Begins a ValueError from within with `where`, e.g. the path of a file, unless it begins so already."""
+    try:
+        yield
+    except ValueError as error:
+        text = str(error)
+        raise ValueError(text if text.startswith(str(where)) else "%s: %s" % (where, text)) from error
+
+
 class Section:
     """One mapping of a YAML file with typed access; keys that nobody asked for are an error in `done`."""
 
@@ -58,7 +70,7 @@ class Section:
         if not isinstance(content, dict):
             raise ValueError("%s must be a mapping, found %r" % (where, content))
         self._content = content
-        self._where = where
+        self.where = where  # file and key, for errors
         self._asked = set()
 
     def _value(self, key, default):
@@ -66,52 +78,66 @@ class Section:
         if key in self._content:
             return self._content[key]
         if default is None:
-            raise ValueError("%s: key '%s' is missing" % (self._where, key))
+            raise ValueError("%s: key '%s' is missing" % (self.where, key))
         return default
 
     def number(self, key, default=None, minimum=-np.inf, maximum=np.inf):
         """A finite number within limits; without a default the key is required."""
         value = self._value(key, default)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise ValueError("%s: '%s' must be a number, found %r" % (self._where, key, value))
+            raise ValueError("%s: '%s' must be a number, found %r" % (self.where, key, value))
         if not minimum <= value <= maximum:
-            raise ValueError("%s: '%s' must be in [%g, %g], found %r" % (self._where, key, minimum, maximum, value))
+            raise ValueError("%s: '%s' must be in [%g, %g], found %r" % (self.where, key, minimum, maximum, value))
         return float(value)
+
+    def whole(self, key, default=None, minimum=-np.inf, maximum=np.inf):
+        """A whole number within limits."""
+        value = self.number(key, default, minimum, maximum)
+        if not value.is_integer():
+            raise ValueError("%s: '%s' must be a whole number, found %r" % (self.where, key, value))
+        return int(value)
 
     def port(self, key, default=None):
         """A UDP port number."""
-        value = self.number(key, default, 1, 65535)
-        if value != int(value):
-            raise ValueError("%s: '%s' must be a whole port number, found %r" % (self._where, key, value))
-        return int(value)
+        return self.whole(key, default, 1, 65535)
 
     def vector(self, key, length, default=None):
         """A list of `length` finite numbers, as a tuple."""
         value = self._value(key, default)
         good = isinstance(value, (list, tuple)) and len(value) == length
         if not good or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in value):
-            raise ValueError("%s: '%s' must be a list of %d numbers, found %r" % (self._where, key, length, value))
+            raise ValueError("%s: '%s' must be a list of %d numbers, found %r" % (self.where, key, length, value))
         if not np.all(np.isfinite(value)):
-            raise ValueError("%s: '%s' must be finite, found %r" % (self._where, key, value))
+            raise ValueError("%s: '%s' must be finite, found %r" % (self.where, key, value))
         return tuple(float(x) for x in value)
 
     def text(self, key, default=None):
         """A string; without a default the key is required and must not be empty."""
         value = self._value(key, default)
         if not isinstance(value, str) or (default is None and not value):
-            raise ValueError("%s: '%s' must be a text, found %r" % (self._where, key, value))
+            raise ValueError("%s: '%s' must be a text, found %r" % (self.where, key, value))
         return value
 
     def section(self, key, default=None):
         """A nested mapping, as a `Section`."""
-        return Section(self._value(key, default), "%s, %s" % (self._where, key))
+        return Section(self._value(key, default), "%s, %s" % (self.where, key))
 
     def sections(self, key, default=None):
         """A list of mappings, as a list of `Section`."""
         value = self._value(key, default)
         if not isinstance(value, (list, tuple)):
-            raise ValueError("%s: '%s' must be a list, found %r" % (self._where, key, value))
-        return [Section(item, "%s, %s[%d]" % (self._where, key, i)) for i, item in enumerate(value)]
+            raise ValueError("%s: '%s' must be a list, found %r" % (self.where, key, value))
+        return [Section(item, "%s, %s[%d]" % (self.where, key, i)) for i, item in enumerate(value)]
+
+    def settings(self, settings_class):
+        """An instance of a dataclass of numbers with the values of this mapping, and the class' own of absent keys."""
+        values = {
+            item.name: (self.whole if isinstance(item.default, int) else self.number)(item.name, item.default)
+            for item in fields(settings_class)
+        }
+        self.done()
+        with errors_of(self.where):
+            return settings_class(**values)
 
     def keys(self):
         """Names of all keys, in the order of the file."""
@@ -122,6 +148,5 @@ class Section:
         unknown = sorted(str(key) for key in set(self._content) - self._asked)
         if unknown:
             raise ValueError(
-                "%s: unknown key(s) %s; known are %s"
-                % (self._where, ", ".join(unknown), ", ".join(sorted(self._asked)))
+                "%s: unknown key(s) %s; known are %s" % (self.where, ", ".join(unknown), ", ".join(sorted(self._asked)))
             )

@@ -81,7 +81,7 @@ def _converted(key, value, default):
         if isinstance(value, type(default)):
             return value
         wanted = "true or false" if isinstance(default, bool) else "a text"
-    elif isinstance(value, bool) or not isinstance(value, (int, float)):
+    elif isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         wanted = "a number"
     elif isinstance(default, float):
         return float(value)

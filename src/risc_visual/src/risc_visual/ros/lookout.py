@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_updater import Updater
 from sensor_msgs.msg import CameraInfo, Image
 
+from risc_control.pictures import picture_from_msg
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import fleet_vehicles, load_params
 from risc_estimation.bearings import calibration_from_info, fleet_calibration, make_camera
@@ -21,7 +22,6 @@ from risc_visual.landmark_config import load_landmarks
 from risc_visual.landmarks import LandmarkDetector
 from risc_visual.overlay import draw_landmarks, draw_vehicles
 from risc_visual.ros.conversions import rois_of_picture
-from risc_visual.ros.picture_node import picture_from_msg
 from risc_visual.templates.drawing import draw_crosshair
 from risc_visual.vehicles import VehicleDetector, load_vehicles
 

@@ -9,14 +9,14 @@ import threading
 import time
 
 import cv2
-import numpy as np
 import rospy
-from cv_bridge import CvBridge, CvBridgeError
+from cv_bridge import CvBridge
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_updater import Updater
 from dynamic_reconfigure.server import Server
 from sensor_msgs.msg import Image
 
+from risc_control.pictures import picture_from_msg
 from risc_control.ros.params import load_params
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 
@@ -164,36 +164,6 @@ class PictureNode(abc.ABC):
         status.add("longest work on one (ms)", "%.1f" % (1e3 * self._longest_s))
         self._longest_s = 0.0
         return status
-
-
-def picture_from_msg(message):
-    """sensor_msgs/Image of any encoding that cv_bridge knows -> own, writable (h, w, 3) uint8, blue green red.
-
-    Raises ValueError that says what is wrong with it.
-    """
-    if not message.height or not message.width:
-        raise ValueError("it is empty (%d x %d)" % (message.width, message.height))
-    try:
-        kind, channels = _BRIDGE.encoding_to_dtype_with_channels(message.encoding)
-        row_bytes = message.width * channels * np.dtype(kind).itemsize
-        if message.step < row_bytes or len(message.data) < message.height * message.step:
-            raise ValueError(
-                "%d x %d in %s needs rows of %d bytes; it has rows of %d and %d bytes in all"
-                % (message.width, message.height, message.encoding, row_bytes, message.step, len(message.data))
-            )
-        if message.step > row_bytes:  # cv_bridge takes rows as packed
-            rows = np.frombuffer(message.data, np.uint8, message.height * message.step)
-            packed = rows.reshape(message.height, message.step)[:, :row_bytes].tobytes()
-            message = Image(
-                message.header, message.height, message.width, message.encoding, message.is_bigendian, row_bytes, packed
-            )
-        picture = _BRIDGE.imgmsg_to_cv2(message, "bgr8")
-    except (CvBridgeError, TypeError, KeyError) as error:
-        raise ValueError(
-            "its encoding '%s' cannot become a colour picture (%s); publish rgb8, bgr8, mono8 or a Bayer pattern"
-            % (message.encoding, error)
-        ) from error
-    return picture if picture.flags.writeable else picture.copy()
 
 
 def rois_msg(header, regions):
