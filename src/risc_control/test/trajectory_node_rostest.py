@@ -37,6 +37,7 @@ class Lab:
         self.autonomous = False
         self.references = collections.defaultdict(lambda: collections.deque(maxlen=8000))
         self.phases = collections.defaultdict(list)
+        self.courses = collections.defaultdict(list)
         self.controls = []
         self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
         self._status = [rospy.Publisher("/risc%d/controller_status" % k, Bool, queue_size=1) for k in (1, 2)]
@@ -44,11 +45,15 @@ class Lab:
         for node in NODES:
             rospy.Subscriber("/%s/trajectory" % node, Trajectories, self.references[node].append, queue_size=100)
             rospy.Subscriber("/%s/trajectory_phase" % node, String, self._on_phase, callback_args=node)
+            rospy.Subscriber("/%s/trajectory_course" % node, String, self._on_course, callback_args=node)
         rospy.Subscriber("/demo/controls", Controls, self.controls.append)
         threading.Thread(target=self._run, daemon=True).start()
 
     def _on_phase(self, message, node):
         self.phases[node].append(dict(entry.split(": ") for entry in message.data.split("; ")))
+
+    def _on_course(self, message, node):
+        self.courses[node].append(message.data)
 
     def _run(self):
         rate = rospy.Rate(100)
@@ -184,6 +189,7 @@ class TrajectoryNodeTest(unittest.TestCase):
         since, begin = len(self.lab.phases["demo"]), len(self.lab.controls)
         self.lab.press("demo", 5)
         self.lab.wait_for_phase("demo", "approach", "albatross", since)  # to the slanted eight
+        wait_for(lambda: self.lab.courses["demo"] == ["origin", "slanted8"], "the names of the courses")
         # the vehicle of this test does not move: the reference is ahead of it, and the command follows
         wait_for(
             lambda: any(abs(c.theta) > 0.05 for m in self.lab.controls[begin:] for c in m.Obj), "a command to follow"

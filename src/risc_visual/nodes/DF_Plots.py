@@ -1,0 +1,124 @@
+#!/usr/bin/env python3
+"""The course's plots, live, or from the bag that is its argument. Wiring only; see risc_visual.df_plots, df_pages."""
+
+import contextlib
+import pathlib
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import rospy
+from sensor_msgs.msg import Joy
+from std_msgs.msg import String
+from std_srvs.srv import Trigger, TriggerResponse
+
+from risc_control.ros.paced import PacedSubscriber
+from risc_control.ros.params import fleet_vehicles, load_params, number
+from risc_msgs.msg import Controls, Cortex, Trajectories
+from risc_visual import df_plots_bag
+from risc_visual.df_pages import PageWriter
+from risc_visual.df_plots import PLOT_BUTTON, ButtonEdge, PlotParams, Recorder
+from risc_visual.ros.health import Health
+
+_LOOK_S = 0.2  # how often the main thread looks whether there is something to draw, or an end
+
+
+class DFPlots:
+    """/cortex_raw, /trajectory, /controls -> files of what is over; a button or ~plot asks for what is under way."""
+
+    def __init__(self):
+        fleet = fleet_vehicles()
+        params = load_params(PlotParams)[0]
+        if params.plot_button < 0:
+            params = replace(params, plot_button=int(number("/plot_button", PLOT_BUTTON)))
+        if params.euler_angle_max < 0.0:
+            params = replace(params, euler_angle_max=number("/euler_angle_max", params.euler_angle_max))
+        self._params = params
+        self._recorder = Recorder(params, fleet)
+        self._lock = threading.Lock()  # of the recorder
+        self._folder = pathlib.Path(params.folder or time.strftime("df_plots_%Y%m%d-%H%M%S")).expanduser().absolute()
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._writer = PageWriter(self._folder, params.pdf)
+        self._drawing = threading.Lock()  # of the writer
+        self._wanted = threading.Event()
+        self._health = Health("DF_Plots", ("/cortex_raw", "/trajectory", "/controls"), done="logged")
+        rospy.Service("~plot", Trigger, self._on_plot)
+        joysticks = params.joysticks or ["joy"] + ["/%s/joy" % vehicle.namespace for vehicle in fleet]
+        for topic in sorted(set(map(rospy.resolve_name, joysticks))):
+            rospy.Subscriber(topic, Joy, self._on_joy, ButtonEdge(params.plot_button), queue_size=10)
+        rospy.Subscriber("/trajectory_phase", String, self._on_text, self._recorder.phases, queue_size=10)
+        rospy.Subscriber("/trajectory_course", String, self._on_text, self._recorder.course, queue_size=10)
+        rospy.Subscriber("/operator/phase", String, self._on_text, self._recorder.operator_phase, queue_size=10)
+        for topic, kind, take in (
+            ("/trajectory", Trajectories, self._recorder.references),
+            ("/controls", Controls, self._recorder.commands),
+            ("/cortex_raw", Cortex, self._recorder.states),
+        ):
+            PacedSubscriber(topic, kind, self._on_message, params.rate_hz, (topic, take))
+        rospy.loginfo("plots go to %s: those of the course under way on button %d", self._folder, params.plot_button)
+
+    def run(self):
+        """Until the node ends: draw here, not in the joystick's thread, what is over or was asked for."""
+        drawn = 0
+        while not rospy.is_shutdown():
+            asked = self._wanted.wait(_LOOK_S)
+            if asked:
+                self._wanted.clear()
+            with self._lock:
+                ended = self._recorder.ended
+            if asked or ended > drawn:
+                self._plot(growing=asked)
+                drawn = ended
+        with self._lock:
+            self._recorder.finish()
+        self._plot()
+        with contextlib.suppress(OSError):
+            self._folder.rmdir()  # nothing but an empty folder lets itself be removed
+
+    def _on_message(self, message, topic, take):
+        with self._lock:
+            take(rospy.get_time(), message.header.stamp.to_sec(), message.Obj)
+        self._health.drawn(topic)
+
+    def _on_text(self, message, take):
+        with self._lock:
+            take(rospy.get_time(), message.data)
+
+    def _on_joy(self, message, edge):
+        if edge.update(message.buttons):
+            self._wanted.set()
+
+    def _on_plot(self, _request):
+        return TriggerResponse(*self._plot())
+
+    def _plot(self, growing=True):
+        """Write what is new. Returns (whether there is anything, what was done in words)."""
+        with self._drawing:
+            with self._lock:
+                segments = self._recorder.segments(growing)
+            files = self._writer.write(segments)
+        if segments:
+            text = "%d segments, %d new files in %s" % (len(segments), len(files), self._folder)
+        else:
+            text = "nothing to plot: no vehicle was seen for %g s while it had a course" % self._params.min_s
+        if files or growing:
+            rospy.loginfo("%s", text)
+        return bool(segments), text
+
+
+def main():
+    arguments = rospy.myargv()[1:]
+    if arguments:
+        return df_plots_bag.main(arguments)
+    rospy.init_node("DF_Plots")
+    try:
+        DFPlots().run()
+    except (ValueError, OSError) as error:
+        rospy.logfatal("DF_Plots: %s", error)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
