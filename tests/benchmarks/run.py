@@ -18,13 +18,18 @@ BENCHMARKS = {
                                                             "--delay", "0.1", "0.3", "--json", "{json}"]),
     "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
     "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),
+    "drawing": ("markers for rviz: time per drawing, up to 50 vehicles", [PYTHON, str(HERE / "drawing.py"),
+                                                                          "--json", "{json}"]),
     "vision": ("landmark detection on a rendered set: precision, recall, centre error, time",
                [PYTHON, str(HERE / "vision.py"), "--json", "{json}", "--markdown", str(DOCS / "vision.md"),
                 "--pictures", str(DOCS / "images" / "vision")]),
+    "long_bag": ("report of a long bag with pictures: time and peak memory (needs 9 GB of disk for some minutes)",
+                 [PYTHON, str(HERE / "long_bag.py"), "--json", "{json}"]),
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),
 }  # fmt: skip
-BY_NAME_ONLY = {"flights", "vision"}  # the one takes half an hour, the other rewrites its tables in docs/vision.md
+# the first take half an hour and a big disk, the last rewrites its tables in docs/vision.md
+BY_NAME_ONLY = {"flights", "long_bag", "vision"}
 
 
 def run(name):

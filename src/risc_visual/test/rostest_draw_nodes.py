@@ -11,25 +11,32 @@ import rospy
 import rostest
 import tf2_ros
 import yaml
+from geometry_msgs.msg import Twist, TwistStamped, Vector3
 from std_msgs.msg import Bool, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
 from risc_msgs.msg import (
+    Angle,
+    Angles,
     Cortex,
     Landmark,
     Landmarks,
     Mocap_data,
     Mocap_marker,
     Mocap_markers,
+    Observed_angles,
     States,
     Trajectories,
     Trajectory,
+    Waypoint,
+    Waypoints,
 )
 
 PACKAGE = "risc_visual"
 NAME = "draw_nodes"
 PATIENCE_S = 20.0
+START_S = 60.0  # five programs start at a time, and at low priority
 CONFIG = pathlib.Path(__file__).resolve().parents[1] / "config"
 INPUTS = {
     "/cortex_raw": Cortex,
@@ -39,13 +46,21 @@ INPUTS = {
     "/risc2/controller_status": Bool,
     "/risc2/safety": String,
     "/risc2/ardrone/navdata": Navdata,
+    "/risc2/position_cov": TwistStamped,
+    "/angles": Observed_angles,
+    "/waypoints": Waypoints,
 }
+OTHERS = ("/Cameras", "/angle_lines", "/Way_Markers", "/Heading_Markers", "/Way_Labels", "/Way_trail")
+TUNER = "/transform_tuner/"  # topics of a node that draws by itself
 
 
 def displays():
-    """(class, topic) of every marker display of the rviz configuration."""
-    content = yaml.safe_load((CONFIG / "Diff_flat.rviz").read_text())["Visualization Manager"]
-    return [(d["Class"], d["Marker Topic"]) for d in content["Displays"] if "Marker Topic" in d]
+    """(class, topic) of every marker display of the rviz configurations, sorted."""
+    found = set()
+    for path in CONFIG.glob("*.rviz"):
+        content = yaml.safe_load(path.read_text())["Visualization Manager"]
+        found |= {(d["Class"], d["Marker Topic"]) for d in content["Displays"] if "Marker Topic" in d}
+    return sorted(item for item in found if not item[1].startswith(TUNER))
 
 
 class DrawNodesTest(unittest.TestCase):
@@ -55,13 +70,14 @@ class DrawNodesTest(unittest.TestCase):
         cls.lock = threading.Lock()
         cls.received = {}
         cls.publishers = {topic: rospy.Publisher(topic, kind, queue_size=10) for topic, kind in INPUTS.items()}
-        for kind, topic in displays() + [("rviz/MarkerArray", "/Cameras")]:
+        for kind, topic in sorted({*displays(), *(("rviz/MarkerArray", topic) for topic in OTHERS)}):
             message = MarkerArray if kind == "rviz/MarkerArray" else Marker
             rospy.Subscriber(topic, message, cls.keep, topic, queue_size=100)
-        deadline_s = time.monotonic() + PATIENCE_S
+        deadline_s = time.monotonic() + START_S
         while not all(publisher.get_num_connections() for publisher in cls.publishers.values()):
             if time.monotonic() > deadline_s:
-                raise AssertionError("the drawing nodes did not connect within %g s" % PATIENCE_S)
+                silent = sorted(t for t, publisher in cls.publishers.items() if not publisher.get_num_connections())
+                raise AssertionError("nobody listened to %s within %g s" % (", ".join(silent), START_S))
             time.sleep(0.02)
 
     @classmethod
@@ -192,16 +208,123 @@ class DrawNodesTest(unittest.TestCase):
         self.publishers["/risc2/safety"].publish("hold: state 120 ms old")
         wanted = {"controller_status": "Raven: hold: state 120 ms old"}
         self.fly_until(lambda: self.texts("/Ctrl_Status") == wanted, "the text of the safety")
+        self.fly_until(lambda: self.texts("/Quad_Labels").get("Raven") == "Raven: HOLD", "the rung at the vehicle")
+        self.publishers["/risc2/safety"].publish("ok")
+        self.fly_until(lambda: self.texts("/Quad_Labels").get("Raven") == "Raven", "the end of the hold")
 
     def test_5_a_lost_vehicle_is_shown_as_lost(self):
         for visible, label in ((True, "fluffy_II"), (False, "fluffy_II (lost)")):
             wanted = {"fluffy_II": label, "Raven": "Raven"}
             self.fly_until(lambda wanted=wanted: self.texts("/Quad_Labels") == wanted, label, visible=visible)
 
-    def test_6_silence_draws_nothing(self):
-        topics = ("/Quad_Markers", "/Quad_Labels", "/Cortex_Markers", "/Quad_trajectory")
+    def look(self, observer="risc1", age_s=0.0):
+        """Send the bearings of one picture of a vehicle: a landmark, one that is not seen, and another vehicle."""
+        stamp = rospy.Time.now() - rospy.Duration(age_s)
+        entry = Angles(
+            observer,
+            [Angle("green", True, 30.0, 10.0), Angle("blue", False, math.nan, math.nan)],
+            [Angle("risc2", True, -10.0, 0.0)],
+        )
+        self.publishers["/angles"].publish(Header(stamp=stamp, frame_id="cortex"), [entry])
+        return stamp
+
+    def rays_after(self, seconds=0.5, **options):
+        """Fly and look for a while. Returns (markers that are drawn, stamps of the pictures that were sent)."""
         self.clear()
-        self.fly_until(lambda: all(map(self.taken, topics)), "any drawing")
+        stamps, start_s = [], time.monotonic()
+        while time.monotonic() - start_s < seconds:
+            stamps.append(self.look(**options))
+            self.fly(0.05)
+        found = [m for message in self.taken("/angle_lines") for m in message]
+        return [m for m in found if m.action == Marker.ADD], stamps
+
+    def test_6_rays_of_a_picture_begin_at_its_camera_at_its_time(self):
+        self.fly(0.3)  # so that the vehicles have been seen
+        found, sent = [], []
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not found:
+            self.assertLess(time.monotonic(), deadline_s, "no rays")
+            found, stamps = self.rays_after()
+            sent += stamps
+        self.assertEqual({(m.ns, m.id) for m in found}, {("risc1", 0), ("risc1/vehicles", 5)})
+        self.assertEqual({m.header.frame_id for m in found}, {"fluffy_II/camera"})
+        self.assertLessEqual({m.header.stamp for m in found}, set(sent))
+        green = next(m for m in found if m.ns == "risc1")
+        (start, end), az, el = green.points, math.radians(30.0), math.radians(10.0)
+        self.assertEqual((start.x, start.y, start.z), (0.0, 0.0, 0.0))
+        for value, wanted in (
+            (end.x, 4.0 * math.cos(el) * math.cos(az)),
+            (end.y, 4.0 * math.cos(el) * math.sin(az)),
+            (end.z, -4.0 * math.sin(el)),
+        ):
+            self.assertAlmostEqual(value, wanted)
+        self.assertEqual((green.color.g, green.color.r), (1.0, 0.0))
+        self.assertTrue(all(0.0 < m.lifetime.to_sec() < 1.0 for m in found))
+
+    def test_7_rays_that_nobody_sends_any_more_are_taken_back(self):
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not self.rays_after()[0]:
+            self.assertLess(time.monotonic(), deadline_s, "no rays")
+        deletions = set()
+        while deletions != {("risc1", 0), ("risc1/vehicles", 5)}:
+            self.assertLess(time.monotonic(), deadline_s, "never taken back, only %s" % deletions)
+            time.sleep(0.05)
+            found = [m for message in self.taken("/angle_lines") for m in message]
+            deletions = {(m.ns, m.id) for m in found if m.action == Marker.DELETE}
+
+    def test_8_a_picture_without_a_place_is_not_drawn(self):
+        self.fly(0.3)
+        time.sleep(0.3)
+        self.assertEqual(self.rays_after(age_s=60.0)[0], [], "a picture older than tf remembers")
+        deadline_s = time.monotonic() + PATIENCE_S
+        self.fly(1.5, visible=False)  # fluffy_II is lost
+        drawn = True
+        while drawn:
+            self.assertLess(time.monotonic(), deadline_s, "rays of a vehicle that nobody sees")
+            self.clear()
+            self.look()
+            self.fly(0.3, visible=False)
+            drawn = [m for message in self.taken("/angle_lines") for m in message if m.action == Marker.ADD]
+
+    def test_9_waypoints_and_the_way_there(self):
+        topics = ("/Way_Markers", "/Heading_Markers", "/Way_Labels", "/Way_trail")
+        self.clear()
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not all(map(self.taken, topics)):
+            self.assertLess(time.monotonic(), deadline_s, "waypoints are not drawn")
+            self.publishers["/waypoints"].publish(Header(), [Waypoint("fluffy_II", 1.0, -1.0, 1.5, 90.0)])
+            self.fly(0.2)
+        self.assertEqual(
+            [(m.ns, m.id, m.pose.position.y) for m in self.latest("/Way_Markers")], [("fluffy_II", 0, -1.0)]
+        )
+        turn = self.latest("/Heading_Markers")[0].pose.orientation
+        self.assertAlmostEqual(2.0 * math.atan2(turn.z, turn.w), -0.5 * math.pi)  # clockwise from above
+        self.assertEqual(self.texts("/Way_Labels"), {"fluffy_II": "fluffy_II"})
+        self.assertEqual({m.ns for m in self.latest("/Way_trail")}, {"way_trail"})
+
+    def test_a_covariance_of_a_vehicle(self):
+        self.clear()
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not self.taken("/Cov_Quad"):
+            self.assertLess(time.monotonic(), deadline_s, "no covariance")
+            twist = Twist(Vector3(1.0, 2.0, 3.0), Vector3(1e-2, 1e-2, 4e-2))
+            self.publishers["/risc2/position_cov"].publish(Header(stamp=rospy.Time.now()), twist)
+            time.sleep(0.05)
+        (m,) = self.latest("/Cov_Quad")
+        self.assertEqual((m.ns, m.id, m.pose.position.y), ("covariance", 2, 2.0))
+        self.assertAlmostEqual(m.scale.z, 0.6)
+
+    def test_b_silence_draws_nothing(self):
+        topics = (
+            "/Quad_Markers",
+            "/Quad_Labels",
+            "/Cortex_Markers",
+            "/Quad_trajectory",
+            "/angle_lines",
+            "/Way_Markers",
+        )
+        self.clear()
+        self.fly_until(lambda: all(map(self.taken, topics[:4])), "any drawing")
         deadline_s = time.monotonic() + PATIENCE_S
         while any(map(self.taken, topics)):  # what was still under way; then nothing for a second
             self.assertLess(time.monotonic(), deadline_s, "it draws on and on")

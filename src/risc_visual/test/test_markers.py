@@ -10,8 +10,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from risc_visual.arena import load_arena
 from risc_visual.cast import Cast, Index, Pose
+from risc_visual.rays import Ray
 from risc_visual.ros import markers
 from risc_visual.trails import MAX_PIECES
+from risc_visual.waypoints import Waypoint
 
 STAMP = genpy.Time(100, 5)
 HEAD = markers.header(STAMP)
@@ -25,9 +27,24 @@ def views(*names, lost=()):
     )
 
 
+def rays():
+    """Two rays with their numbers."""
+    return [
+        (0, Ray("green", False, (3.5, 1.0, -0.5), 0.04, (0.0, 1.0, 0.0))),
+        (4, Ray("risc2", True, (4.0, 0.0, 0.0), 0.04, (1.0, 0.8, 0.25))),
+    ]
+
+
 def everything():
     arena = load_arena()
+    waypoints = [Waypoint("Raven", 1, (1.0, 2.0, 1.0), 0.5), Waypoint("", 1, (0.0, 0.0, 1.0), 0.0)]
+    numbers = Index()
     return {
+        "angle_lines": markers.ray_markers(HEAD, "risc1", rays(), 0.4, 0.3)
+        + markers.ray_labels(HEAD, "risc1", rays(), 0.8, 0.3),
+        "Way_Markers": markers.waypoint_markers(HEAD, numbers, waypoints, 0.4, 1.0),
+        "Heading_Markers": markers.heading_markers(HEAD, numbers, waypoints, 0.4, 1.0),
+        "Way_Labels": markers.waypoint_labels(HEAD, numbers, waypoints[:1], 0.8, 1.0),
         "net": markers.net_markers(arena.net, 3.0),
         "Grid": markers.grid_markers(arena.grid, 3.0),
         "Cameras": markers.camera_markers(arena.cameras, 3.0),
@@ -67,7 +84,7 @@ def test_every_marker_is_one_that_rviz_accepts(topic):
         if m.type == Marker.LINE_LIST:
             assert len(m.points) % 2 == 0 and m.points
         if m.type == Marker.ARROW:
-            assert len(m.points) == 2
+            assert len(m.points) == 2 if m.points else min(m.scale.x, m.scale.y, m.scale.z) > 0.0
     buffer = io.BytesIO()
     MarkerArray(found).serialize(buffer)
     assert len(MarkerArray().deserialize(buffer.getvalue()).markers) == len(found)
@@ -81,6 +98,9 @@ def test_namespaces_and_ids_of_the_original():
     assert {ns for ns, _ in ids["Quad_Markers"]} == {"Raven", "Kahn", "Pendulum_tip"}
     assert ids["Quad_Labels"] == [("Kahn", 2), ("Pendulum_tip", 1), ("Raven", 1)]
     assert ids["Ctrl_Status"] == [("controller_status", 0), ("controller_status", 1)]
+    assert ids["angle_lines"] == [
+        ("risc1", 0), ("risc1/names", 0), ("risc1/names", 4), ("risc1/vehicles", 4),
+    ]  # fmt: skip
     assert ids["desired_trajectory"][0] == ("traj_line", MAX_PIECES + 3)
 
 
@@ -145,3 +165,20 @@ def test_path_pales_with_age():
 def test_covariance_is_three_sigma_wide():
     m = markers.covariance_marker(HEAD, (0, 0, 1), (1e-4, 4e-4, 9e-4), 1.0)
     np.testing.assert_allclose((m.scale.x, m.scale.y, m.scale.z), (0.03, 0.06, 0.09))
+
+
+def test_rays_begin_in_the_camera_at_the_time_of_the_picture():
+    head = markers.header(STAMP, "fluffy_II/camera")
+    found = markers.ray_markers(head, "risc1", rays(), 0.4, 0.3)
+    assert {(m.header.frame_id, m.header.stamp) for m in found} == {("fluffy_II/camera", STAMP)}
+    assert [[(p.x, p.y, p.z) for p in m.points] for m in found] == [
+        [(0.0, 0.0, 0.0), (3.5, 1.0, -0.5)],
+        [(0.0, 0.0, 0.0), (4.0, 0.0, 0.0)],
+    ]
+    assert {(m.lifetime.to_sec(), m.color.a, m.scale.x) for m in found} == {(0.3, 0.4, 0.04)}
+
+
+def test_forgetting_needs_no_frame_of_a_camera():
+    gone = markers.gone_marker("risc1", 3)
+    assert (gone.action, gone.ns, gone.id, gone.header.frame_id) == (Marker.DELETE, "risc1", 3, "cortex")
+    assert gone.header.stamp.is_zero()

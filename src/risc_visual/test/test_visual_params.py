@@ -5,17 +5,28 @@ import yaml
 
 from risc_control.lab.yaml_reader import package_file
 from risc_control.ros.params import params_from_dict
-from risc_visual.ros.params import ArenaParams, CortexParams, TrajectoryParams
+from risc_estimation.mount_fit import FitParams
+from risc_estimation.mount_samples import WindowParams
+from risc_visual.mount_tuner import TunerParams
+from risc_visual.rays import RayParams
+from risc_visual.ros.params import AngleParams, ArenaParams, CortexParams, TrajectoryParams, WaypointParams
 
-FILES = {"draw_risc_maap": ArenaParams, "draw_cortex": CortexParams, "draw_trajectories": TrajectoryParams}
+FILES = {
+    "draw_risc_maap": (ArenaParams,),
+    "draw_cortex": (CortexParams,),
+    "draw_trajectories": (TrajectoryParams,),
+    "draw_angles": (AngleParams, RayParams),
+    "draw_waypoints": (WaypointParams,),
+    "transform_tuner": (TunerParams, WindowParams, FitParams),
+}
 
 
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_files_hold_every_parameter_with_its_default(name):
     values = yaml.safe_load(package_file("risc_visual", "config/%s.yaml" % name).read_text())
-    (params,), unknown = params_from_dict([FILES[name]], values)
-    assert (params, unknown) == (FILES[name](), [])
-    assert set(values) == set(FILES[name].__dataclass_fields__)
+    params, unknown = params_from_dict(FILES[name], values)
+    assert (params, unknown) == ([kind() for kind in FILES[name]], [])
+    assert set(values) == {key for kind in FILES[name] for key in kind.__dataclass_fields__}
 
 
 @pytest.mark.parametrize(
@@ -25,6 +36,15 @@ def test_files_hold_every_parameter_with_its_default(name):
 def test_wrong_value_is_named(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         params_from_dict([CortexParams], wrong)
+
+
+@pytest.mark.parametrize("kind", [AngleParams, WaypointParams])
+@pytest.mark.parametrize(
+    "wrong", [{"rate_hz": 0}, {"lifetime_s": 0}, {"alpha": 0}, {"alpha": 1.5}, {"label_alpha": -1}]
+)
+def test_wrong_value_of_a_ray_or_waypoint_is_named(kind, wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        params_from_dict([kind], wrong)
 
 
 def test_unknown_keys_are_told():

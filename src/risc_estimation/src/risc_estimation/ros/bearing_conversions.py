@@ -2,7 +2,7 @@
 
 import math
 
-from risc_estimation.bearings import Region
+from risc_estimation.bearings import Bearing, Region
 from risc_msgs.msg import Angle, Angles, Observed_angles
 
 
@@ -17,6 +17,11 @@ def angles_to_msg(bearings):
         Angle(item.name, item.visible, math.degrees(item.azimuth_rad), math.degrees(item.elevation_rad))
         for item in bearings
     ]
+
+
+def bearings_from_msg(angles):
+    """List of Angle, degrees -> list of Bearing. The inverse of `angles_to_msg`."""
+    return [Bearing(item.name, item.visible, math.radians(item.azim), math.radians(item.elev)) for item in angles]
 
 
 def observed_angles(header, pictures):

@@ -6,6 +6,7 @@ from std_msgs.msg import Header
 
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 from risc_visual.cast import Pose
+from risc_visual.waypoints import Waypoint
 
 FRAME_ID = "cortex"
 
@@ -39,6 +40,17 @@ def references_from_trajectories(msg):
         entry.name: ((entry.x, entry.y, entry.z), math.sqrt(entry.xdot**2 + entry.ydot**2 + entry.zdot**2))
         for entry in msg.Obj
     }
+
+
+def waypoints_from_msg(msg):
+    """Waypoints -> list of Waypoint; those whose numbers are none are left out."""
+    found, count = [], {}
+    for entry in msg.Obj:
+        count[entry.name] = count.get(entry.name, 0) + 1
+        values = (entry.x, entry.y, entry.z, math.radians(entry.heading))
+        if all(map(math.isfinite, values)):
+            found.append(Waypoint(entry.name, count[entry.name], values[:3], values[3]))
+    return found
 
 
 def rois_of_picture(header, observer, names, landmarks, others, vehicles):

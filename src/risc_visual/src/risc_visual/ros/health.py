@@ -1,4 +1,4 @@
-"""What a drawing node says of itself on /diagnostics."""
+"""What a node that draws, or works on pictures, says of itself on /diagnostics."""
 
 import threading
 import time
@@ -13,9 +13,15 @@ _SILENCE_S = 3.0
 class Health:
     """Counts what is drawn per input and reports rates and ages at 1 Hz. No input is a warning, never an error."""
 
-    def __init__(self, name, inputs):
-        """inputs: what `drawn` will be called with, and what a healthy laboratory sends."""
+    def __init__(self, name, inputs, optional=False, done="drawn"):
+        """inputs: what `drawn` will be called with, and what a healthy laboratory sends; optional: or does not.
+
+        done: what the node does with a message, when that is not drawing.
+        """
+        self._done = done
         self._lock = threading.Lock()
+        self._optional = optional
+        self._refused = {}  # why -> how often
         self._drawn = dict.fromkeys(inputs, 0)
         self._last_s = dict.fromkeys(inputs)
         self._reported, self._reported_s = dict(self._drawn), time.monotonic()
@@ -31,6 +37,11 @@ class Health:
             self._drawn[what] += 1
             self._last_s[what] = time.monotonic()
 
+    def refused(self, why):
+        """One message of an input could not be drawn."""
+        with self._lock:
+            self._refused[why] = self._refused.get(why, 0) + 1
+
     def _diagnose(self, status):
         with self._lock:
             now_s = time.monotonic()
@@ -38,12 +49,16 @@ class Health:
             rates_hz = {what: (self._drawn[what] - self._reported[what]) / elapsed_s for what in self._drawn}
             self._reported, self._reported_s = dict(self._drawn), now_s
             ages_s = {what: None if last_s is None else now_s - last_s for what, last_s in self._last_s.items()}
+            refused = dict(self._refused)
         silent = [what for what, age_s in ages_s.items() if age_s is None or age_s > _SILENCE_S]
         if silent:
-            status.summary(DiagnosticStatus.WARN, "nothing on " + ", ".join(silent))
+            level = DiagnosticStatus.OK if self._optional else DiagnosticStatus.WARN
+            status.summary(level, "nothing on " + ", ".join(silent))
         else:
-            status.summary(DiagnosticStatus.OK, "drawing")
+            status.summary(DiagnosticStatus.OK, "working")
         for what, age_s in ages_s.items():
-            status.add("drawn from %s [Hz]" % what, "%.1f" % rates_hz[what])
+            status.add("%s from %s [Hz]" % (self._done, what), "%.1f" % rates_hz[what])
             status.add("age of last %s [s]" % what, "none yet" if age_s is None else "%.2f" % age_s)
+        for why, count in refused.items():
+            status.add("not %s: %s" % (self._done, why), str(count))
         return status

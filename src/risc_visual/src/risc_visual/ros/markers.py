@@ -1,7 +1,8 @@
-"""Everything that rviz is told, as functions from values to visualization_msgs markers. Frame: cortex.
+"""Everything that rviz is told, as functions from values to visualization_msgs markers.
 
-Namespaces, colours and sizes are those of the original release; ids are stable, so that a marker replaces its
-predecessor. Every marker has a lifetime: what nobody sends any more vanishes.
+Frame: that of the header; cortex for all but rays, which are in the frame of a camera. Namespaces, colours and sizes
+are those of the original release; ids are stable, so that a marker replaces its predecessor. Every marker has a
+lifetime: what nobody sends any more vanishes.
 """
 
 import functools
@@ -30,6 +31,7 @@ LANDMARK_COLOURS = {
     "Pink_blue": (1.0, 0.0, 0.5, 0.4),
 }
 _OTHER_LANDMARK = (1.0, 1.0, 1.0, 0.4)
+_WAYPOINT = (1.0, 1.0, 1.0)
 _BARE_RGB = (0.75, 0.75, 0.75)
 _LOST_RGBA = (0.6, 0.6, 0.6, 0.4)
 _TYPES = {
@@ -41,6 +43,7 @@ _TYPES = {
 _NO_TURN = Quaternion(0.0, 0.0, 0.0, 1.0)
 _TEXT_M = 0.3  # height of a text that stands alone
 _LINE_M = 0.2  # height of one that is a line among others
+_LEAST_M = 1e-3  # diameter of what rviz could not draw, were it smaller
 _OLDEST_ALPHA = 0.25  # of a path's oldest piece; the newest is opaque
 
 
@@ -60,9 +63,9 @@ def _duration(seconds):
     return genpy.Duration.from_sec(seconds)
 
 
-def header(stamp=None):
-    """Header in the frame cortex; without a stamp rviz takes the frame as it is now."""
-    return Header(stamp=stamp or genpy.Time(), frame_id=FRAME_ID)
+def header(stamp=None, frame_id=FRAME_ID):
+    """Header, in the frame cortex if nothing else is said; without a stamp rviz takes the frame as it is now."""
+    return Header(stamp=stamp or genpy.Time(), frame_id=frame_id)
 
 
 def marker(
@@ -189,13 +192,18 @@ def vehicle_markers(head, views, lifetime_s):
     return found
 
 
-def vehicle_labels(head, views, alpha, lifetime_s):
-    """Every vehicle's name above it: ns = name, id = index + 1."""
+def vehicle_labels(head, views, alpha, lifetime_s, rungs=None):
+    """Every vehicle's name above it: ns = name, id = index + 1.
+
+    rungs: dict name -> rung of the safety ladder, e.g. "LAND", of those vehicles whose safety is not content.
+    """
     found = []
     for view in views:
         x, y, z = view.position_m
         text = view.name + (" (lost)" if view.lost else "")
         rgba = (1.0, 1.0, 1.0, alpha)
+        if rungs and view.name in rungs:
+            text, rgba = "%s: %s" % (text, rungs[view.name]), RED[:3] + (alpha,)
         found.append(text_marker(head, view.name, view.index + 1, text, (x, y, z + 0.3), 0.17, rgba, lifetime_s))
     return found
 
@@ -217,11 +225,11 @@ def pendulum_label(head, name, tip_m, alpha, lifetime_s):
     return text_marker(head, name, 1, name, (x, y, z + 0.2), 0.17, (1.0, 1.0, 1.0, alpha), lifetime_s)
 
 
-def landmark_markers(head, landmarks, lifetime_s):
-    """Landmarks as spheres: ns = name. landmarks: list of (name, position (3,) [m])."""
+def landmark_markers(head, landmarks, lifetime_s, colours=LANDMARK_COLOURS):
+    """Landmarks as spheres: ns = name. landmarks: list of (name, position (3,) [m]); colours: dict name -> rgba."""
     size_m = (0.17, 0.17, 0.17)
     return [
-        marker(head, name, 1, Marker.SPHERE, at_m, size_m, LANDMARK_COLOURS.get(name, _OTHER_LANDMARK), lifetime_s)
+        marker(head, name, 1, Marker.SPHERE, at_m, size_m, colours.get(name, _OTHER_LANDMARK), lifetime_s)
         for name, at_m in landmarks
         if is_known(at_m)
     ]
@@ -236,10 +244,52 @@ def landmark_labels(head, landmarks, alpha, lifetime_s):
     ]
 
 
-def covariance_marker(head, position_m, variances_m2, lifetime_s):
-    """Uncertainty of a position: ellipsoid with a diameter of three standard deviations along each axis."""
-    size_m = tuple(3.0 * math.sqrt(variance) for variance in variances_m2)
-    return marker(head, "covariance", 0, Marker.SPHERE, position_m, size_m, (1.0, 0.0, 0.0, 0.2), lifetime_s)
+def covariance_marker(head, position_m, variances_m2, lifetime_s, number=0):
+    """Uncertainty of a position: ellipsoid with a diameter of three standard deviations along each axis.
+
+    number: which vehicle's, from 1; 0 for a laboratory with one vehicle.
+    """
+    size_m = tuple(max(_LEAST_M, 3.0 * math.sqrt(variance)) for variance in variances_m2)
+    return marker(head, "covariance", number, Marker.SPHERE, position_m, size_m, (1.0, 0.0, 0.0, 0.2), lifetime_s)
+
+
+# ---------------------------------------------------------------- bearings
+
+
+def ray_markers(head, observer, numbered, alpha, lifetime_s):
+    """Rays of one picture as lines from the camera: ns = observer, for vehicles that are seen `<observer>/vehicles`.
+
+    head: of the picture: its stamp, frame that of the camera. numbered: list of (number, rays.Ray); the number is the
+    id, the same for the same thing at all times.
+    """
+    return [
+        marker(
+            head,
+            "%s/vehicles" % observer if ray.is_vehicle else observer,
+            number,
+            Marker.LINE_LIST,
+            (0.0, 0.0, 0.0),
+            (ray.width_m, 0.0, 0.0),
+            ray.rgb + (alpha,),
+            lifetime_s,
+            points_m=((0.0, 0.0, 0.0), ray.end_m),
+        )
+        for number, ray in numbered
+    ]
+
+
+def ray_labels(head, observer, numbered, alpha, lifetime_s):
+    """Names of what is seen, at the ends of the rays: ns = `<observer>/names`. Arguments as those of `ray_markers`."""
+    ns = "%s/names" % observer
+    return [
+        text_marker(head, ns, number, ray.name, ray.end_m, 0.17, ray.rgb + (alpha,), lifetime_s)
+        for number, ray in numbered
+    ]
+
+
+def gone_marker(ns, marker_id):
+    """Makes rviz forget a marker that has expired, and what it said of it when it could not place it."""
+    return Marker(header=header(), ns=ns, id=marker_id, action=Marker.DELETE)
 
 
 # ---------------------------------------------------------------- texts
@@ -305,6 +355,39 @@ def reference_markers(head, index, name, position_m, named, lifetime_s):
     found = [marker(head, "traj_point", index, Marker.SPHERE, position_m, (0.1, 0.1, 0.1), ORANGE, lifetime_s)]
     if named:
         found.append(text_marker(head, "traj_name", index, name, (x, y, z - 0.2), 0.17, ORANGE, lifetime_s))
+    return found
+
+
+def waypoint_markers(head, index, waypoints, alpha, lifetime_s):
+    """Waypoints as balls: ns = name, id from the index. waypoints: list of waypoints.Waypoint."""
+    size_m = (0.17, 0.17, 0.17)
+    return [
+        marker(head, item.ns, index[item.key], Marker.SPHERE, item.position_m, size_m, _WAYPOINT + (alpha,), lifetime_s)
+        for item in waypoints
+    ]
+
+
+def heading_markers(head, index, waypoints, alpha, lifetime_s):
+    """Where the nose is to point there, as arrows: ns and id as `waypoint_markers`."""
+    size_m = (0.255, 0.07, 0.07)
+    found = []
+    for item in waypoints:
+        half_rad = -0.5 * item.heading_rad  # headings are + clockwise from above, turns about z the other way
+        turn = Quaternion(0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
+        rgba = _WAYPOINT + (alpha,)
+        found.append(
+            marker(head, item.ns, index[item.key], Marker.ARROW, item.position_m, size_m, rgba, lifetime_s, turn)
+        )
+    return found
+
+
+def waypoint_labels(head, index, waypoints, alpha, lifetime_s):
+    """Names of the vehicles that are to go there: ns and id as `waypoint_markers`."""
+    found = []
+    for item in waypoints:
+        x, y, z = item.position_m
+        at_m, rgba = (x, y, z + 0.3), _WAYPOINT + (alpha,)
+        found.append(text_marker(head, item.ns, index[item.key], item.name, at_m, 0.17, rgba, lifetime_s))
     return found
 
 

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Tuple
 
+from risc_control.lab.checks import check_positive
+
 
 @dataclass(frozen=True)
 class ArenaParams:
@@ -12,7 +14,7 @@ class ArenaParams:
     refresh_hz: float = 1.0
 
     def __post_init__(self):
-        _check_positive(self, "refresh_hz")
+        check_positive(self, "refresh_hz")
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,12 @@ class CortexParams:
     lifetime_s: float = 1.0
     label_alpha: float = 0.8
     templates_file: str = ""
+    landmarks_file: str = ""
     vehicles: Tuple[str, ...] = ()
 
     def __post_init__(self):
-        _check_positive(self, "rate_hz", "status_hz", "lifetime_s", "label_alpha")
+        check_positive(self, "rate_hz", "status_hz", "lifetime_s")
+        _check_alpha(self, "label_alpha")
 
 
 @dataclass(frozen=True)
@@ -45,10 +49,46 @@ class TrajectoryParams:
     vehicles: Tuple[str, ...] = ()
 
     def __post_init__(self):
-        _check_positive(self, "rate_hz", "away_m")
+        check_positive(self, "rate_hz", "away_m")
 
 
-def _check_positive(params, *keys):
+@dataclass(frozen=True)
+class AngleParams:
+    """Settings of draw_angles beside rays.RayParams; config/draw_angles.yaml explains and holds the same values."""
+
+    rate_hz: float = 25.0
+    lifetime_s: float = 0.3
+    max_age_s: float = 5.0
+    alpha: float = 0.4
+    labels: bool = False
+    label_alpha: float = 0.8
+    landmarks_file: str = ""
+
+    def __post_init__(self):
+        check_positive(self, "rate_hz", "lifetime_s", "max_age_s")
+        _check_alpha(self, "alpha", "label_alpha")
+
+
+@dataclass(frozen=True)
+class WaypointParams:
+    """Settings of draw_waypoints; config/draw_waypoints.yaml explains and holds the same values."""
+
+    rate_hz: float = 25.0
+    lifetime_s: float = 1.0
+    alpha: float = 0.4
+    label_alpha: float = 0.8
+    trail_s: float = 10.0
+    step_m: float = 0.02
+    jump_m: float = 0.5
+    gap_s: float = 0.5
+    vehicles: Tuple[str, ...] = ()
+
+    def __post_init__(self):
+        check_positive(self, "rate_hz", "lifetime_s")
+        _check_alpha(self, "alpha", "label_alpha")
+
+
+def _check_alpha(params, *keys):
     for key in keys:
-        if not getattr(params, key) > 0.0:
-            raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(params, key)))
+        if not 0.0 < getattr(params, key) <= 1.0:
+            raise ValueError("parameter '%s' must be in (0, 1], got %r" % (key, getattr(params, key)))
