@@ -24,7 +24,7 @@ from risc_msgs.msg import Mocap_data
 MISSING = 9999999.0
 DELAY_S = 0.003
 RATE_HZ = 100.0
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def packet(code, payload=b""):

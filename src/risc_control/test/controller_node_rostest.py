@@ -15,7 +15,7 @@ from std_msgs.msg import Bool
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
 
 NAMES = ("fluffy_II", "albatross")
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 
 
 def wait_for(condition, what):

@@ -20,7 +20,7 @@ NODES = ("generic", "quadrants", "demo", "circle", "circles3", "knot")
 NAMES = ("fluffy_II", "albatross")
 HOVER = {"fluffy_II": (0.8, 0.1, 0.9), "albatross": (-0.9, 0.0, 1.0)}
 RATE_HZ = 200.0
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 
 
 def wait_for(condition, what):

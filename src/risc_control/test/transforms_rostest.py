@@ -10,7 +10,7 @@ import tf2_ros
 
 from risc_msgs.msg import Cortex, States
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 
 
 class TransformsTest(unittest.TestCase):

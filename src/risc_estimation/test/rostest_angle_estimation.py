@@ -19,7 +19,7 @@ from risc_msgs.msg import Observed_angles, Observed_rois, Risc_roi, Risc_rois
 
 PACKAGE = "risc_estimation"
 NAME = "angle_estimation_node"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def roi(name, x, y):

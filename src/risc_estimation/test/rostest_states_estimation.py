@@ -21,7 +21,7 @@ PACKAGE = "risc_estimation"
 NAME = "states_estimation_node"
 FRAME_S = 0.005
 SILENCE_S = 1.5  # as in states_estimation.test: longer than a stall of this computer
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 class StatesEstimationNodeTest(unittest.TestCase):

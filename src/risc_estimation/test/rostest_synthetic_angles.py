@@ -13,7 +13,7 @@ from risc_msgs.msg import Cortex, Landmark, Landmarks, Observed_angles, States
 
 PACKAGE = "risc_estimation"
 NAME = "synthetic_angles_node"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 DELAY_S = 0.05
 YAW_RATE_DEG = 4.0
 

@@ -35,7 +35,7 @@ from risc_msgs.msg import (
 
 PACKAGE = "risc_visual"
 NAME = "draw_nodes"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 START_S = 60.0  # five programs start at a time, and at low priority
 CONFIG = pathlib.Path(__file__).resolve().parents[1] / "config"
 INPUTS = {

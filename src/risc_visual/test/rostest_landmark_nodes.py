@@ -27,7 +27,7 @@ from risc_visual.landmark_config import load_landmarks
 
 PACKAGE = "risc_visual"
 NAME = "landmark_nodes"
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 LANDMARKS = ["green", "pink", "Orange", "blue"]
 HULL_BGR = [
     cv2.cvtColor(np.uint8([[hsv]]), cv2.COLOR_HSV2BGR)[0, 0].tolist() for hsv in ((132, 170, 160), (44, 200, 180))

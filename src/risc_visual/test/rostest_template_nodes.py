@@ -25,7 +25,7 @@ from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 
 PACKAGE = "risc_visual"
 NAME = "template_nodes"
-PATIENCE_S = 40.0
+PATIENCE_S = 60.0
 RATE_HZ = 10.0
 STEP_PX = 2  # to the right, from picture to picture
 STEPS = 20

@@ -15,7 +15,7 @@ from sensor_msgs.srv import SetCameraInfo
 from camera_info_manager import CameraInfoError, CameraInfoManager, CameraInfoMissingError
 from camera_info_manager.calibration_file import read_calibration
 
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 
 
 def some_info(focal_px):

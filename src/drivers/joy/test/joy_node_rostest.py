@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy, JoyFeedback, JoyFeedbackArray
 
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 
 
 class Listener:

@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200)]  # blue green red
 
 
