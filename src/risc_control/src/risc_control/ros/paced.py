@@ -6,6 +6,7 @@ import time
 import rospy
 
 _BUFFER_BYTES = 2**20  # holds what arrives while a callback waits
+PICTURES_BYTES = 2**24  # the same for pictures: what waits is read at one go, and all but the newest is thrown away
 
 
 class PacedSubscriber:
@@ -20,15 +21,20 @@ class PacedSubscriber:
     Each topic has a thread of its own; callbacks that share something lock it themselves.
     """
 
-    def __init__(self, topic, message_class, callback, rate_hz, args=()):
+    def __init__(self, topic, message_class, callback, rate_hz, args=(), buffer_bytes=_BUFFER_BYTES):
         self._callback = callback
         self._args = args
         self._period_s = 1.0 / rate_hz
         self._over = threading.Event()
         rospy.on_shutdown(self._over.set)
         self._subscriber = rospy.Subscriber(
-            topic, message_class, self._on_message, queue_size=1, buff_size=_BUFFER_BYTES, tcp_nodelay=True
+            topic, message_class, self._on_message, queue_size=1, buff_size=buffer_bytes, tcp_nodelay=True
         )
+
+    def unregister(self):
+        """Listen no more; the topic costs nothing from then on."""
+        self._over.set()
+        self._subscriber.unregister()
 
     def _on_message(self, message):
         if self._over.is_set():

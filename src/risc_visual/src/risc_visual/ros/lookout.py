@@ -13,7 +13,7 @@ from diagnostic_updater import Updater
 from sensor_msgs.msg import CameraInfo, Image
 
 from risc_control.pictures import picture_from_msg
-from risc_control.ros.paced import PacedSubscriber
+from risc_control.ros.paced import PICTURES_BYTES, PacedSubscriber
 from risc_control.ros.params import fleet_vehicles, load_params
 from risc_estimation.bearings import calibration_from_info, fleet_calibration, make_camera
 from risc_msgs.msg import Observed_rois
@@ -25,7 +25,6 @@ from risc_visual.ros.conversions import rois_of_picture
 from risc_visual.templates.drawing import draw_crosshair
 from risc_visual.vehicles import VehicleDetector, load_vehicles
 
-_BUFFER_BYTES = 2**24  # several pictures: what waits is read at one go, and all but the newest is thrown away
 _SILENCE_S = 3.0
 _TOLD_S = 10.0  # between two reports of the same trouble
 _INFO_HZ = 0.5  # camera_info comes with every picture and hardly ever changes
@@ -136,7 +135,7 @@ class Eye:
         """Begin to look."""
         group = self._topic.rsplit("/", 1)[0]
         PacedSubscriber(group + "/camera_info", CameraInfo, self._on_info, _INFO_HZ)
-        rospy.Subscriber(self._topic, Image, self._on_image, queue_size=1, buff_size=_BUFFER_BYTES, tcp_nodelay=True)
+        rospy.Subscriber(self._topic, Image, self._on_image, queue_size=1, buff_size=PICTURES_BYTES, tcp_nodelay=True)
 
     def _on_image(self, message):
         start_s = time.monotonic()
@@ -160,7 +159,7 @@ class Eye:
                 drawn.header = message.header
                 self._overlay.publish(drawn)
         except rospy.ROSException:
-            if not rospy.is_shutdown():  # else: its topics were closed while it worked
+            if not rospy.core.is_shutdown_requested():  # else: its topics were closed while it worked
                 raise
             return
         with self._lock:

@@ -17,25 +17,37 @@ from dynamic_reconfigure.server import Server
 from sensor_msgs.msg import Image
 
 from risc_control.pictures import picture_from_msg
+from risc_control.ros.paced import PICTURES_BYTES
 from risc_control.ros.params import load_params
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 
-_BUFFER_BYTES = 2**24  # several pictures: what waits is read at one go, and all but the newest is thrown away
 _SILENCE_S = 3.0
 _BRIDGE = CvBridge()
 
 
-class _Demand(rospy.SubscribeListener):
-    """Calls back when somebody begins or ceases to listen to a publisher."""
+class Demand(rospy.SubscribeListener):
+    """Calls back, in a thread of its own, after somebody has begun or ceased to listen to a publisher.
+
+    rospy tells while it holds locks of the publisher, which whoever then counts listeners needs: to do that in rospy's
+    thread stops both for ever.
+    """
 
     def __init__(self, on_change):
         self._on_change = on_change
+        self._changed = threading.Event()
+        threading.Thread(target=self._work, name="demand", daemon=True).start()
 
     def peer_subscribe(self, _name, _publish, _peer_publish):
-        self._on_change()
+        self._changed.set()
 
     def peer_unsubscribe(self, _name, _number):
-        self._on_change()
+        self._changed.set()
+
+    def _work(self):
+        while True:
+            self._changed.wait()
+            self._changed.clear()
+            self._on_change()
 
 
 class PictureNode(abc.ABC):
@@ -48,7 +60,7 @@ class PictureNode(abc.ABC):
         names; None: the settings stand.  Raises ValueError that names a wrong parameter.
         """
         self.lock = threading.Lock()  # held while `process` runs: for what other callbacks share with it
-        self._demand_lock = threading.Lock()  # another one: listeners may leave while a picture is being published
+        self._demand_lock = threading.Lock()  # another one: listeners may come before the node is ready
         self._counts = {"processed": 0, "refused": 0}
         self._reported, self._reported_s = dict(self._counts), time.monotonic()
         self._last_s, self._longest_s = None, 0.0
@@ -67,7 +79,7 @@ class PictureNode(abc.ABC):
         self._updater.add(rospy.get_name().rsplit("/", 1)[-1], self._diagnose)
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.update(), reset=True)
         rospy.on_shutdown(self._timer.shutdown)
-        demand = _Demand(self._follow_demand)
+        demand = Demand(self._follow_demand)
         publishers = {}
         for name, kind in outputs.items():
             kind = Image if isinstance(kind, str) else kind
@@ -107,7 +119,7 @@ class PictureNode(abc.ABC):
             if demanded and self._subscriber is None:
                 self._last_s = None
                 self._subscriber = rospy.Subscriber(
-                    self._topic, Image, self._on_image, queue_size=1, buff_size=_BUFFER_BYTES, tcp_nodelay=True
+                    self._topic, Image, self._on_image, queue_size=1, buff_size=PICTURES_BYTES, tcp_nodelay=True
                 )
             elif not demanded and self._subscriber is not None:
                 self._subscriber.unregister()
@@ -124,7 +136,7 @@ class PictureNode(abc.ABC):
             rospy.logerr_throttle(10.0, "%s: a picture on %s is refused: %s" % (rospy.get_name(), self._topic, error))
             return
         except rospy.ROSException:
-            if not rospy.is_shutdown():  # else: its topics were closed while it worked
+            if not rospy.core.is_shutdown_requested():  # else: its topics were closed while it worked
                 raise
             return
         self._counts["processed"] += 1
