@@ -16,7 +16,7 @@ def shut_down(monkeypatch):
     """Call it with whether ROS shuts down."""
 
     def set_to(value):
-        monkeypatch.setattr(rospy, "is_shutdown", lambda: value)
+        monkeypatch.setattr(rospy.core, "is_shutdown_requested", lambda: value)
 
     return set_to
 

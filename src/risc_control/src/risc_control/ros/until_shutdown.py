@@ -17,7 +17,8 @@ def until_shutdown(callback):
         try:
             callback(*args)
         except rospy.ROSException:
-            if not rospy.is_shutdown():
+            # topics are closed while it is on its way already, but not over: rospy.is_shutdown() is still false then
+            if not rospy.core.is_shutdown_requested():
                 raise
 
     return run

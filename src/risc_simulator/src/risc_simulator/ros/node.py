@@ -72,7 +72,7 @@ class VirtualLabNode(object):
         try:
             self._publisher.publish(self._message)
         except rospy.ROSException:
-            if not rospy.is_shutdown():
+            if not rospy.core.is_shutdown_requested():
                 raise
 
     def _on_mocap_silence(self, msg):

@@ -245,7 +245,7 @@ class ArdroneDriver(object):
             self._telemetry = _Telemetry(self._params)
             self._publish_until_shutdown()
         except Exception as error:  # whatever it is: a driver without telemetry must not go on in silence
-            if not rospy.is_shutdown():  # then topics close under our feet
+            if not rospy.core.is_shutdown_requested():  # then topics close under our feet
                 self._on_failure(error)
 
     def _wait_until_ready(self):
@@ -303,7 +303,7 @@ class ArdroneDriver(object):
         now_s = time.monotonic()
         if self._failing_since_s is None:
             self._failing_since_s = now_s
-        if rospy.is_shutdown() or now_s - self._failing_since_s > PUBLISH_PATIENCE_S:
+        if rospy.core.is_shutdown_requested() or now_s - self._failing_since_s > PUBLISH_PATIENCE_S:
             return False
         self._health.unpublished += 1
         rospy.logerr_throttle(REPEAT_WARNING_S, "telemetry could not be published: %r" % error)

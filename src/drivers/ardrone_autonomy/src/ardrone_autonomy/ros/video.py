@@ -111,7 +111,7 @@ class Video(object):
         try:
             self._send(picture, channel)
         except Exception as error:  # whatever it is: pictures are not worth a landing
-            if not rospy.is_shutdown():  # then topics close under our feet
+            if not rospy.core.is_shutdown_requested():  # then topics close under our feet
                 self._unpublished += 1
                 rospy.logerr_throttle(REPEAT_WARNING_S, "a picture could not be published: %r" % error)
 
