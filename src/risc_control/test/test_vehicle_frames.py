@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from risc_control.camera import cortex_to_camera
 from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import CameraMount
+from risc_control.lab.calibration import FRONT_MOUNT, CameraMount
 from risc_control.vehicle_frames import camera_transform, vehicle_frames
 
 ANGLES = [(0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 2.1), (-0.25, 0.4, -2.9)]
@@ -57,3 +57,22 @@ def test_a_point_goes_through_both_transforms_into_the_camera(angles_rad):
     in_camera = matrix(camera).T @ (in_body - np.array(camera.position_m))
     expected = cortex_to_camera(point, place, rotation_body_to_cortex(*angles_rad), mount)
     np.testing.assert_allclose(in_camera, expected, atol=1e-12)
+
+
+def test_the_nominal_camera_is_where_the_original_had_it():
+    """0.21 m in front; of the turn the original had by default, 6.09 degrees of yaw, nothing: it was one vehicle's."""
+    camera = camera_transform("condor", FRONT_MOUNT)
+    assert camera.position_m == (0.21, 0.0, 0.0)
+    assert camera.quaternion_xyzw == (0.0, 0.0, 0.0, 1.0)
+
+
+def test_a_camera_turns_as_the_original_s_sliders_said():
+    """albatross, sliders 407, 1580, 1260, 1504: x 0.214 m, fixed-axis roll, pitch, yaw -2.40, 0.80, -4.839 degrees."""
+    a, e, r, t = 407, 1580, 1260, 1504
+    roll, pitch, yaw = np.radians([0.01 * (r - 1500), 0.01 * (e - 1500), 6.09093311 + 0.01 * (a - 1500)])
+    assert np.degrees((roll, pitch, yaw)) == pytest.approx((-2.40, 0.80, -4.839), abs=1e-3)
+    camera = camera_transform("albatross", CameraMount((0.21 + 0.001 * (t - 1500), 0.0, 0.0), roll, pitch, yaw))
+    assert camera.position_m == pytest.approx((0.214, 0.0, 0.0))
+    np.testing.assert_allclose(
+        matrix(camera), Rotation.from_euler("xyz", (roll, pitch, yaw)).as_matrix(), atol=1e-12
+    )  # tf's setRPY: about fixed axes

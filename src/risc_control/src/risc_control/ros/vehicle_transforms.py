@@ -1,0 +1,79 @@
+"""/cortex_raw -> tf: the frames of every visible vehicle, and where their cameras sit. Wiring only.
+
+One program for all nodes that send these frames: `transforms`, `risc_transforms`, and the tuner of risc_visual.
+"""
+
+import math
+
+import rospy
+import tf2_ros
+from geometry_msgs.msg import TransformStamped
+
+from risc_control.lab.calibration import FRONT_MOUNT, load_mount
+from risc_control.ros.paced import PacedSubscriber
+from risc_control.ros.params import fleet_vehicles, number, private, warn_of_unknown
+from risc_control.vehicle_frames import camera_transform, vehicle_frames
+from risc_msgs.msg import Cortex
+
+TIPS = ("Pendulum_tip",)  # seen by motion capture, but no vehicles
+
+
+class VehicleTransforms(object):
+    """A vehicle that is not seen has no new transforms: its frames grow stale, they are never repeated as if true."""
+
+    def __init__(self, mounts, exclude=TIPS):
+        """mounts: {mocap template: CameraMount}. exclude: names that are no vehicles."""
+        self._exclude = frozenset(exclude)
+        self._mounts = dict(mounts)
+        self._broadcaster = tf2_ros.TransformBroadcaster()
+        self._static = tf2_ros.StaticTransformBroadcaster()
+        self._send_mounts()
+
+    def move_camera(self, name, mount):
+        """The camera of a vehicle sits elsewhere from now on. name: mocap template. mount: CameraMount."""
+        self._mounts = dict(self._mounts, **{name: mount})
+        self._send_mounts()
+
+    def _send_mounts(self):
+        """All of them: who comes later is given the last message only."""
+        now = rospy.Time.now()
+        self._static.sendTransform([_message(camera_transform(*item), now) for item in self._mounts.items()])
+
+    def send(self, message):
+        """The frames of the vehicles that are visible in a Cortex message, with its stamp."""
+        transforms = []
+        for state in message.Obj:
+            if state.visible and state.name not in self._exclude:
+                angles_rad = map(math.radians, (state.phi, state.theta, state.psi))
+                transforms += vehicle_frames(state.name, (state.x, state.y, state.z), *angles_rad)
+        if transforms:
+            self._broadcaster.sendTransform([_message(item, message.header.stamp) for item in transforms])
+
+
+def main(name):
+    """Run the node of the fleet's frames until ROS shuts down. Returns the exit code."""
+    rospy.init_node(name)
+    try:
+        rate_hz = number("~rate", 50.0)
+        if not rate_hz > 0.0:
+            raise ValueError("parameter ~rate must be positive, got %r" % rate_hz)
+        exclude = str(private("exclude", " ".join(TIPS))).split()
+        warn_of_unknown()
+        mounts = {v.template: load_mount(v.camera_mount) if v.camera_mount else FRONT_MOUNT for v in fleet_vehicles()}
+        transforms = VehicleTransforms(mounts, exclude)
+    except ValueError as error:
+        rospy.logfatal("%s: %s", name, error)
+        return 1
+    PacedSubscriber("/cortex_raw", Cortex, transforms.send, rate_hz)
+    rospy.spin()
+    return 0
+
+
+def _message(transform, stamp):
+    message = TransformStamped()
+    message.header.stamp, message.header.frame_id = stamp, transform.parent
+    message.child_frame_id = transform.child
+    place, turn = message.transform.translation, message.transform.rotation
+    place.x, place.y, place.z = transform.position_m
+    turn.x, turn.y, turn.z, turn.w = transform.quaternion_xyzw
+    return message

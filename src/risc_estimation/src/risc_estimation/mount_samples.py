@@ -1,0 +1,130 @@
+"""What one camera saw of the landmarks in the last while, put together for fitting its mount. Needs no ROS.
+
+Of every `held_out_every` seconds the last one is kept aside: a mount is solved on the others and checked on these,
+which had no say in it. Seconds, not single bearings, since neighbouring pictures have the same errors.
+"""
+
+from collections import Counter, deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from risc_control.camera import rays_of_bearings
+from risc_estimation.mount_fit import Samples
+from risc_estimation.tracks import PoseTrack
+
+_RESTART_S = 1.0  # stamps that fall back by more begin afresh: a bag is played again
+
+
+@dataclass(frozen=True)
+class WindowParams:
+    """Settings of the window; config/transform_tuner.yaml of risc_visual explains and holds the same values."""
+
+    window_s: float = 60.0  # how far back it reaches
+    held_out_every: int = 3  # [s] of so many seconds one is kept for checking
+    late_max_s: float = 10.0  # how long bearings wait for their poses, and poses for their bearings
+
+    def __post_init__(self):
+        for key in ("window_s", "late_max_s"):
+            if not getattr(self, key) > 0.0:
+                raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(self, key)))
+        if self.held_out_every < 2:
+            raise ValueError("parameter 'held_out_every' must be 2 at least, got %r" % (self.held_out_every,))
+
+
+class BearingWindow(object):
+    """Poses, landmarks and bearings of one vehicle in, Samples out. Not thread-safe."""
+
+    def __init__(self, params=None):
+        self._params = params or WindowParams()
+        self.refused = Counter()  # why bearings were left out -> how many
+        self._places = {}
+        self._begin()
+
+    def _begin(self):
+        self._track = PoseTrack(span_s=self._params.late_max_s + 1.0)
+        self._waiting = deque()  # (stamp, landmark, ray) of bearings whose pose may still come
+        self._rows = deque()  # (stamp, landmark, point in body axes, ray)
+        self._newest_s = None
+
+    @property
+    def last_pose_s(self):
+        """Stamp [s] of the newest pose, None before the first."""
+        return self._track.last_stamp_s
+
+    def restart(self):
+        """Forget every bearing: what comes from now on is recorded."""
+        self._rows.clear()
+        self._waiting.clear()
+        self.refused.clear()
+
+    def see_landmarks(self, places):
+        """{landmark: (3,) [m] cortex}; those not named stay where they were last seen."""
+        self._places.update({name: np.array(place) for name, place in places.items() if np.all(np.isfinite(place))})
+
+    def see_pose(self, stamp_s, position_m, euler_rad):
+        """The vehicle's pose: (3,) [m] cortex; roll, pitch, yaw [rad]. Only while it is seen."""
+        self._advance(stamp_s)
+        self._track.append(stamp_s, position_m, euler_rad)
+        if self._waiting and self._waiting[0][0] <= stamp_s:
+            self._place()
+
+    def see_bearings(self, stamp_s, bearings):
+        """bearings: {landmark: (azimuth, elevation) [rad]} of one picture; stamp: of its exposure."""
+        self._advance(stamp_s)
+        for name, (azimuth_rad, elevation_rad) in bearings.items():
+            if name in self._places:
+                self._waiting.append((stamp_s, name, rays_of_bearings(azimuth_rad, elevation_rad)))
+            else:
+                self.refused["nobody knows where %s is" % name] += 1
+        self._place()
+
+    def samples(self):
+        """(Samples to solve on, Samples to check on)."""
+        everything = self._samples(self._rows)
+        aside = np.floor(everything.times_s) % self._params.held_out_every == self._params.held_out_every - 1
+        return everything.take(~aside), everything.take(aside)
+
+    def latest(self, duration_s):
+        """Samples of the last so many seconds."""
+        begin_s = -np.inf if self._newest_s is None else self._newest_s - duration_s
+        recent = []
+        for row in reversed(self._rows):
+            if row[0] < begin_s:
+                break
+            recent.append(row)
+        return self._samples(recent[::-1])
+
+    def _advance(self, stamp_s):
+        if self._newest_s is not None and stamp_s < self._newest_s - self._params.late_max_s - _RESTART_S:
+            self._begin()
+        self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
+        while self._rows and self._rows[0][0] < self._newest_s - self._params.window_s:
+            self._rows.popleft()
+
+    def _place(self):
+        """Give the waiting bearings their poses, as far as they are known."""
+        last_s = self._track.last_stamp_s
+        ready = []
+        while self._waiting and last_s is not None and self._waiting[0][0] <= last_s:
+            ready.append(self._waiting.popleft())
+        while self._waiting and self._waiting[0][0] < self._newest_s - self._params.late_max_s:
+            self._waiting.popleft()
+            self.refused["the vehicle was not seen"] += 1
+        if not ready:
+            return
+        poses = self._track.at([stamp_s for stamp_s, _, _ in ready])
+        for (stamp_s, name, ray), known, position_m, R in zip(ready, *poses):
+            if known:
+                self._rows.append((stamp_s, name, (self._places[name] - position_m) @ R, ray))
+            else:
+                self.refused["the vehicle was not seen"] += 1
+
+    @staticmethod
+    def _samples(rows):
+        return Samples(
+            times_s=np.array([row[0] for row in rows], dtype=float),
+            names=np.array([row[1] for row in rows], dtype=object),
+            points_body_m=np.array([row[2] for row in rows]).reshape(-1, 3),
+            rays=np.array([row[3] for row in rows]).reshape(-1, 3),
+        )
