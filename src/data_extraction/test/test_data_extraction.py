@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from data_extraction import plots, summary
 from data_extraction.bags import Bag, BagError
 from data_extraction.csv_export import export, file_name
-from data_extraction.flight import FlightCollector, best_fit_lag, settling_time
+from data_extraction.flight import FlightCollector, Series, best_fit_lag, evaluate, settling_time
 from risc_msgs.msg import Controls, Cortex, Mocap_data, States, Trajectories, Trajectory
 
 T0_S = 1000.0
@@ -91,6 +91,18 @@ def test_latency_of_every_hop(flight):
     expected_ms = [3.0, 0.5, 2.0, 3.0, 4.0]
     for (hop, values), expected in zip(flight.latency_s.items(), expected_ms):
         assert 1e3 * np.median(values) == pytest.approx(expected, abs=1e-3), hop
+
+
+@pytest.mark.parametrize("count", [114, 135, 149, 40_000])
+def test_the_time_grid_ends_with_the_flight_and_does_not_drift(count):
+    """Stamps of today have seconds of ten digits, which leave a step of 5 ms few."""
+    t_s = 1.5e9 + np.array([k // 200 + 0.005 * (k % 200) for k in range(count)])
+    zeros = np.zeros(count)
+    series = Series(t_s, np.column_stack((t_s - t_s[0], zeros, zeros, zeros)))
+    vehicle = evaluate(series, series, [(0.0, np.inf)], t_s[0])
+    assert np.isfinite(vehicle.actual_m).all() and len(vehicle.t_s) >= count - 1
+    assert vehicle.t_s[-1] == pytest.approx(t_s[-1] - t_s[0], abs=0.0051)
+    assert np.diff(vehicle.t_s).mean() == pytest.approx(0.005, rel=1e-6)
 
 
 def test_lost_frame_is_counted(flight):

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from data_extraction.flight import Flight, Mocap, VehicleFlight
+from data_extraction.progress import Progress
 from risc_experiments.fly import FlightError, arguments, prepare_fleet
 from risc_experiments.judge import judge
 from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes
-from risc_experiments.progress import Progress, flight_detail
+from risc_experiments.progress import flight_detail
 
 
 def vehicle(**changes):

@@ -1,11 +1,17 @@
 """Reading bags: every problem with a bag is one BagError that names the cause and the cure."""
 
 import contextlib
+import heapq
+import io
 import pathlib
+from itertools import count
 
 from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.rosbag1 import ReaderError
+from rosbags.rosbag1 import Reader, ReaderError
+from rosbags.rosbag1.reader import Header, RecordType, read_bytes, read_uint32
 from rosbags.serde import SerdeError
+
+_MOST_CHUNKS = 32  # that overlap in time and are held in memory together; recorders write less than 1 MB into one
 
 
 class BagError(ValueError):
@@ -30,8 +36,7 @@ class Bag:
                 "%s is still being recorded, or its recorder was killed: run `rosbag reindex` on it" % self.path
             )
         try:
-            self._reader = AnyReader([self.path])
-            self._reader.open()
+            self._reader = _open(self.path)
         except (AnyReaderError, ReaderError, OSError) as error:
             raise BagError(
                 "%s is not a complete ROS 1 bag (%s): if its recorder was killed, run `rosbag reindex` on it"
@@ -52,6 +57,11 @@ class Bag:
     def types(self):
         """{topic: message type, as sensor_msgs/msg/Image} of the bag."""
         return {name: info.msgtype for name, info in self._reader.topics.items()}
+
+    @property
+    def start_s(self):
+        """Time of receipt [s] of the first message; 0 for an empty bag."""
+        return 1e-9 * self._reader.start_time if self.topics else 0.0
 
     @property
     def duration_s(self):
@@ -75,9 +85,80 @@ class Bag:
             connections = [connection for connection in connections if connection.topic in wanted]
             if not connections:
                 return
-        for connection, timestamp_ns, raw in self._reader.messages(connections=connections):
-            try:
-                message = self._reader.deserialize(raw, connection.msgtype)
-            except SerdeError as error:
-                raise BagError("%s: a message on %s is damaged (%s)" % (self.path, connection.topic, error)) from error
-            yield connection.topic, 1e-9 * timestamp_ns, message
+        try:
+            for connection, timestamp_ns, raw in self._reader.messages(connections=connections):
+                yield connection.topic, 1e-9 * timestamp_ns, self._message(connection, raw)
+        except (ReaderError, OSError, RuntimeError) as error:  # the last two: a chunk that cannot be decompressed
+            raise BagError("%s is damaged (%s): run `rosbag reindex` on it" % (self.path, error)) from error
+
+    def _message(self, connection, raw):
+        try:
+            return self._reader.deserialize(raw, connection.msgtype)
+        except (AnyReaderError, SerdeError) as error:
+            raise BagError("%s: a message on %s is damaged (%s)" % (self.path, connection.topic, error)) from error
+
+
+class _ChunkReader(Reader):
+    """Reads a bag chunk by chunk, so that memory does not grow with its length.
+
+    The library's own reader keeps an index of every message: 150 bytes each, a gigabyte for an hour at 200 Hz.
+    """
+
+    def read_index_data(self, pos, indexes):
+        """Nothing to read: chunks say themselves what is in them, and `open` seeks to the next."""
+
+    def most_overlapping(self):
+        """How many chunks have to be held together to give the messages in order of time."""
+        most = held = 0
+        edges = [(chunk.start_time, 1) for chunk in self.chunk_infos]
+        edges += [(chunk.end_time, -1) for chunk in self.chunk_infos]
+        for _, step in sorted(edges):
+            held += step
+            most = max(most, held)
+        return most
+
+    def messages(self, connections=(), start=None, stop=None):
+        """As Reader.messages: (connection, time [ns], raw message) in the order of time."""
+        wanted = {connection.id: connection for connection in connections or self.connections}
+        chunks = [info for info in self.chunk_infos if not wanted.keys().isdisjoint(info.connection_counts)]
+        held, number = [], count()  # the number keeps the order in the file where times are equal
+        for info in sorted(chunks, key=lambda info: info.start_time):
+            while held and held[0][0] < info.start_time:
+                yield self._popped(held)
+            for time_ns, identity, raw in self._records(info):
+                if identity in wanted and (start is None or time_ns >= start) and (stop is None or time_ns < stop):
+                    heapq.heappush(held, (time_ns, next(number), wanted[identity], raw))
+        while held:
+            yield self._popped(held)
+
+    @staticmethod
+    def _popped(held):
+        time_ns, _, connection, raw = heapq.heappop(held)
+        return connection, time_ns, raw
+
+    def _records(self, info):
+        """(time [ns], connection's id, raw message) of one chunk, as they lie there."""
+        chunk = self.chunks[info.pos]
+        self.bio.seek(chunk.datapos)
+        data = chunk.decompressor(read_bytes(self.bio, chunk.datasize))
+        stream, size = io.BytesIO(data), len(data)
+        while stream.tell() < size:
+            header = Header.read(stream)
+            raw = read_bytes(stream, read_uint32(stream))
+            if header.get_uint8("op") == RecordType.MSGDATA:
+                yield header.get_time("time"), header.get_uint32("conn"), raw
+
+
+def _open(path):
+    """An open reader of a bag; a bag whose chunks were written in a muddle gets one that keeps an index."""
+    any_reader = AnyReader([path])
+    if any_reader.is2:
+        raise AnyReaderError("its name does not end in .bag")
+    indexed, chunked = any_reader.readers, _ChunkReader(path)
+    any_reader.readers = [chunked]
+    any_reader.open()
+    if chunked.most_overlapping() > _MOST_CHUNKS:
+        any_reader.close()
+        any_reader.readers = indexed
+        any_reader.open()
+    return any_reader

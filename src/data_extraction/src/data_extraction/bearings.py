@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from data_extraction.flatten import seconds
+from data_extraction.samples import Samples
 from data_extraction.surroundings import Surroundings
 from risc_control.frames import wrap_angle
 from risc_estimation.bearings import make_camera
@@ -115,18 +116,29 @@ class BearingCollector:
         self._fleet = fleet
         self._rectified = rectified
         self._surroundings = Surroundings(fleet, (GROUND_TRUTH, MOCAP_STATES))
-        self._rows = {}  # observer, as on /angles -> list of _Row
+        self._rows = {}  # observer, as on /angles -> Samples: those of a _Row, its name as an index into the next
+        self._names = {}  # of objects, as on /angles -> index
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
         if topic == ANGLES:
             stamp_s = seconds(message.header.stamp)
             for entry in message.Obj:
-                rows = self._rows.setdefault(entry.name, [])
+                rows = self._rows.setdefault(entry.name, Samples(6))
                 for is_quad, angles in ((False, entry.landmarks), (True, entry.quads)):
-                    rows += [_Row(stamp_s, a.name, is_quad, a.visible, a.azim, a.elev) for a in angles]
+                    for angle in angles:
+                        index = self._names.setdefault(angle.name, len(self._names))
+                        rows.append((stamp_s, index, is_quad, angle.visible, angle.azim, angle.elev))
         else:
             self._surroundings(topic, receipt_s, message)
+
+    def wants(self, topic):
+        """Whether messages of this topic say anything here."""
+        return topic == ANGLES or self._surroundings.wants(topic)
+
+    def landmarks(self):
+        """{name: place (3,) [m], cortex frame} of the landmarks that motion capture saw."""
+        return self._surroundings.landmarks()
 
     def statistics(self, delay_s=0.0):
         """BearingStatistics; None when the bag holds no bearings or nothing to compare them with.
@@ -146,7 +158,12 @@ class BearingCollector:
             vehicles={},
         )
         samples = []
-        for name, rows in sorted(self._rows.items()):
+        names = list(self._names)
+        for name, compact in sorted(self._rows.items()):
+            rows = [
+                _Row(stamp_s, names[int(index)], bool(is_quad), bool(visible), azimuth_deg, elevation_deg)
+                for stamp_s, index, is_quad, visible, azimuth_deg, elevation_deg in compact.table().tolist()
+            ]
             try:
                 vehicle = surroundings.vehicle(name)
                 observer = self._observer(vehicle)

@@ -89,7 +89,13 @@ def export(bag_path, folder, topics=None, on_message=None):
     on_message: called as on_message(topic, receipt_s, message) for each message, so that one pass can serve more.
     Raises BagError, from `Bag`.
     """
-    with Bag(bag_path) as bag, CsvExport(folder) as csv_export:
+    with Bag(bag_path) as bag:
+        return export_open(bag, folder, topics, on_message)
+
+
+def export_open(bag, folder, topics=None, on_message=None):
+    """As `export`, of a Bag that is open already."""
+    with CsvExport(folder) as csv_export:
         for topic, receipt_s, message in bag.messages(topics):
             csv_export.write(topic, receipt_s, message)
             if on_message is not None:

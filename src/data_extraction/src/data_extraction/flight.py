@@ -1,5 +1,6 @@
 """What a bag says about a flight: tracking errors, lag, latency of every hop, frames lost."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Dict, List, Optional
 
@@ -8,10 +9,13 @@ from scipy.optimize import minimize_scalar
 
 from data_extraction.bearings import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
+from data_extraction.samples import Arrivals, Samples
 
 SETTLED_ERROR_M = 0.05  # settled: the position error stays below this ...
 SETTLED_HOLD_S = 1.0  # ... for this long
 GRID_HZ = 200.0
+MOST_ROWS = 360_000  # of one vehicle's positions: half an hour at 200 Hz; longer bags are thinned out evenly
+PATH_ROWS = 5000  # of a path that is only drawn
 
 # Order and meaning of the hops: each is the time from the datagram's receipt to the arrival of the message that
 # answers the frame, at a subscriber of that topic. `exposure_to_datagram` is the camera system's own delay.
@@ -31,6 +35,11 @@ class Series:
         return np.column_stack(
             [np.interp(t_s, self.t_s, column, left=np.nan, right=np.nan) for column in self.values.T]
         )
+
+    def thinned(self, most):
+        """A Series of its own of about so many samples, first and last among them."""
+        rows = np.unique(np.linspace(0, len(self.t_s) - 1, min(most, len(self.t_s))).round().astype(int))
+        return Series(self.t_s[rows], self.values[rows])
 
 
 @dataclass
@@ -76,86 +85,158 @@ class Mocap:
 class Flight:
     """Everything the figures and plots are made from."""
 
-    start_s: float  # ROS time of the first reference
+    start_s: Optional[float]  # ROS time of the first reference; None = nobody gave one
     vehicles: Dict[str, VehicleFlight]
     latency_s: Dict[str, np.ndarray]  # {hop: (n,) [s]}
     mocap: Mocap
     judged_against: str  # "ground truth" or "mocap"
-    events: List[str] = field(default_factory=list)
     bearings: Optional[BearingStatistics] = None  # None when nothing looked
+    paths: Dict[str, Series] = field(default_factory=dict)  # x, y, z [m], yaw [rad] of all that was seen, to be drawn
+    landmarks: Dict[str, np.ndarray] = field(default_factory=dict)  # (3,) [m] cortex frame
+    notes: List[str] = field(default_factory=list)  # what could not be evaluated, and why
 
 
 class FlightCollector:
-    """Takes the messages of a bag one by one, keeps what `Flight` needs."""
+    """Takes the messages of a bag one by one, keeps what `Flight` needs: 8 bytes a number, and no more than so many."""
 
-    def __init__(self, fleet=None, bearing_delay_s=0.0):
+    def __init__(self, fleet=None, bearing_delay_s=0.0, with_bearings=True):
         """fleet: risc_control.lab.Fleet, None = the original laboratory's. Raises ValueError, from BearingCollector.
 
-        bearing_delay_s: how much later than their exposure pictures are stamped.
+        bearing_delay_s: how much later than their exposure pictures are stamped. with_bearings: False saves the memory
+        for every pose when the bag is known to hold no bearings.
         """
         self._bearings = BearingCollector(fleet)
         self._bearing_delay_s = bearing_delay_s
-        self._desired = {}
-        self._states = {"/cortex_raw": {}, "/ground_truth": {}}
-        # First arrival of each stamp: the estimator repeats its last one, invisible, when the cameras fall silent.
-        self._arrival = {"/mocap_data": {}, "/cortex_raw": {}, "/controls": {}, "cmd_vel": {}}
-        self._receipt = {}  # {exposure stamp: receipt of the datagram}
-        self._frames = {}  # {exposure stamp: frame number}
+        self._with_bearings = with_bearings
+        self._desired = {}  # {(place in Obj[], name): Samples of stamp, x, y, z, psi}
+        self._states = {"/cortex_raw": {}, "/ground_truth": {}}  # {topic: {name: Samples of the same}}
+        self._order = []  # of the vehicles on /cortex_raw
+        # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
+        self._arrivals = {topic: Arrivals() for topic in ("/mocap_data", "/cortex_raw", "/controls")}
+        self._commands = {}  # {topic of commands: Arrivals}
+        self._receipts = Arrivals()  # of the datagrams
+        self._frames = Arrivals()  # the same stamps with the frames' numbers
         self._phases = []
-        self._events = []
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
-        self._bearings(topic, receipt_s, message)
+        if self._with_bearings or topic not in self._states:
+            self._bearings(topic, receipt_s, message)
         if topic == "/trajectory":
-            stamp = seconds(message.header.stamp)
-            for reference in message.Obj:
-                row = (stamp, reference.x, reference.y, reference.z, reference.psi)
-                self._desired.setdefault(reference.name, []).append(row)
+            stamp_s = _stamp_s(message, receipt_s)
+            for index, reference in enumerate(message.Obj):
+                row = (stamp_s, reference.x, reference.y, reference.z, reference.psi)
+                _samples_of(self._desired, (index, reference.name)).append(row)
         elif topic in self._states:
-            stamp = seconds(message.header.stamp)
-            for state in message.Obj:
-                if state.visible:
-                    row = (stamp, state.x, state.y, state.z, np.radians(state.psi))
-                    self._states[topic].setdefault(state.name, []).append(row)
-            if topic in self._arrival:
-                self._arrival[topic].setdefault(_key(message), receipt_s)
-        elif topic in self._arrival:
-            self._arrival[topic].setdefault(_key(message), receipt_s)
+            self._keep_states(topic, _stamp_s(message, receipt_s), message)
+            if topic in self._arrivals:
+                self._arrivals[topic].append(_stamp_ns(message), receipt_s)
+        elif topic in self._arrivals:
+            self._arrivals[topic].append(_stamp_ns(message), receipt_s)
         elif topic == "/mocap_time":
-            self._receipt[_key(message)] = seconds(message.time_ref)
-            self._frames[_key(message)] = int(message.source)
+            self._receipts.append(_stamp_ns(message), seconds(message.time_ref))
+            self._frames.append(_stamp_ns(message), int(message.source))
         elif topic.endswith("/cmd_vel_stamped"):
-            if _key(message) != (0, 0):
-                self._arrival["cmd_vel"].setdefault((topic, _key(message)), receipt_s)
+            if _stamp_ns(message):
+                self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)
         elif topic.endswith("trajectory_phase"):
             self._phases.append((receipt_s, message.data))
-        elif topic == "/operator/phase" or topic.endswith("/safety"):
-            self._events.append("%.3f %s %s" % (receipt_s, topic, message.data))
+
+    def wants(self, topic):
+        """Whether messages of this topic say anything here."""
+        return (
+            topic in ("/trajectory", "/mocap_time", *self._states, *self._arrivals)
+            or topic.endswith(("/cmd_vel_stamped", "trajectory_phase"))
+            or self._bearings.wants(topic)
+        )
 
     def flight(self):
         """Evaluate what was collected. Raises ValueError when the bag holds no flight."""
         if not self._desired:
             raise ValueError("there is no /trajectory in the bag: nothing was to be flown")
-        source = "/ground_truth" if self._states["/ground_truth"] else "/cortex_raw"
-        states = self._states[source]
-        missing = sorted(set(self._desired) - set(states))
+        source = self._source()
+        missing = sorted({name for _, name in self._desired} - set(self._states[source]))
         if missing:
             raise ValueError("%s never shows %s, which /trajectory names" % (source, ", ".join(missing)))
-        start_s = min(rows[0][0] for rows in self._desired.values())
-        vehicles = {
-            name: _evaluate(_series(rows), _series(states[name]), self._course_spans(name), start_s)
-            for name, rows in sorted(self._desired.items())
-        }
+        return self._evaluated(strict=True)
+
+    def overview(self):
+        """As `flight`, but of any bag: what cannot be evaluated is left out and named in the notes."""
+        return self._evaluated(strict=False)
+
+    def _evaluated(self, strict):
+        source = self._source()
+        states = self._states[source]
+        notes = []
+        if not self._desired:
+            notes.append("there is no /trajectory in the bag: nobody knows where the vehicles should have been")
+        every = max([samples.every for samples in states.values()], default=1)
+        if every > 1:
+            notes.append("the bag is long: one of %d positions was used" % every)
+        references = self._references(states, notes)
+        start_s = min([samples.first[0] for parts in references.values() for samples in parts], default=None)
+        vehicles, paths = {}, {}
+        for name, samples in sorted(states.items()):  # one after the other: only one is in memory as a whole
+            actual = _series(samples.table())
+            paths[name] = actual.thinned(PATH_ROWS)
+            if name not in references:
+                continue
+            reference = _series(np.vstack([part.table() for part in references[name]]))
+            whole = not strict and not self._phases
+            spans = [(reference.t_s[0], np.inf)] if whole else self._course_spans(name)
+            try:
+                vehicles[name] = evaluate(reference, actual, spans, start_s)
+            except ValueError as error:
+                if strict:
+                    raise
+                notes.append("%s: %s" % (name, error))
+        if references and not self._phases:
+            notes.append("there is no /trajectory_phase in the bag: all of the time with a reference was judged")
         return Flight(
             start_s=start_s,
             vehicles=vehicles,
             latency_s=self._latencies(),
             mocap=self._mocap(),
             judged_against="ground truth" if source == "/ground_truth" else "mocap",
-            events=self._events,
             bearings=self._bearings.statistics(self._bearing_delay_s),
+            paths=paths,
+            landmarks=self._bearings.landmarks(),
+            notes=notes,
         )
+
+    def _source(self):
+        return "/ground_truth" if self._states["/ground_truth"] else "/cortex_raw"
+
+    def _keep_states(self, topic, stamp_s, message):
+        if len(message.Obj) > len(self._order):
+            self._order = [state.name for state in message.Obj]
+        for state in message.Obj:
+            if state.visible:
+                row = (stamp_s, state.x, state.y, state.z, math.radians(state.psi))
+                _samples_of(self._states[topic], state.name).append(row)
+
+    def _references(self, states, notes):
+        """{vehicle: [Samples of its reference, ...]}.
+
+        The original release labelled a reference with the name of its course, and meant the vehicle at the same place
+        of Obj[] on /cortex_raw.
+        """
+        references = {}
+        labels = {name for _, name in self._desired}
+        by_place = bool(labels) and labels.isdisjoint(states)
+        for (index, name), samples in self._desired.items():
+            if by_place and index < len(self._order):
+                name = self._order[index]
+            references.setdefault(name, []).append(samples)
+        unknown = sorted(set(references) - set(states))
+        if unknown:
+            notes.append("%s never shows %s, which /trajectory names" % (self._source(), ", ".join(unknown)))
+        elif by_place:
+            notes.append(
+                "/trajectory names courses, not vehicles (%s): references go to vehicles by their place, as in the "
+                "original release" % ", ".join(sorted(labels))
+            )
+        return {name: parts for name, parts in references.items() if name in states}
 
     def _course_spans(self, name):
         """[(begin, end)] of receipt times during which the trajectory node said that the vehicle is on its course."""
@@ -172,30 +253,30 @@ class FlightCollector:
         return spans
 
     def _latencies(self):
-        receipt = self._receipt
-        latency = {"exposure_to_datagram": [time - (s + 1e-9 * ns) for (s, ns), time in receipt.items()]}
+        """{hop: (n,) [s]} from the receipt of each datagram."""
+        stamps_ns, receipts_s = self._receipts.first()
+        latency = {"exposure_to_datagram": receipts_s - 1e-9 * stamps_ns}
         for hop, topic in zip(HOPS[1:4], ("/mocap_data", "/cortex_raw", "/controls")):
-            latency[hop] = [time - receipt[key] for key, time in self._arrival[topic].items() if key in receipt]
-        latency["datagram_to_cmd_vel"] = [
-            time - receipt[key] for (_, key), time in self._arrival["cmd_vel"].items() if key in receipt
-        ]
-        return {hop: np.array(values) for hop, values in latency.items()}
+            latency[hop] = _since(stamps_ns, receipts_s, self._arrivals[topic])
+        commands = [_since(stamps_ns, receipts_s, arrivals) for arrivals in self._commands.values()]
+        latency["datagram_to_cmd_vel"] = np.concatenate([np.zeros(0), *commands])
+        return latency
 
     def _mocap(self):
         """Frames from the first to the last that was estimated: before and after, the nodes come and go."""
-        estimated = self._arrival["/cortex_raw"]
-        first, last = min(estimated, default=(0, 0)), max(estimated, default=(0, 0))
-        frames = {key: number for key, number in self._frames.items() if first <= key <= last}
-        if len(frames) < 2:
-            return Mocap(frames_received=len(frames))
-        numbers = np.array(list(frames.values()))
-        stamps = np.array([s + 1e-9 * ns for s, ns in frames])
+        stamps_ns, numbers = self._frames.first()
+        estimated_ns, _ = self._arrivals["/cortex_raw"].first()
+        if len(estimated_ns):
+            within = (stamps_ns >= estimated_ns[0]) & (stamps_ns <= estimated_ns[-1])
+            stamps_ns, numbers = stamps_ns[within], numbers[within]
+        if len(stamps_ns) < 2 or not len(estimated_ns):
+            return Mocap(frames_received=len(stamps_ns) if len(estimated_ns) else 0)
         span = int(numbers.max() - numbers.min())
         return Mocap(
             frames_sent=span + 1,
             frames_received=len(np.unique(numbers)),
-            frames_estimated=sum(key in estimated for key in frames),
-            rate_hz=span / float(stamps.max() - stamps.min()),
+            frames_estimated=int(np.isin(stamps_ns, estimated_ns, assume_unique=True).sum()),
+            rate_hz=1e9 * span / float(stamps_ns[-1] - stamps_ns[0]),
         )
 
 
@@ -240,8 +321,27 @@ def settling_time(t_s, error, limit=SETTLED_ERROR_M, hold_s=SETTLED_HOLD_S):
     return None
 
 
-def _key(message):
-    return message.header.stamp.sec, message.header.stamp.nanosec
+def _stamp_ns(message):
+    stamp = message.header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def _stamp_s(message, receipt_s):
+    """Stamp of a message; its receipt when nobody stamped it."""
+    return seconds(message.header.stamp) or receipt_s
+
+
+def _samples_of(samples, key):
+    if key not in samples:
+        samples[key] = Samples(5, MOST_ROWS)
+    return samples[key]
+
+
+def _since(stamps_ns, receipts_s, arrivals):
+    """(n,) [s] from the receipt of a datagram to the arrival of what answers it; both of the same stamps."""
+    arrived_ns, arrivals_s = arrivals.first()
+    _, ours, theirs = np.intersect1d(stamps_ns, arrived_ns, assume_unique=True, return_indices=True)
+    return arrivals_s[theirs] - receipts_s[ours]
 
 
 def _phase_entries(text):
@@ -252,17 +352,25 @@ def _phase_entries(text):
             yield name.strip(), phase.strip()
 
 
-def _series(rows):
-    """Series of (stamp, x, y, z, psi) rows, in the order of time, yaw unwrapped."""
-    table = np.array(rows)
+def _series(table):
+    """Series of (n, 5) rows stamp, x, y, z, psi, in the order of time, yaw unwrapped."""
     _, first = np.unique(table[:, 0], return_index=True)
     table = table[first]
     table[:, 4] = np.unwrap(table[:, 4])
     return Series(table[:, 0], table[:, 1:])
 
 
-def _evaluate(desired, actual, spans, start_s):
-    grid_s = np.arange(max(desired.t_s[0], actual.t_s[0]), min(desired.t_s[-1], actual.t_s[-1]), 1.0 / GRID_HZ)
+def evaluate(desired, actual, spans, start_s):
+    """VehicleFlight of a desired and an actual Series of x, y, z [m], yaw [rad].
+
+    spans: [(begin, end)] of the course; start_s: where its times begin. Raises ValueError when the two have no time in
+    common.
+    """
+    begin_s, end_s = max(desired.t_s[0], actual.t_s[0]), min(desired.t_s[-1], actual.t_s[-1])
+    step_s = max(1.0 / GRID_HZ, (end_s - begin_s) / MOST_ROWS)
+    # not np.arange(begin, end, step): its step is rounded to what the stamps' size leaves, and adds up
+    grid_s = begin_s + step_s * np.arange(max(0, math.floor((end_s - begin_s) / step_s) + 1))
+    grid_s = grid_s[grid_s <= end_s]
     if len(grid_s) < 2:
         raise ValueError("the bag is too short: there is no time at which both a reference and a position are known")
     want, have = desired.at(grid_s), actual.at(grid_s)

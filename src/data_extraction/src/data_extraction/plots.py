@@ -1,5 +1,6 @@
-"""Plots of a flight that a person would put into a report. Writes PNG files; needs no display."""
+"""Plots of a flight that a person would put into a report. Writes PNG files or SVG texts; needs no display."""
 
+import io
 import pathlib
 
 import matplotlib
@@ -10,9 +11,13 @@ import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first
 import numpy as np  # noqa: E402
 
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M  # noqa: E402
+from risc_control.safety import Rung  # noqa: E402
 
 _HEIGHT_M = 2.5  # of the arena, as far as it is shown
+_MOST_POINTS = 2500  # of one line: more cannot be told apart on paper
+_MARGIN_M = 0.15  # outside the net, that a plan shows
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
+RUNG_COLOURS = {Rung.OK: "#cfe3d4", Rung.HOLD: "#e0a526", Rung.LAND: "#b3261e"}
 STYLE = {
     "figure.dpi": 130,
     "font.size": 9,
@@ -26,11 +31,16 @@ STYLE = {
 }
 
 
+def style():
+    """Context in which figures are drawn and saved: the look of all plots."""
+    return plt.rc_context(STYLE)
+
+
 def draw_all(flight, folder, title):
     """Draw every plot of a flight into a folder. Returns the list of the files' paths."""
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context(STYLE):
+    with style():
         figures = {"paths": paths(flight, title)}
         for name, vehicle in flight.vehicles.items():
             figures["axes_" + name] = axes_over_time(name, vehicle, title)
@@ -47,6 +57,15 @@ def draw_all(flight, folder, title):
     return files
 
 
+def as_svg(figure):
+    """A figure as SVG text, the same for the same figure; the figure is closed."""
+    stream = io.StringIO()
+    with plt.rc_context({"svg.hashsalt": "risc_maap"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    plt.close(figure)
+    return stream.getvalue()
+
+
 def paths(flight, title):
     """Desired and actual paths of all vehicles in the arena, in 3-D and from above."""
     figure = plt.figure(figsize=(10.5, 5.2))
@@ -55,18 +74,12 @@ def paths(flight, title):
     plan = figure.add_axes((0.62, 0.17, 0.36, 0.72))
     for colour, (name, vehicle) in zip(_colours(), flight.vehicles.items()):
         for axes, columns in ((space, 3), (plan, 2)):
-            axes.plot(*_drawn(vehicle.desired_m[vehicle.course], columns), color="#777777", lw=0.8, ls="--")
-            axes.plot(*_drawn(vehicle.actual_m, columns), color=colour, lw=0.6, alpha=0.45)
-            axes.plot(*_drawn(vehicle.actual_m[vehicle.judged], columns), color=colour, lw=1.4, label=name)
+            _draw_path(axes, vehicle, columns, colour, name)
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     space.set(xlim=(-NET_HALF_X_M, NET_HALF_X_M), ylim=(-NET_HALF_Y_M, NET_HALF_Y_M), zlim=(0.0, _HEIGHT_M))
     space.set_box_aspect((2 * NET_HALF_X_M, 2 * NET_HALF_Y_M, _HEIGHT_M), zoom=1.05)
-    # Seen from above with x up and y to the left, as one stands in the arena looking forward.
-    plan.add_patch(
-        plt.Rectangle((-NET_HALF_Y_M, -NET_HALF_X_M), 2 * NET_HALF_Y_M, 2 * NET_HALF_X_M, fill=False, color="#999999")
-    )
-    plan.set(xlabel="y [m]", ylabel="x [m]", title="from above (frame: net)", aspect="equal")
-    plan.set(xlim=(NET_HALF_Y_M + 0.15, -NET_HALF_Y_M - 0.15), ylim=(-NET_HALF_X_M - 0.15, NET_HALF_X_M + 0.15))
+    _draw_net(plan)
+    plan.set_title("from above (frame: net)")
     plan.plot([], [], color="#777777", lw=0.8, ls="--", label="desired")
     plan.legend(loc="upper center", bbox_to_anchor=(0.45, -0.12), ncol=4)
     return figure
@@ -75,13 +88,14 @@ def paths(flight, title):
 def axes_over_time(name, vehicle, title):
     """Desired and actual x, y, z and yaw of one vehicle over time."""
     figure, rows = plt.subplots(4, 1, sharex=True, figsize=(9.0, 7.0), layout="constrained")
-    figure.suptitle("%s: %s" % (title, name))
+    figure.suptitle(_joined(title, name))
     desired = np.column_stack((vehicle.desired_m, np.degrees(vehicle.desired_psi_rad)))
     actual = np.column_stack((vehicle.actual_m, np.degrees(vehicle.actual_psi_rad)))
+    some = _some(len(vehicle.t_s))
     for axes, label, want, have in zip(rows, ("x [m]", "y [m]", "z [m]", "yaw [deg]"), desired.T, actual.T):
         _shade(axes, vehicle)
-        axes.plot(vehicle.t_s, have, color=COLOURS[0], lw=1.2, label="actual")
-        axes.plot(vehicle.t_s, want, color=COLOURS[1], lw=1.0, ls="--", label="desired")
+        axes.plot(vehicle.t_s[some], have[some], color=COLOURS[0], lw=1.2, label="actual")
+        axes.plot(vehicle.t_s[some], want[some], color=COLOURS[1], lw=1.0, ls="--", label="desired")
         axes.set_ylabel(label)
         if np.ptp(have) < 0.5:
             axes.set_ylim(np.mean(have) - 0.5, np.mean(have) + 0.5)
@@ -101,14 +115,15 @@ def errors(flight, title):
                 1e3 * vehicle.position_rmse_m,
                 1e3 * vehicle.position_max_m,
             )
-        axes.plot(vehicle.t_s, 1e3 * vehicle.error_m, color=colour, lw=1.0, label=label)
+        t_s, error_m = _peaks(vehicle.t_s, vehicle.error_m)
+        axes.plot(t_s, 1e3 * error_m, color=colour, lw=1.0, label=label)
     judged = np.concatenate([v.error_m[v.judged] for v in flight.vehicles.values()])
     everything = np.concatenate([v.error_m for v in flight.vehicles.values()])
     # The climb after take-off is metres away from any course: it would flatten what one wants to see.
     top = 3.0 * judged.max() if len(judged) else np.nanpercentile(everything, 95)
     axes.set_ylim(0.0, 1e3 * top)
     _shade(axes, next(iter(flight.vehicles.values())))
-    axes.set(title="%s: distance from the desired position" % title, xlabel="time [s]", ylabel="error [mm]")
+    axes.set(title=_joined(title, "distance from the desired position") or "", xlabel="time [s]", ylabel="error [mm]")
     axes.legend(loc="upper right")
     return figure
 
@@ -131,7 +146,7 @@ def latency(flight, title):
             "%s:  p50 %.2f ms,  p99 %.2f ms,  max %.1f ms" % (hop.replace("_", " "), p50, p99, values.max()), loc="left"
         )
     np.atleast_1d(rows)[-1].set_xlabel("time [ms]    (line: p50, dashed: p99)")
-    figure.suptitle("%s: latency" % title)
+    figure.suptitle(_joined(title, "latency"))
     return figure
 
 
@@ -146,8 +161,8 @@ def bearings(statistics, title):
     figure, (cloud, bars) = plt.subplots(
         1, 2, figsize=(10.5, max(4.6, 1.6 + 0.3 * len(rows))), width_ratios=(1.0, 1.15), layout="constrained"
     )
-    figure.suptitle("%s: bearings against %s (fully seen, stamps less %.0f ms)" % (
-        title, statistics.truth, 1e3 * statistics.delay_s))  # fmt: skip
+    text = "bearings against %s (fully seen, stamps less %.0f ms)" % (statistics.truth, 1e3 * statistics.delay_s)
+    figure.suptitle(_joined(title, text))
     colours = dict(zip(sorted(statistics.vehicles), _colours()))
     errors_deg = np.vstack([target.judged_deg for _, target, _ in rows])
     reach_deg = max(0.15, 1.3 * np.percentile(np.abs(errors_deg), 98.0))
@@ -180,9 +195,132 @@ def bearings(statistics, title):
     return figure
 
 
+def arena_map(flight):
+    """The arena from above: net, landmarks, desired and actual paths, also of vehicles without a reference."""
+    figure, plan = plt.subplots(figsize=(6.6, 7.6), layout="constrained")
+    _draw_net(plan)
+    for name, place_m in sorted(flight.landmarks.items()):
+        plan.plot(place_m[1], place_m[0], "s", color="#555555", ms=6)
+        towards = -1.0 if place_m[0] > 0.0 else 1.0
+        plan.annotate(name, (place_m[1], place_m[0]), (0, 11.0 * towards), textcoords="offset points", fontsize=8,
+                      color="#555555", ha="center", va="center")  # fmt: skip
+    for colour, (name, series) in zip(_colours(), sorted(flight.paths.items())):
+        places_m = series.values[_some(len(series.t_s))]
+        if name in flight.vehicles:
+            _draw_path(plan, flight.vehicles[name], 2, colour, name)
+        else:
+            plan.plot(*_drawn(places_m, 2), color=colour, lw=1.0, label=name)
+        plan.plot(places_m[0, 1], places_m[0, 0], "o", color=colour, ms=5, mfc="white")
+        plan.plot(places_m[-1, 1], places_m[-1, 0], "x", color=colour, ms=6)
+    if flight.vehicles:
+        plan.plot([], [], color="#777777", lw=0.8, ls="--", label="desired")
+    plan.plot([], [], "o", color="#777777", ms=5, mfc="white", label="begin")
+    plan.plot([], [], "x", color="#777777", ms=6, label="end")
+    figure.legend(loc="outside lower center", ncol=4)
+    return figure
+
+
+def drop_map(drops, edges_x_m, edges_y_m):
+    """Where in the arena markers were lost [%], and where vehicles became invisible. drops: report.drops.Drops."""
+    figure, plan = plt.subplots(figsize=(6.6, 6.6), layout="constrained")
+    total = drops.seen_map + drops.lost_map
+    share = np.ma.masked_where(total < drops.least_markers, 100.0 * drops.lost_map / np.maximum(total, 1))
+    top = max(1.0, float(share.max())) if share.count() else 1.0
+    mesh = plan.pcolormesh(edges_y_m, edges_x_m, share, cmap="YlOrRd", vmin=0.0, vmax=top, edgecolors="white", lw=0.5)
+    _draw_net(plan)
+    plan.grid(visible=False)
+    figure.colorbar(mesh, ax=plan, label="markers lost [%]", shrink=0.75)
+    places_m = drops.lost_places_m
+    if len(places_m):
+        plan.plot(places_m[:, 1], places_m[:, 0], "x", color="#222222", ms=5, label="a vehicle became invisible")
+        figure.legend(loc="outside lower center")
+    return figure
+
+
+def ladder(spans, zero_s):
+    """Rungs of every vehicle's loss ladder over time. spans: {vehicle: [report.ladder.Span]}; zero_s: time 0."""
+    figure, axes = plt.subplots(figsize=(9.0, 1.2 + 0.4 * len(spans)), layout="constrained")
+    for row, vehicle in enumerate(spans):
+        for span in spans[vehicle]:
+            # what is shorter than a pixel must still be seen
+            width_s = max(span.end_s - span.begin_s, 0.0)
+            axes.broken_barh([(span.begin_s - zero_s, width_s)], (row - 0.3, 0.6), facecolors=RUNG_COLOURS[span.rung],
+                             edgecolors=RUNG_COLOURS[span.rung], lw=0.0 if span.rung == 0 else 1.5)  # fmt: skip
+    for rung, colour in RUNG_COLOURS.items():
+        axes.plot([], [], "s", color=colour, label=rung.name.lower())
+    axes.set_yticks(range(len(spans)), list(spans))
+    axes.set(xlabel="time [s]", ylim=(len(spans) - 0.5, -0.5))
+    axes.grid(axis="y", visible=False)
+    figure.legend(loc="outside upper right", ncol=3)
+    return figure
+
+
+def battery(batteries, zero_s):
+    """Charge of every vehicle over time. batteries: {vehicle: report.battery.Battery}; zero_s: time 0."""
+    figure, axes = plt.subplots(figsize=(9.0, 2.8), layout="constrained")
+    for colour, (name, item) in zip(_colours(), batteries.items()):
+        axes.plot(item.t_s - zero_s, item.charge_pct, color=colour, lw=1.2, label=name, drawstyle="steps-post")
+    lowest = min(item.charge_pct.min() for item in batteries.values())
+    axes.set(xlabel="time [s]", ylabel="battery [%]", ylim=(max(0.0, lowest - 10.0), 102.0))
+    figure.legend(loc="outside upper right", ncol=5)
+    return figure
+
+
+def fence_margin(margins, zero_s):
+    """Distance of every vehicle from the net over time. margins: {vehicle: report.fence.FenceMargin}."""
+    figure, axes = plt.subplots(figsize=(9.0, 3.2), layout="constrained")
+    for colour, (name, item) in zip(_colours(), margins.items()):
+        for values_m, style in ((item.ahead_m, {"lw": 0.7, "alpha": 0.5}), (item.now_m, {"lw": 1.2, "label": name})):
+            t_s, closeness_m = _peaks(item.t_s, -values_m)
+            axes.plot(t_s - zero_s, -closeness_m, color=colour, **style)
+    for limit_m in sorted({item.limits.fence_margin_m for item in margins.values()}):
+        axes.axhline(limit_m, color="#b3261e", lw=1.0, ls="--", label="landing is ordered below %g m" % limit_m)
+    axes.set(xlabel="time [s]    (pale: with the place after the look-ahead)", ylabel="distance from the net [m]")
+    axes.set_ylim(bottom=min(0.0, min(float(item.ahead_m.min()) for item in margins.values()) - 0.05))
+    figure.legend(loc="outside upper right", ncol=5)
+    return figure
+
+
 def _colours():
     while True:
         yield from COLOURS
+
+
+def _joined(title, text):
+    """Heading of a figure; none without a title: a caption says then what it shows."""
+    return "%s: %s" % (title, text) if title else None
+
+
+def _some(count):
+    """Slice that leaves no more points than a line needs."""
+    return slice(None, None, max(1, count // _MOST_POINTS))
+
+
+def _peaks(t_s, values):
+    """Times and values (n,), thinned out so that the largest values stay."""
+    width = _some(len(t_s)).step
+    count = len(t_s) // width * width
+    return t_s[:count:width], values[:count].reshape(-1, width).max(axis=1)
+
+
+def _draw_path(axes, vehicle, columns, colour, name):
+    """One vehicle's desired path (dashed), its whole path (pale) and what was judged of it."""
+    some = _some(len(vehicle.t_s))
+    desired_m = np.where(vehicle.course[:, None], vehicle.desired_m, np.nan)[some]
+    judged_m = np.where(vehicle.judged[:, None], vehicle.actual_m, np.nan)[some]
+    axes.plot(*_drawn(desired_m, columns), color="#777777", lw=0.8, ls="--")
+    axes.plot(*_drawn(vehicle.actual_m[some], columns), color=colour, lw=0.6, alpha=0.45)
+    axes.plot(*_drawn(judged_m, columns), color=colour, lw=1.4, label=name)
+
+
+def _draw_net(plan):
+    """The net seen from above with x up and y to the left, as one stands in the arena looking forward."""
+    plan.add_patch(
+        plt.Rectangle((-NET_HALF_Y_M, -NET_HALF_X_M), 2 * NET_HALF_Y_M, 2 * NET_HALF_X_M, fill=False, color="#999999")
+    )
+    plan.set(xlabel="y [m]", ylabel="x [m]", aspect="equal")
+    plan.set(xlim=(NET_HALF_Y_M + _MARGIN_M, -NET_HALF_Y_M - _MARGIN_M))
+    plan.set(ylim=(-NET_HALF_X_M - _MARGIN_M, NET_HALF_X_M + _MARGIN_M))
 
 
 def _drawn(position_m, columns):

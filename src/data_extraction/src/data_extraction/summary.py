@@ -12,9 +12,10 @@ def summarise(flight, experiment, simulated, artefacts):
     """The summary of a flight as a dict ready for JSON.
 
     experiment: name; simulated: False, or a dict that says the noise and delay model;
-    artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths]}. `passed` is None until somebody has judged.
+    artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths], 'report': path}. `passed` is None until somebody has
+    judged.
     """
-    duration_s = max(float(vehicle.t_s[-1]) for vehicle in flight.vehicles.values())
+    duration_s = max((float(vehicle.t_s[-1]) for vehicle in flight.vehicles.values()), default=0.0)
     return {
         "experiment": experiment,
         "simulated": simulated,

@@ -6,6 +6,7 @@ from collections import defaultdict
 import numpy as np
 
 from data_extraction.flatten import seconds
+from data_extraction.samples import Samples
 from risc_control.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT
 from risc_control.lab.templates import load_templates
 from risc_control.vehicle_pilot import LEGACY_VEHICLES
@@ -17,6 +18,7 @@ from risc_estimation.tracks import PoseTrack
 CAMERA_INFO = "/camera_info"
 LANDMARKS, MOCAP = "/states3", "/mocap_data"
 _MARKER_FRAMES = 200  # enough to average the noise of the markers
+_LANDMARK_ROWS = 60_000  # five minutes at 200 Hz; what stands still needs no more
 _BOTTOM = "bottomcam"  # how the frame_id of the bottom camera ends
 
 
@@ -37,7 +39,7 @@ class Surroundings:
         self._templates = load_templates()
         self.catalogue = load_landmark_catalogue()
         self.tracks = {topic: defaultdict(PoseTrack) for topic in states_topics}
-        self._landmarks = defaultdict(list)
+        self._landmarks = defaultdict(lambda: Samples(3, _LANDMARK_ROWS))
         self._rims = {}  # name -> [frames, sum of the markers' positions (n, 3)]
         self._infos = {}  # (namespace, is bottom) -> CameraInfo
 
@@ -94,16 +96,19 @@ class Surroundings:
         """CameraMount of a vehicle's camera (namespace or template)."""
         return BOTTOM_MOUNT if bottom else self._mounts.get(self._namespace(name), FRONT_MOUNT)
 
-    def discs(self, from_fleet=False):
-        """The landmarks, as a list of sight.Disc named by template.
+    def landmarks(self, from_fleet=False):
+        """{name: place (3,) [m], cortex frame} of the landmarks.
 
         from_fleet: their places are those of the fleet file (that is where the virtual lab puts them), not what
         motion capture measured.
         """
         if from_fleet:
-            places = {landmark.name: landmark.position_m for landmark in self._fleet.landmarks}
-        else:
-            places = {name: np.nanmedian(rows, axis=0) for name, rows in self._landmarks.items()}
+            return {landmark.name: np.array(landmark.position_m) for landmark in self._fleet.landmarks}
+        return {name: np.nanmedian(rows.table(), axis=0) for name, rows in self._landmarks.items()}
+
+    def discs(self, from_fleet=False):
+        """The landmarks, as a list of sight.Disc named by template. from_fleet: see `landmarks`."""
+        places = self.landmarks(from_fleet)
         return [self.catalogue.disc(name, place, self._normal(name, place)) for name, place in sorted(places.items())]
 
     def hulls(self, topic, time_s, without=""):

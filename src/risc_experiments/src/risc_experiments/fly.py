@@ -12,12 +12,14 @@ import time
 
 import yaml
 
+from data_extraction.progress import Progress
 from risc_control.lab import load_fleet
 from risc_control.lab.calibration import load_calibration
 from risc_control.trajectories import COURSES
+from risc_experiments.flight_record import write_flight, write_parameters
 from risc_experiments.operator import OperatorParams, time_limit_s
 from risc_experiments.processes import Launch, PortReservation, free_tcp_port
-from risc_experiments.progress import Progress, flight_detail
+from risc_experiments.progress import flight_detail
 from risc_experiments.report import WITH_CAMERAS, make_report
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
@@ -142,6 +144,7 @@ def fly(args, folder, progress, interrupted):
     launch = None
     try:
         fleet = prepare_fleet(args, reservation.subnet, folder)
+        write_flight(args, fleet, ROOT, folder)
         master_port = free_tcp_port()
         os.environ["ROS_MASTER_URI"] = "http://127.0.0.1:%d" % master_port
         os.environ["ROS_IP"] = "127.0.0.1"
@@ -151,7 +154,7 @@ def fly(args, folder, progress, interrupted):
         from risc_experiments.ros.watch import Watch  # rospy is to see the environment of this flight
 
         watch = Watch()
-        return _follow(args, launch, watch, progress, interrupted)
+        return _follow(args, folder, launch, watch, progress, interrupted)
     finally:
         if launch is not None:
             progress.show("stopping")
@@ -181,13 +184,22 @@ def _wait_for_master(launch, port, interrupted):
         time.sleep(0.05)
 
 
-def _follow(args, launch, watch, progress, interrupted):
-    """Wait for the end of the flight, showing its progress. Returns the operator's result."""
+def _follow(args, folder, launch, watch, progress, interrupted):
+    """Wait for the end of the flight, showing its progress. Returns the operator's result.
+
+    As soon as everything has started, the parameters are written down.
+    """
     courses = 3 if args.experiment == "df_demo" else 1
     limit_s = time_limit_s(OperatorParams(duration=courses * args.duration))
     deadline = time.monotonic() + limit_s + START_MARGIN_S
-    landing = False
+    landing = recorded = False
     while not watch.result:
+        if not recorded and watch.operator_heard:  # by then roslaunch has set everything, and nothing flies yet
+            recorded = True
+            try:
+                write_parameters(watch.parameters(), folder)
+            except OSError as error:  # no reason to end a flight
+                progress.say("the parameters are not recorded: %s" % error)
         phase, _, detail = watch.phase.partition(": ")
         progress.show(phase, "  ".join(filter(None, (flight_detail(watch.errors_mm, watch.rate_hz), detail))))
         if interrupted.wait(0.1) and not landing:

@@ -16,7 +16,7 @@ class Limits:
     yaw_rmse_rad: float = 0.1
     net_margin_m: float = 0.05  # nearest approach to the net
     landed_height_m: float = 0.15  # at the end of the flight
-    bearing_rms_deg: float = 0.3  # per vehicle and angle, of what its camera saw whole
+    bearing_rms_deg: float = 0.2  # per vehicle and angle, of what its camera saw whole
 
 
 def judge(flight, operator_result, limits=None, with_cameras=False):

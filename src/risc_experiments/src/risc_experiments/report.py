@@ -1,16 +1,21 @@
-"""After the flight: the bag becomes CSV files, plots, summary.json and the table that is printed."""
+"""After the flight: the bag becomes CSV files, plots, summary.json, report.html and the table that is printed."""
 
 import json
 
 from data_extraction import plots, summary
-from data_extraction.csv_export import export
-from data_extraction.flight import FlightCollector
+from data_extraction.bags import Bag
+from data_extraction.csv_export import export_open
+from data_extraction.progress import bar
+from data_extraction.report import page
+from data_extraction.report.collector import ReportCollector
+from data_extraction.report.origin import read_beside
 from risc_control.lab import load_fleet, load_vehicle_type
 from risc_experiments.judge import Limits, judge
 from risc_simulator.models.mocap_cameras import CameraParams
 
 WITH_CAMERAS = ("coop",)  # experiments that have to measure bearings
 LATE_LIMIT_MS = 10.0  # two frames at 200 Hz: a lab that is later than this (p99) had too slow a computer
+VIDEO_LATE_LIMIT_MS = 5.0  # of the pictures that came soonest: stamps rest on them, and a nose turns 0.1 deg meanwhile
 
 
 def make_report(args, folder, operator_result, progress, interrupted):
@@ -19,38 +24,34 @@ def make_report(args, folder, operator_result, progress, interrupted):
     args: of `fly.arguments`; operator_result: text of /operator/result; interrupted: threading.Event that stops it.
     Raises ValueError for a useless bag, and when it is interrupted.
     """
-    bag = folder / "flight.bag"
     interrupted.clear()
-    collector = FlightCollector(load_fleet(folder / "fleet.yaml"))
-
-    def collect(topic, receipt_s, message):
-        if interrupted.is_set():
-            raise ValueError("interrupted while extracting; the bag is complete: %s" % bag)
-        collector(topic, receipt_s, message)
-        collect.count += 1
-        if collect.count % 500 == 0:
-            progress.show("extracting", "%d messages" % collect.count)
-
-    collect.count = 0
-    files = export(bag, folder / "csv", on_message=collect)
-    flight = collector.flight()
+    collector, files = _extract(folder, progress, interrupted)
+    try:
+        flight = collector.flight.flight()
+    except ValueError as error:
+        _report_failure(args, folder, collector, [operator_result, str(error)], progress)
+        raise
     progress.show("drawing")
     title = "%s, seed %d (simulated)" % (args.trajectory or args.experiment, args.seed)
     pictures = plots.draw_all(flight, folder / "plots", title)
+    bag, page_path = folder / "flight.bag", folder / "report.html"
     artefacts = {
         "bag": str(bag),
         "csv_dir": str(folder / "csv"),
         "plots": [str(picture) for picture in pictures],
+        "report": str(page_path),
     }
     result = summary.summarise(flight, args.experiment, simulation_model(args, folder), artefacts)
     lab = lab_statistics(folder)
     result["least_separation_m"] = lab.get("least_separation_m")
     result["lab_late_ms"] = lab.get("late_ms")
-    result["on_schedule"] = lab["late_ms"]["p99"] <= LATE_LIMIT_MS if lab else None
+    result["video_late_ms"] = max(v["video"]["late_ms"] for v in lab["vehicles"].values()) if lab else None
+    result["on_schedule"] = on_schedule(result) if lab else None
     reasons = judge(flight, operator_result, with_cameras=args.experiment in WITH_CAMERAS)
     result["passed"] = not reasons
     result["reasons"] = reasons
     result["limits"] = dict(vars(Limits()))
+    page.write(page_path, collector.material(flight), result)
     summary.write(result, folder / "summary.json")
     progress.say("")
     print(summary.table(result))
@@ -60,16 +61,52 @@ def make_report(args, folder, operator_result, progress, interrupted):
     if result["on_schedule"] is False:
         print(
             "this computer had too little time: the virtual lab's frames were late (p99 %.0f ms; more than %.0f ms is "
-            "not fair to a controller). Close other programs and fly again" % (lab["late_ms"]["p99"], LATE_LIMIT_MS)
+            "not fair to a controller), or its pictures (%.0f ms; more than %.0f ms is not fair to bearings). Close "
+            "other programs and fly again"
+            % (lab["late_ms"]["p99"], LATE_LIMIT_MS, result["video_late_ms"], VIDEO_LATE_LIMIT_MS)
         )
     print()
     print("bag      %s" % bag)
     print("CSV      %s (%d files)" % (folder / "csv", len(files)))
     print("plots    %s" % (folder / "plots"))
     print("summary  %s" % (folder / "summary.json"))
+    print("report   %s" % page_path)
     print()
     print("PASSED" if result["passed"] else "FAILED: " + "; ".join(reasons))
     return 0 if result["passed"] else 1
+
+
+def on_schedule(result):
+    """Whether the computer had time enough for the virtual lab. result: summary of a flight."""
+    return result["lab_late_ms"]["p99"] <= LATE_LIMIT_MS and (result.get("video_late_ms") or 0.0) <= VIDEO_LATE_LIMIT_MS
+
+
+def _extract(folder, progress, interrupted):
+    """One pass over the bag. Returns (ReportCollector, {topic: (path of its CSV file, rows)})."""
+    path = folder / "flight.bag"
+    with Bag(path) as bag:
+        collector = ReportCollector(bag, read_beside(path))
+
+        def collect(topic, receipt_s, message):
+            if interrupted.is_set():
+                raise ValueError("interrupted while extracting; the bag is complete: %s" % path)
+            collector(topic, receipt_s, message)
+            progress.show("extracting", bar(collector.fraction(receipt_s)))
+
+        return collector, export_open(bag, folder / "csv", on_message=collect)
+
+
+def _report_failure(args, folder, collector, reasons, progress):
+    """Write the report of a bag that holds no whole flight: it shows what there is."""
+    material = collector.material()
+    result = page.summary_of(material)
+    result.update(
+        experiment=args.experiment,
+        simulated=simulation_model(args, folder),
+        passed=False,
+        reasons=[reason for reason in reasons if reason and reason != "ok"],
+    )
+    progress.say("report   %s" % page.write(folder / "report.html", material, result))
 
 
 def simulation_model(args, folder):

@@ -4,6 +4,7 @@ import math
 import re
 import threading
 import time
+import xmlrpc.client
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -38,9 +39,21 @@ class Watch:
                 elif pair.key == "rate [Hz]" and status.name.endswith("mocap stream"):
                     self.rate_hz = _number(pair.value)
 
+    @property
+    def operator_heard(self):
+        """Whether the operator has said anything yet."""
+        return self._operator_s is not None
+
     def operator_silent(self, limit_s=5.0):
         """Whether the operator was heard of, and then no more; he reports every second."""
         return self._operator_s is not None and time.monotonic() - self._operator_s > limit_s
+
+    def parameters(self):
+        """Content of the parameter server, nested dicts. Raises OSError when the master does not give it."""
+        try:
+            return rospy.get_param("/")
+        except (KeyError, rospy.ROSException, xmlrpc.client.Error) as error:
+            raise OSError("the master does not give its parameters: %s" % error) from error
 
     def land(self):
         """Ask the operator to land everything now. Returns whether he took the order; never blocks for long."""

@@ -1,0 +1,110 @@
+"""One pass over a bag for everything that the report shows."""
+
+import pathlib
+from dataclasses import dataclass
+from typing import Dict, List, Optional
+
+from data_extraction.bearings import ANGLES
+from data_extraction.flight import Flight, FlightCollector
+from data_extraction.report.battery import Battery, BatteryCollector
+from data_extraction.report.drops import DropCollector, Drops
+from data_extraction.report.events import Event, EventCollector
+from data_extraction.report.fence import FenceCollector, FenceMargin
+from data_extraction.report.gates import GateCollector, GateCounts
+from data_extraction.report.ladder import LadderCollector, Span
+from data_extraction.report.origin import Origin
+from data_extraction.report.snapshots import Snapshot, SnapshotCollector
+
+
+@dataclass
+class Material:
+    """Everything a report is made of."""
+
+    bag_path: pathlib.Path
+    start_s: float  # time of receipt of the first message
+    duration_s: float
+    topics: Dict[str, int]  # topic -> number of messages
+    types: Dict[str, str]
+    origin: Origin
+    flight: Flight
+    drops: Optional[Drops]
+    gates: Dict[str, GateCounts]
+    ladder: Dict[str, List[Span]]
+    ladder_left_out: int
+    batteries: Dict[str, Battery]
+    margins: Dict[str, FenceMargin]
+    snapshots: List[Snapshot]
+    snapshot_notes: List[str]
+    events: List[Event]
+    events_left_out: int
+
+    @property
+    def zero_s(self):
+        """ROS time that the report calls 0: of the first reference, else of the bag."""
+        return self.start_s if self.flight.start_s is None else self.flight.start_s
+
+    @property
+    def is_simulated(self):
+        """Whether the bag is of the virtual lab: nothing else knows a ground truth."""
+        return bool(self.origin.lab or self.topics.get("/ground_truth"))
+
+
+class ReportCollector:
+    """Takes the messages of a bag one by one; memory does not grow with its pictures, and little with its length."""
+
+    def __init__(self, bag, origin):
+        """bag: an open Bag; origin: its Origin. Raises ValueError for a fleet whose calibrations are not usable."""
+        self._bag_path = bag.path
+        self._topics, self._types = bag.topics, bag.types
+        self._start_s, self._duration_s = bag.start_s, bag.duration_s
+        self._origin = origin
+        self.flight = FlightCollector(origin.fleet, with_bearings=bool(self._topics.get(ANGLES)))
+        self._drops = DropCollector()
+        self._gates = GateCollector()
+        self._ladder = LadderCollector()
+        self._batteries = BatteryCollector()
+        self._fence = FenceCollector(origin.fence_limits())
+        self._events = EventCollector()
+        self._snapshots = SnapshotCollector(self._types, self._start_s, self._duration_s)
+        parts = (
+            self.flight, self._drops, self._gates, self._ladder, self._batteries, self._fence, self._events,
+            self._snapshots,
+        )  # fmt: skip
+        self._takers = {topic: [part for part in parts if part.wants(topic)] for topic in self._topics}
+
+    @property
+    def wanted(self):
+        """The topics of the bag that say anything to the report."""
+        return [topic for topic, takers in self._takers.items() if takers]
+
+    def __call__(self, topic, receipt_s, message):
+        """Take one message; topics that are of no interest are passed over."""
+        for part in self._takers[topic]:
+            part(topic, receipt_s, message)
+
+    def fraction(self, receipt_s):
+        """How much of the bag is done [0, 1] when a message of that time comes."""
+        return (receipt_s - self._start_s) / max(self._duration_s, 1e-3)
+
+    def material(self, flight=None):
+        """Material of what was collected. flight: when it has been evaluated already."""
+        snapshots, snapshot_notes = self._snapshots.snapshots()
+        return Material(
+            bag_path=self._bag_path,
+            start_s=self._start_s,
+            duration_s=self._duration_s,
+            topics=self._topics,
+            types=self._types,
+            origin=self._origin,
+            flight=flight or self.flight.overview(),
+            drops=self._drops.drops(),
+            gates=self._gates.counts(),
+            ladder=self._ladder.spans(self._start_s + self._duration_s),
+            ladder_left_out=self._ladder.left_out,
+            batteries=self._batteries.batteries(),
+            margins=self._fence.margins(),
+            snapshots=snapshots,
+            snapshot_notes=snapshot_notes,
+            events=self._events.events,
+            events_left_out=self._events.left_out,
+        )

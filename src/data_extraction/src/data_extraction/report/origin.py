@@ -1,0 +1,106 @@
+"""Where a bag comes from: what the program that flew wrote beside it, and which parameters that was with."""
+
+import hashlib
+import json
+import pathlib
+from dataclasses import dataclass, field
+from typing import Optional
+
+import yaml
+
+from risc_control.lab import Fleet, load_fleet
+from risc_control.safety import SafetyLimits
+from risc_control.vehicle_pilot import params_from_dict
+
+FLIGHT, PARAMETERS, FLEET, SUMMARY, LAB = (
+    "flight.yaml",
+    "parameters.yaml",
+    "fleet.yaml",
+    "summary.json",
+    "virtual_lab.json",
+)
+# Parameters that differ from run to run though the flight is the same: identities, addresses, and live switches.
+RUN_KEYS = frozenset(
+    (
+        "run_id", "roslaunch", "controller_status", "RESET", "host", "address", "drone_ip", "interface",
+        "local_address", "command_port", "stream_port", "stream_group",
+    )
+)  # fmt: skip
+
+
+@dataclass
+class Origin:
+    """What is known of a flight beside its bag; None or {} = nothing."""
+
+    flight: dict = field(default_factory=dict)  # flight.yaml: arguments, seed, versions ...
+    parameters: Optional[dict] = None  # of the parameter server
+    fleet: Optional[Fleet] = None
+    summary: dict = field(default_factory=dict)
+    lab: dict = field(default_factory=dict)  # what the virtual lab counted
+
+    @property
+    def hash(self):
+        """Of the parameters, None when they are unknown."""
+        return None if self.parameters is None else parameter_hash(self.parameters)
+
+    def fence_limits(self):
+        """{template: SafetyLimits} that the vehicles' nodes had; those that are not known are left out."""
+        vehicles = self.fleet.vehicles if self.fleet else ()
+        result = {}
+        for vehicle in vehicles:
+            group = (self.parameters or {}).get(vehicle.namespace)
+            for node in group.values() if isinstance(group, dict) else ():
+                if isinstance(node, dict) and "fence_margin_m" in node:
+                    names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
+                    result[vehicle.template] = params_from_dict(names)[0].limits
+        return result
+
+
+def read_beside(bag_path, fleet_path=None):
+    """Origin of a bag: the files in its folder. fleet_path: a fleet file instead of the one there.
+
+    Raises ValueError that names a file that cannot be read.
+    """
+    folder = pathlib.Path(bag_path).parent
+    fleet_path = pathlib.Path(fleet_path) if fleet_path else folder / FLEET
+    parameters = folder / PARAMETERS
+    return Origin(
+        flight=_mapping(folder / FLIGHT, yaml.safe_load),
+        parameters=_mapping(parameters, yaml.safe_load) if parameters.exists() else None,
+        fleet=load_fleet(fleet_path) if fleet_path != folder / FLEET or fleet_path.exists() else None,
+        summary=_mapping(folder / SUMMARY, json.loads),
+        lab=_mapping(folder / LAB, json.loads),
+    )
+
+
+def parameter_hash(parameters):
+    """SHA-256, as hexadecimal text, of parameters (nested dicts) without what only tells one run from another.
+
+    Of the paths in them only the last part counts: another folder is no other parameter.
+    """
+    text = yaml.safe_dump(_canonical(parameters), sort_keys=True, default_flow_style=False, allow_unicode=True)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def _canonical(value):
+    if isinstance(value, dict):
+        return {str(key): _canonical(item) for key, item in value.items() if key not in RUN_KEYS}
+    if isinstance(value, (list, tuple)):
+        return [_canonical(item) for item in value]
+    if isinstance(value, str) and (value.startswith("/") or "://" in value):
+        return value.rpartition("/")[2]
+    return value
+
+
+def _mapping(path, load):
+    """Content of a YAML or JSON file that holds a mapping; {} when there is no such file."""
+    if not path.exists():
+        return {}
+    try:
+        content = load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, json.JSONDecodeError) as error:
+        reason = " ".join(str(error).split())  # a parser's takes several lines
+        raise ValueError("%s cannot be read (%s): mend it or move it away from the bag" % (path, reason)) from error
+    if not isinstance(content, dict):
+        raise ValueError("%s holds no mapping of names to values: mend it or move it away from the bag" % path)
+    return content

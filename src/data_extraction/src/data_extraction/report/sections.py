@@ -1,0 +1,510 @@
+"""The sections of the report: what is said, tabled and drawn of each subject, or why there is nothing to say."""
+
+import base64
+import datetime
+from dataclasses import dataclass, field
+from typing import List
+
+import numpy as np
+
+from data_extraction import plots
+from data_extraction.flight import HOPS, percentiles_ms
+from data_extraction.report.drops import CELL_M, cell_edges
+from data_extraction.report.gates import GATES
+from risc_control.safety import Rung
+
+UNKNOWN = "unknown"
+_MOST_ROWS = 60  # of a table of events
+_MOST_RUNGS = 25  # of a table of the loss ladder
+_FAILED = "failed: "  # how the operator's results begin
+_TEXTS = 99  # columns that are numeric: none
+_UNITS = {"m": "m", "s": "s", "rad": "rad", "deg": "°", "pct": "%", "ms": "ms", "hz": "Hz"}
+HOP_TEXTS = {
+    "exposure_to_datagram": "exposure to datagram (the camera system itself)",
+    "datagram_to_mocap_data": "datagram to /mocap_data",
+    "datagram_to_cortex_raw": "datagram to /cortex_raw",
+    "datagram_to_controls": "datagram to /controls",
+    "datagram_to_cmd_vel": "datagram to cmd_vel",
+}
+
+
+@dataclass
+class Table:
+    """Rows of texts under a heading."""
+
+    caption: str
+    columns: List[str]
+    rows: List[List[str]]
+    numeric: int = 1  # the columns from this one on are right-aligned
+
+
+@dataclass
+class Figure:
+    """A picture that is part of the page."""
+
+    caption: str
+    uri: str  # data:
+    small: bool = False  # several fit side by side
+    plan: bool = False  # nearly square: needs not the page's whole width
+
+
+@dataclass
+class Section:
+    """One subject."""
+
+    key: str  # anchor
+    title: str
+    facts: List[tuple] = field(default_factory=list)  # (name, value)
+    texts: List[str] = field(default_factory=list)
+    tables: List[Table] = field(default_factory=list)
+    figures: List[Figure] = field(default_factory=list)
+    notes: List[str] = field(default_factory=list)  # after tables and figures
+
+
+@dataclass
+class Missing:
+    """A subject of which the bag says nothing."""
+
+    title: str
+    reason: str
+
+
+def all_sections(material, summary):
+    """[Section or Missing, ...] in their order. summary: as data_extraction.summary makes it, judged or not."""
+    with plots.style():
+        return [
+            make(material, summary)
+            for make in (
+                origin, result, arena, tracking, latency, motion_capture, gates, ladder, fence, battery, cameras,
+                bearings, events, contents,
+            )
+        ]  # fmt: skip
+
+
+def origin(material, summary):
+    """What was flown."""
+    flight, about = material.origin.flight, material.origin
+    simulated = summary.get("simulated") or {}
+    arguments = flight.get("arguments", {})
+    versions = flight.get("versions", {})
+    facts = [
+        ("experiment", summary.get("experiment") or UNKNOWN),
+        ("begin", flight.get("started") or _date(material.start_s)),
+        ("duration of the recording", "%.1f s" % material.duration_s),
+        ("seed", _known(flight.get("seed", simulated.get("seed")))),
+    ]
+    if arguments:
+        given = ("%s %s" % item for item in arguments.items() if item[1] is not None and item[1] is not False)
+        facts.append(("arguments", ", ".join(given)))
+    if material.is_simulated:
+        model = ", ".join(_quantity(*item) for item in simulated.items())
+        facts.append(("simulated: noise and delay model", model or UNKNOWN))
+    facts += [
+        ("revision", _known(flight.get("revision"))),
+        ("versions", ", ".join("%s %s" % item for item in versions.items()) or UNKNOWN),
+        ("parameters (SHA-256)", about.hash or UNKNOWN),
+    ]
+    section = Section("flown", "What was flown", facts)
+    if about.fleet:
+        rows = [
+            [
+                vehicle.namespace,
+                vehicle.template,
+                vehicle.type,
+                vehicle.calibration or "none",
+                "(%.2f, %.2f, %.2f) m, %.0f°" % (*vehicle.start_position_m, np.degrees(vehicle.start_yaw_rad)),
+            ]
+            for vehicle in about.fleet.vehicles
+        ]
+        columns = ["namespace", "template", "type", "camera calibration", "start"]
+        section.tables.append(Table("The fleet %s." % about.fleet.name, columns, rows, numeric=_TEXTS))
+    else:
+        section.notes.append("There is no fleet file: the names are those of the original laboratory.")
+    return section
+
+
+def result(material, summary):
+    """Whether it passed, and the figures of every vehicle."""
+    section = Section("result", "Result")
+    for reason in summary.get("reasons") or []:
+        section.texts.append("Failed: %s." % (reason[len(_FAILED) :] if reason.startswith(_FAILED) else reason))
+    vehicles = summary["vehicles"]
+    if not vehicles and not section.texts:
+        return Missing("Result", "; ".join(material.flight.notes))
+    if summary.get("passed") is None:
+        section.texts.append("Nobody has judged this flight: the bag alone does not say whether it was a success.")
+    section.notes += _sentences(material.flight.notes)
+    if not vehicles:
+        return section
+    rows = [
+        [
+            name,
+            _unit(item["position_rmse_m"], 1e3, "mm"),
+            _unit(item["position_max_m"], 1e3, "mm"),
+            _unit(item["yaw_rmse_rad"], np.degrees(1.0), "°", 2),
+            _unit(item["settle_s"], 1.0, "s"),
+            _unit(item["lag_s"], 1e3, "ms"),
+        ]
+        for name, item in vehicles.items()
+    ]
+    columns = ["vehicle", "RMSE", "largest error", "yaw RMSE", "settled after", "best-fit lag"]
+    caption = (
+        "Errors on the course after settling, judged against %s. The lag is the delay of the actual path that explains "
+        "it best." % material.flight.judged_against
+    )
+    section.tables.append(Table(caption, columns, rows))
+    if summary.get("limits"):
+        limits = ", ".join(_quantity(*item) for item in summary["limits"].items())
+        section.notes.append("Limits of a pass: %s." % limits)
+    if summary.get("least_separation_m") is not None:
+        section.notes.append("Vehicles came no closer than %.2f m to each other." % summary["least_separation_m"])
+    if summary.get("on_schedule") is False:
+        section.notes.append(
+            "This computer had too little time: the virtual lab's frames were late by %.0f ms (p99), its pictures by "
+            "%.0f ms, which is not fair to a controller or to bearings."
+            % (summary["lab_late_ms"]["p99"], summary.get("video_late_ms") or 0.0)
+        )
+    return section
+
+
+def arena(material, _summary):
+    """The arena from above with all paths."""
+    flight = material.flight
+    if not flight.paths:
+        return Missing("Map of the arena", "no position of a vehicle was recorded (/cortex_raw)")
+    caption = "The arena from above, as one stands in it looking along x; positions from %s." % flight.judged_against
+    if flight.vehicles:
+        caption += " Bold: judged; dashed: desired, on the course."
+    return Section("map", "Map of the arena", figures=[_figure(plots.arena_map(flight), caption, plan=True)])
+
+
+def tracking(material, _summary):
+    """Errors and axes over time."""
+    flight = material.flight
+    if not flight.vehicles:
+        return Missing(
+            "Desired and actual positions", "there is no reference (/trajectory) for a vehicle that was seen"
+        )
+    section = Section("tracking", "Desired and actual positions")
+    section.figures.append(
+        _figure(plots.errors(flight, None), "Position error of every vehicle; shaded: on the course and settled.")
+    )
+    for name, vehicle in flight.vehicles.items():
+        caption = "%s: desired and actual position and yaw%s." % (
+            name,
+            "" if vehicle.lag_s is None else "; best-fit lag %.0f ms" % (1e3 * vehicle.lag_s),
+        )
+        section.figures.append(_figure(plots.axes_over_time(name, vehicle, None), caption))
+    return section
+
+
+def latency(material, _summary):
+    """Time from the datagram to every hop."""
+    hops = {hop: values for hop, values in material.flight.latency_s.items() if len(values)}
+    if not hops:
+        return Missing("Latency", "the times of the datagrams were not recorded (/mocap_time)")
+    rows = []
+    for hop in HOPS:
+        values_s = hops.get(hop, np.zeros(0))
+        figures = percentiles_ms(values_s)
+        p95 = 1e3 * np.percentile(values_s, 95) if len(values_s) else None
+        cells = [_unit(value, 1.0, "ms", 2) for value in (figures["p50"], p95, figures["p99"], figures["max"])]
+        rows.append([HOP_TEXTS[hop], *cells, "%d" % len(values_s)])
+    section = Section("latency", "Latency")
+    columns = ["hop", "p50", "p95", "p99", "largest", "messages"]
+    caption = "Time from the receipt of the mocap datagram to the arrival of the message that answers it."
+    section.tables.append(Table(caption, columns, rows))
+    section.figures.append(_figure(plots.latency(material.flight, None), "How the latencies are spread (logarithmic)."))
+    return section
+
+
+def motion_capture(material, _summary):
+    """Frames and markers that were lost, and where."""
+    drops, frames = material.drops, material.flight.mocap
+    if drops is None:
+        return Missing("Motion capture", "neither /mocap_data nor /cortex_raw was recorded")
+    section = Section("mocap", "Motion capture")
+    if frames.frames_sent:
+        section.texts.append(
+            "Frames by their numbers on the wire: %d sent, %d received (%d lost), %d with states; %.2f Hz."
+            % (
+                frames.frames_sent,
+                frames.frames_received,
+                frames.frames_sent - frames.frames_received,
+                frames.frames_estimated,
+                frames.rate_hz,
+            )
+        )
+    if drops.frames:
+        gap = "" if drops.longest_gap_s is None else "; the longest time between two was %.0f ms" % (
+            1e3 * drops.longest_gap_s
+        )  # fmt: skip
+        section.texts.append("%d frames in the bag, %d gaps of more than 100 ms%s." % (drops.frames, drops.gaps, gap))
+    if drops.markers:
+        rows = [
+            [name, "%d" % loss.frames, "%d" % loss.lost, _percent(loss.lost, loss.markers), "%d" % loss.blind_frames]
+            for name, loss in drops.markers.items()
+        ]
+        columns = ["object", "frames", "markers lost", "of all its markers", "frames without a marker"]
+        section.tables.append(Table("Markers that no camera saw.", columns, rows))
+    if drops.vehicles:
+        rows = [
+            [name, "%d" % item.invisible, _percent(item.invisible, item.frames), "%d" % item.times, _unit(
+                item.longest_s if item.times else None, 1e3, "ms", 0)]
+            for name, item in drops.vehicles.items()
+        ]  # fmt: skip
+        columns = ["vehicle", "states invisible", "of all since first seen", "times lost", "longest"]
+        section.tables.append(Table("Vehicles that the estimator did not see.", columns, rows))
+    if drops.markers_lost or len(drops.lost_places_m):
+        caption = (
+            "Where markers were lost, in percent of those there (cells of %g m; white: fewer than %d markers)."
+            % (CELL_M, max(1, drops.least_markers))
+        )
+        if drops.unplaced:
+            caption += " %d lost markers of objects never seen before are not in it." % drops.unplaced
+        section.figures.append(_figure(plots.drop_map(drops, *cell_edges()), caption, plan=True))
+    else:
+        section.notes.append("Nothing was lost, so there is no map of losses.")
+    return section
+
+
+def gates(material, _summary):
+    """What the estimator and the mocap client refused."""
+    if not material.gates:
+        return Missing("Gate decisions", "the estimator's counters were not recorded (/diagnostics)")
+    section = Section("gates", "Gate decisions")
+    for gate, counts in material.gates.items():
+        rows = [
+            [GATES[gate][key], "%d" % count, _percent(count, counts.frames)]
+            for key, count in counts.refused.items()
+            if count
+        ]
+        if rows:
+            caption = "%s: what was refused, of %d frames." % (gate.capitalize(), counts.frames)
+            section.tables.append(Table(caption, ["decision", "times", "per frame"], rows))
+        else:
+            section.texts.append("%s: nothing was refused, of %d frames." % (gate.capitalize(), counts.frames))
+        never = [GATES[gate][key] for key, count in counts.refused.items() if not count]
+        if never:
+            section.notes.append("%s, never: %s." % (gate.capitalize(), "; ".join(never)))
+        if counts.unknown:
+            section.notes.append("Bodies without a template, never estimated: %s." % counts.unknown)
+    return section
+
+
+def ladder(material, _summary):
+    """Where on the loss ladder every vehicle stood."""
+    if not material.ladder:
+        return Missing("Loss ladder", "no vehicle's safety topic was recorded")
+    section = Section("ladder", "Loss ladder")
+    caption = "Rung of every vehicle over time: ok, hold (level, altitude held), land."
+    section.figures.append(_figure(plots.ladder(material.ladder, material.zero_s), caption))
+    left = [span for spans in material.ladder.values() for span in spans if span.rung != Rung.OK]
+    if not left:
+        section.texts.append("No vehicle left the lowest rung: nothing went stale, near the net, or low on battery.")
+        return section
+    kinds = {}
+    for span in left:
+        kinds.setdefault((span.vehicle, span.rung, span.kind), []).append(span.end_s - span.begin_s)
+    rows = [
+        [vehicle, rung.name.lower(), kind, "%d" % len(lengths_s), _clock(max(lengths_s), 2), _clock(sum(lengths_s), 2)]
+        for (vehicle, rung, kind), lengths_s in sorted(kinds.items())
+    ]
+    columns = ["vehicle", "rung", "reason", "times", "longest", "altogether"]
+    section.tables.append(Table("Why and for how long vehicles were on higher rungs.", columns, rows, numeric=3))
+    left.sort(key=lambda span: (-span.rung, span.begin_s))
+    listed = sorted(left[:_MOST_RUNGS], key=lambda span: span.begin_s)
+    rows = [
+        [
+            _clock(span.begin_s - material.zero_s, 2), span.vehicle, span.rung.name.lower(), span.reason,
+            _clock(span.end_s - span.begin_s, 2),
+        ]
+        for span in listed
+    ]  # fmt: skip
+    columns = ["time", "vehicle", "rung", "reason", "lasted"]
+    section.tables.append(Table("Ladder events.", columns, rows, numeric=4))
+    left_out = len(left) - len(listed) + material.ladder_left_out
+    if left_out:
+        section.notes.append("%d further events are not listed; landings come first." % left_out)
+    return section
+
+
+def fence(material, _summary):
+    """Distance from the net."""
+    if not material.margins:
+        return Missing("Fence margin", "no position of a vehicle was recorded (/cortex_raw)")
+    rows = [
+        [
+            name,
+            "%.2f m" % item.least_m,
+            "(%.2f, %.2f, %.2f) m" % item.least_place_m,
+            _clock(item.least_s - material.zero_s),
+            "%.2f m" % item.least_ahead_m,
+            "%.2f m" % item.limits.fence_margin_m,
+        ]
+        for name, item in material.margins.items()
+    ]
+    columns = ["vehicle", "nearest to the net", "there", "at", "with look-ahead", "limit"]
+    caption = (
+        "Distance from the net as the loss ladder sees it; with look-ahead: also of the place reached %g s later."
+        % next(iter(material.margins.values())).limits.fence_lookahead_s
+    )
+    section = Section("fence", "Fence margin", tables=[Table(caption, columns, rows)])
+    if not material.origin.fence_limits():
+        section.notes.append("The parameters of the flight are unknown: margins are those of the default fence.")
+    section.figures.append(
+        _figure(plots.fence_margin(material.margins, material.zero_s), "Distance from the net over time.")
+    )
+    return section
+
+
+def battery(material, _summary):
+    """Charge over time."""
+    if not material.batteries:
+        return Missing("Battery", "no vehicle's navdata with a charge was recorded")
+    rows = [
+        [name, "%.0f %%" % item.first_pct, "%.0f %%" % item.last_pct, "%.0f s" % item.air_s]
+        for name, item in material.batteries.items()
+    ]
+    section = Section("battery", "Battery")
+    section.tables.append(Table("Charge of the batteries.", ["vehicle", "at first", "at last", "in the air"], rows))
+    section.figures.append(_figure(plots.battery(material.batteries, material.zero_s), "Charge over time."))
+    return section
+
+
+def cameras(material, _summary):
+    """A few pictures with what was found in them."""
+    if not material.snapshots:
+        reason = "; ".join(material.snapshot_notes) or "no pictures were recorded (image_rect_color, image_raw)"
+        return Missing("Camera pictures", reason)
+    section = Section("cameras", "Camera pictures", notes=_sentences(material.snapshot_notes))
+    for item in material.snapshots:
+        found = ", ".join(item.found) or "nothing found"
+        caption = "%s, %s camera, %s: %s." % (
+            item.vehicle or "camera",
+            item.camera,
+            _clock(item.stamp_s - material.zero_s),
+            found if item.has_regions else "nobody looked for anything",
+        )
+        section.figures.append(Figure(caption, _data_uri("image/jpeg", item.jpeg), small=True))
+    return section
+
+
+def bearings(material, _summary):
+    """Errors of the bearings."""
+    statistics = material.flight.bearings
+    if statistics is None:
+        return Missing("Bearings", "no bearings with something to compare them with were recorded (/angles)")
+    rows = [
+        [
+            "%s: %s" % (vehicle, name),
+            "%d" % figures["count"],
+            *(
+                _unit(figures[key + "_deg"], 1.0, "°", 3)
+                for key in ("azimuth_bias", "elevation_bias", "azimuth_rms", "elevation_rms")
+            ),
+            _unit(figures["seen_percent"], 1.0, "%", 0),
+            "%d" % figures["false_alarms"],
+        ]
+        for vehicle, targets in statistics.figures()["vehicles"].items()
+        for name, figures in targets.items()
+    ]
+    columns = ["bearing", "count", "azimuth bias", "elevation bias", "azimuth RMS", "elevation RMS", "found", "false"]
+    caption = "Bearings of what was fully in the picture, against %s; landmarks from %s." % (
+        statistics.truth,
+        statistics.landmarks_from,
+    )
+    section = Section("bearings", "Bearings", tables=[Table(caption, columns, rows)])
+    section.notes += _sentences(statistics.notes)
+    if statistics.has_judged:
+        text = "Errors of single bearings, and RMS of every vehicle and object."
+        section.figures.append(_figure(plots.bearings(statistics, None), text))
+    return section
+
+
+def events(material, _summary):
+    """What the operator did and was told."""
+    if not material.events:
+        return Missing("Events", "no phase, joystick, order, mode or warning was recorded")
+    rows = [
+        [
+            _clock(event.time_s - material.zero_s),
+            event.source,
+            event.text + (" (%d times)" % event.count if event.count > 1 else ""),
+        ]
+        for event in material.events
+    ]
+    section = Section("events", "Events of the operator")
+    section.tables.append(
+        Table("Phases, buttons, orders, modes, warnings.", ["time", "who", "what"], rows[:_MOST_ROWS], numeric=_TEXTS)
+    )
+    left_out = max(0, len(rows) - _MOST_ROWS) + material.events_left_out
+    if left_out:
+        section.notes.append("%d further events are not listed." % left_out)
+    return section
+
+
+def contents(material, _summary):
+    """What the bag holds."""
+    size_mb = 1e-6 * material.bag_path.stat().st_size
+    rows = [
+        [topic, (material.types[topic] or "several types").replace("/msg/", "/"), "%d" % count,
+         "%.1f Hz" % (count / max(material.duration_s, 1e-3))]
+        for topic, count in sorted(material.topics.items())
+    ]  # fmt: skip
+    caption = "%s: %.1f MB, %.1f s from %s." % (
+        material.bag_path.name,
+        size_mb,
+        material.duration_s,
+        _date(material.start_s),
+    )
+    table = Table(caption, ["topic", "type", "messages", "rate"], rows, numeric=2)
+    return Section("contents", "What the bag holds", tables=[table])
+
+
+def _figure(figure, caption, plan=False):
+    return Figure(caption, _data_uri("image/svg+xml", plots.as_svg(figure).encode("utf-8")), plan=plan)
+
+
+def _data_uri(kind, data):
+    return "data:%s;base64,%s" % (kind, base64.b64encode(data).decode("ascii"))
+
+
+def _date(time_s):
+    if time_s <= 0.0:
+        return UNKNOWN
+    return datetime.datetime.fromtimestamp(time_s).astimezone().strftime("%Y-%m-%d %H:%M:%S %Z")
+
+
+def _known(value):
+    return UNKNOWN if value is None else str(value)
+
+
+def _unit(value, factor, unit, digits=1):
+    if value is None:
+        return "–"
+    return "%.*f%s%s" % (digits, factor * value, "" if unit == "°" else "\u202f", unit)
+
+
+def _quantity(key, value):
+    """Words of a value that is named with its unit: net_margin_m, 0.05 -> net margin 0.05 m."""
+    if isinstance(value, bool):
+        return "%s: %s" % (key.replace("_", " "), "yes" if value else "no")
+    name, _, unit = key.rpartition("_")
+    if unit not in _UNITS:
+        return "%s %s" % (key.replace("_", " "), value)
+    name = name.replace("_", " ").replace("rmse", "RMSE").replace("rms", "RMS")
+    return "%s %s%s%s" % (name, value, "" if unit == "deg" else "\u202f", _UNITS[unit])
+
+
+def _clock(time_s, digits=1):
+    """A time since the report's zero."""
+    return "%.*f\u202fs" % (digits, round(time_s, digits) + 0.0)
+
+
+def _percent(part, whole):
+    return "–" if not whole else "%.2f\u202f%%" % (100.0 * part / whole)
+
+
+def _sentences(notes):
+    return [note[:1].upper() + note[1:] + ("" if note.endswith(".") else ".") for note in notes]

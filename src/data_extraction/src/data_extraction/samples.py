@@ -1,0 +1,66 @@
+"""Many rows of numbers in little memory: what a bag's messages leave behind while it is read."""
+
+from array import array
+
+import numpy as np
+
+
+class Samples:
+    """Rows of numbers in the order they came, 8 bytes a number."""
+
+    def __init__(self, width, limit=None):
+        """width: numbers in a row. limit: most rows that are kept; None = all.
+
+        When there are more, every second row is dropped, and from then on only every second is taken: the rows stay
+        evenly spread over everything that came.
+        """
+        if width < 1 or (limit is not None and limit < 2):
+            raise ValueError("width must be at least 1 and limit at least 2, got %r and %r" % (width, limit))
+        self._width = width
+        self._limit = limit
+        self._numbers = array("d")
+        self._count = 0
+        self.every = 1  # one of so many rows is kept
+
+    def __len__(self):
+        return len(self._numbers) // self._width
+
+    @property
+    def first(self):
+        """The row that came first; empty before any."""
+        return tuple(self._numbers[: self._width])
+
+    def append(self, row):
+        """Take one row, an iterable of `width` numbers."""
+        self._count += 1
+        if (self._count - 1) % self.every:
+            return
+        self._numbers.extend(row)
+        if self._limit is not None and len(self) > self._limit:
+            self._numbers = array("d", self.table()[::2].tobytes())
+            self.every *= 2
+
+    def table(self):
+        """(n, width) array of the rows, a copy."""
+        return np.array(self._numbers).reshape(-1, self._width)
+
+
+class Arrivals:
+    """When the message of each stamp came: 16 bytes a message."""
+
+    def __init__(self):
+        self._stamps_ns = array("q")
+        self._receipts_s = array("d")
+
+    def __len__(self):
+        return len(self._stamps_ns)
+
+    def append(self, stamp_ns, receipt_s):
+        """Take one message: its stamp [ns] and when it was received [s]."""
+        self._stamps_ns.append(stamp_ns)
+        self._receipts_s.append(receipt_s)
+
+    def first(self):
+        """(stamps (n,) [ns], strictly increasing; receipts (n,) [s]): the first that came of each stamp."""
+        stamps_ns, first = np.unique(np.array(self._stamps_ns, dtype=np.int64), return_index=True)
+        return stamps_ns, np.array(self._receipts_s)[first]

@@ -1,0 +1,383 @@
+"""What the report collects from a bag: each collector, from bags of a few messages with known answers."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import rosbag
+import rospy
+import yaml
+from cv_bridge import CvBridge
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import Joy
+from std_msgs.msg import Bool, Empty, String
+
+from ardrone_autonomy.msg import Navdata
+from data_extraction.bags import Bag, BagError
+from data_extraction.progress import bar
+from data_extraction.report.battery import BatteryCollector
+from data_extraction.report.drops import CELL_M, DropCollector, cell_edges
+from data_extraction.report.events import EventCollector
+from data_extraction.report.fence import FenceCollector
+from data_extraction.report.gates import GateCollector
+from data_extraction.report.ladder import LadderCollector
+from data_extraction.report.origin import Origin, parameter_hash, read_beside
+from data_extraction.report.snapshots import SnapshotCollector, picture_topics
+from data_extraction.samples import Arrivals, Samples
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_control.lab.fleet import fleet_from_dict
+from risc_control.safety import Rung, SafetyLimits
+from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_rois, Risc_roi, Risc_rois, States
+
+T0_S = 1000.0
+NAN = float("nan")
+BRIDGE = CvBridge()
+
+
+@pytest.fixture
+def play(tmp_path):
+    """Writes (topic, message, time [s]) into a bag and feeds it to a collector; a list is fed as it comes."""
+
+    def run(collector, rows):
+        path = tmp_path / "some.bag"
+        with rosbag.Bag(str(path), "w") as bag:
+            for topic, message, t_s in rows:
+                if getattr(message, "_has_header", False):
+                    message.header.stamp = rospy.Time.from_sec(t_s)
+                bag.write(topic, message, rospy.Time.from_sec(t_s))
+        with Bag(path) as bag:
+            for message in bag.messages():
+                if collector.wants(message[0]):
+                    collector(*message)
+        return collector
+
+    return run
+
+
+def body(name, *places):
+    return Mocap_markers(name=name, marker=[Mocap_marker(*place) for place in places])
+
+
+def test_markers_are_lost_where_their_object_was(play):
+    lost, sentinel = (NAN, NAN, NAN), (9999.999, 9999.999, 9999.999)
+    frames = [
+        [body("Raven", (1.1, 0.6, 1.0), (1.1, 0.6, 1.0))],
+        [body("Raven", (1.1, 0.6, 1.0), lost)],
+        [body("Raven", lost, sentinel), body("Kahn", lost)],
+        [body("Raven", (-2.0, -1.9, 1.0), (-2.0, -1.9, 1.0))],
+    ]
+    rows = [("/mocap_data", Mocap_data(Obj=bodies), T0_S + 0.005 * k) for k, bodies in enumerate(frames)]
+    drops = play(DropCollector(), rows).drops()
+    raven = drops.markers["Raven"]
+    assert (raven.markers, raven.lost, raven.frames, raven.blind_frames) == (8, 3, 4, 1)
+    assert drops.markers_lost == 4 and drops.unplaced == 1, "nobody knows where Kahn was"
+    edges_x, edges_y = cell_edges()
+    cell = (np.searchsorted(edges_x, 1.1) - 1, np.searchsorted(edges_y, 0.6) - 1)
+    assert (drops.lost_map[cell], drops.seen_map[cell]) == (3, 3)
+    assert drops.lost_map.sum() == 3 and drops.seen_map.sum() == 5
+    assert (drops.frames, drops.gaps) == (4, 0)
+    assert drops.longest_gap_s == pytest.approx(0.005, abs=1e-6)
+
+
+def test_the_maps_cells_cover_the_net():
+    edges_x, edges_y = cell_edges()
+    for edges, half in ((edges_x, NET_HALF_X_M), (edges_y, NET_HALF_Y_M)):
+        assert edges[0] == -edges[-1] and half <= edges[-1] < half + CELL_M
+
+
+def test_a_vehicle_counts_as_lost_only_after_it_was_seen(play):
+    seen = [False, False, True, True, False, False, False, True, False]
+    rows = [
+        ("/cortex_raw", Cortex(Obj=[States(name="Raven", visible=is_seen, x=0.1 * k, y=-0.5)]), T0_S + 0.1 * k)
+        for k, is_seen in enumerate(seen)
+    ]
+    drops = play(DropCollector(), rows).drops()
+    raven = drops.vehicles["Raven"]
+    assert (raven.frames, raven.invisible, raven.times) == (7, 4, 2)
+    assert raven.longest_s == pytest.approx(0.3, abs=1e-6)
+    assert drops.lost_places_m == pytest.approx(np.array([[0.4, -0.5], [0.8, -0.5]]))
+
+
+def test_a_gap_of_the_stream_is_counted(play):
+    rows = [("/mocap_data", Mocap_data(), T0_S + t_s) for t_s in (0.0, 0.005, 0.405, 0.41)]
+    drops = play(DropCollector(), rows).drops()
+    assert drops.gaps == 1 and drops.longest_gap_s == pytest.approx(0.4, abs=1e-6)
+
+
+def test_without_motion_capture_there_is_nothing_to_lose():
+    assert DropCollector().drops() is None
+
+
+def moving(t_s, x=0.0, u=0.0, y=0.0, z=1.0):
+    return "/cortex_raw", Cortex(Obj=[States(name="Raven", visible=True, x=x, y=y, z=z, u=u)]), t_s
+
+
+def test_the_fence_margin_is_the_nearest_side_now_and_ahead(play):
+    rows = [moving(T0_S, x=0.5), moving(T0_S + 0.03, x=1.0, u=2.0), moving(T0_S + 1.0, y=-1.8), moving(T0_S + 2.0)]
+    raven = play(FenceCollector(), rows).margins()["Raven"]
+    assert raven.limits == SafetyLimits()
+    assert raven.least_m == pytest.approx(NET_HALF_Y_M - 1.8)
+    assert raven.least_place_m == pytest.approx((0.0, -1.8, 1.0))
+    assert raven.least_s == pytest.approx(T0_S + 1.0, abs=1e-6)
+    ahead_s = SafetyLimits().fence_lookahead_s
+    assert raven.least_ahead_m == pytest.approx(min(NET_HALF_Y_M - 1.8, NET_HALF_X_M - 1.0 - 2.0 * ahead_s))
+    assert raven.t_s == pytest.approx([T0_S, T0_S + 1.0, T0_S + 2.0], abs=1e-6), "one point each 0.1 s"
+    assert raven.now_m[0] == pytest.approx(NET_HALF_X_M - 1.0)
+    assert raven.ahead_m[0] == pytest.approx(NET_HALF_X_M - 1.0 - 2.0 * ahead_s)
+
+
+def test_the_floor_is_no_fence(play):
+    raven = play(FenceCollector(), [moving(T0_S, z=0.05)]).margins()["Raven"]
+    assert raven.least_m == pytest.approx(NET_HALF_Y_M)
+
+
+def test_the_fence_is_that_of_the_flights_parameters(play):
+    vehicle = {"namespace": "risc3", "template": "Raven", "type": "ardrone", "address": "127.0.0.1"}
+    vehicle["start"] = {"position_m": [0, 0, 0]}
+    fleet = fleet_from_dict({"name": "one", "mocap": {"host": "127.0.0.1"}, "vehicles": [vehicle]})
+    node = {"fence_margin_m": 0.3, "fence_max_m": [1.0, 1.0, 2.0], "fence_min_m": [-1.0, -1.0, -1.0], "TakeoffLand": 6}
+    limits = Origin(parameters={"risc3": {"joystick_controller": node}, "risc1": {}}, fleet=fleet).fence_limits()
+    assert limits["Raven"].fence_margin_m == 0.3
+    raven = play(FenceCollector(limits), [moving(T0_S, x=0.9)]).margins()["Raven"]
+    assert raven.least_m == pytest.approx(0.1)
+    assert Origin(parameters=None, fleet=fleet).fence_limits() == {}
+
+
+def test_rungs_last_until_the_next_change_or_the_end(play):
+    texts = [
+        (0.0, "ok"),
+        (2.0, "hold: state 120 ms old"),
+        (2.4, "hold: state 120 ms old"),
+        (2.5, "ok"),
+        (4.0, "land: x"),
+    ]
+    rows = [("/risc1/safety", String(text), T0_S + t_s) for t_s, text in texts]
+    spans = play(LadderCollector(), rows).spans(T0_S + 5.0)["risc1"]
+    assert [span.rung for span in spans] == [Rung.OK, Rung.HOLD, Rung.OK, Rung.LAND]
+    assert [span.reason for span in spans] == ["", "state 120 ms old", "", "x"]
+    lengths_s = [span.end_s - span.begin_s for span in spans]
+    assert lengths_s == pytest.approx([2.0, 0.5, 1.5, 1.0], abs=1e-6)
+
+
+def diagnostics(t_s, **values):
+    pairs = [KeyValue(key.replace("__", " "), str(value)) for key, value in values.items()]
+    status = DiagnosticStatus(name="states_estimation: states estimation", values=pairs)
+    return "/diagnostics", DiagnosticArray(status=[status, DiagnosticStatus(name="risc1: vehicle Raven")]), t_s
+
+
+def test_gates_count_over_restarts_of_their_node(play):
+    rows = [
+        diagnostics(T0_S, frames=100, misfits=3, tilted=0, unknown__bodies="none"),
+        diagnostics(T0_S + 1.0, frames=300, misfits=7, tilted=0, unknown__bodies="Condor"),
+        diagnostics(T0_S + 2.0, frames=50, misfits=1, tilted=2, unknown__bodies="none"),
+    ]
+    counts = play(GateCollector(), rows).counts()
+    assert set(counts) == {"states estimation"}
+    estimator = counts["states estimation"]
+    assert estimator.frames == 350
+    assert estimator.refused == {"misfits": 8, "tilted": 2}
+    assert estimator.unknown == "Condor"
+
+
+def test_charge_and_time_in_the_air(play):
+    rows = []
+    for k, state in enumerate((2, 2, 6, 3, 3, 4, 8, 2, 2)):
+        rows.append(("/risc1/ardrone/navdata", Navdata(batteryPercent=90.0 - k, state=state), T0_S + k))
+    rows.append(("/ardrone/navdata", Navdata(batteryPercent=0.0), T0_S))
+    batteries = play(BatteryCollector(), rows).batteries()
+    assert set(batteries) == {"risc1"}, "0 %: that one does not report its charge"
+    assert (batteries["risc1"].first_pct, batteries["risc1"].last_pct) == (90.0, 82.0)
+    assert batteries["risc1"].air_s == pytest.approx(5.0)
+
+
+def test_events_are_what_changes(play):
+    def joy(t_s, *pressed):
+        return "/risc1/joy", Joy(buttons=[int(index in pressed) for index in range(8)]), T0_S + t_s
+
+    rows = [
+        ("/operator/phase", String("waiting"), T0_S),
+        joy(0.1),
+        joy(0.2, 6),
+        joy(0.3, 6),
+        joy(0.4),
+        *(("/risc1/ardrone/land", Empty(), T0_S + 1.0 + 0.2 * k) for k in range(5)),
+        ("/risc1/controller_status", Bool(False), T0_S + 3.0),
+        ("/risc1/controller_status", Bool(True), T0_S + 3.1),
+        ("/trajectory_phase", String("Raven: course; Kahn: hold"), T0_S + 4.0),
+        ("/trajectory_phase", String("Raven: course; Kahn: home"), T0_S + 4.1),
+        ("/rosout", Log(level=Log.INFO, name="/a", msg="fine"), T0_S + 5.0),
+        ("/rosout", Log(level=Log.WARN, name="/a", msg="not so fine"), T0_S + 5.1),
+        ("/operator/result", String("ok"), T0_S + 6.0),
+    ]
+    events = play(EventCollector(), rows).events
+    assert [(event.source, event.text, event.count) for event in events] == [
+        ("operator", "waiting", 1),
+        ("risc1", "joystick button 6", 1),
+        ("risc1", "landing ordered", 5),
+        ("risc1", "mode: autonomous", 1),
+        ("Raven", "trajectory: course", 1),
+        ("Kahn", "trajectory: hold", 1),
+        ("Kahn", "trajectory: home", 1),
+        ("a", "not so fine", 1),
+        ("operator", "result: ok", 1),
+    ]
+
+
+def test_events_beyond_a_limit_are_counted(play):
+    rows = [("/operator/phase", String("phase %d" % k), T0_S + k) for k in range(450)]
+    collector = play(EventCollector(), rows)
+    assert (len(collector.events), collector.left_out) == (400, 50)
+
+
+def test_the_rectified_compressed_picture_is_preferred():
+    image, packed = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+    types = {
+        "/risc1/ardrone/image_raw": image,
+        "/risc1/ardrone/image_raw/compressed": packed,
+        "/risc1/ardrone/image_rect_color": image,
+        "/risc2/ardrone/image_raw": image,
+        "/risc3/ardrone/camera_info": "sensor_msgs/msg/CameraInfo",
+        "/risc3/ardrone/image_modi": image,
+    }
+    assert picture_topics(types) == {"/risc1/ardrone/image_rect_color", "/risc2/ardrone/image_raw"}
+
+
+def picture(t_s, grey):
+    message = BRIDGE.cv2_to_imgmsg(np.full((90, 160, 3), grey, np.uint8), "bgr8")
+    message.header.frame_id = "ardrone_base_frontcam"
+    return "/risc1/ardrone/image_rect_color", message, t_s
+
+
+def regions(t_s, *names):
+    found = [Risc_roi(name, True, 80, 45, 40.0, 30.0, 0.0) for name in names]
+    lost = [Risc_roi(name="lost")]
+    return "/land_rois", Observed_rois(Obj=[Risc_rois("risc1", found + lost, [])]), t_s
+
+
+def test_the_picture_with_most_found_in_it_is_taken_whichever_came_first(play):
+    rows = []
+    for k in range(30):
+        rows += [picture(T0_S + 0.1 * k, 100), regions(T0_S + 0.1 * k, *(["a"] if k != 14 else ["a", "b"]))]
+    rows = [row for row in rows if row[0] != "/land_rois" or row[2] < T0_S + 2.0]  # nothing looked at the last third
+    collector = SnapshotCollector({"/risc1/ardrone/image_rect_color": "sensor_msgs/msg/Image"}, T0_S, 3.0)
+    snapshots, notes = play(collector, rows).snapshots()
+    assert notes == []
+    assert [item.found for item in snapshots] == [["a"], ["a", "b"], []]
+    assert [item.has_regions for item in snapshots] == [True, True, False]
+    assert snapshots[1].stamp_s == pytest.approx(T0_S + 1.4)
+    drawn = cv2.imdecode(np.frombuffer(snapshots[1].jpeg, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    assert drawn.shape == (90, 160, 3)
+    assert drawn[30, 80, 1] - drawn[30, 80, 2] > 50, "the upper side of the region is green"
+    assert abs(drawn[45, 80] - 100).max() < 20, "its middle is as it was"
+
+
+def test_a_damaged_picture_is_named_and_left_out(play):
+    topic, message, t_s = picture(T0_S, 100)
+    message.step = 10
+    collector = SnapshotCollector({topic: "sensor_msgs/msg/Image"}, T0_S, 1.0)
+    snapshots, notes = play(collector, [(topic, message, t_s)]).snapshots()
+    assert snapshots == [] and len(notes) == 1 and notes[0].startswith("risc1, front camera: ")
+
+
+PARAMETERS = {
+    "run_id": "1234",
+    "fleet": {"mocap": {"host": "127.78.0.1", "rate_hz": 200.0}},
+    "controller": {"q_yaw": 4.0, "vehicles": "risc1"},
+    "virtual_lab": {"stats": "/home/a/flights/1/virtual_lab.json", "seed": 1},
+}
+
+
+def test_the_hash_is_of_what_matters_only():
+    other = json.loads(json.dumps(PARAMETERS))
+    other["run_id"], other["fleet"]["mocap"]["host"] = "5678", "127.99.0.1"
+    other["virtual_lab"]["stats"] = "/home/b/elsewhere/virtual_lab.json"
+    other = dict(reversed(list(other.items())))
+    assert parameter_hash(other) == parameter_hash(PARAMETERS)
+    other["controller"]["q_yaw"] = 4.5
+    assert parameter_hash(other) != parameter_hash(PARAMETERS)
+    assert len(parameter_hash(PARAMETERS)) == 64
+
+
+def test_what_lies_beside_a_bag_is_read(tmp_path):
+    nothing = read_beside(tmp_path / "flight.bag")
+    assert (nothing.flight, nothing.parameters, nothing.fleet, nothing.summary, nothing.hash) == (
+        {},
+        None,
+        None,
+        {},
+        None,
+    )
+    (tmp_path / "parameters.yaml").write_text(yaml.safe_dump(PARAMETERS))
+    (tmp_path / "flight.yaml").write_text("seed: 7\n")
+    origin = read_beside(tmp_path / "flight.bag")
+    assert origin.hash == parameter_hash(PARAMETERS) and origin.flight == {"seed": 7}
+
+
+@pytest.mark.parametrize(("name", "text"), [("flight.yaml", "{"), ("flight.yaml", "- 1"), ("summary.json", "{'a'}")])
+def test_a_file_that_cannot_be_read_is_named(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=name + ".*mend it or move it away"):
+        read_beside(tmp_path / "flight.bag")
+
+
+def test_samples_stay_evenly_spread():
+    samples = Samples(2, limit=100)
+    for k in range(1000):
+        samples.append((k, -k))
+    table = samples.table()
+    assert 50 <= len(table) <= 100
+    assert samples.every == 16 and (np.diff(table[:, 0]) == 16).all()
+    assert (table[:, 1] == -table[:, 0]).all() and table[0, 0] == 0
+    assert Samples(3).table().shape == (0, 3)
+    with pytest.raises(ValueError, match="width must be"):
+        Samples(0)
+
+
+def test_the_bar_fills():
+    assert bar(0.0).startswith("[...") and bar(0.0).endswith("  0 %")
+    assert bar(0.5).count("#") == bar(0.5).count(".")
+    assert bar(7.0) == bar(1.0) and "." not in bar(1.0) and bar(1.0).endswith("100 %")
+
+
+def test_the_first_arrival_of_a_stamp_counts():
+    arrivals = Arrivals()
+    for stamp_ns, receipt_s in ((5, 1.0), (3, 2.0), (5, 3.0)):
+        arrivals.append(stamp_ns, receipt_s)
+    stamps_ns, receipts_s = arrivals.first()
+    assert stamps_ns.tolist() == [3, 5] and receipts_s.tolist() == [2.0, 1.0]
+
+
+@pytest.mark.parametrize("compression", ["none", "bz2"])
+@pytest.mark.parametrize("step", [1, 777])  # 777: every chunk spans all of the time, more than are held together
+def test_messages_come_in_order_also_from_overlapping_chunks(tmp_path, compression, step):
+    """Topic after topic; every message comes once."""
+    path, count = tmp_path / "muddle.bag", 2000
+    with rosbag.Bag(str(path), "w", chunk_threshold=1000, compression=compression) as bag:
+        for topic in ("/a", "/b"):
+            for k in range(count):
+                bag.write(topic, String("%s %d" % (topic, k)), rospy.Time.from_sec(T0_S + k * step % count))
+    with Bag(path) as bag:
+        rows = list(bag.messages())
+        assert len(list(bag.messages(["/b"]))) == count
+        assert bag.topics == {"/a": count, "/b": count}
+        assert bag.start_s == pytest.approx(T0_S) and bag.duration_s == pytest.approx(count - 1)
+    times_s = [t_s for _, t_s, _ in rows]
+    assert times_s == sorted(times_s)
+    assert {(topic, message.data) for topic, _, message in rows} == {
+        (topic, "%s %d" % (topic, k)) for topic in ("/a", "/b") for k in range(count)
+    }
+    assert len(rows) == 2 * count
+
+
+def test_a_chunk_that_is_damaged_is_said(tmp_path):
+    path = tmp_path / "damaged.bag"
+    with rosbag.Bag(str(path), "w", compression="bz2") as bag:
+        for k in range(1000):
+            bag.write("/a", String("text %d" % k), rospy.Time.from_sec(T0_S + k))
+    data = bytearray(path.read_bytes())
+    data[data.index(b"BZh") + 200] ^= 0xFF
+    path.write_bytes(bytes(data))
+    with Bag(path) as bag, pytest.raises(BagError, match="is damaged"):
+        list(bag.messages())

@@ -1,0 +1,313 @@
+"""The report as a page: complete for a whole flight, honest about a poor bag, valid, and nothing but itself."""
+
+import html.parser
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+import rosbag
+import rospy
+import yaml
+from cv_bridge import CvBridge
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TwistStamped
+from sensor_msgs.msg import CameraInfo, TimeReference
+from std_msgs.msg import Bool, String
+
+from ardrone_autonomy.msg import Navdata
+from data_extraction.report import pdf
+from data_extraction.report.__main__ import main, make
+from data_extraction.report.origin import parameter_hash
+from risc_msgs.msg import (
+    Angle,
+    Angles,
+    Controls,
+    Cortex,
+    Landmark,
+    Landmarks,
+    Mocap_data,
+    Mocap_marker,
+    Mocap_markers,
+    Observed_angles,
+    Observed_rois,
+    Risc_roi,
+    Risc_rois,
+    States,
+    Trajectories,
+    Trajectory,
+)
+
+T0_S = 1000.0
+NAN = float("nan")
+NAMES = ("fluffy_II", "albatross")
+SECTIONS = (
+    "flown", "result", "map", "tracking", "latency", "mocap", "gates", "ladder", "fence", "battery", "cameras",
+    "bearings", "events", "contents",
+)  # fmt: skip
+VOID = {"meta", "img", "link", "br", "hr", "input"}
+
+
+class Page(html.parser.HTMLParser):
+    """Checks that tags are balanced, and keeps what the tests ask for."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.open, self.ids, self.links, self.images, self.words, self.rows = [], [], [], [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == [], "not closed"
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.ids += [values["id"]] if "id" in values else []
+        self.links += [values[key] for key in ("href", "src", "data", "action", "poster") if key in values]
+        if tag == "img":
+            self.images.append(values)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open.pop() == tag, "%s closes nothing" % tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("td", "th"):
+            self.rows[-1][-1] += data
+        if "style" not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+def read(path):
+    """The Page of a file; asserts what holds of every report."""
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert text.startswith("<!DOCTYPE html>")
+    assert len(page.ids) == len(set(page.ids))
+    for link in page.links:
+        assert link.startswith(("data:image/", "#")), "the page needs nothing but itself"
+        assert not link.startswith("#") or link[1:] in page.ids
+    assert not re.search(r"@import|url\(", text)
+    assert all(image["alt"] for image in page.images)
+    return page
+
+
+def circle(t_s, index):
+    return np.cos(0.8 * t_s + 2 * index), np.sin(0.8 * t_s + 2 * index), 1.0 + 0.3 * index
+
+
+def full_rows():
+    """20 s of two vehicles with everything that a cooperative experiment in the virtual lab records."""
+    bridge = CvBridge()
+    picture = bridge.cv2_to_compressed_imgmsg(np.full((90, 160, 3), 90, np.uint8), "jpg")
+    K = [150.0, 0.0, 80.0, 0.0, 150.0, 45.0, 0.0, 0.0, 1.0]
+    info = CameraInfo(
+        width=160, height=90, distortion_model="plumb_bob", D=[0.0] * 5, K=K, R=np.eye(3).ravel().tolist(),
+        P=[150.0, 0.0, 80.0, 0.0, 0.0, 150.0, 45.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )  # fmt: skip
+    yield 0.0, "/trajectory_phase", String("; ".join(name + ": course" for name in NAMES))
+    yield 0.0, "/operator/phase", String("fly")
+    yield 0.0, "/risc1/safety", String("ok")
+    yield 8.0, "/risc1/safety", String("hold: state 120 ms old <b>")
+    yield 8.2, "/risc1/safety", String("ok")
+    yield 0.5, "/risc1/controller_status", Bool(True)
+    for k in range(4000):
+        t_s = 0.005 * k
+        lost = 1600 <= k < 1640
+        states = [
+            States(name, not lost or index, *circle(t_s - 0.02, index), *([0.0] * 9))
+            for index, name in enumerate(NAMES)
+        ]
+        truth = [States(name, True, *circle(t_s - 0.02, index), *([0.0] * 9)) for index, name in enumerate(NAMES)]
+        wanted = [Trajectory(name, *circle(t_s, index), *([0.0] * 9)) for index, name in enumerate(NAMES)]
+        x, y, z = circle(t_s, 0)
+        marker = Mocap_marker(NAN, NAN, NAN) if lost else Mocap_marker(x, y, z)
+        yield t_s, "/trajectory", Trajectories(Obj=wanted)
+        yield t_s, "/ground_truth", Cortex(Obj=truth)
+        yield t_s, "/mocap_data", Mocap_data(Obj=[Mocap_markers("fluffy_II", 0.0, [marker, Mocap_marker(x, y, z)])])
+        yield t_s, "/mocap_time", TimeReference(time_ref=rospy.Time.from_sec(T0_S + t_s + 0.003), source=str(k))
+        yield t_s, "/cortex_raw", Cortex(Obj=states)
+        yield t_s, "/controls", Controls()
+        if k % 7 == 0:
+            yield t_s, "/risc1/cmd_vel_stamped", TwistStamped()
+        if k % 20 == 0:
+            yield t_s, "/risc1/ardrone/navdata", Navdata(batteryPercent=90.0 - t_s, state=3)
+            yield t_s, "/states3", Landmarks(Obj=[Landmark("Green_pink", 2.3, 0.3, 1.0)])
+            found = Risc_roi("green", True, 80, 45, 40.0, 30.0, 10.0)
+            yield t_s, "/risc1/ardrone/camera_info", info
+            yield t_s, "/risc1/ardrone/image_rect_color/compressed", picture
+            yield t_s, "/land_rois", Observed_rois(Obj=[Risc_rois("risc1", [found], [])])
+            yield t_s, "/angles", Observed_angles(Obj=[Angles("risc1", [Angle("green", True, 5.0, 2.0)], [])])
+        if k % 200 == 0:
+            pairs = [KeyValue("frames", str(k)), KeyValue("misfits", "3")]
+            yield (
+                t_s,
+                "/diagnostics",
+                DiagnosticArray(status=[DiagnosticStatus(name="x: states estimation", values=pairs)]),
+            )
+    yield 20.0, "/operator/result", String("ok")
+
+
+def write_bag(path, rows):
+    with rosbag.Bag(str(path), "w") as bag:
+        for t_s, topic, message in rows:
+            if getattr(message, "_has_header", False):
+                message.header.stamp = rospy.Time.from_sec(T0_S + t_s)
+            bag.write(topic, message, rospy.Time.from_sec(T0_S + t_s + 0.004))
+
+
+FLEET = {
+    "name": "two",
+    "mocap": {"host": "127.0.0.1"},
+    "vehicles": [
+        {"namespace": "risc%d" % k, "template": name, "type": "ardrone", "address": "127.0.0.%d" % k,
+         "start": {"position_m": [0.9, 0.0, 0.0], "yaw_deg": 90}}
+        for k, name in enumerate(NAMES, start=1)
+    ],
+}  # fmt: skip
+SUMMARY = {
+    "experiment": "coop",
+    "simulated": {"plant": "honest", "marker_noise_m": 0.002, "command_delay_s": 0.1},
+    "passed": False,
+    "reasons": ["Raven: was still 0.90 m up at the end"],
+}
+PARAMETERS = {"controller": {"q_yaw": 4.0}}
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory):
+    """Folder of a whole flight."""
+    folder = tmp_path_factory.mktemp("full")
+    write_bag(folder / "flight.bag", full_rows())
+    (folder / "fleet.yaml").write_text(yaml.safe_dump(FLEET))
+    (folder / "summary.json").write_text(json.dumps(SUMMARY))
+    (folder / "parameters.yaml").write_text(yaml.safe_dump(PARAMETERS))
+    (folder / "flight.yaml").write_text(
+        yaml.safe_dump({"seed": 7, "revision": "abc123", "versions": {"Python": "3.11"}, "arguments": {"delay": 0.1}})
+    )
+    assert make(folder / "flight.bag") == [folder / "report.html"]
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(full):
+    return read(full / "report.html")
+
+
+def test_a_whole_flight_has_every_section(page):
+    assert tuple(page.ids) == SECTIONS
+    assert "Not in this report" not in page.text
+
+
+def test_it_says_what_was_flown_and_how_it_ended(page):
+    assert "FAILED" in page.text and "Raven: was still 0.90 m up at the end" in page.text
+    assert "simulated" in page.text and "marker noise 0.002 m" in page.text
+    assert parameter_hash(PARAMETERS) in page.text
+    for word in ("abc123", "Python 3.11", "seed 7", "delay 0.1", "1970-01-01"):
+        assert word in page.text, word
+    assert ["risc1", "fluffy_II", "ardrone", "none", "(0.90, 0.00, 0.00) m, 90°"] in page.rows
+
+
+def test_its_figures_are_those_of_the_bag(page):
+    rows = {row[0]: row for row in page.rows if row}
+    assert rows["datagram to /cortex_raw"][1:] == ["1.00\u202fms"] * 4 + ["4000"]
+    assert next(row for row in page.rows if row[:1] == ["fluffy_II"] and "ms" in row[-1])[-1] == "20.0\u202fms", (
+        "the lag"
+    )
+    assert ["fluffy_II", "4000", "40", "0.50\u202f%", "0"] in page.rows, "markers"
+    assert ["fluffy_II", "40", "1.00\u202f%", "1", "200\u202fms"] in page.rows, "states"
+    assert ["body refused: its markers do not fit the template", "3", "0.08\u202f%"] in page.rows
+    assert ["8.00\u202fs", "risc1", "hold", "state 120 ms old <b>", "0.20\u202fs"] in page.rows
+    assert rows["fluffy_II: Green_pink"][1] != "0"
+
+
+def test_pictures_are_in_the_page_and_small(full, page):
+    kinds = [image["src"].partition(";")[0] for image in page.images]
+    assert kinds.count("data:image/jpeg") == 3
+    assert kinds.count("data:image/svg+xml") == 10
+    assert "green" in next(image["alt"] for image in page.images if "jpeg" in image["src"])
+    assert (full / "report.html").stat().st_size < 3e6
+
+
+def test_a_poor_bag_says_what_is_missing(tmp_path):
+    rows = (row for row in full_rows() if row[1] in ("/cortex_raw", "/risc1/ardrone/navdata"))
+    write_bag(tmp_path / "lab.bag", rows)
+    make(tmp_path / "lab.bag")
+    page = read(tmp_path / "lab_report" / "report.html")
+    assert tuple(page.ids) == ("flown", "map", "mocap", "fence", "battery", "contents", "missing")
+    assert "not judged" in page.text and "simulated" not in page.text
+    assert "parameters (SHA-256) unknown" in page.text
+    for reason in (
+        "there is no /trajectory in the bag", "the times of the datagrams were not recorded (/mocap_time)",
+        "the estimator's counters were not recorded (/diagnostics)", "no vehicle's safety topic was recorded",
+        "no pictures were recorded", "no bearings",
+    ):  # fmt: skip
+        assert reason in page.text, reason
+
+
+def test_a_bag_of_the_original_release_is_matched_by_place(tmp_path):
+    """References carry the name of their course, lost markers 9999.999 m, and there are no phases."""
+    rows = []
+    for t_s, topic, message in full_rows():
+        if topic == "/trajectory":
+            for reference in message.Obj:
+                reference.name = "Circle"
+            message.Obj = message.Obj[:1]
+        if topic == "/mocap_data":
+            for marker in message.Obj[0].marker:
+                if np.isnan(marker.x):
+                    marker.x = marker.y = marker.z = 9999.999
+        if topic in ("/trajectory", "/cortex_raw", "/mocap_data"):
+            rows.append((t_s, topic, message))
+    write_bag(tmp_path / "legacy.bag", rows)
+    make(tmp_path / "legacy.bag", folder=tmp_path / "out")
+    page = read(tmp_path / "out" / "report.html")
+    assert "tracking" in page.ids and "/trajectory names courses, not vehicles (Circle)" in page.text.replace("T", "/t")
+    assert next(row for row in page.rows if row[:1] == ["fluffy_II"])[-1] == "20.0\u202fms", "lag"
+    assert ["fluffy_II", "4000", "40", "0.50\u202f%", "0"] in page.rows
+
+
+def test_command_line(full, tmp_path, capsys):
+    assert main([str(full / "flight.bag"), "--out", str(tmp_path / "new" / "folder")]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.strip().endswith("report.html") and "reading" in captured.err and "%" in captured.err
+    read(tmp_path / "new" / "folder" / "report.html")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.bag"], "none.bag: no such file"),
+        (["{full}/fleet.yaml"], "not a complete ROS 1 bag"),
+        (["{full}/flight.bag", "--fleet", "nowhere.yaml"], "nowhere.yaml"),
+        (["{full}/flight.bag", "--out", "{full}/fleet.yaml"], "fleet.yaml"),
+        (["{tmp}/talk.bag"], "holds nothing to report; it has /chatter"),
+    ],
+)
+def test_wrong_use_is_one_clear_line(full, tmp_path, capsys, arguments, message):
+    write_bag(tmp_path / "talk.bag", [(0.0, "/chatter", String("hello"))])
+    assert main([item.format(full=full, tmp=tmp_path) for item in arguments]) == 1
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("maap report: ") and message in last
+
+
+def test_a_pdf_without_its_program_is_one_clear_line(full, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "weasyprint", None)  # what Python does for a module that is not there
+    assert main([str(full / "flight.bag"), "--out", str(tmp_path), "--pdf"]) == 1
+    assert pdf.INSTALL in capsys.readouterr().err
+    assert (tmp_path / "report.html").exists()
+
+
+def test_a_pdf_is_the_page_on_paper(full, tmp_path):
+    pytest.importorskip("weasyprint", reason=pdf.INSTALL, exc_type=ImportError)
+    path = pdf.write_pdf(full / "report.html", tmp_path / "report.pdf")
+    data = path.read_bytes()
+    assert data.startswith(b"%PDF") and len(data) > 50000

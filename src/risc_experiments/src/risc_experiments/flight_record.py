@@ -1,0 +1,81 @@
+"""What a flight was made with, written beside its bag: arguments, versions, parameters. The report reads it."""
+
+import datetime
+import platform
+import subprocess
+
+import yaml
+
+from data_extraction.report.origin import FLIGHT, PARAMETERS
+
+_GIT_PATIENCE_S = 10.0
+
+
+def write_flight(args, fleet, root, folder, started=None):
+    """Write flight.yaml into the flight's folder. Raises OSError.
+
+    args: argparse namespace of `fly.arguments`; fleet: risc_control.lab.Fleet; root: the workspace's folder.
+    started: datetime, None = now.
+    """
+    started = (started or datetime.datetime.now()).astimezone()
+    content = {
+        "experiment": args.experiment,
+        "started": started.strftime("%Y-%m-%d %H:%M:%S %z"),
+        "seed": args.seed,
+        "fleet": fleet.name,
+        "vehicles": [vehicle.namespace for vehicle in fleet.vehicles],
+        "arguments": {name: plain(value) for name, value in sorted(vars(args).items()) if name != "out"},
+        "revision": revision(root),
+        "versions": {"Python": platform.python_version(), "system": platform.platform(terse=True)},
+    }
+    _write(folder / FLIGHT, content, sort=False)
+
+
+def write_parameters(parameters, folder):
+    """Write the parameter server's content as parameters.yaml, and the versions of ROS in it into flight.yaml."""
+    _write(folder / PARAMETERS, plain(parameters), sort=True)
+    path = folder / FLIGHT
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    ros = [str(parameters[key]).strip() for key in ("rosdistro", "rosversion") if parameters.get(key)]
+    if ros:
+        content["versions"]["ROS"] = " ".join(ros)
+    _write(path, content, sort=False)
+
+
+def revision(root):
+    """Git revision of the workspace as text, "with changes" when it is not quite that; None when there is none."""
+    head = _git(root, "rev-parse", "--short=12", "HEAD")
+    if not head:
+        return None
+    return head + (" with changes" if _git(root, "status", "--porcelain", "--untracked-files=no") else "")
+
+
+def plain(value):
+    """A value as YAML can hold it: what it does not know becomes text."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    return str(value)
+
+
+def _git(root, *arguments):
+    """Output of a git command; "" when there is no git or no repository."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            timeout=_GIT_PATIENCE_S,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def _write(path, content, sort):
+    path.write_text(yaml.safe_dump(content, sort_keys=sort, allow_unicode=True), encoding="utf-8")
