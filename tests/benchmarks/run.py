@@ -23,7 +23,7 @@ BENCHMARKS = {
     "vision": ("landmark detection on a rendered set: precision, recall, centre error, time",
                [PYTHON, str(HERE / "vision.py"), "--json", "{json}", "--markdown", str(DOCS / "vision.md"),
                 "--pictures", str(DOCS / "images" / "vision")]),
-    "long_bag": ("report of a long bag with pictures: time and peak memory (needs 9 GB of disk for some minutes)",
+    "long_bag": ("report of a long bag with pictures: time and peak memory (needs 9 GB of disk meanwhile)",
                  [PYTHON, str(HERE / "long_bag.py"), "--json", "{json}"]),
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),

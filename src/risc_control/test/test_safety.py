@@ -229,6 +229,44 @@ def test_reports_without_a_battery_change_nothing_about_it():
     assert ladder.battery_is_low()
 
 
+@pytest.mark.parametrize("autonomous", [True, False])
+def test_a_requested_landing_lands_in_every_mode_until_it_stands(autonomous):
+    flight = Flight(autonomous=autonomous)
+    flight.ladder.request_landing(flight.now_s)
+    assert flight.run(0.005).text == "land: landing was requested"
+    assert flight.run(10.0, obeys=True).text == "land: landing was requested", "everything is fresh, and it still lands"
+    assert flight.run(0.005, airborne=False).rung == Rung.OK
+    assert flight.run(1.0).rung == Rung.OK, "the next flight is not landed"
+
+
+def test_a_requested_landing_ends_when_the_operator_takes_over():
+    flight = Flight(autonomous=False)
+    flight.ladder.request_landing(flight.now_s)
+    flight.run(0.1)
+    flight.ladder.take_over()
+    assert flight.run(1.0).rung == Rung.OK
+
+
+def test_a_requested_landing_without_effect_becomes_the_operators():
+    flight = Flight(autonomous=False)
+    flight.ladder.request_landing(flight.now_s)
+    assert not flight.run(1.9).operator
+    assert flight.run(0.2).operator
+
+
+def test_a_request_lands_from_hold_and_leaves_another_landing_its_reason():
+    flight = Flight()
+    flight.alive.remove("state")
+    assert flight.run(0.3).rung == Rung.HOLD
+    flight.ladder.request_landing(flight.now_s)
+    assert flight.run(0.005).text == "land: landing was requested"
+    lost = Flight()
+    lost.alive.remove("navdata")
+    assert lost.run(1.5).rung == Rung.LAND
+    lost.ladder.request_landing(lost.now_s)
+    assert lost.run(0.5).text == "land: navdata silent for 1.0 s"
+
+
 @pytest.mark.parametrize("limit_s", [0.5, 1.0, 0.0])
 def test_old_reports_tell_nothing(limit_s):
     ladder = SafetyLadder(SafetyLimits(navdata_timeout_s=limit_s), 0.0)

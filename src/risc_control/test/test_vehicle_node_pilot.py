@@ -535,6 +535,86 @@ def test_packets_without_a_battery_are_no_empty_battery():
     assert desk.run(0.2), "flies on"
 
 
+# --- a landing that somebody asks for ---------------------------------------------------------------------------------
+
+
+def request(desk):
+    """Ask for a landing. Returns (done, what happens)."""
+    orders, done, text = desk.pilot.on_land_request(desk.now_s)
+    desk.take(orders)
+    return done, text
+
+
+@pytest.mark.parametrize("autonomous", [True, False])
+def test_a_request_lands_in_both_modes_until_it_stands(autonomous):
+    desk = Desk(joystick_timeout=1.0).fly()
+    if autonomous:
+        assert desk.press(TOGGLE).mode is True
+    desk.alive.add("joystick")
+    desk.joy(axes=(0.0,) * 7 + (0.5,))  # a stick that somebody holds does not fly on
+    since = len(desk.orders)
+    assert request(desk) == (True, "landing (landing was requested)")
+    asked = desk.orders[-1][1]
+    assert (asked.land, asked.safety) == (True, "land: landing was requested"), "at once"
+    assert asked.command == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
+    sent = desk.run(1.0)
+    assert desk.count("land", since) == pytest.approx(6, abs=1), "ordered again every 0.2 s"
+    assert all(sticks == Sticks(0.0, 0.0, 0.0, 0.0) for _, sticks, _ in sent)
+    assert "landing was requested" in texts(asked)
+    desk.flight_state = FlightState.LANDED
+    desk.run(0.1)
+    since = len(desk.orders)
+    assert not desk.pilot.autonomous
+    desk.run(1.0)
+    assert desk.count("land", since) == 0
+    assert request(desk) == (True, "not airborne (state 2, landed)")
+    assert desk.count("land", since) == 0
+    assert desk.press(TAKEOFF_LAND).takeoff, "and it may fly again"
+
+
+def test_the_operator_takes_over_from_a_requested_landing():
+    desk = Desk().fly(autonomous=True)
+    request(desk)
+    desk.run(0.5)
+    desk.press(TOGGLE)
+    since = len(desk.orders)
+    desk.alive.add("joystick")
+    desk.joy(axes=(0.0,) * 7 + (0.5,))
+    assert desk.run(0.5)[-1][1].forward == 0.5, "the sticks fly again"
+    assert desk.count("land", since) == 0
+
+
+def test_a_request_during_the_take_off_lands():
+    desk = Desk()
+    desk.press(TAKEOFF_LAND)
+    since = len(desk.orders)
+    assert request(desk)[0], "it may be in the air already, whatever it reported last"
+    desk.run(0.5)
+    assert desk.count("land", since) >= 2
+
+
+def test_a_request_to_a_silent_vehicle_is_ordered_and_called_unsure():
+    desk = Desk()
+    desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
+    done, text = request(desk)
+    assert (done, desk.orders[-1][1].land) == (False, True)
+    assert "silent" in text
+    desk = Desk().fly()
+    desk.alive.remove("navdata")
+    desk.run(2.0)
+    done, text = request(desk)
+    assert (done, desk.pilot.ladder.verdict.rung) == (False, Rung.LAND)
+    assert text == "landing (landing was requested), but the vehicle is silent"
+
+
+def test_a_request_to_a_node_that_ends_orders_nothing():
+    desk = Desk().fly()
+    desk.take(desk.pilot.on_shutdown(desk.now_s))
+    done, text = request(desk)
+    assert not done and "ending" in text
+    assert desk.orders[-1][1].land is False
+
+
 # --- simulators without navdata --------------------------------------------------------------------------------------
 
 

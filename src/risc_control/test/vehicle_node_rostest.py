@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, String
+from std_srvs.srv import Trigger
 
 from ardrone_autonomy.msg import Navdata
 from risc_control.ros.vehicle_node import VehicleNode
@@ -31,7 +32,7 @@ MOST_HZ = 31.0  # commands: 30 Hz is command_rate_hz
 LIMIT_S = {"hold": 0.5, "land": 2.0}  # of states and controls, as in vehicle_node.test
 LOSS = re.compile(r"(hold|land): (?:state|controls) (\d+) ms old")
 RECEIPT_JITTER_S = 1.0  # a stall of this computer between sending and noting the time of receipt
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 PUBLISHED = {
     "cmd_vel": Twist,
     "cmd_vel_stamped": TwistStamped,
@@ -175,7 +176,7 @@ def is_zero(twist):
 
 
 def is_flown(twist):
-    """The command of tests 4 to 7; its climb contains the predicted climb rate."""
+    """The command of tests 4 to 8; its climb contains the predicted climb rate."""
     return same(twist, 0.2, 0.2, twist.linear.z, 0.2)
 
 
@@ -337,7 +338,29 @@ class VehicleNodeTest(unittest.TestCase):
         wait_for(lambda: landings, "landing when commands cannot be worked out")
         pilot.autonomous = False
 
-    def test_7_shut_down_button_lands_and_ends_the_node(self):
+    def test_7_a_requested_landing(self):
+        """The service under all three kinds of names; it lands what flies, and says when nothing does."""
+        world = self.world
+        for vehicle in TEMPLATES:
+            world.wait_for_state(vehicle, LANDED)
+            answer = rospy.ServiceProxy("/%s/land" % vehicle, Trigger)()
+            self.assertEqual((answer.success, answer.message), (True, "not airborne (state 2, landed)"))
+        world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
+        world.fly()
+        for vehicle in TEMPLATES:
+            world.wait(vehicle, "cmd_vel", is_flown)
+        world.forget()
+        answer = rospy.ServiceProxy("/risc1/land", Trigger)()
+        self.assertEqual((answer.success, answer.message), (True, "landing (landing was requested)"))
+        world.wait("risc1", "safety", lambda m: m.data == "land: landing was requested")
+        wait_for(lambda: len(world.messages("risc1", "ardrone/land")) >= 3, "landing, ordered again and again")
+        world.wait("risc1", "cmd_vel", is_zero)
+        world.wait("risc2", "cmd_vel", is_flown)
+        self.assertEqual(world.messages("risc2", "ardrone/land"), [], "the others fly on")
+        world.flight_state["risc1"] = LANDED
+        world.wait("risc1", "safety", lambda m: m.data == "ok")
+
+    def test_8_shut_down_button_lands_and_ends_the_node(self):
         world = self.world
         world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
         world.fly()

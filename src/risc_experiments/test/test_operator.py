@@ -290,6 +290,23 @@ def test_when_nobody_flies_any_more_it_ends():
     )
 
 
+@pytest.mark.parametrize("phase", [Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME])
+def test_when_all_ladders_are_asked_to_land_the_flight_ends_with_all_on_the_ground(phase):
+    """As the button "land all" of the browser view does it."""
+    flight = Flight().run(phase)
+    flight.run(lambda: all(vehicle.state != FlightState.LANDED for vehicle in flight.vehicles.values()))
+    for vehicle in flight.vehicles.values():
+        vehicle.safety = "land: landing was requested"
+        vehicle.land(flight.now_s)
+    flight.run(lambda: flight.operator.finished, 10.0)
+    asked = "; ".join("%s landed by its loss ladder (landing was requested)" % name for name in flight.vehicles)
+    assert flight.operator.result == "failed: no vehicle flies any more; " + asked
+    for _ in range(100):
+        flight.step()
+    assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
+    assert all(vehicle.count(TAKEOFF_LAND) <= 2 for vehicle in flight.vehicles.values()), "no take-off by mistake"
+
+
 def test_a_vehicle_that_falls_back_to_manual_mode_is_landed():
     flight = Flight().on_course()
     flight.vehicles["risc1"].autonomous = False

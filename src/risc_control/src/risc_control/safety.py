@@ -8,7 +8,7 @@ Rungs, from the bottom:
 The top rung, the emergency stop, is the operator's: the ladder only says when it is time to think of it.
 
 In manual mode the operator's eyes fly: mocap, controls, fence, battery and telemetry do not act then, only the loss of
-the joystick does.
+the joystick does. Somebody may also ask for a landing, in any mode (`request_landing`): a LAND like any other.
 
 Times are seconds of a clock that never steps (monotonic); a message's age is what its stamp said when it arrived (by
 the wall clock, which all computers must share) plus the time since.
@@ -210,6 +210,11 @@ class SafetyLadder:
         """Why the vehicle must not fly by itself now, in a few words; "" when it may."""
         rung, _, reason, _ = self._judge(now_s, True, needs_navdata)
         return reason if rung > Rung.OK else ""
+
+    def request_landing(self, now_s):
+        """Somebody wants it down: LAND, in every mode. One that lands already keeps its reason."""
+        if self.verdict.rung != Rung.LAND:
+            self._set(Rung.LAND, "request", "landing was requested", None, now_s)
 
     def take_over(self):
         """The operator flies: whatever was decided is taken back."""

@@ -321,6 +321,26 @@ class VehiclePilot:
             self._send_safe(orders, now_s)
         return orders
 
+    def on_land_request(self, now_s):
+        """Somebody who has no joystick wants the vehicle down. Returns (`Orders`, done, what happens, in a sentence).
+
+        The ladder lands it, whoever flies, until it reports that it stands or the operator takes over.
+        """
+        orders = Orders()
+        silent = not self.ladder.navdata_is_fresh(now_s)
+        if self._ended:
+            return orders, False, "the vehicle node is ending; it has ordered a landing itself"
+        if self.airborne:
+            self._judge(orders, now_s, land=True)
+            reason = self.ladder.verdict.reason
+            return orders, not silent, "landing (%s)%s" % (reason, ", but the vehicle is silent" if silent else "")
+        if silent:
+            # Nothing says that it stands, and an order to land does no harm to one that does.
+            orders.land = True
+            orders.log.append(("warn", "landing was requested: ordered once, but the vehicle is silent"))
+            return orders, False, "landing ordered once, but the vehicle is silent: whether it flies is not known"
+        return orders, True, "not airborne (%s)" % self._state_text()
+
     def on_shutdown(self, now_s):
         """One round of the last orders: level and, whatever is known of it, land. Nothing but a reset follows."""
         self._ended = True
@@ -405,10 +425,12 @@ class VehiclePilot:
         self.autonomous = orders.mode = autonomous
         orders.log.append(("info", "%s mode (%s)" % ("autonomous" if autonomous else "manual", why)))
 
-    def _judge(self, orders, now_s):
-        """Run the ladder; a new rung is acted on at once, not at the next slot."""
+    def _judge(self, orders, now_s, land=False):
+        """Run the ladder; a new rung is acted on at once, not at the next slot. land: somebody asks for a landing."""
         ladder = self.ladder
         before = ladder.verdict
+        if land:
+            ladder.request_landing(now_s)
         obeys = self.flight_state == FlightState.LANDING
         verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, not self._params.Simulation)
         if verdict.text != self._safety_text:

@@ -25,6 +25,7 @@ from risc_experiments.report import WITH_CAMERAS, make_report
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
+BROWSER_PORT = 8080  # of the web page, unless somebody else has it
 START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
 EXPERIMENTS = {
     "circles3": "several vehicles on courses (default)",
@@ -54,6 +55,7 @@ def arguments(argv):
     add("--ideal", action="store_true", help="plant exactly as the controllers believe it to be")
     add("--gusts", action="store_true", help="with gusts of wind")
     add("--rviz", action="store_true", help="open rviz")
+    add("--browser", action="store_true", help="show the flight as a web page, whose address is printed")
     add("--fps", type=float, metavar="HZ", help="pictures a second of each camera (coop; default: 15)")
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
@@ -129,6 +131,7 @@ def launch_arguments(args, fleet, folder):
         "statistics": folder / "virtual_lab.json",
         "bag": folder / "flight.bag",
         "rviz": str(args.rviz).lower(),
+        "browser": str(args.browser).lower(),
         "psi_deg": "" if args.psi is None else args.psi,
     }
     if args.experiment != "df_demo":
@@ -149,7 +152,11 @@ def fly(args, folder, progress, interrupted):
         os.environ["ROS_MASTER_URI"] = "http://127.0.0.1:%d" % master_port
         os.environ["ROS_IP"] = "127.0.0.1"
         launch_file = ROOT / "launch" / (args.experiment + ".launch")
-        launch = Launch(launch_file, launch_arguments(args, fleet, folder), folder, master_port)
+        launch_args = launch_arguments(args, fleet, folder)
+        if args.browser:
+            port = launch_args["browser_port"] = free_tcp_port(BROWSER_PORT)
+            progress.say("to be seen (and landed) at http://127.0.0.1:%d" % port)
+        launch = Launch(launch_file, launch_args, folder, master_port)
         _wait_for_master(launch, master_port, interrupted)
         from risc_experiments.ros.watch import Watch  # rospy is to see the environment of this flight
 

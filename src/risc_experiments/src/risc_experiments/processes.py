@@ -1,5 +1,6 @@
 """Starting a whole launch file and ending it so that nothing is left behind."""
 
+import contextlib
 import os
 import pathlib
 import signal
@@ -38,11 +39,13 @@ class PortReservation:
         self._guard.close()
 
 
-def free_tcp_port():
-    """A TCP port on 127.0.0.1 that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+def free_tcp_port(preferred=0):
+    """A TCP port on 127.0.0.1 that nobody listens on: the preferred one, unless it is taken."""
+    for port in (preferred, 0):
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return probe.getsockname()[1]
+    raise RuntimeError("this computer has no free TCP port left")
 
 
 class Launch:
@@ -118,6 +121,19 @@ def marked_processes(identity):
         except (FileNotFoundError, ProcessLookupError, PermissionError):
             continue  # it ended while we looked, or it belongs to somebody else
     return found
+
+
+def any_busy(pids):
+    """Whether a thread of one of the processes runs or waits for a processor."""
+    for pid in pids:
+        for path in pathlib.Path("/proc/%d/task" % pid).glob("*/stat"):
+            try:
+                state = path.read_text(errors="replace").rpartition(")")[2].split()[0]  # its name may hold anything
+            except (FileNotFoundError, ProcessLookupError):
+                continue  # it ended while we looked
+            if state == "R":
+                return True
+    return False
 
 
 def _signal(pid, number):

@@ -13,6 +13,7 @@ import rospy
 from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, String
+from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_control.lab.fleet import fleet_from_dict
@@ -41,7 +42,7 @@ _OWN_KEYS = ("vehicle", "type", "diagnostic_period")
 
 
 class VehicleNode:
-    """joy, navdata, /cortex_raw, /controls -> cmd_vel, take-off, land, reset of one vehicle.
+    """joy, navdata, /cortex_raw, /controls, service land -> cmd_vel, take-off, land, reset of one vehicle.
 
     namespace: "" = relative names, for a node started inside its vehicle's group; "risc1" = the absolute names
     /risc1/..., as the riscN_controller.py of the original release.
@@ -107,6 +108,7 @@ class VehicleNode:
             rospy.Timer(rospy.Duration(period_s), self._guarded(self._on_tick), reset=True),
             rospy.Timer(rospy.Duration(0.5), self._guarded(lambda _: self._diagnostics.update(), False), reset=True),
         )
+        self._service = rospy.Service(name("land"), Trigger, self._on_land_request)
         topic = self._cmd_vel.resolved_name
         rospy.loginfo("%s flies %s (%s), commands on %s", rospy.get_name(), self.vehicle, kind, topic)
 
@@ -120,7 +122,7 @@ class VehicleNode:
             try:
                 work(argument)
             except Exception as error:  # whatever it is, the next tick must come
-                if rospy.is_shutdown():
+                if rospy.core.is_shutdown_requested():
                     return  # topics are closed already; the last orders are those of _on_shutdown
                 self._counts["errors"] += 1
                 rospy.logerr_throttle(
@@ -188,6 +190,13 @@ class VehicleNode:
             orders = self._pilot.on_controls(own, stamp_s, age_s, time.monotonic())
             self._carry_out(orders, message.header.stamp)
         self._report(orders)
+
+    def _on_land_request(self, _request):
+        with self._lock:
+            orders, done, text = self._pilot.on_land_request(time.monotonic())
+            self._carry_out(orders)
+        self._report(orders)
+        return TriggerResponse(done, text)
 
     def _on_tick(self, _event):
         with self._lock:

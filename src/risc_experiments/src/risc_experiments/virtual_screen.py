@@ -1,0 +1,206 @@
+"""A screen that nobody sees: programs that open windows run on it, and its content is a numpy array.
+
+For pictures without a desktop (`./maap screenshot`) and for tests that use a mouse as a person would:
+
+    with VirtualScreen(1280, 900) as screen:
+        screen.start(["rviz", "-s", "", "-d", "view.rviz"], log=folder / "rviz.log")
+        picture = screen.steady_picture()                     # (900, 1280, 3) uint8, RGB
+        save_picture(folder / "view.png", picture)
+        subprocess.run(["xdotool", "mousemove", "640", "450", "click", "1"], env=screen.environment(), check=True)
+
+What was started ends with the screen. There is no window manager: windows stand where their programs put them, and none
+has a frame. Drawing is in software and takes a core, so do not measure a flight beside it.
+"""
+
+import contextlib
+import os
+import pathlib
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+
+import cv2
+import numpy as np
+
+DISPLAYS = range(1000, 60000)  # far from those of people
+_ATTEMPTS = 5  # to find a display that nobody has
+_START_PATIENCE_S = 20.0
+_END_PATIENCE_S = 10.0
+_POLL_S = 0.2
+_LOG_LINES = 15
+_COLOURS = 16  # fewer: an empty window and its frame
+_PIXEL_BITS = 32
+_LITTLE_ENDIAN = 0  # of XWD's byte_order
+
+
+class ScreenError(RuntimeError):
+    """A virtual screen or a program on it cannot do what it is for; the text says why and what to do."""
+
+
+def missing_programs(*programs):
+    """Those of the programs, and of what a virtual screen itself needs, that are not installed."""
+    return [name for name in ("Xvfb", *programs) if shutil.which(name) is None]
+
+
+def shows_something(picture):
+    """Whether a picture (height, width, 3) has more than an empty window."""
+    packed = picture.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
+    return len(np.unique(packed)) >= _COLOURS
+
+
+def save_picture(path, picture):
+    """Write a picture (height, width, 3), uint8, RGB, as PNG. Raises OSError when the file cannot be written."""
+    encoded = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
+    pathlib.Path(path).write_bytes(encoded.tobytes())
+
+
+class VirtualScreen:
+    """Xvfb on a display of its own, and the programs that run on it. Use as a context manager."""
+
+    def __init__(self, width_px=1280, height_px=900):
+        """Raises ScreenError when Xvfb is missing or does not start."""
+        if missing_programs():
+            raise ScreenError("Xvfb is not installed, so there is no virtual screen: 'apt-get install xvfb' (as root)")
+        self.width_px, self.height_px = width_px, height_px
+        self._stack = contextlib.ExitStack()
+        self._programs = []  # (command, process, log)
+        try:
+            self._folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="screen-")))
+            self.display = self._start_server()
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.close()
+
+    def close(self):
+        """End the programs, the youngest first, and the screen."""
+        self._stack.close()
+
+    def _start_server(self):
+        # A number of our own and a look at its socket: with -displayfd a display that was dead at once has been seen.
+        for number in random.sample(DISPLAYS, _ATTEMPTS):
+            command = ["Xvfb", ":%d" % number, "-screen", "0", "%dx%dx24" % (self.width_px, self.height_px)]
+            command += ["-fbdir", str(self._folder), "-nolisten", "tcp", "-noreset", "-nocursor", "+extension", "GLX"]
+            log = self._folder / "Xvfb.log"
+            server = self._popen(command, log, None)
+            deadline = time.monotonic() + _START_PATIENCE_S
+            while server.poll() is None and time.monotonic() < deadline:
+                with socket.socket(socket.AF_UNIX) as probe:
+                    if probe.connect_ex("/tmp/.X11-unix/X%d" % number) == 0:
+                        return ":%d" % number
+                time.sleep(0.02)
+            _end(server)
+        raise ScreenError("Xvfb did not start:\n" + _tail(log))
+
+    def environment(self, **more):
+        """Environment for a program that is to use this screen; `more` goes on top."""
+        ours = {
+            "DISPLAY": self.display,
+            "LIBGL_ALWAYS_SOFTWARE": "1",
+            "QT_QPA_PLATFORM": "xcb",
+            "QT_X11_NO_MITSHM": "1",
+            "NO_AT_BRIDGE": "1",  # else GTK and Qt look for a desktop's accessibility service
+            "XDG_RUNTIME_DIR": str(self._folder),
+        }
+        return dict(os.environ, **ours, **more)
+
+    def start(self, command, log=None, **environment):
+        """Start a program on this screen; returns its Popen. log: file for what it prints; environment: more variables.
+
+        Raises ScreenError when it is not installed.
+        """
+        if shutil.which(command[0]) is None:
+            raise ScreenError("%s is not installed: './maap screenshot' installs what pictures need" % command[0])
+        log = pathlib.Path(log or self._folder / ("%d.log" % len(self._programs)))
+        process = self._popen(command, log, self.environment(**environment))
+        self._programs.append((command, process, log))
+        return process
+
+    def _popen(self, command, log, environment):
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,  # a Ctrl-C at the terminal is for us
+            )
+        self._stack.callback(_end, process)
+        return process
+
+    def picture(self):
+        """What is on the screen now: (height, width, 3), uint8, RGB."""
+        file = self._folder / "Xvfb_screen0"
+        content = file.read_bytes()
+        for _ in range(_ATTEMPTS):  # the server may have been writing while we read
+            before, content = content, file.read_bytes()
+            if content == before:
+                break
+        return _picture_from_xwd(content)
+
+    def steady_picture(self, accept=shows_something, steady_s=2.0, timeout_s=300.0):
+        """The picture as soon as it has not changed for `steady_s` and accept(picture) holds.
+
+        On a busy computer, where programs draw late and we look late, it takes longer: so many looks have to agree.
+        Raises ScreenError when a program that was started here has ended, or when it takes longer than `timeout_s`.
+        """
+        deadline = time.monotonic() + timeout_s
+        last, since, looks = None, time.monotonic(), 0
+        while True:
+            self.check_programs()
+            picture, now = self.picture(), time.monotonic()
+            if last is None or not np.array_equal(picture, last):
+                last, since, looks = picture, now, 0
+            looks += 1
+            steady = now - since >= steady_s and looks > steady_s / _POLL_S
+            if steady and accept(picture):
+                return picture
+            if now > deadline:
+                why = "shows nothing of what it should" if steady else "never stands still"
+                tails = "\n".join(_tail(log) for _, _, log in self._programs)
+                raise ScreenError("the picture %s, after %g s:\n%s" % (why, timeout_s, tails))
+            time.sleep(_POLL_S)
+
+    def check_programs(self):
+        """Raises ScreenError when a program that was started here has ended."""
+        for command, process, log in self._programs:
+            if process.poll() is not None:
+                raise ScreenError("%s has ended (exit code %d):\n%s" % (command[0], process.returncode, _tail(log)))
+
+
+def _picture_from_xwd(content):
+    """(height, width, 3), uint8, RGB of an X window dump (XWD, version 7) with 32 bits a pixel: Xvfb's frame buffer."""
+    names = "header_size version format depth width height offset byte_order unit bit_order pad bits line_bytes"
+    head = dict(zip(names.split(), np.frombuffer(content, ">u4", 13).tolist()))
+    colours = int(np.frombuffer(content, ">u4", 20)[19])
+    if head["version"] != 7 or head["bits"] != _PIXEL_BITS or head["byte_order"] != _LITTLE_ENDIAN:
+        raise ScreenError("this X server's frame buffer is of a kind that is not supported: %s" % head)
+    start = head["header_size"] + 12 * colours
+    shape = (head["height"], head["line_bytes"] // 4, 4)
+    pixels = np.frombuffer(content, np.uint8, head["height"] * head["line_bytes"], start).reshape(shape)
+    return np.ascontiguousarray(pixels[:, : head["width"], 2::-1])
+
+
+def _end(process):
+    """End a program and what it started, first kindly."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_END_PATIENCE_S)
+            return
+
+
+def _tail(log):
+    lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
+    return "\n".join(lines[-_LOG_LINES:])

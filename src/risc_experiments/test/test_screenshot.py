@@ -1,0 +1,124 @@
+"""Parts of `./maap screenshot` that need no rviz: when a picture is worth taking, which views there are."""
+
+import pathlib
+import subprocess
+import sys
+import time
+
+import pytest
+import rosbag
+import rospy
+from std_msgs.msg import String
+
+from data_extraction.bags import Bag
+from risc_experiments.orbit_view import has_display
+from risc_experiments.processes import any_busy
+from risc_experiments.screenshot import VIEWS, arguments, moment_of, standard_views, views_from
+from risc_msgs.msg import Angle, Angles, Observed_angles
+
+T0_S = 500.0
+PATIENCE_S = 60.0
+PHASES = ((0.0, "waiting"), (1.0, "takeoff"), (2.0, "fly"), (3.0, "fly: on course"), (8.0, "home"), (9.0, "done"))
+
+
+def observed(vehicle, count):
+    """A picture in which a vehicle sees so many landmarks, and one that it does not see."""
+    landmarks = [Angle(name="a%d" % k, visible=True) for k in range(count)] + [Angle(name="lost", visible=False)]
+    return Observed_angles(Obj=[Angles(name=vehicle, landmarks=landmarks)])
+
+
+def moment(path, messages):
+    """moment_of a bag of (time [s], topic, message)."""
+    with rosbag.Bag(str(path), "w") as bag:
+        for time_s, topic, message in sorted(messages, key=lambda item: item[0]):
+            bag.write(topic, message, rospy.Time.from_sec(T0_S + time_s))
+    with Bag(path) as bag:
+        return moment_of(bag)
+
+
+def phases():
+    return [(time_s, "/operator/phase", String(text)) for time_s, text in PHASES]
+
+
+def test_the_moment_is_the_end_of_the_course(tmp_path):
+    assert moment(tmp_path / "x.bag", phases()) == pytest.approx(7.5)
+
+
+def test_the_moment_of_bearings_is_when_most_is_seen(tmp_path):
+    seen = [  # vehicle and number of landmarks
+        (1.0, "risc1", 9),  # not on the course yet
+        (4.0, "risc1", 2),
+        (5.0, "risc1", 2),
+        (5.1, "risc2", 1),  # three together
+        (6.0, "risc1", 2),
+        (7.0, "risc2", 1),  # what risc1 saw has expired
+        (8.5, "risc1", 9),  # on its way home
+    ]
+    angles = [(time_s, "/angles", observed(name, count)) for time_s, name, count in seen]
+    assert moment(tmp_path / "x.bag", phases() + angles) == pytest.approx(5.2)
+    blind = [(time_s, "/angles", observed(name, 0)) for time_s, name, _ in seen]
+    assert moment(tmp_path / "blind.bag", phases() + blind) == pytest.approx(7.5)
+
+
+def test_bearings_add_views_and_the_tuner_needs_the_fleet(tmp_path):
+    moment(tmp_path / "plain.bag", phases())
+    with Bag(tmp_path / "plain.bag") as bag:
+        assert standard_views(bag, "fleet.yaml") == ["oblique", "top"]
+    moment(tmp_path / "coop.bag", [(0.0, "/angles", observed("risc1", 1))])
+    with Bag(tmp_path / "coop.bag") as bag:
+        assert standard_views(bag, None) == ["oblique", "top", "rays"]
+        assert standard_views(bag, "fleet.yaml") == list(VIEWS)
+
+
+def test_the_moment_of_a_bag_without_operator_is_its_middle(tmp_path):
+    assert moment(
+        tmp_path / "x.bag", [(0.0, "/chatter", String("a")), (6.0, "/chatter", String("b"))]
+    ) == pytest.approx(3.0)
+
+
+def test_every_standard_view_exists_and_only_the_tuner_has_handles():
+    views = views_from(list(VIEWS), (640, 480))
+    assert [view.name for view in views] == list(VIEWS)
+    assert [view.name for view in views if has_display(view.config, "rviz/InteractiveMarkers")] == ["tuner"]
+    for view in views:
+        classes = [item["Class"] for item in view.config["Visualization Manager"]["Displays"]]
+        assert "rviz/Image" not in classes, "would take room from the scene"
+
+
+def test_a_file_and_one_of_its_saved_views_make_a_view():
+    path = pathlib.Path(__file__).resolve().parents[2] / "risc_visual" / "config" / "Diff_flat.rviz"
+    assert [view.name for view in views_from(["%s:Side" % path, str(path)], (640, 480))] == [
+        "diff_flat_side",
+        "diff_flat",
+    ]
+    with pytest.raises(ValueError, match=r"Diff_flat.rviz: there is no saved view 'Bottom', only Flight"):
+        views_from(["%s:Bottom" % path], (640, 480))
+
+
+def test_options_of_fly_are_left_for_it():
+    args, rest = arguments(["circles3", "--trajectory", "flat8", "--views", "top,oblique,top", "--size", "800x600"])
+    assert rest == ["--trajectory", "flat8"]
+    assert (args.what, args.views, args.size) == ("circles3", ["top", "oblique"], (800, 600))
+
+
+def becomes(condition):
+    """Whether the condition holds soon."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def test_busy_is_who_runs_not_who_sleeps():
+    works = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    sleeps = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    try:
+        assert becomes(lambda: not any_busy([sleeps.pid]))
+        assert becomes(lambda: any_busy([sleeps.pid, works.pid]))
+    finally:
+        for process in (works, sleeps):
+            process.kill()
+            process.wait()
+    assert not any_busy([works.pid]), "it is no more"

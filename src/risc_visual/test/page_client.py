@@ -1,0 +1,100 @@
+"""What a browser does with the page of the browser view, without drawing: for tests that need no browser."""
+
+import threading
+import time
+
+import msgspec
+import viser
+import zstandard
+from websockets.sync.client import connect
+
+_CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (0.0, 0.0, 5.0),
+    "fov": 1.0,
+    "near": 0.1,
+    "far": 100.0,
+    "image_height": 600,
+    "image_width": 800,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+_LENGTHS = 16  # [bytes] of the two lengths before the compressed part
+
+
+class PageClient:
+    """A page that is open: the nodes of the scene, the texts and the buttons of the panel."""
+
+    def __init__(self, port):
+        self.nodes = {}  # path -> type of the message that made it
+        self.messages = 0
+        self.kinds = set()  # types of all messages
+        self._texts, self._buttons = {}, {}  # uuid -> content; label -> (uuid, value that a click sends)
+        self._socket = connect(
+            "ws://127.0.0.1:%d" % port, subprotocols=["viser-v%s" % viser.__version__], max_size=None, compression=None
+        )
+        self._send(_CAMERA)
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def text(self):
+        """HTML of the panel."""
+        return "".join(dict(self._texts).values())
+
+    def labels(self):
+        """What is written on the buttons."""
+        return set(self._buttons)
+
+    def press(self, label):
+        """Click a button."""
+        uuid, value = self._buttons[label]
+        self._send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}})
+
+    def ask_for_tunnel(self):
+        """As the share button of viser's page, which ours does not have."""
+        self._send({"type": "ShareUrlRequest"})
+
+    def close(self):
+        """As closing the tab."""
+        self._socket.close()
+        self._thread.join()
+
+    def _send(self, message):
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def _listen(self):
+        for window in self._socket:
+            length = int.from_bytes(window[8:_LENGTHS], "little")
+            content = zstandard.ZstdDecompressor().decompress(window[_LENGTHS : _LENGTHS + length])
+            for message in msgspec.msgpack.decode(content)["messages"]:
+                self.messages += 1
+                self.kinds.add(message["type"])
+                self._take(message)
+
+    def _take(self, message):
+        kind, uuid = message["type"], message.get("uuid")
+        if kind == "RemoveSceneNodeMessage":
+            self.nodes = {
+                path: made
+                for path, made in self.nodes.items()
+                if path != message["name"] and not path.startswith(message["name"] + "/")
+            }
+        elif kind == "GuiHtmlMessage":
+            self._texts[uuid] = message["props"]["content"]
+        elif kind == "GuiUpdateMessage" and uuid in self._texts:
+            self._texts[uuid] = message["updates"].get("content", self._texts[uuid])
+        elif kind == "GuiButtonMessage":
+            self._buttons[message["props"]["label"]] = (uuid, True)
+        elif kind == "GuiButtonGroupMessage":
+            self._buttons.update({option: (uuid, option) for option in message["props"]["options"]})
+        elif "name" in message and "props" in message:
+            self.nodes[message["name"]] = kind
+
+
+def wait_for(condition, what, patience_s=60.0):
+    """Until the condition holds; `what` may be a text, or called for one."""
+    deadline = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < deadline, "never came: %s" % (what() if callable(what) else what)
+        time.sleep(0.02)

@@ -1,0 +1,209 @@
+#!/usr/bin/env python3
+"""The browser view on the wire: markers in, scene out; statuses in, panel out; buttons to land services.
+
+A client that speaks the page's protocol takes the place of a browser; tests/test_live_view.py has a real one.
+"""
+
+import pathlib
+import socket
+import subprocess
+import sys
+import threading
+import unittest
+
+import rosgraph
+import rospy
+import rostest
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TransformStamped
+from page_client import PageClient, wait_for
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger, TriggerResponse
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ardrone_autonomy.msg import Navdata
+from risc_msgs.msg import Trajectories
+from risc_visual.arena import load_arena
+from risc_visual.ros import markers
+
+NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "live_view"
+RED = (1.0, 0.0, 0.0, 1.0)
+LIFE_S = 2.0
+OUTPUTS = {
+    "net": MarkerArray,
+    "Quad_Markers": MarkerArray,
+    "angle_lines": MarkerArray,
+    "/risc1/controller_status": Bool,
+    "/risc1/ardrone/navdata": Navdata,
+    "/risc1/safety": String,
+    "/trajectory": Trajectories,
+    "/trajectory_phase": String,
+    "/operator/phase": String,
+    "/diagnostics": DiagnosticArray,
+}
+LATCHED = ("net", "/risc1/safety", "/operator/phase", "/trajectory_phase")
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def start(port, *arguments):
+    """The node as a process; its output is read by whoever wants it."""
+    command = [sys.executable, str(NODE), "_port:=%d" % port, "__name:=live_view", *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def ball(head, ns, marker_id, position_m):
+    return markers.marker(head, ns, marker_id, Marker.SPHERE, position_m, (0.1, 0.1, 0.1), RED, LIFE_S)
+
+
+class LiveViewTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.port = free_port()
+        cls.node = start(cls.port)
+        cls.topics = {
+            topic: rospy.Publisher(topic, kind, queue_size=10, latch=topic in LATCHED)
+            for topic, kind in OUTPUTS.items()
+        }
+        cls.topics["net"].publish(markers.net_markers(load_arena().net, 0.0))
+        for topic, text in (
+            ("/risc1/safety", "hold: state 120 ms old"),
+            ("/operator/phase", "fly: on course"),
+            ("/trajectory_phase", "fluffy_II: course; Raven: hold"),
+        ):
+            cls.topics[topic].publish(text)
+        cls.asked = []
+        rospy.Service("/risc1/land", Trigger, cls.on_land)
+        wait_for(cls.port_is_open, "the page")
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.node.terminate()
+        cls.node.wait()
+
+    @classmethod
+    def on_land(cls, _request):
+        cls.asked.append("risc1")
+        return TriggerResponse(True, "landing (landing was requested)")
+
+    @classmethod
+    def port_is_open(cls):
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", cls.port)) == 0
+
+    def listens_to(self):
+        _, subscribed, _ = rosgraph.Master("/live_view_test").getSystemState()
+        return {topic for topic, nodes in subscribed if "/live_view" in nodes}
+
+    def open_page(self):
+        page = PageClient(self.port)
+        self.addCleanup(page.close)
+        wait_for(lambda: "/Quad_Markers" in self.listens_to(), "subscriptions")
+        wait_for(lambda: self.topics["Quad_Markers"].get_num_connections() == 1, "a connection")
+        return page
+
+    def test_1_nobody_looks(self):
+        self.assertEqual(self.listens_to(), set())
+
+    def test_2_a_page_shows_what_is_drawn_until_it_expires(self):
+        page = self.open_page()
+        wait_for(lambda: "/net/Net/4" in page.nodes, "what was drawn before: %s" % page.nodes)
+        self.assertEqual(page.nodes["/net/Net/4"], "LineSegmentsMessage")
+        parts = [ball(markers.header(), "fluffy_II", k, (0.1 * k, 0.0, 1.0)) for k in (1, 2)]
+        self.topics["Quad_Markers"].publish(parts)
+        wait_for(lambda: {"/Quad_Markers/fluffy_II/1", "/Quad_Markers/fluffy_II/2"} <= set(page.nodes), page.nodes.copy)
+        self.assertEqual(page.nodes["/Quad_Markers/fluffy_II/1"], "IcosphereMessage")
+        wait_for(lambda: not any(path.startswith("/Quad_Markers/") for path in page.nodes), "the end of their lives")
+        self.assertIn("/net/Net/4", page.nodes)
+
+    def test_3_rays_are_placed_by_tf(self):
+        page = self.open_page()
+        frames = tf2_ros.TransformBroadcaster()
+        over = threading.Event()
+
+        def move():
+            while not over.wait(0.05):
+                pose = TransformStamped(header=markers.header(rospy.Time.now()), child_frame_id="fluffy_II/camera")
+                pose.transform.translation.x, pose.transform.rotation.w = 1.0, 1.0
+                frames.sendTransform(pose)
+                head = markers.header(rospy.Time.now() - rospy.Duration(0.1), "fluffy_II/camera")
+                lost = markers.header(rospy.Time.now(), "nowhere/camera")
+                found = [ball(head, "risc1", 1, (0.0, 0.0, 1.0)), ball(lost, "risc2", 1, (0.0, 0.0, 1.0))]
+                self.topics["angle_lines"].publish(found)
+
+        thread = threading.Thread(target=move)
+        thread.start()
+        try:
+            wait_for(lambda: "/angle_lines/risc1/1" in page.nodes, page.nodes.copy)
+        finally:
+            over.set()
+            thread.join()
+        self.assertNotIn("/angle_lines/risc2/1", page.nodes, "nobody knows where that is")
+
+    def test_4_the_panel_says_what_the_vehicles_say_and_what_is_silent(self):
+        page = self.open_page()
+        values = {"position error of fluffy_II (mm)": "23.4"}, {"rate [Hz]": "200.0", "vehicles visible": "2 of 2"}
+        names = "controller: controller", "states_estimation: states estimation", "operator: virtual operator"
+        statuses = [
+            DiagnosticStatus(name=name, values=[KeyValue(*item) for item in content.items()])
+            for name, content in zip(names, (*values, {}))
+        ]
+        wanted = {
+            "autonomous</span>",
+            "safety: hold: state 120 ms old",
+            "flying, battery 60 %",
+            "course, 23 mm from its reference",
+            "motion capture 200 Hz, 2 of 2 seen",
+            "operator: fly: on course",
+        }
+
+        def all_is_there():
+            self.topics["/risc1/controller_status"].publish(True)
+            self.topics["/risc1/ardrone/navdata"].publish(Navdata(state=3, batteryPercent=60.0))
+            self.topics["/trajectory"].publish(Trajectories())
+            self.topics["/diagnostics"].publish(DiagnosticArray(status=statuses))
+            return all(text in page.text() for text in wanted)
+
+        wait_for(all_is_there, page.text)
+        self.assertIn("vehicle node: nothing heard", page.text(), "risc2 has none")
+        wait_for(lambda: "vehicle node silent for" in page.text(), page.text)
+        wait_for(lambda: '<span class="old"><span class="good">autonomous' in page.text(), page.text)
+
+    def test_5_buttons_ask_the_safety_of_the_vehicles(self):
+        page = self.open_page()
+        wait_for(lambda: page.labels() == {"LAND ALL", "risc1", "risc2"}, "buttons")
+        page.press("LAND ALL")
+        wait_for(lambda: "risc1: landing (landing was requested)" in page.text(), page.text)
+        self.assertEqual(self.asked, ["risc1"])
+        wait_for(lambda: 'class="bad">risc2: the vehicle node does not answer' in page.text(), page.text)
+        page.press("risc1")
+        wait_for(lambda: self.asked == ["risc1", "risc1"], "the second call")
+        wait_for(lambda: "risc2: the vehicle node" not in page.text(), page.text)
+
+    def test_6_when_the_last_page_is_closed_it_listens_no_more(self):
+        first, second = self.open_page(), self.open_page()
+        first.close()
+        self.topics["Quad_Markers"].publish([ball(markers.header(), "fluffy_II", 1, (0.0, 0.0, 1.0))])
+        wait_for(lambda: "/Quad_Markers/fluffy_II/1" in second.nodes, "the other page goes on")
+        second.close()
+        wait_for(lambda: self.listens_to() == set(), lambda: str(self.listens_to()))
+        again = self.open_page()
+        wait_for(lambda: "/net/Net/4" in again.nodes, "a page that is opened later")
+
+    def test_7_a_port_that_is_taken_is_one_clear_line(self):
+        other = start(self.port, "__name:=other_view")
+        output = other.communicate(timeout=120.0)[0]
+        self.assertEqual(other.returncode, 1)
+        self.assertIn("live_view: port %d of 127.0.0.1 is taken" % self.port, output)
+        self.assertNotIn("Traceback", output)
+        self.assertIsNone(self.node.poll())
+
+
+if __name__ == "__main__":
+    rospy.init_node("live_view_test")
+    rostest.rosrun("risc_visual", "live_view_test", LiveViewTest)
