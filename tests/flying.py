@@ -99,7 +99,13 @@ def try_to_fly(folder, *arguments, meanwhile=None, **options):
         place = folder / str(attempt)
         process = start(place, *arguments, **options)
         if meanwhile is not None:
-            meanwhile(process, place)
+            try:
+                meanwhile(process, place)
+            except AssertionError:
+                end(process, place)
+                if attempt + 1 == ATTEMPTS or not off_schedule(summary_of(place)):
+                    raise
+                continue
         code, output = finish(process, place)
         summary = summary_of(place)
         if code == 0 or not off_schedule(summary):

@@ -79,7 +79,7 @@ def kill_what_draws(flight, folder):
 def test_a_flight_passes_although_rviz_and_all_drawing_nodes_are_killed(tmp_path):
     with VirtualScreen() as screen:
         environment = screen.environment(RISC_MAAP_ROOT=str(ROOT))
-        flight = ("--vehicles", "1", "--duration", "20", "--rviz")
+        flight = ("--vehicles", "1", "--duration", "40", "--rviz")
         code, output, _, folder = fly(tmp_path, *flight, meanwhile=kill_what_draws, env=environment)
     assert code == 0, output
     assert left_behind(folder) == []

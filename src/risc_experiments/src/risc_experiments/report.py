@@ -51,10 +51,10 @@ def make_report(args, folder, operator_result, progress, interrupted):
     result["passed"] = not reasons
     result["reasons"] = reasons
     result["limits"] = dict(vars(Limits()))
-    page.write(page_path, collector.material(flight), result)
     summary.write(result, folder / "summary.json")
     progress.say("")
     print(summary.table(result))
+    page.write(page_path, collector.material(flight), result)
     print("simulated: %s" % ", ".join("%s %s" % item for item in result["simulated"].items()))
     if result["least_separation_m"] is not None:
         print("vehicles came no closer than %.2f m to each other" % result["least_separation_m"])
