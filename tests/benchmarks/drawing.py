@@ -86,7 +86,8 @@ def programs(names):
     index = Index(kind.roi_name for kind in landmarks.landmarks)
 
     def vehicles(data):
-        found, labels = scene.vehicles(Cortex().deserialize(data))
+        msg = Cortex().deserialize(data)
+        found, labels = scene.vehicles(msg, msg.header.stamp.to_sec())
         return found + labels
 
     def bodies(data):

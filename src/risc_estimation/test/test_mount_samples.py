@@ -69,6 +69,29 @@ def test_a_landmark_that_nobody_knows_is_told():
     assert window.refused == {"nobody knows where pink is": 1, "nobody knows where Orange is": 1}
 
 
+def test_a_bearing_that_is_no_number_is_left_out_and_counted():
+    window = window_of()
+    window.see_bearings(T0_S + 0.5, {"green": (np.nan, 0.0), "pink": (0.1, -0.2)})
+    window.see_bearings(T0_S + 0.6, {"green": (0.0, np.inf), "unheard_of": (np.nan, np.nan)})
+    assert list(window.latest(10.0).names) == ["pink"] and np.all(np.isfinite(window.latest(10.0).rays))
+    assert window.refused == {"the bearing is no number": 3}
+
+
+def test_a_picture_without_a_stamp_is_of_the_newest_pose():
+    window = BearingWindow()
+    window.see_landmarks(PLACES)
+    window.see_bearings(0.0, {})
+    assert not window.refused
+    window.see_bearings(0.0, AHEAD)
+    assert window.refused == {"the vehicle was not seen": 1}
+    for t_s in (0.0, 0.02, 0.04):
+        window.see_pose(T0_S + t_s, *pose_at(t_s))
+        window.see_bearings(0.0, AHEAD)
+    samples = window.latest(10.0)
+    assert samples.times_s == pytest.approx([T0_S, T0_S + 0.02, T0_S + 0.04]), "nothing is forgotten in between"
+    np.testing.assert_allclose(samples.points_body_m, [_body_point(t_s) for t_s in (0.0, 0.02, 0.04)], atol=1e-5)
+
+
 def test_every_third_second_is_kept_aside():
     start_s = 3 * (T0_S // 3)
     window = BearingWindow()

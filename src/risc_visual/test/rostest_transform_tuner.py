@@ -8,6 +8,7 @@ import subprocess
 import threading
 import time
 import unittest
+from unittest import mock
 
 import numpy as np
 import rospy
@@ -26,9 +27,11 @@ from visualization_msgs.msg import (
 
 from risc_control.camera import rotation_camera_to_body
 from risc_control.lab.calibration import FRONT_MOUNT, CameraMount, load_mount
+from risc_control.lab.fleet import FleetVehicle
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
-from risc_visual.mount_tuner import NUMBERS, numbers_of
+from risc_visual.mount_tuner import NUMBERS, MountTuner, numbers_of
 from risc_visual.ros.mount_marker import numbers_from_pose, pose_of
+from risc_visual.ros.transform_tuner import Sliders
 
 PACKAGE = "risc_visual"
 NAME = "transform_tuner_test"
@@ -211,7 +214,12 @@ class TransformTunerTest(unittest.TestCase):
 
     def test_5_the_saved_file_is_what_transforms_uses(self):
         saved = numbers_of(load_mount(str(self.path)))
-        self.assertTrue(self.call("risc1/reset").success)  # the tuner shows something else again
+        self.drag(FRONT_MOUNT)
+        self.until(lambda: np.allclose(self.tf_numbers(), numbers_of(FRONT_MOUNT)), "the nominal mount")
+        answer = self.call("risc1/reset")
+        self.assertIn("the mount is the file's again", answer.message)
+        self.until(lambda: np.allclose(self.tf_numbers(), saved, atol=1e-6), "what was saved")
+        self.drag(FRONT_MOUNT)  # the tuner shows something else again
         self.until(lambda: np.allclose(self.tf_numbers(), numbers_of(FRONT_MOUNT)), "the nominal mount")
         # under the tuner's name, whose place it takes
         with subprocess.Popen(["rosrun", "risc_control", "transforms"]) as transforms:
@@ -219,6 +227,21 @@ class TransformTunerTest(unittest.TestCase):
                 self.until(lambda: np.allclose(self.tf_numbers(), saved, atol=1e-6), "the saved mount")
             finally:
                 transforms.terminate()
+
+    def test_6_sliders_follow_later_when_the_master_does_not_answer(self):
+        tuner = MountTuner(FleetVehicle("risc9", "fluffy_II", "ardrone", "127.0.0.9", "", (0.0, 0.0, 0.0), 0.0))
+        moved = []
+        sliders = Sliders("/sliders_of_the_test", tuner, moved.append)
+        client = Client("/sliders_of_the_test", timeout=PATIENCE_S)
+        tuner.change({"x": 0.5})
+        with mock.patch("rospy.set_param", side_effect=ConnectionRefusedError):
+            self.assertRaises(OSError, sliders.follow)
+        sliders.follow()
+        self.until(lambda: client.get_configuration(timeout=PATIENCE_S)["x"] == 0.5, "the slider")
+        self.assertEqual(rospy.get_param("/sliders_of_the_test/x"), 0.5)
+        self.assertEqual(moved, [])
+        client.update_configuration({"pitch": 20.0})
+        self.assertEqual(moved, [{"pitch": 20.0}])
 
 
 if __name__ == "__main__":

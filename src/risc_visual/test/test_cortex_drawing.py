@@ -1,6 +1,7 @@
 """What draw_cortex makes of messages; and that a fleet of fifty is drawn with ids that never change hands."""
 
 import random
+import time
 
 import genpy
 import pytest
@@ -18,7 +19,8 @@ from risc_visual.ros.params import CortexParams
 from risc_visual.ros.paths import PathDrawing
 from risc_visual.trails import TrailParams
 
-HEAD = markers.header(genpy.Time(100))
+NOW_S = 100.0
+HEAD = markers.header(genpy.Time.from_sec(NOW_S))
 NAN = float("nan")
 
 
@@ -50,13 +52,13 @@ def test_fifty_vehicles_keep_their_ids_whatever_the_order_and_whoever_is_lost():
     fleet = [vehicle(k) for k in range(1, 51)]
     names = [entry.template for entry in fleet]
     scene = drawing(fleet)
-    first, labels = scene.vehicles(cortex(names))
+    first, labels = scene.vehicles(cortex(names), NOW_S)
     parts = len(first) // 50
     assert len(first) == 50 * parts > 250 and len(labels) == 50
     assert len(set(keys(first))) == len(first) and len(set(keys(labels))) == 50
     colour = {(m.ns, m.id): m.color for m in first}
     shuffled = random.Random(7).sample(names, 50)
-    second, labels2 = scene.vehicles(cortex(shuffled, lost=names[:5], stamp_s=100.04))
+    second, labels2 = scene.vehicles(cortex(shuffled, lost=names[:5], stamp_s=100.04), 100.04)
     assert sorted(keys(second)) == sorted(keys(first)) and sorted(keys(labels2)) == sorted(keys(labels))
     for m in second:
         lost = m.ns in names[:5]
@@ -90,19 +92,30 @@ def test_the_rung_of_the_ladder_stands_at_the_vehicle_and_in_its_line():
     scene.note_safety(1, "ok")
     assert scene.mode(HEAD, 0, "vehicle_1", True).text == "vehicle_1: land: battery at 8 %"
     assert scene.mode(HEAD, 1, "vehicle_2", False).text == "vehicle_2: Manual"
-    labels = {m.ns: m for m in scene.vehicles(cortex(["vehicle_1", "vehicle_2"]))[1]}
+    labels = {m.ns: m for m in scene.vehicles(cortex(["vehicle_1", "vehicle_2"]), NOW_S)[1]}
     assert {name: m.text for name, m in labels.items()} == {"vehicle_1": "vehicle_1: LAND", "vehicle_2": "vehicle_2"}
     assert (labels["vehicle_1"].color.r, labels["vehicle_1"].color.g) == (1.0, 0.0)
     scene.note_safety(0, "ok")
     scene.mode(HEAD, 0, "vehicle_1", True)
-    assert scene.vehicles(cortex(["vehicle_1"]))[1][0].text == "vehicle_1"
+    assert scene.vehicles(cortex(["vehicle_1"]), NOW_S)[1][0].text == "vehicle_1"
 
 
-def test_the_rung_of_a_vehicle_that_says_nothing_more_is_no_news():
-    scene = drawing([vehicle(1)], status_hz=1e6)  # so that what it said is old at once
+@pytest.mark.parametrize("later_s, text", [(1.4, "vehicle_1: HOLD"), (1.6, "vehicle_1"), (-60.0, "vehicle_1")])
+def test_the_rung_of_a_vehicle_that_says_nothing_more_is_no_news(later_s, text):
+    """By the clock of ROS alone: a bag may be played slowly, or from the beginning."""
+    scene = drawing([vehicle(1)], status_hz=2.0)
     scene.note_safety(0, "hold: state 120 ms old")
     scene.mode(HEAD, 0, "vehicle_1", True)
-    assert scene.vehicles(cortex(["vehicle_1"]))[1][0].text == "vehicle_1"
+    now_s = NOW_S + later_s
+    assert scene.vehicles(cortex(["vehicle_1"], stamp_s=now_s), now_s)[1][0].text == text
+
+
+def test_a_rung_lasts_while_a_bag_is_played_slowly():
+    scene = drawing([vehicle(1)], status_hz=1e3)  # a text lives 3 ms
+    scene.note_safety(0, "hold: state 120 ms old")
+    scene.mode(HEAD, 0, "vehicle_1", True)
+    time.sleep(0.01)
+    assert scene.vehicles(cortex(["vehicle_1"]), NOW_S + 0.001)[1][0].text == "vehicle_1: HOLD"
 
 
 def test_pendulum_stands_on_its_vehicle():
@@ -110,7 +123,7 @@ def test_pendulum_stands_on_its_vehicle():
         States("vehicle_1", True, 0.0, 0.0, 1.0, *[0.0] * 9),
         States("Pendulum_tip", True, 0.1, 0.0, 1.9, *[0.0] * 9),
     ]
-    found, labels = drawing([vehicle(1)]).vehicles(Cortex(Header(stamp=genpy.Time(100)), states))
+    found, labels = drawing([vehicle(1)]).vehicles(Cortex(Header(stamp=genpy.Time(100)), states), NOW_S)
     ball, rod = [m for m in found if m.ns == "Pendulum_tip"]
     assert (ball.pose.position.x, ball.pose.position.z, ball.scale.x) == (0.1, 1.9, 0.076)
     assert [(p.x, p.y, p.z) for p in rod.points] == [(0.0, 0.0, 1.0), (0.1, 0.0, 1.9)]

@@ -53,7 +53,7 @@ def everything():
         + markers.pendulum_markers(HEAD, "Pendulum_tip", (0, 0, 2), (0, 0, 1), 1.0),
         "Quad_Labels": markers.vehicle_labels(HEAD, views("Raven", "Kahn"), 0.8, 1.0)
         + [markers.pendulum_label(HEAD, "Pendulum_tip", (0, 0, 2), 0.8, 1.0)],
-        "Land_Markers": markers.landmark_markers(HEAD, [("Pink_blue", (1, 2, 3))], 1.5),
+        "Land_Markers": markers.landmark_markers(HEAD, [("Pink_blue", (1, 2, 3))], 1.5, {}),
         "Land_Labels": markers.landmark_labels(HEAD, [("Pink_blue", (1, 2, 3))], 0.8, 1.5),
         "Ctrl_Status": [markers.mode_marker(HEAD, k, name, True, "", 1.5) for k, name in enumerate(("a", "b"))],
         "Battery_Status": [markers.battery_marker(HEAD, k, name, 70.0, 1.5) for k, name in enumerate(("a", "b"))],
@@ -133,9 +133,11 @@ def test_lost_vehicle_keeps_its_ids_and_turns_grey():
 
 
 def test_landmark_colours():
-    named = [(name, (0, 0, 1)) for name in ("Orange_blue", "Green_pink", "Blue_green", "Pink_blue", "new")]
-    colours = [(m.color.r, m.color.g, m.color.b, m.color.a) for m in markers.landmark_markers(HEAD, named, 1.0)]
-    assert colours == [(1, 0.6, 0, 0.4), (0, 1, 0, 0.4), (0, 0, 1, 0.4), (1, 0, 0.5, 0.4), (1, 1, 1, 0.4)]
+    named = [(name, (0, 0, 1)) for name in ("Orange_blue", "Pink_blue", "new")]
+    given = {"Orange_blue": (1, 0.6, 0, 0.4), "Pink_blue": (1, 0, 0.5, 0.3)}
+    found = markers.landmark_markers(HEAD, named, 1.0, given)
+    colours = [(m.color.r, m.color.g, m.color.b, m.color.a) for m in found]
+    assert colours == [(1, 0.6, 0, 0.4), (1, 0, 0.5, 0.3), (1, 1, 1, 0.4)]
 
 
 def test_mode_text():

@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -60,8 +61,49 @@ def test_solve_check_and_save_say_what_they_did(tmp_path):
     assert done and str(tmp_path / "mount.yaml") in text
     np.testing.assert_allclose(numbers_of(load_mount(str(tmp_path / "mount.yaml"))), numbers_of(tuner.mount))
     assert [path.name for path in tmp_path.iterdir()] == ["mount.yaml"], "nothing is left over"
+    saved = tuner.mount
+    tuner.change({"yaw": 30.0})
+    done, text = tuner.reset()
+    assert done and tuner.mount == saved and "the mount is the file's again" in text
+
+
+def test_before_anything_is_saved_reset_goes_back_to_the_beginning(tmp_path):
+    tuner = MountTuner(vehicle_with(tmp_path / "mount.yaml"))
+    tuner.change({"yaw": 30.0})
     done, text = tuner.reset()
     assert done and tuner.mount == FRONT_MOUNT and "the mount is the file's again" in text
+
+
+def test_a_mount_that_few_bearings_agree_with_is_not_good():
+    tuner = MountTuner(VEHICLE)
+    to_solve, to_check = fill(tuner)
+    assert tuner.solve(to_solve)[0]
+    wrong = np.arange(len(to_check.times_s)) % 5 < 2
+    to_check.rays[wrong] = (0.0, 0.0, 1.0)  # straight down
+    good, text = tuner.check(to_check, CAMERA)
+    assert not good and "risc1: NOT good, more than 35 % wrong: 0.00 deg" in text and "%d wrong" % wrong.sum() in text
+    tuner.change({"yaw": tuner.numbers["yaw"] + 3.0})
+    good, text = tuner.check(to_check, CAMERA)
+    assert not good and "risc1: NOT good, more than 0.60 deg" in text
+
+
+def test_a_mount_that_is_reset_while_a_handle_moves_stays_reset():
+    tuner = MountTuner(VEHICLE)
+    tuner.change({"yaw": 30.0})
+    resetting = threading.Thread(target=tuner.reset)
+
+    class Slow(dict):
+        """Numbers that are read while somebody else resets the mount."""
+
+        def get(self, *arguments):
+            if resetting.ident is None:
+                resetting.start()
+                resetting.join(0.5)
+            return dict.get(self, *arguments)
+
+    tuner.change(Slow(x=0.5))
+    resetting.join()
+    assert tuner.mount == FRONT_MOUNT
 
 
 def test_solve_warns_when_the_views_are_too_few():
@@ -102,6 +144,12 @@ def test_save_needs_a_file_that_the_fleet_names_and_that_can_be_written(tmp_path
     done, text = tuner.save()
     assert not done and "cannot write %s" % path in text
     assert path.read_bytes() == before
+    (tmp_path / "folder.yaml" / "full").mkdir(parents=True)  # what cannot be replaced in the end
+    tuner = MountTuner(replace(VEHICLE, camera_mount=str(tmp_path / "folder.yaml")), TunerParams(nominal=True))
+    done, text = tuner.save()
+    assert not done and "cannot write" in text
+    assert not (tmp_path / "folder.yaml.new").exists(), "nothing is left over"
+    assert "the nominal one again" in tuner.reset()[1]
     tuner = MountTuner(replace(VEHICLE, camera_mount="package://no_such_package/mount.yaml"), TunerParams(nominal=True))
     done, text = tuner.save()
     assert not done and "not saved" in text

@@ -6,11 +6,15 @@ from risc_estimation.landmark_catalogue import LandmarkKind
 from risc_visual.colours import HsvRange
 from risc_visual.landmark_config import LandmarksConfig, load_landmarks
 from risc_visual.palette import ray_colours, sphere_colours
-from risc_visual.ros.markers import LANDMARK_COLOURS
 
 
 def test_spheres_of_the_laboratory_have_the_colours_of_the_original():
-    assert sphere_colours(load_landmarks()) == {name: rgba[:3] for name, rgba in LANDMARK_COLOURS.items()}
+    assert sphere_colours(load_landmarks()) == {
+        "Orange_blue": (1.0, 0.6, 0.0),
+        "Green_pink": (0.0, 1.0, 0.0),
+        "Blue_green": (0.0, 0.0, 1.0),
+        "Pink_blue": (1.0, 0.0, 0.5),
+    }
 
 
 def test_both_names_of_a_landmark_have_its_colour():

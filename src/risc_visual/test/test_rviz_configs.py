@@ -10,7 +10,14 @@ FILES = ("Diff_flat.rviz", "Trans_tuner.rviz", "coop.rviz")
 GRIDS = {"Floor": True, "Middle": False, "3D": False}
 ON, OFF = True, False
 
-# name: (class, topic, on or off). Diff_flat shows what the original did and, on, what it kept off.
+# name: (class, topic, on or off)
+WAYPOINTS = {  # of draw_waypoints: nothing, unless somebody sends waypoints
+    "Waypoints": ("MarkerArray", "/Way_Markers", ON),
+    "Waypoint headings": ("MarkerArray", "/Heading_Markers", ON),
+    "Waypoint labels": ("MarkerArray", "/Way_Labels", ON),
+    "Waypoint paths": ("MarkerArray", "/Way_trail", ON),
+}
+# Diff_flat shows what the original did and, on, what it kept off.
 WANTED = {
     "Diff_flat.rviz": {
         "Body_Frame": ("TF", None, OFF),
@@ -25,6 +32,7 @@ WANTED = {
         "Grid Numbers": ("MarkerArray", "/Grid", ON),
         "Battery Level": ("Marker", "/Battery_Status", ON),
         "Quad Covariance": ("Marker", "/Cov_Quad", ON),
+        **WAYPOINTS,
     },
     "Trans_tuner.rviz": {
         "Body_Frame": ("TF", None, ON),
@@ -50,6 +58,7 @@ WANTED = {
         "risc1": ("Image", "/risc1/ardrone/image_modi", ON),
         "risc2": ("Image", "/risc2/ardrone/image_modi", ON),
         "risc3": ("Image", "/risc3/ardrone/image_modi", ON),
+        **WAYPOINTS,
     },
 }
 TOPIC_KEYS = ("Marker Topic", "Image Topic", "Update Topic")

@@ -1,17 +1,25 @@
-"""Waypoints: place, heading and names."""
+"""Waypoints: place, heading, names, and the paths of the vehicles that have one."""
 
+import time
+
+import genpy
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
-from risc_msgs.msg import Waypoint, Waypoints
+from risc_msgs.msg import Cortex, States, Waypoint, Waypoints
 from risc_visual.cast import Index
 from risc_visual.ros import markers
 from risc_visual.ros.conversions import waypoints_from_msg
+from risc_visual.ros.params import WaypointParams
+from risc_visual.ros.waypoint_drawing import WaypointDrawing
+from risc_visual.trails import MAX_PIECES
 
 HEAD = markers.header()
 NAN = float("nan")
+NOW_S = 100.0
 
 
 def message(*entries):
@@ -57,3 +65,38 @@ def test_names_that_repeat_or_lack_have_ids_of_their_own():
 def test_numbers_that_are_none_are_not_drawn():
     entries = (("a", NAN, 0, 1, 0), ("b", 0, 0, 1, NAN), ("c", 0, 0, float("inf"), 0), ("d", 0, 0, 1, 0))
     assert [item.name for item in waypoints_from_msg(message(*entries))] == ["d"]
+
+
+def flown(scene, begin_s, seconds=0.4):
+    """Paths after two vehicles have flown along x for a while from a time on, drawn at 25 Hz."""
+    for now_s in np.arange(begin_s, begin_s + seconds, 0.04):
+        states = [States(name, True, now_s - begin_s, 0.0, 1.0, *[0.0] * 9) for name in ("Raven", "Kahn")]
+        found = scene.paths(Cortex(Header(stamp=genpy.Time.from_sec(now_s)), states), now_s)
+    return found
+
+
+def told(**params):
+    """Drawing that knows since NOW_S of a waypoint of Kahn, the second of two vehicles."""
+    scene = WaypointDrawing(WaypointParams(**params), ["Raven", "Kahn"])
+    balls, arrows, labels = scene.waypoints(message(("Kahn", 0, 0, 1, 0)), NOW_S)
+    assert [m.type for m in balls + arrows + labels] == [Marker.SPHERE, Marker.ARROW, Marker.TEXT_VIEW_FACING]
+    return scene
+
+
+def test_only_who_has_a_waypoint_has_a_path():
+    (path,) = flown(told(), NOW_S)
+    assert (path.ns, path.id) == ("way_trail", MAX_PIECES) and len(path.points) > 5
+
+
+@pytest.mark.parametrize("later_s, paths", [(0.5, 1), (1.1, 0), (-60.0, 0)])
+def test_a_waypoint_that_is_not_sent_again_is_no_news(later_s, paths):
+    """By the clock of ROS alone: a bag may be played slowly, or from the beginning."""
+    scene = told(lifetime_s=1.0)
+    assert len(flown(scene, NOW_S)) == 1
+    assert len(flown(scene, NOW_S + later_s)) == paths
+
+
+def test_a_path_lasts_while_a_bag_is_played_slowly():
+    scene = told(lifetime_s=0.5)
+    time.sleep(0.6)
+    assert len(flown(scene, NOW_S)) == 1

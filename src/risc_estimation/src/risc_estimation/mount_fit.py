@@ -53,7 +53,7 @@ class FitParams:
 
     noise_deg: float = 0.1  # least standard deviation of a bearing, along each of its two axes
     gate: float = 4.0  # [standard deviations] bearings farther from the fit than this are wrong
-    wrong_max: float = 0.35  # share of wrong bearings that is not worth a warning
+    wrong_max: float = 0.35  # share of wrong bearings that is not worth a warning, and passes the tuner's check
     std_max_m: float = 0.01  # greatest standard deviation of a position that counts as known, and
     std_max_deg: float = 0.2  # of an angle
     prior_m: float = 0.3  # standard deviation of the mount before anything was seen

@@ -70,13 +70,23 @@ class BearingWindow(object):
             self._place()
 
     def see_bearings(self, stamp_s, bearings):
-        """bearings: {landmark: (azimuth, elevation) [rad]} of one picture; stamp: of its exposure."""
+        """bearings: {landmark: (azimuth, elevation) [rad]} of one picture.
+
+        stamp: of its exposure; 0 = not stamped (bags of the original release): then it is that of the newest pose.
+        """
+        if not stamp_s:
+            if self.last_pose_s is None:
+                self.refused.update(["the vehicle was not seen"] * len(bearings))
+                return
+            stamp_s = self.last_pose_s
         self._advance(stamp_s)
-        for name, (azimuth_rad, elevation_rad) in bearings.items():
-            if name in self._places:
-                self._waiting.append((stamp_s, name, rays_of_bearings(azimuth_rad, elevation_rad)))
-            else:
+        for name, bearing_rad in bearings.items():
+            if not np.all(np.isfinite(bearing_rad)):
+                self.refused["the bearing is no number"] += 1
+            elif name not in self._places:
                 self.refused["nobody knows where %s is" % name] += 1
+            else:
+                self._waiting.append((stamp_s, name, rays_of_bearings(*bearing_rad)))
         self._place()
 
     def samples(self):

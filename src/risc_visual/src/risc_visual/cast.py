@@ -88,6 +88,13 @@ def rod_foot(tip_m, views):
     return views[nearest].position_m if distances_m[nearest] <= ROD_MAX_M else None
 
 
+def is_news(said_s, now_s, lifetime_s):
+    """Whether what was said then is still true. Times [s] of ROS, by which rviz lets markers expire: so it is as true
+    in a bag that is played slowly. What was said long after now belongs to a bag that has begun again.
+    """
+    return abs(now_s - said_s) < lifetime_s
+
+
 def reference_marks(references, positions_m, vehicles, away_m):
     """Which references deserve a mark of their own: those that stand still, and those their vehicle is not at.
 

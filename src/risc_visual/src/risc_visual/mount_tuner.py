@@ -3,8 +3,10 @@
 A mount as six numbers, x, y, z [m] and roll, pitch, yaw [deg], is what sliders show and texts say.
 """
 
+import contextlib
 import math
 import os
+import threading
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -54,6 +56,11 @@ class Misses(NamedTuple):
     count: int  # bearings that count
     wrong: int  # others, too far off to be believed
 
+    @property
+    def wrong_share(self):
+        """Of all of them; 0 if there are none."""
+        return self.wrong / max(self.wrong + self.count, 1)
+
     def __str__(self):
         pixels = "" if math.isnan(self.rms_px) else " (%.1f px)" % self.rms_px
         wrong = ", %d wrong left out" % self.wrong if self.wrong else ""
@@ -61,7 +68,10 @@ class Misses(NamedTuple):
 
 
 class MountTuner(object):
-    """One vehicle's camera. What is done is answered by (whether it was done, a sentence with figures)."""
+    """One vehicle's camera. What is done is answered by (whether it was done, a sentence with figures).
+
+    The mount may be changed from several threads; the window may not.
+    """
 
     def __init__(self, vehicle, params=None, window_params=None, fit_params=None):
         """vehicle: FleetVehicle. Raises ValueError for a mount file that is not usable, unless params.nominal."""
@@ -71,6 +81,7 @@ class MountTuner(object):
         self._from_file = bool(vehicle.camera_mount) and not self._params.nominal
         self._first = load_mount(vehicle.camera_mount) if self._from_file else FRONT_MOUNT
         self.mount = self._first  # replaced as a whole
+        self._lock = threading.Lock()  # held to replace it: `change` keeps some of its numbers
         self.window = BearingWindow(window_params)
 
     # -------- what sliders and handles do
@@ -84,7 +95,8 @@ class MountTuner(object):
         """Take {some of NUMBERS: value}; beyond the sliders' ends they stop there. Raises ValueError for NaN."""
         if not np.all(np.isfinite(list(numbers.values()))):
             raise ValueError("%s: not moved: a mount needs finite numbers, got %r" % (self._name, numbers))
-        self.mount = mount_of([numbers.get(key, value) for key, value in self.numbers.items()])
+        with self._lock:
+            self.mount = mount_of([numbers.get(key, value) for key, value in self.numbers.items()])
 
     def shows(self, numbers):
         """Whether such numbers are those of the mount."""
@@ -99,17 +111,20 @@ class MountTuner(object):
 
     def solve(self, samples, camera=None):
         """Find the mount. samples: the first of window.samples(); camera: risc_control.camera.Camera, for pixels."""
-        before = self.misses(samples, camera)
+        start = self.mount
         try:
-            fit = fit_mount(samples, self.mount, self._fit_params)
+            fit = fit_mount(samples, start, self._fit_params)
         except ValueError as error:
             return False, "%s: not solved: %s" % (self._name, error)
-        self.mount = mount_of(numbers_of(fit.mount))
+        mount = mount_of(numbers_of(fit.mount))
+        with self._lock:
+            self.mount = mount
+        before, after = self._misses(start, samples, camera), self._misses(mount, samples, camera)
         std_mm = ", ".join("%.1f" % (1e3 * value) for value in fit.std[:3])
         std_deg = ", ".join("%.2f" % math.degrees(value) for value in fit.std[3:])
         sentences = [
-            "%s: solved: %s, was %.2f deg" % (self._name, self.misses(samples, camera), before.rms_deg),
-            "%s; standard deviations %s mm, %s deg" % (text_of(self.mount), std_mm, std_deg),
+            "%s: solved: %s, was %.2f deg" % (self._name, after, before.rms_deg),
+            "%s; standard deviations %s mm, %s deg" % (text_of(mount), std_mm, std_deg),
         ]
         sentences += ["WARNING: " + text for text in fit.warnings]
         return True, ". ".join(sentences)
@@ -123,42 +138,51 @@ class MountTuner(object):
                 self._fit_params.samples_min,
             )
         misses = self.misses(samples, camera)
-        good = misses.rms_deg <= self._params.rms_good_deg
-        verdict = "good" if good else "NOT good, more than %.2f deg" % self._params.rms_good_deg
-        return good, "%s: %s: %s kept aside" % (self._name, verdict, misses)
+        faults = []
+        if not misses.rms_deg <= self._params.rms_good_deg:
+            faults.append("more than %.2f deg" % self._params.rms_good_deg)
+        if misses.wrong_share > self._fit_params.wrong_max:
+            faults.append("more than %.0f %% wrong" % (100.0 * self._fit_params.wrong_max))
+        verdict = "NOT good, " + " and ".join(faults) if faults else "good"
+        return not faults, "%s: %s: %s kept aside" % (self._name, verdict, misses)
 
     def save(self):
-        """Write the mount where the fleet says that it is, at one go: half a file is never there."""
+        """Write the mount where the fleet says that it is; `reset` goes back to it from now on."""
         url = self.vehicle.camera_mount
         if not url:
             return False, (
                 "%s: not saved: the fleet file names no camera_mount for %s: add one, e.g. camera_mount: "
                 "%s_mount.yaml with its folder, and start again" % (self._name, self.vehicle.namespace, self._name)
             )
+        mount = self.mount
         try:
             path = resolve_url(url).resolve()
-            new = path.with_name(path.name + ".new")
-            save_mount(self.mount, new)
-            os.replace(str(new), str(path))
+            _write(mount, path)
         except (OSError, ValueError) as error:
             return False, "%s: not saved: cannot write %s: %s" % (self._name, url, error)
-        return True, "%s: saved to %s: %s" % (self._name, path, text_of(self.mount))
+        with self._lock:
+            self._first, self._from_file = mount, True
+        return True, "%s: saved to %s: %s" % (self._name, path, text_of(mount))
 
     def reset(self):
-        """Back to the mount that it began with."""
-        self.mount = self._first
-        origin = "the file's" if self._from_file else "the nominal one"
-        return True, "%s: the mount is %s again: %s" % (self._name, origin, text_of(self.mount))
+        """Back to the mount that was saved last, or that it began with."""
+        with self._lock:
+            mount = self.mount = self._first
+            origin = "the file's" if self._from_file else "the nominal one"
+        return True, "%s: the mount is %s again: %s" % (self._name, origin, text_of(mount))
 
     # -------- what the view shows
 
     def misses(self, samples, camera=None):
         """Misses of Samples with the present mount."""
-        errors = ray_errors(samples, self.mount)
+        return self._misses(self.mount, samples, camera)
+
+    def _misses(self, mount, samples, camera):
+        errors = ray_errors(samples, mount)
         right = right_ones(errors, self._fit_params)
         rms_px = math.nan
         if camera is not None and right.any():
-            rms_px = root_mean_square(pixel_errors(samples.take(right), self.mount, camera))
+            rms_px = root_mean_square(pixel_errors(samples.take(right), mount, camera))
         return Misses(math.degrees(root_mean_square(errors[right])), rms_px, int(right.sum()), int((~right).sum()))
 
     def lines(self, latest, to_solve, to_check, camera=None, seen=True):
@@ -180,6 +204,20 @@ class MountTuner(object):
     @property
     def _name(self):
         return self.vehicle.namespace
+
+
+def _write(mount, path):
+    """At one go: half a file is never there, not even when the computer is switched off. Raises OSError."""
+    new = path.with_name(path.name + ".new")
+    try:
+        save_mount(mount, new)
+        with new.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(str(new), str(path))
+    except OSError:
+        with contextlib.suppress(OSError):  # what went wrong first is told
+            new.unlink()
+        raise
 
 
 def numbers_of(mount):

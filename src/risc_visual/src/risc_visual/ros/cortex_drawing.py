@@ -2,9 +2,8 @@
 
 import math
 import threading
-import time
 
-from risc_visual.cast import Cast, Index, rod_foot
+from risc_visual.cast import Cast, Index, is_news, rod_foot
 from risc_visual.palette import sphere_colours
 from risc_visual.ros import markers
 from risc_visual.ros.conversions import bodies_from_mocap, landmarks_from_msg, poses_from_cortex
@@ -14,7 +13,10 @@ _SPHERE_ALPHA = 0.4  # of landmarks
 
 
 class CortexDrawing:
-    """Every method belongs to one topic, each topic may have a thread of its own. Stamps are those of the messages."""
+    """Every method belongs to one topic, each topic may have a thread of its own. Stamps are those of the messages.
+
+    What has no stamp has the ROS time that the caller gives.
+    """
 
     def __init__(self, params, fleet, templates, landmarks):
         """params: CortexParams. fleet: FleetVehicles. templates: of lab.templates. landmarks: LandmarksConfig."""
@@ -26,15 +28,15 @@ class CortexDrawing:
         self._text_lifetime_s = TEXT_PERIODS / params.status_hz
         self._lock = threading.Lock()
         self._safety = {}  # line -> what the vehicle's safety says when it is not content
-        self._rungs = {}  # name -> (rung of the safety ladder, until when it is news [s, monotonic])
+        self._rungs = {}  # name -> (rung of the safety ladder, when it was said [s])
 
-    def vehicles(self, msg):
-        """Cortex -> (vehicles and pendulums, their names)."""
+    def vehicles(self, msg, now_s):
+        """Cortex -> (vehicles and pendulums, their names). now_s: ROS time, that of the header of `mode`."""
         head = markers.header(msg.header.stamp)
         poses = poses_from_cortex(msg)
         views = self._cast.views([pose for pose in poses if pose.name not in self._tips])
         found = markers.vehicle_markers(head, views, self._lifetime_s)
-        labels = markers.vehicle_labels(head, views, self._label_alpha, self._lifetime_s, self._rungs_now())
+        labels = markers.vehicle_labels(head, views, self._label_alpha, self._lifetime_s, self._rungs_at(now_s))
         for tip in poses:
             if tip.name in self._tips and tip.visible:
                 foot_m = rod_foot(tip.position_m, [view for view in views if not view.lost])
@@ -77,7 +79,7 @@ class CortexDrawing:
         with self._lock:
             safety = self._safety.get(line, "")
             if safety:
-                self._rungs[name] = (safety.partition(":")[0].upper(), time.monotonic() + self._text_lifetime_s)
+                self._rungs[name] = (safety.partition(":")[0].upper(), head.stamp.to_sec())
             else:
                 self._rungs.pop(name, None)
         return markers.mode_marker(head, line, name, autonomous, safety, self._text_lifetime_s)
@@ -86,8 +88,8 @@ class CortexDrawing:
         """Line of text: charge of a vehicle's battery."""
         return markers.battery_marker(head, line, name, percent, self._text_lifetime_s)
 
-    def _rungs_now(self):
+    def _rungs_at(self, now_s):
         """dict name -> rung of the vehicles that still speak: what a vehicle said last is not true for ever."""
-        now_s = time.monotonic()
         with self._lock:
-            return {name: rung for name, (rung, until_s) in self._rungs.items() if now_s < until_s}
+            said = dict(self._rungs)
+        return {name: rung for name, (rung, said_s) in said.items() if is_news(said_s, now_s, self._text_lifetime_s)}

@@ -24,12 +24,6 @@ RED = (1.0, 0.0, 0.0, 1.0)
 GREEN = (0.0, 1.0, 0.0, 1.0)
 ORANGE = (1.0, 0.4, 0.0, 1.0)
 PENDULUM = (1.0, 0.6, 0.0)
-LANDMARK_COLOURS = {
-    "Orange_blue": (1.0, 0.6, 0.0, 0.4),
-    "Green_pink": (0.0, 1.0, 0.0, 0.4),
-    "Blue_green": (0.0, 0.0, 1.0, 0.4),
-    "Pink_blue": (1.0, 0.0, 0.5, 0.4),
-}
 _OTHER_LANDMARK = (1.0, 1.0, 1.0, 0.4)
 _WAYPOINT = (1.0, 1.0, 1.0)
 _BARE_RGB = (0.75, 0.75, 0.75)
@@ -225,7 +219,7 @@ def pendulum_label(head, name, tip_m, alpha, lifetime_s):
     return text_marker(head, name, 1, name, (x, y, z + 0.2), 0.17, (1.0, 1.0, 1.0, alpha), lifetime_s)
 
 
-def landmark_markers(head, landmarks, lifetime_s, colours=LANDMARK_COLOURS):
+def landmark_markers(head, landmarks, lifetime_s, colours):
     """Landmarks as spheres: ns = name. landmarks: list of (name, position (3,) [m]); colours: dict name -> rgba."""
     size_m = (0.17, 0.17, 0.17)
     return [

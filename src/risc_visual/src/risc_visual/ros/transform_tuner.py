@@ -6,6 +6,7 @@ It is `transforms` of risc_control with cameras that can be moved: start it in p
 import textwrap
 import threading
 import time
+import xmlrpc.client
 
 import rospy
 from dynamic_reconfigure.server import Server
@@ -36,6 +37,7 @@ NAMESPACE = "transform_tuner"  # of topics, services and sliders, whatever the n
 ACTIONS = ("solve", "check", "save", "reset", "record")  # services, and the menu in this order
 _FOLLOW_S = 0.25  # sliders follow the handles so much later: telling everybody takes too long for every mouse event
 _SEEN_S = 0.5  # a vehicle without a pose for longer is not seen
+_COMPLAIN_S = 10.0  # sliders that cannot follow are told of so often
 _ANSWER_S = 20.0  # how long the last answer stays in the view
 _LANDMARKS_HZ = 2.0
 _STATES = 400  # frames that may wait while the node is held up: 2 s at 200 Hz
@@ -61,15 +63,23 @@ class Sliders(object):
         self._on_moved = on_moved
         self._shown = None
         self._follower = None  # thread that moves them now, which is no person
+        self._told = True  # whether everybody was told of their last move
         for key, value in tuner.numbers.items():
             rospy.set_param("%s/%s" % (namespace, key), value)
         self._server = Server(TransformTunerConfig, self._on_config, namespace)
 
     def follow(self):
-        """Show what the mount is now. Not to be called with a lock that `on_moved` takes."""
-        if not self._tuner.shows(self._shown):
-            self._follower = threading.get_ident()
+        """Show what the mount is now. Not to be called with a lock that `on_moved` takes.
+
+        Raises OSError or xmlrpc.client.Error when the master does not answer: call it again later.
+        """
+        if self._told and self._tuner.shows(self._shown):
+            return
+        self._told, self._follower = False, threading.get_ident()
+        try:
             self._server.update_configuration(self._tuner.numbers)
+            self._told = True
+        finally:
             self._follower = None
 
     def _on_config(self, config, _level):
@@ -88,6 +98,7 @@ class Tuned(object):
         self.tuner = tuner
         self.name, self.template = tuner.vehicle.namespace, tuner.vehicle.template
         self.sliders = None
+        self.acting = threading.Lock()  # one action at a time
         self.seen_s = self.answered_s = float("-inf")  # monotonic clock
         self.answer = ""
 
@@ -105,7 +116,7 @@ class TransformTunerNode(object):
         self._by_name = {name: item for item in self._tuned for name in (item.template, item.name)}
         self._template_of_region = load_landmark_catalogue().template_of_region
         self._cameras = VehicleCameras(fleet, self._params.rectified, self._params.camera)
-        self._lock = threading.Lock()  # mounts and windows: handles, sliders, services and topics have a thread each
+        self._lock = threading.Lock()  # windows and frames: handles, sliders, services and topics have a thread each
         namespace = rospy.resolve_name(NAMESPACE)
         mounts = {item.template: item.tuner.mount for item in self._tuned}
         self._text = rospy.Publisher(namespace + "/text", MarkerArray, queue_size=1)
@@ -193,21 +204,22 @@ class TransformTunerNode(object):
             rospy.logwarn("%s", error)
 
     def _do(self, item, action):
-        """Run one of ACTIONS. Returns (whether it was done, a sentence)."""
+        """Run one of ACTIONS, after one that runs already. Returns (whether it was done, a sentence)."""
         tuner = item.tuner
-        with self._lock:
-            given = dict(zip(("solve", "check"), tuner.window.samples()))
-            if action == "record":
-                done, item.answer = tuner.record()
-        if action in given:  # without the lock: frames go on meanwhile
-            done, item.answer = getattr(tuner, action)(given[action], self._cameras[item.name])
-        elif action != "record":
-            done, item.answer = getattr(tuner, action)()
-        with self._lock:
-            self._show(item)
-        item.answered_s = time.monotonic()
-        (rospy.loginfo if done else rospy.logwarn)("%s", item.answer)
-        return done, item.answer
+        with item.acting:
+            with self._lock:
+                given = dict(zip(("solve", "check"), tuner.window.samples()))
+                if action == "record":
+                    done, answer = tuner.record()
+            if action in given:  # without the lock: frames go on meanwhile
+                done, answer = getattr(tuner, action)(given[action], self._cameras[item.name])
+            elif action != "record":
+                done, answer = getattr(tuner, action)()
+            with self._lock:
+                self._show(item)
+            item.answer, item.answered_s = answer, time.monotonic()
+        (rospy.loginfo if done else rospy.logwarn)("%s", answer)
+        return done, answer
 
     def _show(self, item):
         """Everybody is told where the camera sits now; sliders follow soon."""
@@ -217,8 +229,11 @@ class TransformTunerNode(object):
 
     @until_shutdown
     def _on_follow(self, _event):
-        for item in self._tuned:
-            item.sliders.follow()
+        try:
+            for item in self._tuned:
+                item.sliders.follow()
+        except (OSError, xmlrpc.client.Error) as error:  # the timer's thread must live on
+            rospy.logwarn_throttle(_COMPLAIN_S, "the sliders cannot follow, the master does not answer: %s" % error)
 
     @until_shutdown
     def _on_text(self, _event):
