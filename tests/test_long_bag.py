@@ -1,4 +1,4 @@
-"""The report of a long bag: its memory does not grow with the pictures, and hardly with the length."""
+"""The report of a long bag with bearings: its memory does not grow with the pictures, and little with the length."""
 
 import pathlib
 import sys
@@ -7,9 +7,10 @@ from data_extraction.report.__main__ import make
 
 PROGRAM = pathlib.Path(__file__).resolve().parent / "benchmarks" / "long_bag.py"
 sys.path.insert(0, str(PROGRAM.parent))
-from long_bag import LongBag, measure  # noqa: E402
+from long_bag import RATE_HZ, LongBag, measure  # noqa: E402
 
 PICTURE_PX = (320, 240)
+FRAME_BYTES = 3000  # that the report may need for a frame of three vehicles while it evaluates everything
 GROWTH_MB = 25.0  # what the peak may differ by from run to run, and by a few more pictures that wait
 
 
@@ -31,9 +32,16 @@ def test_memory_does_not_grow_with_the_pictures(tmp_path):
     assert many_mb - few_mb < GROWTH_MB
 
 
+def test_memory_grows_little_with_the_length(tmp_path):
+    short_mb, short_size_mb, _ = peak_mb(tmp_path / "short", 20.0, 10)
+    long_mb, long_size_mb, _ = peak_mb(tmp_path / "long", 80.0, 10)
+    assert long_size_mb - short_size_mb > 130.0, "all of the bag would be seen"
+    assert long_mb - short_mb < GROWTH_MB + 1e-6 * 60.0 * RATE_HZ * FRAME_BYTES
+
+
 def test_the_bag_is_what_it_is_meant_to_be(tmp_path):
     assert LongBag(tmp_path / "long.bag").write(12.0, 1, (64, 48)) == 12
     text = make(tmp_path / "long.bag", folder=tmp_path)[0].read_text(encoding="utf-8")
-    for name in ("result", "map", "tracking", "latency", "mocap", "cameras"):
+    for name in ("result", "map", "tracking", "latency", "mocap", "cameras", "bearings"):
         assert 'id="%s"' % name in text
     assert "20.0\u202fms" in text, "the vehicles are 20 ms late"

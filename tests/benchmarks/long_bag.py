@@ -1,4 +1,4 @@
-"""The report of a long bag with many pictures: time and peak memory. The bag is synthetic, and is made first."""
+"""The report of a long bag with pictures and bearings: time and peak memory. The bag is synthetic, and made first."""
 
 import argparse
 import json
@@ -15,6 +15,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 RATE_HZ = 200
+BEARING_EVERY = 14  # frames: about 15 Hz, whatever the pictures' rate
 LAP_S = 6  # after which everything repeats but the stamps
 START_S = 1_500_000_000
 VEHICLES = ("fluffy_II", "albatross", "Raven")
@@ -35,7 +36,7 @@ def type_store():
 
 
 class LongBag:
-    """Writes a bag: states, references, commands and frames at 200 Hz, pictures beside them."""
+    """Writes a bag: states, references, commands and frames at 200 Hz, bearings and pictures beside them."""
 
     def __init__(self, path):
         self._store = type_store()
@@ -55,6 +56,7 @@ class LongBag:
             topic: [self._raw(kind, make(k / RATE_HZ)) for k in range(LAP_S * RATE_HZ)]
             for topic, (kind, make) in laps.items()
         }
+        bearings = bytearray(self._raw("risc_msgs/msg/Observed_angles", self._bearings()))
         picture = bytearray(self._raw("sensor_msgs/msg/Image", self._picture(*picture_px)))
         pictures = 0
         with self._writer:
@@ -62,6 +64,7 @@ class LongBag:
                 self._connect(topic, kind)
             self._connect("/mocap_time", "sensor_msgs/msg/TimeReference")
             self._connect("/trajectory_phase", "std_msgs/msg/String")
+            self._connect("/angles", "risc_msgs/msg/Observed_angles")
             self._connect(PICTURE_TOPIC, "sensor_msgs/msg/Image")
             phase = self._new("std_msgs/msg/String", data="; ".join(name + ": course" for name in VEHICLES))
             self._put("/trajectory_phase", START_S * 10**9, self._raw("std_msgs/msg/String", phase))
@@ -72,6 +75,9 @@ class LongBag:
                     _STAMP.pack_into(raw, _STAMP_AT, *divmod(stamp_ns, 10**9))
                     self._put(topic, stamp_ns + 4_000_000 + 100_000 * place, raw)
                 self._put("/mocap_time", stamp_ns + 4_000_000, self._time(stamp_ns, k))
+                if k % BEARING_EVERY == 0:
+                    _STAMP.pack_into(bearings, _STAMP_AT, *divmod(stamp_ns, 10**9))
+                    self._put("/angles", stamp_ns + 4_800_000, bearings)
                 if k * picture_hz // RATE_HZ > (k - 1) * picture_hz // RATE_HZ:
                     _STAMP.pack_into(picture, _STAMP_AT, *divmod(stamp_ns, 10**9))
                     self._put(PICTURE_TOPIC, stamp_ns + 4_900_000, picture)
@@ -138,6 +144,14 @@ class LongBag:
                 places[0] = (math.nan, math.nan, math.nan)
             bodies.append(markers(name, 0.0, [marker(*place) for place in places]))
         return self._new("risc_msgs/msg/Mocap_data", Obj=bodies)
+
+    def _bearings(self):
+        """Every vehicle sees every other one, always straight ahead: right or not is no matter of memory."""
+        angle, angles = (self._store.types["risc_msgs/msg/" + name] for name in ("Angle", "Angles"))
+        return self._new("risc_msgs/msg/Observed_angles", Obj=[
+            angles(name, [], [angle(other, True, 0.0, 0.0) for other in VEHICLES if other != name])
+            for name in VEHICLES
+        ])  # fmt: skip
 
     def _picture(self, width, height):
         data = np.random.default_rng(1).integers(0, 255, width * height * 3, dtype=np.uint8)

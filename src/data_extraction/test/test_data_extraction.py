@@ -2,6 +2,7 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -159,6 +160,17 @@ def test_what_is_wrong_with_a_bag_is_said(flight_bag, tmp_path):
         pass
     with Bag(flight_bag) as bag, pytest.raises(BagError, match="no topic /nothing; it has .*/cortex_raw"):
         list(bag.messages(["/nothing"]))
+
+
+def test_the_order_of_places_is_that_of_cortex_raw():
+    stamp = SimpleNamespace(sec=1000, nanosec=0)
+    collector = FlightCollector(with_bearings=False)
+    for topic, names in (("/cortex_raw", ["a", "b"]), ("/ground_truth", ["c", "b", "a"]), ("/trajectory", ["Circle"])):
+        items = [SimpleNamespace(name=name, visible=True, x=0.0, y=0.0, z=0.0, psi=0.0) for name in names]
+        for k in range(2):
+            stamp = SimpleNamespace(sec=1000 + k, nanosec=0)
+            collector(topic, 1000.0 + k, SimpleNamespace(header=SimpleNamespace(stamp=stamp), Obj=items))
+    assert set(collector.overview().vehicles) == {"a"}
 
 
 def test_a_bag_without_a_flight_is_said():

@@ -1,6 +1,7 @@
 """What the report collects from a bag: each collector, from bags of a few messages with known answers."""
 
 import json
+import struct
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from data_extraction.bags import Bag, BagError
 from data_extraction.progress import bar
 from data_extraction.report.battery import BatteryCollector
 from data_extraction.report.drops import CELL_M, DropCollector, cell_edges
-from data_extraction.report.events import EventCollector
+from data_extraction.report.events import EventCollector, head_and_tail
 from data_extraction.report.fence import FenceCollector
 from data_extraction.report.gates import GateCollector
 from data_extraction.report.ladder import LadderCollector
@@ -69,7 +70,7 @@ def test_markers_are_lost_where_their_object_was(play):
         [body("Raven", (-2.0, -1.9, 1.0), (-2.0, -1.9, 1.0))],
     ]
     rows = [("/mocap_data", Mocap_data(Obj=bodies), T0_S + 0.005 * k) for k, bodies in enumerate(frames)]
-    drops = play(DropCollector(), rows).drops()
+    drops = play(DropCollector(), rows).drops(T0_S + 0.015)
     raven = drops.markers["Raven"]
     assert (raven.markers, raven.lost, raven.frames, raven.blind_frames) == (8, 3, 4, 1)
     assert drops.markers_lost == 4 and drops.unplaced == 1, "nobody knows where Kahn was"
@@ -93,7 +94,7 @@ def test_a_vehicle_counts_as_lost_only_after_it_was_seen(play):
         ("/cortex_raw", Cortex(Obj=[States(name="Raven", visible=is_seen, x=0.1 * k, y=-0.5)]), T0_S + 0.1 * k)
         for k, is_seen in enumerate(seen)
     ]
-    drops = play(DropCollector(), rows).drops()
+    drops = play(DropCollector(), rows).drops(T0_S + 0.8)
     raven = drops.vehicles["Raven"]
     assert (raven.frames, raven.invisible, raven.times) == (7, 4, 2)
     assert raven.longest_s == pytest.approx(0.3, abs=1e-6)
@@ -102,12 +103,35 @@ def test_a_vehicle_counts_as_lost_only_after_it_was_seen(play):
 
 def test_a_gap_of_the_stream_is_counted(play):
     rows = [("/mocap_data", Mocap_data(), T0_S + t_s) for t_s in (0.0, 0.005, 0.405, 0.41)]
-    drops = play(DropCollector(), rows).drops()
+    drops = play(DropCollector(), rows).drops(T0_S + 0.415)
     assert drops.gaps == 1 and drops.longest_gap_s == pytest.approx(0.4, abs=1e-6)
 
 
+@pytest.mark.parametrize("late_s", [0.004, 500.0])  # 500: the stamps are of a clock of their own
+def test_what_is_lost_at_the_end_is_lost_until_then(tmp_path, late_s):
+    """When the cameras fall silent the estimator says so once, with the stamp of the last frame."""
+    path = tmp_path / "silent.bag"
+    seen, lost = (Cortex(Obj=[States(name="Raven", visible=visible)]) for visible in (True, False))
+    with rosbag.Bag(str(path), "w") as bag:
+        for stamp_s, receipt_s, states in ((0.0, 0.0, seen), (0.005, 0.005, seen), (0.005, 0.105, lost)):
+            states.header.stamp = rospy.Time.from_sec(T0_S + stamp_s)
+            frame = Mocap_data(header=states.header)
+            if states is seen:
+                bag.write("/mocap_data", frame, rospy.Time.from_sec(T0_S + late_s + receipt_s))
+            bag.write("/cortex_raw", states, rospy.Time.from_sec(T0_S + late_s + receipt_s))
+    collector = DropCollector()
+    with Bag(path) as bag:
+        for message in bag.messages():
+            collector(*message)
+    for _ in range(2):  # asking changes nothing
+        drops = collector.drops(T0_S + late_s + 5.005)
+        assert drops.vehicles["Raven"].longest_s == pytest.approx(5.0, abs=1e-6)
+        assert drops.gaps == 1
+        assert (drops.longest_gap_s, drops.silent_end_s) == pytest.approx((5.0, 5.0), abs=1e-6)
+
+
 def test_without_motion_capture_there_is_nothing_to_lose():
-    assert DropCollector().drops() is None
+    assert DropCollector().drops(T0_S) is None
 
 
 def moving(t_s, x=0.0, u=0.0, y=0.0, z=1.0):
@@ -159,6 +183,18 @@ def test_rungs_last_until_the_next_change_or_the_end(play):
     assert [span.reason for span in spans] == ["", "state 120 ms old", "", "x"]
     lengths_s = [span.end_s - span.begin_s for span in spans]
     assert lengths_s == pytest.approx([2.0, 0.5, 1.5, 1.0], abs=1e-6)
+
+
+def test_of_very_many_rungs_every_landing_is_kept_and_none_is_stretched(play):
+    texts = ["hold: %d" % k if k % 2 else "ok" for k in range(2101)]
+    texts += ["land: 20 % left", "land: 19 % left", "ok", "hold: x"]
+    rows = [("/risc1/safety", String(text), T0_S + k) for k, text in enumerate(texts)]
+    collector = play(LadderCollector(), rows)
+    spans = collector.spans(T0_S + 10_000.0)["risc1"]
+    assert len(spans) == 2001
+    assert (spans[-2].rung, spans[-2].begin_s, spans[-2].end_s) == (Rung.HOLD, T0_S + 1999.0, T0_S + 2000.0)
+    assert (spans[-1].rung, spans[-1].begin_s, spans[-1].end_s) == (Rung.LAND, T0_S + 2101.0, T0_S + 2103.0)
+    assert collector.left_out == 50 + 2, "holds after the 2000th change, the landing's other reason, the last hold"
 
 
 def diagnostics(t_s, **values):
@@ -225,10 +261,28 @@ def test_events_are_what_changes(play):
     ]
 
 
-def test_events_beyond_a_limit_are_counted(play):
-    rows = [("/operator/phase", String("phase %d" % k), T0_S + k) for k in range(450)]
+@pytest.mark.parametrize("count", [450, 2000])
+def test_of_many_events_the_first_and_the_last_are_kept(play, count):
+    rows = [("/operator/phase", String("phase %d" % k), T0_S + k) for k in range(count)]
     collector = play(EventCollector(), rows)
-    assert (len(collector.events), collector.left_out) == (400, 50)
+    texts = [event.text for event in collector.events]
+    assert texts == ["phase %d" % k for k in (*range(200), *range(count - 200, count))]
+    assert collector.left_out == count - 400
+
+
+def test_warnings_are_left_out_before_phases(play):
+    texts = ["warning " + "x" * k for k in range(1500)]
+    rows = [("/rosout", Log(level=Log.WARN, name="/a", msg=text), T0_S + k) for k, text in enumerate(texts)]
+    rows += [("/operator/phase", String("phase %d" % k), T0_S + 700.5 + k) for k in range(10)]
+    rows.append(("/risc1/ardrone/land", Empty(), T0_S + 710.9))
+    collector = play(EventCollector(), sorted(rows, key=lambda row: row[2]))
+    kept = [event.text for event in head_and_tail(collector.events, 60) if not event.is_minor]
+    assert kept == ["phase %d" % k for k in range(10)] + ["landing ordered"]
+    assert (len(collector.events), collector.left_out) == (400, 1111)
+
+
+def test_a_vehicle_without_a_namespace_is_not_called_after_its_topics(play):
+    assert [event.source for event in play(EventCollector(), [("/ardrone/land", Empty(), T0_S)]).events] == ["vehicle"]
 
 
 def test_the_rectified_compressed_picture_is_preferred():
@@ -315,11 +369,19 @@ def test_what_lies_beside_a_bag_is_read(tmp_path):
     assert origin.hash == parameter_hash(PARAMETERS) and origin.flight == {"seed": 7}
 
 
-@pytest.mark.parametrize(("name", "text"), [("flight.yaml", "{"), ("flight.yaml", "- 1"), ("summary.json", "{'a'}")])
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("flight.yaml", "{"), ("flight.yaml", "- 1"), ("flight.yaml", "arguments: 7"), ("summary.json", "{'a'}")],
+)
 def test_a_file_that_cannot_be_read_is_named(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=name + ".*mend it or move it away"):
         read_beside(tmp_path / "flight.bag")
+
+
+def test_a_flight_file_with_empty_parts_says_nothing(tmp_path):
+    (tmp_path / "flight.yaml").write_text("arguments:\nversions:\n")
+    assert read_beside(tmp_path / "flight.bag").flight == {}
 
 
 def test_samples_stay_evenly_spread():
@@ -380,4 +442,18 @@ def test_a_chunk_that_is_damaged_is_said(tmp_path):
     data[data.index(b"BZh") + 200] ^= 0xFF
     path.write_bytes(bytes(data))
     with Bag(path) as bag, pytest.raises(BagError, match="is damaged"):
+        list(bag.messages())
+
+
+def test_a_chunk_that_lost_its_end_is_said(tmp_path):
+    path = tmp_path / "short.bag"
+    with rosbag.Bag(str(path), "w", compression="bz2") as bag:
+        for k in range(1000):
+            bag.write("/a", String("text %d" % k), rospy.Time.from_sec(T0_S + k))
+    data = bytearray(path.read_bytes())
+    begin = data.index(b"BZh")
+    (size,) = struct.unpack_from("<I", data, begin - 4)
+    struct.pack_into("<I", data, begin - 4, size - 50)
+    path.write_bytes(bytes(data))
+    with Bag(path) as bag, pytest.raises(BagError, match="short.bag is damaged .* run `rosbag reindex`"):
         list(bag.messages())

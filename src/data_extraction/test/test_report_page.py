@@ -13,6 +13,7 @@ import yaml
 from cv_bridge import CvBridge
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo, TimeReference
 from std_msgs.msg import Bool, String
 
@@ -156,10 +157,11 @@ def full_rows():
     yield 20.0, "/operator/result", String("ok")
 
 
-def write_bag(path, rows):
+def write_bag(path, rows, unstamped=()):
+    """unstamped: topics whose messages bear no stamp."""
     with rosbag.Bag(str(path), "w") as bag:
         for t_s, topic, message in rows:
-            if getattr(message, "_has_header", False):
+            if getattr(message, "_has_header", False) and topic not in unstamped:
                 message.header.stamp = rospy.Time.from_sec(T0_S + t_s)
             bag.write(topic, message, rospy.Time.from_sec(T0_S + t_s + 0.004))
 
@@ -254,7 +256,7 @@ def test_a_poor_bag_says_what_is_missing(tmp_path):
 
 
 def test_a_bag_of_the_original_release_is_matched_by_place(tmp_path):
-    """References carry the name of their course, lost markers 9999.999 m, and there are no phases."""
+    """References carry the name of their course and no stamp, lost markers 9999.999 m, and there are no phases."""
     rows = []
     for t_s, topic, message in full_rows():
         if topic == "/trajectory":
@@ -267,12 +269,63 @@ def test_a_bag_of_the_original_release_is_matched_by_place(tmp_path):
                     marker.x = marker.y = marker.z = 9999.999
         if topic in ("/trajectory", "/cortex_raw", "/mocap_data"):
             rows.append((t_s, topic, message))
-    write_bag(tmp_path / "legacy.bag", rows)
+    write_bag(tmp_path / "legacy.bag", rows, unstamped=("/trajectory",))
     make(tmp_path / "legacy.bag", folder=tmp_path / "out")
     page = read(tmp_path / "out" / "report.html")
     assert "tracking" in page.ids and "/trajectory names courses, not vehicles (Circle)" in page.text.replace("T", "/t")
-    assert next(row for row in page.rows if row[:1] == ["fluffy_II"])[-1] == "20.0\u202fms", "lag"
+    assert next(row for row in page.rows if row[:1] == ["fluffy_II"])[-1] == "20.0\u202fms", "lag: both on one clock"
+    assert "bears no stamps: times are those of receipt" in page.text
+    assert "all of the time with a reference was judged" in page.text
     assert ["fluffy_II", "4000", "40", "0.50\u202f%", "0"] in page.rows
+
+
+def test_topics_of_other_types_are_named_and_left_out(tmp_path):
+    rows = [row for row in full_rows() if row[1] in ("/cortex_raw", "/risc1/safety")]
+    rows += [(1.0, "/trajectory", Path()), (1.1, "/robot/safety", Bool(True)), (1.2, "/joy", String("x"))]
+    write_bag(tmp_path / "other.bag", sorted(rows, key=lambda row: row[0]))
+    make(tmp_path / "other.bag", folder=tmp_path)
+    page = read(tmp_path / "report.html")
+    assert {"map", "ladder", "fence"} <= set(page.ids) and "tracking" not in page.ids
+    assert "/trajectory was not read: it is of type nav_msgs/Path, the lab's is of type Trajectories." in page.text
+    assert "/robot/safety was not read: it is of type std_msgs/Bool, the lab's is of type String." in page.text
+    assert "/joy was not read" in page.text and page.text.count("was not read") == 3
+
+
+def test_what_was_not_judged_is_not_said_to_be(tmp_path):
+    """The only vehicle with a reference was never seen while it had one."""
+    rows = [row for row in full_rows() if row[1] == "/cortex_raw" and row[0] < 5.0]
+    rows += [row for row in full_rows() if row[1] == "/trajectory" and row[0] > 6.0]
+    write_bag(tmp_path / "apart.bag", rows)
+    make(tmp_path / "apart.bag", folder=tmp_path)
+    page = read(tmp_path / "report.html")
+    assert "the bag is too short" in page.text and "was judged" not in page.text
+
+
+def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
+    """The last 5 s have no frame; nothing else changes, and no vehicle leaves the lowest rung."""
+    silent = ("/mocap_data", "/cortex_raw", "/ground_truth", "/trajectory")
+    rows = [row for row in full_rows() if row[1] in (*silent, "/diagnostics", "/risc1/ardrone/navdata")]
+    rows = [row for row in rows if row[0] < 15.0 or row[1] not in silent] + [(1.0, "/risc1/safety", String("ok"))]
+    write_bag(tmp_path / "end.bag", sorted(rows, key=lambda row: row[0]))
+    (tmp_path / "flight.yaml").write_text("arguments:\nversions:\n")
+    make(tmp_path / "end.bag", folder=tmp_path)
+    page = read(tmp_path / "report.html")
+    assert "1 gaps of more than 100 ms" in page.text
+    assert "The last frame came 4.9 s before the end of the bag; that is counted as a gap." in page.text
+    assert "they count from the start of the node" in page.text
+    assert "No vehicle left the lowest rung." in page.text and "low on battery" not in page.text
+    assert "look-ahead" in next(row for row in page.rows if "nearest to the net" in row)
+
+
+def test_of_many_events_the_page_shows_the_end(tmp_path):
+    rows = [(0.1 * k, "/operator/phase", String("phase %d" % k)) for k in range(100)]
+    rows += [(10.0, "/operator/result", String("ok"))]
+    write_bag(tmp_path / "many.bag", rows)
+    make(tmp_path / "many.bag", folder=tmp_path)
+    page = read(tmp_path / "report.html")
+    texts = [row[2] for row in page.rows if row[1:2] == ["operator"]]
+    assert len(texts) == 60 and texts[0] == "phase 0" and texts[-1] == "result: ok"
+    assert "41 further events are not listed" in page.text
 
 
 def test_command_line(full, tmp_path, capsys):

@@ -88,7 +88,9 @@ class Bag:
         try:
             for connection, timestamp_ns, raw in self._reader.messages(connections=connections):
                 yield connection.topic, 1e-9 * timestamp_ns, self._message(connection, raw)
-        except (ReaderError, OSError, RuntimeError) as error:  # the last two: a chunk that cannot be decompressed
+        except BagError:
+            raise
+        except (ReaderError, OSError, RuntimeError, ValueError, EOFError) as error:  # all but the first: decompression
             raise BagError("%s is damaged (%s): run `rosbag reindex` on it" % (self.path, error)) from error
 
     def _message(self, connection, raw):

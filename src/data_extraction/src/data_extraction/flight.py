@@ -108,9 +108,10 @@ class FlightCollector:
         self._bearings = BearingCollector(fleet)
         self._bearing_delay_s = bearing_delay_s
         self._with_bearings = with_bearings
-        self._desired = {}  # {(place in Obj[], name): Samples of stamp, x, y, z, psi}
+        self._desired = {}  # {(place in Obj[], name): Samples of stamp, receipt, x, y, z, psi}
         self._states = {"/cortex_raw": {}, "/ground_truth": {}}  # {topic: {name: Samples of the same}}
         self._order = []  # of the vehicles on /cortex_raw
+        self._unstamped = False  # whether /trajectory bears no stamps, as in the original release
         # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
         self._arrivals = {topic: Arrivals() for topic in ("/mocap_data", "/cortex_raw", "/controls")}
         self._commands = {}  # {topic of commands: Arrivals}
@@ -123,12 +124,13 @@ class FlightCollector:
         if self._with_bearings or topic not in self._states:
             self._bearings(topic, receipt_s, message)
         if topic == "/trajectory":
+            self._unstamped |= not _stamp_ns(message)
             stamp_s = _stamp_s(message, receipt_s)
             for index, reference in enumerate(message.Obj):
-                row = (stamp_s, reference.x, reference.y, reference.z, reference.psi)
+                row = (stamp_s, receipt_s, reference.x, reference.y, reference.z, reference.psi)
                 _samples_of(self._desired, (index, reference.name)).append(row)
         elif topic in self._states:
-            self._keep_states(topic, _stamp_s(message, receipt_s), message)
+            self._keep_states(topic, receipt_s, message)
             if topic in self._arrivals:
                 self._arrivals[topic].append(_stamp_ns(message), receipt_s)
         elif topic in self._arrivals:
@@ -174,15 +176,18 @@ class FlightCollector:
         if every > 1:
             notes.append("the bag is long: one of %d positions was used" % every)
         references = self._references(states, notes)
-        start_s = min([samples.first[0] for parts in references.values() for samples in parts], default=None)
+        clock = 1 if self._unstamped else 0  # column of the times: references and states must have the same
+        if self._unstamped:
+            notes.append("/trajectory bears no stamps: times are those of receipt, of the positions too")
+        whole = not strict and not self._phases
+        start_s = min([samples.first[clock] for parts in references.values() for samples in parts], default=None)
         vehicles, paths = {}, {}
         for name, samples in sorted(states.items()):  # one after the other: only one is in memory as a whole
-            actual = _series(samples.table())
+            actual = _series(samples.table(), clock)
             paths[name] = actual.thinned(PATH_ROWS)
             if name not in references:
                 continue
-            reference = _series(np.vstack([part.table() for part in references[name]]))
-            whole = not strict and not self._phases
+            reference = _series(np.vstack([part.table() for part in references[name]]), clock)
             spans = [(reference.t_s[0], np.inf)] if whole else self._course_spans(name)
             try:
                 vehicles[name] = evaluate(reference, actual, spans, start_s)
@@ -190,7 +195,7 @@ class FlightCollector:
                 if strict:
                     raise
                 notes.append("%s: %s" % (name, error))
-        if references and not self._phases:
+        if vehicles and whole:
             notes.append("there is no /trajectory_phase in the bag: all of the time with a reference was judged")
         return Flight(
             start_s=start_s,
@@ -207,12 +212,13 @@ class FlightCollector:
     def _source(self):
         return "/ground_truth" if self._states["/ground_truth"] else "/cortex_raw"
 
-    def _keep_states(self, topic, stamp_s, message):
-        if len(message.Obj) > len(self._order):
+    def _keep_states(self, topic, receipt_s, message):
+        stamp_s = _stamp_s(message, receipt_s)
+        if topic == "/cortex_raw" and len(message.Obj) > len(self._order):
             self._order = [state.name for state in message.Obj]
         for state in message.Obj:
             if state.visible:
-                row = (stamp_s, state.x, state.y, state.z, math.radians(state.psi))
+                row = (stamp_s, receipt_s, state.x, state.y, state.z, math.radians(state.psi))
                 _samples_of(self._states[topic], state.name).append(row)
 
     def _references(self, states, notes):
@@ -333,7 +339,7 @@ def _stamp_s(message, receipt_s):
 
 def _samples_of(samples, key):
     if key not in samples:
-        samples[key] = Samples(5, MOST_ROWS)
+        samples[key] = Samples(6, MOST_ROWS)
     return samples[key]
 
 
@@ -352,12 +358,15 @@ def _phase_entries(text):
             yield name.strip(), phase.strip()
 
 
-def _series(table):
-    """Series of (n, 5) rows stamp, x, y, z, psi, in the order of time, yaw unwrapped."""
-    _, first = np.unique(table[:, 0], return_index=True)
-    table = table[first]
-    table[:, 4] = np.unwrap(table[:, 4])
-    return Series(table[:, 0], table[:, 1:])
+def _series(table, clock):
+    """Series of (n, 6) rows stamp, receipt, x, y, z, psi, in the order of time, yaw unwrapped.
+
+    clock: which column holds the times.
+    """
+    t_s, first = np.unique(table[:, clock], return_index=True)
+    values = table[first, 2:]
+    values[:, 3] = np.unwrap(values[:, 3])
+    return Series(t_s, values)
 
 
 def evaluate(desired, actual, spans, start_s):

@@ -11,6 +11,7 @@ from data_extraction.report.drops import DropCollector, Drops
 from data_extraction.report.events import Event, EventCollector
 from data_extraction.report.fence import FenceCollector, FenceMargin
 from data_extraction.report.gates import GateCollector, GateCounts
+from data_extraction.report.kinds import fits
 from data_extraction.report.ladder import LadderCollector, Span
 from data_extraction.report.origin import Origin
 from data_extraction.report.snapshots import Snapshot, SnapshotCollector
@@ -25,6 +26,7 @@ class Material:
     duration_s: float
     topics: Dict[str, int]  # topic -> number of messages
     types: Dict[str, str]
+    foreign: List[str]  # topics that were not read: their names are the lab's, their types are not
     origin: Origin
     flight: Flight
     drops: Optional[Drops]
@@ -70,7 +72,9 @@ class ReportCollector:
             self.flight, self._drops, self._gates, self._ladder, self._batteries, self._fence, self._events,
             self._snapshots,
         )  # fmt: skip
-        self._takers = {topic: [part for part in parts if part.wants(topic)] for topic in self._topics}
+        takers = {topic: [part for part in parts if part.wants(topic)] for topic in self._topics}
+        self._foreign = [topic for topic in takers if takers[topic] and not fits(topic, self._types[topic])]
+        self._takers = {topic: [] if topic in self._foreign else takers[topic] for topic in takers}
 
     @property
     def wanted(self):
@@ -89,17 +93,19 @@ class ReportCollector:
     def material(self, flight=None):
         """Material of what was collected. flight: when it has been evaluated already."""
         snapshots, snapshot_notes = self._snapshots.snapshots()
+        end_s = self._start_s + self._duration_s
         return Material(
             bag_path=self._bag_path,
             start_s=self._start_s,
             duration_s=self._duration_s,
             topics=self._topics,
             types=self._types,
+            foreign=self._foreign,
             origin=self._origin,
             flight=flight or self.flight.overview(),
-            drops=self._drops.drops(),
+            drops=self._drops.drops(end_s),
             gates=self._gates.counts(),
-            ladder=self._ladder.spans(self._start_s + self._duration_s),
+            ladder=self._ladder.spans(end_s),
             ladder_left_out=self._ladder.left_out,
             batteries=self._batteries.batteries(),
             margins=self._fence.margins(),

@@ -2,7 +2,7 @@
 
 import math
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Dict, Optional
 
 import numpy as np
@@ -52,7 +52,8 @@ class Drops:
     lost_places_m: np.ndarray  # (n, 2) [m] where vehicles became invisible
     frames: int  # of the stream
     gaps: int
-    longest_gap_s: Optional[float]  # None = there were not even two frames
+    longest_gap_s: Optional[float]  # None = there was no frame
+    silent_end_s: float  # how long before the bag's end the last frame came; a gap when it is longer than one
 
     @property
     def least_markers(self):
@@ -73,6 +74,12 @@ class _Watched:
     lost_since_s: Optional[float] = None
     totals: Invisibility = field(default_factory=Invisibility)
 
+    def until(self, end_s):
+        """Invisibility of all the time until end_s [s], which is a stamp."""
+        if self.lost_since_s is None:
+            return self.totals
+        return replace(self.totals, longest_s=max(self.totals.longest_s, end_s - self.lost_since_s))
+
 
 def cell_edges():
     """Edges [m] of the maps' cells along x (n + 1,) and y (m + 1,)."""
@@ -91,6 +98,7 @@ class DropCollector:
         self._lost_places = array("d")
         self._unplaced = 0
         self._last_frame_s = None
+        self._late_s = math.inf  # least time from a stamp to its receipt: what the clocks differ by
         self._frames, self._gaps, self._longest_gap_s = 0, 0, None
 
     def wants(self, topic):
@@ -100,29 +108,42 @@ class DropCollector:
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
         if topic == MOCAP:
-            self._note_frame(seconds(message.header.stamp) or receipt_s)
+            self._note_frame(self._stamp_s(message, receipt_s))
             for body in message.Obj:
                 self._note_markers(body)
         elif topic == STATES:
-            stamp_s = seconds(message.header.stamp) or receipt_s
+            stamp_s = self._stamp_s(message, receipt_s)
             for state in message.Obj:
                 self._note_state(state, stamp_s)
 
-    def drops(self):
-        """Drops of what was collected; None when the bag held no motion capture."""
+    def drops(self, end_s):
+        """Drops of what was collected; None when the bag held no motion capture.
+
+        end_s: time of receipt at which the bag ends. What is lost then is lost until then, and so is the stream.
+        """
         if not self._frames and not self._vehicles:
             return None
+        end_s -= self._late_s  # on the clock of the stamps
+        silent_end_s = max(0.0, end_s - self._last_frame_s) if self._frames else 0.0
+        longest_gap_s = max(self._longest_gap_s or 0.0, silent_end_s) if self._frames else None
         return Drops(
             markers=dict(sorted(self._markers.items())),
-            vehicles={name: watched.totals for name, watched in sorted(self._vehicles.items())},
+            vehicles={name: watched.until(end_s) for name, watched in sorted(self._vehicles.items())},
             seen_map=self._seen,
             lost_map=self._lost,
             unplaced=self._unplaced,
             lost_places_m=np.array(self._lost_places).reshape(-1, 2),
             frames=self._frames,
-            gaps=self._gaps,
-            longest_gap_s=self._longest_gap_s,
+            gaps=self._gaps + (silent_end_s > GAP_S),
+            longest_gap_s=longest_gap_s,
+            silent_end_s=silent_end_s,
         )
+
+    def _stamp_s(self, message, receipt_s):
+        """Stamp of a message; its receipt when nobody stamped it."""
+        stamp_s = seconds(message.header.stamp) or receipt_s
+        self._late_s = min(self._late_s, receipt_s - stamp_s)
+        return stamp_s
 
     def _note_frame(self, stamp_s):
         self._frames += 1

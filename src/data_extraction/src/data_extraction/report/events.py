@@ -1,11 +1,11 @@
 """What the operator did and was told: phases, joystick buttons, take-off and landing, modes, warnings of the nodes."""
 
 import re
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from data_extraction.report.naming import vehicle_of
 
-_MOST = 400  # events that are kept
+_MOST = 400  # events that are kept; twice as many while the bag is read
 _AGAIN_S = 3.0  # the same event within so long is the same one, repeated
 _TOGETHER_S = 0.5  # the same event of several vehicles within so long is one of all of them
 _WARN = 4  # rosgraph_msgs/Log
@@ -13,25 +13,53 @@ _ORDERS = {"takeoff": "take-off ordered", "land": "landing ordered", "reset": "r
 _LAB = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout")
 
 
-class Event(NamedTuple):
+@dataclass
+class Event:
     """Something that happened."""
 
     time_s: float  # receipt
     source: str  # vehicles' namespaces or names, or a node
     text: str
     count: int = 1  # how often in a row
+    is_minor: bool = False  # a warning or a button: the first to be left out
+
+
+def head_and_tail(events, most):
+    """Of a list of events `most`, in their order: minor ones are left out first, then those in the middle."""
+    places = {False: [], True: []}
+    for place, event in enumerate(events):
+        places[event.is_minor].append(place)
+    kept = _ends(places[False], most)
+    kept += _ends(places[True], most - len(kept))
+    return [events[place] for place in sorted(kept)]
+
+
+def _ends(items, most):
+    """The first and the last items of a list, `most` of them."""
+    tail = most // 2
+    return items if len(items) <= most else items[: most - tail] + items[len(items) - tail :]
 
 
 class EventCollector:
     """Takes the messages of a bag one by one, keeps what changed."""
 
     def __init__(self):
-        self.events = []
-        self.left_out = 0  # events beyond those that were kept
-        self._newest = {}  # key -> (index of its newest event, {source: when that last came})
+        self._events = []
+        self._count = 0  # of all, also of those that were not kept
+        self._newest = {}  # key -> (its newest event, {source: when that last came})
         self._pressed = {}  # source -> buttons held
         self._modes = {}
         self._phases = {}
+
+    @property
+    def events(self):
+        """[Event, ...] in the order of time: those that were kept."""
+        return head_and_tail(self._events, _MOST)
+
+    @property
+    def left_out(self):
+        """How many events there were beyond those that were kept."""
+        return self._count - len(self.events)
 
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
@@ -46,7 +74,8 @@ class EventCollector:
         if topic == "/rosout":
             if message.level >= _WARN:
                 # numbers in a warning are those of the moment
-                self._add(receipt_s, message.name.strip("/"), message.msg, re.sub(r"\d+", "#", message.msg))
+                key = re.sub(r"\d+", "#", message.msg)
+                self._add(receipt_s, message.name.strip("/"), message.msg, key, is_minor=True)
         elif topic.startswith("/operator/"):
             self._add(receipt_s, "operator", message.data if last == "phase" else "result: " + message.data)
         elif topic == "/trajectory_phase":
@@ -54,14 +83,14 @@ class EventCollector:
         elif last == "joy":
             held = {index for index, value in enumerate(message.buttons) if value}
             for index in sorted(held - self._pressed.get(source, set())):
-                self._add(receipt_s, source, "joystick button %d" % index)
+                self._add(receipt_s, source, "joystick button %d" % index, is_minor=True)
             self._pressed[source] = held
         elif last == "controller_status":
             if self._modes.get(source, False) != message.data:
                 self._add(receipt_s, source, "mode: autonomous" if message.data else "mode: manual")
             self._modes[source] = message.data
         else:
-            self._add(receipt_s, source, _ORDERS[last])
+            self._add(receipt_s, vehicle_of(topic, levels=2), _ORDERS[last])  # of RISC/ardrone/land
 
     def _note_phases(self, receipt_s, text):
         for item in text.replace("\n", ";").split(";"):
@@ -71,23 +100,25 @@ class EventCollector:
                 self._phases[vehicle] = phase
                 self._add(receipt_s, vehicle, "trajectory: " + phase)
 
-    def _add(self, time_s, source, text, key=None):
+    def _add(self, time_s, source, text, key=None, is_minor=False):
         """Enter an event. key: what makes it the same as another one; None = its text."""
         key = key or text
-        index, times_s = self._newest.get(key, (None, {}))
-        if index is not None:
-            event = self.events[index]
+        event, times_s = self._newest.get(key, (None, {}))
+        if event is not None:
             if source in times_s and time_s - times_s[source] < _AGAIN_S:
                 times_s[source] = time_s
                 if source == event.source.partition(",")[0]:
-                    self.events[index] = event._replace(count=event.count + 1)
+                    event.count += 1
                 return
             if source not in times_s and time_s - event.time_s < _TOGETHER_S:
                 times_s[source] = time_s
-                self.events[index] = event._replace(source="%s, %s" % (event.source, source))
+                event.source = "%s, %s" % (event.source, source)
                 return
-        if len(self.events) < _MOST:
-            self._newest[key] = (len(self.events), {source: time_s})
-            self.events.append(Event(time_s, source, text))
-        else:
-            self.left_out += 1
+        event = Event(time_s, source, text, is_minor=is_minor)
+        self._count += 1
+        self._events.append(event)
+        self._newest[key] = (event, {source: time_s})
+        if len(self._events) > 2 * _MOST:
+            self._events = self.events
+            kept = {id(event) for event in self._events}
+            self._newest = {key: newest for key, newest in self._newest.items() if id(newest[0]) in kept}

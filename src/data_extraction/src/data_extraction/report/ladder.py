@@ -1,13 +1,14 @@
 """The loss ladder of every vehicle over time, from its safety topic."""
 
 import re
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import List, NamedTuple, Optional
 
 from data_extraction.report.naming import vehicle_of
 from risc_control.safety import Rung
 
 SAFETY = "/safety"
-_MOST_SPANS = 2000  # of one vehicle; the texts of more are not kept
+_MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
 
 
 class Span(NamedTuple):
@@ -25,12 +26,20 @@ class Span(NamedTuple):
         return re.sub(r"-?\d+(\.\d+)?", "…", self.reason)
 
 
+@dataclass
+class _Vehicle:
+    """One vehicle's rungs so far."""
+
+    text: Optional[str] = None  # of the newest message
+    rows: List[list] = field(default_factory=list)  # [begin, end, text]; end None = it lasts
+
+
 class LadderCollector:
     """Takes the messages of a bag one by one, keeps the changes."""
 
     def __init__(self):
-        self._changes = {}  # vehicle -> [(receipt, text)]
-        self.left_out = 0  # changes beyond those that were kept
+        self._vehicles = {}
+        self.left_out = 0  # changes to a higher rung, or to another reason there, beyond those that were kept
 
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
@@ -40,23 +49,31 @@ class LadderCollector:
         """Take one message; topics that are of no interest are passed over."""
         if not topic.endswith(SAFETY):
             return
-        changes = self._changes.setdefault(vehicle_of(topic), [])
-        if changes and changes[-1][1] == message.data:
+        vehicle = self._vehicles.setdefault(vehicle_of(topic), _Vehicle())
+        if vehicle.text == message.data:
             return
-        if len(changes) < _MOST_SPANS:
-            changes.append((receipt_s, message.data))
+        vehicle.text = message.data
+        rung, rows = _parsed(message.data)[0], vehicle.rows
+        lasting = rows[-1] if rows and rows[-1][1] is None else None
+        if len(rows) >= _MOST_SPANS and lasting and rung == _parsed(lasting[2])[0] == Rung.LAND:
+            self.left_out += 1  # another reason for the same landing
+            return
+        if lasting:
+            lasting[1] = receipt_s
+        if len(rows) < _MOST_SPANS or rung == Rung.LAND:
+            rows.append([receipt_s, None, message.data])
         else:
-            self.left_out += 1
+            self.left_out += rung != Rung.OK
 
     def spans(self, end_s):
         """{vehicle: [Span, ...]} in the order of time; the last lasts until the end of the bag, at end_s."""
-        result = {}
-        for vehicle, changes in sorted(self._changes.items()):
-            ends = [begin_s for begin_s, _ in changes[1:]] + [end_s]
-            result[vehicle] = [
-                Span(vehicle, begin_s, end_s, *_parsed(text)) for (begin_s, text), end_s in zip(changes, ends)
+        return {
+            name: [
+                Span(name, begin_s, end_s if until_s is None else until_s, *_parsed(text))
+                for begin_s, until_s, text in vehicle.rows
             ]
-        return result
+            for name, vehicle in sorted(self._vehicles.items())
+        }
 
 
 def _parsed(text):

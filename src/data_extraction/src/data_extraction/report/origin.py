@@ -65,7 +65,7 @@ def read_beside(bag_path, fleet_path=None):
     fleet_path = pathlib.Path(fleet_path) if fleet_path else folder / FLEET
     parameters = folder / PARAMETERS
     return Origin(
-        flight=_mapping(folder / FLIGHT, yaml.safe_load),
+        flight=_flight(folder / FLIGHT),
         parameters=_mapping(parameters, yaml.safe_load) if parameters.exists() else None,
         fleet=load_fleet(fleet_path) if fleet_path != folder / FLEET or fleet_path.exists() else None,
         summary=_mapping(folder / SUMMARY, json.loads),
@@ -90,6 +90,17 @@ def _canonical(value):
     if isinstance(value, str) and (value.startswith("/") or "://" in value):
         return value.rpartition("/")[2]
     return value
+
+
+def _flight(path):
+    """Content of flight.yaml; keys without a value are left out. Raises ValueError, as _mapping."""
+    flight = {key: value for key, value in _mapping(path, yaml.safe_load).items() if value is not None}
+    for key in ("arguments", "versions"):
+        if not isinstance(flight.get(key, {}), dict):
+            raise ValueError(
+                "%s: %s must be a mapping of names to values: mend it or move it away from the bag" % (path, key)
+            )
+    return flight
 
 
 def _mapping(path, load):

@@ -9,8 +9,10 @@ import numpy as np
 
 from data_extraction import plots
 from data_extraction.flight import HOPS, percentiles_ms
-from data_extraction.report.drops import CELL_M, cell_edges
+from data_extraction.report.drops import CELL_M, GAP_S, cell_edges
+from data_extraction.report.events import head_and_tail
 from data_extraction.report.gates import GATES
+from data_extraction.report.kinds import expected
 from risc_control.safety import Rung
 
 UNKNOWN = "unknown"
@@ -240,6 +242,10 @@ def motion_capture(material, _summary):
             1e3 * drops.longest_gap_s
         )  # fmt: skip
         section.texts.append("%d frames in the bag, %d gaps of more than 100 ms%s." % (drops.frames, drops.gaps, gap))
+        if drops.silent_end_s > GAP_S:
+            section.texts.append(
+                "The last frame came %.1f s before the end of the bag; that is counted as a gap." % drops.silent_end_s
+            )
     if drops.markers:
         rows = [
             [name, "%d" % loss.frames, "%d" % loss.lost, _percent(loss.lost, loss.markers), "%d" % loss.blind_frames]
@@ -289,6 +295,9 @@ def gates(material, _summary):
             section.notes.append("%s, never: %s." % (gate.capitalize(), "; ".join(never)))
         if counts.unknown:
             section.notes.append("Bodies without a template, never estimated: %s." % counts.unknown)
+    section.notes.append(
+        "These are the nodes' own counters: they count from the start of the node, which may be before that of the bag."
+    )
     return section
 
 
@@ -298,10 +307,12 @@ def ladder(material, _summary):
         return Missing("Loss ladder", "no vehicle's safety topic was recorded")
     section = Section("ladder", "Loss ladder")
     caption = "Rung of every vehicle over time: ok, hold (level, altitude held), land."
+    if material.ladder_left_out:
+        caption += " Nothing is drawn where there were more changes than are kept."
     section.figures.append(_figure(plots.ladder(material.ladder, material.zero_s), caption))
     left = [span for spans in material.ladder.values() for span in spans if span.rung != Rung.OK]
     if not left:
-        section.texts.append("No vehicle left the lowest rung: nothing went stale, near the net, or low on battery.")
+        section.texts.append("No vehicle left the lowest rung.")
         return section
     kinds = {}
     for span in left:
@@ -340,14 +351,14 @@ def fence(material, _summary):
             "(%.2f, %.2f, %.2f) m" % item.least_place_m,
             _clock(item.least_s - material.zero_s),
             "%.2f m" % item.least_ahead_m,
+            "%g s" % item.limits.fence_lookahead_s,
             "%.2f m" % item.limits.fence_margin_m,
         ]
         for name, item in material.margins.items()
     ]
-    columns = ["vehicle", "nearest to the net", "there", "at", "with look-ahead", "limit"]
+    columns = ["vehicle", "nearest to the net", "there", "at", "with look-ahead", "look-ahead", "limit"]
     caption = (
-        "Distance from the net as the loss ladder sees it; with look-ahead: also of the place reached %g s later."
-        % next(iter(material.margins.values())).limits.fence_lookahead_s
+        "Distance from the net as the loss ladder sees it; with look-ahead: also of the place reached so much later."
     )
     section = Section("fence", "Fence margin", tables=[Table(caption, columns, rows)])
     if not material.origin.fence_limits():
@@ -432,15 +443,18 @@ def events(material, _summary):
             event.source,
             event.text + (" (%d times)" % event.count if event.count > 1 else ""),
         ]
-        for event in material.events
+        for event in head_and_tail(material.events, _MOST_ROWS)
     ]
     section = Section("events", "Events of the operator")
     section.tables.append(
-        Table("Phases, buttons, orders, modes, warnings.", ["time", "who", "what"], rows[:_MOST_ROWS], numeric=_TEXTS)
+        Table("Phases, buttons, orders, modes, warnings.", ["time", "who", "what"], rows, numeric=_TEXTS)
     )
-    left_out = max(0, len(rows) - _MOST_ROWS) + material.events_left_out
+    left_out = len(material.events) - len(rows) + material.events_left_out
     if left_out:
-        section.notes.append("%d further events are not listed." % left_out)
+        section.notes.append(
+            "%d further events are not listed: first warnings and buttons were left out, then what was in the middle."
+            % left_out
+        )
     return section
 
 
@@ -459,7 +473,16 @@ def contents(material, _summary):
         _date(material.start_s),
     )
     table = Table(caption, ["topic", "type", "messages", "rate"], rows, numeric=2)
-    return Section("contents", "What the bag holds", tables=[table])
+    notes = [
+        "%s was not read: it is of %s, the lab's is of type %s."
+        % (topic, _type_text(material.types[topic]), expected(topic))
+        for topic in sorted(material.foreign)
+    ]
+    return Section("contents", "What the bag holds", tables=[table], notes=notes)
+
+
+def _type_text(kind):
+    return "type " + kind.replace("/msg/", "/") if kind else "several types"
 
 
 def _figure(figure, caption, plan=False):
