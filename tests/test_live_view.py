@@ -92,7 +92,9 @@ class Flight:
 
     def kill_live_view(self):
         (pid,) = [
-            pid for pid, command in marked_processes(self.launch.identity).items() if "nodes/live_view" in command
+            pid
+            for pid, command in marked_processes(self.launch.identity).items()
+            if any(part.endswith("/risc_visual/live_view") for part in command.split())
         ]
         os.kill(pid, signal.SIGKILL)
 
@@ -200,7 +202,8 @@ def look_at(flight, folder):
         seen["resources"] = page.resources()
         page.press("LAND ALL")
         wait_for(lambda: page.text().count("landing (landing was requested)") == len(VEHICLES), page.text)
-        wait_for(lambda: "operator: aborted: no vehicle flies any more" in page.text(), page.text)
+        wait_for(lambda: "virtual operator: landing all vehicles" in page.text(), page.text)
+        wait_for(lambda: "operator: aborted: " in page.text(), page.text)
         wait_for(lambda: page.text().count("landed, battery") == len(VEHICLES), page.text)
         page.press("LAND ALL")
         wait_for(lambda: page.text().count("not airborne (state 2, landed)") == len(VEHICLES), page.text)
@@ -267,8 +270,8 @@ def test_land_all_lands_all_by_their_safety(seen):
         assert [text for text in said if text.startswith("land")] == ["land: landing was requested"]
         assert said[-1] == "ok", "it has landed"
         assert seen["heights_m"][template] < 0.1, "it stands on the floor"
-    reasons = ["%s landed by its loss ladder (landing was requested)" % name for name in VEHICLES]
-    assert seen["results"] == ["failed: no vehicle flies any more; " + "; ".join(reasons)]
+    (result,) = seen["results"]  # its begin is of whom the operator heard first: of the button, or of the vehicles
+    assert re.match("failed: (landing was requested|no vehicle flies any more)", result), result
 
 
 def test_a_view_that_dies_ends_no_flight(seen):

@@ -1,5 +1,8 @@
 """Messages of every kind, and files, become pictures; what cannot is refused in one sentence."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -70,6 +73,14 @@ def test_a_compressed_picture():
     assert np.array_equal(picture_from_msg(sent), BGR)
 
 
+def png_of_size(width, height):
+    """A PNG whose header tells a size that it does not have."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    file = bytearray(cv2.imencode(".png", BGR)[1].tobytes())
+    file[12:33] = header + struct.pack(">I", zlib.crc32(header))
+    return bytes(file)
+
+
 @pytest.mark.parametrize(
     "wrong, why",
     [
@@ -82,6 +93,7 @@ def test_a_compressed_picture():
         (message("yuv422", np.zeros((2, 3, 2), np.uint8)), "cannot convert 3 x 2 in yuv422"),
         (CompressedImage(format="jpeg", data=b""), r"compressed picture \(jpeg\) is damaged"),
         (CompressedImage(format="jpeg", data=b"no picture"), "damaged"),
+        (CompressedImage(format="png", data=png_of_size(10**6, 10**6)), r"compressed picture \(png\) is damaged: "),
         (String("a picture"), "no picture but"),
     ],
 )

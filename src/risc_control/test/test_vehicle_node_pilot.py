@@ -567,7 +567,7 @@ def test_a_request_lands_in_both_modes_until_it_stands(autonomous):
     assert not desk.pilot.autonomous
     desk.run(1.0)
     assert desk.count("land", since) == 0
-    assert request(desk) == (True, "not airborne (state 2, landed)")
+    assert request(desk) == (True, "it stands: not airborne (state 2, landed)")
     assert desk.count("land", since) == 0
     assert desk.press(TAKEOFF_LAND).takeoff, "and it may fly again"
 
@@ -605,6 +605,20 @@ def test_a_request_to_a_silent_vehicle_is_ordered_and_called_unsure():
     done, text = request(desk)
     assert (done, desk.pilot.ladder.verdict.rung) == (False, Rung.LAND)
     assert text == "landing (landing was requested), but the vehicle is silent"
+
+
+@pytest.mark.parametrize("state", [FlightState.UNKNOWN, FlightState.TEST])
+def test_a_request_to_a_vehicle_whose_state_proves_nothing_is_ordered_and_called_unsure(state):
+    """A node that was started anew during a flight may hear nothing else."""
+    desk = Desk()
+    desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
+    desk.flight_state = state
+    desk.run(0.5)
+    assert not desk.pilot.airborne
+    since = len(desk.orders)
+    done, text = request(desk)
+    assert (done, desk.count("land", since)) == (False, 1)
+    assert "it does not say that it stands (state %d, %s)" % (state, state.name.lower()) in text
 
 
 def test_a_request_to_a_node_that_ends_orders_nothing():

@@ -344,7 +344,7 @@ class VehicleNodeTest(unittest.TestCase):
         for vehicle in TEMPLATES:
             world.wait_for_state(vehicle, LANDED)
             answer = rospy.ServiceProxy("/%s/land" % vehicle, Trigger)()
-            self.assertEqual((answer.success, answer.message), (True, "not airborne (state 2, landed)"))
+            self.assertEqual((answer.success, answer.message), (True, "it stands: not airborne (state 2, landed)"))
         world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
         world.fly()
         for vehicle in TEMPLATES:

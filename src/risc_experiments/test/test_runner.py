@@ -3,6 +3,7 @@
 import io
 import os
 import pathlib
+import socket
 import subprocess
 import sys
 
@@ -11,7 +12,7 @@ import pytest
 
 from data_extraction.flight import Flight, Mocap, VehicleFlight
 from data_extraction.progress import Progress
-from risc_experiments.fly import FlightError, arguments, prepare_fleet
+from risc_experiments.fly import FlightError, WebPage, arguments, prepare_fleet
 from risc_experiments.judge import judge
 from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes
 from risc_experiments.progress import flight_detail
@@ -128,6 +129,29 @@ def test_progress_into_a_file_is_lines_without_control_characters():
     assert [line.split()[2] for line in lines[:2]] == ["takeoff", "fly"]
     assert lines[1].endswith("Raven    3 mm  mocap 200 Hz") and lines[2] == "done"
     assert "\033" not in stream.getvalue()
+
+
+def test_the_page_is_told_when_it_is_there_and_not_before():
+    stream, port = io.StringIO(), free_tcp_port()
+    page = WebPage(port, Progress(stream))
+    page.look()
+    assert stream.getvalue() == ""
+    with socket.socket() as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        server.bind(("127.0.0.1", port))
+        server.listen(1)
+        page.look()
+    page.look()
+    page.end()
+    assert stream.getvalue() == "to be seen (and landed) at http://127.0.0.1:%d\n" % port
+
+
+def test_a_page_that_never_came_is_told_at_the_end():
+    stream = io.StringIO()
+    page = WebPage(free_tcp_port(), Progress(stream))
+    page.look()
+    page.end()
+    assert stream.getvalue() == "there was no page of the flight (see roslaunch.log)\n"
 
 
 def test_defaults_of_the_command_line():

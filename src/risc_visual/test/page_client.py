@@ -26,13 +26,18 @@ _LENGTHS = 16  # [bytes] of the two lengths before the compressed part
 class PageClient:
     """A page that is open: the nodes of the scene, the texts and the buttons of the panel."""
 
-    def __init__(self, port):
+    def __init__(self, port, origin=None):
+        """origin: address of the page that connects, as a browser tells it."""
         self.nodes = {}  # path -> type of the message that made it
         self.messages = 0
         self.kinds = set()  # types of all messages
-        self._texts, self._buttons = {}, {}  # uuid -> content; label -> (uuid, value that a click sends)
+        self._texts, self._buttons = {}, {}  # uuid -> content; label -> uuid
         self._socket = connect(
-            "ws://127.0.0.1:%d" % port, subprotocols=["viser-v%s" % viser.__version__], max_size=None, compression=None
+            "ws://127.0.0.1:%d" % port,
+            origin=origin,
+            subprotocols=["viser-v%s" % viser.__version__],
+            max_size=None,
+            compression=None,
         )
         self._send(_CAMERA)
         self._thread = threading.Thread(target=self._listen, daemon=True)
@@ -48,8 +53,7 @@ class PageClient:
 
     def press(self, label):
         """Click a button."""
-        uuid, value = self._buttons[label]
-        self._send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}})
+        self._send({"type": "GuiUpdateMessage", "uuid": self._buttons[label], "updates": {"value": True}})
 
     def ask_for_tunnel(self):
         """As the share button of viser's page, which ours does not have."""
@@ -85,9 +89,7 @@ class PageClient:
         elif kind == "GuiUpdateMessage" and uuid in self._texts:
             self._texts[uuid] = message["updates"].get("content", self._texts[uuid])
         elif kind == "GuiButtonMessage":
-            self._buttons[message["props"]["label"]] = (uuid, True)
-        elif kind == "GuiButtonGroupMessage":
-            self._buttons.update({option: (uuid, option) for option in message["props"]["options"]})
+            self._buttons[message["props"]["label"]] = uuid
         elif "name" in message and "props" in message:
             self.nodes[message["name"]] = kind
 

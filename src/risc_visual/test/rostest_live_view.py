@@ -16,7 +16,7 @@ import rospy
 import rostest
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import Point, TransformStamped
 from page_client import PageClient, wait_for
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger, TriggerResponse
@@ -29,6 +29,7 @@ from risc_visual.ros import markers
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "live_view"
 RED = (1.0, 0.0, 0.0, 1.0)
+NO_COLOUR = (1e30, 0.0, 0.0, 1.0)  # no error of the message, but no number that a picture could hold
 LIFE_S = 2.0
 OUTPUTS = {
     "net": MarkerArray,
@@ -121,6 +122,17 @@ class LiveViewTest(unittest.TestCase):
         wait_for(lambda: not any(path.startswith("/Quad_Markers/") for path in page.nodes), "the end of their lives")
         self.assertIn("/net/Net/4", page.nodes)
 
+    def test_2_what_cannot_be_drawn_stops_neither_the_rest_nor_the_panel(self):
+        page = self.open_page()
+        bad = markers.marker(markers.header(), "bad", 1, Marker.LINE_STRIP, (0.0,) * 3, (0.1,) * 3, NO_COLOUR, LIFE_S)
+        bad.points = [Point(0.0, 0.0, 0.0), Point(1.0, 0.0, 0.0)]
+        self.topics["Quad_Markers"].publish([bad, ball(markers.header(), "good", 1, (0.0, 0.0, 1.0))])
+        wait_for(lambda: "/Quad_Markers/good/1" in page.nodes, page.nodes.copy)
+        self.assertNotIn("/Quad_Markers/bad/1", page.nodes)
+        before = page.text()
+        wait_for(lambda: page.text() != before, "a panel with a later time of day")
+        wait_for(lambda: "/Quad_Markers/good/1" not in page.nodes, "the end of its life, in a later turn")
+
     def test_3_rays_are_placed_by_tf(self):
         page = self.open_page()
         frames = tf2_ros.TransformBroadcaster()
@@ -176,14 +188,28 @@ class LiveViewTest(unittest.TestCase):
 
     def test_5_buttons_ask_the_safety_of_the_vehicles(self):
         page = self.open_page()
-        wait_for(lambda: page.labels() == {"LAND ALL", "risc1", "risc2"}, "buttons")
+        wait_for(lambda: page.labels() == {"LAND ALL", "land risc1", "land risc2"}, "buttons")
         page.press("LAND ALL")
         wait_for(lambda: "risc1: landing (landing was requested)" in page.text(), page.text)
         self.assertEqual(self.asked, ["risc1"])
         wait_for(lambda: 'class="bad">risc2: the vehicle node does not answer' in page.text(), page.text)
-        page.press("risc1")
+        self.assertNotIn("virtual operator", page.text(), "there is none")
+        page.press("land risc1")
         wait_for(lambda: self.asked == ["risc1", "risc1"], "the second call")
         wait_for(lambda: "risc2: the vehicle node" not in page.text(), page.text)
+
+        def on_operator_land(_request):
+            self.asked.append("operator")
+            return TriggerResponse(True, "landing all vehicles")
+
+        operator = rospy.Service("/operator/land", Trigger, on_operator_land)
+        self.addCleanup(operator.shutdown)
+        page.press("LAND ALL")
+        wait_for(lambda: "virtual operator: landing all vehicles" in page.text(), page.text)
+        wait_for(lambda: sorted(self.asked) == ["operator", "risc1", "risc1", "risc1"], lambda: str(self.asked))
+        page.press("land risc1")
+        wait_for(lambda: len(self.asked) == 5, lambda: str(self.asked))
+        self.assertEqual(self.asked[-1], "risc1", "the operator lands all or none")
 
     def test_6_when_the_last_page_is_closed_it_listens_no_more(self):
         first, second = self.open_page(), self.open_page()

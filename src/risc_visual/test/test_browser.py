@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from page_client import PageClient, wait_for
 from scipy.spatial.transform import Rotation
+from websockets.exceptions import InvalidStatus
 
 from risc_visual.browser import SHAPES, BrowserPanel, BrowserScene, net_of_sheet, open_server, text_picture
 from risc_visual.marker_scene import HERE, Draw, Erase, Look, Move, Placement, Shape
@@ -174,6 +175,49 @@ def test_clearing_leaves_nothing_but_the_floor(scene, server):
 
 
 def test_the_panel_shows_what_it_is_told(server):
-    panel = BrowserPanel(server, ["risc1", "risc2"], lambda names: None)
+    panel = BrowserPanel(server, ["risc1", "risc2"], lambda: None, lambda name: None)
     panel.show("<b>news</b>")
     assert panel._status.content == "<b>news</b>"
+    server.gui.reset()
+
+
+def test_two_buttons_pressed_at_once_land_both(server):
+    """Each is carried out in a thread of its own, later than it was pressed."""
+    landed = []
+    BrowserPanel(server, ["risc1", "risc2"], lambda: landed.append("all"), landed.append)
+    page = PageClient(server.get_port())
+    try:
+        wait_for(lambda: page.labels() == {"LAND ALL", "land risc1", "land risc2"}, lambda: str(page.labels()))
+        for label in ("land risc1", "land risc2", "LAND ALL"):
+            page.press(label)
+        wait_for(lambda: len(landed) == 3, lambda: str(landed))
+    finally:
+        page.close()
+        server.gui.reset()
+    assert sorted(landed) == ["all", "risc1", "risc2"]
+
+
+@pytest.mark.parametrize("origin", ["http://elsewhere.example", "http://127.0.0.1:1", "http://localhost:%d", "null"])
+def test_pages_of_others_are_refused(server, origin):
+    if "%" in origin:  # asked for as 127.0.0.1
+        origin %= server.get_port()
+    with pytest.raises(InvalidStatus, match="403"):
+        PageClient(server.get_port(), origin)
+
+
+def test_its_own_page_is_served(server):
+    page = PageClient(server.get_port(), "http://127.0.0.1:%d" % server.get_port())
+    try:
+        wait_for(lambda: server.get_clients(), "the page")
+    finally:
+        page.close()
+
+
+def test_what_cannot_be_drawn_keeps_nothing_else_from_being_drawn(scene, server):
+    bad = Look(Shape.LINE_STRIP, (0.02, 0.0, 0.0), (float("nan"), 0.0, 0.0, 1.0), POINTS)
+    good = Look(Shape.SPHERE, (0.1, 0.1, 0.1), OPAQUE)
+    with pytest.raises(ValueError):
+        scene.apply([Draw(GROUP + "/1", bad, HERE), Draw(GROUP + "/2", good, HERE)])
+    assert server.scene.get_handle_by_name(GROUP + "/2") is not None
+    scene.apply([Erase(GROUP + "/1"), Erase(GROUP + "/2")])
+    assert server.scene.get_handle_by_name(GROUP + "/2") is None

@@ -2,6 +2,8 @@
 
 import math
 import re
+import sys
+import threading
 import xml.etree.ElementTree as ET
 
 import pytest
@@ -130,6 +132,29 @@ def test_answers_to_a_landing_are_shown_good_or_bad():
     assert panel.told_as("bad") == [], "it has answered after all"
     panel.status.note_asked(["risc2"], "20:14:30")
     assert "risc1:" not in panel.text()
+
+
+def test_no_answer_is_lost_when_several_come_at_once():
+    """Each button and each vehicle answers in a thread of its own."""
+    panel = Panel().hear()
+    names = ["risc%d" % number for number in range(2000)]
+    panel.status.note_asked(names, "20:13:59")
+    interval_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+
+        def answer(part):
+            for name in part:
+                panel.status.note_answer(name, True, "landing")
+
+        threads = [threading.Thread(target=answer, args=(names[k::4],)) for k in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(interval_s)
+    assert len(panel.told_as("good")) >= len(names) and panel.text().count(": asked") == 0
 
 
 def test_texts_from_outside_are_no_html():

@@ -32,7 +32,7 @@ def everything_that_is_drawn():
     found += markers.camera_markers(arena.cameras, 3.0) + markers.body_markers(HEAD, [("fluffy_II", [AT_M])], 1.0)
     found += markers.vehicle_markers(HEAD, [view], 1.0) + markers.vehicle_labels(HEAD, [view], 0.8, 1.0)
     found += markers.pendulum_markers(HEAD, "Pendulum_tip", AT_M, AT_M, 1.0)
-    found += markers.landmark_markers(HEAD, [("Green_pink", AT_M)], 1.0)
+    found += markers.landmark_markers(HEAD, [("Green_pink", AT_M)], 1.0, {})
     found += markers.landmark_labels(HEAD, [("Green_pink", AT_M)], 0.8, 1.0)
     found += markers.trail_markers(HEAD, "quad_line", 0, [(3, [AT_M, AT_M], 0.5)], (1.0, 0.0, 0.0), 1.0)
     found += markers.reference_markers(HEAD, 0, "fluffy_II", AT_M, True, 1.0)
@@ -110,6 +110,12 @@ def test_numbers_that_are_none_are_not_shown(bad):
     assert converted(message) is None
     message = markers.title_marker(HEAD, "x", 1.0)
     message.pose.orientation = Quaternion(bad, 0.0, 0.0, 1.0)
+    assert converted(message) is None
+    message = markers.title_marker(HEAD, "x", 1.0)
+    message.color.g = bad
+    assert converted(message) is None
+    message = markers.net_markers(load_arena().net, 1.0)[4]
+    message.colors = [ColorRGBA(1.0, 0.0, bad, 1.0)]
     assert converted(message) is None
 
 

@@ -36,9 +36,15 @@ def picture_from_msg(message):
     Of 16 bits the upper 8 are kept.
     """
     if hasattr(message, "format"):
-        picture = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR) if len(message.data) else None
+        damaged = "a compressed picture (%s) is damaged" % message.format
+        if not len(message.data):
+            raise PictureError(damaged)
+        try:
+            picture = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
+        except cv2.error as error:  # e.g. its header says that it is larger than OpenCV takes
+            raise PictureError("%s: %s" % (damaged, error.err)) from error
         if picture is None:
-            raise PictureError("a compressed picture (%s) is damaged" % message.format)
+            raise PictureError(damaged)
         return picture
     if not hasattr(message, "encoding"):
         raise PictureError("it is no picture but %s" % type(message).__name__)

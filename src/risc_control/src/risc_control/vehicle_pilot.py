@@ -334,12 +334,13 @@ class VehiclePilot:
             self._judge(orders, now_s, land=True)
             reason = self.ladder.verdict.reason
             return orders, not silent, "landing (%s)%s" % (reason, ", but the vehicle is silent" if silent else "")
-        if silent:
+        if silent or self.flight_state not in _ON_GROUND:
             # Nothing says that it stands, and an order to land does no harm to one that does.
             orders.land = True
-            orders.log.append(("warn", "landing was requested: ordered once, but the vehicle is silent"))
-            return orders, False, "landing ordered once, but the vehicle is silent: whether it flies is not known"
-        return orders, True, "not airborne (%s)" % self._state_text()
+            why = "the vehicle is silent" if silent else "it does not say that it stands (%s)" % self._state_text()
+            orders.log.append(("warn", "landing was requested: ordered once, but %s" % why))
+            return orders, False, "landing ordered once, but %s: whether it flies is not known" % why
+        return orders, True, "it stands: not airborne (%s)" % self._state_text()
 
     def on_shutdown(self, now_s):
         """One round of the last orders: level and, whatever is known of it, land. Nothing but a reset follows."""

@@ -6,6 +6,7 @@ import math
 import os
 import pathlib
 import signal
+import socket
 import sys
 import threading
 import time
@@ -144,7 +145,7 @@ def launch_arguments(args, fleet, folder):
 def fly(args, folder, progress, interrupted):
     """Carry out the flight. Returns the operator's result. Raises FlightError when it could not be carried out."""
     reservation = PortReservation()
-    launch = None
+    launch = page = None
     try:
         fleet = prepare_fleet(args, reservation.subnet, folder)
         write_flight(args, fleet, ROOT, folder)
@@ -154,21 +155,46 @@ def fly(args, folder, progress, interrupted):
         launch_file = ROOT / "launch" / (args.experiment + ".launch")
         launch_args = launch_arguments(args, fleet, folder)
         if args.browser:
-            port = launch_args["browser_port"] = free_tcp_port(BROWSER_PORT)
-            progress.say("to be seen (and landed) at http://127.0.0.1:%d" % port)
+            page = WebPage(free_tcp_port(BROWSER_PORT), progress)
+            launch_args["browser_port"] = page.port
         launch = Launch(launch_file, launch_args, folder, master_port)
         _wait_for_master(launch, master_port, interrupted)
         from risc_experiments.ros.watch import Watch  # rospy is to see the environment of this flight
 
         watch = Watch()
-        return _follow(args, folder, launch, watch, progress, interrupted)
+        return _follow(args, folder, launch, watch, progress, interrupted, page)
     finally:
+        if page is not None:
+            page.end()
         if launch is not None:
             progress.show("stopping")
             killed = launch.stop()
             if killed:
                 progress.say("these had to be killed: " + "; ".join(killed))
         reservation.close()
+
+
+class WebPage:
+    """Says where the flight is to be seen, once something serves there."""
+
+    def __init__(self, port, progress):
+        self.port = port
+        self._progress = progress
+        self._found = False
+
+    def look(self):
+        """Costs next to nothing; to be called again and again."""
+        if self._found:
+            return
+        with socket.socket() as probe:
+            self._found = probe.connect_ex(("127.0.0.1", self.port)) == 0
+        if self._found:
+            self._progress.say("to be seen (and landed) at http://127.0.0.1:%d" % self.port)
+
+    def end(self):
+        """The flight is over."""
+        if not self._found:
+            self._progress.say("there was no page of the flight (see roslaunch.log)")
 
 
 def _wait_for_master(launch, port, interrupted):
@@ -191,10 +217,10 @@ def _wait_for_master(launch, port, interrupted):
         time.sleep(0.05)
 
 
-def _follow(args, folder, launch, watch, progress, interrupted):
+def _follow(args, folder, launch, watch, progress, interrupted, page=None):
     """Wait for the end of the flight, showing its progress. Returns the operator's result.
 
-    As soon as everything has started, the parameters are written down.
+    As soon as everything has started, the parameters are written down. page: a `WebPage` to look for.
     """
     courses = 3 if args.experiment == "df_demo" else 1
     limit_s = time_limit_s(OperatorParams(duration=courses * args.duration))
@@ -207,6 +233,8 @@ def _follow(args, folder, launch, watch, progress, interrupted):
                 write_parameters(watch.parameters(), folder)
             except OSError as error:  # no reason to end a flight
                 progress.say("the parameters are not recorded: %s" % error)
+        if page is not None:
+            page.look()
         phase, _, detail = watch.phase.partition(": ")
         progress.show(phase, "  ".join(filter(None, (flight_detail(watch.errors_mm, watch.rate_hz), detail))))
         if interrupted.wait(0.1) and not landing:

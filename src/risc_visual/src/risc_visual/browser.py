@@ -5,13 +5,16 @@ What is drawn is decided in marker_scene, what the panel says in live_status; he
 
 import contextlib
 import errno
+import http
 import io
 import logging
 import socket
+import urllib.parse
 
 import cv2
 import numpy as np
 import viser
+import websockets.asyncio.server
 
 from risc_visual.live_status import PAGE_STYLE
 from risc_visual.marker_scene import Draw, Erase, Look, Placement, Shape
@@ -38,13 +41,47 @@ def open_server(host, port):
     """viser.ViserServer on an address and port of this computer. Raises ValueError that says what to change."""
     _check_free(host, port)
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # else: a traceback for every page that hangs up
-    with contextlib.redirect_stdout(io.StringIO()):  # its banner; who starts it says where it is
+    with _refuse_pages_of_others(), contextlib.redirect_stdout(io.StringIO()):  # its banner; who starts it says where
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if server.get_port() != port:
         server.stop()
         raise ValueError(_taken(host, port))
     server.request_share_url = lambda: None  # else whoever opens the page could ask for a tunnel to the internet
     return server
+
+
+@contextlib.contextmanager
+def _refuse_pages_of_others():
+    """A server started meanwhile talks only to its own page, not to every page that a browser here has open.
+
+    A browser lets any page connect to any address, and says in Origin whose page it is. viser has no setting for it,
+    so its call of websockets is given the check.
+    """
+    serve = websockets.asyncio.server.serve
+    guarded = []
+
+    def serve_own_page(*args, process_request, **settings):
+        def answer(connection, request):
+            if is_page_of_others(request.headers):
+                return connection.respond(http.HTTPStatus.FORBIDDEN, "not for pages of another address\n")
+            return process_request(connection, request)
+
+        guarded.append(True)
+        return serve(*args, process_request=answer, **settings)
+
+    websockets.asyncio.server.serve = serve_own_page
+    try:
+        yield
+    finally:
+        websockets.asyncio.server.serve = serve
+    if not guarded:
+        raise RuntimeError("this release of viser serves in another way: install the one of requirements.txt")
+
+
+def is_page_of_others(headers):
+    """True when a browser asks for a page that did not come from the address asked. headers: of the request."""
+    origin = headers.get("Origin")
+    return origin is not None and urllib.parse.urlsplit(origin).netloc.lower() != headers.get("Host", "").lower()
 
 
 def _check_free(host, port):
@@ -96,20 +133,33 @@ class BrowserScene:
         )
 
     def apply(self, changes):
-        """Do what `MarkerScene.changes` found."""
+        """Do what `MarkerScene.changes` found, all that can be done. Raises the first error, afterwards."""
         with self._server.atomic():
-            for change in changes:
-                if isinstance(change, Erase):
-                    self._nodes.pop(change.path)[0].remove()
-                elif isinstance(change, Draw):
-                    self._draw(change)
-                elif change.path in self._nodes:
-                    handle, look = self._nodes[change.path]
-                    placement = _as_seen(look, change.placement)
-                    handle.position, handle.wxyz = placement.position_m, _wxyz(placement)
-                else:
-                    handle = self._scene.add_frame(change.path, show_axes=False, **_pose(change.placement))
-                    self._nodes[change.path] = handle, None
+            problems = [error for error in map(self._try, changes) if error is not None]
+        if problems:
+            raise problems[0]
+
+    def _try(self, change):
+        """Returns the error, None when there was none."""
+        try:
+            self._apply(change)
+        except Exception as error:  # whatever it is, the others count as drawn
+            return error
+        return None
+
+    def _apply(self, change):
+        if isinstance(change, Erase):
+            if change.path in self._nodes:  # else drawing it has failed
+                self._nodes.pop(change.path)[0].remove()
+        elif isinstance(change, Draw):
+            self._draw(change)
+        elif change.path in self._nodes:
+            handle, look = self._nodes[change.path]
+            placement = _as_seen(look, change.placement)
+            handle.position, handle.wxyz = placement.position_m, _wxyz(placement)
+        else:
+            handle = self._scene.add_frame(change.path, show_axes=False, **_pose(change.placement))
+            self._nodes[change.path] = handle, None
 
     def clear(self):
         """Nothing is drawn any more but the floor."""
@@ -131,17 +181,17 @@ class BrowserScene:
 class BrowserPanel:
     """The panel of the page: the button that lands all, those that land one, and the status."""
 
-    def __init__(self, server, names, land):
-        """names: of the vehicles; land: called in a thread of its own with a list of them when a button is pressed."""
+    def __init__(self, server, names, land_all, land_one):
+        """names: of the vehicles; land_all(), land_one(name): called in a thread of its own for a button pressed."""
         gui = server.gui
         gui.set_panel_label("RISC MAAP")
         gui.main_panel.dock_right()
         gui.add_html(PAGE_STYLE)
-        land_all = gui.add_button("LAND ALL", color="red", hint="Every vehicle lands where it is, whoever flies it")
-        land_all.on_click(lambda _event: land(list(names)))
+        button = gui.add_button("LAND ALL", color="red", hint="Every vehicle lands where it is, whoever flies it")
+        button.on_click(lambda _event: land_all())
         self._status = gui.add_html("")
-        land_one = gui.add_button_group("Land one", tuple(names))
-        land_one.on_click(lambda event: land([event.target.value]))
+        for name in names:  # a button each: one for several may say another vehicle by the time it is asked
+            gui.add_button("land %s" % name).on_click(lambda _event, name=name: land_one(name))
 
     def show(self, html):
         """What the status says now."""

@@ -6,6 +6,7 @@ Times are seconds of a clock that never steps.
 
 import html
 import math
+import threading
 from collections import namedtuple
 
 from risc_control.vehicle_pilot import FlightState
@@ -46,7 +47,8 @@ class LiveStatus:
         self._vehicles = vehicles
         self._heard = {}  # (what, whose) -> (value, when [s])
         self._asked_at = ""  # time of day of the last press on a land button
-        self._answers = {}  # namespace -> _Answer, None before it has come
+        self._answers = {}  # who was asked -> _Answer, None before it has come
+        self._answers_lock = threading.Lock()
 
     def note(self, what, whose, value, now_s):
         """Something was heard: "mode" (autonomous?), "navdata" (`Report`), "safety" (text), "error_m" of a vehicle by
@@ -57,11 +59,13 @@ class LiveStatus:
 
     def note_asked(self, names, time_of_day):
         """Somebody has pressed a land button: these vehicles are asked to land."""
-        self._asked_at, self._answers = time_of_day, dict.fromkeys(names)
+        with self._answers_lock:
+            self._asked_at, self._answers = time_of_day, dict.fromkeys(names)
 
     def note_answer(self, name, done, text):
         """What became of it."""
-        self._answers = {**self._answers, name: _Answer(done, text)}
+        with self._answers_lock:
+            self._answers[name] = _Answer(done, text)
 
     def forget(self):
         """Nobody has listened for a while: nothing is known. Answers stay."""
@@ -91,10 +95,12 @@ class LiveStatus:
         return '<span class="silent">%s silent for %.0f s</span> %s' % (name, age_s, old)
 
     def _answers_html(self):
-        if not self._answers:
+        with self._answers_lock:
+            asked_at, answers = self._asked_at, dict(self._answers)
+        if not answers:
             return ""
-        parts = ['<div class="small">landing asked for at %s</div>' % self._asked_at]
-        for name, answer in self._answers.items():
+        parts = ['<div class="small">landing asked for at %s</div>' % asked_at]
+        for name, answer in answers.items():
             told_as = "small" if answer is None else "good" if answer.done else "bad"
             text = "asked" if answer is None else answer.text
             parts.append('<div class="%s">%s: %s</div>' % (told_as, html.escape(name), html.escape(text)))

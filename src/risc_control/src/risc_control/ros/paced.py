@@ -2,11 +2,33 @@
 
 import threading
 import time
+import weakref
 
 import rospy
 
 _BUFFER_BYTES = 2**20  # holds what arrives while a callback waits
 PICTURES_BYTES = 2**24  # the same for pictures: what waits is read at one go, and all but the newest is thrown away
+_open = weakref.WeakSet()  # what those that exist wait on, to be ended with the process
+_open_lock = threading.RLock()  # a signal may end the process while its main thread is in here
+_hooked = False  # rospy never forgets a hook, so there is one for all
+
+
+def _opened(over):
+    """`over` is set when ROS shuts down, at once if it does already."""
+    global _hooked
+    with _open_lock:
+        _open.add(over)
+        is_first, _hooked = not _hooked, True
+    if is_first:
+        rospy.on_shutdown(_end_all)
+    if rospy.core.is_shutdown_requested():
+        over.set()
+
+
+def _end_all():
+    with _open_lock:
+        for over in _open:
+            over.set()
 
 
 class PacedSubscriber:
@@ -26,7 +48,7 @@ class PacedSubscriber:
         self._args = args
         self._period_s = 1.0 / rate_hz
         self._over = threading.Event()
-        rospy.on_shutdown(self._over.set)
+        _opened(self._over)
         self._subscriber = rospy.Subscriber(
             topic, message_class, self._on_message, queue_size=1, buff_size=buffer_bytes, tcp_nodelay=True
         )

@@ -5,6 +5,7 @@ While nobody looks it subscribes to nothing and costs nothing. Wiring only; see 
 
 import math
 import time
+import traceback
 
 import rospy
 import tf2_ros
@@ -39,6 +40,9 @@ _PANEL_HZ = 2.0
 _MOST_LOAD = 0.25  # of a core: a busy scene is drawn less often
 _ANSWER_S = 3.0  # a vehicle node that has not answered by then is shown as silent
 _FRAMES_S = 10.0  # of tf to remember: markers of a picture are older than the newest frames
+_ERROR_LOG_S = 5.0  # the log of a turn that fails again and again
+_OPERATOR = "virtual operator"  # no name of a vehicle has a space
+_OPERATOR_LAND = "/operator/land"
 _QUEUE = 100  # messages of a burst, e.g. one a vehicle
 
 
@@ -64,31 +68,56 @@ class LiveView:
         self._turns = {"due_s": 0.0, "panel_due_s": 0.0, "changes": 0, "took_max_s": 0.0}
         self._not_shown = set()
         self._server = open_server(host, int(port))
-        rospy.on_shutdown(self._server.stop)
         self._scene = BrowserScene(self._server, net.half_x_m, net.half_y_m)
-        self._panel = BrowserPanel(self._server, [vehicle.namespace for vehicle in self._vehicles], self.land)
+        names = [vehicle.namespace for vehicle in self._vehicles]
+        self._panel = BrowserPanel(self._server, names, self.land_all, self.land_one)
         self._updater = Updater()
         self._updater.setHardwareID("none")
         self._updater.add("live view", self._diagnose)
         self._timer = rospy.Timer(rospy.Duration(1.0 / self._rate_hz), self._on_turn, reset=True)
         rospy.on_shutdown(self._timer.shutdown)
+        rospy.on_shutdown(self._server.stop)  # hooks run in their order: no turn begins any more
         rospy.loginfo("the flight in a browser: http://%s:%d", "localhost" if host == "0.0.0.0" else host, port)
         if host in ("127.0.0.1", "localhost"):
             rospy.loginfo("for this computer only; host:=0.0.0.0 opens it, and its land buttons, to the network")
         else:
             rospy.logwarn("whoever reaches port %d of this computer can land the vehicles", port)
 
-    def land(self, names):
-        """Ask the nodes of these vehicles to land them; the panel shows what each answers."""
+    def land_all(self):
+        """Land every vehicle, and have the virtual operator, where there is one, let them stand."""
+        self._land([vehicle.namespace for vehicle in self._vehicles], {_OPERATOR: _call_operator})
+
+    def land_one(self, name):
+        """Land this vehicle."""
+        self._land([name], {})
+
+    def _land(self, names, others):
+        """Ask the nodes of these vehicles to land them, and others too; the panel shows what each answers."""
         rospy.logwarn("landing of %s was asked for in the browser", ", ".join(names))
         self._status.note_asked(names, _time_of_day())
-        ask_all({name: lambda name=name: _call_land(name) for name in names}, _ANSWER_S, self._on_answer)
+        vehicles_first = {name: lambda name=name: _call_land(name) for name in names}
+        ask_all({**vehicles_first, **others}, _ANSWER_S, self._on_answer)
 
     def _on_answer(self, name, done, text):
+        if name == _OPERATOR and done and not text:
+            return  # there is none
         self._status.note_answer(name, done, text)
         (rospy.loginfo if done else rospy.logerr)("%s: %s", name, text)
 
     def _on_turn(self, _event):
+        """A turn that fails must not be the last: rospy ends a timer whose callback raises, and the page would stay."""
+        try:
+            self._turn()
+        except Exception as error:  # whatever it is, the next turn must come
+            if rospy.core.is_shutdown_requested():
+                return  # topics or the page are closed already
+            rospy.logerr_throttle(
+                _ERROR_LOG_S,
+                "error in the browser view, please report it (%s: %s)\n%s"
+                % (type(error).__name__, error, traceback.format_exc()),
+            )
+
+    def _turn(self):
         self._updater.update()
         looked_at = bool(self._server.get_clients())
         if looked_at != bool(self._subscribers):
@@ -96,14 +125,19 @@ class LiveView:
         start_s = time.monotonic()
         if not looked_at or start_s < self._turns["due_s"]:
             return
-        changes = self._markers.changes(start_s, self._frames.lookup)
-        self._scene.apply(changes)
-        if start_s >= self._turns["panel_due_s"]:
+        if start_s >= self._turns["panel_due_s"]:  # before the scene, which may fail
             self._turns["panel_due_s"] = start_s + 1.0 / _PANEL_HZ
             self._panel.show(self._status.html(start_s, _time_of_day()))
+        try:
+            changes = self._markers.changes(start_s, self._frames.lookup)
+            self._turns["changes"] += len(changes)
+            self._scene.apply(changes)
+        finally:
+            self._note_turn(start_s)
+
+    def _note_turn(self, start_s):
         took_s = time.monotonic() - start_s
         self._turns["due_s"] = start_s + took_s / _MOST_LOAD
-        self._turns["changes"] += len(changes)
         self._turns["took_max_s"] = max(self._turns["took_max_s"], took_s)
 
     def _begin(self):
@@ -227,8 +261,10 @@ def marker_from_msg(message):
     # all zeros is what nobody has set: no turn
     quaternion = tuple(part / length for part in quaternion) if length > 0.0 else (0.0, 0.0, 0.0, 1.0)
     points_m = tuple((point.x, point.y, point.z) for point in message.points)
-    numbers = (place.x, place.y, place.z, size.x, size.y, size.z, length)
-    if not all(map(math.isfinite, numbers)) or not all(math.isfinite(value) for point in points_m for value in point):
+    rgba = (ink.r, ink.g, ink.b, ink.a)
+    colours = tuple((colour.r, colour.g, colour.b, colour.a) for colour in message.colors)
+    numbers = ((place.x, place.y, place.z, size.x, size.y, size.z, length), rgba, *points_m, *colours)
+    if not all(math.isfinite(value) for part in numbers for value in part):
         return None
     try:
         shape, action = Shape(message.type), Action(message.action)
@@ -241,9 +277,9 @@ def marker_from_msg(message):
         Look(
             shape,
             (size.x, size.y, size.z),
-            (ink.r, ink.g, ink.b, ink.a),
+            rgba,
             points_m,
-            tuple((colour.r, colour.g, colour.b, colour.a) for colour in message.colors),
+            colours,
             message.text,
         ),
         Placement((place.x, place.y, place.z), quaternion),
@@ -259,6 +295,18 @@ def _call_land(name):
         answer = rospy.ServiceProxy("/%s/land" % name, Trigger)()
     except rospy.ServiceException as error:
         return False, "the vehicle node does not answer, use its joystick (%s)" % error
+    return answer.success, answer.message
+
+
+def _call_operator():
+    """Ask the virtual operator to land all and to start none. Returns (done, what happens), "" when there is none."""
+    code, _, _ = rospy.get_master().lookupService(_OPERATOR_LAND)
+    if code != 1:
+        return True, ""
+    try:
+        answer = rospy.ServiceProxy(_OPERATOR_LAND, Trigger)()
+    except rospy.ServiceException as error:
+        return False, "does not answer and may start vehicles again (%s)" % error
     return answer.success, answer.message
 
 
