@@ -320,7 +320,7 @@ def test_program_tells_what_listens_and_ends_cleanly(tmp_path, net, number):
     assert (program.returncode, err) == (0, "")
     assert "frames in" in out
     content = json.loads(stats.read_text())
-    assert content["frames"] > 50 and content["seed"] == 7 and content["simulated"] is True
+    assert content["frames"] >= 50 and content["seed"] == 7 and content["simulated"] is True
     assert content["cortex"]["frames_sent"] == content["frames"]
     assert content["vehicles"]["risc2"]["phase"] == "landed"
 

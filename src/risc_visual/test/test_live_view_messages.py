@@ -112,7 +112,7 @@ def test_numbers_that_are_none_are_not_shown(bad):
     message.pose.orientation = Quaternion(bad, 0.0, 0.0, 1.0)
     assert converted(message) is None
     message = markers.title_marker(HEAD, "x", 1.0)
-    message.color.g = bad
+    message.color = ColorRGBA(1.0, bad, 0.0, 1.0)  # a new one: markers share theirs
     assert converted(message) is None
     message = markers.net_markers(load_arena().net, 1.0)[4]
     message.colors = [ColorRGBA(1.0, 0.0, bad, 1.0)]

@@ -2,7 +2,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scripted_video import COLOURS, PICTURES_PER_IDR, bar_number, drawing, encoded, seen_channel
 
@@ -210,6 +210,8 @@ def test_a_size_that_would_eat_the_memory_is_refused():
 
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 29), st.integers(0, 400), st.binary(max_size=60)), max_size=10))
+@example([(0, 23, b"*\x91")])  # parameters that make a decoder hold eight pictures back
+@example([(0, 23, b"*$")])
 def test_whatever_comes_nothing_raises_and_the_next_idr_is_shown(changes):
     packets = packets_of(encoded() * 3)
     for which, offset, junk in changes:

@@ -37,6 +37,7 @@ class PictureDecoder(object):
         self.foreign = 0  # pictures of a codec that is neither
         self.waiting = True  # for a key picture
         self._context = None
+        self._headers = None  # payload of the newest picture headers of this stream
         self._reformatter = None
         self._stream = None
         self._frame_number = None
@@ -66,7 +67,7 @@ class PictureDecoder(object):
         if self.waiting and not is_key(header):
             self.unusable += 1
             return None
-        frame = self._decode(packet.payload)
+        frame = self._decode(packet.payload, header)
         self.waiting = frame is None
         if frame is None:
             self.errors += 1
@@ -83,7 +84,11 @@ class PictureDecoder(object):
     def _start(self, stream, decoder):
         self._stream = stream
         self._frame_number = None
+        self._headers = None
         self.waiting = True
+        self._open(decoder)
+
+    def _open(self, decoder):
         self._context = av.CodecContext.create(decoder, "r")
         self._context.flags |= Flags.low_delay
         self._context.thread_count = 1  # more would hold pictures back, and the other core has its own work
@@ -91,19 +96,30 @@ class PictureDecoder(object):
         self._reformatter = VideoReformatter()
 
     def _feed_headers(self, payload):
+        self._headers = payload
         try:
             self._context.decode(av.Packet(payload))
         except av.FFmpegError:
             return  # "no picture in it", which is true; what it holds is remembered
 
-    def _decode(self, payload):
+    def _decode(self, payload, header):
+        """Frame of this very picture; None when it is damaged.
+
+        Damaged parameters may tell the decoder to hold pictures back, which it then does for good, also after sound
+        ones: every picture would be an older one. Such a decoder is replaced.
+        """
+        packet = av.Packet(payload)
+        packet.pts = packet.dts = header.frame_number
         try:
-            frames = self._context.decode(av.Packet(payload))
+            frames = self._context.decode(packet)
         except av.FFmpegError:
             return None
-        if not frames or frames[-1].is_corrupt:
+        if not frames or frames[-1].pts != header.frame_number:
+            self._open(_DECODERS[header.codec])
+            if self._headers is not None:
+                self._feed_headers(self._headers)
             return None
-        return frames[-1]
+        return None if frames[-1].is_corrupt else frames[-1]
 
     def _rgb(self, frame, header):
         rgb = self._reformatter.reformat(frame, format="rgb24", threads=1)
