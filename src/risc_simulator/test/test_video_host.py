@@ -118,10 +118,12 @@ def test_pictures_keep_their_rhythm_and_their_clock(lab, client):
     assert numbers == list(range(numbers[0], numbers[0] + 40))
     steps_ms = np.diff([header.timestamp_ms for header in headers])
     assert (steps_ms > 0).all()
-    period_ms = 1000.0 / 30.0
-    # exposures fall on the lab's 5 ms grid; a slow computer leaves pictures out, which makes a step two periods or more
-    assert np.abs(steps_ms - period_ms).min() < 6.0
-    assert np.median(steps_ms) > period_ms - 6.0
+    # exposures fall on the lab's 5 ms grid; what a slow computer leaves out is counted, and the rhythm goes on
+    periods = (headers[-1].timestamp_ms - headers[0].timestamp_ms) / (1000.0 / 30.0)
+    skipped = lab.statistics()["vehicles"]["risc1"]["video"]["skipped"]
+    assert 39 - 0.5 < periods < 39 + skipped + 0.5
+    if skipped == 0:
+        assert np.median(steps_ms) == pytest.approx(1000.0 / 30.0, abs=6.0)
     assert any(header.frame_type == FrameType.P for header in headers)
     assert abs(headers[-1].timestamp_ms - 1e3 * lab.now_s()) < 2000.0
 

@@ -313,14 +313,14 @@ def test_program_tells_what_listens_and_ends_cleanly(tmp_path, net, number):
         text = "".join(lines)
         for expected in ("seed 7", net["net"] + ".0.1:1510", "%s:%d" % (GROUP, net["port"]), net["net"] + ".1.2"):
             assert expected in text
-        for _ in range(51):
+        for _ in range(52):  # the host says that it is there, then come frames
             stream.recv(65536)
     program.send_signal(number)
     out, err = program.communicate(timeout=60)
     assert (program.returncode, err) == (0, "")
     assert "frames in" in out
     content = json.loads(stats.read_text())
-    assert content["frames"] >= 50 and content["seed"] == 7 and content["simulated"] is True
+    assert content["frames"] > 50 and content["seed"] == 7 and content["simulated"] is True
     assert content["cortex"]["frames_sent"] == content["frames"]
     assert content["vehicles"]["risc2"]["phase"] == "landed"
 

@@ -1,15 +1,14 @@
 """calibrate.py: every problem is one line that names cause and cure; and pictures out of folders and bags."""
 
-import os
+import functools
 import pathlib
-import subprocess
-import sys
 
 import cv2
 import numpy as np
 import pytest
 import rosbag
 import rospy
+from programs import run_program
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String
 
@@ -19,16 +18,7 @@ from risc_visual.pictures import open_pictures
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "calibrate.py"
 
 
-def run(folder, *arguments):
-    environment = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "ROS_MASTER_URI")}
-    return subprocess.run(
-        [sys.executable, str(NODE), *map(str, arguments)],
-        cwd=str(folder),
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+run = functools.partial(run_program, NODE)
 
 
 def error_of(folder, *arguments):

@@ -1,11 +1,9 @@
 """The course's plots: tables with known contents, segments, pages with the right lines, and all of it from bags."""
 
 import csv
+import functools
 import math
-import os
 import pathlib
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +11,7 @@ import pytest
 import rosbag
 import rospy
 import yaml
+from programs import run_program
 from std_msgs.msg import String
 
 from data_extraction.bags import BagError
@@ -376,16 +375,7 @@ def test_a_bag_without_a_flight_is_said(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def run(folder, *arguments):
-    environment = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "ROS_MASTER_URI")}
-    return subprocess.run(
-        [sys.executable, str(NODE), *map(str, arguments)],
-        cwd=str(folder),
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=240,
-    )
+run = functools.partial(run_program, NODE)
 
 
 def test_the_program_needs_neither_master_nor_screen(tmp_path):

@@ -16,7 +16,7 @@ class Limits:
     yaw_rmse_rad: float = 0.1
     net_margin_m: float = 0.05  # nearest approach to the net
     landed_height_m: float = 0.15  # at the end of the flight
-    bearing_rms_deg: float = 0.2  # per vehicle and angle, of what its camera saw whole
+    bearing_rms_deg: float = 0.2  # per vehicle, object and angle, of what its camera saw whole
 
 
 def judge(flight, operator_result, limits=None, with_cameras=False):
@@ -38,13 +38,17 @@ def judge(flight, operator_result, limits=None, with_cameras=False):
 
 def _judge_bearings(name, bearings, limits):
     targets = bearings.vehicles.get(name, {}).values() if bearings is not None else ()
-    errors_deg = np.vstack([np.zeros((0, 2)), *(target.judged_deg for target in targets)])
-    if not len(errors_deg):
+    judged = [target for target in targets if len(target.judged_deg)]
+    if not judged:
         yield "measured no bearing of a landmark that was fully in the picture"
-        return
-    rms_deg = float(np.sqrt((errors_deg**2).mean(axis=0)).max())
-    if rms_deg > limits.bearing_rms_deg:
-        yield "bearings are wrong by %.2f deg RMS, more than %.2f deg" % (rms_deg, limits.bearing_rms_deg)
+    for target in judged:
+        rms_deg = float(np.sqrt((target.judged_deg**2).mean(axis=0)).max())
+        if rms_deg > limits.bearing_rms_deg:
+            yield "bearings of %s are wrong by %.2f deg RMS, more than %.2f deg" % (
+                target.name,
+                rms_deg,
+                limits.bearing_rms_deg,
+            )
 
 
 def _judge_vehicle(vehicle, limits):
