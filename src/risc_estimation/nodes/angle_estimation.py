@@ -7,8 +7,8 @@ import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_updater import Updater
 
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.params import fleet_vehicles, load_params
 from risc_estimation.bearings import bearings_of_regions
 from risc_estimation.ros.bearing_conversions import observed_angles, regions_from_msg
@@ -31,8 +31,7 @@ class AngleEstimationNode(object):
         self._last_s = None  # monotonic clock
         self._reported, self._reported_s = (0, 0), time.monotonic()
         self._pub = rospy.Publisher("angles", Observed_angles, queue_size=10, tcp_nodelay=True)
-        self._diagnostics = Updater()
-        self._diagnostics.setHardwareID("none")
+        self._diagnostics = make_updater("none")
         self._diagnostics.add("angle estimation", self._diagnose)
         timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.update(), reset=True)
         rospy.on_shutdown(timer.shutdown)

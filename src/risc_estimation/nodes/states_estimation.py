@@ -7,10 +7,10 @@ import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_updater import Updater
 
 from risc_control.lab.templates import load_templates
 from risc_control.ros import low_latency
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.params import fleet_vehicles, load_params
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_estimation.ros.conversions import (
@@ -45,8 +45,7 @@ class StatesEstimationNode(object):
         # Queues that hold more than a hiccup: a late subscriber gets every frame, and judges its age by the stamp.
         self._states_pub = rospy.Publisher("cortex_raw", Cortex, queue_size=100, tcp_nodelay=True)
         self._landmarks_pub = rospy.Publisher("states3", Landmarks, queue_size=100, tcp_nodelay=True)
-        self._diagnostics = Updater()
-        self._diagnostics.setHardwareID("mocap")
+        self._diagnostics = make_updater("mocap")
         self._diagnostics.add("states estimation", self._diagnose)
         self._timers = [rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.update(), reset=True)]
         if self._silence_s > 0.0:

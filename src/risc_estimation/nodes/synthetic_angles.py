@@ -7,9 +7,9 @@ import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_updater import Updater
 from std_msgs.msg import Header
 
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.params import load_params, vehicles
 from risc_estimation.bearings import fleet_calibration, fleet_mount, make_camera
 from risc_estimation.landmark_catalogue import load_landmark_catalogue
@@ -44,8 +44,7 @@ class SyntheticAnglesNode(object):
         self._pictures, self._last_s = 0, None
         self._reported, self._reported_s = 0, time.monotonic()
         self._pub = rospy.Publisher("angles_synthetic", Observed_angles, queue_size=10, tcp_nodelay=True)
-        self._diagnostics = Updater()
-        self._diagnostics.setHardwareID("none")
+        self._diagnostics = make_updater("none")
         self._diagnostics.add("synthetic angles", self._diagnose)
         timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.update(), reset=True)
         rospy.on_shutdown(timer.shutdown)

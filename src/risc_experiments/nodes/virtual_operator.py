@@ -5,7 +5,6 @@ import threading
 import time
 from dataclasses import fields
 
-import diagnostic_updater
 import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, String
@@ -13,6 +12,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_control.lab.fleet import fleet_from_dict
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PacedSubscriber
 from risc_experiments.operator import Operator, OperatorParams
 from risc_msgs.msg import Cortex
@@ -55,8 +55,7 @@ class VirtualOperator:
         self._phase = rospy.Publisher("/operator/phase", String, queue_size=10, latch=True)
         self._result = rospy.Publisher("/operator/result", String, queue_size=1, latch=True)
         self._joys = {name: rospy.Publisher("/%s/joy" % name, Joy, queue_size=10, tcp_nodelay=True) for name in wanted}
-        self._diagnostics = diagnostic_updater.Updater()
-        self._diagnostics.setHardwareID("none")
+        self._diagnostics = make_updater("none")
         self._diagnostics.add("virtual operator", self._diagnose)
         rospy.Service("~land", Trigger, self._on_land)
         for name in wanted:

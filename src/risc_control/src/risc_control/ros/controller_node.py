@@ -4,7 +4,6 @@ import threading
 import time
 from dataclasses import fields
 
-import diagnostic_updater
 import numpy as np
 import rospy
 from dynamic_reconfigure.server import Server
@@ -14,6 +13,7 @@ from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.reference import NEW_CLOCK_S, ORDERS, ReferenceBuffer
 from risc_control.ros import low_latency
 from risc_control.ros.conversions import ControlsMessage, sample_from_msg, states_from_msg
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.tracking import LqrWeights, TrackingParams
@@ -54,8 +54,7 @@ class ControllerNode:
         self._errors_m = np.full(len(self.names), np.nan)  # NaN: not seen, or no reference
         self._message = ControlsMessage(self.names)
         self._publisher = rospy.Publisher("/controls", Controls, queue_size=1, tcp_nodelay=True)
-        self._diagnostics = diagnostic_updater.Updater()
-        self._diagnostics.setHardwareID(", ".join(self.names))
+        self._diagnostics = make_updater(", ".join(self.names))
         self._diagnostics.add("controller", self._diagnose)
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._diagnostics.update(), reset=True)
         self._server = Server(config_type, self._on_reconfigure)

@@ -8,7 +8,6 @@ import threading
 import time
 import traceback
 
-import diagnostic_updater
 import rospy
 from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import Joy
@@ -19,6 +18,7 @@ from ardrone_autonomy.msg import Navdata
 from risc_control.lab.fleet import fleet_from_dict
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.safety import Rung
 from risc_control.vehicle_pilot import (
@@ -89,8 +89,7 @@ class VehicleNode:
         self._reset = publisher("ardrone/reset", Empty)
         self._status = publisher("controller_status", Bool)
         self._safety = publisher("safety", String, latch=True)
-        self._diagnostics = diagnostic_updater.Updater()
-        self._diagnostics.setHardwareID(self.vehicle)
+        self._diagnostics = make_updater(self.vehicle)
         self._diagnostics.add("vehicle " + self.vehicle, self._diagnose)
         self._timers = ()
         rospy.on_shutdown(self._on_shutdown)

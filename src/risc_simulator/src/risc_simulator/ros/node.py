@@ -4,12 +4,12 @@ import itertools
 import math
 import queue
 
-import diagnostic_updater
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64, String
 
 from risc_control.frames import wrap_angle
+from risc_control.ros.diagnostics import make_updater
 from risc_msgs.msg import Cortex, States
 
 _DEG_PER_RAD = math.degrees(1.0)
@@ -31,8 +31,7 @@ class VirtualLabNode(object):
         # sent without waiting (risc_control.ros.direct_connection): the lab never waits for a subscriber
         self._publisher = rospy.Publisher("/ground_truth", Cortex, queue_size=50, tcp_nodelay=True)
 
-        self._updater = diagnostic_updater.Updater()
-        self._updater.setHardwareID("virtual lab %s" % lab.fleet.name)
+        self._updater = make_updater("virtual lab %s" % lab.fleet.name)
         self._updater.add("virtual lab", self._diagnose)
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._updater.force_update(), reset=True)
         rospy.on_shutdown(self._timer.shutdown)

@@ -5,7 +5,8 @@ import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_updater import Updater
+
+from risc_control.ros.diagnostics import make_updater
 
 _SILENCE_S = 3.0
 
@@ -25,8 +26,7 @@ class Health:
         self._drawn = dict.fromkeys(inputs, 0)
         self._last_s = dict.fromkeys(inputs)
         self._reported, self._reported_s = dict(self._drawn), time.monotonic()
-        self._updater = Updater()
-        self._updater.setHardwareID("none")
+        self._updater = make_updater("none")
         self._updater.add(name, self._diagnose)
         timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.update(), reset=True)
         rospy.on_shutdown(timer.shutdown)

@@ -10,12 +10,12 @@ import traceback
 import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray
-from diagnostic_updater import Updater
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import fleet_vehicles, number, private, vehicles, warn_of_unknown
 from risc_msgs.msg import Trajectories
@@ -71,8 +71,7 @@ class LiveView:
         self._scene = BrowserScene(self._server, net.half_x_m, net.half_y_m)
         names = [vehicle.namespace for vehicle in self._vehicles]
         self._panel = BrowserPanel(self._server, names, self.land_all, self.land_one)
-        self._updater = Updater()
-        self._updater.setHardwareID("none")
+        self._updater = make_updater("none")
         self._updater.add("live view", self._diagnose)
         self._timer = rospy.Timer(rospy.Duration(1.0 / self._rate_hz), self._on_turn, reset=True)
         rospy.on_shutdown(self._timer.shutdown)

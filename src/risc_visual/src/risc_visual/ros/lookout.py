@@ -9,10 +9,10 @@ import cv2
 import rospy
 from cv_bridge import CvBridge
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_updater import Updater
 from sensor_msgs.msg import CameraInfo, Image
 
 from risc_control.pictures import picture_from_msg
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PICTURES_BYTES, PacedSubscriber
 from risc_control.ros.params import fleet_vehicles, load_params
 from risc_estimation.bearings import calibration_from_info, fleet_calibration, make_camera
@@ -71,8 +71,7 @@ class Lookout:
         if looks_for_vehicles:
             self._vehicles = VehicleDetector(load_vehicles(params.vehicles_file or None), self._others)
         self._publisher = rospy.Publisher(topic, Observed_rois, queue_size=10, tcp_nodelay=True)
-        self._updater = Updater()
-        self._updater.setHardwareID("none")
+        self._updater = make_updater("none")
         overlay = params.overlay if overlay is None or params.overlay != LookoutParams.overlay else overlay
         self._eyes = [
             Eye(self, namespace, fleet.get(namespace), params, overlay, self._updater) for namespace in namespaces

@@ -12,11 +12,11 @@ import cv2
 import rospy
 from cv_bridge import CvBridge
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_updater import Updater
 from dynamic_reconfigure.server import Server
 from sensor_msgs.msg import Image
 
 from risc_control.pictures import picture_from_msg
+from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PICTURES_BYTES
 from risc_control.ros.params import load_params
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
@@ -74,8 +74,7 @@ class PictureNode(abc.ABC):
                 rospy.set_param("~" + key, value)
             self._server = Server(config_type, self._on_reconfigure)
         self._topic = rospy.resolve_name(topic)
-        self._updater = Updater()
-        self._updater.setHardwareID("none")
+        self._updater = make_updater("none")
         self._updater.add(rospy.get_name().rsplit("/", 1)[-1], self._diagnose)
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.update(), reset=True)
         rospy.on_shutdown(self._timer.shutdown)
