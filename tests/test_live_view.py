@@ -29,6 +29,7 @@ CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross"}
 PATIENCE_S = 300.0  # for what takes seconds on a computer with time
 WINDOW = (900, 640)  # few pixels: each costs time
+ALL_SEEN = re.compile(r"motion capture \d+ Hz, 2 of 2 seen")
 LEAST_PIXELS = 30  # of each colour
 FLAGS = (
     "--headless=new",
@@ -183,7 +184,8 @@ def look_at(flight, folder):
         def all_is_well():
             text = seen["text in flight"] = page.text()
             each = ("autonomous", "safety: ok", "mm from its reference")
-            return all(text.count(words) == len(VEHICLES) for words in each) and "silent" not in text
+            complete = ALL_SEEN.search(text) and "nothing heard" not in text and "silent" not in text
+            return complete and all(text.count(words) == len(VEHICLES) for words in each)
 
         wait_for(all_is_well, page.text, flight.log_says_that_it_failed)
         seen["old in flight"] = page.says_that_it_is_old()
@@ -250,7 +252,7 @@ def test_the_panel_tells_the_flight(seen):
     text = seen["text in flight"]
     for name, template in VEHICLES.items():
         assert "%s %s, autonomous" % (name, template) in text
-    assert re.search(r"motion capture \d+ Hz, 2 of 2 seen", text) and "operator: fly: on course" in text
+    assert ALL_SEEN.search(text) and "operator: fly: on course" in text
     assert "nothing heard" not in text
     assert not seen["old in flight"]
 
