@@ -19,7 +19,9 @@ received had nothing held it up; with it, the time of exposure.
 
 MAX_DRIFT = 3e-4  # [s/s] crystals stay well below
 HELD_UP_S = 0.05  # a picture further above the least offset does not support it
-PATIENCE_S = 4.0  # without support for longer: the aircraft's clock has been set back, or was stopped
+# Without support for longer: the aircraft's clock has been set back, or was stopped. That is rare; a network or a
+# computer that is too busy for seconds is not, and must not move the pictures.
+PATIENCE_S = 30.0
 LEAST_STEP_S = 1e-3  # between two results: the resolution of the aircraft's clock
 
 _WRAP_MS = 1 << 32
