@@ -19,6 +19,7 @@ from ardrone_autonomy.msg import Navdata
 from data_extraction.bags import Bag, BagError
 from data_extraction.progress import bar
 from data_extraction.report.battery import BatteryCollector
+from data_extraction.report.computers import Computer, ComputerCollector
 from data_extraction.report.drops import CELL_M, DropCollector, cell_edges
 from data_extraction.report.events import EventCollector, head_and_tail
 from data_extraction.report.fence import FenceCollector
@@ -215,6 +216,30 @@ def test_gates_count_over_restarts_of_their_node(play):
     assert estimator.frames == 350
     assert estimator.refused == {"misfits": 8, "tilted": 2}
     assert estimator.unknown == "Condor"
+
+
+def test_computers_that_fly_are_named_with_their_worst_figures(play):
+    def status(computer, oldest_ms, behind_ms, node="risc1/joystick_controller"):
+        values = {"computer": computer, "oldest state answered by a command (ms)": oldest_ms,
+                  "clock behind that of the states, at least (ms)": behind_ms}  # fmt: skip
+        pairs = [KeyValue(key, str(value)) for key, value in values.items()]
+        return (
+            "/diagnostics",
+            DiagnosticArray(status=[DiagnosticStatus(name=node + ": vehicle Raven", values=pairs)]),
+            T0_S,
+        )
+
+    rows = [
+        status("risc2", 12.5, 0.0),
+        status("risc2", 30.0, 48.1),
+        status("risc2", 8.0, 1.0),
+        diagnostics(T0_S, frames=1),
+    ]
+    rows.append(status("base", 5.0, 0.0, node="joystick_controller"))
+    assert play(ComputerCollector(), rows).computers() == {
+        "risc1": Computer("risc2", 30.0, 48.1),
+        "vehicle": Computer("base", 5.0, 0.0),
+    }
 
 
 def test_charge_and_time_in_the_air(play):

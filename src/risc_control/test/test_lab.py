@@ -38,6 +38,17 @@ def test_fleet_survives_the_way_through_a_dict(fleet_dict):
     assert fleet.vehicles[1].start_position_m == (-0.45, 0.78, 0.0)
 
 
+def test_vehicles_share_an_address_only_in_networks_of_their_own(fleet_dict):
+    for vehicle in fleet_dict["vehicles"]:
+        vehicle["address"] = "192.168.1.1"
+    with pytest.raises(ValueError, match=r"two vehicles have the same address: 192\.168\.1\.1"):
+        fleet_from_dict(fleet_dict)
+    fleet = fleet_from_dict(dict(fleet_dict, own_networks=True))
+    assert fleet_from_dict(fleet.to_dict()) == fleet
+    with pytest.raises(ValueError, match="'own_networks' must be true or false, found 'yes'"):
+        fleet_from_dict(dict(fleet_dict, own_networks="yes"))
+
+
 def test_subnet_moves_every_address_and_nothing_else(fleet_dict):
     moved = fleet_from_dict(fleet_dict).in_subnet("127.99")
     assert moved.mocap.host == "127.99.0.1"

@@ -344,3 +344,12 @@ def test_one_report_of_landing_followed_by_silence_does_not_count_for_ever():
 def test_bad_limits_are_named(bad):
     with pytest.raises(ValueError, match=next(iter(bad)).split("_")[0]):
         dataclasses.replace(SafetyLimits(), **bad)
+
+
+def test_a_clock_that_is_behind_makes_no_state_younger():
+    ladder = SafetyLadder(SafetyLimits(), 0.0)
+    for k in range(20):  # 2 ms on the way, our clock 50 ms behind
+        ladder.note_state((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), -0.048, 0.005 * k)
+    assert ladder.state.clock_behind_s == pytest.approx(0.048)
+    ladder.note_state((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.06, 0.2)  # 110 ms on the way
+    assert ladder.state.age_s(0.2) == pytest.approx(0.108)

@@ -93,6 +93,7 @@ class Flight:
     bearings: Optional[BearingStatistics] = None  # None when nothing looked
     paths: Dict[str, Series] = field(default_factory=dict)  # x, y, z [m], yaw [rad] of all that was seen, to be drawn
     landmarks: Dict[str, np.ndarray] = field(default_factory=dict)  # (3,) [m] cortex frame
+    command_latency_s: Dict[str, np.ndarray] = field(default_factory=dict)  # {topic of commands: (n,) [s]}
     notes: List[str] = field(default_factory=list)  # what could not be evaluated, and why
 
 
@@ -201,6 +202,7 @@ class FlightCollector:
             start_s=start_s,
             vehicles=vehicles,
             latency_s=self._latencies(),
+            command_latency_s=self._command_latencies(),
             mocap=self._mocap(),
             judged_against="ground truth" if source == "/ground_truth" else "mocap",
             bearings=self._bearings.statistics(self._bearing_delay_s),
@@ -264,9 +266,13 @@ class FlightCollector:
         latency = {"exposure_to_datagram": receipts_s - 1e-9 * stamps_ns}
         for hop, topic in zip(HOPS[1:4], ("/mocap_data", "/cortex_raw", "/controls")):
             latency[hop] = _since(stamps_ns, receipts_s, self._arrivals[topic])
-        commands = [_since(stamps_ns, receipts_s, arrivals) for arrivals in self._commands.values()]
-        latency["datagram_to_cmd_vel"] = np.concatenate([np.zeros(0), *commands])
+        latency["datagram_to_cmd_vel"] = np.concatenate([np.zeros(0), *self._command_latencies().values()])
         return latency
+
+    def _command_latencies(self):
+        """{topic of commands: (n,) [s]} from the receipt of the datagram to the arrival in the bag."""
+        receipts = self._receipts.first()
+        return {topic: _since(*receipts, arrivals) for topic, arrivals in sorted(self._commands.items())}
 
     def _mocap(self):
         """Frames from the first to the last that was estimated: before and after, the nodes come and go."""

@@ -11,7 +11,8 @@ In manual mode the operator's eyes fly: mocap, controls, fence, battery and tele
 the joystick does. Somebody may also ask for a landing, in any mode (`request_landing`): a LAND like any other.
 
 Times are seconds of a clock that never steps (monotonic); a message's age is what its stamp said when it arrived (by
-the wall clock, which all computers must share) plus the time since.
+the wall clock, which all computers must share; small differences make nothing younger, see `message_age`) plus the
+time since.
 """
 
 import enum
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 from typing import Tuple
 
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
+from risc_control.message_age import MessageAges
 
 
 class Rung(enum.IntEnum):
@@ -75,6 +77,7 @@ class Freshness:
         self._tolerance_s = clock_tolerance_s
         self._arrival_s = None
         self._age_at_arrival_s = 0.0
+        self._ages = MessageAges()
         self._clock_error_s = 0.0  # how far the newest stamp was in the future, when too far
 
     def note(self, age_at_arrival_s, now_s):
@@ -84,7 +87,12 @@ class Freshness:
             return
         self._clock_error_s = 0.0
         self._arrival_s = now_s
-        self._age_at_arrival_s = max(age_at_arrival_s, 0.0)
+        self._age_at_arrival_s = self._ages.corrected(age_at_arrival_s, now_s)
+
+    @property
+    def clock_behind_s(self):
+        """By how much our clock is behind that of the stamps, at least [s]."""
+        return self._ages.behind_s
 
     def age_s(self, now_s):
         """Age now; infinite before the first good message."""

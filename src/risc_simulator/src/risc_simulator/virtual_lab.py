@@ -355,7 +355,8 @@ def configure_fleet(
         "rate_hz": rate_hz,
     }
     changes = {name: value for name, value in changes.items() if value is not None}
-    changed = replace(fleet, mocap=replace(fleet.mocap, **changes))
+    # the lab is one computer: there, vehicles with networks of their own need addresses of their own
+    changed = replace(fleet, own_networks=False, mocap=replace(fleet.mocap, **changes))
     return fleet_from_dict(changed.to_dict(), "fleet with these options")  # what a file must not say, options must not
 
 

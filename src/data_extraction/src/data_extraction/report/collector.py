@@ -7,6 +7,7 @@ from typing import Dict, List, Optional
 from data_extraction.bearings import ANGLES
 from data_extraction.flight import Flight, FlightCollector
 from data_extraction.report.battery import Battery, BatteryCollector
+from data_extraction.report.computers import Computer, ComputerCollector
 from data_extraction.report.drops import DropCollector, Drops
 from data_extraction.report.events import Event, EventCollector
 from data_extraction.report.fence import FenceCollector, FenceMargin
@@ -31,6 +32,7 @@ class Material:
     flight: Flight
     drops: Optional[Drops]
     gates: Dict[str, GateCounts]
+    computers: Dict[str, Computer]
     ladder: Dict[str, List[Span]]
     ladder_left_out: int
     batteries: Dict[str, Battery]
@@ -63,14 +65,15 @@ class ReportCollector:
         self.flight = FlightCollector(origin.fleet, with_bearings=bool(self._topics.get(ANGLES)))
         self._drops = DropCollector()
         self._gates = GateCollector()
+        self._computers = ComputerCollector()
         self._ladder = LadderCollector()
         self._batteries = BatteryCollector()
         self._fence = FenceCollector(origin.fence_limits())
         self._events = EventCollector()
         self._snapshots = SnapshotCollector(self._types, self._start_s, self._duration_s)
         parts = (
-            self.flight, self._drops, self._gates, self._ladder, self._batteries, self._fence, self._events,
-            self._snapshots,
+            self.flight, self._drops, self._gates, self._computers, self._ladder, self._batteries, self._fence,
+            self._events, self._snapshots,
         )  # fmt: skip
         takers = {topic: [part for part in parts if part.wants(topic)] for topic in self._topics}
         self._foreign = [topic for topic in takers if takers[topic] and not fits(topic, self._types[topic])]
@@ -105,6 +108,7 @@ class ReportCollector:
             flight=flight or self.flight.overview(),
             drops=self._drops.drops(end_s),
             gates=self._gates.counts(),
+            computers=self._computers.computers(),
             ladder=self._ladder.spans(end_s),
             ladder_left_out=self._ladder.left_out,
             batteries=self._batteries.batteries(),

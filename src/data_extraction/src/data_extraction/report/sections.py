@@ -13,6 +13,7 @@ from data_extraction.report.drops import CELL_M, GAP_S, cell_edges
 from data_extraction.report.events import head_and_tail
 from data_extraction.report.gates import GATES
 from data_extraction.report.kinds import expected
+from data_extraction.report.naming import vehicle_of
 from risc_control.safety import Rung
 
 UNKNOWN = "unknown"
@@ -205,19 +206,36 @@ def latency(material, _summary):
     hops = {hop: values for hop, values in material.flight.latency_s.items() if len(values)}
     if not hops:
         return Missing("Latency", "the times of the datagrams were not recorded (/mocap_time)")
-    rows = []
-    for hop in HOPS:
-        values_s = hops.get(hop, np.zeros(0))
-        figures = percentiles_ms(values_s)
-        p95 = 1e3 * np.percentile(values_s, 95) if len(values_s) else None
-        cells = [_unit(value, 1.0, "ms", 2) for value in (figures["p50"], p95, figures["p99"], figures["max"])]
-        rows.append([HOP_TEXTS[hop], *cells, "%d" % len(values_s)])
+    rows = [[HOP_TEXTS[hop], *_spread(hops.get(hop, np.zeros(0)))] for hop in HOPS]
     section = Section("latency", "Latency")
     columns = ["hop", "p50", "p95", "p99", "largest", "messages"]
     caption = "Time from the receipt of the mocap datagram to the arrival of the message that answers it."
     section.tables.append(Table(caption, columns, rows))
+    rows = []
+    for topic, values_s in material.flight.command_latency_s.items():
+        vehicle = vehicle_of(topic)
+        computer = material.computers.get(vehicle)
+        there = (
+            [_unit(value, 1.0, "ms", 1) for value in (computer.oldest_ms, computer.behind_ms)] if computer else ["", ""]
+        )
+        rows.append([vehicle, computer.name if computer else "not recorded", *_spread(values_s), *there])
+    if rows:
+        columns = ["vehicle", "flown by", *columns[1:], "oldest state answered there", "its clock is behind by"]
+        caption = (
+            "The commands of every vehicle, by the computer that flies it. The times hold the way back to the computer "
+            "that records; the age of the oldest state that a command answered is by the flying computer's own clock."
+        )
+        section.tables.append(Table(caption, columns, rows))
     section.figures.append(_figure(plots.latency(material.flight, None), "How the latencies are spread (logarithmic)."))
     return section
+
+
+def _spread(values_s):
+    """Cells p50, p95, p99, largest, number of latencies [s]."""
+    figures = percentiles_ms(values_s)
+    p95 = 1e3 * np.percentile(values_s, 95) if len(values_s) else None
+    cells = [_unit(value, 1.0, "ms", 2) for value in (figures["p50"], p95, figures["p99"], figures["max"])]
+    return [*cells, "%d" % len(values_s)]
 
 
 def motion_capture(material, _summary):

@@ -54,6 +54,7 @@ class Fleet:
     mocap: MocapEndpoint
     vehicles: Tuple[FleetVehicle, ...]
     landmarks: Tuple[FleetLandmark, ...] = ()
+    own_networks: bool = False  # every vehicle is an access point of its own, joined by the computer that flies it
 
     def with_vehicles(self, count):
         """The same fleet with its first `count` vehicles. Raises ValueError when there are not so many."""
@@ -81,6 +82,7 @@ class Fleet:
         """The fleet as the plain dict that its YAML file would hold."""
         return {
             "name": self.name,
+            "own_networks": self.own_networks,
             "mocap": dict(vars(self.mocap)),
             "vehicles": [
                 {
@@ -114,12 +116,14 @@ def fleet_from_dict(content, where="fleet"):
         mocap=_mocap(root.section("mocap")),
         vehicles=tuple(_vehicle(section) for section in root.sections("vehicles")),
         landmarks=tuple(_landmark(section) for section in root.sections("landmarks", ())),
+        own_networks=root.flag("own_networks", False),
     )
     root.done()
     if not fleet.vehicles:
         raise ValueError("%s: a fleet needs at least one vehicle" % where)
     with errors_of(where):
-        for key in ("namespace", "template", "address"):
+        # one driver too many at an address would fly somebody else's vehicle
+        for key in ("namespace", "template") + (() if fleet.own_networks else ("address",)):
             check_different(fleet.vehicles, key, "vehicles")
         check_different(fleet.landmarks, "name", "landmarks")
     return fleet

@@ -111,6 +111,13 @@ class Section:
             raise ValueError("%s: '%s' must be finite, found %r" % (self.where, key, value))
         return tuple(float(x) for x in value)
 
+    def flag(self, key, default=None):
+        """true or false."""
+        value = self._value(key, default)
+        if not isinstance(value, bool):
+            raise ValueError("%s: '%s' must be true or false, found %r" % (self.where, key, value))
+        return value
+
     def text(self, key, default=None):
         """A string; without a default the key is required and must not be empty."""
         value = self._value(key, default)

@@ -4,6 +4,7 @@ Wiring only: what is decided is decided in `vehicle_pilot`, `joystick` and `safe
 """
 
 import queue
+import socket
 import threading
 import time
 import traceback
@@ -276,9 +277,11 @@ class VehicleNode:
             pilot = self._pilot
             verdict, reactions = pilot.ladder.verdict, list(pilot.ladder.reactions)
             ages_s = pilot.ladder.state.age_s(now_s), pilot.ladder.controls.age_s(now_s)
+            behind_s = pilot.ladder.state.clock_behind_s
             autonomous, flight_state = pilot.autonomous, pilot.flight_state
         status.summary({Rung.OK: 0, Rung.HOLD: 1, Rung.LAND: 2}[verdict.rung], verdict.text)
         status.add("vehicle", self.vehicle)
+        status.add("computer", socket.gethostname())
         status.add("mode", "autonomous" if autonomous else "manual")
         status.add("flight state (navdata)", "none yet" if flight_state is None else flight_state)
         for what, label in (
@@ -291,6 +294,7 @@ class VehicleNode:
             status.add(label + " (Hz)", "%.1f" % rates[what])
         status.add("age of the state (ms)", "%.0f" % (1e3 * ages_s[0]))
         status.add("age of the controls (ms)", "%.0f" % (1e3 * ages_s[1]))
+        status.add("clock behind that of the states, at least (ms)", "%.1f" % (1e3 * behind_s))
         status.add("oldest state answered by a command (ms)", "%.1f" % (1e3 * answer_max_s))
         for reaction in reactions:
             label = "last %s: " % reaction.rung.name.lower()

@@ -1,0 +1,33 @@
+"""How old a message is when the clock that stamped it is not ours."""
+
+import math
+
+
+class MessageAges:
+    """Ages by stamp, corrected for a clock of ours that is behind.
+
+    Nobody receives a message before it was sent: an age below zero is a difference of the clocks, and without
+    correction every later message would pass for that much younger than it is. A clock that is ahead makes messages
+    older than they are, which is on the safe side and looks like a slow network, so it stays.
+    """
+
+    def __init__(self, memory_s=30.0):
+        """memory_s: how long the least age seen counts [s]; clocks drift, and may be set."""
+        self._memory_s = memory_s
+        self._period_s = -math.inf  # when the present period began: the least age counts for one to two periods
+        self._least_s = self._before_s = 0.0
+
+    @property
+    def behind_s(self):
+        """By how much our clock is behind that of the stamps, at least [s]; 0 when nothing shows that it is."""
+        return -min(self._least_s, self._before_s)
+
+    def corrected(self, age_s, now_s):
+        """Age [s] of a message when it arrived, at least.
+
+        age_s: its arrival by our clock less its stamp by the sender's [s]. now_s: of a clock of ours that never steps.
+        """
+        if now_s - self._period_s >= self._memory_s:
+            self._period_s, self._before_s, self._least_s = now_s, self._least_s, 0.0
+        self._least_s = min(self._least_s, age_s)
+        return age_s + self.behind_s

@@ -1,0 +1,112 @@
+"""launch/Multi_Machine_Experiment.launch against the thesis' Appendix C; its flight is in test_many_machines."""
+
+import pathlib
+
+import pytest
+import roslaunch
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+FILE = ROOT / "launch/Multi_Machine_Experiment.launch"
+ADDRESSES = {"risc1": "129.123.5.240", "risc2": "129.123.5.200", "risc3": "129.123.5.59", "risc4": "129.123.85.143"}
+BASE_STATION = {
+    "/stream_markers": "cortex_ros/stream_markers",
+    "/states_estimation": "risc_estimation/states_estimation.py",
+    "/trajectory": "risc_control/circles3_traj.py",
+    "/controller": "risc_control/generic_DF_controller.py",
+    "/landmarks": "risc_visual/risc_landmarks",
+    "/angles": "risc_estimation/angle_estimation.py",
+    "/draw_angles": "risc_visual/draw_angles",
+    "/transform_tuner": "risc_control/transforms",
+    "/draw_risc_maap": "risc_visual/draw_risc_maap",
+    "/draw_cortex": "risc_visual/draw_cortex",
+    "/rviz": "risc_visual/open_rviz",  # rviz, at a low priority
+    "/bagger": "rosbag/record",
+}
+OURS = {"/draw_trajectories", "/risc1/ardrone/compress_images", "/risc2/ardrone/compress_images",
+        "/risc3/ardrone/compress_images"}  # fmt: skip
+PARAMETERS = {
+    "ardrone_driver": {"outdoor": 0, "flight_without_shell": 0, "altitude_max": 3000, "altitude_min": 50,
+                       "euler_angle_max": 0.349066, "control_vz_max": 1000, "control_yaw": 0.349066, "detect_type": 10,
+                       "detections_select_h": 32, "detections_select_v_hsync": 128, "enemy_colors": 3,
+                       "enemy_without_shell": 0},
+    "joy_node": {"dev": "/dev/input/js0"},
+    "joystick_controller": {"JoytoWay": 0, "ButtonEmergency": 2, "TakeoffLand": 6, "Up": 9, "Down": 10,
+                            "ShutDownNode": 7, "AxisRoll": 6, "AxisPitch": 7, "AxisYaw": 3, "ScaleRoll": 3,
+                            "ScalePitch": 3, "ScaleYaw": 1, "ScaleZ": 1, "Simulation": False, "delay": 0.3},
+}  # fmt: skip
+
+
+def load(*argv):
+    config = roslaunch.config.ROSLaunchConfig()
+    roslaunch.xmlloader.XmlLoader().load(str(FILE), config, argv=list(argv), verbose=False)
+    config.assign_machines()
+    return config
+
+
+def nodes_of(config):
+    return {node.namespace + node.name: node for node in config.nodes}
+
+
+@pytest.fixture(scope="module")
+def appendix():
+    """The file with the one argument that gives the appendix' own node under the tuner's name."""
+    return load("tuner:=false")
+
+
+def test_every_node_of_the_appendix_is_there_on_its_machine(appendix):
+    found = {name: (n.package + "/" + n.type, n.machine.name) for name, n in nodes_of(appendix).items()}
+    wanted = {name: (program, "risc1") for name, program in BASE_STATION.items()}
+    for vehicle, machine in (("risc1", "risc2"), ("risc2", "risc3"), ("risc3", "risc4")):
+        wanted["/%s/ardrone_driver" % vehicle] = ("ardrone_autonomy/ardrone_driver", machine)
+        wanted["/%s/joy_node" % vehicle] = ("joy/joy_node", machine)
+        wanted["/%s/joystick_controller" % vehicle] = ("risc_control/%s_controller.py" % vehicle, machine)
+        wanted["/%s/ardrone/image_proc" % vehicle] = ("image_proc/image_proc", machine)
+    assert {name: found.get(name) for name in wanted} == wanted
+    assert set(found) - set(wanted) == OURS
+
+
+@pytest.mark.parametrize("vehicle", ["risc1", "risc2", "risc3"])
+def test_every_parameter_of_the_appendix_has_its_value(appendix, vehicle):
+    for node, values in PARAMETERS.items():
+        for key, value in values.items():
+            assert appendix.params["/%s/%s/%s" % (vehicle, node, key)].value == value, (node, key)
+    url = appendix.params["/%s/ardrone_driver/camera_info_url" % vehicle].value
+    assert url.startswith("file://") and pathlib.Path(url[len("file://") :]).exists()
+    assert pathlib.Path(url).name == vehicle + ".yaml"
+
+
+def test_machines_have_the_appendix_addresses_and_no_passwords(appendix):
+    machines = {name: machine for name, machine in appendix.machines.items() if name}
+    assert {name: machine.address for name, machine in machines.items()} == ADDRESSES
+    for machine in machines.values():
+        assert machine.password is None and machine.user is None
+        assert pathlib.Path(machine.env_loader).resolve() == ROOT / "devel/coop.sh"
+    assert "password=" not in FILE.read_text()
+
+
+def test_addresses_logins_and_workspaces_are_arguments():
+    config = load("risc3_address:=10.0.0.3", "user:=pilot", "workspace:=/home/pilot/ws")
+    machine = config.machines["risc3"]
+    assert (machine.address, machine.user, machine.env_loader) == ("10.0.0.3", "pilot", "/home/pilot/ws/devel/coop.sh")
+
+
+def test_on_one_computer_every_node_runs_there_with_a_joystick_of_its_own():
+    config = load("machine:=local", "user:=somebody")
+    assert all(roslaunch.core.is_machine_local(node.machine) for node in config.nodes)
+    devices = [config.params["/risc%d/joy_node/dev" % k].value for k in (1, 2, 3)]
+    assert devices == ["/dev/input/js0", "/dev/input/js1", "/dev/input/js2"]
+    assert not any(name.endswith("joy_node") for name in nodes_of(load("machine:=local", "lab:=true")))
+
+
+def test_no_node_that_ends_ends_the_others():
+    """One vehicle's node must not take the other vehicles down with it; the virtual lab is all of them."""
+    assert {name for name, node in nodes_of(load("lab:=true")).items() if node.required} == {"/virtual_lab"}
+    assert not any(node.required for node in load().nodes)
+
+
+def test_the_topics_of_all_three_vehicles_are_recorded(appendix):
+    arguments = nodes_of(appendix)["/bagger"].args
+    assert "/.*/(cmd_vel" in arguments and "image_rect_color/compressed" in arguments
+    for topic in ("cortex_raw", "states3", "controls", "angles", "trajectory", "tf", "rosout"):
+        assert topic in arguments
+    assert "-o '/tmp/coop_loc_data'" in arguments
