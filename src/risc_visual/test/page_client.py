@@ -29,6 +29,7 @@ class PageClient:
     def __init__(self, port, origin=None):
         """origin: address of the page that connects, as a browser tells it."""
         self.nodes = {}  # path -> type of the message that made it
+        self.made = {}  # the same, of those that are gone, too
         self.messages = 0
         self.kinds = set()  # types of all messages
         self._texts, self._buttons = {}, {}  # uuid -> content; label -> uuid
@@ -91,7 +92,7 @@ class PageClient:
         elif kind == "GuiButtonMessage":
             self._buttons[message["props"]["label"]] = uuid
         elif "name" in message and "props" in message:
-            self.nodes[message["name"]] = kind
+            self.nodes[message["name"]] = self.made[message["name"]] = kind
 
 
 def wait_for(condition, what, patience_s=60.0):
