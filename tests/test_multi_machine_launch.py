@@ -1,4 +1,4 @@
-"""launch/Multi_Machine_Experiment.launch against the thesis' Appendix C; its flight is in test_many_machines."""
+"""launch/Multi_Machine_Experiment.launch against the thesis' Appendix C."""
 
 import pathlib
 
