@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Dict
 
-DIAGNOSTICS = "/diagnostics"
+from data_extraction.report.diagnostics import DiagnosticsCollector
+
 FRAMES = "frames"
 
 # How the status of a node ends -> {its counter: what was refused}; the rest of a status are no decisions.
@@ -39,31 +40,24 @@ class GateCounts:
     unknown: str = ""  # bodies without a template
 
 
-class GateCollector:
-    """Takes the messages of a bag one by one. Counters grow while their node lives; after a restart they are added."""
+class GateCollector(DiagnosticsCollector):
+    """Counters grow while their node lives; after a restart they are added."""
 
     def __init__(self):
         self._newest = {}  # {(gate, counter): value}
         self._before = {}  # the same, of lives of the node that have ended
         self._unknown = {}
 
-    def wants(self, topic):
-        """Whether messages of this topic say anything here."""
-        return topic == DIAGNOSTICS
-
-    def __call__(self, topic, _receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
-        if topic != DIAGNOSTICS:
+    def take(self, status):
+        """Take one DiagnosticStatus; those without gates are passed over."""
+        gate = next((gate for gate in GATES if status.name.endswith(gate)), None)
+        if gate is None:
             return
-        for status in message.status:
-            gate = next((gate for gate in GATES if status.name.endswith(gate)), None)
-            if gate is None:
-                continue
-            for pair in status.values:
-                if pair.key == FRAMES or pair.key in GATES[gate]:
-                    self._note((gate, pair.key), pair.value)
-                elif pair.key == "unknown bodies" and pair.value != "none":
-                    self._unknown[gate] = pair.value
+        for pair in status.values:
+            if pair.key == FRAMES or pair.key in GATES[gate]:
+                self._note((gate, pair.key), pair.value)
+            elif pair.key == "unknown bodies" and pair.value != "none":
+                self._unknown[gate] = pair.value
 
     def counts(self):
         """{gate: GateCounts} of the nodes that reported."""
