@@ -11,8 +11,8 @@ class MessageAges:
     older than they are, which is on the safe side and looks like a slow network, so it stays.
     """
 
-    def __init__(self, memory_s=30.0):
-        """memory_s: how long the least age seen counts [s]; clocks drift, and may be set."""
+    def __init__(self, memory_s=10.0):
+        """memory_s: how long the least age seen counts [s], up to twice that; clocks drift, and may be set."""
         self._memory_s = memory_s
         self._period_s = -math.inf  # when the present period began: the least age counts for one to two periods
         self._least_s = self._before_s = 0.0
