@@ -6,7 +6,9 @@ turns. Here things must happen at all, in the right order and with the right con
 """
 
 import itertools
+import os
 import re
+import signal
 import threading
 import time
 import unittest
@@ -360,7 +362,23 @@ class VehicleNodeTest(unittest.TestCase):
         world.flight_state["risc1"] = LANDED
         world.wait("risc1", "safety", lambda m: m.data == "ok")
 
-    def test_8_shut_down_button_lands_and_ends_the_node(self):
+    def test_8_without_a_master_that_answers_the_ladder_goes_on(self):
+        """A base station beyond a cable that is out: connections stay, answers do not come."""
+        world = self.world
+        world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
+        world.fly()
+        for vehicle in TEMPLATES:
+            world.wait(vehicle, "cmd_vel", is_flown)
+        master = rosgraph.Master("/vehicle_node_test").getPid()
+        os.kill(master, signal.SIGSTOP)
+        try:
+            world.running = False
+            for vehicle in TEMPLATES:
+                self.check_loss(vehicle)
+        finally:
+            os.kill(master, signal.SIGCONT)
+
+    def test_9_shut_down_button_lands_and_ends_the_node(self):
         world = self.world
         world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
         world.fly()

@@ -9,6 +9,7 @@ from risc_control.priority import FLIGHT, raise_priority
 from risc_control.ros.direct_connection import send_directly
 
 _SWITCH_INTERVAL_S = 0.0005  # the default of 5 ms is how long a timer's thread could hold up a frame
+_OMIT_TOPICS = "/rosout_disable_topics_generation"  # of every log message
 
 
 def start(name, **options):
@@ -17,6 +18,18 @@ def start(name, **options):
     send_directly()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     rospy.init_node(name, **options)
+    _log_without_the_master()
+
+
+def _log_without_the_master():
+    """Let no log call wait for the master, which may be out of reach just when there is something to log.
+
+    As long as nobody has set this parameter, each of rospy's log calls asks for it and waits for the answer, without a
+    limit: the timer of the loss ladder would stand still from its first warning on.
+    """
+    if not rospy.has_param(_OMIT_TOPICS):
+        rospy.set_param(_OMIT_TOPICS, False)
+    rospy.get_param_cached(_OMIT_TOPICS)  # the node is told of changes from now on, and asks no more
 
 
 def spin():
