@@ -158,6 +158,13 @@ class World:
             self.wait(vehicle, "cmd_vel")  # commands are for vehicles that fly: the node knows it
             wait_for(lambda v=vehicle: self._switches_to_autonomous(v), "autonomous mode of %s" % vehicle)
 
+    def fly_by_controls(self):
+        """`fly`, until every vehicle is commanded as the controls of tests 4 to 9 say."""
+        self.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
+        self.fly()
+        for vehicle in TEMPLATES:
+            self.wait(vehicle, "cmd_vel", is_flown)
+
     def _switches_to_autonomous(self, vehicle):
         """Press the button. A node refuses while this computer stalls: its state is too old then."""
 
@@ -178,7 +185,7 @@ def is_zero(twist):
 
 
 def is_flown(twist):
-    """The command of tests 4 to 8; its climb contains the predicted climb rate."""
+    """The command of `World.fly_by_controls`; its climb contains the predicted climb rate."""
     return same(twist, 0.2, 0.2, twist.linear.z, 0.2)
 
 
@@ -260,10 +267,7 @@ class VehicleNodeTest(unittest.TestCase):
 
     def test_4_loss_of_states_holds_then_lands(self):
         world = self.world
-        world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
-        world.fly()
-        for vehicle in TEMPLATES:
-            world.wait(vehicle, "cmd_vel", is_flown)
+        world.fly_by_controls()
         world.running = False
         for vehicle in TEMPLATES:
             self.check_loss(vehicle)
@@ -296,10 +300,7 @@ class VehicleNodeTest(unittest.TestCase):
 
     def test_5_only_the_lost_vehicle_holds_and_recovers(self):
         world = self.world
-        world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
-        world.fly()
-        for vehicle in TEMPLATES:
-            world.wait(vehicle, "cmd_vel", is_flown)
+        world.fly_by_controls()
         world.visible["risc2"] = False
         world.wait("risc2", "safety", lambda m: m.data.startswith("hold: state"))
         world.forget()
@@ -347,10 +348,7 @@ class VehicleNodeTest(unittest.TestCase):
             world.wait_for_state(vehicle, LANDED)
             answer = rospy.ServiceProxy("/%s/land" % vehicle, Trigger)()
             self.assertEqual((answer.success, answer.message), (True, "it stands: not airborne (state 2, landed)"))
-        world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
-        world.fly()
-        for vehicle in TEMPLATES:
-            world.wait(vehicle, "cmd_vel", is_flown)
+        world.fly_by_controls()
         world.forget()
         answer = rospy.ServiceProxy("/risc1/land", Trigger)()
         self.assertEqual((answer.success, answer.message), (True, "landing (landing was requested)"))
@@ -365,10 +363,7 @@ class VehicleNodeTest(unittest.TestCase):
     def test_8_without_a_master_that_answers_the_ladder_goes_on(self):
         """A base station beyond a cable that is out: connections stay, answers do not come."""
         world = self.world
-        world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
-        world.fly()
-        for vehicle in TEMPLATES:
-            world.wait(vehicle, "cmd_vel", is_flown)
+        world.fly_by_controls()
         master = rosgraph.Master("/vehicle_node_test").getPid()
         os.kill(master, signal.SIGSTOP)
         try:
@@ -380,9 +375,7 @@ class VehicleNodeTest(unittest.TestCase):
 
     def test_9_shut_down_button_lands_and_ends_the_node(self):
         world = self.world
-        world.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
-        world.fly()
-        world.wait("risc2", "cmd_vel", is_flown)
+        world.fly_by_controls()
         world.forget()
         world.press("risc2", SHUT_DOWN)
         world.wait("risc2", "ardrone/land")

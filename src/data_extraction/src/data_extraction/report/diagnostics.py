@@ -1,9 +1,11 @@
 """What nodes tell of themselves on /diagnostics: one way to listen to it, for everybody who does."""
 
+import abc
+
 DIAGNOSTICS = "/diagnostics"
 
 
-class DiagnosticsCollector:
+class DiagnosticsCollector(abc.ABC):
     """Takes the messages of a bag one by one and hands their statuses on; its memory does not grow."""
 
     def wants(self, topic):
@@ -16,6 +18,6 @@ class DiagnosticsCollector:
             for status in message.status:
                 self.take(status)
 
+    @abc.abstractmethod
     def take(self, status):
         """Take one diagnostic_msgs/DiagnosticStatus."""
-        raise NotImplementedError
