@@ -116,7 +116,16 @@ def test_separation_of_three_is_what_it_is():
         "origin": 0.95,
         "quadrants": 1.06,
         "slanted8": 1.49,
+        "spin": 0.95,
     }
+
+
+def test_spin_stands_and_turns_once_in_30_s():
+    course = make_course("spin", 1)
+    for time_s in (0.0, 7.5, 21.0):
+        derivatives, yaw = course.at(time_s)
+        assert derivatives[:, 0].tolist() == [[0.0, 0.0, 1.0]] + 4 * [[0.0, 0.0, 0.0]]
+        assert yaw[:, 0] == pytest.approx([2.0 * math.pi * time_s / 30.0, 2.0 * math.pi / 30.0, 0.0])
 
 
 def test_half_a_period_apart_two_vehicles_would_meet_on_an_eight():

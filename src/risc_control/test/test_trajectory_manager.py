@@ -83,6 +83,14 @@ def test_from_hover_to_the_course_and_home(course):
     assert np.all(derivatives[-1, 1:] == 0.0)
 
 
+def test_a_vehicle_that_is_seen_while_it_flies_its_way_flies_it_unchanged():
+    """States come as long as another vehicle is flown by hand."""
+    seen, unseen = flying_manager(vehicles=1), flying_manager(vehicles=1)
+    for now_s in np.arange(10.5, 20.0, 0.1):
+        assert (seen.sample(now_s).derivatives == unseen.sample(now_s).derivatives).all()
+        seen.see(NAMES[0], (0.1, 0.2, 0.9), (0.5, -0.4, 0.1), 2.0)
+
+
 @pytest.mark.parametrize("course", sorted(COURSES))
 def test_ways_keep_the_vehicles_apart(course):
     manager = flying_manager(course)

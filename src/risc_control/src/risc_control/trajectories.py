@@ -249,7 +249,13 @@ def quadrants(vehicles, reach_m=0.75, height_m=COURSE_HEIGHT_M, rest_s=3.0, move
     return Course("quadrants", WaypointTour(points, rest_s, move_s), np.zeros(vehicles), YawProgram())
 
 
-COURSES = {course.__name__: course for course in (circle, circles3, flat8, knot, origin, quadrants, slanted8)}
+def spin(vehicles, turn_s=30.0, height_m=COURSE_HEIGHT_M, spacing_m=0.95):
+    """Stand as on `origin` and turn, once in turn_s (the original's coop_traj1, which forgot the time)."""
+    course = origin(vehicles, height_m, spacing_m)
+    return course._replace(name="spin", yaw=YawProgram(rate_rad_s=2.0 * math.pi / turn_s))
+
+
+COURSES = {course.__name__: course for course in (circle, circles3, flat8, knot, origin, quadrants, slanted8, spin)}
 
 
 def make_course(name, vehicles, yaw=None, **options):
@@ -344,6 +350,7 @@ def standing(position_m, yaw_rad):
 
 def coasting(position_m, velocity_m_s, yaw_rad, begin_s):
     """Motion of a vehicle that is at a position (3,) with a velocity (3,) at begin_s, and comes to rest."""
+    position_m, velocity_m_s = np.array(position_m, dtype=float), np.array(velocity_m_s, dtype=float)  # may be views
 
     def motion(times_s):
         derivatives, yaw = np.zeros((ORDERS, len(times_s), 3)), np.zeros((YAW_ORDERS, len(times_s)))

@@ -137,7 +137,7 @@ class TrajectoryManager:
         self._velocity[i] = velocity_m_s
         self._airborne[i] = position_m[2] > _AIRBORNE_M
         if not self._autonomous[i]:
-            self._legs[i] = [_Leg(-math.inf, Phase.HOLD, standing(*self._seen[i]))]
+            self._hold(i, standing(*self._seen[i]))
 
     @property
     def watching(self):
@@ -162,7 +162,7 @@ class TrajectoryManager:
             self._seen[i] = derivatives[0, i, :3], float(derivatives[0, i, 3])
             self._velocity[i] = 0.0
         self._autonomous[i] = autonomous
-        self._legs[i] = [_Leg(-math.inf, Phase.HOLD, standing(*self._seen[i]))]
+        self._hold(i, standing(*self._seen[i]))
         if autonomous:
             self._joining.add(i)
             self._joining_s = now_s + _GATHER_S
@@ -233,6 +233,9 @@ class TrajectoryManager:
         derivatives = np.zeros((ORDERS, len(self.names), 4))
         derivatives[..., :3], derivatives[:YAW_ORDERS, :, 3] = path, yaw
         return Reference(derivatives, (Phase.COURSE,) * len(self.names))
+
+    def _hold(self, i, motion):
+        self._legs[i] = [_Leg(-math.inf, Phase.HOLD, motion)]
 
     def _leg(self, i, time_s):
         legs = self._legs[i]
@@ -440,9 +443,12 @@ def phase_text(names, phases):
     return "; ".join("%s: %s" % (name, phase.value) for name, phase in zip(names, phases))
 
 
-def make_manager(vehicles, course, home_height_m=1.0, limits=None, **options):
-    """TrajectoryManager of FleetVehicles: home is above where they started. options: of TrajectoryManager."""
+def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=TrajectoryManager, **options):
+    """TrajectoryManager of FleetVehicles: home is above where they started.
+
+    kind: it, or a subclass.  options: of TrajectoryManager.
+    """
     if not isinstance(course, Course):
         raise TypeError("course must be a Course, got %r" % (course,))
     homes = [Home((v.start_position_m[0], v.start_position_m[1], home_height_m), v.start_yaw_rad) for v in vehicles]
-    return TrajectoryManager([v.template for v in vehicles], homes, course, limits, **options)
+    return kind([v.template for v in vehicles], homes, course, limits, **options)

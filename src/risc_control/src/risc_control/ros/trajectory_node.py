@@ -24,14 +24,15 @@ from risc_control.trajectories import (
     make_course,
     peak_yaw_rate_rad_s,
 )
-from risc_control.trajectory_manager import WayLimits, make_manager, phase_text
+from risc_control.trajectory_manager import TrajectoryManager, WayLimits, make_manager, phase_text
 from risc_msgs.msg import Cortex, Trajectories
 
 
 class ManagerWiring:
     """A TrajectoryManager with the topics and services around it, for nodes that publish what it samples."""
 
-    def __init__(self, fleet_vehicles, course):
+    def __init__(self, fleet_vehicles, course, kind=TrajectoryManager):
+        """kind: TrajectoryManager or a subclass."""
         self.vehicles = fleet_vehicles
         smooth = parse_bool(private("wait_for_autonomous", True), "~wait_for_autonomous")
         self.manager = make_manager(
@@ -39,6 +40,7 @@ class ManagerWiring:
             course,
             number("~home_height", 1.0),
             dataclass_from_params(WayLimits),
+            kind,
             smooth=smooth,
             wait_for_all=parse_bool(private("wait_for_all", True), "~wait_for_all"),
         )
@@ -46,7 +48,7 @@ class ManagerWiring:
         self._index = {name: i for i, name in enumerate(self.manager.names)}
         self._phase = rospy.Publisher("trajectory_phase", String, queue_size=10, latch=True)
         self._course = rospy.Publisher("trajectory_course", String, queue_size=10, latch=True)
-        self._course.publish(course.name)
+        self.announce(course)
         self._phases = None
         self._watcher = None
         self._watch_lock = threading.Lock()  # its own: the master is asked meanwhile, and references must not wait
@@ -80,8 +82,12 @@ class ManagerWiring:
         check_course(course, self.vehicles)
         with self.lock:
             self.manager.set_course(course, rospy.get_time())
-        self._course.publish(course.name)
+        self.announce(course)
         self._report()
+
+    def announce(self, course):
+        """Tell the name of the course that is flown."""
+        self._course.publish(course.name)
 
     def _watch(self):
         """Look where the vehicles are as long as that matters, and no longer: states come 200 times a second."""

@@ -1,0 +1,40 @@
+#!/usr/bin/env python3
+"""Chases a virtual target (virtual_target.py) by nonlinear guidance, as soon as that runs; until then flies to it."""
+
+import sys
+
+import numpy as np
+import rospy
+from std_msgs.msg import Float64
+
+from risc_control.cfg import TrackingWeightsConfig
+from risc_control.guidance import GuidanceController, GuidanceParams
+from risc_control.ros.controller_node import ControllerNode, main
+from risc_control.ros.params import dataclass_from_params, vehicles
+
+
+class GuidanceNode(ControllerNode):
+    """A controller that is told on `target_velocity` whether its reference is a target, and publishes `range`."""
+
+    def __init__(self):
+        self._range = rospy.Publisher("/range", Float64, queue_size=1)
+        super().__init__(GuidanceController, TrackingWeightsConfig, vehicles(only_one=True))
+
+    def _subscribe(self):
+        self._controller.guidance = dataclass_from_params(GuidanceParams)
+        rospy.Subscriber("/target_velocity", Float64, self._on_target_velocity, queue_size=1, tcp_nodelay=True)
+        super()._subscribe()
+
+    def _on_target_velocity(self, message):
+        with self._lock:
+            self._controller.target_speed_m_s = message.data
+
+    def _on_states(self, message):
+        super()._on_states(message)
+        range_m = self._controller.range_m[0]
+        if np.isfinite(range_m) and not rospy.is_shutdown():
+            self._range.publish(range_m)
+
+
+if __name__ == "__main__":
+    sys.exit(main("Hows_Controller", GuidanceNode))

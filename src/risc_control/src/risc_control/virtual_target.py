@@ -1,0 +1,107 @@
+"""References of a vehicle that chases a virtual target (`virtual_target.py`): a place to wait at, then the target.
+
+The vehicle flies to the place where it waits (the original's "WP") as to any course. From the moment on that the
+target is let go (its "NGC") the reference is the target, which the vehicle only follows at a distance. So every way
+from there begins where the vehicle is seen, not at the reference.
+"""
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from risc_control.trajectories import YawProgram, coasting, make_course, points
+from risc_control.trajectory_manager import Phase, TrajectoryManager
+
+
+@dataclass(frozen=True)
+class TargetParams:
+    """Where the vehicle waits and where its target runs, a circle around the origin. Numbers of the original."""
+
+    start_x_m: float = 0.5643  # cortex frame
+    start_y_m: float = 1.2213
+    height_m: float = 1.0
+    psi_deg: float = -90.0  # of the nose, all the time
+    radius_m: float = 0.8
+    target_speed_m_s: float = 0.2  # of the target, counter-clockwise from above
+    phase_deg: float = 90.0  # where on the circle it begins; 0 = on the x axis, + towards y
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            positive = field.name in ("height_m", "radius_m", "target_speed_m_s")
+            if not math.isfinite(value) or (positive and value <= 0.0):
+                raise ValueError("%s must be a number%s, got %r" % (field.name, " > 0" if positive else "", value))
+
+    def waiting_place(self):
+        """Course that stands where the vehicle waits."""
+        course = points("WP", [(self.start_x_m, self.start_y_m, self.height_m)])
+        return course.with_yaw(self._yaw())
+
+    def target_course(self):
+        """Course of the target."""
+        period_s = 2.0 * math.pi * self.radius_m / self.target_speed_m_s
+        course = make_course(
+            "circle", 1, self._yaw(), radius_m=self.radius_m, period_s=period_s, height_m=self.height_m
+        )
+        return course._replace(name="NGC", shifts_s=np.array([self.phase_deg / 360.0 * period_s]))
+
+    def _yaw(self):
+        return YawProgram((math.radians(self.psi_deg),))
+
+
+class VirtualTarget(TrajectoryManager):
+    """TrajectoryManager of one vehicle whose course is the place where it waits; see the module."""
+
+    target = TargetParams().target_course()
+    _wanted = False  # the target is to be let go as soon as the vehicle waits
+    _epoch_of_target_s = None  # when it was; None = it rests
+
+    @property
+    def watching(self):
+        """Always: where the vehicle is cannot be told from the reference."""
+        return True
+
+    @property
+    def chasing(self):
+        """Whether the target runs."""
+        return self._epoch_of_target_s is not None
+
+    @property
+    def target_speed_m_s(self):
+        """Speed of the target, 0 while it rests."""
+        return float(np.linalg.norm(self.target.at(0.0)[0][1, 0])) if self.chasing else 0.0
+
+    def let_go(self):
+        """Let the target run, as soon as the vehicle is where it waits."""
+        self._wanted = True
+
+    def sample(self, now_s):
+        """As `TrajectoryManager.sample`."""
+        reference = super().sample(now_s)
+        if reference.phases[0] is not Phase.COURSE:
+            return reference
+        if self._wanted:
+            self._wanted, self._epoch_of_target_s = False, now_s
+        if self.chasing:
+            path, yaw = self.target.at(now_s - self._epoch_of_target_s)
+            reference.derivatives[..., :3], reference.derivatives[: len(yaw), :, 3] = path, yaw
+        return reference
+
+    def set_autonomous(self, name, autonomous, now_s):
+        """As `TrajectoryManager.set_autonomous`; the target rests from then on."""
+        if autonomous != self._autonomous[0]:
+            self._stop(now_s)
+        return super().set_autonomous(name, autonomous, now_s)
+
+    def go_home(self, now_s):
+        """As `TrajectoryManager.go_home`, from where the vehicle is."""
+        self._stop(now_s)
+        return super().go_home(now_s)
+
+    def _stop(self, now_s):
+        self._wanted = False
+        if self.chasing:
+            self._epoch_of_target_s = None
+            place_m, yaw_rad = self._seen[0]
+            self._hold(0, coasting(place_m, self._velocity[0], yaw_rad, now_s))

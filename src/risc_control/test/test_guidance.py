@@ -1,0 +1,112 @@
+"""Pursuit of a virtual target: the law, and what the controller adds to it. Closed loop: risc_experiments' tests."""
+
+import math
+
+import numpy as np
+import pytest
+
+from risc_control.guidance import GuidanceController, GuidanceParams, pursuit_acceleration
+from risc_control.lab import load_vehicle_type
+from risc_control.tracking import FlatnessController, States
+from risc_control.virtual_target import TargetParams
+
+ARDRONE = load_vehicle_type("ardrone")
+PARAMS = GuidanceParams()
+RADIUS_M, SPEED_M_S = 0.8, 0.2
+DT_S = 0.005
+
+
+def states(visible=True):
+    position = np.array([[0.0, 0.0, 1.0]])
+    return States(np.array([visible]), position, *(np.zeros((1, 3)) for _ in range(3)))
+
+
+def standing(x=0.0, y=0.0):
+    reference = np.zeros((5, 1, 4))
+    reference[0] = x, y, 1.0, 0.0
+    return reference
+
+
+def update(controller, state, reference, stamp_s=0.0):
+    everyone = np.ones(1, dtype=bool)
+    return controller.update(stamp_s, stamp_s + 0.004, state, reference, reference, everyone, everyone)
+
+
+def pursue(position, velocity, target):
+    scene = (np.array([value], dtype=complex) for value in (position, velocity, target))
+    return pursuit_acceleration(*scene, SPEED_M_S, PARAMS)[0]
+
+
+@pytest.mark.parametrize("turn", [1.0, -1.0])
+def test_behind_a_target_on_a_circle_it_stays_on_that_circle(turn):
+    """R* behind on the same circle, at the target's speed: the acceleration is the centripetal one, nothing else."""
+    ahead = 2.0 * math.asin(0.5 * PARAMS.range_m / RADIUS_M)  # angle at the centre of a chord of length R*
+    for angle in (0.0, 1.0, 4.0):
+        place = RADIUS_M * np.exp(1j * angle)
+        velocity = turn * 1j * SPEED_M_S * np.exp(1j * angle)
+        target = RADIUS_M * np.exp(1j * (angle + turn * ahead))
+        assert pursue(place, velocity, target) == pytest.approx(-(SPEED_M_S**2) / RADIUS_M * np.exp(1j * angle))
+
+
+def test_it_turns_towards_the_target_and_keeps_its_range():
+    v = 0.2 + 0j
+    straight = pursue(0, v, PARAMS.range_m)
+    assert straight == pytest.approx(0.0), "nothing to correct"
+    assert pursue(0, v, 0.5j).imag == pytest.approx(2.0 * 0.2**2 / PARAMS.range_m), "abeam: 2 V^2 / R*"
+    assert pursue(0, v, -0.5j).imag == pytest.approx(-2.0 * 0.2**2 / PARAMS.range_m)
+    assert pursue(0, v, -0.5 + 0.01j).imag == pytest.approx(2.0 * 0.2**2 / PARAMS.range_m), "behind: as hard as abeam"
+    assert pursue(0, v, -0.5).imag != 0.0, "straight behind: any side, but not on"
+    assert pursue(0, v, 1.0).real > 0.0 > pursue(0, v, 0.2).real
+    assert pursue(0, 0, 0.7j) == pytest.approx(1j * abs(pursue(0, 0, 0.7j))), "from rest it sets out for the target"
+    assert np.isfinite(pursue(0, 0, 0)) and np.isfinite(pursue(0.3, 0, 0.3))
+    assert abs(pursue(0, 0, 50.0)) <= PARAMS.speed_gain_1_s * PARAMS.speed_max_m_s + 1e-12
+
+
+def test_turning_the_scene_turns_the_answer():
+    scene = np.array([0.3 + 0.1j, 0.1 - 0.2j, -0.4 + 0.6j])
+    for angle in (0.7, 2.0, -2.5):
+        turn = np.exp(1j * angle)
+        assert pursue(*(turn * scene)) == pytest.approx(turn * pursue(*scene))
+
+
+def test_a_target_that_stands_is_flown_to_like_any_reference():
+    chaser, tracker = GuidanceController([ARDRONE]), FlatnessController([ARDRONE])
+    outputs = [update(controller, states(), standing(0.1, 0.2)) for controller in (chaser, tracker)]
+    assert np.array(outputs[0].fractions).tolist() == np.array(outputs[1].fractions).tolist()
+    assert chaser.range_m[0] == pytest.approx(math.hypot(0.1, 0.2))
+    update(chaser, states(visible=False), standing(), stamp_s=0.1)
+    assert np.isnan(chaser.range_m[0])
+
+
+def test_the_pursuit_begins_where_the_vehicle_is_and_moves_on_with_the_law():
+    """Of a vehicle that never moves the point runs away, until somebody else flies it: then it is with the vehicle."""
+    controller = GuidanceController([ARDRONE])
+    controller.target_speed_m_s = SPEED_M_S
+    update(controller, states(), standing(y=-0.7))
+    first = controller._points[0][0]
+    assert first == 0.0
+    for k in range(1, 200):
+        update(controller, states(), standing(y=-0.7), k * DT_S)
+    assert controller._points[0][0].imag > 0.05 and abs(controller._points[0][0].real) < 1e-9, "east is - y"
+    assert controller.range_m[0] == pytest.approx(0.7), "of the vehicle, not of the point"
+    one = np.ones(1, dtype=bool)
+    controller.update(1.0, 1.004, states(), standing(y=-0.7), standing(y=-0.7), one, ~one)
+    assert controller._points[0][0] == 0.0
+    for k in range(201, 300):
+        update(controller, states(), standing(y=-0.7), k * DT_S)
+    update(controller, states(), standing(y=-0.7), 5.0)
+    assert controller._points[0][0] == 0.0, "a gap in the states"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: GuidanceParams(range_m=0.0), "range_m must be a number > 0"),
+        (lambda: GuidanceParams(speed_gain_1_s=math.nan), "speed_gain_1_s must be"),
+        (lambda: TargetParams(radius_m=-1.0), "radius_m must be a number > 0"),
+        (lambda: TargetParams(psi_deg=math.inf), "psi_deg must be a number, got"),
+    ],
+)
+def test_wrong_settings_say_why(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,79 @@
+"""Hows_controller.py and virtual_target.py without ROS: estimator, references, guidance, pilot, honest vehicle."""
+
+import math
+
+import numpy as np
+import pytest
+
+from risc_control.guidance import GuidanceController, GuidanceParams
+from risc_control.lab import load_templates
+from risc_control.reference import ReferenceBuffer
+from risc_control.trajectory_manager import Phase, make_manager
+from risc_control.virtual_target import TargetParams, VirtualTarget
+from risc_estimation.states import S, StatesEstimator
+from risc_experiments import offline
+from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
+from risc_simulator.world import World
+
+CHASE_S, CHASED_S = 22.0, 14.0  # the chase, and when it has settled
+PSI_DEG = 60.0  # where a mirrored yaw sense would not fly (D-25)
+NOW = np.ones(1, dtype=bool)
+
+
+def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it_is():
+    flight = offline.Flight(vehicles=1, psi_rad=math.radians(PSI_DEG))
+    fleet, types, vehicle_types = offline._lab(flight)
+    templates = load_templates()
+    world = World(fleet, types, templates, seed=flight.seed, honest=True, step_s=offline.FRAME_S)
+    cameras = MocapCameras(CameraParams(), seed=np.random.SeedSequence(flight.seed))
+    name, place = fleet.vehicles[0].template, fleet.vehicles[0]
+    estimator = StatesEstimator(templates, vehicles=[name])
+    params = TargetParams(psi_deg=PSI_DEG)
+    target = make_manager(fleet.vehicles, params.waiting_place(), kind=VirtualTarget)
+    target.target = params.target_course()
+    controller = GuidanceController(vehicle_types)
+    vehicle = world.vehicles[place.namespace]
+    vehicle.fly_at(place.start_position_m[:2] + (1.0,), place.start_yaw_rad)
+    chain, buffer = offline._Chain(vehicle, 0.3), ReferenceBuffer()
+
+    let_go_s = home_s = math.inf
+    ranges, radii, homing = [], [], []
+    for frame in range(int(90.0 / offline.FRAME_S)):
+        time_s = frame * offline.FRAME_S
+        now_s = time_s + offline.LATENCY_S
+        world.step_to(time_s)
+        estimate = estimator.update(time_s, dict(cameras.observe(time_s, world.bodies()).bodies()))
+        state = estimate.states[0]
+        target.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])
+        if time_s >= 1.0 and not chain.pilot.autonomous:
+            chain.press_autonomous(now_s)
+            target.set_autonomous(name, True, now_s)
+        reference = target.sample(time_s)
+        if reference.phases[0] is Phase.COURSE and let_go_s == math.inf:
+            let_go_s = time_s
+            target.let_go()
+        if time_s >= let_go_s + CHASE_S and home_s == math.inf:
+            home_s = time_s
+            assert target.go_home(time_s) == [name]
+            reference = target.sample(time_s)
+        if reference.phases[0] is Phase.HOMED:
+            break
+        buffer.push(time_s, reference.derivatives[:3])
+        controller.target_speed_m_s = target.target_speed_m_s
+        present, ahead = buffer.at(np.array([time_s, time_s + controller.horizon_s(time_s, now_s)]))
+        output = controller.update(
+            time_s, now_s, offline._states(estimate), present, ahead, NOW, NOW & chain.pilot.autonomous
+        )
+        chain.step(estimate.visible[0], state, output.fractions, 0, time_s, now_s, frame)
+        assert not world.crashes
+        truth = vehicle.state.position_m
+        if let_go_s + CHASED_S <= time_s < home_s:
+            ranges.append(np.hypot(*(present[0, 0, :2] - truth[:2])))
+            radii.append(np.hypot(*truth[:2]))
+        elif time_s >= home_s:
+            homing.append(np.linalg.norm(present[0, 0, :3] - truth))
+    assert reference.phases == (Phase.HOMED,)
+    assert np.abs(np.array(ranges) - GuidanceParams().range_m).max() < 0.04
+    assert np.abs(np.array(radii) - params.radius_m).max() < 0.04
+    assert max(homing) < 0.1, "home begins where the vehicle is"
+    assert truth[:2] == pytest.approx(place.start_position_m[:2], abs=0.05)
