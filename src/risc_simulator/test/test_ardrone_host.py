@@ -758,6 +758,20 @@ def test_link_loss_in_both_directions(lab):
     watcher.close()
 
 
+def test_the_radio_loses_navdata_too(fake_lab):
+    """A gap in the numbers for every datagram that is lost, a fifth of them; a seed decides which."""
+    numbers = []
+    for seed in (7, 7, 8):
+        lab = fake_lab(radio_loss=0.2, seed=seed)
+        lab.connect()
+        numbers.append([packet[1] for packet in lab.run(5.0, ref=START, pcmd=HOVER)])
+        lost = numbers[-1][-1] - numbers[-1][0] + 1 - len(numbers[-1])
+        assert 150 <= lost <= 250  # of 1000, four sigma
+        assert lab.host.statistics()["datagrams_lost_out"] >= lost
+        lab.close()
+    assert numbers[0] == numbers[1] != numbers[2]
+
+
 def test_long_link_loss_lands(lab):
     lab.fly()
     lab.host.lose_link(20.0)

@@ -5,7 +5,8 @@ TCP 5555 is for video: a camera process serves it (`attach_video`), without one 
 own loopback address, so all use the standard ports.  Any real client can connect.
 
 Piloting (PCMD, REF) passes the simulated radio: one set of sticks per 1/30 s slot, the vehicle's command delay later.
-Configuration and navdata are not delayed.  One thread, non-blocking sockets; bad input is counted, never raised.
+Navdata may be lost there too, but is not delayed, and configuration is neither.  One thread, non-blocking sockets; bad
+input is counted, never raised.
 
 Where the public documents leave a choice, this aircraft does:
 - State bit 30 stays set until COMWDG arrives, even when commands flow again.
@@ -131,7 +132,8 @@ class ArdroneHost(object):
     address: IPv4 address of this machine to listen on, e.g. 127.0.1.1.
     ports: Ports; a 0 takes a free one, see `ports`.
     seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
-    radio_loss: probability that a radio slot is lost.   rest_height_m: of the vehicle's centre when it stands.
+    radio_loss: probability that a radio slot, or a datagram of navdata, is lost.
+    rest_height_m: of the vehicle's centre when it stands.
 
     All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
     address or port cannot be used; nothing that arrives later raises.
@@ -189,6 +191,8 @@ class ArdroneHost(object):
         # navdata
         self._client = None  # address of the last wake-up
         self._last_wake_up_s = -math.inf
+        self._radio_loss = radio_loss
+        self._losses = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8")), 1])  # of navdata
         self._bootstrap = True
         self._ack = False  # state bit 6
         self._sequence = 0
@@ -698,7 +702,7 @@ class ArdroneHost(object):
         self._sequence += 1
         frame = self._frame(now_s, phase) if self._writer.has_options else None
         packet = self._writer.packet(frame, self._state_bits(phase), self._sequence)
-        if self.link_lost:
+        if self.link_lost or (self._radio_loss > 0.0 and self._losses.random() < self._radio_loss):
             self._counts["datagrams_lost_out"] += 1
             return
         try:

@@ -58,7 +58,7 @@ class VirtualLab(object):
         """fleet: Fleet. honest: vehicles differ from their nominal type. gusts: moving air.
         command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
         live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
-        radio_loss: probability in [0, 1) that a slot of a vehicle's command link is lost.
+        radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
         interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
         (The fleet's mocap.interface is the client's card, which may be one of another computer.)
         """
@@ -131,7 +131,7 @@ class VirtualLab(object):
         mode = "honest plants, seed %d" % self.seed if self.honest else "ideal plants, seed %d" % self.seed
         lines = ["virtual lab '%s': %s%s" % (self.fleet.name, mode, ", gusts" if self.gusts else "")]
         if self.radio_loss:
-            lines[0] += ", radio loses %g %% of its slots" % (100.0 * self.radio_loss)
+            lines[0] += ", radio loses %g %% of the commands' slots and of navdata" % (100.0 * self.radio_loss)
         return "\n".join(lines + [host.describe() for host in self._hosts])
 
     def now_s(self):
@@ -371,7 +371,11 @@ def _parse_arguments(arguments):
     parser.add_argument("--gusts", action="store_true", help="moving air")
     parser.add_argument("--delay", type=float, metavar="S", help="nominal command delay of every vehicle")
     parser.add_argument(
-        "--radio-loss", type=float, default=0.0, metavar="P", help="fraction of the radio's slots that is lost, 0 to 1"
+        "--radio-loss",
+        type=float,
+        default=0.0,
+        metavar="P",
+        help="what the radio loses of commands and navdata, 0 to 1",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after this time (default: Ctrl-C)")
     parser.add_argument("--stats", metavar="FILE.json", help="write the statistics there at the end")

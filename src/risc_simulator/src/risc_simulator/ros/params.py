@@ -13,7 +13,7 @@ _DEFAULTS = {
     "exact_markers": False,  # cameras without noise, loss and ghosts
     "gusts": False,
     "delay": -1.0,  # [s] nominal command delay of every vehicle
-    "radio_loss": 0.0,  # fraction of the slots of every vehicle's command link that is lost
+    "radio_loss": 0.0,  # fraction of the slots of every vehicle's command link, and of navdata, that is lost
     "live": False,  # stream without waiting for a client
     "vehicles": -1,  # only the first so many
     "subnet": "",  # Cortex host at <subnet>.0.1, vehicle k at <subnet>.1.k
