@@ -84,6 +84,11 @@ def test_catkin_build_builds_it_too(tmp_path):
     assert '"type"' in run(["bash", "-c", script], tmp_path, env=BARE)
 
 
+def test_the_env_loader_of_the_install_space_is_for_that_space(install_space, tmp_path):
+    found = run([str(install_space / "coop.sh"), "rospack", "find", "risc_control"], tmp_path, env=BARE)
+    assert found.strip() == str(install_space / "share/risc_control")
+
+
 def test_every_installed_folder_is_in_git():
     """A folder that is only on this computer makes `catkin_make install` fail in a fresh clone."""
     for path in (ROOT / "src").rglob("CMakeLists.txt"):
