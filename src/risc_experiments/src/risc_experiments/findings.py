@@ -1,0 +1,131 @@
+"""What checks have found: green, yellow or red, in one sentence, with the cure. For `maap doctor` and `machines`."""
+
+import math
+import shutil
+import sys
+import textwrap
+from dataclasses import dataclass, field
+
+GREEN, YELLOW, RED = LEVELS = ("green", "yellow", "red")  # from good to bad
+_COLOURS = {GREEN: "\033[32m", YELLOW: "\033[33m", RED: "\033[1;31m"}
+_PLAIN = "\033[0m"
+_WIDTH = 110  # characters of a table that goes into a file
+_NARROWEST = 40  # characters for the text, however narrow the terminal is
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at. Raises ValueError for an unknown level or one that is not green without a cure."""
+
+    check: str  # name of the check, e.g. "cortex"
+    level: str  # GREEN: good; YELLOW: may fly, or could not be looked at; RED: does not fly
+    text: str  # what was found, one sentence, with numbers and units
+    cure: str = ""  # what to do about it; needed unless green
+    data: dict = field(default_factory=dict)  # what another program may want to know; must fit into JSON
+
+    def __post_init__(self):
+        if self.level not in LEVELS:
+            raise ValueError("the level of a finding is one of %s, not %r" % (", ".join(LEVELS), self.level))
+        if self.level != GREEN and not self.cure:
+            raise ValueError("a finding that is %s needs a cure: %s: %s" % (self.level, self.check, self.text))
+
+    def to_dict(self):
+        """Plain values, as for JSON. Numbers that JSON has not (NaN, infinite) become None."""
+        return {
+            "check": self.check,
+            "level": self.level,
+            "text": self.text,
+            "cure": self.cure,
+            "data": _plain(self.data),
+        }
+
+    @classmethod
+    def from_dict(cls, content):
+        """The finding of `to_dict`. Raises ValueError when it is none."""
+        try:
+            texts = [content[key] for key in ("check", "level", "text")] + [content.get("cure", "")]
+            data = content.get("data", {})
+        except (TypeError, KeyError, AttributeError):
+            raise ValueError("no finding: %r" % (content,)) from None
+        if not all(isinstance(text, str) for text in texts) or not isinstance(data, dict):
+            raise ValueError("no finding: %r" % (content,))
+        return cls(*texts, data)
+
+
+def green(check, text, **data):
+    """A finding that is good."""
+    return Finding(check, GREEN, text, "", data)
+
+
+def yellow(check, text, cure, **data):
+    """A finding that lets fly, or something that could not be looked at."""
+    return Finding(check, YELLOW, text, cure, data)
+
+
+def red(check, text, cure, **data):
+    """A finding that keeps from flying."""
+    return Finding(check, RED, text, cure, data)
+
+
+def worst(findings):
+    """The worst level of all; GREEN when there are none."""
+    return max((finding.level for finding in findings), key=LEVELS.index, default=GREEN)
+
+
+def exit_code(findings):
+    """0 when nothing is red, else 1."""
+    return 1 if worst(findings) == RED else 0
+
+
+def count_text(findings):
+    """How many there are of each level, e.g. "12 green, 2 yellow, 1 red"; levels without any are left out."""
+    counts = [(level, sum(finding.level == level for finding in findings)) for level in LEVELS]
+    return ", ".join("%d %s" % (count, level) for level, count in counts if count) or "nothing was looked at"
+
+
+def table(findings, width=_WIDTH, coloured=False):
+    """Lines of an aligned table, one finding after the other, the cure below each that is not green."""
+    name_width = max((len(finding.check) for finding in findings), default=0)
+    level_width = max(map(len, LEVELS))
+    indent = level_width + name_width + 4
+    text_width = max(_NARROWEST, width - indent)
+    lines = []
+    for finding in findings:
+        word = finding.level.ljust(level_width)
+        if coloured:
+            word = _COLOURS[finding.level] + word + _PLAIN
+        text = _wrapped(finding.text, text_width)
+        lines.append("%s  %s  %s" % (word, finding.check.ljust(name_width), text[0]))
+        lines += [" " * indent + line for line in text[1:]]
+        if finding.level != GREEN:
+            cure = _wrapped(finding.cure, text_width - 2)
+            lines += [" " * indent + ("> " if number == 0 else "  ") + line for number, line in enumerate(cure)]
+    return lines
+
+
+def print_findings(findings, out=None):
+    """Print the table: coloured, and as wide as it is, when `out` is a terminal. out: text stream, None = stdout."""
+    out = sys.stdout if out is None else out
+    terminal = out.isatty()
+    width = shutil.get_terminal_size((_WIDTH, 24)).columns if terminal else _WIDTH
+    for line in table(findings, width, terminal):
+        print(line, file=out)
+
+
+def _wrapped(text, width):
+    """Lines of a text; commands and addresses are not broken. At least one line."""
+    lines = []
+    for part in text.splitlines():
+        lines += textwrap.wrap(part, width, break_long_words=False, break_on_hyphens=False)
+    return lines or [""]
+
+
+def _plain(value):
+    """What JSON can hold of it."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

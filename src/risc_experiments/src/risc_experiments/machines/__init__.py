@@ -1,0 +1,1 @@
+"""`./maap machines`: are the computers of a launch file ready, make them ready, bring the workspace to them."""

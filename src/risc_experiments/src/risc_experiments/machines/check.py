@@ -1,0 +1,212 @@
+"""`./maap machines check`: would roslaunch start this file on all of its computers, and would it fly?"""
+
+import contextlib
+import json
+import os
+import shlex
+import socket
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+from risc_experiments.findings import RED, Finding, count_text, exit_code, green, print_findings, red, yellow
+from risc_experiments.machines import clock, keep_alive, ssh, topics, workspace
+
+_LOADER_S = 15.0
+_MANIFEST_S = 30.0
+_DOCTOR_S = 45.0
+
+
+def run(experiment, root, out=None):
+    """Check every computer, print what was found in the order of the file. Returns the exit code.
+
+    experiment: experiment.Experiment; root: folder of the workspace here; out: text stream, None = stdout.
+    """
+    out = sys.stdout if out is None else out
+    here = own_address(experiment)
+    remote = [computer for computer in experiment.computers if needs_login(computer)]
+    description = workspace.describe(root) if remote else None
+    findings = []
+    with contextlib.ExitStack() as stack:
+        master = stack.enter_context(contextlib.closing(topics.Master())) if remote else None
+        pool = stack.enter_context(ThreadPoolExecutor(max(len(experiment.computers), 1)))
+        jobs = [
+            pool.submit(check_computer, computer, number, root, description, master, here)
+            for number, computer in enumerate(experiment.computers)
+        ]
+        for computer, job in zip(experiment.computers, jobs):
+            try:
+                with waiting_for(computer.name):
+                    found = job.result()
+            except KeyboardInterrupt:  # what runs on the other computers ends by its own limits
+                print("\nmaap machines: interrupted", file=sys.stderr, flush=True)
+                if master is not None:
+                    master.close()
+                os._exit(1)
+            print("%s (%s)" % (computer.name, "this computer" if computer.local else computer.login), file=out)
+            print_findings(found, out)
+            print(file=out, flush=True)
+            findings += found
+    print("%d machines: %s" % (len(experiment.computers), count_text(findings)), file=out)
+    if exit_code(findings) == 0:
+        print("start it with\n  " + launch_line(experiment, here), file=out)
+    return exit_code(findings)
+
+
+@contextlib.contextmanager
+def waiting_for(name):
+    """Tell a person at a terminal what is being waited for, on a line that vanishes."""
+    if sys.stderr.isatty():
+        print("\r\033[K%s ..." % name, end="", file=sys.stderr, flush=True)
+    yield
+    if sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def needs_login(computer):
+    """Whether roslaunch goes there by ssh."""
+    return computer.nodes > 0 and not computer.local and not computer.unresolved
+
+
+def check_computer(computer, number, root, description, master, here):
+    """Findings about one computer, from the network up to its vehicle; stops at the first that hides the others.
+
+    root, description: folder and content of the workspace here; master: topics.Master; here: our address;
+    number: one of its own.
+    """
+    if computer.nodes == 0:
+        return [green("nodes", "none in this file: not needed, not checked")]
+    findings = _passwords(computer)
+    session = None
+    try:
+        if computer.unresolved:
+            raise ssh.MachineError(
+                red("network", *ssh.why_unreachable(socket.gaierror(), computer.unresolved, computer.port))
+            )
+        if computer.local:
+            return findings + _doctor(ssh.Here(computer))
+        ssh.reach(computer)
+        findings.append(green("network", "%s port %d answers" % (computer.address, computer.port)))
+        session = ssh.connect(computer)
+        how = "with the password of the file or a key" if computer.password else "without a password"
+        findings.append(green("login", "host key known, login %s %s" % (computer.login, how)))
+        findings.append(keep_alive.check(session))
+        findings.append(_env_loader(session))
+        findings.append(_workspace(session, description, root))
+        findings += topics.check(session, master, here or session.here, number)
+        findings.append(clock.check(session))
+        findings += _doctor(session)
+    except ssh.MachineError as problem:
+        findings.append(problem.finding)
+    finally:
+        if session is not None:
+            session.close()
+    return findings
+
+
+def own_address(experiment):
+    """The address of this computer for the others: that of the file, else the one that leads to the first of them.
+
+    None when nothing leads there.
+    """
+    for computer in experiment.computers:
+        if computer.local:
+            with contextlib.suppress(OSError):
+                address = socket.gethostbyname(computer.address)
+                if not address.startswith("127."):
+                    return address
+    for computer in filter(needs_login, experiment.computers):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+            probe.connect((computer.address, computer.port))  # sends nothing
+            return probe.getsockname()[0]
+    return None
+
+
+def launch_line(experiment, here):
+    """The command that starts the experiment from any terminal of this computer."""
+    words = ["roslaunch", experiment.path, *experiment.arguments]
+    inner = " ".join(shlex.quote(word) for word in words)
+    if any(map(needs_login, experiment.computers)):
+        # the others are told the master's address literally: it must not be localhost
+        hostname = "env -u ROS_HOSTNAME " if "ROS_HOSTNAME" in os.environ else ""
+        inner = "%sROS_MASTER_URI=http://%s:%d ROS_IP=%s %s" % (hostname, here, ssh.MASTER_PORT, here, inner)
+    return "./maap shell -c %s" % shlex.quote(inner)
+
+
+def _passwords(computer):
+    if computer.password:
+        return [
+            red(
+                "password",
+                "the launch file holds a password for %s: everybody who has the file has the computer" % computer.name,
+                'remove password="..." from its <machine> tag, change the password, then ./maap machines setup',
+            )
+        ]
+    if computer.password is not None:
+        return [
+            yellow(
+                "password",
+                'password="" is not the same as no password: roslaunch then ignores the IdentityFile of ~/.ssh/config',
+                "remove the attribute from the <machine> tag",
+            )
+        ]
+    return []
+
+
+def _env_loader(session):
+    """The Finding that it works. Raises MachineError when it does not: nothing else could run there."""
+    loader = session.computer.loader_file
+    begin_s = time.monotonic()
+    answer = session.loaded(["true"], _LOADER_S)
+    took_s, limit_s = time.monotonic() - begin_s, session.computer.timeout_s
+    if answer.code == 0 and took_s > limit_s / 2.0:  # roslaunch itself has to start in the other half
+        text = "%s takes %.1f s, and roslaunch waits %g s for the machine to answer" % (loader, took_s, limit_s)
+        return yellow("env-loader", text, 'timeout="%.0f" in its <machine> tag' % max(20.0, 4.0 * took_s))
+    if answer.code == 0:
+        return green("env-loader", "%s works" % loader)
+    quoted = shlex.quote(loader)
+    exists = session.shell("test -f %s" % quoted, _LOADER_S).code == 0
+    executable = exists and session.shell("test -x %s" % quoted, _LOADER_S).code == 0
+    if not exists:
+        text, cure = "there is no %s there" % loader, "./maap machines deploy, or ./maap build there"
+    elif not executable:
+        text, cure = "%s is not executable there" % loader, "on that computer: chmod +x %s" % quoted
+    else:
+        text = "%s fails there: %s" % (loader, answer.reason())
+        cure = "on that computer: %s true; ./maap machines deploy brings ours there" % quoted
+    raise ssh.MachineError(red("env-loader", text, cure))
+
+
+def _workspace(session, here, root):
+    folder = session.computer.workspace
+    answer = session.loaded(["python", "-m", "risc_experiments.machines.workspace", folder], _MANIFEST_S)
+    try:
+        there = json.loads(answer.out.splitlines()[-1])
+    except (ValueError, IndexError):
+        return red("workspace", "it cannot say what it is made of: %s" % answer.reason(), "./maap machines deploy")
+    found = workspace.compare(here, there)
+    if found.level != RED and os.path.realpath(folder) != os.path.realpath(root):
+        text = "it is %s here, but %s there: $(find ...) in a launch file is a path of this computer" % (root, folder)
+        return red("workspace", text, "put it into the same folder on every computer (./maap build after moving it)")
+    return found
+
+
+def _doctor(place):
+    """Findings of the doctor there: disk, and what the launch file says is connected to that computer."""
+    computer = place.computer
+    checks, options = ["disk"], []
+    if computer.joysticks:
+        checks.append("joystick")
+        options += ["--joystick", *computer.joysticks]
+    if computer.vehicles and computer.fleet:
+        checks.append("vehicles")
+        options += ["--vehicle", *computer.vehicles]
+    command = ["python", "-m", "risc_experiments.doctor", "--json", "--only", ",".join(checks), *options]
+    if computer.fleet:
+        command.insert(3, computer.fleet)
+    answer = place.loaded(command, _DOCTOR_S)
+    try:
+        return [Finding.from_dict(content) for content in json.loads(answer.out.splitlines()[-1])]
+    except (ValueError, IndexError):
+        cure = "./maap doctor on that computer; when the workspace there is another one: ./maap machines deploy"
+        return [yellow("doctor", "it does not run there: %s" % answer.reason(), cure)]

@@ -1,0 +1,133 @@
+"""A launch file with <machine> tags, read with roslaunch's own loader: which computers it needs and what for."""
+
+import os
+import posixpath
+import shlex
+from dataclasses import dataclass
+
+import roslaunch
+from roslaunch.arg_dump import get_args
+from roslaunch.core import RLException, is_machine_local
+
+_VIRTUAL_LAB = "virtual_lab"  # node types that begin so bring the vehicles of a launch file with them
+
+
+class ExperimentError(Exception):
+    """The launch file cannot be used; the text says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Computer:
+    """One <machine> tag, and what the nodes that run there need."""
+
+    name: str
+    address: str
+    port: int = 22
+    user: str = None  # None: the login of whoever launches, or what ~/.ssh/config says
+    password: str = None
+    env_loader: str = None
+    timeout_s: float = 10.0  # that roslaunch waits for it
+    local: bool = False  # this computer: roslaunch needs no ssh for it
+    unresolved: str = ""  # why the address is none, "" when it is one
+    nodes: int = 0  # how many run there
+    joysticks: tuple = ()  # devices of its joy_nodes
+    vehicles: tuple = ()  # namespaces of the vehicles that its drivers fly
+    fleet: str = ""  # the fleet file, the same path on all computers; "" = the launch file names none
+
+    @property
+    def login(self):
+        """As one types it for ssh."""
+        return self.address if self.user is None else "%s@%s" % (self.user, self.address)
+
+    @property
+    def loader_file(self):
+        """The file that the env-loader is; before it there may be "env VARIABLE=VALUE"."""
+        return shlex.split(self.env_loader)[-1]
+
+    @property
+    def workspace(self):
+        """Folder of the workspace there: the env-loader lies in its devel or install folder."""
+        return posixpath.dirname(posixpath.dirname(self.loader_file))
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A launch file with its arguments, and the computers in the order of the file."""
+
+    path: str
+    arguments: tuple  # "NAME:=VALUE"
+    computers: tuple
+
+    def only(self, names):
+        """The same with some of its computers. Raises ExperimentError for a name that the file has not."""
+        known = [computer.name for computer in self.computers]
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            raise ExperimentError("%s has no machine %s: it has %s" % (self.path, unknown[0], ", ".join(known)))
+        return Experiment(self.path, self.arguments, tuple(c for c in self.computers if c.name in names))
+
+
+def load_experiment(path, arguments=()):
+    """Read a launch file. arguments: texts "NAME:=VALUE". Raises ExperimentError."""
+    if not os.path.isfile(path):
+        raise ExperimentError("there is no launch file %s" % path)
+    try:
+        _check_arguments(path, arguments)
+        config = roslaunch.config.ROSLaunchConfig()
+        loader = roslaunch.xmlloader.XmlLoader()
+        loader.load(str(path), config, argv=list(arguments), verbose=False)
+    except (RLException, roslaunch.xmlloader.XmlParseException) as problem:
+        raise ExperimentError("roslaunch cannot read %s: %s" % (path, " ".join(str(problem).split()))) from None
+    if config.config_errors:
+        raise ExperimentError("roslaunch cannot read %s: %s" % (path, config.config_errors[0]))
+    machines = {name: machine for name, machine in config.machines.items() if name}
+    if not machines:
+        raise ExperimentError("%s has no <machine> tags: all of it runs on this computer (./maap doctor)" % path)
+    for node in config.nodes:
+        if node.machine_name and node.machine_name not in machines:
+            raise ExperimentError("%s: node %s is for machine %s, which no <machine> tag declares"
+                                  % (path, node.name, node.machine_name))  # fmt: skip
+    fleet = loader.root_context.resolve_dict.get("arg", {}).get("fleet", "")
+    computers = tuple(_computer(machine, config, fleet) for machine in machines.values())
+    return Experiment(str(path), tuple(arguments), computers)
+
+
+def default_addresses(path):
+    """The addresses that a launch file has when nobody says others."""
+    return {default for name, (_, default) in get_args([path]).items() if name.endswith("_address")}
+
+
+def _check_arguments(path, arguments):
+    """roslaunch ignores arguments that a file has not: a misspelt address would go unnoticed."""
+    known = get_args([str(path)])
+    for argument in arguments:
+        name = argument.partition(":=")[0]
+        if name not in known:
+            raise ExperimentError("%s has no argument %s: it has %s" % (path, name, ", ".join(sorted(known))))
+
+
+def _computer(machine, config, fleet):
+    nodes = [node for node in config.nodes if node.machine_name == machine.name]
+    local, unresolved = False, ""
+    try:
+        local = is_machine_local(machine)
+    except RLException:
+        unresolved = machine.address
+    with_lab = any(node.type.startswith(_VIRTUAL_LAB) for node in config.nodes)
+    devices = [node.namespace + node.name + "/dev" for node in nodes if node.type == "joy_node"]
+    drivers = [node.namespace.strip("/") for node in nodes if node.type == "ardrone_driver" and not with_lab]
+    return Computer(
+        name=machine.name,
+        address=machine.address,
+        port=machine.ssh_port,
+        user=machine.user,
+        password=machine.password,
+        env_loader=machine.env_loader and posixpath.normpath(machine.env_loader),
+        timeout_s=machine.timeout,
+        local=local,
+        unresolved=unresolved,
+        nodes=len(nodes),
+        joysticks=tuple(dict.fromkeys(str(config.params[key].value) for key in devices if key in config.params)),
+        vehicles=tuple(dict.fromkeys(drivers)),
+        fleet=fleet,
+    )

@@ -1,0 +1,322 @@
+"""The doctor and a virtual lab: healthy, then with one fault after the other, then with a graph that flies in it."""
+
+import contextlib
+import dataclasses
+import json
+import os
+import pathlib
+import queue
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+import yaml
+
+from risc_control.lab import load_fleet, load_templates
+from risc_experiments.doctor import by_hand
+from risc_experiments.doctor.checks import CHECKS
+from risc_experiments.doctor.ros_master import Master, MasterError
+from risc_experiments.findings import GREEN, RED, YELLOW, exit_code
+from risc_experiments.processes import Launch, PortReservation, free_tcp_port, marked_processes
+from risc_simulator.cortex_host import CortexHost
+from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
+from risc_simulator.virtual_lab import VirtualLab
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+PATIENCE_S = 40.0
+
+
+def free_udp_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return probe.getsockname()[1]
+
+
+@contextlib.contextmanager
+def reserved_fleet():
+    """A fleet at addresses and with a stream port that nobody else uses."""
+    reservation = PortReservation()
+    try:
+        fleet = load_fleet(ROOT / "launch" / "fleets" / "ardrones3.yaml").in_subnet(reservation.subnet)
+        yield dataclasses.replace(fleet, mocap=dataclasses.replace(fleet.mocap, stream_port=free_udp_port()))
+    finally:
+        reservation.close()
+
+
+class RunningLab:
+    """A virtual lab in a thread of its own."""
+
+    def __init__(self, fleet):
+        self.fleet = fleet
+        self._lab = VirtualLab(fleet, live_on_start=True)
+        self._orders = queue.Queue()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self):
+        try:
+            self._lab.run(self._stop, on_frame=self._obey)
+        finally:
+            self._lab.close()
+
+    def _obey(self):
+        while not self._orders.empty():
+            order, done = self._orders.get()
+            order(self._lab)
+            done.set()
+
+    def do(self, order):
+        """Call a function of the lab in its thread."""
+        done = threading.Event()
+        self._orders.put((order, done))
+        assert done.wait(PATIENCE_S)
+
+    def close(self):
+        self._stop.set()
+        self._thread.join(PATIENCE_S)
+
+
+@pytest.fixture(scope="module")
+def lab():
+    with reserved_fleet() as fleet:
+        running = RunningLab(fleet)
+        yield running
+        running.close()
+
+
+@pytest.fixture
+def no_master(monkeypatch):
+    """An environment in which no ROS master runs."""
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:%d" % free_tcp_port())
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    monkeypatch.delenv("ROS_HOSTNAME", raising=False)
+
+
+def doctor(fleet, folder, *words):
+    """{(check, level): "text -> cure"; ...} and the exit code. fleet: Fleet, None = that of the graph."""
+    command = [sys.executable, "-m", "risc_experiments.doctor", "--json", "--bag-folder", str(folder), *words]
+    if fleet is not None:
+        path = folder / "fleet.yaml"
+        path.write_text(yaml.safe_dump(fleet.to_dict()))
+        command.insert(3, str(path))
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode in (0, 1), done.stderr
+    found = {}
+    for item in json.loads(done.stdout):
+        key = item["check"], item["level"]
+        found[key] = found.get(key, "") + "%(text)s -> %(cure)s\n" % item
+    return found, done.returncode
+
+
+def levels(found, check):
+    return {level for name, level in found if name == check}
+
+
+def test_a_healthy_lab_can_fly(lab, no_master, tmp_path):
+    found, code = doctor(lab.fleet, tmp_path)
+    assert code == 0 and not [key for key in found if key[1] == RED], found
+    assert {check for check, _ in found} == set(CHECKS), "every check says something"
+    for check in ("multicast", "ports", "templates", "axes", "clock", "vehicles", "joystick"):
+        assert levels(found, check) == {GREEN}, found
+    assert "frames come at" in found["cortex", GREEN] or "frames come at" in found["cortex", YELLOW]
+    assert found["vehicles", GREEN].count("asked directly") == 3
+    assert found["axes", GREEN].count("plausible: fluffy_II, albatross, Raven") == 1
+
+
+def test_what_is_wrong_with_vehicles(lab, no_master, tmp_path):
+    def trouble(the_lab):
+        the_lab.set_battery_pct("risc2", 9.0)
+        the_lab.lose_link("risc3", 3600.0)
+
+    def mend(the_lab):
+        the_lab.set_battery_pct("risc2", 90.0)
+        the_lab.lose_link("risc3", 0.0)
+
+    lab.do(trouble)
+    found, code = doctor(lab.fleet, tmp_path, "--only", "vehicles")
+    lab.do(mend)
+    assert code == 1 and "risc1" in found["vehicles", GREEN]
+    assert re.search("risc2 .* battery [89] %: it would land at once", found["vehicles", RED])
+    assert "risc3 (%s) does not answer: no telemetry" % lab.fleet.vehicles[2].address in found["vehicles", RED]
+    assert "charge" in found["vehicles", RED]
+
+
+def test_what_is_wrong_with_motion_capture(lab, no_master, tmp_path):
+    only = "--only", "cortex,templates,axes,ports"
+    strange = dataclasses.replace(lab.fleet.vehicles[0], template="Fluffy_II")
+    other = dataclasses.replace(
+        lab.fleet,
+        mocap=dataclasses.replace(lab.fleet.mocap, rate_hz=100.0),
+        vehicles=(strange, *lab.fleet.vehicles[1:]),
+    )
+    found, code = doctor(other, tmp_path, *only)
+    assert code == 1 and "the fleet expects 100 Hz" in found["cortex", YELLOW]
+    assert "rename 'fluffy_II' in Cortex to 'Fluffy_II'" in found["templates", RED]
+
+    lab.do(lambda the_lab: the_lab.cortex_host.set_live(False))
+    found, _ = doctor(lab.fleet, tmp_path, *only)
+    assert "not in live mode -> stream_markers asks" in found["cortex", YELLOW] and levels(found, "axes") == {YELLOW}
+    found, _ = doctor(lab.fleet, tmp_path, "--live", "--only", "cortex")
+    assert "frames come at" in "".join(found.values()), "it was asked to go live"
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
+        thief.bind(("", lab.fleet.mocap.stream_port))
+        found, code = doctor(lab.fleet, tmp_path, *only)
+    assert code == 1 and "taken by" in found["ports", RED] and "pid %d" % os.getpid() in found["ports", RED]
+    assert "live, but its stream does not come" in found["cortex", YELLOW]
+
+
+def test_without_a_lab_nothing_flies_and_a_wrong_address_is_told(no_master, monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS_IP", "203.0.113.7")  # nobody's
+    with reserved_fleet() as fleet:
+        found, code = doctor(fleet, tmp_path)
+    assert code == 1
+    assert "no answer from Cortex at %s" % fleet.mocap.host in found["cortex", RED]
+    assert found["vehicles", RED].count("does not answer") == 3
+    assert {levels(found, check) == {YELLOW} for check in ("templates", "axes")} == {True}
+    assert "ROS_IP is 203.0.113.7, which is no address of this computer" in found["ros", RED]
+
+
+# ---------------------------------------------------------------- move +x, see +x
+
+
+class HandWorld:
+    """A world with one vehicle in somebody's hands, seen in a frame that is `matrix` times the lab's."""
+
+    def __init__(self, matrix):
+        self.time_s = 0.0
+        self.at_m = np.array([0.3, -0.2, 0.1])
+        self._matrix = np.asarray(matrix, dtype=float)
+        self._markers_m = load_templates()["fluffy_II"].markers_m * (1.0, -1.0, -1.0)
+
+    def bodies(self):
+        return [("fluffy_II", (self._markers_m + self.at_m) @ self._matrix.T)]
+
+
+@contextlib.contextmanager
+def host_of(world, mocap):
+    """A Cortex host that shows the world, in a thread."""
+    cameras = MocapCameras(CameraParams.ideal())
+    host = CortexHost(world, mocap, cameras, live_on_start=True, discovery=False)
+    stop = threading.Event()
+
+    def run():
+        start_s = time.monotonic()
+        while not stop.wait(1.0 / mocap.rate_hz):
+            for sock in host.sockets():
+                host.on_readable(sock, world.time_s)
+            world.time_s = time.monotonic() - start_s
+            host.tick(world.time_s)
+        host.close()
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(PATIENCE_S)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (np.eye(3), []),
+        ([[0, 1, 0], [1, 0, 0], [0, 0, 1]], ["+x (forward) is seen as +y", "left-handed"]),
+    ],
+)
+def test_moved_by_hand(matrix, words):
+    world = HandWorld(matrix)
+    steps = iter([np.zeros(3), [0.5, 0.0, 0.0], np.zeros(3), [0.0, 0.5, 0.0], np.zeros(3), [0.0, 0.0, 0.5]])
+    prompts = []
+
+    def operator(prompt):
+        prompts.append(prompt)
+        time.sleep(0.2)  # people take their time: what came before the move must not count
+        world.at_m = world.at_m + next(steps)
+
+    with reserved_fleet() as fleet, host_of(world, fleet.mocap):
+        findings = by_hand.look(fleet, "risc1", operator, look_s=0.1)
+        unseen = by_hand.look(fleet, "risc2", lambda prompt: None, look_s=0.1)
+    assert len(prompts) == 6 and "to the left (+y)" in prompts[3]
+    assert exit_code(findings) == bool(words)
+    assert words or [finding.level for finding in findings] == [GREEN] * 3, findings
+    told = "\n".join(finding.text for finding in findings)
+    assert all(word in told for word in words), told
+    assert exit_code(unseen) == 1 and "shows no 'albatross'" in unseen[0].text
+
+
+# ---------------------------------------------------------------- a graph
+
+
+def wait_until(true, what):
+    deadline = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.1)
+
+
+def test_a_graph_that_runs_is_asked_and_its_vehicles_are_left_alone(tmp_path, monkeypatch):
+    port = free_tcp_port()
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:%d" % port)
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    monkeypatch.setenv("ROS_HOME", str(tmp_path))
+    with reserved_fleet() as fleet:
+        path = tmp_path / "flown.yaml"
+        path.write_text(yaml.safe_dump(fleet.to_dict()))
+        settings = {"fleet": path, "vehicles": "risc1", "operator": "false"}
+        launch = Launch(ROOT / "launch" / "circles3.launch", settings, tmp_path, port)
+        try:
+            wait_until(lambda: launch.running() and everything_comes(tmp_path), "the graph does not start")
+            found, _ = doctor(None, tmp_path, "--only", "cortex,vehicles,ros,graph,clock,ports", "--vehicle", "risc1")
+            with monkeypatch.context() as elsewhere:
+                elsewhere.setenv("ROS_MASTER_URI", "http://127.0.0.1:%d" % free_tcp_port())
+                apart, _ = doctor(fleet, tmp_path, "--only", "vehicles", "--vehicle", "risc1")
+            with stopped(process_of(launch, "stream_markers")):
+                after, code = doctor(None, tmp_path, "--only", "ros,graph")
+        finally:
+            launch.stop()
+    assert "risc1 (%s) answers (by its driver)" % fleet.vehicles[0].address in found["vehicles", GREEN]
+    assert (
+        "not asked, as ardrone_driver" in apart["vehicles", YELLOW]
+        and "127.0.0.1:%d" % port in apart["vehicles", YELLOW]
+    )
+    assert "frames come at" in "".join(found.values()), "the stream is shared with stream_markers"
+    assert levels(found, "ports") == {GREEN}, found
+    assert ("graph", GREEN) in found or ("graph", YELLOW) in found, found
+    assert "/mocap_data comes at" in "".join(found.values()) and "/cortex_raw comes at" in "".join(found.values())
+    assert "/cortex_raw" in "".join(text for (check, _), text in found.items() if check == "clock"), found
+    assert "the master at http://127.0.0.1:%d answers" % port in found["ros", GREEN]
+    assert code == 1 and "nothing comes on /mocap_data, although /stream_markers publishes it" in after["graph", RED]
+    assert "not answering: /stream_markers -> rosnode cleanup" in after["ros", YELLOW], after
+
+
+def everything_comes(folder):
+    """True once there are messages of motion capture, of the estimator and of the driver."""
+    with contextlib.suppress(MasterError):
+        topics = Master(os.environ["ROS_MASTER_URI"]).publishers()
+        if {"/mocap_data", "/cortex_raw", "/controls", "/risc1/ardrone/navdata"} <= set(topics):
+            found, _ = doctor(None, folder, "--only", "vehicles,graph", "--vehicle", "risc1")
+            return ("vehicles", RED) not in found and "nothing comes" not in "".join(found.values())
+    return False
+
+
+@contextlib.contextmanager
+def stopped(pid):
+    """A process that hangs meanwhile."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def process_of(launch, word):
+    return next(pid for pid, command in marked_processes(launch.identity).items() if word in command)
