@@ -1,0 +1,267 @@
+"""The thesis' laboratory on one computer: a base station and three laptops with Appendix C's addresses, real ssh
+between them, and the virtual lab as a fifth computer: Cortex on their network, each AR.Drone by a radio of its own.
+"""
+
+import collections
+import contextlib
+import json
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+import time
+
+import roslaunch
+import yaml
+from flying import ATTEMPTS, judged, off_schedule
+from netlab import NetLab
+
+from ardrone_autonomy.protocol import at
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+LAUNCH_FILE = ROOT / "launch/Multi_Machine_Experiment.launch"
+ADDRESSES = {
+    "risc1": "129.123.5.240/24",
+    "risc2": "129.123.5.200/24",
+    "risc3": "129.123.5.59/24",
+    "risc4": "129.123.85.143/24",
+    "cortex": "129.123.5.10/24",
+}
+VEHICLE_OF = {"risc2": "risc1", "risc3": "risc2", "risc4": "risc3"}  # {laptop: vehicle}, Appendix C
+COMPUTERS = ("risc1", *VEHICLE_OF)
+MASTER = "http://129.123.5.240:11311"
+USER = None  # root: only root may give what flies a higher priority, and here four computers share two cores
+LOSS = 0.02  # of what is on the radio
+PATIENCE_S = 120.0  # for what takes a tenth of it on a computer with time
+RESULT = "operator: result"
+NETWORKS = ("129.123.5.0/24", "129.123.85.0/24")
+RESEND_AFTER = "40ms"  # what a cable has lost, not after 200, 600, ... ms, as is the default
+KEEP_ALIVE = ("ClientAliveInterval 2", "ClientAliveCountMax 3")  # as docs/many_machines.md says
+COLOURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\]2;[^\x07]*\x07")
+NODE_NAME = re.compile(r" __name:=(\S+)")
+# Two cores do what five computers would: half the frames, few pictures, and everything starts before the take-off.
+RATE_HZ = 100.0
+LIGHT = ("rviz:=false", "operator:=true", "video_fps:=3", "record_hz:=0", "ready:=4")
+
+Command = collections.namedtuple("Command", "time_s vehicle name arguments")
+
+
+class FourHosts:
+    """The laboratory. `with` it; afterwards `folder` has the bag, the logs and what the virtual lab says of the flight.
+
+    ahead_s: {computer: by how much the clock of everything that ssh starts there is ahead [s]}.
+    forgetful: computers whose sshd never notices that a client is gone, as without KEEP_ALIVE.
+    """
+
+    def __init__(self, folder, ahead_s=None, forgetful=()):
+        self.folder = pathlib.Path(folder)
+        self.folder.mkdir(parents=True)
+        lines = {computer: [] if computer in forgetful else list(KEEP_ALIVE) for computer in COMPUTERS}
+        for computer, seconds in (ahead_s or {}).items():
+            lines[computer].append("SetEnv LD_PRELOAD=%s CLOCK_AHEAD_S=%g" % (self._clock_library(), seconds))
+        self.net = NetLab(ADDRESSES, USER, lines)
+        self._launched_s = 0.0
+        self._launch = None
+        self._programs = contextlib.ExitStack()
+
+    def __enter__(self):
+        self.net.up()
+        try:
+            self._connect_radios()
+            self.net.assert_isolated()
+            self._start_virtual_lab()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_):
+        for host in COMPUTERS:
+            logs = self.net.home(host) / ".ros/log"
+            if logs.exists():
+                shutil.copytree(str(logs), str(self.folder / "ros_log" / host), symlinks=True)
+        self._programs.close()
+        self.net.down()
+
+    # --- the laboratory ---------------------------------------------------------------------------------------------
+
+    def _clock_library(self):
+        path = self.folder / "clock_ahead.so"
+        source = str(ROOT / "tests/clock_ahead.c")
+        subprocess.run(["cc", "-O2", "-shared", "-fPIC", "-o", str(path), source, "-ldl"], check=True)
+        return path
+
+    def _connect_radios(self):
+        """Each laptop has joined the network of its vehicle, which loses some of what is sent.
+
+        In the lab all vehicles have the factory address; here one computer has to be all of them, so theirs differ.
+        """
+        self.lossy_kernel = True
+        for number, laptop in enumerate(VEHICLE_OF, 1):
+            address = "192.168.%d.%%d/24" % number
+            self.net.cable(laptop, "wlan0", address % 2, "cortex", "wlan%d" % number, address % 1)
+            try:
+                self.net.netem(laptop, "delay 2ms loss %g%%" % (100.0 * LOSS), "wlan0")
+            except RuntimeError:  # this kernel has none: the virtual lab has to lose it
+                self.lossy_kernel = False
+        for computer in COMPUTERS:  # as docs/many_machines.md says: a short outage must not last for long
+            for network in NETWORKS:
+                route = ["ip", "route", "change", network, "dev", "eth0", "rto_min", RESEND_AFTER]
+                self.net.run(computer, route, as_root=True)
+
+    def _start_virtual_lab(self):
+        self.fleet = self.net.folder / "fleet.yaml"
+        fleet = yaml.safe_load((ROOT / "launch/fleets/lab3.yaml").read_text())
+        fleet["mocap"]["rate_hz"] = RATE_HZ
+        for number, vehicle in enumerate(fleet["vehicles"], 1):
+            vehicle["address"] = "192.168.%d.1" % number
+        self.fleet.write_text(yaml.safe_dump(fleet))
+        self._statistics = self.folder / "virtual_lab.json"
+        loss = 0.0 if self.lossy_kernel else LOSS
+        options = ["--seed", "1", "--radio-loss", loss, "--stats", self._statistics]
+        self._lab = self._program("virtual_lab", ["-m", "risc_simulator.virtual_lab", self.fleet, *options])
+        cards = ["%s=wlan%d" % (vehicle, number) for number, vehicle in enumerate(VEHICLE_OF.values(), 1)]
+        self._wire = self._program("wire_log", [ROOT / "tests/wire_log.py", *cards])
+        self._wait(lambda: "AT commands" in self.log("virtual_lab") and "ready" in self.log("wire_log"), self._lab_log)
+
+    def _lab_log(self):
+        return self.log("virtual_lab") + self.log("wire_log")
+
+    def _program(self, name, arguments):
+        """Start a Python program on the virtual lab's computer, ended with the laboratory at the latest."""
+        out = self._programs.enter_context((self.folder / (name + ".txt")).open("w"))
+        environment = {"PYTHONPATH": os.environ["PYTHONPATH"], "OPENBLAS_NUM_THREADS": "1"}
+        command = [sys.executable, *arguments]
+        return self.net.popen("cortex", command, environment, as_root=True, stdout=out, stderr=subprocess.STDOUT)
+
+    def log(self, name):
+        """What a program has printed so far: a launch by its name, "virtual_lab", "wire_log"."""
+        path = self.folder / (name + ".txt")
+        return COLOURS.sub("", path.read_text(errors="replace")) if path.exists() else ""
+
+    # --- a flight ---------------------------------------------------------------------------------------------------
+
+    def launch(self, *arguments, name="flight"):
+        """The one command, on the base station. name: of its bag and of its log."""
+        bag = self.net.home("risc1") / (name + ".bag")
+        command = [ROOT / "devel/coop.sh", "roslaunch", LAUNCH_FILE, "fleet:=%s" % self.fleet, "bag:=%s" % bag]
+        environment = {"ROS_MASTER_URI": MASTER, "ROS_IP": self.net.address("risc1"), "PYTHONUNBUFFERED": "1"}
+        out = self._programs.enter_context((self.folder / (name + ".txt")).open("w"))
+        self._name, self._launched_s = name, time.monotonic()
+        self._launch = self.net.popen(
+            "risc1", [*command, *LIGHT, *arguments], environment, stdout=out, stderr=subprocess.STDOUT
+        )
+
+    def wait_for(self, text):
+        """Until the launch has printed the text. Returns the seconds since its start. An aborted flight ends it."""
+
+        def is_there():
+            log = self.log(self._name)
+            assert text in log or text == RESULT or "phase aborted" not in log, log
+            return text in log
+
+        self._wait(is_there, lambda: "'%s' never came:\n%s" % (text, self.log(self._name)))
+        return time.monotonic() - self._launched_s
+
+    def _wait(self, condition, log):
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            dead = self._lab.poll() is not None or (self._launch is not None and self._launch.poll() is not None)
+            assert not dead and time.monotonic() < deadline, log()
+            time.sleep(0.05)
+
+    def cut(self, computer, duration_s):
+        """Nothing reaches it or comes from it for so long. Returns the times [s] between which that is certain."""
+        self.net.mute(computer, True)
+        begin_s = time.time()
+        time.sleep(duration_s)
+        end_s = time.time()
+        self.net.mute(computer, False)
+        return begin_s, end_s
+
+    def interrupt(self):
+        """Ctrl-C for the launch. Returns how long it took to end [s]."""
+        begin_s = time.monotonic()
+        self.net.interrupt(self._launch, timeout=PATIENCE_S)
+        return time.monotonic() - begin_s
+
+    def left_on(self, *computers):
+        """{computer: command lines} of what runs there and is not the computer's own; {} when nothing is left."""
+        found = {}
+        for computer in computers:
+            commands = self.net.processes(computer).values()
+            foreign = [text for text in commands if text and "netlab.py" not in text and "[listener]" not in text]
+            if foreign:
+                found[computer] = foreign
+        return found
+
+    def nodes_on(self, computer):
+        """Sorted names of the nodes that run there, without their namespaces."""
+        names = [NODE_NAME.search(command) for command in self.net.processes(computer).values()]
+        return sorted(name.group(1) for name in names if name)
+
+    def node_pids(self, computer):
+        """Process ids of the nodes that run there."""
+        return {pid for pid, command in self.net.processes(computer).items() if NODE_NAME.search(command)}
+
+    def finish(self):
+        """End the virtual lab, and keep what it says and what was recorded. Returns its statistics."""
+        self.net.interrupt(self._lab)
+        self.net.interrupt(self._wire)
+        self.statistics = json.loads(self._statistics.read_text())
+        for path in self.net.home("risc1").glob("*.bag*"):
+            shutil.copy(str(path), str(self.folder))
+        return self.statistics
+
+    def commands(self, vehicle=None):
+        """[Command, ...] that reached the vehicles, or the one, in order."""
+        lines = (self.folder / "wire_log.txt").read_text().splitlines()
+        commands = [Command(*json.loads(line)) for line in lines if line.startswith("[")]
+        return [command for command in commands if vehicle in (None, command.vehicle)]
+
+
+def planned_nodes(*arguments):
+    """{computer: sorted names of the nodes that the launch file puts there}."""
+    config = roslaunch.config.ROSLaunchConfig()
+    roslaunch.xmlloader.XmlLoader().load(
+        str(LAUNCH_FILE), config, argv=["bag:=flight.bag", *LIGHT, *arguments], verbose=False
+    )
+    config.assign_machines()
+    found = {computer: [] for computer in COMPUTERS}
+    for node in config.nodes:
+        found[node.machine.name].append(node.name)
+    found["risc1"].append("rosout")  # comes with the master
+    return {computer: sorted(names) for computer, names in found.items()}
+
+
+def orders_landing(command):
+    """A REF whose start bit is 0: land, or stay on the ground."""
+    return command.name == "REF" and not command.arguments[0] & at.Ref.START
+
+
+def moves(command):
+    """Sticks that are not "level, hold altitude"."""
+    flags, *sticks = command.arguments
+    return command.name != "REF" and bool(flags & at.PcmdFlag.PROGRESSIVE) and any(sticks[:4])
+
+
+def fly(folder, scenario, **options):
+    """Carry out scenario(hosts) in a new laboratory and end the virtual lab. Returns the FourHosts.
+
+    A flight that failed while this computer had no time for the virtual lab is flown again, as `flying` does it.
+    """
+    for attempt in range(ATTEMPTS):
+        problem = None
+        with FourHosts(folder / str(attempt), **options) as hosts:
+            try:
+                scenario(hosts)
+            except AssertionError as error:
+                problem = error
+            lab = {"lab_late_ms": hosts.finish()["late_ms"]}
+        if problem is None:
+            return hosts
+        if not off_schedule(lab):
+            raise problem
+    return judged((1, str(problem), lab, folder))

@@ -1,0 +1,112 @@
+"""The throw-away network of computers that tests of several machines run in."""
+
+import pathlib
+import subprocess
+import time
+
+import pytest
+from netlab import PREFIX, NetLab, unsupported
+
+HOSTS = {"north": "10.77.0.1/24", "south": "10.77.0.2/24", "east": "10.77.1.3/24"}
+PING = ("import socket, sys; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.settimeout(0.3); "
+        "s.sendto(b'x', (sys.argv[1], 7)); s.recv(9)")  # fmt: skip
+
+pytestmark = pytest.mark.skipif(bool(unsupported()), reason="NO NETWORK NAMESPACES: " + unsupported())
+
+
+def leftovers(lab):
+    """What the network has left on this computer."""
+    namespaces = subprocess.run(["ip", "netns"], stdout=subprocess.PIPE, text=True, check=True).stdout
+    mounts = pathlib.Path("/proc/self/mounts").read_text()
+    return [text for text in (namespaces, mounts, str(list(lab.folder.glob("*")))) if lab.name in text]
+
+
+@pytest.fixture(scope="module")
+def lab():
+    network = NetLab(HOSTS, user="pilot", sshd_lines={"south": ["SetEnv WHERE=below"]})
+    with network:
+        yield network
+    assert leftovers(network) == []
+
+
+def test_nothing_in_it_can_reach_anything_outside(lab):
+    lab.assert_isolated()
+    connect = "import socket; socket.create_connection(('192.0.2.1', 80), 1)"
+    answer = lab.run("north", ["/usr/bin/python3", "-c", connect], check=False)
+    assert "Network is unreachable" in answer.stderr
+
+
+def test_a_way_out_is_found(lab):
+    """The assertion can fail: a default route, a route to elsewhere, and a cable that leads out are each found."""
+    namespace = PREFIX + lab.name + "-north"
+    for route in (["default"], ["203.0.113.0/24"]):
+        command = ["ip", "-n", namespace, "route", "add", *route, "via", "10.77.0.2"]
+        subprocess.run(command, check=True)
+        with pytest.raises(AssertionError, match="route to|default route"):
+            lab.assert_isolated()
+        subprocess.run([*command[:4], "del", *command[5:]], check=True)
+    elsewhere = namespace + "-elsewhere"
+    subprocess.run(["ip", "netns", "add", elsewhere], check=True)
+    cable = ["name", "out0", "type", "veth", "peer", "name", "in0", "netns", elsewhere]
+    subprocess.run(["ip", "-n", namespace, "link", "add", *cable], check=True)
+    with pytest.raises(AssertionError, match="elsewhere"):
+        lab.assert_isolated()
+    subprocess.run(["ip", "-n", namespace, "link", "del", "out0"], check=True)
+    subprocess.run(["ip", "netns", "del", elsewhere], check=True)
+    lab.assert_isolated()
+
+
+def test_hosts_are_computers_of_their_own_and_ssh_leads_from_each_to_each(lab):
+    for here, there in (("north", "south"), ("south", "east"), ("east", "north")):
+        for name in (there, lab.address(there)):
+            answer = lab.run(here, ["ssh", name, "hostname; id -un; echo $HOME"]).stdout
+            assert answer.split() == [there, "pilot", str(lab.home(there))]
+    assert lab.run("north", ["ssh", "south", "echo $WHERE"]).stdout.strip() == "below"
+
+
+def test_a_pulled_cable_and_a_deaf_switch_are_silent_and_come_back(lab):
+    echo = "import socket; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(('', 7)); "
+    echo += "print(1, flush=True)\nwhile True: s.sendto(*s.recvfrom(9))"
+    server = lab.popen("south", ["/usr/bin/python3", "-c", echo], as_root=True, stdout=subprocess.PIPE)
+    server.stdout.readline()
+
+    def reaches():
+        return lab.run("north", ["/usr/bin/python3", "-c", PING, lab.address("south")], check=False).returncode == 0
+
+    assert reaches()
+    for break_it, mend_it in (
+        (lambda: lab.link("south", "down"), lambda: lab.link("south", "up")),
+        (lambda: lab.mute("south", True), lambda: lab.mute("south", False)),
+    ):
+        break_it()
+        assert not reaches()
+        mend_it()
+        deadline = time.monotonic() + 10.0  # a card whose carrier has come back needs up to a second
+        while not reaches():
+            assert time.monotonic() < deadline
+    assert lab.interrupt(server) != 0
+    assert "socket" not in " ".join(lab.processes("south").values())
+
+
+def test_hosts_lose_power_and_sshd_dies(lab):
+    session = lab.popen("north", ["ssh", "south", "sleep 600"])
+    other = lab.popen("east", ["sleep", "600"])
+    while not any("sleep 600" in command for command in lab.processes("south").values()):
+        assert session.poll() is None
+    lab.sshd("south", "stop")
+    assert session.wait(10) == 255
+    assert lab.run("north", ["ssh", "south", "true"], check=False).returncode == 255
+    lab.sshd("south", "start")
+    assert lab.run("north", ["ssh", "south", "echo again"]).stdout == "again\n"
+    lab.power_off("east")
+    assert other.wait(10) != 0
+    assert lab.processes("east") == {}
+    lab.power_on("east")
+    assert lab.run("north", ["ssh", "east", "hostname"]).stdout == "east\n"
+
+
+def test_a_network_that_cannot_be_made_leaves_nothing():
+    broken = NetLab({"north": "10.77.0.1/24", "south": "10.77.0.300/24"})
+    with pytest.raises((RuntimeError, ValueError), match="10.77.0.300"):
+        broken.up()
+    assert leftovers(broken) == []

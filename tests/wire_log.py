@@ -1,0 +1,49 @@
+"""What reaches the vehicles: every REF, PCMD and PCMD_MAG that comes in by a network card, as JSON lines.
+
+    python wire_log.py VEHICLE=CARD...         [time [s], vehicle, "REF", [bits]], [..., "PCMD", [flags, sticks...]]
+
+It reads the cards themselves (root only), beside and independent of the vehicle that listens there.
+"""
+
+import json
+import selectors
+import socket
+import sys
+import time
+
+from ardrone_autonomy.protocol import AT_PORT, at
+
+IPV4, UDP = 0x0800, 17
+
+
+def at_commands(packet):
+    """AT commands in an IPv4 packet: list of at.Command, [] when it is something else."""
+    header = 4 * (packet[0] & 15)
+    if packet[9] != UDP or int.from_bytes(packet[header + 2 : header + 4], "big") != AT_PORT:
+        return []
+    return at.parse_datagram(packet[header + 8 :])[0]
+
+
+def main(arguments):
+    """Until somebody ends it."""
+    cards = selectors.DefaultSelector()
+    for argument in arguments:
+        vehicle, _, card = argument.partition("=")
+        raw = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(IPV4))
+        raw.bind((card, IPV4))
+        cards.register(raw, selectors.EVENT_READ, vehicle)
+    print("ready", flush=True)
+    while True:
+        for key, _ in cards.select():
+            try:
+                packet = key.fileobj.recv(65536)
+            except OSError:
+                continue  # the card has gone down; it may come back
+            now_s = time.time()
+            for command in at_commands(packet):
+                if command.name in ("REF", "PCMD", "PCMD_MAG"):
+                    print(json.dumps([now_s, key.data, command.name, list(command.arguments)]), flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
