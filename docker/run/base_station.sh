@@ -1,0 +1,24 @@
+#!/bin/bash
+# The base station of compose.yaml: gets to know the laptops, checks them, and starts the experiment of Appendix C.
+#   base_station.sh [ARGUMENT:=VALUE...]        more arguments of launch/Multi_Machine_Experiment.launch
+set -eu
+cd "$(dirname "$(readlink -f "$0")")/../.."
+export RISC_MAAP_ROOT=$PWD
+experiment=(launch/Multi_Machine_Experiment.launch "fleet:=$PWD/docker/fleet.yaml" operator:=true
+  "bag_prefix:=$PWD/flights/coop" "$@")
+
+# until_good TRIES COMMAND...: the other containers may still be starting
+until_good() {
+  local tries=$1
+  shift
+  until "$@"; do
+    [ "$((tries -= 1))" -gt 0 ] || return 1
+    sleep 2
+  done
+}
+
+docker/run/sshd.sh & # the service `browser` comes in by it
+until_good 15 devel/coop.sh python -m risc_experiments.machines setup --yes "${experiment[@]}"
+until_good 5 devel/coop.sh python -m risc_experiments.machines check "${experiment[@]}" ||
+  { echo "base_station.sh: not every machine is ready: nothing was started" >&2; exit 1; }
+exec devel/coop.sh roslaunch "${experiment[@]}"

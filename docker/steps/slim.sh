@@ -1,0 +1,11 @@
+#!/bin/sh
+# From now on dpkg leaves headers, static libraries and documents in their packages: nobody compiles on a laptop.
+set -eu
+cat >/etc/dpkg/dpkg.cfg.d/slim <<'TXT'
+path-exclude /usr/include/*
+path-exclude /usr/lib/*.a
+path-exclude /usr/share/doc/*
+path-include /usr/share/doc/*/copyright
+path-exclude /usr/share/man/*
+path-exclude /usr/share/locale/*
+TXT

@@ -1,0 +1,13 @@
+#!/bin/sh
+# Take out of a built workspace what no node needs: the Python packages of a list, intermediates, tests of the whole.
+# src, devel and launch stay whole: `./maap machines check` compares them with those of the base station.
+#   trim.sh LIST             in the folder of the workspace
+set -eu
+list=${1:?usage: trim.sh LIST}
+[ -d devel ] || { echo "trim.sh: no devel/ here: run it in a built workspace" >&2; exit 1; }
+sed -e 's/#.*//' -e '/^[[:space:]]*$/d' "$list" | xargs .venv/bin/pip uninstall --yes
+# which revision it was, as `./maap machines deploy` leaves it
+devel/env.sh python -c '
+import json, risc_experiments.machines.workspace as workspace
+print(json.dumps({"revision": workspace.describe(".")["revision"], "from": "Dockerfile"}))' >.deployed
+rm -rf build logs tests docs .git .catkin_tools

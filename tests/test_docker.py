@@ -1,0 +1,341 @@
+"""docker/: the images' steps run here, the rest is read strictly. The images themselves: tests/docker_steps.sh."""
+
+import ipaddress
+import json
+import os
+import pathlib
+import re
+import shlex
+import subprocess
+import sys
+import xml.etree.ElementTree
+
+import compose_spec
+import pytest
+import yaml
+
+from risc_control.lab import load_fleet
+from risc_experiments.machines import keep_alive
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+DOCKER = ROOT / "docker"
+BIN = pathlib.Path(sys.executable).parent
+COMPOSE = "compose.yaml", "compose.x11.yaml", "compose.priority.yaml"
+SCRIPTS = sorted(DOCKER.glob("*/*.sh")) + [ROOT / "tests/docker_steps.sh"]
+LISTS = sorted(ROOT.glob("apt-packages*.txt"))
+
+
+def entries(path):
+    """The entries of a list: one a line, '#' starts a comment."""
+    return [line for line in (line.split("#")[0].strip() for line in path.read_text().splitlines()) if line]
+
+
+def instructions():
+    """The Dockerfile as (stage, instruction, words)."""
+    text = re.sub(r"^#.*\n", "", (DOCKER / "Dockerfile").read_text(), flags=re.M).replace("\\\n", " ")
+    stage = None
+    for line in filter(None, map(str.strip, text.splitlines())):
+        instruction, rest = line.split(None, 1)
+        words = rest.split()
+        if instruction == "FROM":
+            stage = words[-1]
+        yield stage, instruction, words
+
+
+@pytest.fixture(scope="module")
+def compose():
+    return yaml.safe_load((DOCKER / "compose.yaml").read_text())
+
+
+# ---------------------------------------------------------------- read strictly
+
+
+def test_dockerfile_is_clean():
+    done = subprocess.run([str(BIN / "hadolint"), str(DOCKER / "Dockerfile")], stdout=subprocess.PIPE, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_scripts_are_clean_and_executable():
+    assert len(SCRIPTS) > 5
+    done = subprocess.run(["shellcheck", *map(str, SCRIPTS)], stdout=subprocess.PIPE, text=True)
+    assert done.returncode == 0, done.stdout
+    assert [str(path) for path in SCRIPTS if not os.access(str(path), os.X_OK)] == []
+
+
+@pytest.mark.parametrize("name", COMPOSE)
+def test_compose_file_is_valid(name):
+    """Types, keys and references by the specification; a key that it does not know is an error."""
+    assert compose_spec.PyOptions(apply_merge=True).from_yaml((DOCKER / name).read_text()).services
+
+
+def test_overrides_change_services_that_exist(compose):
+    for name in COMPOSE[1:]:
+        assert set(yaml.safe_load((DOCKER / name).read_text())["services"]) <= set(compose["services"])
+
+
+def test_what_is_copied_is_there_and_is_sent_to_the_engine():
+    ignored = entries(ROOT / ".dockerignore")
+    stages, copied = set(), []
+    for stage, instruction, words in instructions():
+        stages.add(stage)
+        options = [word for word in words if word.startswith("--")]
+        if instruction == "COPY" and any(word.startswith("--from=") for word in options):
+            assert {word.split("=")[1] for word in options if word.startswith("--from=")} <= stages
+        elif instruction == "COPY":
+            copied += [word for word in words if not word.startswith("--")][:-1]
+    assert len(copied) > 8
+    for pattern in copied:
+        assert pattern == "." or list(ROOT.glob(pattern)), pattern
+        assert pattern.split("/")[0] not in ignored
+    made_by_maap = {line.strip("/\n") for line in (ROOT / ".gitignore").open() if line.startswith("/")}
+    assert made_by_maap <= set(ignored)  # none of it is sent: .venv alone would be a gigabyte
+
+
+def test_packages_are_those_of_setup_and_named_nowhere_else():
+    maap = (ROOT / "maap").read_text()
+    assert LISTS and all('"$root/%s"' % path.name in maap for path in LISTS)
+    read = {word for _, instruction, words in instructions() if instruction == "RUN" for word in words}
+    assert {"/steps/" + path.name for path in LISTS} <= read
+    known = set(entries(ROOT / "apt-packages.txt"))
+    assert not known & set(entries(DOCKER / "packages.txt"))
+    assert set(entries(DOCKER / "not-on-a-laptop/debian.txt")) < set(entries(ROOT / "apt-packages.txt"))
+    libraries = {entry.split("==")[0] for entry in entries(ROOT / "requirements.txt")}
+    assert set(entries(DOCKER / "not-on-a-laptop/python.txt")) < libraries
+    for path in [DOCKER / "Dockerfile", *SCRIPTS[:-1]]:
+        lines = [line for line in path.read_text().splitlines() if re.search(r"apt-get install|pip3? install", line)]
+        assert path.name == "packages.sh" or not lines, path
+
+
+def test_images_end_as_a_user_who_is_not_root_and_have_a_base_of_their_own_age():
+    users, bases = {}, {}
+    for stage, instruction, words in instructions():
+        if instruction == "FROM":
+            bases[stage] = words[0]
+            users[stage] = users.get(words[0], "root")
+        elif instruction == "USER":
+            users[stage] = words[0]
+    assert {users[stage] for stage in ("base", "build", "development", "trimmed", "laptop")} == {"risc"}
+    assert set(bases.values()) == {"${DEBIAN}", "base", "build"}
+    assert ("ARG", ["DEBIAN=debian:bookworm-slim"]) in [(name, words) for _, name, words in instructions()]
+
+
+def test_no_secret_no_latest_nothing_privileged(compose):
+    for path in [*DOCKER.rglob("*"), ROOT / "tests/docker_steps.sh"]:
+        if path.is_file():
+            text = path.read_text()
+            assert not re.search(r"PRIVATE KEY|:latest|chpasswd|NOPASSWD|--privileged", text), path
+            assert not re.search(r"(?i)(password|secret|token)['\"]?\s*[:=]", text), path
+    for name, service in compose["services"].items():
+        assert not {"privileged", "cap_add", "pid", "ipc"} & set(service), name
+        assert service["cap_drop"] == ["ALL"] and service["security_opt"] == ["no-new-privileges:true"]
+        assert service["image"] in ("risc_maap:development", "risc_maap:laptop")
+        for port in service.get("ports", ()):
+            assert port.startswith("127.0.0.1:"), "only this computer may press the land buttons"
+
+
+def test_addresses_are_those_of_appendix_c(compose):
+    launch = xml.etree.ElementTree.parse(str(ROOT / "launch/Multi_Machine_Experiment.launch"))
+    defaults = {arg.get("name"): arg.get("default") for arg in launch.iter("arg")}
+    for machine in ("risc1", "risc2", "risc3", "risc4"):
+        service = compose["services"][machine]
+        assert service["networks"]["lab"]["ipv4_address"] == defaults[machine + "_address"]
+        assert service["hostname"] == machine
+    assert (
+        "http://%s:11311" % defaults["risc1_address"] == compose["services"]["risc1"]["environment"]["ROS_MASTER_URI"]
+    )
+    assert compose["services"]["lab"]["networks"]["lab"]["ipv4_address"] == "129.123.5.10"
+
+
+def test_networks_have_no_way_out_and_no_address_twice(compose):
+    taken = set()
+    for name, network in compose["networks"].items():
+        if name == "outside":
+            continue
+        assert network["internal"] is True
+        ((config,),) = [network["ipam"]["config"]]
+        subnet, gateway = ipaddress.ip_network(config["subnet"]), ipaddress.ip_address(config["gateway"])
+        assert gateway in subnet
+        taken.add(gateway)
+        for service in compose["services"].values():
+            if name in service.get("networks", {}):
+                address = ipaddress.ip_address(service["networks"][name]["ipv4_address"])
+                assert address in subnet and address not in taken
+                taken.add(address)
+    assert [name for name, s in compose["services"].items() if "outside" in s.get("networks", {})] == ["browser"]
+
+
+def test_every_laptop_reaches_the_vehicle_it_flies(compose):
+    """The fleet file says where vehicles are; the virtual lab and the laptop of each must be in that network."""
+    services = compose["services"]
+    fleet = load_fleet(str(DOCKER / "fleet.yaml"))
+    assert not fleet.own_networks
+    assert fleet.mocap.host == services["lab"]["networks"]["lab"]["ipv4_address"]
+    assert fleet.mocap.interface == services["risc1"]["networks"]["lab"]["ipv4_address"]
+    lowest = services["risc1"]["sysctls"]["net.ipv4.ip_unprivileged_port_start"]
+    assert lowest <= fleet.mocap.stream_port
+    wifis = {service["ipv4_address"]: name for name, service in services["lab"]["networks"].items()}
+    for vehicle, laptop in zip(fleet.vehicles, ("risc2", "risc3", "risc4")):
+        assert set(services[laptop]["networks"]) == {"lab", wifis[vehicle.address]}
+
+
+def test_other_fleet_files_and_this_one_differ_in_addresses_only():
+    def without_addresses(path):
+        fleet = load_fleet(str(path)).to_dict()
+        for vehicle in fleet["vehicles"]:
+            del vehicle["address"]
+        return fleet["vehicles"], fleet["landmarks"]
+
+    assert without_addresses(DOCKER / "fleet.yaml") == without_addresses(ROOT / "launch/fleets/lab3.yaml")
+
+
+def test_dead_connections_are_noticed_as_machines_setup_wants_it():
+    assert (DOCKER / "keep_alive.conf").read_text() == keep_alive.TEXT
+    targets = [words[-1] for _, name, words in instructions() if name == "COPY" and "docker/keep_alive.conf" in words]
+    assert targets == [keep_alive.FILE] * 2
+    assert "Include %s/*.conf" % os.path.dirname(keep_alive.FILE) in (DOCKER / "sshd_config").read_text()
+
+
+# ---------------------------------------------------------------- steps that run
+
+
+class Machine:
+    """This computer as a slim one to change at will: nothing of it is left afterwards, and its network is empty."""
+
+    _START = """
+set -e
+mount -t tmpfs tmpfs %(folder)s
+mkdir %(folder)s/upper %(folder)s/work %(folder)s/root
+mount -t overlay overlay -o lowerdir=/,upperdir=%(folder)s/upper,workdir=%(folder)s/work %(folder)s/root
+cd %(folder)s/root
+mount -t proc proc proc
+mount --rbind /dev dev
+mount -t tmpfs tmpfs tmp
+ip link set lo up
+ip address add %(address)s/32 dev lo
+echo 0 >/proc/sys/net/ipv4/ip_unprivileged_port_start
+echo ready
+exec cat
+"""
+
+    ADDRESS = "129.123.5.200"
+
+    def __init__(self, folder):
+        self._root = folder / "root"
+        self._unshare = subprocess.Popen(
+            ["unshare", "--mount", "--net", "--pid", "--fork", "--kill-child",
+             "bash", "-c", self._START % {"folder": folder, "address": self.ADDRESS}],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        answer = self._unshare.stdout.readline().strip()
+        if answer != "ready":
+            self.close()
+            pytest.skip("NO CHECK OF THE IMAGES' STEPS: needs root, namespaces and overlayfs (%s)" % answer)
+        children = pathlib.Path("/proc/%d/task/%d/children" % (self._unshare.pid, self._unshare.pid))
+        self._pid = children.read_text().split()[0]
+
+    def start(self, command, user="root"):
+        """Popen of a shell command in there, in the workspace."""
+        return subprocess.Popen(
+            ["nsenter", "--target", self._pid, "--mount", "--net", "--pid", "chroot", str(self._root),
+             *([] if user == "root" else ["setpriv", "--reuid", user, "--regid", user, "--init-groups"]),
+             "env", "-i", "HOME=/root" if user == "root" else "HOME=/home/" + user,
+             "PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+             "bash", "-c", "cd %s && %s" % (shlex.quote(str(ROOT)), command)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+
+    def run(self, command, user="root", code=0):
+        """Output of a shell command in there."""
+        process = self.start(command, user)
+        output = process.communicate()[0]
+        assert process.returncode == code, output[-4000:]
+        return output
+
+    def close(self):
+        self._unshare.stdin.close()
+        self._unshare.wait()
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    machine = Machine(tmp_path_factory.mktemp("machine"))
+    try:
+        yield machine
+    finally:
+        machine.close()
+
+
+@pytest.fixture(scope="module")
+def laptop(machine):
+    """The machine after the laptop image's steps, but for the packages, and a process that is its ssh server."""
+    machine.run("for group in input video dialout; do groupdel $group; done; true")  # a slim system has not all of them
+    machine.run("docker/steps/slim.sh && docker/steps/user.sh 4321")
+    machine.run("cp docker/keep_alive.conf %s" % keep_alive.FILE)
+    machine.run("docker/run/keys.sh", "risc")
+    server = machine.start("exec docker/run/sshd.sh", "risc")
+    machine.run("for k in {1..100}; do docker/run/listens.sh 22 && exit; sleep 0.1; done; exit 1", "risc")
+    yield machine
+    server.terminate()
+
+
+def test_the_user_has_no_password_and_may_use_joysticks(laptop):
+    assert laptop.run("getent shadow risc").split(":")[1] == "*"
+    assert laptop.run("id -u risc").strip() == "4321"
+    assert {"input", "video", "dialout"} < set(laptop.run("id -Gn risc").split())
+
+
+def test_the_env_loader_runs_after_a_login_with_the_key_of_the_base_station(laptop):
+    ssh = "ssh -o BatchMode=yes -o StrictHostKeyChecking=accept-new "
+    loader = "env ROS_MASTER_URI=http://%s:11311 %s/devel/coop.sh" % (laptop.ADDRESS, ROOT)
+    environment = laptop.run(ssh + "risc@%s %s env" % (laptop.ADDRESS, loader), "risc").splitlines()
+    assert {"USER=risc", "ROS_IP=" + laptop.ADDRESS, "ROS_PACKAGE_PATH=%s/src" % ROOT} < set(environment)
+    refused = laptop.run(ssh + "-o PubkeyAuthentication=no risc@%s true" % laptop.ADDRESS, "risc", code=255)
+    assert "Permission denied (publickey)" in refused
+    assert "Permission denied" in laptop.run(ssh + "root@%s true" % laptop.ADDRESS, "risc", code=255)
+
+
+def test_health_is_whether_something_listens(laptop):
+    laptop.run("docker/run/listens.sh 22")
+    laptop.run("docker/run/listens.sh 23", code=1)
+
+
+def test_keys_are_made_once(laptop):
+    files = ".ssh/id_ed25519 .sshd/ssh_host_ed25519_key .authorized/authorized_keys"
+    sums = laptop.run("cd && sha256sum " + files, "risc")
+    laptop.run("docker/run/keys.sh", "risc")
+    assert laptop.run("cd && sha256sum " + files, "risc") == sums
+    assert set(laptop.run("cd && stat -c %a .ssh/id_ed25519 .sshd/ssh_host_ed25519_key", "risc").split()) == {"600"}
+
+
+def test_a_trimmed_workspace_is_the_same_workspace_for_machines_check(machine):
+    describe = "devel/env.sh python -m risc_experiments.machines.workspace ."
+    whole = json.loads(machine.run(describe))
+    machine.run("docker/steps/trim.sh docker/not-on-a-laptop/python.txt")
+    trimmed = json.loads(machine.run(describe))
+    assert trimmed["files"] == whole["files"]
+    assert (trimmed["built"], trimmed["revision"]) == (True, whole["revision"])
+    left = machine.run(".venv/bin/pip list --format=freeze --local 2>/dev/null").lower().replace("_", "-")
+    assert not {line.split("==")[0] for line in left.split()} & set(entries(DOCKER / "not-on-a-laptop/python.txt"))
+    machine.run("devel/coop.sh roslaunch --nodes launch/Multi_Machine_Experiment.launch fleet:=$PWD/docker/fleet.yaml")
+
+
+@pytest.mark.parametrize(
+    "arguments, code, said",
+    [
+        ("", 2, "usage: packages.sh LIST"),
+        ("apt-packages-rviz.txt --without docker/packages.txt", 1, "left out, but in no list: git"),
+    ],
+)
+def test_package_lists_that_do_not_fit_are_refused(machine, arguments, code, said):
+    assert said in machine.run("docker/steps/packages.sh " + arguments, code=code)
+
+
+# ---------------------------------------------------------------- the images
+
+
+@pytest.mark.skipif(
+    not os.environ.get("RISC_MAAP_DOCKER_STEPS"),
+    reason="takes half an hour and 15 GB: RISC_MAAP_DOCKER_STEPS=FOLDER ./maap test images_are_built",
+)
+def test_images_are_built_and_compose_flies():
+    subprocess.run([str(ROOT / "tests/docker_steps.sh"), os.environ["RISC_MAAP_DOCKER_STEPS"]], check=True)
