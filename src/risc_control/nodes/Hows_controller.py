@@ -29,10 +29,9 @@ class GuidanceNode(ControllerNode):
         with self._lock:
             self._controller.target_speed_m_s = message.data
 
-    def _on_states(self, message):
-        super()._on_states(message)
+    def _updated(self):
         range_m = self._controller.range_m[0]
-        if np.isfinite(range_m) and not rospy.is_shutdown():
+        if np.isfinite(range_m):
             self._range.publish(range_m)
 
 

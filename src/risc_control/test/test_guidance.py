@@ -16,8 +16,9 @@ RADIUS_M, SPEED_M_S = 0.8, 0.2
 DT_S = 0.005
 
 
-def states(visible=True):
-    position = np.array([[0.0, 0.0, 1.0]])
+def states(visible=True, x=0.0, y=0.0):
+    """Of a vehicle that stands there; what is not visible has rows of zeros, as states_from_msg makes them."""
+    position = np.array([[x, y, 1.0]]) * visible
     return States(np.array([visible]), position, *(np.zeros((1, 3)) for _ in range(3)))
 
 
@@ -96,6 +97,31 @@ def test_the_pursuit_begins_where_the_vehicle_is_and_moves_on_with_the_law():
         update(controller, states(), standing(y=-0.7), k * DT_S)
     update(controller, states(), standing(y=-0.7), 5.0)
     assert controller._points[0][0] == 0.0, "a gap in the states"
+
+
+def test_a_vehicle_out_of_sight_has_no_place_its_point_runs_on():
+    """A vehicle at (0.8, 0.3), whose row reads (0, 0) while it is not seen."""
+
+    def points(seen, gap_s=DT_S):
+        controller = GuidanceController([ARDRONE])
+        controller.target_speed_m_s = SPEED_M_S
+        stamp_s, found = 0.0, []
+        for k, visible in enumerate(seen):
+            stamp_s += gap_s if k and not seen[k - 1] else DT_S
+            update(controller, states(visible, 0.8, 0.3), standing(0.8, -0.18), stamp_s)
+            found.append(controller._points[0][0])
+        return np.array(found)
+
+    all_seen = points([True] * 40)
+    for lost in ([5], [5, 7, 9], [0], [5, 6, 7, 8, 9]):
+        some_seen = points([k not in lost for k in range(40)])
+        seen = np.array([k for k in range(40) if k not in lost])
+        assert np.abs(some_seen[seen] - all_seen[seen]).max() < 1e-3
+        if 0 not in lost:
+            assert np.abs(some_seen - all_seen).max() < 1e-12, "the law needs the target only"
+    long = [True] * 10 + [False] * 30 + [True]
+    assert points(long)[-1] == 0.8 - 0.3j, "0.15 s: anew"
+    assert points([True] * 10 + [False, True], gap_s=0.2)[-1] == 0.8 - 0.3j
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ def fleet_dict():
     return yaml.safe_load((FLEETS / "ardrones3.yaml").read_text())
 
 
-@pytest.mark.parametrize("path", sorted(FLEETS.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(FLEETS.parent.glob("**/fleets/*.yaml")), ids=lambda path: path.stem)
 def test_every_fleet_names_known_types_and_templates(path):
     fleet = load_fleet(path)
     templates = load_templates()

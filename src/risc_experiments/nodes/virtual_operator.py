@@ -18,7 +18,7 @@ from risc_experiments.operator import Operator, OperatorParams
 from risc_msgs.msg import Cortex
 
 JOY_RATE_HZ = 20.0
-BUTTONS, AXES = 11, 8  # of the game pad of Appendix C
+BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
 LOOK_RATE_HZ = 20.0  # of looks at /cortex_raw
 SERVICE_TIMEOUT_S = 5.0
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from risc_control.tracking import FlatnessController
 
-_LONGEST_STEP_S = 0.1  # without states: after a longer gap the pursuit begins anew, from where the vehicle is
+_LONGEST_STEP_S = 0.1  # out of sight: after a longer gap the pursuit begins anew, from where the vehicle is
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class GuidanceParams:
 
     range_m: float = 0.48  # R*: how far behind the target the vehicle flies
     speed_gain_1_s: float = 0.9  # acceleration along the course per error of speed
-    range_gain_1_s: float = 0.25  # speed per error of range; a quarter of the speed gain is critically damped
+    range_gain_1_s: float = 0.25  # speed per error of range; a quarter of the speed gain would be critically damped
     speed_max_m_s: float = 0.6  # while it catches up
     slow_m_s: float = 0.05  # slower than this a vehicle has no course of its own: it heads for the target
 
@@ -73,24 +73,29 @@ class GuidanceController(FlatnessController):
         self.range_m = np.where(usable & states.visible, np.hypot(line_m[:, 0], line_m[:, 1]), np.nan)
         if self.target_speed_m_s > 0.0:
             present, ahead = present.copy(), ahead.copy()
-            self._steer(stamp_s, states, present[0], usable & states.visible & autonomous)
+            self._steer(stamp_s, states, present[0], usable, autonomous)
             self._fill(present, 0.0)
             self._fill(ahead, self.horizon_s(stamp_s, now_s))
         else:
             self._points = None
         return super().update(stamp_s, now_s, states, present, ahead, usable, autonomous)
 
-    def _steer(self, stamp_s, states, target, flown):
-        """Move the points on to stamp_s. Where a vehicle is not flown by us, or not seen, its point is with it."""
+    def _steer(self, stamp_s, states, target, usable, autonomous):
+        """Move the points on to stamp_s.
+
+        The point of a vehicle that is seen, but not flown by us or without a target, is with it. While a vehicle is out
+        of sight its state means nothing: its point runs on without it.
+        """
+        here = _complex(states.position_m), _complex(states.velocity_m_s)
         step_s, self._points_s = stamp_s - self._points_s, stamp_s
-        position, velocity = _complex(states.position_m), _complex(states.velocity_m_s)
-        if self._points is not None and 0.0 < step_s <= _LONGEST_STEP_S:
-            moved = self._after(step_s)
-            position, velocity = (np.where(flown, *pair) for pair in zip(moved, (position, velocity)))
-        self._points = position, velocity
-        self._acceleration = pursuit_acceleration(
-            position, velocity, _complex(target), self.target_speed_m_s, self.guidance
-        )
+        if self._points is None or not 0.0 < step_s <= _LONGEST_STEP_S:
+            self._points, self._acceleration, step_s = here, np.zeros_like(here[0]), 0.0
+            self._seen_s = np.full(len(here[0]), -np.inf)
+        runs_on = (stamp_s - self._seen_s <= _LONGEST_STEP_S) & (usable & autonomous | ~states.visible)
+        self._seen_s = np.where(states.visible, stamp_s, self._seen_s)
+        self._points = tuple(np.where(runs_on, *pair) for pair in zip(self._after(step_s), here))
+        pursuit = pursuit_acceleration(*self._points, _complex(target), self.target_speed_m_s, self.guidance)
+        self._acceleration = np.where(usable, pursuit, 0.0)
 
     def _after(self, time_s):
         position, velocity = self._points

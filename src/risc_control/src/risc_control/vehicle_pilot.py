@@ -132,7 +132,7 @@ def check_full_scale(params, vehicle_type):
         return ""
     return (
         "euler_angle_max is %g rad, but controllers reckon with %g rad (tilt_max_rad of type '%s'): every tilt will be "
-        "%.2f times the wanted one; make the two equal"
+        "%.2f times the wanted one; make the two equal, or tell the controller, too"
         % (params.pilot.euler_angle_max, vehicle_type.tilt_max_rad, vehicle_type.name, ratio)
     )
 

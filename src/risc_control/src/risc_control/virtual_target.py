@@ -13,6 +13,10 @@ import numpy as np
 from risc_control.trajectories import YawProgram, coasting, make_course, points
 from risc_control.trajectory_manager import Phase, TrajectoryManager
 
+# The target's speed is told so long before it runs, and after it has stopped: it has a topic of its own, and no order
+# with the references. Meanwhile the vehicle chases the place where it is; the other way round it would fly to a target.
+_LEAD_S = 0.1
+
 
 @dataclass(frozen=True)
 class TargetParams:
@@ -55,7 +59,8 @@ class VirtualTarget(TrajectoryManager):
 
     target = TargetParams().target_course()
     _wanted = False  # the target is to be let go as soon as the vehicle waits
-    _epoch_of_target_s = None  # when it was; None = it rests
+    _epoch_of_target_s = None  # when it begins to run; None = it rests
+    _told_until_s = -math.inf  # for so long its speed is told, when it rests
 
     @property
     def watching(self):
@@ -64,17 +69,23 @@ class VirtualTarget(TrajectoryManager):
 
     @property
     def chasing(self):
-        """Whether the target runs."""
+        """Whether the target runs, or is about to."""
         return self._epoch_of_target_s is not None
 
-    @property
-    def target_speed_m_s(self):
-        """Speed of the target, 0 while it rests."""
-        return float(np.linalg.norm(self.target.at(0.0)[0][1, 0])) if self.chasing else 0.0
+    def target_speed_m_s(self, now_s):
+        """Speed of the target as its topic tells it, 0 while it rests."""
+        told = self.chasing or now_s < self._told_until_s
+        return float(np.linalg.norm(self.target.at(0.0)[0][1, 0])) if told else 0.0
 
-    def let_go(self):
-        """Let the target run, as soon as the vehicle is where it waits."""
+    def let_go(self, now_s):
+        """Let the target run, as soon as the vehicle is where it waits. Returns whether it will.
+
+        It does nothing while the target runs already, nor when the vehicle is not on its way to where it waits.
+        """
+        if self.chasing or self.sample(now_s).phases[0] not in (Phase.APPROACH, Phase.COURSE):
+            return False
         self._wanted = True
+        return True
 
     def sample(self, now_s):
         """As `TrajectoryManager.sample`."""
@@ -82,8 +93,8 @@ class VirtualTarget(TrajectoryManager):
         if reference.phases[0] is not Phase.COURSE:
             return reference
         if self._wanted:
-            self._wanted, self._epoch_of_target_s = False, now_s
-        if self.chasing:
+            self._wanted, self._epoch_of_target_s = False, now_s + _LEAD_S
+        if self.chasing and now_s >= self._epoch_of_target_s:
             path, yaw = self.target.at(now_s - self._epoch_of_target_s)
             reference.derivatives[..., :3], reference.derivatives[: len(yaw), :, 3] = path, yaw
         return reference
@@ -99,9 +110,14 @@ class VirtualTarget(TrajectoryManager):
         self._stop(now_s)
         return super().go_home(now_s)
 
+    def start(self, now_s):
+        """As `TrajectoryManager.start`; the target rests until it is let go again."""
+        self._wanted = False
+        return super().start(now_s)
+
     def _stop(self, now_s):
         self._wanted = False
         if self.chasing:
-            self._epoch_of_target_s = None
+            self._epoch_of_target_s, self._told_until_s = None, now_s + _LEAD_S
             place_m, yaw_rad = self._seen[0]
             self._hold(0, coasting(place_m, self._velocity[0], yaw_rad, now_s))

@@ -142,6 +142,7 @@ class ControllerNode:
             # a state or a reference behind it would look alive.
             known = usable & states.visible
             self._publisher.publish(self._message.fill(message.header.stamp, output.fractions, known))
+            self._updated()
             off_m = np.sqrt(((present[0, :, :3] - states.position_m) ** 2).sum(axis=1))
             self._errors_m = np.where(usable & states.visible, off_m, np.nan)
             counts = self._counts
@@ -150,6 +151,9 @@ class ControllerNode:
             counts["without command"] += not (usable.all() and states.visible.all())
             self._age_max_s = max(self._age_max_s, age_s)
             self._cycle_max_s = max(self._cycle_max_s, time.perf_counter() - started_s)
+
+    def _updated(self):
+        """For subclasses: called after every update of the controller, with the lock held."""
 
     def _references(self, stamp_s, ahead_s, now_s):
         """(reference at stamp_s (5, n, 4), reference at ahead_s, (n,) bool: there is a fresh one)."""

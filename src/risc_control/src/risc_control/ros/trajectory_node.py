@@ -132,14 +132,12 @@ class ManagerWiring:
             rospy.logwarn("on their ways vehicles come within %.2f m of each other", closest_m)
 
 
-class TrajectoryNode:
-    """Publishes the references of a fleet on `trajectory`, on an absolute schedule."""
+class ReferenceNode:
+    """Publishes what a ManagerWiring samples on `trajectory`, on an absolute schedule."""
 
-    def __init__(self, default_course, **default_options):
-        """default_course: name in COURSES, unless ~course says another.  default_options: as make_course takes them."""
-        fleet_vehicles = vehicles()
-        self.wiring = ManagerWiring(fleet_vehicles, course_from_params(fleet_vehicles, default_course, default_options))
-        self._message = TrajectoriesMessage(self.wiring.manager.names)
+    def __init__(self, wiring):
+        self.wiring = wiring
+        self._message = TrajectoriesMessage(wiring.manager.names)
         self._publisher = rospy.Publisher("trajectory", Trajectories, queue_size=1, tcp_nodelay=True)
         rate_hz = number("~rate", 200.0)
         if not 1.0 <= rate_hz <= 1000.0:
@@ -152,7 +150,21 @@ class TrajectoryNode:
         with self.wiring.lock:
             now = rospy.Time.now()
             reference = self.wiring.sample(now.to_sec())
+            self._sampled(now.to_sec())
         self._publisher.publish(self._message.fill(now, reference.derivatives))
+
+    def _sampled(self, time_s):
+        """For subclasses: called after every sample, with the lock held."""
+
+
+class TrajectoryNode(ReferenceNode):
+    """The references of a fleet on a course."""
+
+    def __init__(self, default_course, **default_options):
+        """default_course: name in COURSES, unless ~course says another.  default_options: as make_course takes them."""
+        fleet_vehicles = vehicles()
+        course = course_from_params(fleet_vehicles, default_course, default_options)
+        super().__init__(ManagerWiring(fleet_vehicles, course))
 
 
 class CourseSelector:
