@@ -91,6 +91,8 @@ step_look() {
   done
   # shellcheck disable=SC2016  # expanded in there
   in_image laptop sh -ec '[ -z "$(command -v cc gcc g++ clang make)" ]; [ ! -e /usr/include/stdio.h ]'
+  # shellcheck disable=SC2016  # expanded in there
+  in_image development sh -c '[ -z "$(ls -d .git/config .git/hooks .git/logs 2>/dev/null)" ]'
   in_image development ./maap shell -c 'set -e; pytest --version; g++ --version | head -n 1; QT_QPA_PLATFORM=offscreen rviz --version'
   apart podman images --format '{{.Repository}}:{{.Tag}} {{.Size}}' | grep risc_maap
 }

@@ -1,5 +1,6 @@
 """docker/: the images' steps run here, the rest is read strictly. The images themselves: tests/docker_steps.sh."""
 
+import contextlib
 import ipaddress
 import json
 import os
@@ -87,6 +88,7 @@ def test_what_is_copied_is_there_and_is_sent_to_the_engine():
     for pattern in copied:
         assert pattern == "." or list(ROOT.glob(pattern)), pattern
         assert pattern.split("/")[0] not in ignored
+    assert {".git/config", ".git/hooks", ".git/logs"} <= set(ignored)  # they may hold the token of a clone's address
     made_by_maap = {line.strip("/\n") for line in (ROOT / ".gitignore").open() if line.startswith("/")}
     assert made_by_maap <= set(ignored)  # none of it is sent: .venv alone would be a gigabyte
 
@@ -133,6 +135,19 @@ def test_no_secret_no_latest_nothing_privileged(compose):
             assert port.startswith("127.0.0.1:"), "only this computer may press the land buttons"
 
 
+def test_who_has_a_way_out_shares_nothing_with_the_machines(compose):
+    """Whatever comes in by the one network that is not internal finds no key but that of the browser view."""
+    services = compose["services"]
+    mounted = {name: {volume.split(":")[0] for volume in s.get("volumes", ())} for name, s in services.items()}
+    assert [name for name in services if mounted[name] & mounted["browser"]] == ["browser_keys", "browser"]
+    let_in = [name for name in services if mounted[name] & mounted["browser_keys"]]
+    assert let_in == ["browser_keys", "risc1", "browser"]
+    assert "risc1_authorized_keys:/home/risc/.authorized:ro" in services["risc1"]["volumes"]
+    own_address = services["browser"]["networks"]["outside"]["ipv4_address"]
+    base_station = services["risc1"]["networks"]["lab"]["ipv4_address"]
+    assert services["browser"]["command"] == ["docker/run/browser.sh", base_station, own_address]
+
+
 def test_addresses_are_those_of_appendix_c(compose):
     launch = xml.etree.ElementTree.parse(str(ROOT / "launch/Multi_Machine_Experiment.launch"))
     defaults = {arg.get("name"): arg.get("default") for arg in launch.iter("arg")}
@@ -149,9 +164,7 @@ def test_addresses_are_those_of_appendix_c(compose):
 def test_networks_have_no_way_out_and_no_address_twice(compose):
     taken = set()
     for name, network in compose["networks"].items():
-        if name == "outside":
-            continue
-        assert network["internal"] is True
+        assert network.get("internal", False) is (name != "outside")
         ((config,),) = [network["ipam"]["config"]]
         subnet, gateway = ipaddress.ip_network(config["subnet"]), ipaddress.ip_address(config["gateway"])
         assert gateway in subnet
@@ -201,17 +214,25 @@ def test_dead_connections_are_noticed_as_machines_setup_wants_it():
 class Machine:
     """This computer as a slim one to change at will: nothing of it is left afterwards, and its network is empty."""
 
+    # $1: its folder, $2: the workspace, $3: its address
+    _MOUNT = """
+mount -t tmpfs tmpfs "$1"
+mkdir "$1/upper" "$1/work" "$1/root" "$1/upper2" "$1/work2"
+mount -t overlay overlay -o "lowerdir=/,upperdir=$1/upper,workdir=$1/work" "$1/root"
+"""
     _START = """
-set -e
-mount -t tmpfs tmpfs %(folder)s
-mkdir %(folder)s/upper %(folder)s/work %(folder)s/root
-mount -t overlay overlay -o lowerdir=/,upperdir=%(folder)s/upper,workdir=%(folder)s/work %(folder)s/root
-cd %(folder)s/root
+cd "$1/root"
 mount -t proc proc proc
 mount --rbind /dev dev
 mount -t tmpfs tmpfs tmp
+# the workspace may be below /tmp, in a file system of its own (the overlay has only that of /), or in somebody's home
+mkdir -p "$1/root$2"
+cd "$2"
+mount -t overlay overlay -o "lowerdir=.,upperdir=$1/upper2,workdir=$1/work2" "$1/root$2"
+cd "$1/root$2"
+while cd .. && [ "$PWD" != "$1/root" ]; do chmod a+x .; done
 ip link set lo up
-ip address add %(address)s/32 dev lo
+ip address add "$3/32" dev lo
 echo 0 >/proc/sys/net/ipv4/ip_unprivileged_port_start
 echo ready
 exec cat
@@ -221,17 +242,31 @@ exec cat
 
     def __init__(self, folder):
         self._root = folder / "root"
+        probe = subprocess.run(self._command(self._MOUNT, folder), stderr=subprocess.PIPE, text=True)
+        if probe.returncode != 0:
+            why = probe.stderr.strip()
+            pytest.skip("NO CHECK OF THE IMAGES' STEPS: needs root, namespaces and overlayfs (%s)" % why)
         self._unshare = subprocess.Popen(
-            ["unshare", "--mount", "--net", "--pid", "--fork", "--kill-child",
-             "bash", "-c", self._START % {"folder": folder, "address": self.ADDRESS}],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
-        answer = self._unshare.stdout.readline().strip()
-        if answer != "ready":
-            self.close()
-            pytest.skip("NO CHECK OF THE IMAGES' STEPS: needs root, namespaces and overlayfs (%s)" % answer)
+            self._command(self._MOUNT + self._START, folder),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        said = []
+        while said[-1:] != ["ready\n"]:
+            said.append(self._unshare.stdout.readline())
+            if not said[-1]:
+                self.close()
+                raise RuntimeError("".join(said))
         children = pathlib.Path("/proc/%d/task/%d/children" % (self._unshare.pid, self._unshare.pid))
         self._pid = children.read_text().split()[0]
+
+    def _command(self, script, folder):
+        return [
+            "unshare", "--mount", "--net", "--pid", "--fork", "--kill-child",
+            "bash", "-ec", script, "machine", str(folder), str(ROOT), self.ADDRESS,
+        ]  # fmt: skip
 
     def start(self, command, user="root"):
         """Popen of a shell command in there, in the workspace."""
@@ -251,31 +286,62 @@ exec cat
         assert process.returncode == code, output[-4000:]
         return output
 
+    def wait_for(self, command):
+        """Output of a shell command of the user risc, once it is good."""
+        return self.run("for k in {1..100}; do %s && exit; sleep 0.1; done; exit 1" % command, "risc")
+
     def close(self):
         self._unshare.stdin.close()
         self._unshare.wait()
 
 
-@pytest.fixture(scope="module")
-def machine(tmp_path_factory):
-    machine = Machine(tmp_path_factory.mktemp("machine"))
+@contextlib.contextmanager
+def new_machine(folder):
+    machine = Machine(folder)
     try:
         yield machine
     finally:
         machine.close()
 
 
-@pytest.fixture(scope="module")
-def laptop(machine):
-    """The machine after the laptop image's steps, but for the packages, and a process that is its ssh server."""
+@contextlib.contextmanager
+def serving(machine, keys):
+    """A machine after the laptop image's steps (but for the packages), with its ssh server. keys: what makes them."""
+    machine.run("userdel risc; groupdel risc; rm -rf --one-file-system /home/risc; chown root: /home/risc; true")
     machine.run("for group in input video dialout; do groupdel $group; done; true")  # a slim system has not all of them
     machine.run("docker/steps/slim.sh && docker/steps/user.sh 4321")
     machine.run("cp docker/keep_alive.conf %s" % keep_alive.FILE)
-    machine.run("docker/run/keys.sh", "risc")
+    machine.run(keys, "risc")
     server = machine.start("exec docker/run/sshd.sh", "risc")
-    machine.run("for k in {1..100}; do docker/run/listens.sh 22 && exit; sleep 0.1; done; exit 1", "risc")
+    machine.wait_for("docker/run/listens.sh 22")
     yield machine
     server.terminate()
+
+
+def command_of(compose, service):
+    return " ".join(map(shlex.quote, compose["services"][service]["command"]))
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    with new_machine(tmp_path_factory.mktemp("machine")) as machine:
+        yield machine
+
+
+@pytest.fixture(scope="module")
+def laptop(machine, compose):
+    """A laptop that is its own base station, too."""
+    with serving(machine, command_of(compose, "keys")) as machine:
+        yield machine
+
+
+@pytest.fixture(scope="module")
+def base_station(tmp_path_factory, compose):
+    """A base station that is its own service `browser`, too."""
+    with new_machine(tmp_path_factory.mktemp("machine")) as machine, serving(
+        machine, command_of(compose, "browser_keys")
+    ):
+        yield machine
 
 
 def test_the_user_has_no_password_and_may_use_joysticks(laptop):
@@ -284,14 +350,29 @@ def test_the_user_has_no_password_and_may_use_joysticks(laptop):
     assert {"input", "video", "dialout"} < set(laptop.run("id -Gn risc").split())
 
 
+SSH = "ssh -o BatchMode=yes -o StrictHostKeyChecking=accept-new "
+GET = """.venv/bin/python -c 'import urllib.request as r; print(r.urlopen("http://%s:8080/fleet.yaml").read().decode())'"""
+
+
 def test_the_env_loader_runs_after_a_login_with_the_key_of_the_base_station(laptop):
-    ssh = "ssh -o BatchMode=yes -o StrictHostKeyChecking=accept-new "
     loader = "env ROS_MASTER_URI=http://%s:11311 %s/devel/coop.sh" % (laptop.ADDRESS, ROOT)
-    environment = laptop.run(ssh + "risc@%s %s env" % (laptop.ADDRESS, loader), "risc").splitlines()
+    environment = laptop.run(SSH + "risc@%s %s env" % (laptop.ADDRESS, loader), "risc").splitlines()
     assert {"USER=risc", "ROS_IP=" + laptop.ADDRESS, "ROS_PACKAGE_PATH=%s/src" % ROOT} < set(environment)
-    refused = laptop.run(ssh + "-o PubkeyAuthentication=no risc@%s true" % laptop.ADDRESS, "risc", code=255)
+    refused = laptop.run(SSH + "-o PubkeyAuthentication=no risc@%s true" % laptop.ADDRESS, "risc", code=255)
     assert "Permission denied (publickey)" in refused
-    assert "Permission denied" in laptop.run(ssh + "root@%s true" % laptop.ADDRESS, "risc", code=255)
+    assert "Permission denied" in laptop.run(SSH + "root@%s true" % laptop.ADDRESS, "risc", code=255)
+    assert "prohibited" in laptop.run(SSH + "-W 127.0.0.1:22 risc@" + laptop.ADDRESS, "risc", code=255)
+
+
+def test_the_key_of_the_browser_view_opens_its_port_and_nothing_else(base_station):
+    address = base_station.ADDRESS
+    page = base_station.start("exec python3 -m http.server --bind 127.0.0.1 --directory docker 8080", "risc")
+    door = base_station.start("exec docker/run/browser.sh %s %s" % (address, address), "risc")
+    assert "name: docker" in base_station.wait_for(GET % address)
+    assert "uid=" not in base_station.run(SSH + "risc@%s id" % address, "risc", code=1)
+    assert "prohibited" in base_station.run(SSH + "-W 127.0.0.1:22 risc@" + address, "risc", code=255)
+    page.terminate()
+    door.terminate()
 
 
 def test_health_is_whether_something_listens(laptop):
@@ -299,18 +380,26 @@ def test_health_is_whether_something_listens(laptop):
     laptop.run("docker/run/listens.sh 23", code=1)
 
 
-def test_keys_are_made_once(laptop):
+def test_keys_are_made_once(laptop, compose):
     files = ".ssh/id_ed25519 .sshd/ssh_host_ed25519_key .authorized/authorized_keys"
     sums = laptop.run("cd && sha256sum " + files, "risc")
-    laptop.run("docker/run/keys.sh", "risc")
+    laptop.run(command_of(compose, "keys"), "risc")
     assert laptop.run("cd && sha256sum " + files, "risc") == sums
     assert set(laptop.run("cd && stat -c %a .ssh/id_ed25519 .sshd/ssh_host_ed25519_key", "risc").split()) == {"600"}
+
+
+def test_a_workspace_is_not_trimmed_by_mistake(machine):
+    said = machine.run("docker/steps/trim.sh docker/not-on-a-laptop/python.txt", code=1)
+    assert said.startswith("trim.sh: it removes .git, tests and docs from %s" % ROOT)
 
 
 def test_a_trimmed_workspace_is_the_same_workspace_for_machines_check(machine):
     describe = "devel/env.sh python -m risc_experiments.machines.workspace ."
     whole = json.loads(machine.run(describe))
-    machine.run("docker/steps/trim.sh docker/not-on-a-laptop/python.txt")
+    for entry in entries(ROOT / ".dockerignore"):
+        if entry.startswith(".git/"):
+            machine.run("[ ! -d .git ] || rm -rf " + entry)
+    machine.run("RISC_MAAP_TRIM=yes docker/steps/trim.sh docker/not-on-a-laptop/python.txt")
     trimmed = json.loads(machine.run(describe))
     assert trimmed["files"] == whole["files"]
     assert (trimmed["built"], trimmed["revision"]) == (True, whole["revision"])

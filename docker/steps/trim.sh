@@ -1,9 +1,11 @@
 #!/bin/sh
 # Take out of a built workspace what no node needs: the Python packages of a list, intermediates, tests of the whole.
 # src, devel and launch stay whole: `./maap machines check` compares them with those of the base station.
-#   trim.sh LIST             in the folder of the workspace
+#   RISC_MAAP_TRIM=yes trim.sh LIST             in the folder of the workspace
 set -eu
 list=${1:?usage: trim.sh LIST}
+[ "${RISC_MAAP_TRIM:-}" = yes ] ||
+  { echo "trim.sh: it removes .git, tests and docs from $PWD: RISC_MAAP_TRIM=yes if that is what you want" >&2; exit 1; }
 [ -d devel ] || { echo "trim.sh: no devel/ here: run it in a built workspace" >&2; exit 1; }
 sed -e 's/#.*//' -e '/^[[:space:]]*$/d' "$list" | xargs .venv/bin/pip uninstall --yes
 # which revision it was, as `./maap machines deploy` leaves it
