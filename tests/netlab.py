@@ -12,6 +12,7 @@ is also the first process of each host: `netlab.py FOLDER HOST`.
 """
 
 import contextlib
+import functools
 import ipaddress
 import json
 import os
@@ -25,30 +26,58 @@ import time
 import uuid
 
 PREFIX = "netlab-"  # of the names of all our namespaces
+PATH = "/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin"  # here and on the hosts
 SYSTEM_PYTHON = "/usr/bin/python3"  # any user may execute it
 USER_ID = 45001  # of the login that exists only in the lab
 PATIENCE_S = 20.0  # for a host to start, or a process to end
+COMMAND_S = 60.0  # for a command that `run` runs
+MEMORY_BYTES = 2 << 30  # that must be free to have the hosts' disks in memory
 MULTICAST = ipaddress.ip_network("224.0.0.0/4")
 OUTSIDE = ("192.0.2.1", "198.51.100.1", "1.1.1.1")  # no lab has these; asking for a route sends nothing
+UNSHARE = ("unshare", "--mount", "--uts", "--pid", "--ipc", "--fork", "--kill-child", "--mount-proc")
+UNSHARE += ("--propagation", "private")  # what a host has of its own, beside the network
 
 
+@functools.lru_cache(maxsize=None)
 def unsupported():
     """Why no lab can be made on this computer, in one line; "" when it can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     for tool in ("ip", "bridge", "tc", "unshare", "nsenter", "setpriv", "ssh", "ssh-keygen", "sshd"):
-        if shutil.which(tool, path="/usr/sbin:/usr/bin:/sbin:/bin") is None:
+        if shutil.which(tool, path=PATH) is None:
             return "%s is missing: apt-get install iproute2 util-linux openssh-client openssh-server" % tool
-    probe = PREFIX + "probe-" + uuid.uuid4().hex[:8]
     try:
-        _run("ip", "netns", "add", probe)
-        _run("ip", "-n", probe, "link", "add", "name", "br0", "type", "bridge")
-        _run("ip", "-n", probe, "link", "add", "name", "veth0", "type", "veth", "peer", "name", "veth1")
+        with _probe() as namespace:
+            _run("ip", "-n", namespace, "link", "add", "name", "br0", "type", "bridge")
+            _run("ip", "-n", namespace, "link", "add", "name", "veth0", "type", "veth", "peer", "name", "veth1")
+            _run("ip", "netns", "exec", namespace, *UNSHARE, "mount", "-t", "tmpfs", "tmpfs", "/run")
     except RuntimeError as error:
         return "no network namespaces here: %s" % error
-    finally:
-        _run("ip", "netns", "del", probe, check=False)
     return ""
+
+
+@functools.lru_cache(maxsize=None)
+def has_netem():
+    """Whether the kernel can delay and lose what a card sends (sch_netem). Raises RuntimeError when that is unknown."""
+    with _probe() as namespace:
+        try:
+            _run("tc", "-n", namespace, "qdisc", "add", "dev", "lo", "root", "netem", "delay", "1ms")
+        except RuntimeError as error:
+            if "qdisc kind is unknown" in str(error):
+                return False
+            raise
+    return True
+
+
+@contextlib.contextmanager
+def _probe():
+    """A network namespace to try something in: its name."""
+    name = PREFIX + "probe-" + uuid.uuid4().hex[:8]
+    _run("ip", "netns", "add", name)
+    try:
+        yield name
+    finally:
+        _run("ip", "netns", "del", name, check=False)
 
 
 class NetLab:
@@ -64,12 +93,14 @@ class NetLab:
         self.name = uuid.uuid4().hex[:8]
         # in memory: four computers have four disks, and do not wait for each other's
         memory = pathlib.Path("/dev/shm")
-        self.folder = (memory if memory.is_dir() else pathlib.Path(tempfile.gettempdir())) / (PREFIX + self.name)
+        has_room = memory.is_dir() and shutil.disk_usage(str(memory)).free >= MEMORY_BYTES
+        self.folder = (memory if has_room else pathlib.Path(tempfile.gettempdir())) / (PREFIX + self.name)
         self._sshd_lines = sshd_lines or {}
         # {host: {device: (namespace, device) at the other end of its cable}}
         self._far_ends = {host: {"eth0": (self._switch, "p-" + host)} for host in hosts}
         self._processes = {}  # {host: Popen of its `unshare`}
         self._first = {}  # {host: process id of its first process}
+        self._is_up = False
 
     # --- up and down ------------------------------------------------------------------------------------------------
 
@@ -83,10 +114,12 @@ class NetLab:
         """Make it all, and wait until every sshd answers. Raises RuntimeError, and leaves nothing behind then."""
         self.folder.mkdir()
         self.folder.chmod(0o755)
+        self._is_up = True
         try:
             self._lay_cables()
             self.assert_isolated()  # before there is any address
             self._give_addresses()
+            self.assert_isolated()
             self._make_logins()
             for host in self.hosts:
                 self._boot(host)
@@ -99,8 +132,10 @@ class NetLab:
 
     def down(self):
         """Remove everything; may be called in any state."""
-        for host in list(self._first):
-            self._kill(host)
+        self._is_up = False
+        for host in list(self._processes):
+            with contextlib.suppress(OSError, subprocess.TimeoutExpired):  # the others must go all the same
+                self._kill(host)
         for namespace in [self._namespace(host) for host in self.hosts] + [self._switch]:
             for pid in _run("ip", "netns", "pids", namespace, check=False).split():
                 with contextlib.suppress(ProcessLookupError):
@@ -170,7 +205,7 @@ class NetLab:
             "USER": login,
             "LOGNAME": login,
             "LANG": "C.UTF-8",
-            "PATH": "/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin",
+            "PATH": PATH,
         }
         environment.update(env or {})
         settings = ["%s=%s" % item for item in environment.items()]
@@ -178,12 +213,17 @@ class NetLab:
         return command + ["env", "--ignore-environment", "--default-signal=INT"] + settings + [str(a) for a in argv]
 
     def run(self, host, argv, env=None, as_root=False, check=True):
-        """Run a command on the host to its end. Returns CompletedProcess (texts). Raises RuntimeError if check."""
+        """Run a command on the host to its end. Returns CompletedProcess (texts).
+
+        Raises RuntimeError if check and it fails, subprocess.TimeoutExpired after COMMAND_S.
+        """
         done = subprocess.run(
             self.command(host, argv, env, as_root),
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
+            timeout=COMMAND_S,
+            env={"PATH": PATH},
         )
         if check and done.returncode != 0:
             raise RuntimeError("%s on %s: %s%s" % (argv[0], host, done.stdout, done.stderr))
@@ -193,20 +233,28 @@ class NetLab:
         """Start a command on the host, the leader of a session of its own there. options: of Popen."""
         options.setdefault("stdin", subprocess.DEVNULL)
         command = self.command(host, ["setsid", *argv], env, as_root)
-        return subprocess.Popen(command, start_new_session=True, **options)
+        return subprocess.Popen(command, start_new_session=True, env={"PATH": PATH}, **options)
 
     def interrupt(self, process, number=signal.SIGINT, timeout=30.0):
         """Signal (Ctrl-C) for the program that `popen` started; the process itself is only the way in.
 
-        Returns its exit code. Raises subprocess.TimeoutExpired.
+        Returns its exit code, at once when it has ended already. Raises subprocess.TimeoutExpired.
         """
+        if process.poll() is not None:
+            return process.returncode
         children = pathlib.Path("/proc/%d/task/%d/children" % (process.pid, process.pid)).read_text().split()
         for pid in children or [process.pid]:
-            os.kill(int(pid), number)
+            with contextlib.suppress(ProcessLookupError):  # it has just ended
+                os.kill(int(pid), number)
         return process.wait(timeout)
 
     def processes(self, host):
-        """{process id on the host: command line} of everything that runs there; {} when it is off."""
+        """{process id on the host: command line} of everything that runs there; {} when it is off.
+
+        Raises RuntimeError when the whole network is down, and nobody can tell any more.
+        """
+        if not self._is_up:
+            raise RuntimeError("the network is down: ask what runs on %s before that" % host)
         if host not in self._first:
             return {}
         found = {}
@@ -225,14 +273,21 @@ class NetLab:
         _run("bridge", "-n", self._switch, "link", "set", "dev", "p-" + host, "state", "0" if is_mute else "3")
 
     def netem(self, host, spec, device="eth0"):
-        """Delay and loss on a cable, both ways, e.g. "delay 20ms loss 1%"; "" ends it.
-
-        Raises RuntimeError when the kernel has no sch_netem.
-        """
-        for namespace, name in ((self._namespace(host), device), self._far_ends[host][device]):
+        """Delay and loss on a cable, both ways, e.g. "delay 20ms loss 1%"; "" ends it. Needs `has_netem`."""
+        for namespace, name in self._ends(host, device):
             _run("tc", "-n", namespace, "qdisc", "del", "dev", name, "root", check=False)
             if spec:
                 _run("tc", "-n", namespace, "qdisc", "add", "dev", name, "root", "netem", *spec.split())
+
+    def lost(self, host, device="eth0"):
+        """Fraction of what was sent through a cable with `netem`, both ways, that was lost."""
+        sent = lost = 0
+        for namespace, name in self._ends(host, device):
+            for queue in _json("tc", "-n", namespace, "-s", "-json", "qdisc", "show", "dev", name):
+                if queue["kind"] == "netem":
+                    sent += queue["packets"] + queue["drops"]
+                    lost += queue["drops"]
+        return lost / max(sent, 1)
 
     def sshd(self, host, action):
         """ "stop": the listener and every session of it die at once; "start": it listens again."""
@@ -248,14 +303,12 @@ class NetLab:
 
     def power_off(self, host):
         """The host is gone at once: no goodbye on the wire, all its processes are dead."""
-        for device in self._far_ends[host]:
-            self.link(host, "down", device)
+        self._unplug(host, "down")
         self._kill(host)
 
     def power_on(self, host):
         """Boot a host that was off."""
-        for device in self._far_ends[host]:
-            self.link(host, "up", device)
+        self._unplug(host, "up")
         self._boot(host)
         self._wait_for_sshd(host)
 
@@ -267,6 +320,18 @@ class NetLab:
 
     def _namespace(self, host):
         return "%s%s-%s" % (PREFIX, self.name, host)
+
+    def _ends(self, host, device):
+        """Both ends of a cable: (namespace, interface)."""
+        return ((self._namespace(host), device), self._far_ends[host][device])
+
+    def _unplug(self, host, state):
+        """All cables of a host. Where another host, not the switch, has the far end, that one keeps listening."""
+        for device in self._far_ends[host]:
+            if device == "eth0":
+                self.link(host, state)
+            else:
+                _run("ip", "-n", self._namespace(host), "link", "set", device, state)
 
     def _networks(self):
         """Networks that belong to the lab: those of all addresses that its hosts have, and multicast."""
@@ -351,35 +416,32 @@ class NetLab:
         own = {
             "passwd": "%s:x:%d:%d::%s:/bin/bash\n" % (login, number, number, self.home(host)),
             "group": "%s:x:%d:\n" % (login, number),
-            "shadow": "%s:*:19000:0:99999:7:::\n" % login,
         }
         for name, line in own.items():
             others = pathlib.Path("/etc", name).read_text().splitlines(True)
             path = self.folder / host / name
             path.write_text("".join([line] + [other for other in others if not other.startswith(login + ":")]))
-            path.chmod(0o600 if name == "shadow" else 0o644)
+            path.chmod(0o644)
+        shadow = self.folder / host / "shadow"  # nobody's password of this computer: no login there has one
+        shadow.touch(mode=0o600)
+        shadow.write_text("".join("%s:*:19000:0:99999:7:::\n" % name for name in sorted({login, "root"})))
 
     def _boot(self, host):
         folder = self.folder / host
         ready = folder / "ready"
         if ready.exists():
             ready.unlink()
-        own = [
-            "--mount",
-            "--uts",
-            "--pid",
-            "--ipc",
-            "--fork",
-            "--kill-child",
-            "--mount-proc",
-            "--propagation",
-            "private",
-        ]
-        command = ["ip", "netns", "exec", self._namespace(host), "unshare", *own]
+        # ended with us, also when we are killed
+        command = ["setpriv", "--pdeathsig", "KILL", "ip", "netns", "exec", self._namespace(host), *UNSHARE]
         command += [SYSTEM_PYTHON, os.path.abspath(__file__), str(self.folder), host]
         with (folder / "boot.log").open("ab") as log:
             process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                env=dict(os.environ, PATH=PATH),
             )
         self._processes[host] = process
         children = pathlib.Path("/proc/%d/task/%d/children" % (process.pid, process.pid))
@@ -394,7 +456,7 @@ class NetLab:
         """The first process of a process namespace takes all others with it."""
         process = self._processes.pop(host)
         with contextlib.suppress(ProcessLookupError):
-            os.kill(self._first.pop(host), signal.SIGKILL)
+            os.kill(self._first.pop(host, process.pid), signal.SIGKILL)
         process.wait(PATIENCE_S)
 
     def _wait_for_sshd(self, host):
@@ -409,7 +471,7 @@ class NetLab:
 
 def _run(*command, check=True):
     """Output of a command of this computer. Raises RuntimeError with what it said when it fails and check."""
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ, PATH=PATH))
     if check and done.returncode != 0:
         raise RuntimeError("%s: %s" % (" ".join(command), (done.stderr or done.stdout).strip()))
     return done.stdout

@@ -1,11 +1,13 @@
 """The throw-away network of computers that tests of several machines run in."""
 
 import pathlib
+import shutil
 import subprocess
+import sys
 import time
 
 import pytest
-from netlab import PREFIX, NetLab, unsupported
+from netlab import PATIENCE_S, PREFIX, NetLab, unsupported
 
 HOSTS = {"north": "10.77.0.1/24", "south": "10.77.0.2/24", "east": "10.77.1.3/24"}
 PING = ("import socket, sys; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.settimeout(0.3); "
@@ -27,6 +29,8 @@ def lab():
     with network:
         yield network
     assert leftovers(network) == []
+    with pytest.raises(RuntimeError, match="down"):  # "nothing runs" would be no answer now
+        network.processes("north")
 
 
 def test_nothing_in_it_can_reach_anything_outside(lab):
@@ -47,12 +51,14 @@ def test_a_way_out_is_found(lab):
         subprocess.run([*command[:4], "del", *command[5:]], check=True)
     elsewhere = namespace + "-elsewhere"
     subprocess.run(["ip", "netns", "add", elsewhere], check=True)
-    cable = ["name", "out0", "type", "veth", "peer", "name", "in0", "netns", elsewhere]
-    subprocess.run(["ip", "-n", namespace, "link", "add", *cable], check=True)
-    with pytest.raises(AssertionError, match="elsewhere"):
-        lab.assert_isolated()
-    subprocess.run(["ip", "-n", namespace, "link", "del", "out0"], check=True)
-    subprocess.run(["ip", "netns", "del", elsewhere], check=True)
+    try:
+        cable = ["name", "out0", "type", "veth", "peer", "name", "in0", "netns", elsewhere]
+        subprocess.run(["ip", "-n", namespace, "link", "add", *cable], check=True)
+        with pytest.raises(AssertionError, match="elsewhere"):
+            lab.assert_isolated()
+        subprocess.run(["ip", "-n", namespace, "link", "del", "out0"], check=True)
+    finally:
+        subprocess.run(["ip", "netns", "del", elsewhere], check=True)
     lab.assert_isolated()
 
 
@@ -62,6 +68,8 @@ def test_hosts_are_computers_of_their_own_and_ssh_leads_from_each_to_each(lab):
             answer = lab.run(here, ["ssh", name, "hostname; id -un; echo $HOME"]).stdout
             assert answer.split() == [there, "pilot", str(lab.home(there))]
     assert lab.run("north", ["ssh", "south", "echo $WHERE"]).stdout.strip() == "below"
+    entries = lab.run("north", ["cat", "/etc/shadow"], as_root=True).stdout.splitlines()
+    assert [entry.split(":")[:2] for entry in entries] == [["pilot", "*"], ["root", "*"]], "nobody's password"
 
 
 def test_a_pulled_cable_and_a_deaf_switch_are_silent_and_come_back(lab):
@@ -84,7 +92,8 @@ def test_a_pulled_cable_and_a_deaf_switch_are_silent_and_come_back(lab):
         deadline = time.monotonic() + 10.0  # a card whose carrier has come back needs up to a second
         while not reaches():
             assert time.monotonic() < deadline
-    assert lab.interrupt(server) != 0
+    code = lab.interrupt(server)
+    assert code != 0 and lab.interrupt(server) == code, "one that has ended needs no signal"
     assert "socket" not in " ".join(lab.processes("south").values())
 
 
@@ -110,3 +119,29 @@ def test_a_network_that_cannot_be_made_leaves_nothing():
     with pytest.raises((RuntimeError, ValueError), match="10.77.0.300"):
         broken.up()
     assert leftovers(broken) == []
+
+
+def test_hosts_end_with_the_program_that_made_them():
+    """Also when it is killed."""
+    program = "import netlab, time; lab = netlab.NetLab({'north': '10.77.0.1/24'}).up(); "
+    program += "print(lab.name, lab.folder, flush=True); time.sleep(600)"
+    folder = str(pathlib.Path(__file__).parent)
+    maker = subprocess.Popen([sys.executable, "-c", program], cwd=folder, stdout=subprocess.PIPE, text=True)
+    name, home = maker.stdout.readline().split()
+    namespaces = ["%s%s-%s" % (PREFIX, name, host) for host in ("north", "switch")]
+
+    def running():
+        pids = ["ip", "netns", "pids", namespaces[0]]
+        return subprocess.run(pids, stdout=subprocess.PIPE, text=True, check=True).stdout.split()
+
+    try:
+        assert running()
+        maker.kill()
+        maker.wait()
+        deadline = time.monotonic() + PATIENCE_S
+        while running():
+            assert time.monotonic() < deadline
+    finally:
+        for namespace in namespaces:
+            subprocess.run(["ip", "netns", "del", namespace], check=True)
+        shutil.rmtree(home)

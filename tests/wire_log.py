@@ -8,12 +8,27 @@ It reads the cards themselves (root only), beside and independent of the vehicle
 import json
 import selectors
 import socket
+import struct
 import sys
-import time
 
 from ardrone_autonomy.protocol import AT_PORT, at
 
 IPV4, UDP = 0x0800, 17
+SO_TIMESTAMPNS = 35  # Linux: name of the option and of what comes with each packet; `socket` does not have it
+TIMESPEC = struct.Struct("@ll")  # [s], [ns]
+
+
+def ask_for_times(sock):
+    """The kernel shall note when a packet came in; we may be busy then."""
+    sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+
+
+def receive(sock):
+    """(packet, wall-clock time at which the kernel got it [s]) of a socket that was asked for times."""
+    packet, notes, _, _ = sock.recvmsg(65536, socket.CMSG_SPACE(TIMESPEC.size))
+    (note,) = [data for level, kind, data in notes if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS)]
+    seconds, nanoseconds = TIMESPEC.unpack(note)
+    return packet, seconds + 1e-9 * nanoseconds
 
 
 def at_commands(packet):
@@ -30,19 +45,19 @@ def main(arguments):
     for argument in arguments:
         vehicle, _, card = argument.partition("=")
         raw = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(IPV4))
+        ask_for_times(raw)
         raw.bind((card, IPV4))
         cards.register(raw, selectors.EVENT_READ, vehicle)
     print("ready", flush=True)
     while True:
         for key, _ in cards.select():
             try:
-                packet = key.fileobj.recv(65536)
+                packet, time_s = receive(key.fileobj)
             except OSError:
                 continue  # the card has gone down; it may come back
-            now_s = time.time()
             for command in at_commands(packet):
                 if command.name in ("REF", "PCMD", "PCMD_MAG"):
-                    print(json.dumps([now_s, key.data, command.name, list(command.arguments)]), flush=True)
+                    print(json.dumps([time_s, key.data, command.name, list(command.arguments)]), flush=True)
 
 
 if __name__ == "__main__":
