@@ -157,7 +157,7 @@ def test_what_only_root_may_is_told(tmp_path):
 
 def test_processes_are_called_what_people_call_them():
     names = {
-        ("/usr/bin/python3", "/work/devel/lib/ardrone_autonomy/ardrone_driver", "__name:=x"): "ardrone_driver",
+        ("/usr/bin/python3", "/opt/devel/lib/ardrone_autonomy/ardrone_driver", "__name:=x"): "ardrone_driver",
         ("python", "-m", "risc_simulator.virtual_lab", "a.yaml"): "risc_simulator.virtual_lab",
         ("/opt/stream_markers", "__name:=MocapStates"): "stream_markers",
     }
