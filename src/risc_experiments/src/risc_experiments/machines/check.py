@@ -77,8 +77,7 @@ def check_computer(computer, number, root, description, master, here):
     if computer.nodes == 0:
         return [green("nodes", "none in this file: not needed, not checked")]
     findings = _passwords(computer)
-    session = None
-    try:
+    with ssh.visit(findings) as sessions:
         if computer.unresolved:
             raise ssh.MachineError(
                 red("network", *ssh.why_unreachable(socket.gaierror(), computer.unresolved, computer.port))
@@ -87,7 +86,7 @@ def check_computer(computer, number, root, description, master, here):
             return findings + _doctor(ssh.Here(computer))
         ssh.reach(computer)
         findings.append(green("network", "%s port %d answers" % (computer.address, computer.port)))
-        session = ssh.connect(computer)
+        session = sessions.enter_context(contextlib.closing(ssh.connect(computer)))
         how = "with the password of the file or a key" if computer.password else "without a password"
         findings.append(green("login", "host key known, login %s %s" % (computer.login, how)))
         findings.append(keep_alive.check(session))
@@ -96,11 +95,6 @@ def check_computer(computer, number, root, description, master, here):
         findings += topics.check(session, master, here or session.here, number)
         findings.append(clock.check(session))
         findings += _doctor(session)
-    except ssh.MachineError as problem:
-        findings.append(problem.finding)
-    finally:
-        if session is not None:
-            session.close()
     return findings
 
 

@@ -1,5 +1,6 @@
 """`./maap machines deploy`: the workspace, as it is built here, to the same folder of every other computer."""
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -59,9 +60,8 @@ def run(experiment, root, out=None):
 def deploy(computer, root, description):
     """Findings about one computer, after the workspace was sent there. description: of workspace.describe."""
     findings = []
-    session = None
     computer = dataclasses.replace(computer, password=None)  # rsync has none to give
-    try:
+    with ssh.visit(findings) as sessions:
         if computer.workspace != str(root):
             raise ssh.MachineError(
                 red(
@@ -72,17 +72,12 @@ def deploy(computer, root, description):
                 )
             )
         ssh.reach(computer)
-        session = ssh.connect(computer)
+        session = sessions.enter_context(contextlib.closing(ssh.connect(computer)))
         _prepare(session, root)
         findings.append(_send(session, root))
         _stamp(session, root, description)
         findings += _packages(session, root)
         findings.append(_verify(session, description))
-    except ssh.MachineError as problem:
-        findings.append(problem.finding)
-    finally:
-        if session is not None:
-            session.close()
     return findings
 
 

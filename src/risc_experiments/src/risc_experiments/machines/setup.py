@@ -1,5 +1,6 @@
 """`./maap machines setup`: host keys, an ssh key, quick detection of dead connections. Says what it changed."""
 
+import contextlib
 import dataclasses
 import getpass
 import os
@@ -38,19 +39,13 @@ def run(experiment, yes, out=None):
 def set_up(computer, yes, out):
     """Findings about one computer, after what could be changed has been changed."""
     findings = []
-    session = None
     computer = dataclasses.replace(computer, password=None)  # it is about logins without one
-    try:
+    with ssh.visit(findings) as sessions:
         ssh.reach(computer)
         findings.append(_host_key(computer, yes, out))
-        session = _log_in(computer)
+        session = sessions.enter_context(contextlib.closing(_log_in(computer)))
         findings.append(green("login", "%s without a password" % computer.login))
         findings.append(keep_alive.write(session))
-    except ssh.MachineError as problem:
-        findings.append(problem.finding)
-    finally:
-        if session is not None:
-            session.close()
     return findings
 
 

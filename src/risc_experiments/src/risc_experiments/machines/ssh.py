@@ -33,6 +33,16 @@ class MachineError(Exception):
         self.finding = finding
 
 
+@contextlib.contextmanager
+def visit(findings):
+    """The sessions entered into the stack are closed at the end; a MachineError ends the visit as the last finding."""
+    try:
+        with contextlib.ExitStack() as sessions:
+            yield sessions
+    except MachineError as problem:
+        findings.append(problem.finding)
+
+
 @dataclass(frozen=True)
 class Answer:
     """What a command printed, and how it ended."""
