@@ -151,6 +151,45 @@ def test_landed_counts_again_some_time_after_a_takeoff_without_effect():
     assert desk.press(TAKEOFF_LAND).takeoff
 
 
+def test_a_press_that_was_held_up_is_not_obeyed():
+    """It was to land the vehicle, which its ladder has landed meanwhile: now it would be a take-off."""
+    desk = Desk()
+    buttons = [1 if k == TAKEOFF_LAND else 0 for k in range(11)]
+    for age_s in (10.0, 9.95, 0.31):
+        orders = desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, age_s)
+        assert (orders.takeoff, orders.land, orders.command) == (False, False, None)
+        assert any("%.1f s late" % age_s in text for _, text in orders.log)
+    orders = desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.29)
+    assert not orders.takeoff, "the button has been down since"
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, 0.05)
+    assert desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.05).takeoff
+
+
+def test_sticks_that_were_held_up_move_nothing():
+    desk = Desk().fly()
+    for age_s, up in ((1.0, 0.0), (0.1, 1.0)):
+        desk.pilot.on_joy([1 if k == UP else 0 for k in range(11)], [0.0] * 8, desk.now_s, age_s)
+        assert {sticks.up for _, sticks, _ in desk.run(0.3)} == {up}
+
+
+def test_a_joystick_whose_messages_are_all_late_counts_as_silent():
+    desk = Desk(joystick_timeout=1.0).fly()
+    for _ in range(15):
+        desk.now_s += 0.1
+        desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, 0.5)
+        desk.pilot.tick(desk.now_s)
+    assert desk.pilot.ladder.verdict.text.startswith("land: joystick silent")
+
+
+def test_a_joystick_stamped_by_a_clock_that_is_ahead_is_obeyed_and_its_late_messages_are_not():
+    desk = Desk()
+    buttons = [1 if k == TAKEOFF_LAND else 0 for k in range(11)]
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, -2.0)
+    assert not desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, -1.0).takeoff, "one second late"
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, -2.0)
+    assert desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, -1.95).takeoff
+
+
 def test_landed_counts_at_once_when_the_takeoff_was_seen():
     desk = Desk()
     desk.press(TAKEOFF_LAND)

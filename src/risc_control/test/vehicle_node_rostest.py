@@ -122,9 +122,12 @@ class World:
         self._ended = True
         self._thread.join()
 
-    def press(self, vehicle, button):
+    def press(self, vehicle, button, late_s=0.0):
+        """Press a button and let go. late_s: for so long the messages were on their way."""
         for down in (button, None):
-            self._joy[vehicle].publish(Joy(axes=[0.0] * 8, buttons=[1 if k == down else 0 for k in range(11)]))
+            joy = Joy(axes=[0.0] * 8, buttons=[1 if k == down else 0 for k in range(11)])
+            joy.header.stamp = rospy.Time.now() - rospy.Duration(late_s)
+            self._joy[vehicle].publish(joy)
 
     def messages(self, vehicle, topic):
         return [message for _, message in self.received[vehicle, topic]]
@@ -219,6 +222,10 @@ class VehicleNodeTest(unittest.TestCase):
             world.wait_for_state(vehicle, LANDED)
         for vehicle in TEMPLATES:
             world.forget()
+            for _ in range(5):
+                world.press(vehicle, TAKEOFF_LAND, late_s=1.0)  # to land a vehicle that has landed meanwhile
+            world.let_pass(vehicle)
+            self.assertEqual(world.messages(vehicle, "ardrone/takeoff"), [])
             world.press(vehicle, TAKEOFF_LAND)
             world.wait(vehicle, "ardrone/takeoff")
             self.assertEqual(world.messages(vehicle, "ardrone/land"), [])

@@ -51,6 +51,7 @@ class VirtualOperator:
         self._operator = Operator(wanted, params, time.monotonic())
         self._lock = threading.Lock()
         self._calling = False
+        self._landing = set()  # vehicles whose service is being called
         self._said = {"phase": None, "result": None}
         self._phase = rospy.Publisher("/operator/phase", String, queue_size=10, latch=True)
         self._result = rospy.Publisher("/operator/result", String, queue_size=1, latch=True)
@@ -109,6 +110,8 @@ class VirtualOperator:
             pressed = {name: watched.pad.buttons(now_s, BUTTONS) for name, watched in self._operator.vehicles.items()}
             texts = {"phase": self._operator.phase_text, "result": self._operator.result}
             call, self._calling = self._operator.call_home and not self._calling, self._operator.call_home
+            landings = [name for name in self._operator.landings() if name not in self._landing]
+            self._landing.update(landings)
         stamp = rospy.Time.now()
         for name, buttons in pressed.items():
             joy = Joy(axes=[0.0] * AXES, buttons=buttons)
@@ -121,6 +124,8 @@ class VirtualOperator:
                 rospy.loginfo("operator: %s %s", what, texts[what])
         if call:
             threading.Thread(target=self._call_home, daemon=True).start()
+        for name in landings:
+            threading.Thread(target=self._call_land, args=(name,), daemon=True).start()
         self._diagnostics.update()
 
     def _call_home(self):
@@ -134,6 +139,18 @@ class VirtualOperator:
             problem = "%s (%s)" % (self._go_home, error)
         with self._lock:
             self._operator.home_called(problem, time.monotonic())
+
+    def _call_land(self, name):
+        """Ask a silent vehicle's node to land it; the answer may take as long as its network is out."""
+        service = "/%s/land" % name
+        try:
+            rospy.wait_for_service(service, SERVICE_TIMEOUT_S)
+            answer = rospy.ServiceProxy(service, Trigger)()
+            rospy.loginfo("operator: %s: %s", service, answer.message)
+        except (rospy.ROSException, rospy.ServiceException) as error:
+            rospy.logwarn("operator: cannot ask %s to land: %s (%s)", name, service, error)
+        with self._lock:
+            self._landing.discard(name)
 
     def _diagnose(self, status):
         with self._lock:

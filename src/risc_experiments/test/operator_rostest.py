@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""virtual_operator.py with real vehicle nodes: a whole flight, a request to land, a lost joystick."""
+"""virtual_operator.py with real vehicle nodes: a whole flight, a request to land, a lost joystick, a silent vehicle."""
 
 import subprocess
 import threading
@@ -8,6 +8,7 @@ import unittest
 
 import rospy
 import rostest
+from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, String
 from std_srvs.srv import Trigger, TriggerResponse
 
@@ -25,6 +26,7 @@ class World:
 
     def __init__(self):
         self.state = dict.fromkeys(TEMPLATES, LANDED)
+        self.silent = set()  # vehicles of which nothing is heard
         self.until_s = dict.fromkeys(TEMPLATES, 0.0)
         self.autonomous_s = dict.fromkeys(TEMPLATES)  # since when, None = manual
         self.home_s = None
@@ -73,7 +75,8 @@ class World:
                     self.state[vehicle] = {TAKING_OFF: HOVERING, LANDING: LANDED}.get(
                         self.state[vehicle], self.state[vehicle]
                     )
-                self._navdata[vehicle].publish(Navdata(state=self.state[vehicle], batteryPercent=80.0))
+                if vehicle not in self.silent:
+                    self._navdata[vehicle].publish(Navdata(state=self.state[vehicle], batteryPercent=80.0))
                 states.Obj.append(States(name=template, visible=True, z=1.0))
                 controls.Obj.append(Control(template, 0.1, 0.1, 0.1, 4.41))
                 since_s, home_s = self.autonomous_s[vehicle], self.home_s
@@ -159,6 +162,22 @@ class OperatorTest(unittest.TestCase):
         self.doCleanups()
         wait_for(lambda: set(world.state.values()) == {LANDED}, "landing without the operator")
         self.assertEqual(world.results, [])
+
+    def test_4_a_silent_vehicle_is_asked_to_land_and_not_by_the_button(self):
+        world, presses, safety = self.world, [], []
+        self.start(duration_s=100.0)
+        wait_for(lambda: any("on course" in text for text in world.phases), "being on course: %s" % world.phases)
+        rospy.Subscriber("/risc2/joy", Joy, lambda message: any(message.buttons) and presses.append(message))
+        rospy.Subscriber("/risc2/safety", String, lambda message: safety.append(message.data))
+        world.silent.add("risc2")
+        wait_for(lambda: "land: landing was requested" in safety, "the landing of risc2, safety: %s" % safety)
+        wait_for(lambda: world.state["risc2"] == LANDED, "risc2 on the ground")
+        self.assertTrue(any("risc2: silent" in text for text in world.phases), world.phases)
+        world.silent.clear()
+        self.assertTrue(rospy.ServiceProxy("/operator/land", Trigger)().success)
+        wait_for(lambda: world.results, "a result")
+        self.assertEqual(set(world.state.values()), {LANDED})
+        self.assertEqual(presses, [])
 
 
 if __name__ == "__main__":

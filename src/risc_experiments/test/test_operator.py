@@ -10,7 +10,10 @@ STEP_S = 0.05
 
 
 class ModelVehicle:
-    """Vehicle and joystick node in a few lines: reacts to edges of the two buttons as the real ones do."""
+    """Vehicle and joystick node in a few lines: reacts to edges of the two buttons as the real ones do.
+
+    connected: its reports arrive; with `held_up`, nothing comes or goes, and what was sent arrives when that is over.
+    """
 
     def __init__(self):
         self.state = FlightState.LANDED
@@ -20,8 +23,21 @@ class ModelVehicle:
         self.seen = self.connected = self.node_alive = True
         self.obeys = {"takeoff", "land", "toggle"}
         self.presses = []
+        self.calls = []  # when its service to land was called
+        self.held_up = False
+        self._on_the_way = []
         self._down = None
         self._timer_s = 0.0
+
+    def receive(self, buttons, called, now_s):
+        self._on_the_way.append((buttons, called))
+        if called:
+            self.calls.append(now_s)
+        while self._on_the_way and not self.held_up:
+            buttons, called = self._on_the_way.pop(0)
+            self.joy(buttons, now_s)
+            if called and self.node_alive and self.state != FlightState.LANDED and "land" in self.obeys:
+                self.land(now_s)
 
     def joy(self, buttons, now_s):
         down = buttons.index(1) if 1 in buttons else None
@@ -80,9 +96,9 @@ class Flight:
             vehicle.go(self.now_s)
             if vehicle.seen:
                 self.operator.on_seen(name, self.now_s)
-            if vehicle.connected:
+            if vehicle.connected and not vehicle.held_up:
                 self.operator.on_navdata(name, vehicle.state, self.now_s)
-            if vehicle.node_alive:
+            if vehicle.node_alive and not vehicle.held_up:
                 self.operator.on_status(name, vehicle.autonomous, self.now_s)
             self.operator.on_safety(name, vehicle.safety)
             self.operator.on_trajectory_phase(name, vehicle.course)
@@ -93,8 +109,10 @@ class Flight:
             if not self.home_problem:
                 for vehicle in self.vehicles.values():
                     vehicle.home(self.now_s)
+        landings = self.operator.landings()
         for name, vehicle in self.vehicles.items():
-            vehicle.joy(self.operator.vehicles[name].pad.buttons(self.now_s, 11), self.now_s)
+            buttons = self.operator.vehicles[name].pad.buttons(self.now_s, 11)
+            vehicle.receive(buttons, name in landings, self.now_s)
         if not self.phases or self.phases[-1] != self.operator.phase:
             self.phases.append(self.operator.phase)
 
@@ -360,21 +378,44 @@ def test_a_vehicle_whose_joystick_node_died_is_landed_when_it_is_back():
 
 
 def test_a_vehicle_that_falls_silent_while_taking_off_is_landed():
-    """Its last word is "landed", but take-off was pressed: it may be in the air, and the button means land now."""
+    """Its last word is "landed", but take-off was pressed: it may be in the air."""
     flight = Flight()
     vehicle = flight.vehicles["risc2"]
     vehicle.obeys.remove("land")
     flight.run(lambda: vehicle.presses)
     vehicle.connected = False
-    flight.run(lambda: vehicle.count(TAKEOFF_LAND) == 2, 5.0)
-    assert flight.operator.phase == Phase.TAKEOFF, "the others do not wait for it"
-    assert flight.now_s - vehicle.presses[0][0] > 1.9, "not while the joystick node may take it for a take-off"
+    flight.run(lambda: vehicle.calls, 3.0)
+    assert flight.operator.phase == Phase.TAKEOFF
+    flight.run(lambda: len(vehicle.calls) == 2, 3.0)
+    assert flight.operator.phase == Phase.SETTLE, "the others do not wait for it"
+    assert vehicle.calls[1] - vehicle.calls[0] >= 2.0
     vehicle.obeys.add("land")
     flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
     vehicle.connected = True
     flight.finish()
     assert flight.operator.result == "failed: risc2 silent: no navdata for 2 s"
     assert vehicle.state == FlightState.LANDED
+    assert vehicle.count(TAKEOFF_LAND) == 1, "pressed when nobody knows whether it stands, the button may mean take-off"
+
+
+@pytest.mark.parametrize("out_s, calls", [(1.5, 0), (3.0, 1), (10.0, 4)])
+def test_a_vehicle_that_landed_while_its_computer_was_out_of_reach_stays_on_the_ground(out_s, calls):
+    """Whatever was pressed meanwhile arrives when the network is back, and the button means take-off there by then."""
+    flight = Flight(duration=60.0).on_course()
+    vehicle = flight.vehicles["risc2"]
+    vehicle.held_up = True
+    begin_s = flight.now_s
+    flight.run(lambda: flight.now_s >= begin_s + 1.0)
+    vehicle.state = FlightState.LANDED  # by its own ladder
+    flight.run(lambda: flight.now_s >= begin_s + out_s)
+    vehicle.held_up = False
+    for _ in range(200):
+        flight.step()
+        assert vehicle.state == FlightState.LANDED
+    assert len(vehicle.calls) == calls
+    flight.finish()
+    assert flight.operator.result.startswith("failed: risc2 ")
+    assert vehicle.count(TAKEOFF_LAND) == 1
 
 
 def test_a_silent_vehicle_that_stood_is_not_pressed_into_the_air():

@@ -12,6 +12,7 @@ from typing import Tuple
 
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks, parse_bool
 from risc_control.mappings.ardrone import climb_rate_command
+from risc_control.message_age import MessageAges
 from risc_control.safety import Rung, SafetyLadder, SafetyLimits
 
 LEGACY_VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"}  # of the lab, when no fleet is loaded
@@ -50,10 +51,11 @@ class PilotParams:
     land_repeat_s: float = 0.2  # [s] how often a landing of the ladder is ordered
     takeoff_grace_s: float = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
     stick_timeout: float = 0.5  # [s] no joystick message: sticks centred; 0 = off: the last deflection stays
+    joystick_late_s: float = 0.3  # [s] a joystick message older than this when it arrives is not obeyed
     hold_auto_hover: bool = True  # HOLD: True the vehicle's own position hold, False level without position hold
 
     def __post_init__(self):
-        for name in ("euler_angle_max", "delay", "command_rate_hz", "land_repeat_s"):
+        for name in ("euler_angle_max", "delay", "command_rate_hz", "land_repeat_s", "joystick_late_s"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0:
                 raise ValueError("parameter %s must be a number > 0, found %r" % (name, value))
@@ -229,6 +231,7 @@ class VehiclePilot:
         self._takeoff_s = None  # when a take-off was ordered of which nothing was heard yet
         self._sticks = CENTRED
         self._joy_s = now_s  # arrival of the newest joystick message
+        self._joy_ages = MessageAges()
         self._state = None
         self._state_s = 0.0  # when the state held [s]
         self._safety_text = None
@@ -243,12 +246,21 @@ class VehiclePilot:
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
-    def on_joy(self, buttons, axes, now_s):
-        """A joystick message."""
+    def on_joy(self, buttons, axes, now_s, age_s=0.0):
+        """A joystick message. age_s: by its stamp [s]; 0 when it has none.
+
+        One that was held up on its way is no word of the operator of now: the vehicle may have landed meanwhile, and
+        the button that was pressed to land it would be a take-off. It is not obeyed, nor a sign of life.
+        """
         orders = Orders()
+        joy = self._joystick.update(buttons, axes)
+        age_s = self._joy_ages.corrected(age_s, now_s)
+        if age_s > self._params.joystick_late_s:
+            text = "a joystick message came %.1f s late and is not obeyed: look at the network, and at the clocks"
+            orders.log.append(("warn", text % age_s))
+            return orders
         self.ladder.note_joystick(now_s)
         self._joy_s = now_s
-        joy = self._joystick.update(buttons, axes)
         self._sticks = joy.sticks
         orders.log.extend(("warn", problem) for problem in joy.problems)
         if Button.EMERGENCY in joy.pressed:

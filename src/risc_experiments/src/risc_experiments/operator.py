@@ -1,7 +1,8 @@
-"""The virtual operator: flies an experiment by pressing the buttons of joysticks, and by nothing else. No ROS.
+"""The virtual operator: flies an experiment by pressing the buttons of joysticks. No ROS.
 
 One joystick a vehicle. The operator looks at what a person would look at (is it seen by mocap, what does the vehicle
-report, what does its joystick node say) and presses two buttons: take-off/land and manual/autonomous.
+report, what does its joystick node say) and presses two buttons: take-off/land and manual/autonomous. Only a vehicle
+that has fallen silent is asked to land by its service: it may have landed already, and then the button is a take-off.
 
     waiting -> takeoff -> settle -> fly -> home -> land -> done | aborted
 
@@ -50,9 +51,7 @@ class OperatorParams:
     settle: float = 2.0  # [s] hovering before the course
     ready: float = 0.5  # [s] everything must have been ready for so long before take-off
     seen_timeout: float = 0.3  # [s] mocap
-    # [s] navdata, controller_status. Longer than the joystick nodes' navdata_timeout_s: after that they take the button
-    # for land whatever was reported last, so that it may be pressed without fear of a take-off.
-    report_timeout: float = 2.0
+    report_timeout: float = 2.0  # [s] navdata, controller_status
     waiting_timeout: float = 60.0  # [s] until all is ready
     takeoff_timeout: float = 20.0  # [s] until all hover
     autonomous_timeout: float = 10.0  # [s] until all are in autonomous mode
@@ -128,7 +127,8 @@ class Watched:
         self.seen_s = self.reported_s = self.status_s = -math.inf
         self._in_air = False  # by the newest report that says anything about it
         self._ground_s = -math.inf  # when it reported last that it stands
-        self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when the button was pressed last
+        self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when it was told so last
+        self.call_land = False  # its service is to be called; whoever does takes it back
 
     def note_report(self, state, now_s):
         """It reports its state number."""
@@ -163,7 +163,8 @@ class Operator:
     """The sequence for all vehicles. Feed it what is heard, call `step` at the rate of the joystick messages.
 
     vehicles: their namespaces. `call_home` is True from the moment on that the trajectory node is to bring all home
-    (or to hold, when there is no such node) until `home_called` is told how that went.
+    (or to hold, when there is no such node) until `home_called` is told how that went. `landings` names the vehicles
+    whose service to land is to be called now.
     """
 
     def __init__(self, vehicles, params, now_s):
@@ -243,6 +244,13 @@ class Operator:
             Phase.DONE: self._rest,
             Phase.ABORTED: self._rest,
         }[self.phase](now_s)
+
+    def landings(self):
+        """Namespaces of the vehicles whose service to land is to be called now; each is named once a call."""
+        names = [name for name, w in self.vehicles.items() if w.call_land]
+        for name in names:
+            self.vehicles[name].call_land = False
+        return names
 
     def _wait(self, now_s):
         missing = {name: w.not_ready(self._params, now_s) for name, w in self.vehicles.items()}
@@ -335,7 +343,7 @@ class Operator:
     def _land(self, now_s):
         flying = [name for name, w in self.vehicles.items() if w.may_fly()]
         for w in self.vehicles.values():
-            self._press_land(w, now_s)
+            self._order_landing(w, now_s)
         if not flying:
             self._finish(now_s)
         elif self._overdue(self._params.land_timeout, now_s):
@@ -347,14 +355,17 @@ class Operator:
     def _rest(self, now_s):
         """Finished. Vehicles that did not land in time are still told to."""
         for w in self.vehicles.values():
-            self._press_land(w, now_s)
+            self._order_landing(w, now_s)
 
-    def _press_land(self, w, now_s):
-        """Press land now and then, but never when it stands or is about to: the button would mean take-off."""
-        down = w.flight_state in _ON_GROUND or w.flight_state == FlightState.LANDING
-        if not w.may_fly() or (down and not w.is_silent(self._params, now_s)):
+    def _order_landing(self, w, now_s):
+        """Tell it to land now and then, but press the button only when it is known to fly: else it means take-off."""
+        if not w.may_fly() or now_s - w.land_s <= _LAND_AGAIN_S:
             return
-        if now_s - w.land_s > _LAND_AGAIN_S and w.pad.press(self._params.TakeoffLand, now_s):
+        if w.is_silent(self._params, now_s):
+            w.call_land, w.land_s = True, now_s
+            return
+        down = w.flight_state in _ON_GROUND or w.flight_state == FlightState.LANDING
+        if not down and w.pad.press(self._params.TakeoffLand, now_s):
             w.land_s = now_s
 
     def _note_failures(self, now_s):
@@ -377,10 +388,10 @@ class Operator:
                 self.text = "%s: %s; the others fly on" % (name, w.failure)
 
     def _land_failed(self, now_s):
-        """Press land for those that are out until they stand: a press may meet a dead joystick node or a lost link."""
+        """Those that are out are told until they stand: an order may meet a dead joystick node or a lost link."""
         for w in self.vehicles.values():
             if w.failure:
-                self._press_land(w, now_s)
+                self._order_landing(w, now_s)
 
     def _taking_part(self):
         return [(name, w) for name, w in self.vehicles.items() if not w.failure]

@@ -144,8 +144,10 @@ class VehicleNode:
             rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.vehicle, error))
 
     def _on_joy(self, message):
+        stamp_s = message.header.stamp.to_sec()
+        age_s = rospy.get_time() - stamp_s if stamp_s else 0.0
         with self._lock:
-            orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic())
+            orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic(), age_s)
             self._carry_out(orders)
         self._report(orders)
 
