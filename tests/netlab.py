@@ -7,8 +7,8 @@ addresses and routes are not touched, and nothing in the network can reach anyth
     with NetLab({"a": "10.77.0.1/24", "b": "10.77.0.2/24"}, user="pilot") as lab:
         lab.run("a", ["ssh", "b", "hostname"])
 
-Needs root, iproute2, util-linux, openssh-server and openssh-client; `unsupported` gives the reason to skip. This file
-is also the first process of each host: `netlab.py FOLDER HOST`.
+Needs root, iproute2, util-linux, procps, openssh-server and openssh-client; `unsupported` gives the reason to skip.
+This file is also the first process of each host: `netlab.py FOLDER HOST`.
 """
 
 import contextlib
@@ -36,6 +36,8 @@ MULTICAST = ipaddress.ip_network("224.0.0.0/4")
 OUTSIDE = ("192.0.2.1", "198.51.100.1", "1.1.1.1")  # no lab has these; asking for a route sends nothing
 UNSHARE = ("unshare", "--mount", "--uts", "--pid", "--ipc", "--fork", "--kill-child", "--mount-proc")
 UNSHARE += ("--propagation", "private")  # what a host has of its own, beside the network
+# A host that has lost its power does not say goodbye when it comes back. Needs a /proc/sys that can be written.
+NO_GOODBYE = ("sysctl", "--write", "net.ipv4.tcp_orphan_retries=1")
 
 
 @functools.lru_cache(maxsize=None)
@@ -43,16 +45,17 @@ def unsupported():
     """Why no lab can be made on this computer, in one line; "" when it can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
-    for tool in ("ip", "bridge", "tc", "unshare", "nsenter", "setpriv", "ssh", "ssh-keygen", "sshd"):
+    for tool in ("ip", "bridge", "tc", "unshare", "nsenter", "setpriv", "sysctl", "ssh", "ssh-keygen", "sshd"):
         if shutil.which(tool, path=PATH) is None:
-            return "%s is missing: apt-get install iproute2 util-linux openssh-client openssh-server" % tool
+            return "%s is missing: apt-get install iproute2 util-linux procps openssh-client openssh-server" % tool
     try:
         with _probe() as namespace:
             _run("ip", "-n", namespace, "link", "add", "name", "br0", "type", "bridge")
             _run("ip", "-n", namespace, "link", "add", "name", "veth0", "type", "veth", "peer", "name", "veth1")
             _run("ip", "netns", "exec", namespace, *UNSHARE, "mount", "-t", "tmpfs", "tmpfs", "/run")
+            _run("ip", "netns", "exec", namespace, *NO_GOODBYE)
     except RuntimeError as error:
-        return "no network namespaces here: %s" % error
+        return "no network namespaces here (a container needs --privileged): %s" % error
     return ""
 
 
@@ -353,8 +356,7 @@ class NetLab:
         for host in self.hosts:
             namespace, port = self._namespace(host), "p-" + host
             _run("ip", "netns", "add", namespace)
-            # a host that has lost its power does not say goodbye when it comes back
-            _run("ip", "netns", "exec", namespace, "sysctl", "--write", "net.ipv4.tcp_orphan_retries=1")
+            _run("ip", "netns", "exec", namespace, *NO_GOODBYE)
             _run("ip", "-n", namespace, "link", "set", "lo", "up")
             peer = ("peer", "name", "eth0", "netns", namespace)
             _run("ip", "-n", switch, "link", "add", "name", port, "type", "veth", *peer)

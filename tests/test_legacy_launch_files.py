@@ -8,7 +8,6 @@ import pathlib
 import re
 import shlex
 import time
-import xmlrpc.client
 from dataclasses import replace
 
 import flying
@@ -22,6 +21,7 @@ from std_msgs.msg import String
 
 from risc_control.lab import load_fleet
 from risc_experiments import screenshot
+from risc_experiments.doctor import ros_master
 from risc_experiments.processes import Launch, PortReservation, free_tcp_port, marked_processes
 from risc_experiments.report import LATE_LIMIT_MS
 
@@ -400,20 +400,23 @@ class Graph:
         return ""
 
     def _missing(self, nodes):
-        master = xmlrpc.client.ServerProxy(self._uri)
-        return [node for node in nodes if master.lookupNode("/test", node)[0] != 1]
+        return [node for node in nodes if not self._answers(node)]
 
     def _graph(self, nodes):
         """Who publishes, subscribes and serves what; None while a node is missing or does not answer."""
-        master = xmlrpc.client.ServerProxy(self._uri)
-        try:
-            for node in nodes:
-                code, _, uri = master.lookupNode("/test", node)
-                if code != 1 or xmlrpc.client.ServerProxy(uri).getPid("/test")[0] != 1:
-                    return None
-            return master.getSystemState("/test")[2]
-        except (OSError, xmlrpc.client.Error):
+        if not all(self._answers(node) for node in nodes):
             return None
+        try:
+            return ros_master.call(self._uri, "getSystemState")
+        except ros_master.MasterError:
+            return None
+
+    def _answers(self, node):
+        try:
+            ros_master.call(ros_master.call(self._uri, "lookupNode", node), "getPid")
+        except ros_master.MasterError:
+            return False
+        return True
 
 
 def starts(name, folder):

@@ -54,7 +54,7 @@ LANDING_S = 4.0  # from a metre
 FLOOR_M = 0.15  # a vehicle's centre that is lower stands
 END_S = 90.0  # for Ctrl-C; a computer that is gone costs roslaunch 20 to 40 s
 GONE_S = 8.0  # from the end of roslaunch to that of the last process; after that the guards of the sessions would kill
-APART = "course:=origin"  # each has a place of its own: on one circle, the next flies into a vehicle that has stopped
+APART = "course:=origin"  # a place for each: the circles of circles3 come within 0.17 m, and one may have stopped
 LAPTOPS = tuple(VEHICLE_OF)
 LAPTOP_OF = {vehicle: laptop for laptop, vehicle in VEHICLE_OF.items()}
 SECOND_SET = {"joystick_controller", "joy_node"}  # on each laptop
@@ -165,13 +165,19 @@ def test_the_times_on_the_wire_are_the_kernels():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         ask_for_times(receiver)
-        before_s = time.time()
-        receiver.sendto(b"x", receiver.getsockname())
-        select.select([receiver], [], [])
-        after_s = time.time()
-        packet, time_s = receive(receiver)
-    assert packet == b"x"
-    assert before_s - 1e-5 <= time_s <= after_s + 1e-5  # rounding
+
+        def is_stamped_on_arrival():
+            before_s = time.time()
+            receiver.sendto(b"x", receiver.getsockname())
+            select.select([receiver], [], [])
+            after_s = time.time()
+            time.sleep(0.02)  # busy
+            packet, time_s = receive(receiver)
+            assert packet == b"x"
+            return before_s - 1e-5 <= time_s <= after_s + 1e-5  # rounding
+
+        # the first socket of a computer that asks waits for a worker of the kernel; until then the stamp is the reader's
+        wait_until(is_stamped_on_arrival, "a stamp of the arrival")
 
 
 # ------------------------------------------------------------------ one command
@@ -500,8 +506,9 @@ def fly_on_one_computer(folder):
         log = launch.log_path
         wait_until(lambda: RESULT in log.read_text(errors="replace") or not launch.running(), "the flight ends")
     finally:
-        launch.stop()
+        killed = launch.stop()
         reservation.close()
+    assert killed == [], "Ctrl-C did not end these"
     assert marked_processes(launch.identity) == {}
     return log.read_text(errors="replace"), json.loads((folder / "virtual_lab.json").read_text())
 

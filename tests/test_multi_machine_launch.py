@@ -70,6 +70,7 @@ def test_every_parameter_of_the_appendix_has_its_value(appendix, vehicle):
     for node, values in PARAMETERS.items():
         for key, value in values.items():
             assert appendix.params["/%s/%s/%s" % (vehicle, node, key)].value == value, (node, key)
+    assert appendix.params["/controller_status"].value is False  # one for all, though each joystick node had it
     url = appendix.params["/%s/ardrone_driver/camera_info_url" % vehicle].value
     assert url.startswith("file://") and pathlib.Path(url[len("file://") :]).exists()
     assert pathlib.Path(url).name == vehicle + ".yaml"
@@ -88,6 +89,12 @@ def test_addresses_logins_and_workspaces_are_arguments():
     config = load("risc3_address:=10.0.0.3", "user:=pilot", "workspace:=/home/pilot/ws")
     machine = config.machines["risc3"]
     assert (machine.address, machine.user, machine.env_loader) == ("10.0.0.3", "pilot", "/home/pilot/ws/devel/coop.sh")
+    assert config.machines["risc1"].user is None, "the login of the laptops is not that of the base station"
+
+
+def test_a_base_station_with_another_login_does_not_go_to_itself_by_ssh():
+    config = load("risc1_address:=127.0.0.1", "user:=nobody_here")
+    assert roslaunch.core.is_machine_local(config.machines["risc1"])
 
 
 def test_on_one_computer_every_node_runs_there_with_a_joystick_of_its_own():
@@ -98,9 +105,36 @@ def test_on_one_computer_every_node_runs_there_with_a_joystick_of_its_own():
     assert not any(name.endswith("joy_node") for name in nodes_of(load("machine:=local", "lab:=true")))
 
 
+@pytest.mark.parametrize(
+    ("arguments", "network"), [((), "192.168.1."), (("lab:=true",), "127.77.1.")], ids=["real", "simulated"]
+)
+def test_one_computer_reaches_each_vehicle_by_another_address(arguments, network):
+    config = load("machine:=local", *arguments)
+    addresses = [config.params["/risc%d/ardrone_driver/drone_ip" % k].value for k in (1, 2, 3)]
+    assert len(set(addresses)) == 3 and all(address.startswith(network) for address in addresses), addresses
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["machine:=locl"], "machine:=locl means nothing: write machine:=local or machine:=remote"),
+        (["lab:=true"], r"lab:=true without machine:=local: .*ardrones3\.yaml.* Add machine:=local, or fleet:=FILE"),
+    ],
+)
+def test_what_cannot_fly_is_refused_with_the_reason(arguments, reason):
+    with pytest.raises(roslaunch.xmlloader.XmlParseException, match=reason):
+        load(*arguments)
+
+
+def test_laptops_may_reach_a_virtual_lab_at_other_addresses():
+    fleet = ROOT / "launch/fleets/lab3.yaml"
+    assert "/virtual_lab" in nodes_of(load("lab:=true", "fleet:=%s" % fleet))
+
+
 def test_no_node_that_ends_ends_the_others():
     """One vehicle's node must not take the other vehicles down with it; the virtual lab is all of them."""
-    assert {name for name, node in nodes_of(load("lab:=true")).items() if node.required} == {"/virtual_lab"}
+    simulated = nodes_of(load("machine:=local", "lab:=true"))
+    assert {name for name, node in simulated.items() if node.required} == {"/virtual_lab"}
     assert not any(node.required for node in load().nodes)
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import netlab
 import pytest
 from netlab import PATIENCE_S, PREFIX, NetLab, unsupported
 
@@ -31,6 +32,26 @@ def lab():
     assert leftovers(network) == []
     with pytest.raises(RuntimeError, match="down"):  # "nothing runs" would be no answer now
         network.processes("north")
+
+
+def test_a_computer_without_a_tool_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(netlab.shutil, "which", lambda tool, path: None if tool == "sysctl" else tool)
+    reason = unsupported.__wrapped__()
+    assert reason.startswith("sysctl is missing: apt-get install") and "procps" in reason
+
+
+def test_a_container_whose_kernel_settings_are_read_only_says_so():
+    """As docker mounts /proc/sys: the tests are skipped then, and say why."""
+    ask = "mount --bind /proc/sys /proc/sys && mount -o remount,bind,ro /proc/sys && "
+    ask += "exec %s -c 'import netlab; print(netlab.unsupported())'" % sys.executable
+    done = subprocess.run(
+        ["unshare", "--mount", "--propagation", "private", "sh", "-c", ask],
+        cwd=str(pathlib.Path(__file__).parent),
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    assert "--privileged" in done.stdout and "tcp_orphan_retries" in done.stdout
 
 
 def test_nothing_in_it_can_reach_anything_outside(lab):
