@@ -65,8 +65,29 @@ def test_scripts_are_clean_and_executable():
 
 @pytest.mark.parametrize("name", COMPOSE)
 def test_compose_file_is_valid(name):
-    """Types, keys and references by the specification; a key that it does not know is an error."""
-    assert compose_spec.PyOptions(apply_merge=True).from_yaml((DOCKER / name).read_text()).services
+    """Types, keys and networks by the specification; a key that it does not know is an error."""
+    file = compose_spec.PyOptions(apply_merge=True).from_yaml((DOCKER / name).read_text())
+    file.validate()
+    assert file.services
+
+
+def test_services_and_volumes_that_are_named_exist(compose):
+    """The library of the specification does not look at them."""
+    services = compose["services"].values()
+    awaited = {name for service in services for name in service.get("depends_on", ())}
+    assert awaited and awaited <= set(compose["services"])
+    assert {volume.split(":")[0] for service in services for volume in service.get("volumes", ())} == set(
+        compose["volumes"]
+    )
+
+
+def test_what_a_laptop_runs_instead_of_an_ssh_server_has_a_health_of_its_own(compose):
+    """The image's own asks for port 22."""
+    others = [s for s in compose["services"].values() if s["image"] == "risc_maap:laptop" and "command" in s]
+    assert others and all("healthcheck" in service for service in others)
+    browser = compose["services"]["browser"]
+    ((door,),) = [browser["ports"]]
+    assert browser["healthcheck"]["test"] == ["CMD", "docker/run/listens.sh", door.split(":")[-1]]
 
 
 def test_overrides_change_services_that_exist(compose):
@@ -183,7 +204,7 @@ def test_every_laptop_reaches_the_vehicle_it_flies(compose):
     fleet = load_fleet(str(DOCKER / "fleet.yaml"))
     assert not fleet.own_networks
     assert fleet.mocap.host == services["lab"]["networks"]["lab"]["ipv4_address"]
-    assert fleet.mocap.interface == services["risc1"]["networks"]["lab"]["ipv4_address"]
+    assert not fleet.mocap.interface, "all machines read this file: to each the card that leads to the host"
     lowest = services["risc1"]["sysctls"]["net.ipv4.ip_unprivileged_port_start"]
     assert lowest <= fleet.mocap.stream_port
     wifis = {service["ipv4_address"]: name for name, service in services["lab"]["networks"].items()}
@@ -362,6 +383,19 @@ def test_the_env_loader_runs_after_a_login_with_the_key_of_the_base_station(lapt
     assert "Permission denied (publickey)" in refused
     assert "Permission denied" in laptop.run(SSH + "root@%s true" % laptop.ADDRESS, "risc", code=255)
     assert "prohibited" in laptop.run(SSH + "-W 127.0.0.1:22 risc@" + laptop.ADDRESS, "risc", code=255)
+
+
+def test_a_file_of_keys_is_taken_from_root_and_from_the_user_only(laptop):
+    """So a folder of the computer itself may be mounted there, if it is root's (docs/docker.md)."""
+    folder = "/home/risc/.authorized"
+    login = SSH + "risc@%s true" % laptop.ADDRESS
+    try:
+        laptop.run("chmod 755 %s && chmod 644 %s/authorized_keys && chown -R 1234 %s" % (folder, folder, folder))
+        assert "Permission denied (publickey)" in laptop.run(login, "risc", code=255)
+        laptop.run("chown -R root %s" % folder)
+        laptop.run(login, "risc")
+    finally:
+        laptop.run("chown -R risc %s && chmod 700 %s" % (folder, folder))
 
 
 def test_the_key_of_the_browser_view_opens_its_port_and_nothing_else(base_station):

@@ -7,6 +7,7 @@ import json
 import os
 import pathlib
 import select
+import shutil
 import socket
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from risc_experiments.doctor import (
     cortex,
     cortex_probe,
     disk,
+    interfaces,
     joystick,
     load,
     network,
@@ -88,8 +90,12 @@ def test_what_is_wrong_with_the_network_is_named():
 
 
 def test_vehicles_of_one_network_must_be_reachable():
-    findings = network.judge(replace(LAB, own_networks=False), [LO, CABLE], False, lambda address: None)
+    shared = replace(LAB, own_networks=False)
+    findings = network.judge(shared, [LO, CABLE], False, lambda address: None)
     assert "no way to vehicle 192.168.1.1" in text_of(findings, RED)
+    routed = text_of(network.judge(shared, [LO, CABLE], False, lambda address: "129.123.5.240"), YELLOW)
+    assert "vehicle 192.168.1.1 is in none" in routed and "join the vehicle's Wi-Fi" in routed
+    assert "multicast" not in routed, "nothing of a vehicle is multicast"
 
 
 def test_multicast_that_the_kernel_would_drop():
@@ -107,6 +113,17 @@ def test_this_computers_cards_are_read():
     assert any(one.is_loopback and one.up for one in cards)
     assert is_own(cards, "127.5.5.5") and not is_own(cards, "203.0.113.7")
     assert source_towards("127.5.5.5").startswith("127.")
+
+
+def test_a_bridge_that_waits_for_containers_is_no_cable_that_is_out(monkeypatch, tmp_path):
+    for name in ("docker0", "eth0"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "operstate").write_text("down\n")
+    (tmp_path / "docker0" / "bridge").mkdir()
+    monkeypatch.setattr(interfaces, "_CARDS", tmp_path)
+    monkeypatch.setattr(interfaces.netifaces, "interfaces", lambda: ["docker0", "eth0"])
+    monkeypatch.setattr(interfaces.netifaces, "ifaddresses", lambda name: {})
+    assert [card.connected for card in read_interfaces()] == [True, False]
 
 
 # ---------------------------------------------------------------- ports
@@ -153,6 +170,15 @@ def test_what_only_root_may_is_told(tmp_path):
         assert port.level == YELLOW and "ip_unprivileged_port_start=1001" in port.cure
     assert device.level == RED and "usermod -aG input" in device.cure
     assert worst(folder) == RED and "/usr cannot be written" in text_of(folder, RED)
+
+
+def test_a_descriptor_that_is_closed_meanwhile_hides_no_other():
+    """Listing the descriptors takes one itself: the lowest that is free, here, so it comes before our socket."""
+    before, bound = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    with bound:
+        bound.bind(("", 0))
+        before.close()
+        assert processes.users_of_port(bound.getsockname()[1]) == [], "it is our own"
 
 
 def test_processes_are_called_what_people_call_them():
@@ -315,9 +341,11 @@ TRACKING = "C0A80101,192.168.1.1,3,1700000000.1,%s,0.00001,0.00002,-6.1,0.01,0.0
 
 def test_what_keeps_the_clock():
     good = clock.parse_tracking(TRACKING % ("-0.000021", "Normal"))
-    assert (good.synchronised, good.reference, good.offset_s) == (True, "192.168.1.1", -2.1e-5)
+    assert (good.synchronised, good.reference, good.offset_s) == (True, "192.168.1.1", 2.1e-5)
     assert clock.judge(good).level == GREEN and clock.judge(good).data["source"] == "chrony"
-    assert clock.judge(clock.parse_tracking(TRACKING % ("0.03", "Normal"))).level == YELLOW
+    slow = clock.parse_tracking(TRACKING % ("0.01", "Normal"))  # chronyc's sign: its clock is behind
+    assert clock.judge(slow).level == YELLOW
+    assert (slow.offset_s, slow.error_s) == (-0.01, pytest.approx(0.00065)) and slow.reference == "192.168.1.1"
     assert clock.judge(clock.parse_tracking(TRACKING % ("-0.2", "Normal"))).level == RED
     assert clock.judge(clock.parse_tracking(TRACKING % ("0.0", "Not synchronised"))).level == YELLOW
     assert clock.parse_tracking("506 Cannot talk to daemon\n") is None and clock.parse_tracking("") is None
@@ -330,7 +358,7 @@ def test_ages_of_stamps():
     def level(age_s):
         return worst(clock.judge_stamps({"/mocap_data": ros_graph.Topic(("a",), 200.0, age_s)}))
 
-    assert [level(age_s) for age_s in (0.004, None, -0.03, -0.06, 0.2)] == [GREEN, GREEN, YELLOW, RED, RED]
+    assert [level(age_s) for age_s in (0.004, None, -0.01, -0.03, 0.2)] == [GREEN, GREEN, YELLOW, RED, RED]
 
 
 def test_batteries_by_the_limit_of_the_loss_ladder():
@@ -363,6 +391,13 @@ def test_in_a_flight_the_base_station_knows_the_vehicles_by_their_drivers():
     assert "no driver of the graph listens to risc2" in text_of(findings, YELLOW) and len(findings) == 3
 
 
+def test_vehicles_are_not_blamed_for_a_graph_that_cannot_be_heard():
+    deaf = ros_graph.GraphReport(error="the graph did not answer", vehicles={"risc1": ros_graph.HeardVehicle()})
+    situation = types.SimpleNamespace(fleet=LAB, wanted=(), master=object(), graph=lambda: deaf)
+    (finding,) = vehicles.check(situation)
+    assert finding.level == YELLOW and "could not be listened to" in finding.text and "`graph`" in finding.cure
+
+
 def test_an_address_that_several_vehicles_have_is_none_of_them_by_name():
     def meant(fleet, word):
         return [v.namespace for v in Situation(fleet, "", ROOT, {}, wanted=(word,)).vehicles()]
@@ -371,7 +406,7 @@ def test_an_address_that_several_vehicles_have_is_none_of_them_by_name():
     assert meant(VIRTUAL, VIRTUAL.vehicles[1].address) == ["risc2"]
 
 
-def test_joysticks(tmp_path):
+def test_joysticks(monkeypatch, tmp_path):
     needed = joystick.needed_indices()
     assert needed == (10, 7), "vehicle_node.yaml"
     assert joystick.judge("js0", "Pad", 11, 8, needed).level == GREEN
@@ -379,6 +414,9 @@ def test_joysticks(tmp_path):
     assert short.level == RED and "button 10" in short.text
     assert "not there" in joystick.look(str(tmp_path / "js0"), needed).text
     assert "no joystick" in joystick.look("/dev/null", needed).text
+    monkeypatch.setattr(joystick, "_PATTERN", str(tmp_path / "js*"))
+    none = [joystick.check(Situation(fleet, "", ROOT, {})) for fleet in (VIRTUAL, LAB)]
+    assert list(map(levels, none)) == [[GREEN], [YELLOW]]
 
 
 def test_room_and_speed_for_the_bag(tmp_path):
@@ -396,9 +434,15 @@ def test_a_computer_without_time():
 # ---------------------------------------------------------------- ROS
 
 
+class Far:
+    """A master on another computer."""
+
+    uri = "http://129.123.5.10:11311"
+
+
 def test_the_address_that_nodes_tell():
-    def judge(master=None, **environment):
-        return ros.judge_own_address(environment, [LO, CABLE, WIFI], master, True, "risc1")
+    def judge(master=None, several=True, **environment):
+        return ros.judge_own_address(environment, [LO, CABLE, WIFI], master, several, "risc1")
 
     assert levels(judge(ROS_IP="129.123.5.240")) == [GREEN]
     assert levels(judge()) == [YELLOW] and "'risc1'" in judge()[0].text
@@ -410,12 +454,26 @@ def test_the_address_that_nodes_tell():
     assert levels(wrong) == [RED] and "export ROS_IP=129.123.5.240, 192.168.1.2" in wrong[0].cure
     both = judge(ROS_IP="129.123.5.240", ROS_HOSTNAME="no.such.host.invalid")
     assert levels(both) == [YELLOW, RED]
-
-    class Far:
-        uri = "http://129.123.5.10:11311"
-
-    assert "master is on another computer" in text_of(judge(Far(), ROS_IP="127.0.0.1"), RED)
     assert "from this computer only" in text_of(judge(ROS_IP="127.0.0.1"), YELLOW)
+    assert "from this computer only" in text_of(judge(ROS_HOSTNAME="localhost"), YELLOW)
+    for environment in ({"ROS_IP": "127.0.0.1"}, {"ROS_HOSTNAME": "localhost"}):
+        assert "master is on another computer" in text_of(judge(Far(), several=False, **environment), RED)
+    unnamed = judge(Far(), several=False)
+    assert levels(unnamed) == [YELLOW] and "'risc1', which the other computers must know" in unnamed[0].text
+
+
+def test_an_own_name_on_the_loopback_card_is_as_debian_has_it(monkeypatch):
+    """127.0.1.1 in /etc/hosts: others know the name by another address, or not at all, which cannot be seen here."""
+    monkeypatch.setattr(ros, "resolve", {"risc2": "127.0.1.1"}.get)
+
+    def judge(master):
+        return ros.judge_own_address({"ROS_HOSTNAME": "risc2"}, [LO, CABLE], master, True, "risc2")
+
+    assert levels(judge(None)) == [GREEN]
+    monkeypatch.setattr(ros, "resolve", {"risc2": "127.0.1.1", "129.123.5.10": "129.123.5.10"}.get)
+    (finding,) = judge(Far())
+    assert finding.level == YELLOW and "'risc2', which is 127.0.1.1 here" in finding.text
+    assert "unset ROS_HOSTNAME; export ROS_IP=129.123.5.240" in finding.cure, "ROS_HOSTNAME wins over ROS_IP"
 
 
 def test_a_program_that_is_no_master_is_not_waited_for():
@@ -511,6 +569,32 @@ def doctor(*words, **environment):
 def test_wrong_use_is_told_in_one_line(words, complaint):
     code, out, complaints = doctor(*words)
     assert code == 2 and not out and complaint in complaints.splitlines()[-1]
+
+
+@pytest.mark.parametrize("how", [[], ["--json"]])
+def test_a_reader_that_has_read_enough_is_no_error(how):
+    """`./maap doctor | head`"""
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "risc_experiments.doctor", "--only", "joystick", "--joystick", "/dev/null", *how]
+    with os.fdopen(writer, "w") as nobody:
+        done = subprocess.run(command, stdout=nobody, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_maap_builds_nothing_before_the_doctor_looks(tmp_path):
+    """Others may be flying. Of a workspace that has been built, here a mere shell of one."""
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.write_text('#!/bin/sh\necho "$@"\n')
+    python.chmod(0o755)
+    (tmp_path / "devel").mkdir()
+    (tmp_path / "devel" / "setup.bash").touch()
+    shutil.copy(str(ROOT / "maap"), str(tmp_path))
+    there = sorted(tmp_path.rglob("*"))
+    done = subprocess.run([str(tmp_path / "maap"), "doctor", "--json"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "-m risc_experiments.doctor --json\n"), done.stderr
+    assert sorted(tmp_path.rglob("*")) == there
 
 
 def test_what_another_computer_asks_for_comes_as_one_line_of_json(tmp_path):

@@ -1,6 +1,7 @@
 """`./maap doctor`: everything that can keep the vehicles on the ground, in one command."""
 
 import argparse
+import contextlib
 import json
 import os
 import pathlib
@@ -77,17 +78,30 @@ def main(argv=None):
         return WRONG_USE
     if args.axes:
         findings = by_hand.look(situation.fleet, args.axes, input)
-        print_findings(findings)
+        with _told():
+            print_findings(findings)
         return exit_code(findings)
     if not args.json:
-        print("fleet '%s' (%s)" % (situation.fleet.name, situation.fleet_source), flush=True)
+        with _told():
+            print("fleet '%s' (%s)" % (situation.fleet.name, situation.fleet_source))
     findings = run(situation, [name for name in CHECKS if name in args.only])
-    if args.json:
-        print(json.dumps([finding.to_dict() for finding in findings]))
-    else:
-        print_findings(findings)
-        print("\n%s (%s)." % (_LAST_LINE[worst(findings)], count_text(findings)))
+    with _told():
+        if args.json:
+            print(json.dumps([finding.to_dict() for finding in findings]))
+        else:
+            print_findings(findings)
+            print("\n%s (%s)." % (_LAST_LINE[worst(findings)], count_text(findings)))
     return exit_code(findings)
+
+
+@contextlib.contextmanager
+def _told():
+    """What is printed in here is read at once, or by nobody: `maap doctor | head` stops reading."""
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # takes what is left, now and at exit
 
 
 def leave(code):

@@ -10,6 +10,8 @@ import netifaces
 
 _LOOPBACK = ipaddress.IPv4Network("127.0.0.0/8")
 _UP, _MULTICAST = 0x1, 0x1000  # IFF_UP, IFF_MULTICAST
+_CARDS = pathlib.Path("/sys/class/net")
+_NO_LINK = ("down", "lowerlayerdown", "dormant")  # of operstate
 _ANY_PORT = 9  # connecting a UDP socket sends nothing
 IP_RECVERR = 11  # linux/in.h: with it on, a refusal by the other computer is told, too
 
@@ -34,16 +36,16 @@ class Interface:
 
 
 def read_interfaces():
-    """All network cards of this computer, as a list of `Interface`."""
+    """All network cards of this computer, as a list of `Interface`. A bridge of containers is connected without any."""
     found = []
     for name in netifaces.interfaces():
-        folder = pathlib.Path("/sys/class/net") / name.partition(":")[0]
+        folder = _CARDS / name.partition(":")[0]
         flags = int(_read(folder / "flags") or "0x1003", 16)
         addresses = tuple(
             ipaddress.IPv4Interface("%s/%s" % (entry["addr"], entry.get("netmask", "255.255.255.255")))
             for entry in netifaces.ifaddresses(name).get(netifaces.AF_INET, ())
         )
-        connected = _read(folder / "operstate") not in ("down", "lowerlayerdown", "dormant")
+        connected = (folder / "bridge").is_dir() or _read(folder / "operstate") not in _NO_LINK
         found.append(Interface(name, addresses, bool(flags & _UP), connected, bool(flags & _MULTICAST)))
     return found
 

@@ -48,12 +48,14 @@ def judge(fleet, interfaces, simulated, source_towards):
                 'set it to the address of the card that leads to Cortex, or to "", in the fleet file',
             )
         )
-    findings.append(_way(say, "the Cortex host", host, interfaces, source_towards))
+    cure = "multicast does not pass most routers: connect to that network itself, or correct the fleet file"
+    findings.append(_way(say, "the Cortex host", host, interfaces, source_towards, cure))
     if not fleet.own_networks:  # else `vehicles` says which of the networks this computer has joined
         addresses = [vehicle.address for vehicle in fleet.vehicles]
         outside = [address for address in addresses if not net.interface_towards(interfaces, address)]
+        cure = "join the vehicle's Wi-Fi, or correct its address in the fleet file"
         for address in outside:
-            findings.append(_way(say, "vehicle", address, interfaces, source_towards))
+            findings.append(_way(say, "vehicle", address, interfaces, source_towards, cure))
         if not outside:
             findings.append(green(say, "every vehicle (%d) is in a network of this computer" % len(addresses)))
     return findings
@@ -78,7 +80,8 @@ def _same_subnet(cards):
     ]
 
 
-def _way(say, what, address, interfaces, source_towards):
+def _way(say, what, address, interfaces, source_towards, cure):
+    """Finding about the way to an address. cure: for one that only a router leads to."""
     direct = net.interface_towards(interfaces, address)
     if direct is not None:
         card, own = direct
@@ -95,7 +98,7 @@ def _way(say, what, address, interfaces, source_towards):
     return yellow(
         say,
         "%s %s is in none of this computer's networks: it is reached by a router, from %s" % (what, address, source),
-        "multicast does not pass most routers: connect to that network itself, or correct the fleet file",
+        cure,
     )
 
 

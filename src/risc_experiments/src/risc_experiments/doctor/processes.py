@@ -99,7 +99,9 @@ def _sockets(folder):
     """Links of a process' sockets; none when it is not ours to look at, or ends."""
     links = set()
     with contextlib.suppress(OSError):
-        links.update(os.readlink(str(link)) for link in (folder / "fd").iterdir())
+        for link in (folder / "fd").iterdir():
+            with contextlib.suppress(OSError):  # closed meanwhile, as that of our own listing is
+                links.add(os.readlink(str(link)))
     return links
 
 

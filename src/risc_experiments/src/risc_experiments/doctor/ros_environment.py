@@ -86,10 +86,12 @@ def judge_own_address(environment, interfaces, master, several, host_name):
             )
         )
     told, variable = (name, "ROS_HOSTNAME") if name else (ip, "ROS_IP")
+    export = ("unset ROS_HOSTNAME; " if name else "") + "export ROS_IP=%s" % choice
+    far = master is not None and _is_elsewhere(master, interfaces)
     if not told:
         text = "ROS_IP is not set: nodes here are announced as '%s'" % host_name
-        if several:
-            cure = "export ROS_IP=%s (the one in the network of the other computers)" % choice
+        if several or far:
+            cure = export + " (the one in the network of the other computers)"
             findings.append(yellow(say, text + ", which the other computers must know", cure))
         elif resolve(host_name) is None:
             cure = "export ROS_IP=127.0.0.1, or add '127.0.1.1 %s' to /etc/hosts" % host_name
@@ -99,26 +101,34 @@ def judge_own_address(environment, interfaces, master, several, host_name):
         return findings
     address = resolve(told)
     if address is None:
-        return findings + [red(say, "%s is '%s', which nobody knows" % (variable, told), "export ROS_IP=%s" % choice)]
+        return findings + [red(say, "%s is '%s', which nobody knows" % (variable, told), export)]
     if not net.is_own(interfaces, address):
         return findings + [
             red(
                 say,
                 "%s is %s, which is no address of this computer: nobody would reach its nodes" % (variable, told),
-                "export ROS_IP=%s" % choice,
+                export,
             )
         ]
-    if net.is_loopback(address) and master is not None:
-        host, _ = host_and_port(master.uri)
-        master_address = resolve(host)
-        if master_address is not None and not net.is_own(interfaces, master_address):
-            text = "%s is %s, but the master is on another computer: nobody there would reach our nodes"
-            return findings + [red(say, text % (variable, told), "export ROS_IP=%s" % choice)]
-    if several and net.is_loopback(address) and told == address:
+    # Debian's /etc/hosts has the own name at 127.0.1.1, too: which address it is to others is theirs to know
+    only_here = net.is_loopback(address) and told in (address, "localhost")
+    if far and only_here:
+        text = "%s is %s, but the master is on another computer: nobody there would reach our nodes"
+        return findings + [red(say, text % (variable, told), export)]
+    if far and net.is_loopback(address):
+        text = "%s is '%s', which is %s here; the other computers must know it by another address"
+        return findings + [yellow(say, text % (variable, told, address), export)]
+    if several and only_here:
         text = "%s is %s: nodes here can be reached from this computer only" % (variable, told)
-        cure = "export ROS_IP=%s (the one in the network of the other computers)" % choice
-        return findings + [yellow(say, text, cure + "; fine when one computer does it all")]
+        cure = export + " (the one in the network of the other computers); fine when one computer does it all"
+        return findings + [yellow(say, text, cure)]
     return findings + [green(say, "%s is %s, an address of this computer" % (variable, told))]
+
+
+def _is_elsewhere(master, interfaces):
+    """Whether a master runs on another computer."""
+    address = resolve(host_and_port(master.uri)[0])
+    return address is not None and not net.is_own(interfaces, address)
 
 
 def _nodes(situation):

@@ -24,8 +24,12 @@ _TROUBLE = {
 
 def check(situation):
     """Every vehicle that this computer is to fly, unless a driver does already: then what the driver says."""
-    limit_pct = landing_limit_pct()
-    heard = situation.graph().vehicles if situation.master is not None else {}
+    limit_pct, heard = landing_limit_pct(), {}
+    if situation.master is not None:
+        graph = situation.graph()
+        if graph.error and graph.vehicles:  # asking past a driver would take its telemetry
+            return [yellow("vehicles", "cannot be told: the graph could not be listened to", "see `graph`")]
+        heard = graph.vehicles
     findings = []
     for vehicle in situation.vehicles():
         if vehicle.namespace in heard:
