@@ -203,6 +203,11 @@ def test_ros_ip_is_that_of_the_interface_that_reaches_the_master(laboratory, var
     assert done.stderr.count("\n") == bool(warning) and warning in done.stderr
 
 
+def test_who_has_logged_in_by_ssh_may_use_it_for_a_master_there():
+    found = variables_of(coop("env", SSH_CONNECTION=FROM_BASE).stdout)
+    assert (found["ROS_MASTER_URI"], found["ROS_IP"]) == ("http://localhost:11311", "127.0.0.1")
+
+
 def test_no_way_to_the_master_is_an_error(laboratory):
     done = laboratory("exec %s env" % COOP, ROS_MASTER_URI="http://10.99.0.1:11311")
     assert (done.returncode, done.stdout) == (1, "")
@@ -222,7 +227,7 @@ def test_no_way_to_the_master_is_an_error(laboratory):
     ],
 )
 def test_a_wrong_master_is_one_line_with_cause_and_cure(variables, words):
-    done = coop("env", SSH_CONNECTION=FROM_BASE, **variables)
+    done = coop("roslaunch", "-c", "risc2-0", SSH_CONNECTION=FROM_BASE, **variables)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
     assert done.stderr.startswith("coop.sh: ") and all(word in done.stderr for word in words), done.stderr
 
@@ -255,7 +260,13 @@ def test_the_install_space_gets_it_too(tmp_path):
     subprocess.run(command, env=dict(BARE, DESTDIR=str(tmp_path)), stdout=subprocess.DEVNULL, check=True)
     installed = tmp_path / "ws/install/coop.sh"
     assert installed.read_text() == COOP.read_text() and os.access(str(installed), os.X_OK)
-    assert os.access(str(tmp_path / "ws/install/lib/risc_experiments/session_guard.py"), os.X_OK)
+    # The rest of the space would take long to install; what coop.sh needs of it is its setup.sh.
+    setup = "_CATKIN_SETUP_DIR=%s/devel\n" % ROOT + '. "$_CATKIN_SETUP_DIR/setup.sh"\n'
+    (tmp_path / "ws/install/setup.sh").write_text(setup)
+    done = coop("python", "-c", "import risc_control; print('found')", path=installed)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "found\n", "")
+    done = coop("roslaunch", "-c", "risc2-0", path=installed)
+    assert done.returncode == 2 and "coop.sh roslaunch: error: the following arguments are required: -u" in done.stderr
 
 
 # ---------------------------------------------------------------- sessions

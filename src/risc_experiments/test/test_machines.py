@@ -4,6 +4,7 @@ import getpass
 import os
 import pathlib
 import re
+import shlex
 import shutil
 import socket
 import subprocess
@@ -14,6 +15,7 @@ import time
 import paramiko
 import pytest
 
+from risc_experiments.machines import __main__ as machines
 from risc_experiments.machines.__main__ import main
 from risc_experiments.processes import PortReservation
 
@@ -152,11 +154,12 @@ class Server:
         path.write_text('<launch>\n<arg name="speed" default="1"/>\n%s\n</launch>\n' % "\n".join(machines))
         return path
 
-    def maap(self, action, *words, root=ROOT, **options):
+    def maap(self, action, *words, root=ROOT, variables=(), **options):
         """Run ./maap machines. Returns (exit code, output)."""
         environment = dict(os.environ, HOME=str(self.home), LOGNAME=CALLER, RISC_MAAP_ROOT=str(root))
         for name in ("ROS_IP", "ROS_HOSTNAME", "SSH_AUTH_SOCK", "ROSLAUNCH_SSH_UNKNOWN"):
             environment.pop(name, None)
+        environment.update(variables)
         done = subprocess.run(
             [sys.executable, "-m", "risc_experiments.machines", action, *map(str, words)],
             env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
@@ -174,7 +177,7 @@ def sections(printed):
     """{machine: what was printed about it, as one line}; None: the end."""
     found, name = {}, None
     for line in printed.splitlines():
-        heading = re.match(r"(\w+) \(.*\)$", line)
+        heading = re.match(r"(this computer$|\w+(?= \(.*\)$))", line)
         if heading:
             name = heading.group(1)
         elif not line.strip():
@@ -199,14 +202,8 @@ CLOCK = textwrap.dedent("""
 """)
 KILL_SESSION = "p=$$; until ps -o args= -p $p | grep -q ^sshd:; do p=$(ps -o ppid= -p $p); done; kill -KILL $p"
 CHRONYC = """#!/bin/sh
-cat <<TXT
-Reference ID    : 7F000001 (127.0.0.1)
-Stratum         : 3
-System time     : 0.012000000 seconds slow of NTP time
-Root delay      : 0.002000000 seconds
-Root dispersion : 0.001000000 seconds
-Leap status     : Normal
-TXT
+[ "$*" = "-c -n tracking" ] || exit 1
+echo 7F000001,127.0.0.1,3,1700000000.1,0.090000000,0.00001,0.00002,-6.1,0.01,0.02,0.002,0.001,64.2,Normal
 """
 
 
@@ -278,7 +275,7 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
     print(printed)
     found = sections(printed)
     assert code == 1 and "start it with" not in printed
-    assert list(found)[:-1] == re.findall(r'machine name="(\w+)"', file.read_text())
+    assert list(found)[1:-1] == re.findall(r'machine name="(\w+)"', file.read_text())
     for name, texts in {
         "closed": ["red network", "port 9 refuses the connection", "> on that computer: sudo apt install openssh"],
         "mute": ["red network", "speaks no ssh"],
@@ -300,7 +297,7 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
         ],
         "stubborn": [
             "green workspace", "red topics its env-loader sets ROS_MASTER_URI to http://127.0.0.1:9",
-            "yellow clock 12.0 ms behind this computer's (± 2.0 ms, chrony there follows this computer)",
+            "measured over ssh; chrony there follows this computer, but says 90.0 ms behind)",
         ],
         "nameless": [
             "red workspace it is %s here, but %s there" % (here.parents[1], nameless.parents[1]),
@@ -327,19 +324,21 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
         (root / "src").mkdir(parents=True)
         (root / "devel").symlink_to(ROOT / "devel")
         loader = root / "devel" / "coop.sh"
-        fleet = tmp_path / "fleet.yaml"
-        fleet.write_text((ROOT / "launch/fleets/ardrones3.yaml").read_text().replace("127.77", "127.199"))
+        shutil.copy(str(ROOT / "launch/fleets/ardrones3.yaml"), str(tmp_path / "my_fleet.yaml"))
         file = server.launch_file(
-            '<arg name="fleet" default="%s"/>' % fleet,
+            '<arg name="fleet" default="my_fleet.yaml"/>',
             '<machine name="base" address="localhost"/>',
             '<node machine="base" pkg="joy" type="nothing" name="base_node"/>',
             server.machine(0, "risc2", "env RISC_MAAP_ALLOW_SECOND=1 %s" % loader),
             server.machine(1, "risc3", loader),
-            '<group ns="risc1"><node machine="risc3" pkg="ardrone_autonomy" type="ardrone_driver" name="driver"/>',
+            '<group ns="risc1"><node machine="risc3" pkg="ardrone_autonomy" type="ardrone_driver" name="driver">',
+            '<param name="drone_ip" value="127.199.0.1"/></node>',
             '<node machine="risc3" pkg="joy" type="joy_node" name="joy">',
             '<param name="dev" value="/dev/input/js77"/></node></group>',
         )
-        good = server.maap("check", file, "speed:=2 3", "--only", "base,risc2", root=root)
+        names = {"ROS_HOSTNAME": "localhost", "ROS_IP": "127.0.0.1"}
+        words = ("check", file, "speed:=2 3", "--only", "base,risc2")
+        good = server.maap(*words, root=root, cwd=str(tmp_path), variables=names)
         bad = server.maap("check", file, "--only", "risc3", root=root)
         run("ssh-keygen", "-q", "-p", "-N", "secret", "-f", str(server.home / ".ssh" / "id_ed25519"))
         locked = server.maap("check", file, "--only", "risc2", root=root)
@@ -347,15 +346,20 @@ def test_what_is_well_is_well_and_the_command_to_start_is_told(tmp_path):
         server.close()
     print(good[1], bad[1])
     found = sections(good[1])
-    assert good[0] == 0 and set(found) == {"base", "risc2", None} and not re.search("^red", good[1], re.MULTILINE)
+    assert good[0] == 0 and not re.search("^red", good[1], re.MULTILINE)
+    assert set(found) == {"this computer", "base", "risc2", None}
     for text in ("green login", "green env-loader", "the same as here", "green topics they flow in both", "green disk"):
         assert text in found["risc2"]
+    assert "yellow shell" in found["this computer"] and "ROS_HOSTNAME=localhost" in found["this computer"]
+    assert "unset ROS_HOSTNAME; export ROS_IP=127.0.0.1 ROS_MASTER_URI=http://127.0.0.1:" in found["this computer"]
     line = good[1].splitlines()[-1].strip()
-    assert re.match(r"./maap shell -c 'ROS_MASTER_URI=http://127.0.0.1:11311 ROS_IP=127.0.0.1 roslaunch ", line)
+    assert line.startswith(
+        "./maap shell -c 'env -u ROS_HOSTNAME ROS_MASTER_URI=http://127.0.0.1:11311 ROS_IP=127.0.0.1 roslaunch "
+    )
     assert str(file) in line and "speed:=2 3" in line
     found = sections(bad[1])["risc3"]
     assert bad[0] == 1 and "red joystick /dev/input/js77 is not there" in found
-    assert "red vehicles risc1 (127.199." in found
+    assert "red vehicles the vehicle at 127.199.0.1 does not answer" in found
     assert locked[0] == 1 and "red login the ssh key has a passphrase" in sections(locked[1])["risc2"]
 
 
@@ -392,10 +396,10 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         (tmp_path / "bin" / program).chmod(0o755)
     special = {1: ["AuthorizedKeysFile none"], 2: ["SetEnv PATH=%s:/usr/bin:/bin" % (tmp_path / "bin")]}
     # the third machine is root as all of them, but finds the file missing and believes to be somebody else
-    server = Server(
-        tmp_path / "server", 3, special, "mount --bind %s /etc/ssh/sshd_config.d" % (tmp_path / "sshd_config.d")
-    )
-    keep_alive = tmp_path / "sshd_config.d" / "risc_maap.conf"
+    settings = tmp_path / "sshd_config.d"
+    before = "mount --bind %s /etc/ssh/sshd_config.d" % settings
+    server = Server(tmp_path / "server", 3, special, before, ["Include /etc/ssh/sshd_config.d/*.conf"])
+    keep_alive = settings / "risc_maap.conf"
     try:
         loader = ROOT / "devel/coop.sh"
         names = ("risc2", "risc3", "risc4")
@@ -419,6 +423,15 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         printed = answer_yes(server, "setup", file, "--only", "risc2")
         assert keep_alive.read_text() == "ClientAliveInterval 2\nClientAliveCountMax 3\n"
         server.wait_for_log("Received SIGHUP; restarting")
+        code, printed = server.maap("check", file, "--only", "risc2,risc4", root=tmp_path)
+        found = sections(printed)
+        assert "green keep-alive sshd there ends dead connections after 6 s" in found["risc2"], printed
+        assert "green keep-alive %s is there; whether" % "/etc/ssh/sshd_config.d/risc_maap.conf" in found["risc4"]
+        (settings / "a_first.conf").write_text("ClientAliveInterval 3600\n")  # of several, sshd takes the first
+        code, printed = server.maap("setup", file, "--only", "risc2")
+        assert "yellow keep-alive wrote /etc/ssh/sshd_config.d/risc_maap.conf there, but sshd" in flat(printed)
+        assert "does not begin with Include /etc/ssh/sshd_config.d/*.conf" in flat(printed)
+        (settings / "a_first.conf").unlink()
         written = server.known_hosts.read_text()
         assert written.startswith(old + "\n") and server.known_hosts.stat().st_mode & 0o777 == 0o600
         for name in ("[risc2]:%d" % server.port, server.name(0), server.addresses[0]):
@@ -493,7 +506,10 @@ def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
             "devel/coop.sh", ".venv/bin/python", ".deployed", "apt-packages.txt",
         }  # fmt: skip
 
-        own = {"flights/theirs.bag": "f", "logs/theirs": "l", "src/pkg/config/cameras/theirs.yaml": "c"}
+        own = {
+            "flights/theirs.bag": "f", "logs/theirs": "l", "src/pkg/config/cameras/theirs.yaml": "c",
+            "launch/my_fleet.yaml": "y", "install/theirs": "i",
+        }  # fmt: skip
         gone = {"src/pkg/nodes/old.py": "o", "devel/lib/old": "d", ".venv/lib/old.py": "v", "launch/old.launch": "x"}
         for path, text in dict(own, **gone, **{"src/pkg/config/cameras/risc1.yaml": "calibrated there"}).items():
             (there / path).parent.mkdir(parents=True, exist_ok=True)
@@ -518,14 +534,16 @@ def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
         (backup,) = (there / ".deploy_backup").iterdir()
         kept = {str(path.relative_to(backup)): path.read_text() for path in backup.rglob("*") if path.is_file()}
         assert kept == {
-            "src/pkg/nodes/old.py": "o", "devel/lib/old": "d", ".venv/lib/old.py": "v",
+            "src/pkg/nodes/old.py": "o", "devel/lib/old": "d", ".venv/lib/old.py": "v", "launch/old.launch": "x",
             "src/pkg/config/cameras/risc1.yaml": "calibrated there",
         }  # fmt: skip
         assert (there / "src/pkg/config/cameras/risc1.yaml").read_text() == "ours"
-        assert "4 files that were different or gone here are kept" in flat(printed)
-        assert code == 1 and "launch/old.launch differs" in re.sub(
-            r"\s+", " ", printed
-        )  # nothing goes there but in src, devel and .venv
+        assert "5 files that were different or gone here are kept" in flat(printed)
+        assert "the same source, but not the same build: install/theirs differs" in flat(printed)  # none is made here
+        (here / "install").mkdir()
+        code, printed = server.maap("deploy", file, "--only", "risc2", root=here)
+        assert code == 0 and "1 files that were" in flat(printed) and not (there / "install/theirs").exists()
+        assert "the same as here" in flat(printed)
         (here / "devel" / "setup.sh").unlink()
         code, printed = server.maap("deploy", file, root=here)
         assert code == 2 and printed == "maap machines: %s is not built: ./maap build\n" % here
@@ -572,6 +590,25 @@ def test_nobody_knocks_at_the_shipped_addresses_from_another_lab(words, monkeypa
     monkeypatch.setattr(socket, "create_connection", lambda *_: pytest.fail("it knocks"))
     assert exit_code_of("setup", *words) == 2
     assert "risc2 (129.123.5.200)" in capsys.readouterr().err
+
+
+def test_every_example_of_the_help_is_right(tmp_path, monkeypatch, capsys):
+    """Read, found and let pass, in a laboratory with other addresses than the thesis'; what would be done is not."""
+    shutil.copytree(str(ROOT / "launch"), str(tmp_path / "launch"))
+    shipped = (ROOT / machines.DEFAULT_FILE).read_text()
+    (tmp_path / "launch/my_laboratory.launch").write_text(shipped.replace("129.123.", "10.123."))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RISC_MAAP_ROOT", str(tmp_path))
+    done = []
+    for action in ("check", "setup", "deploy"):
+        monkeypatch.setattr(getattr(machines, action), "run", lambda experiment, *_: done.append(experiment) or 0)
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    lines = re.findall(r"^  ./maap machines (.*)$", capsys.readouterr().out, re.MULTILINE)
+    assert [main(shlex.split(line)) for line in lines] == [0, 0, 0], capsys.readouterr().err
+    assert [len(experiment.computers) for experiment in done] == [4, 1, 2]
+    assert main(["check", "risc2_address:=10.0.0.2"]) == 2  # the others still have the thesis'
+    assert "risc2_address:=192.168.0.11 risc3_address" in capsys.readouterr().err
 
 
 def exit_code_of(*words):

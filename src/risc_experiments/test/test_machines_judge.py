@@ -7,8 +7,10 @@ import socket
 import paramiko
 import pytest
 
-from risc_experiments.machines import clock, known_hosts, ssh, topics, workspace
-from risc_experiments.machines.experiment import Computer
+from risc_experiments.doctor.clock import ClockState
+from risc_experiments.machines import check, clock, known_hosts, setup, ssh, topics, workspace
+from risc_experiments.machines.echo import trouble_with
+from risc_experiments.machines.experiment import Computer, load_experiment
 
 RISC2 = Computer("risc2", "127.0.0.9", user="pilot", env_loader="/ws/devel/coop.sh", nodes=1)
 MASTER = "http://127.0.0.1:5000"
@@ -47,22 +49,29 @@ def test_the_clock_is_judged_by_offset_and_uncertainty(offset_s, uncertainty_s, 
     assert level == "green" or ("chrony" in found.cure and "100 ms" in found.cure and "server 127.0.0.1" in found.cure)
 
 
-TRACKING = """Reference ID    : 7F000001 (%s)
-Stratum         : 3
-Ref time (UTC)  : Sun Nov 22 09:00:00 2026
-System time     : 0.000231000 seconds slow of NTP time
-Last offset     : -0.000012345 seconds
-Root delay      : 0.001000000 seconds
-Root dispersion : 0.000200000 seconds
-Leap status     : %s
-"""
+@pytest.mark.parametrize(
+    ("chrony", "measured_s", "level", "text"),
+    [
+        ((0.001, 0.0002), (0.0012, 0.001), "green", "1.0 ms ahead of this computer's (± 0.2 ms, chrony there follows"),
+        # its bound is that of the way from our own server's to its clock: what is measured between us two is better
+        ((0.001, 0.030), (0.0012, 0.001), "green", "1.2 ms ahead of this computer's (± 1.0 ms, measured over ssh; "
+         "chrony there follows this computer)"),
+        ((0.0, 0.001), (0.030, 0.001), "red", "30.0 ms ahead of this computer's (± 1.0 ms, measured over ssh; "
+         "chrony there follows this computer, but says 0.0 ms behind)"),
+        ((0.012, 0.002), (0.0, 0.001), "green", "but says 12.0 ms ahead of"),
+    ],
+)  # fmt: skip
+def test_chrony_is_not_believed_against_the_measurement(chrony, measured_s, level, text):
+    tracking = ClockState("chrony", True, chrony[0], "127.0.0.1", chrony[1])
+    found = clock.combine(tracking, True, measured_s, "127.0.0.1")
+    assert found.level == level and text in found.text
 
 
-def test_chrony_is_read():
-    found = clock.parse_tracking(TRACKING % ("127.0.0.1", "Normal"))
-    assert found == clock.Tracking("127.0.0.1", True, pytest.approx(-0.000231), pytest.approx(0.0007))
-    assert not clock.parse_tracking(TRACKING % ("", "Not synchronised")).synchronised
-    assert clock.parse_tracking("506 Cannot talk to daemon") is None
+def test_chrony_that_follows_another_is_told():
+    other, nobody = ClockState("chrony", True, 0.0, "127.0.0.7"), ClockState("chrony", False)
+    for state, text in ((other, "127.0.0.7"), (nobody, "nobody")):
+        assert "chrony there follows %s" % text in clock.combine(state, False, (0.0, 0.001), "127.0.0.1").text
+    assert "chrony" not in clock.combine(None, False, (0.0, 0.001), "127.0.0.1").text
 
 
 def conversation(**changes):
@@ -148,3 +157,173 @@ def test_known_hosts_serves_the_name_and_the_address(tmp_path, monkeypatch):
     assert line.startswith("127.0.0.10 ")  # the name is taken
     with pytest.raises(known_hosts.ChangedKeyError):
         known_hosts.missing_lines("risc2", "127.0.0.9", 22, [other])
+
+
+def test_a_server_that_has_only_an_rsa_key_is_known_by_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    key = paramiko.RSAKey.generate(1024)
+    ((line, _),) = known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key])
+    assert line.startswith("risc2,127.0.0.9 ssh-rsa ")
+    known_hosts.add([line])
+    assert known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key]) == []
+
+
+OWN = "127.0.0.1"  # of the computer that looks, where all of the others are on it
+
+
+@pytest.mark.parametrize(
+    ("environment", "wrong"),
+    [
+        ({"ROS_IP": OWN, "ROS_MASTER_URI": "http://%s:11311" % OWN}, []),
+        ({"ROS_IP": OWN, "ROS_MASTER_URI": "http://localhost:11311"}, ["ROS_MASTER_URI=http://localhost:11311"]),
+        ({"ROS_IP": "192.0.2.7", "ROS_MASTER_URI": "http://192.0.2.7:11311"}, ["ROS_IP=192.0.2.7", "http://192.0.2.7"]),
+        ({"ROS_IP": OWN, "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://%s:11311" % OWN},
+         ["ROS_HOSTNAME=localhost", "> unset ROS_HOSTNAME; export ROS_IP=%s ROS_MASTER_URI=http://%s:" % (OWN, OWN)]),
+        ({"ROS_HOSTNAME": "no-such-name.invalid"}, ["ROS_MASTER_URI is not set", "ROS_HOSTNAME=no-such-name.invalid"]),
+        ({"ROS_MASTER_URI": "127.0.0.1:11311"}, ["ROS_MASTER_URI=127.0.0.1:11311", "ROS_IP is not set"]),
+    ],
+)  # fmt: skip
+def test_what_this_shell_would_tell_the_others(environment, wrong):
+    found = check.check_shell(environment, OWN)
+    assert found.level == ("yellow" if wrong else "green")
+    printed = "%s\n> %s" % (found.text, found.cure.rpartition("\n")[2])
+    assert all(text in printed for text in wrong), printed
+
+
+def test_the_master_of_the_check_is_heard_by_others_whatever_the_shell_says(monkeypatch):
+    monkeypatch.setenv("ROS_HOSTNAME", "localhost")
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    master = topics.Master()
+    try:
+        assert trouble_with(master.uri("127.0.0.9")) == ""
+    finally:
+        master.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (EOFError(), "speaks no ssh (it hangs up)"),
+        (paramiko.SSHException("Error reading SSH protocol banner"), "speaks no ssh (Error reading"),
+        (paramiko.AuthenticationException(), "takes none of this computer's keys"),
+        (paramiko.PasswordRequiredException(), "has a passphrase"),
+    ],
+)
+def test_each_end_of_a_login_is_a_finding(error, text, monkeypatch):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr(ssh, "ssh_check_known_hosts", lambda client, *_: None)
+    monkeypatch.setattr(paramiko.SSHClient, "connect", fail)
+    with pytest.raises(ssh.MachineError) as caught:
+        ssh.connect(RISC2)
+    assert caught.value.finding.level == "red" and text in caught.value.finding.text
+
+
+@pytest.mark.parametrize(
+    ("error", "asks"),
+    [
+        (paramiko.AuthenticationException(), True),
+        (paramiko.SSHException("No authentication methods available"), True),
+        (paramiko.PasswordRequiredException(), False),  # nobody there lacks the key
+    ],
+)
+def test_a_password_is_asked_for_only_where_our_key_is_missing(error, asks, monkeypatch):
+    def fail(*_, **__):
+        raise error
+
+    asked = []
+    monkeypatch.setattr(ssh, "ssh_check_known_hosts", lambda client, *_: None)
+    monkeypatch.setattr(paramiko.SSHClient, "connect", fail)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr(setup.subprocess, "run", lambda words, **_: asked.append(words))
+    with pytest.raises(ssh.MachineError):
+        setup._log_in(RISC2)
+    assert asked == ([["ssh-copy-id", "pilot@127.0.0.9"]] if asks else [])
+
+
+def test_a_check_that_breaks_is_one_red_finding(monkeypatch):
+    def fail(*_):
+        raise KeyError("surprise")
+
+    monkeypatch.setattr(check, "check_computer", fail)
+    (found,) = check._guarded(RISC2, 0)
+    assert found.level == "red" and "the check itself failed: KeyError: 'surprise'" in found.text
+
+
+class Talker:
+    """In place of a session: each command prints the same."""
+
+    computer, here = RISC2, "127.0.0.1"
+
+    def __init__(self, printed):
+        self.printed, self.commands = printed, []
+
+    def loaded(self, command, *_):
+        self.commands.append(command)
+        return ssh.Answer(0, self.printed, "")
+
+
+@pytest.mark.parametrize("printed", ["", "5", "null", "{}", "[3]", '{"files": 5}', '{"files": {}}', "[]]"])
+def test_what_is_no_answer_is_a_finding(printed):
+    assert "cannot say what it is made of" in check._workspace(Talker(printed), {}, "/ws").text
+    assert [found.text[:16] for found in check._doctor(Talker(printed))] == ["it does not run "]
+
+
+def test_the_workspace_that_a_link_leads_to_is_the_one_that_is_sourced(tmp_path, monkeypatch, capsys):
+    """env-loader=/home/pilot/coop.sh: its grandparent, /, is no workspace."""
+    (tmp_path / "ws" / "devel").mkdir(parents=True)
+    (tmp_path / "ws" / "devel" / "setup.sh").touch()
+    monkeypatch.setenv("CMAKE_PREFIX_PATH", "%s/ws/devel:/opt/ros" % tmp_path)
+    for folder in (tmp_path, tmp_path / "ws"):
+        workspace.main(str(folder))
+        found = workspace.from_output(capsys.readouterr().out)
+        assert found["built"] and found["folder"] == str(tmp_path / "ws")
+
+
+@pytest.mark.parametrize(
+    ("options", "folder"),
+    [
+        ("-O '/data/my bags/a.bag' --buffsize=512 -e /(a|b)", "/data/my bags"),
+        ("-a -o /tmp/coop_loc_data", "/tmp"),
+        ("--output-prefix /data/x /topic", "/data"),
+        ("-o flight -a", ""),  # in ~/.ros, which another login has elsewhere
+        ("-a", ""),
+        ("-O '/data/a.bag", ""),
+    ],
+)
+def test_the_disk_that_is_looked_at_is_that_of_the_bag(options, folder, tmp_path):
+    path = tmp_path / "x.launch"
+    path.write_text(
+        """<launch><machine name="risc1" address="localhost" default="true"/>
+        <node pkg="rosbag" type="record" name="bagger" args="%s"/></launch>"""
+        % options
+    )
+    (computer,) = load_experiment(str(path)).computers
+    assert computer.bag_folder == folder
+    talker = Talker("[]")
+    talker.computer = computer
+    check._doctor(talker)
+    (command,) = talker.commands
+    assert command[-2:] == (["--bag-folder", folder] if folder else ["--only", "disk"])
+
+
+@pytest.mark.parametrize(
+    ("param", "address"), [('<param name="drone_ip" value="10.0.0.7"/>', "10.0.0.7"), ("", "192.168.1.1")]
+)
+def test_a_vehicle_is_asked_by_its_address_without_a_fleet_file(param, address, tmp_path):
+    """That of the launch file, which only this computer needs to have."""
+    path = tmp_path / "x.launch"
+    path.write_text(
+        """<launch><arg name="fleet" default="my_fleet.yaml"/>
+        <machine name="risc2" address="127.0.0.9" user="nobody-here" env-loader="/ws/devel/coop.sh" default="true"/>
+        <group ns="risc1"><node pkg="ardrone_autonomy" type="ardrone_driver" name="driver">%s</node></group></launch>"""
+        % param
+    )
+    (computer,) = load_experiment(str(path)).computers
+    talker = Talker("[]")
+    talker.computer = computer
+    check._doctor(talker)
+    (command,) = talker.commands
+    assert command[-2:] == ["--vehicle", address] and "vehicles" in command[command.index("--only") + 1]
+    assert "my_fleet.yaml" not in command

@@ -19,11 +19,16 @@ _ABOUT = """The computers of a launch file with <machine> tags, as roslaunch see
   setup   make the logins ready: host keys (asks), an ssh key, quick detection of dead connections
   deploy  bring the workspace, as it is built here, to every one of them
 """
-_EXAMPLES = """examples:
-  ./maap machines check risc1_address:=192.168.0.11 risc2_address:=192.168.0.12 user:=pilot
-  ./maap machines setup launch/my_laboratory.launch user:=pilot --only risc2,risc3
+_ADDRESSES = " ".join("risc%d_address:=192.168.0.%d" % (number, 9 + number) for number in range(1, 5))
+_EXAMPLES = (
+    """examples:
+  ./maap machines check %s
+  ./maap machines setup risc2_address:=192.168.0.11 --only risc2
+  ./maap machines deploy launch/my_laboratory.launch user:=pilot --only risc2,risc3
 
 Exit code: 0 all is well, 1 something is not, 2 wrong usage."""
+    % _ADDRESSES
+)
 
 
 def arguments(argv):
@@ -67,8 +72,8 @@ def refuse_strangers(experiment, root, action):
     if strangers:
         raise ExperimentError(
             "%s has an address of the thesis' laboratory, and this computer has none of them: say your addresses, e.g. "
-            "./maap machines %s risc1_address:=192.168.0.11 risc2_address:=192.168.0.12 ..."
-            % (", ".join("%s (%s)" % (computer.name, computer.address) for computer in strangers), action)
+            "./maap machines %s %s"
+            % (", ".join("%s (%s)" % (computer.name, computer.address) for computer in strangers), action, _ADDRESSES)
         )
 
 
@@ -78,9 +83,9 @@ def main(argv=None):
     root = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
     try:
         experiment = load_experiment(args.file or str(root / DEFAULT_FILE), args.arguments)
-        refuse_strangers(experiment, root, args.action)
         if args.only:
             experiment = experiment.only(args.only.split(","))
+        refuse_strangers(experiment, root, args.action)
     except ExperimentError as problem:
         print("maap machines: %s" % problem, file=sys.stderr)
         return 2

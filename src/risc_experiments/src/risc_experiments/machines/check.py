@@ -7,7 +7,11 @@ import shlex
 import socket
 import sys
 import time
+import traceback
 from concurrent.futures import ThreadPoolExecutor
+from urllib.parse import urlsplit
+
+from rosgraph.network import get_local_addresses
 
 from risc_experiments.findings import RED, Finding, count_text, exit_code, green, print_findings, red, yellow
 from risc_experiments.machines import clock, keep_alive, ssh, topics, workspace
@@ -27,11 +31,16 @@ def run(experiment, root, out=None):
     remote = [computer for computer in experiment.computers if needs_login(computer)]
     description = workspace.describe(root) if remote else None
     findings = []
+    if remote and here is not None:
+        findings.append(check_shell(os.environ, here))
+        print("this computer", file=out)
+        print_findings(findings, out)
+        print(file=out, flush=True)
     with contextlib.ExitStack() as stack:
         master = stack.enter_context(contextlib.closing(topics.Master())) if remote else None
         pool = stack.enter_context(ThreadPoolExecutor(max(len(experiment.computers), 1)))
         jobs = [
-            pool.submit(check_computer, computer, number, root, description, master, here)
+            pool.submit(_guarded, computer, number, root, description, master, here)
             for number, computer in enumerate(experiment.computers)
         ]
         for computer, job in zip(experiment.computers, jobs):
@@ -66,6 +75,48 @@ def waiting_for(name):
 def needs_login(computer):
     """Whether roslaunch goes there by ssh."""
     return computer.nodes > 0 and not computer.local and not computer.unresolved
+
+
+def check_shell(environment, here):
+    """The Finding about what roslaunch, started from this shell, would tell the others. here: our address for them."""
+    uri = environment.get("ROS_MASTER_URI", "")
+    wrong = []
+    if not _is_ours(urlsplit(uri).hostname or "", here):
+        wrong.append("ROS_MASTER_URI=%s" % uri if uri else "ROS_MASTER_URI is not set")
+    variable = next((name for name in ("ROS_HOSTNAME", "ROS_IP") if name in environment), "")  # the first one wins
+    if not variable:
+        wrong.append("ROS_IP is not set (nodes here would be announced as '%s')" % socket.gethostname())
+    elif not _is_ours(environment[variable], here):
+        wrong.append("%s=%s" % (variable, environment[variable]))
+    if not wrong:
+        return green("shell", "a roslaunch from this shell names %s=%s and %s" % (variable, environment[variable], uri))
+    hostname = "unset ROS_HOSTNAME; " if "ROS_HOSTNAME" in environment else ""
+    return yellow(
+        "shell",
+        "a roslaunch from this shell would not tell the others this computer's address: " + ", ".join(wrong),
+        "start with the line that check prints at the end when nothing is red; or here, before anything else:\n"
+        "%sexport ROS_IP=%s ROS_MASTER_URI=http://%s:%d" % (hostname, here, here, ssh.MASTER_PORT),
+    )
+
+
+def _is_ours(name, here):
+    """Whether a name or address is one by which other computers may find this one."""
+    try:
+        address = socket.gethostbyname(name) if name else ""
+    except (OSError, UnicodeError):
+        return False
+    return name == here or (address in get_local_addresses() and not address.startswith("127."))
+
+
+def _guarded(computer, *arguments):
+    """check_computer; whatever breaks in it is a red finding: the others are worth having."""
+    try:
+        return check_computer(computer, *arguments)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        text = "the check itself failed: %s: %s (%s, line %d)"
+        text %= (type(error).__name__, error, os.path.basename(place.filename), place.lineno)
+        return [red("check", text, "look at that computer by hand; and please report this")]
 
 
 def check_computer(computer, number, root, description, master, here):
@@ -175,9 +226,10 @@ def _workspace(session, here, root):
     folder = session.computer.workspace
     answer = session.loaded(["python", "-m", "risc_experiments.machines.workspace", folder], _MANIFEST_S)
     try:
-        there = json.loads(answer.out.splitlines()[-1])
-    except (ValueError, IndexError):
+        there = workspace.from_output(answer.out)
+    except ValueError:
         return red("workspace", "it cannot say what it is made of: %s" % answer.reason(), "./maap machines deploy")
+    folder = there.get("folder", folder)
     found = workspace.compare(here, there)
     if found.level != RED and os.path.realpath(folder) != os.path.realpath(root):
         text = "it is %s here, but %s there: $(find ...) in a launch file is a path of this computer" % (root, folder)
@@ -189,18 +241,20 @@ def _doctor(place):
     """Findings of the doctor there: disk, and what the launch file says is connected to that computer."""
     computer = place.computer
     checks, options = ["disk"], []
+    if computer.bag_folder:
+        options += ["--bag-folder", computer.bag_folder]
     if computer.joysticks:
         checks.append("joystick")
         options += ["--joystick", *computer.joysticks]
-    if computer.vehicles and computer.fleet:
+    if computer.vehicles:
         checks.append("vehicles")
         options += ["--vehicle", *computer.vehicles]
     command = ["python", "-m", "risc_experiments.doctor", "--json", "--only", ",".join(checks), *options]
-    if computer.fleet:
+    if computer.local and computer.fleet:  # another computer need not have it: what is asked there is said in full
         command.insert(3, computer.fleet)
     answer = place.loaded(command, _DOCTOR_S)
-    try:
-        return [Finding.from_dict(content) for content in json.loads(answer.out.splitlines()[-1])]
-    except (ValueError, IndexError):
-        cure = "./maap doctor on that computer; when the workspace there is another one: ./maap machines deploy"
-        return [yellow("doctor", "it does not run there: %s" % answer.reason(), cure)]
+    found = []
+    with contextlib.suppress(ValueError, IndexError, TypeError):
+        found = [Finding.from_dict(content) for content in json.loads(answer.out.splitlines()[-1])]
+    cure = "./maap doctor on that computer; when the workspace there is another one: ./maap machines deploy"
+    return found or [yellow("doctor", "it does not run there: %s" % answer.reason(), cure)]

@@ -25,7 +25,7 @@ _NOT_SENT = (
     ".rsync-partial", "__pycache__", "*.pyc", "*~", ".pytest_cache", ".ruff_cache", ".hypothesis",
 )  # fmt: skip
 # A file that is gone here goes there, too (into the backup); everywhere else nothing goes.
-_MIRRORED = "/src", "/devel", "/.venv"
+_MIRRORED = "/src", "/launch", "/devel", "/install", "/.venv"
 _SETUP_THERE = "on that computer, once (installs its Debian packages):\ncd %s && ./maap setup"
 # A process of this workspace that roslaunch started; [_] so that the pattern does not find itself
 _RUNNING = "pgrep -f -a -- %s"
@@ -67,8 +67,8 @@ def deploy(computer, root, description):
                 red(
                     "folder",
                     "the workspace is %s here, but %s there" % (root, computer.workspace),
-                    "devel and .venv hold absolute paths: put it into the same folder on every computer, or clone it "
-                    "there and ./maap build",
+                    "devel and .venv hold absolute paths: put it into the same folder on every computer (its env-loader"
+                    " is devel/coop.sh in there, no link to it), or clone it there and ./maap build",
                 )
             )
         ssh.reach(computer)
@@ -122,7 +122,8 @@ def _send(session, root):
         command += ["--info=progress2", "--human-readable"]
     command += ["--exclude=" + pattern for pattern in _NOT_SENT]
     command += ["--filter=protect %s" % pattern for pattern in workspace.KEPT_THERE]
-    command += ["--filter=risk %s/***" % folder for folder in _MIRRORED] + ["--filter=protect /***"]
+    mirrored = [folder for folder in _MIRRORED if os.path.isdir(str(root) + folder)]
+    command += ["--filter=risk %s/***" % folder for folder in mirrored] + ["--filter=protect /***"]
     where = computer.address if computer.user is None else "%s@%s" % (computer.user, computer.address)
     done = subprocess.run(
         [*command, "%s/" % root, "%s:%s/" % (where, root)],
@@ -208,8 +209,8 @@ def _verify(session, description):
         )
     answer = session.loaded(["python", "-m", workspace.__name__, session.computer.workspace], _COMMAND_S)
     try:
-        there = json.loads(answer.out.splitlines()[-1])
-    except (ValueError, IndexError):
+        there = workspace.from_output(answer.out)
+    except ValueError:
         cure = _SETUP_THERE % session.computer.workspace
         return red("workspace", "its Python does not run there: %s" % answer.reason(), cure)
     return workspace.compare(description, there)

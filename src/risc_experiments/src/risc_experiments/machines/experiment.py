@@ -9,7 +9,10 @@ import roslaunch
 from roslaunch.arg_dump import get_args
 from roslaunch.core import RLException, is_machine_local
 
+from ardrone_autonomy.protocol import DEFAULT_ADDRESS
+
 _VIRTUAL_LAB = "virtual_lab"  # node types that begin so bring the vehicles of a launch file with them
+_BAG_OPTIONS = "-O", "--output-name", "-o", "--output-prefix"  # of rosbag record
 
 
 class ExperimentError(Exception):
@@ -31,8 +34,9 @@ class Computer:
     unresolved: str = ""  # why the address is none, "" when it is one
     nodes: int = 0  # how many run there
     joysticks: tuple = ()  # devices of its joy_nodes
-    vehicles: tuple = ()  # namespaces of the vehicles that its drivers fly
-    fleet: str = ""  # the fleet file, the same path on all computers; "" = the launch file names none
+    vehicles: tuple = ()  # addresses of the vehicles that its drivers fly
+    bag_folder: str = ""  # of the bag that is recorded there; "" = none is, or the file's path is not absolute
+    fleet: str = ""  # the fleet file, a path of this computer; "" = the launch file names none
 
     @property
     def login(self):
@@ -114,8 +118,9 @@ def _computer(machine, config, fleet):
     except RLException:
         unresolved = machine.address
     with_lab = any(node.type.startswith(_VIRTUAL_LAB) for node in config.nodes)
-    devices = [node.namespace + node.name + "/dev" for node in nodes if node.type == "joy_node"]
-    drivers = [node.namespace.strip("/") for node in nodes if node.type == "ardrone_driver" and not with_lab]
+    joysticks = [_value(config, node, "dev") for node in nodes if node.type == "joy_node"]
+    drivers = [node for node in nodes if node.type == "ardrone_driver" and not with_lab]
+    bags = [_bag_folder(node.args) for node in nodes if (node.package, node.type) == ("rosbag", "record")]
     return Computer(
         name=machine.name,
         address=machine.address,
@@ -127,7 +132,26 @@ def _computer(machine, config, fleet):
         local=local,
         unresolved=unresolved,
         nodes=len(nodes),
-        joysticks=tuple(dict.fromkeys(str(config.params[key].value) for key in devices if key in config.params)),
-        vehicles=tuple(dict.fromkeys(drivers)),
+        joysticks=tuple(dict.fromkeys(filter(None, joysticks))),
+        vehicles=tuple(dict.fromkeys(_value(config, node, "drone_ip") or DEFAULT_ADDRESS for node in drivers)),
+        bag_folder=next(filter(None, bags), ""),
         fleet=fleet,
     )
+
+
+def _value(config, node, name):
+    """Value of a node's own parameter as text, "" when the launch file gives none."""
+    param = config.params.get(node.namespace + node.name + "/" + name)
+    return "" if param is None else str(param.value)
+
+
+def _bag_folder(arguments):
+    """Folder that `rosbag record` with these arguments writes to, "" when they do not say it."""
+    try:
+        words = shlex.split(arguments)
+    except ValueError:  # an open quotation mark: roslaunch will say so
+        return ""
+    for option, value in zip(words, words[1:]):
+        if option in _BAG_OPTIONS and posixpath.isabs(value):
+            return posixpath.dirname(value)
+    return ""

@@ -7,53 +7,85 @@ from risc_experiments.findings import green, yellow
 
 FILE = "/etc/ssh/sshd_config.d/risc_maap.conf"
 TEXT = "ClientAliveInterval 2\nClientAliveCountMax 3\n"
+_SOON_S = 6
 _LIMIT_S = 15.0
 _NOT_ROOT = 77
-_WELL = "sshd there ends dead connections after 6 s"
 _ILL = "sshd there does not notice dead connections: the nodes of a lost launch may run on"
-# As root: write the file and let the listening sshd read it (the HUP is what `systemctl reload ssh` sends; the listener
-# is an ancestor of this very login, so it is found without systemd, too). Sessions that are open stay open. As that
-# does, ask sshd first: with a mistake elsewhere in its settings, the listener would end, and nobody could log in.
-_WRITE = """
-set -e;
-sudo=;
-[ "$(id -u)" -eq 0 ] || { sudo -n true 2>/dev/null && sudo=sudo; } || exit %(not_root)d;
-printf '%(text)s' | $sudo tee %(file)s >/dev/null;
+_AS_ROOT = 'sudo=; [ "$(id -u)" -eq 0 ] || { sudo -n true 2>/dev/null && sudo=sudo; } || exit %d;' % _NOT_ROOT
+# The sshd that listens is an ancestor of this very login, so it is found without systemd, too. $sshd: its command.
+_LISTENER = """
+sshd=/usr/sbin/sshd;
+listener=;
 pid=$$;
 while [ "$pid" -gt 1 ]; do
   pid=$(ps -o ppid= -p "$pid" | tr -d " ");
-  listener=$(ps -ww -o args= -p "$pid");
-  case $listener in
+  words=$(ps -ww -o args= -p "$pid");
+  case $words in
     "sshd: "*" [listener]"*)
-      listener=${listener#sshd: };
-      $sudo ${listener%% \\[listener]*} -t || { $sudo rm %(file)s; exit 1; };
-      $sudo kill -HUP "$pid";
+      listener=$pid;
+      sshd=${words#sshd: };
+      sshd=${sshd%% \\[listener]*};
       break;;
   esac;
-done
+done;
 """
-_WRITE = " ".join(_WRITE.split("\n"))  # csh quotes no line ends
+# As root: what sshd makes of all its files for a login like this. Whether the listener has read them, nobody can ask.
+_READ = """
+set -- $SSH_CONNECTION;
+$sudo $sshd -T -C "user=$(id -un),host=$1,addr=$1,laddr=$3,lport=$4"
+"""
+# As root: write the file and let the listener read it (the HUP is what `systemctl reload ssh` sends). Sessions that are
+# open stay open. As that does, ask sshd first: with a mistake elsewhere in its settings, the listener would end, and
+# nobody could log in.
+_WRITE = """
+set -e;
+printf '{text}' | $sudo tee {file} >/dev/null;
+$sudo $sshd -t || {{ $sudo rm {file}; exit 1; }};
+[ -z "$listener" ] || $sudo kill -HUP "$listener"
+"""
 
 
 def check(session):
-    """The Finding whether the settings are there."""
-    return green("keep-alive", _WELL) if _is_there(session) else yellow("keep-alive", _ILL, "./maap machines setup")
+    """The Finding whether a dead connection ends soon."""
+    well, ill = _look(session)
+    return green("keep-alive", well) if well else yellow("keep-alive", ill, "./maap machines setup")
 
 
 def write(session):
     """Write the settings when they are missing and the login may. Returns the Finding."""
-    if _is_there(session):
-        return green("keep-alive", _WELL)
+    well, ill = _look(session)
+    if well:
+        return green("keep-alive", well)
     text = TEXT.replace("\n", "\\n")
-    script = _WRITE % {"text": text, "file": FILE, "not_root": _NOT_ROOT}
-    answer = session.limited(script, _LIMIT_S)
+    answer = _run(session, _WRITE.format(text=text, file=FILE))
     if answer.code == 0:
-        return green("keep-alive", "wrote %s there: %s" % (FILE, _WELL))
+        well, ill = _look(session)
+        if well:
+            return green("keep-alive", "wrote %s there: %s" % (FILE, well))
+        cure = "on that computer: another file sets ClientAlive... first, or /etc/ssh/sshd_config does not begin with\n"
+        cure += "Include /etc/ssh/sshd_config.d/*.conf"
+        return yellow("keep-alive", "wrote %s there, but %s" % (FILE, ill), cure)
     why = "this login is not root there" if answer.code == _NOT_ROOT else answer.reason()
     line = "printf '%s' | sudo tee %s && sudo systemctl reload ssh" % (text, FILE)
-    return yellow("keep-alive", "%s (%s)" % (_ILL, why), "on that computer:\n" + line)
+    return yellow("keep-alive", "%s (%s)" % (ill, why), "on that computer:\n" + line)
 
 
-def _is_there(session):
-    answer = session.limited("cat " + FILE, _LIMIT_S)
-    return answer.code == 0 and answer.out == TEXT
+def _look(session):
+    """(what is well, ""), or ("", what is not)."""
+    answer = _run(session, _READ)
+    if answer.code == _NOT_ROOT:
+        answer = session.limited("cat " + FILE, _LIMIT_S)
+        if answer.code == 0 and answer.out == TEXT:
+            return "%s is there; whether sshd has read it, only root can see there" % FILE, ""
+        return "", _ILL
+    settings = dict(line.split(None, 1) for line in answer.out.splitlines() if " " in line)
+    try:
+        limit_s = int(settings["clientaliveinterval"]) * int(settings["clientalivecountmax"])
+    except (KeyError, ValueError):
+        return "", "sshd there cannot be asked for its settings: %s" % answer.reason()
+    return ("sshd there ends dead connections after %d s" % limit_s, "") if 0 < limit_s <= _SOON_S else ("", _ILL)
+
+
+def _run(session, script):
+    """Run a script as root, with what it needs to know of sshd. Where the login is not root: an Answer _NOT_ROOT."""
+    return session.limited(" ".join((_AS_ROOT + _LISTENER + script).split("\n")), _LIMIT_S)  # csh quotes no line ends

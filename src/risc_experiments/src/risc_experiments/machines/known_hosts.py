@@ -11,7 +11,7 @@ from risc_experiments.machines.ssh import host_name
 
 _SYSTEM_WIDE = pathlib.Path("/etc/ssh/ssh_known_hosts")
 _SCAN_S = 5
-_TYPES = "ed25519", "ecdsa", "rsa"  # the last only to compare it: an rsa key alone in known_hosts is of no use
+_TYPES = "ed25519", "ecdsa", "rsa"
 
 
 class ChangedKeyError(Exception):
@@ -57,9 +57,11 @@ def missing_lines(name, address, port, keys):
     alias = host_name(name, port)
     aliases = [] if alias == full or known.lookup(alias) else [alias]
     lines = []
+    # a server that has keys of other types shows roslaunch one of those, and an rsa entry is of no use
+    only_rsa = all(key.get_name() == "ssh-rsa" for key in keys)
     for key in keys:
         names = bare if key.get_name() in have else [*aliases, full, *bare]
-        if names and key.get_name() != "ssh-rsa":
+        if names and (only_rsa or key.get_name() != "ssh-rsa"):
             lines.append(("%s %s %s" % (",".join(names), key.get_name(), key.get_base64()), key))
     return lines
 

@@ -118,7 +118,7 @@ def _log_in(computer):
     try:
         return ssh.connect(computer)
     except ssh.MachineError as problem:
-        if problem.finding.check != "login" or not sys.stdin.isatty():
+        if not (problem.finding.data.get("bring_key") and sys.stdin.isatty()):
             raise
     print("  %s asks for the password of %s, this once:" % (ssh.copy_id_line(computer), computer.login), flush=True)
     subprocess.run(shlex.split(ssh.copy_id_line(computer)), check=False)

@@ -20,6 +20,7 @@ from risc_experiments.findings import red
 KEY_FILES = "id_ed25519", "id_ecdsa", "id_rsa"  # in ~/.ssh: those that paramiko tries by itself
 MASTER_PORT = 11311  # of a launch from here
 CONNECT_S = 5.0  # for a computer in the same laboratory to answer
+_SENTENCE = 300  # characters of what a program has printed that a sentence takes
 _MARGIN_S = 3.0  # that a far command gets to be ended by its own limit
 
 logging.getLogger("paramiko").addHandler(logging.NullHandler())  # it would print tracebacks of what we report
@@ -56,7 +57,7 @@ class Answer:
         if self.code is None:
             return "it takes too long"
         lines = (self.err.strip() or self.out.strip()).splitlines()
-        return lines[-1].strip() if lines else "exit code %d without a word" % self.code
+        return lines[-1].strip()[:_SENTENCE] if lines else "exit code %d without a word" % self.code
 
 
 def reach(computer):
@@ -128,8 +129,8 @@ def connect(computer):
         ) from None
     except paramiko.AuthenticationException:
         raise MachineError(_refused(computer)) from None
-    except paramiko.SSHException as error:
-        raise MachineError(_ssh_problem(error, computer, address)) from None
+    except (paramiko.SSHException, EOFError) as error:  # EOFError: closed while the keys were exchanged
+        raise MachineError(_ssh_problem(str(error) or "it hangs up", computer, address)) from None
     except OSError as error:
         raise MachineError(red("network", *why_unreachable(error, address, computer.port))) from None
     session = Session(client, computer)
@@ -213,6 +214,7 @@ def _refused(computer):
         "login",
         "the login %s takes none of this computer's keys" % computer.login,
         "./maap machines setup, or:\n" + copy_id_line(computer),
+        bring_key=True,
     )
 
 
@@ -221,9 +223,8 @@ def _ssh_problem(error, computer, address):
     if "not found in known_hosts" in str(error):
         return red("host key", "%s is not in ~/.ssh/known_hosts" % name, "./maap machines setup writes the entry")
     if "No authentication methods" in str(error):
-        return red(
-            "login", "there is no ssh key here to log in with", "./maap machines setup makes one and brings it there"
-        )
+        cure = "./maap machines setup makes one and brings it there"
+        return red("login", "there is no ssh key here to log in with", cure, bring_key=True)
     return red(
         "network",
         "what answers at %s port %d speaks no ssh (%s)" % (address, computer.port, error),

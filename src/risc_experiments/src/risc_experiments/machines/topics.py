@@ -32,7 +32,7 @@ class Master:
         self._process = subprocess.Popen(
             ["rosmaster", "--core", "-p", str(self.port)],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            env=dict(os.environ, ROS_LOG_DIR=self._logs),
+            env=dict(_nameless(), ROS_LOG_DIR=self._logs),  # with ROS_HOSTNAME=localhost only we would reach it
         )  # fmt: skip
         try:
             self._wait()
@@ -65,7 +65,7 @@ def check(session, master, here, number):
     near = subprocess.Popen(
         [sys.executable, "-m", _ECHO, ours, theirs, str(_TALK_S + 2.0 * _START_S)],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-        env=_environment(uri, here),
+        env=dict(_nameless(), ROS_MASTER_URI=uri, ROS_IP=here),
     )  # fmt: skip
     try:
         answer = session.loaded(["python", "-m", _ECHO, theirs, ours, str(_TALK_S)], _TALK_S + _START_S, uri)
@@ -144,7 +144,6 @@ def _addresses(name):
     return {name}
 
 
-def _environment(uri, here):
-    environment = dict(os.environ, ROS_MASTER_URI=uri, ROS_IP=here)
-    environment.pop("ROS_HOSTNAME", None)  # it would win
-    return environment
+def _nameless():
+    """Our environment without what it says that this computer is called (ROS_HOSTNAME would win over ROS_IP)."""
+    return {name: value for name, value in os.environ.items() if name not in ("ROS_HOSTNAME", "ROS_IP")}

@@ -1,6 +1,7 @@
 """Is the workspace on two computers the same? What it is made of, file by file, and what it was made from.
 
-`python -m risc_experiments.machines.workspace FOLDER` prints that of a workspace as one line of JSON.
+`python -m risc_experiments.machines.workspace FOLDER` prints that of a workspace, and its folder, as one line of JSON.
+When there is none in FOLDER (a link from outside the workspace led to coop.sh), it is the one that is sourced.
 """
 
 import fnmatch
@@ -30,9 +31,20 @@ def describe(root):
     root = pathlib.Path(root)
     return {
         "revision": revision(root) or _deployed(root).get("revision"),
-        "built": any((root / space / "setup.sh").exists() for space in ("devel", "install")),
+        "built": _is_built(root),
         "files": {str(path.relative_to(root)): _hash(path) for path in _files(root)},
     }
+
+
+def from_output(printed):
+    """What the program printed last: a description with its "folder". Raises ValueError when it is none."""
+    try:
+        found = json.loads(printed.splitlines()[-1])
+        if isinstance(found["files"], dict) and {"revision", "built"} <= set(found):
+            return found
+    except (IndexError, KeyError, TypeError):
+        pass
+    raise ValueError("no description of a workspace: %r" % printed[-200:])
 
 
 def content_hash(description):
@@ -101,6 +113,10 @@ def _hash(path):
     return hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
 
 
+def _is_built(root):
+    return any((root / space / "setup.sh").exists() for space in ("devel", "install"))
+
+
 def _deployed(root):
     try:
         return json.loads((root / DEPLOYED).read_text(encoding="utf-8"))
@@ -108,5 +124,13 @@ def _deployed(root):
         return {}
 
 
+def main(folder):
+    """Print the description."""
+    root, sourced = pathlib.Path(folder), os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)[0]
+    if sourced and not _is_built(root):
+        root = pathlib.Path(sourced).parent
+    print(json.dumps(dict(describe(root), folder=str(root))))
+
+
 if __name__ == "__main__":
-    print(json.dumps(describe(sys.argv[1])))
+    main(sys.argv[1])
