@@ -176,7 +176,7 @@ def test_the_times_on_the_wire_are_the_kernels():
             assert packet == b"x"
             return before_s - 1e-5 <= time_s <= after_s + 1e-5  # rounding
 
-        # the first socket of a computer that asks waits for a worker of the kernel; until then the stamp is the reader's
+        # the first socket of a computer that asks waits for a worker of the kernel; until then the reader's time counts
         wait_until(is_stamped_on_arrival, "a stamp of the arrival")
 
 
