@@ -15,6 +15,7 @@ from data_extraction.bags import Bag
 from data_extraction.report.origin import parameter_hash
 
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
+HELD_UP_MS = 45.0  # an estimator that was held up for longer passes frames over (queue_frames)
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +46,11 @@ def test_summary_has_every_key_of_the_design(circles):
 
 
 def test_every_frame_is_received_and_estimated(circles):
-    mocap = circles[2]["mocap"]
+    mocap, held_up_ms = circles[2]["mocap"], circles[2]["latency_ms"]["datagram_to_cortex_raw"]["max"]
     assert mocap["frames_sent"] > 4000
     assert mocap["frames_received"] == mocap["frames_sent"]
-    assert mocap["frames_estimated"] == mocap["frames_received"]
+    missing = mocap["frames_received"] - mocap["frames_estimated"]
+    assert missing == 0 or (held_up_ms > HELD_UP_MS and missing < 0.02 * mocap["frames_sent"])
     assert mocap["rate_hz"] == pytest.approx(200.0, abs=0.2)
 
 

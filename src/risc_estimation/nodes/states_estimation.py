@@ -25,7 +25,7 @@ from risc_msgs.msg import Cortex, Landmarks, Mocap_data
 
 
 class StatesEstimationNode(object):
-    """Estimates every frame it receives, in order, none skipped."""
+    """Estimates the frames in order; none is passed over unless the node was held up for longer than queue_frames."""
 
     def __init__(self):
         params, estimator_params = load_params(NodeParams, EstimatorParams)
@@ -38,6 +38,8 @@ class StatesEstimationNode(object):
         self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
         self._last_receipt_s = None  # monotonic clock
         self._last_header = None
+        self._last_seq = None  # of the newest frame; publishers count them
+        self._passed_over = self._reported_passed_over = 0  # frames
         self._last_visible = 0
         self._silent = True
         self._told_unknown = set()
@@ -57,6 +59,9 @@ class StatesEstimationNode(object):
     @until_shutdown
     def _on_frame(self, msg):
         with self._lock:
+            if self._last_seq is not None:
+                self._passed_over += max(msg.header.seq - self._last_seq - 1, 0)
+            self._last_seq = msg.header.seq
             estimate = self._estimator.update(msg.header.stamp.to_sec(), bodies_from_msg(msg))
             self._last_receipt_s = time.monotonic()
             if estimate is None:
@@ -85,9 +90,11 @@ class StatesEstimationNode(object):
             known, visible, last_s = len(self._estimator.names), self._last_visible, self._last_receipt_s
             numbers = [(key, value) for key, value in sorted(vars(counts).items()) if key != "unknown"]
             unknown = dict(counts.unknown)
+            passed_over = self._passed_over
         refused = counts.duplicate_stamps + counts.backward_stamps
         rate_hz = (counts.frames - self._reported_frames) / max(now_s - self._reported_s, 1e-3)
-        new_refused = refused - self._reported_refused
+        new_refused, new_passed_over = refused - self._reported_refused, passed_over - self._reported_passed_over
+        self._reported_passed_over = passed_over
         self._reported_frames, self._reported_refused, self._reported_s = counts.frames, refused, now_s
         for name in sorted(set(unknown) - self._told_unknown):
             self._told_unknown.add(name)
@@ -96,6 +103,8 @@ class StatesEstimationNode(object):
             status.summary(DiagnosticStatus.ERROR, "no mocap frames")
         elif new_refused:
             status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new_refused)
+        elif new_passed_over:
+            status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new_passed_over)
         elif visible < known:
             status.summary(DiagnosticStatus.WARN, "%d of %d vehicles visible" % (visible, known))
         elif unknown:
@@ -105,6 +114,7 @@ class StatesEstimationNode(object):
         status.add("rate [Hz]", "%.1f" % rate_hz)
         status.add("age of last frame [s]", "none yet" if last_s is None else "%.3f" % (now_s - last_s))
         status.add("vehicles visible", "%d of %d" % (visible, known))
+        status.add("frames passed over", str(passed_over))
         status.add("unknown bodies", ", ".join(sorted(unknown)) or "none")
         for key, value in numbers:
             status.add(key, str(value))

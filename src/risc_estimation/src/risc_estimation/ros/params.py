@@ -11,7 +11,7 @@ class NodeParams:
     vehicles: Tuple[str, ...] = ()  # vehicles that are listed before they are seen; empty = those of /fleet
     templates_file: str = ""  # marker templates; empty = config/templates.yaml of this package
     silence_s: float = 0.1  # [s] without frames before everything is declared invisible; 0 = never
-    queue_frames: int = 400  # frames that may wait while the node is held up: 2 s at 200 Hz
+    queue_frames: int = 10  # frames that may wait while the node is held up; older ones are passed over
 
     def __post_init__(self):
         if self.silence_s < 0.0:
