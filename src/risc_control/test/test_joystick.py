@@ -41,6 +41,16 @@ def test_first_message_can_be_a_press():
     assert Joystick(JoystickParams()).update(buttons(1), axes()).pressed == {Button.EMERGENCY}
 
 
+def test_what_goes_down_in_late_messages_is_belated_once_in_time():
+    joystick = Joystick(JoystickParams())
+    joystick.update(buttons(2), axes(), late=True)
+    joystick.update(buttons(1, 2), axes(), late=True)
+    joystick.update(buttons(1), axes(), late=True)
+    found = joystick.update(buttons(0, 1), axes())
+    assert (found.pressed, found.belated) == ({Button.SHUT_DOWN}, {Button.EMERGENCY})
+    assert joystick.update(buttons(0, 1), axes()).belated == frozenset()
+
+
 @pytest.mark.parametrize(
     ("stick", "expected"),
     [

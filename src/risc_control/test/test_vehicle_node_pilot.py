@@ -165,6 +165,33 @@ def test_a_press_that_was_held_up_is_not_obeyed():
     assert desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.05).takeoff
 
 
+@pytest.mark.parametrize(("button", "order"), [(EMERGENCY, "reset"), (SHUT_DOWN, "shut_down"), (TAKEOFF_LAND, "land")])
+def test_a_button_to_stop_that_went_down_in_a_late_message_counts_when_it_is_still_down_in_time(button, order):
+    desk = Desk().fly(autonomous=True)
+    found = []
+    for age_s, down in ((0.0, ()), (0.4, (button,)), (0.35, (button,)), (0.25, (button,)), (0.2, (button,)), (0.2, ())):
+        orders = desk.pilot.on_joy([int(k in down) for k in range(11)], [0.0] * 8, desk.now_s, age_s)
+        found.append(getattr(orders, order))
+    assert found == [False, False, False, True, False, False]
+
+
+def test_a_button_that_was_down_only_in_late_messages_is_none():
+    desk = Desk().fly(autonomous=True)
+    for age_s, down in ((10.0, EMERGENCY), (9.0, None), (0.1, None)):
+        assert not desk.pilot.on_joy([int(k == down) for k in range(11)], [0.0] * 8, desk.now_s, age_s).reset
+
+
+def test_the_toggle_that_went_down_in_a_late_message_ends_autonomous_mode_and_never_begins_it():
+    desk = Desk().fly(autonomous=True)
+    buttons = [int(k == TOGGLE) for k in range(11)]
+    assert desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.4).mode is None
+    assert desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.2).mode is False
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s)
+    desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.4)
+    assert desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.2).mode is None
+    assert not desk.pilot.autonomous
+
+
 def test_sticks_that_were_held_up_move_nothing():
     desk = Desk().fly()
     for age_s, up in ((1.0, 0.0), (0.1, 1.0)):
@@ -188,6 +215,49 @@ def test_a_joystick_stamped_by_a_clock_that_is_ahead_is_obeyed_and_its_late_mess
     assert not desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, -1.0).takeoff, "one second late"
     desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, -2.0)
     assert desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, -1.95).takeoff
+
+
+def test_the_clock_of_another_computer_makes_no_joystick_late():
+    """A virtual operator on a computer whose clock is ahead, and a person's joystick beside it, for safety."""
+    desk = Desk().fly()
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, -2.0, "/operator")
+    buttons = [int(k == EMERGENCY) for k in range(11)]
+    assert desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.001, "/risc1/joy_node").reset
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.4])
+def test_of_two_joysticks_neither_makes_a_held_button_a_new_press(age_s):
+    """Held until the vehicle stands, the button to land would be a take-off."""
+    desk = Desk().fly()
+    down = [int(k == TAKEOFF_LAND) for k in range(11)]
+    lands = takeoffs = 0
+    for k in range(40):
+        if k == 20:
+            desk.flight_state = FlightState.LANDED
+        desk.run(0.05)
+        desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, 0.0, "/operator")
+        orders = desk.pilot.on_joy(down, [0.0] * 8, desk.now_s, age_s if k < 10 else 0.0, "/risc1/joy_node")
+        lands, takeoffs = lands + orders.land, takeoffs + orders.takeoff
+    assert (lands, takeoffs) == (1, 0)
+
+
+def test_a_toggle_that_went_down_in_a_late_message_does_not_take_back_the_ladders_landing():
+    desk = Desk().fly(autonomous=True)
+    desk.alive = {"navdata"}
+    desk.run(0.7)
+    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+    for age_s in (0.4, 0.2):
+        desk.pilot.on_joy([int(k == TOGGLE) for k in range(11)], [0.0] * 8, desk.now_s, age_s)
+    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+
+
+def test_a_joystick_whose_clock_was_set_back_is_obeyed_again_soon():
+    desk = Desk().fly()
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, -2.0)
+    since_s, buttons = desk.now_s, [int(k == EMERGENCY) for k in range(11)]
+    while not desk.pilot.on_joy(buttons, [0.0] * 8, desk.now_s, 0.001).reset:
+        desk.now_s += 0.05
+        assert desk.now_s - since_s < 4.1
 
 
 def test_landed_counts_at_once_when_the_takeoff_was_seen():

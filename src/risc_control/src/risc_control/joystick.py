@@ -81,6 +81,7 @@ class JoystickInput:
     """One joystick message, understood."""
 
     pressed: frozenset  # Buttons that went down with this message
+    belated: frozenset  # Buttons that are down, and went down in a message that was late
     held: frozenset  # Buttons that are down
     sticks: Sticks
     problems: tuple  # sentences about what the message lacks
@@ -92,9 +93,13 @@ class Joystick:
     def __init__(self, params):
         self._params = params
         self._held = frozenset()
+        self._belated = frozenset()  # went down in a late message and are down since
 
-    def update(self, buttons, axes):
+    def update(self, buttons, axes, late=False):
         """buttons: ints, axes: floats (+ left, + forward) of a Joy message, as long as they happen to be.
+
+        late: the message is too old to act on. What went down with it and is still down in the next message in time
+        is `belated` there, once.
 
         Returns a `JoystickInput`. What the message lacks counts as released or centred and is a problem, never an
         error. A button that is down in the very first message counts as pressed: joy_node publishes on change only,
@@ -103,7 +108,9 @@ class Joystick:
         problems = []
         held = frozenset(button for button in Button if self._button(buttons, button.value, problems))
         pressed = held - self._held
+        belated = self._belated & held
         self._held = held
+        self._belated = (belated | pressed) if late else frozenset()
         p = self._params
         climb = float(Button.UP in held) - float(Button.DOWN in held)
         sticks = Sticks(
@@ -112,7 +119,7 @@ class Joystick:
             _limit(climb / p.ScaleZ),
             self._axis(axes, "AxisYaw", p.ScaleYaw, problems),
         )
-        return JoystickInput(pressed, held, sticks, tuple(problems))
+        return JoystickInput(pressed, belated, held, sticks, tuple(problems))
 
     def _button(self, buttons, name, problems):
         index = int(getattr(self._params, name))

@@ -6,7 +6,7 @@ never steps; `age_s` is the age of a message by its stamp when it arrived.
 
 import enum
 import math
-from collections import deque, namedtuple
+from collections import defaultdict, deque, namedtuple
 from dataclasses import dataclass, field, fields
 from typing import Tuple
 
@@ -36,6 +36,7 @@ class FlightState(enum.IntEnum):
 _TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _CLIMB_MEMORY_S = 2.0  # [s] climb commands that took effect longer ago answer no state that anybody acts on
+_JOY_MEMORY_S = 2.0  # [s] after a joystick's clock was set back, its messages pass for late for one to two of these
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
 
 
@@ -222,7 +223,8 @@ class VehiclePilot:
     def __init__(self, params, vehicle_type, now_s):
         self._params = params.pilot
         self._type = vehicle_type
-        self._joystick = Joystick(params.joystick)
+        # By sender: a person's joystick beside a virtual operator has buttons and a clock of its own.
+        self._joysticks = defaultdict(lambda: (Joystick(params.joystick), MessageAges(_JOY_MEMORY_S)))
         self._joystick_names = params.joystick
         self.ladder = SafetyLadder(params.limits, now_s)
         self.autonomous = False
@@ -231,7 +233,6 @@ class VehiclePilot:
         self._takeoff_s = None  # when a take-off was ordered of which nothing was heard yet
         self._sticks = CENTRED
         self._joy_s = now_s  # arrival of the newest joystick message
-        self._joy_ages = MessageAges()
         self._state = None
         self._state_s = 0.0  # when the state held [s]
         self._safety_text = None
@@ -246,16 +247,20 @@ class VehiclePilot:
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
-    def on_joy(self, buttons, axes, now_s, age_s=0.0):
-        """A joystick message. age_s: by its stamp [s]; 0 when it has none.
+    def on_joy(self, buttons, axes, now_s, age_s=0.0, sender=""):
+        """A joystick message. age_s: by its stamp [s]; 0 when it has none. sender: which node it is from.
 
         One that was held up on its way is no word of the operator of now: the vehicle may have landed meanwhile, and
-        the button that was pressed to land it would be a take-off. It is not obeyed, nor a sign of life.
+        the button that was pressed to land it would be a take-off. It is not obeyed, nor a sign of life. A button that
+        went down in such a message and is still down in one that is in time counts then, to stop, to land or to end
+        autonomous mode only.
         """
         orders = Orders()
-        joy = self._joystick.update(buttons, axes)
-        age_s = self._joy_ages.corrected(age_s, now_s)
-        if age_s > self._params.joystick_late_s:
+        joystick, ages = self._joysticks[sender]
+        age_s = ages.corrected(age_s, now_s)
+        late = age_s > self._params.joystick_late_s
+        joy = joystick.update(buttons, axes, late)
+        if late:
             text = "a joystick message came %.1f s late and is not obeyed: look at the network, and at the clocks"
             orders.log.append(("warn", text % age_s))
             return orders
@@ -263,19 +268,22 @@ class VehiclePilot:
         self._joy_s = now_s
         self._sticks = joy.sticks
         orders.log.extend(("warn", problem) for problem in joy.problems)
-        if Button.EMERGENCY in joy.pressed:
+        down = joy.pressed | joy.belated
+        if Button.EMERGENCY in down:
             orders.reset = True
             orders.log.append(("warn", "emergency button: reset sent"))
         if self._ended:
             return orders
-        if Button.TAKEOFF_LAND in joy.pressed and not self._params.Simulation:
-            self._takeoff_or_land(orders, now_s)
+        if Button.TAKEOFF_LAND in down and not self._params.Simulation:
+            self._takeoff_or_land(orders, now_s, may_take_off=Button.TAKEOFF_LAND in joy.pressed)
         reset = Button.TAKEOFF_LAND in joy.held
         if self._params.Simulation and reset != self._simulator_reset:
             self._simulator_reset = orders.simulator_reset = reset
-        if Button.TOGGLE_AUTONOMOUS in joy.pressed:
+        # a belated one was meant for autonomous mode, not to take back a landing that the ladder began meanwhile
+        ends_it = self.autonomous and self.ladder.verdict.rung < Rung.LAND and Button.TOGGLE_AUTONOMOUS in joy.belated
+        if Button.TOGGLE_AUTONOMOUS in joy.pressed or ends_it:
             self._toggle(orders, now_s)
-        if Button.SHUT_DOWN in joy.pressed:
+        if Button.SHUT_DOWN in down:
             orders.shut_down = True
             orders.log.append(("info", "shut-down button: landing and ending"))
         self._judge(orders, now_s)
@@ -384,7 +392,7 @@ class VehiclePilot:
                 )
             )
 
-    def _takeoff_or_land(self, orders, now_s):
+    def _takeoff_or_land(self, orders, now_s, may_take_off):
         """The vehicle's own report decides, not what was pressed before (D-31); an old report decides nothing."""
         fresh = self.ladder.navdata_is_fresh(now_s)
         if self.flight_state != FlightState.LANDED or not fresh:
@@ -395,6 +403,8 @@ class VehiclePilot:
             orders.log.append(("info", "landing" + unsure))
             if self.autonomous:
                 self._set_mode(False, orders, "landing")
+        elif not may_take_off:
+            orders.log.append(("info", "no take-off: the button was pressed a while ago; release it and press again"))
         elif self.ladder.battery_is_low():
             orders.log.append(
                 (

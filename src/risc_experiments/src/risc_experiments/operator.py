@@ -22,6 +22,7 @@ _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # packets without a state read 0, an emergency too
 _PRESS_S = 0.15  # a button is down for so long, three messages at 20 Hz, and up at least as long
 _LAND_AGAIN_S = 2.0
+_SURE_S = 0.5  # a vehicle whose newest report is older may have landed meanwhile: the button could be a take-off
 _TAKEOFF_AGAIN_S = 2.0
 _TOGGLE_AGAIN_S = 1.0
 _TAKEOFF_PENDING_S = 3.0  # a take-off that was pressed may show that late: until then "landed" is no proof
@@ -358,14 +359,19 @@ class Operator:
             self._order_landing(w, now_s)
 
     def _order_landing(self, w, now_s):
-        """Tell it to land now and then, but press the button only when it is known to fly: else it means take-off."""
+        """Tell it to land now and then, but press the button only when it is known to fly: else it means take-off.
+
+        After an outage its reports of before come first, as if they were new. So one that is out, or was told already,
+        is told by its service, which never means take-off.
+        """
         if not w.may_fly() or now_s - w.land_s <= _LAND_AGAIN_S:
             return
-        if w.is_silent(self._params, now_s):
-            w.call_land, w.land_s = True, now_s
+        heard = now_s - w.reported_s <= _SURE_S
+        if heard and (w.flight_state in _ON_GROUND or w.flight_state == FlightState.LANDING):
             return
-        down = w.flight_state in _ON_GROUND or w.flight_state == FlightState.LANDING
-        if not down and w.pad.press(self._params.TakeoffLand, now_s):
+        if not heard or w.failure or w.land_s > -math.inf:
+            w.call_land, w.land_s = True, now_s
+        elif w.pad.press(self._params.TakeoffLand, now_s):
             w.land_s = now_s
 
     def _note_failures(self, now_s):

@@ -94,11 +94,12 @@ class VehicleNode:
         self._diagnostics.add("vehicle " + self.vehicle, self._diagnose)
         self._timers = ()
         rospy.on_shutdown(self._on_shutdown)
-        for topic, message, callback in (
-            (name("joy"), Joy, self._on_joy),
-            (name("ardrone/navdata"), Navdata, self._on_navdata),
+        # Every joystick message: of a burst that a network held up, the first say that a press is old.
+        for topic, message, callback, queue_size in (
+            (name("joy"), Joy, self._on_joy, None),
+            (name("ardrone/navdata"), Navdata, self._on_navdata, 10),
         ):
-            rospy.Subscriber(topic, message, self._guarded(callback), queue_size=10, tcp_nodelay=True)
+            rospy.Subscriber(topic, message, self._guarded(callback), queue_size=queue_size, tcp_nodelay=True)
         # Only the newest counts, and a backlog must not be worked off message by message.
         rospy.Subscriber("/controls", Controls, self._guarded(self._on_controls), queue_size=1, tcp_nodelay=True)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
@@ -146,8 +147,9 @@ class VehicleNode:
     def _on_joy(self, message):
         stamp_s = message.header.stamp.to_sec()
         age_s = rospy.get_time() - stamp_s if stamp_s else 0.0
+        sender = message._connection_header.get("callerid", "")  # rospy has no public name for it
         with self._lock:
-            orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic(), age_s)
+            orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic(), age_s, sender)
             self._carry_out(orders)
         self._report(orders)
 
