@@ -31,6 +31,7 @@ _ATTEMPTS = 5  # to find a display that nobody has
 _START_PATIENCE_S = 20.0
 _END_PATIENCE_S = 10.0
 _POLL_S = 0.2
+_HELLO = b"l\0\x0b" + 9 * b"\0"  # an X11 client's first words: little-endian, version 11.0, no authorization
 _LOG_LINES = 15
 _COLOURS = 16  # fewer: an empty window and its frame
 _PIXEL_BITS = 32
@@ -94,9 +95,8 @@ class VirtualScreen:
             server = self._popen(command, log, None)
             deadline = time.monotonic() + _START_PATIENCE_S
             while server.poll() is None and time.monotonic() < deadline:
-                with socket.socket(socket.AF_UNIX) as probe:
-                    if probe.connect_ex("/tmp/.X11-unix/X%d" % number) == 0:
-                        return ":%d" % number
+                if _answers("/tmp/.X11-unix/X%d" % number, _POLL_S):
+                    return ":%d" % number
                 time.sleep(0.02)
             _end(server)
         raise ScreenError("Xvfb did not start:\n" + _tail(log))
@@ -176,6 +176,18 @@ class VirtualScreen:
         for command, process, log in self._programs:
             if process.poll() is not None:
                 raise ScreenError("%s has ended (exit code %d):\n%s" % (command[0], process.returncode, _tail(log)))
+
+
+def _answers(path, patience_s):
+    """Whether the X server at this socket answers. It listens before it has a screen, and answers when it has."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(patience_s)
+        try:
+            probe.connect(path)
+            probe.sendall(_HELLO)
+            return probe.recv(1) != b""
+        except OSError:
+            return False
 
 
 def _picture_from_xwd(content):
