@@ -79,14 +79,23 @@ def test_what_is_wrong_with_the_network_is_named():
     assert "no way to the Cortex host 129.123.5.10" in text_of(nowhere, RED)
     routed = network.judge(LAB, [LO, WIFI], False, lambda address: "192.168.1.2")
     assert worst(routed) == YELLOW and "by a router" in text_of(routed, YELLOW)
-    twice = network.judge(LAB, [LO, CABLE, card("wlan1", "129.123.5.99/24")], False, lambda address: None)
-    assert "eth0 and wlan1 are in the same network 129.123.5.0/24" in text_of(twice, YELLOW)
     unplugged = network.judge(LAB, [LO, replace(CABLE, connected=False)], False, lambda address: None)
     assert "eth0 has an address, but no cable" in text_of(unplugged, YELLOW)
     assert "ip link set lo up" in text_of(network.judge(LAB, [CABLE, WIFI], False, lambda address: None), RED)
     assert "no network card" in text_of(network.judge(LAB, [LO], False, lambda address: None), RED)
     elsewhere = replace(LAB, mocap=replace(LAB.mocap, interface="129.123.5.7"))
     assert "129.123.5.7" in text_of(network.judge(elsewhere, [LO, CABLE], False, lambda address: None), RED)
+
+
+def test_two_cards_in_one_network_are_told():
+    assert levels(network.judge_subnets([LO, CABLE, WIFI], ["192.168.1.1"])) == [GREEN]
+    (twice,) = network.judge_subnets([LO, CABLE, card("wlan1", "129.123.5.99/24")], ["192.168.1.1"])
+    assert twice.level == YELLOW and "eth0 and wlan1 are in the same network 129.123.5.0/24" in twice.text
+    assert "ip link set wlan1 down" in twice.cure and "vehicle" not in twice.text + twice.cure
+    # a laboratory with the numbers of the vehicle's own Wi-Fi
+    (clash,) = network.judge_subnets([card("eth0", "192.168.1.11/24"), WIFI], ["192.168.1.1"])
+    assert clash.level == YELLOW and "what is meant for the vehicle at 192.168.1.1 may leave" in clash.text
+    assert "give the laboratory another network" in clash.cure
 
 
 def test_vehicles_of_one_network_must_be_reachable():
@@ -98,7 +107,7 @@ def test_vehicles_of_one_network_must_be_reachable():
     assert "multicast" not in routed, "nothing of a vehicle is multicast"
 
 
-def test_multicast_that_the_kernel_would_drop():
+def test_multicast_that_the_kernel_would_drop(monkeypatch):
     own = "129.123.5.240"
     assert levels(network.judge_multicast(LAB.mocap, own, CABLE, "", {"all": 1, "eth0": 1})) == [GREEN]
     wrong_card = network.judge_multicast(LAB.mocap, "192.168.1.2", WIFI, "", {"all": 0, "wlan0": 1})
@@ -106,6 +115,9 @@ def test_multicast_that_the_kernel_would_drop():
     assert levels(network.judge_multicast(LAB.mocap, own, replace(CABLE, multicast=False), "", {})) == [RED]
     assert network.join_error("225.1.1.1", "127.0.0.1") == ""
     assert network.join_error("225.1.1.1", "203.0.113.7")  # an address that nobody has
+    monkeypatch.setattr(network.net, "source_towards", lambda address: None)
+    lost = network.check_multicast(types.SimpleNamespace(fleet=LAB, interfaces=lambda: [LO]))
+    assert "give this computer an address in that network" in text_of(lost, RED)
 
 
 def test_this_computers_cards_are_read():
@@ -582,19 +594,33 @@ def test_a_reader_that_has_read_enough_is_no_error(how):
     assert (done.returncode, done.stderr) == (1, "")
 
 
+def doctor_of_shell(folder, python):
+    """`./maap doctor` of a workspace that has been built, here a mere shell of one; python: what is in place of it."""
+    (folder / ".venv" / "bin").mkdir(parents=True)
+    (folder / ".venv" / "bin" / "python").write_text("#!/bin/sh\n%s\n" % python)
+    (folder / ".venv" / "bin" / "python").chmod(0o755)
+    (folder / "devel").mkdir()
+    (folder / "devel" / "setup.bash").touch()
+    shutil.copy(str(ROOT / "maap"), str(folder))
+    there = sorted(folder.rglob("*"))
+    done = subprocess.run([str(folder / "maap"), "doctor", "--json"], capture_output=True, text=True)
+    assert sorted(folder.rglob("*")) == there
+    return done
+
+
 def test_maap_builds_nothing_before_the_doctor_looks(tmp_path):
-    """Others may be flying. Of a workspace that has been built, here a mere shell of one."""
-    (tmp_path / ".venv" / "bin").mkdir(parents=True)
-    python = tmp_path / ".venv" / "bin" / "python"
-    python.write_text('#!/bin/sh\necho "$@"\n')
-    python.chmod(0o755)
-    (tmp_path / "devel").mkdir()
-    (tmp_path / "devel" / "setup.bash").touch()
-    shutil.copy(str(ROOT / "maap"), str(tmp_path))
-    there = sorted(tmp_path.rglob("*"))
-    done = subprocess.run([str(tmp_path / "maap"), "doctor", "--json"], capture_output=True, text=True)
+    """Others may be flying."""
+    done = doctor_of_shell(tmp_path, 'echo "$@"')
     assert (done.returncode, done.stdout) == (0, "-m risc_experiments.doctor --json\n"), done.stderr
-    assert sorted(tmp_path.rglob("*")) == there
+
+
+@pytest.mark.parametrize(("package", "cure"), [("no-such-package", "setup"), ("dpkg", "build")])
+def test_a_doctor_that_cannot_run_names_the_cure(package, cure, tmp_path):
+    """`machines deploy` brings the workspace to a laptop before somebody installs its packages there."""
+    (tmp_path / "apt-packages.txt").write_text(package + "\n")
+    done = doctor_of_shell(tmp_path, "echo line; echo Traceback >&2; echo 'No module named netifaces' >&2; exit 1")
+    complaint = "maap: the doctor cannot run here (No module named netifaces): run ./maap %s\n" % cure
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", complaint)
 
 
 def test_what_another_computer_asks_for_comes_as_one_line_of_json(tmp_path):

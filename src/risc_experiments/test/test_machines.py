@@ -1,6 +1,7 @@
 """`./maap machines` against a real sshd: each failure says what it is, and what is well is well."""
 
 import getpass
+import ipaddress
 import os
 import pathlib
 import re
@@ -15,6 +16,8 @@ import time
 import paramiko
 import pytest
 
+from risc_control.lab import load_fleet
+from risc_experiments.doctor.interfaces import Interface
 from risc_experiments.machines import __main__ as machines
 from risc_experiments.machines.__main__ import main
 from risc_experiments.processes import PortReservation
@@ -115,9 +118,13 @@ class Server:
         self._log.close()
         self._reservation.close()
 
-    def wait_for_log(self, text):
+    def restarts(self):
+        """How often it has read its settings anew, and listens again."""
+        return (self.folder / "sshd.log").read_text().count("Server listening on") // len(self.addresses) - 1
+
+    def wait_for_restart(self, number):
         deadline = time.monotonic() + PATIENCE_S
-        while text not in (self.folder / "sshd.log").read_text():
+        while self.restarts() < number:
             assert self._process.poll() is None and time.monotonic() < deadline, (self.folder / "sshd.log").read_text()
             time.sleep(0.02)
 
@@ -422,16 +429,17 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
 
         printed = answer_yes(server, "setup", file, "--only", "risc2")
         assert keep_alive.read_text() == "ClientAliveInterval 2\nClientAliveCountMax 3\n"
-        server.wait_for_log("Received SIGHUP; restarting")
+        server.wait_for_restart(1)
         code, printed = server.maap("check", file, "--only", "risc2,risc4", root=tmp_path)
         found = sections(printed)
-        assert "green keep-alive sshd there ends dead connections after 6 s" in found["risc2"], printed
+        assert "green keep-alive sshd there is set to end dead connections after 6 s" in found["risc2"], printed
         assert "green keep-alive %s is there; whether" % "/etc/ssh/sshd_config.d/risc_maap.conf" in found["risc4"]
         (settings / "a_first.conf").write_text("ClientAliveInterval 3600\n")  # of several, sshd takes the first
         code, printed = server.maap("setup", file, "--only", "risc2")
         assert "yellow keep-alive wrote /etc/ssh/sshd_config.d/risc_maap.conf there, but sshd" in flat(printed)
         assert "does not begin with Include /etc/ssh/sshd_config.d/*.conf" in flat(printed)
         (settings / "a_first.conf").unlink()
+        server.wait_for_restart(2)
         written = server.known_hosts.read_text()
         assert written.startswith(old + "\n") and server.known_hosts.stat().st_mode & 0o777 == 0o600
         for name in ("[risc2]:%d" % server.port, server.name(0), server.addresses[0]):
@@ -440,12 +448,15 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
                 "ecdsa-sha2-nistp256",
             }
 
-        code, printed = server.maap("setup", file, "--only", "risc2,risc3", "--yes")
+        # nothing is missing, but whether sshd has read it nobody knows: it is told once more
+        before = server.restarts()
+        code, printed = server.maap("setup", file, "--only", "risc2", "--yes")
+        assert code == 0 and "wrote" not in printed and "green keep-alive sshd there is set to" in flat(printed)
+        server.wait_for_restart(before + 1)
+        code, printed = server.maap("setup", file, "--only", "risc3", "--yes")
         print(printed)
         found = sections(printed)
-        assert (
-            code == 1 and "wrote" not in found["risc2"] and "> ./maap machines setup, or: ssh-copy-id" in found["risc3"]
-        )
+        assert code == 1 and "> ./maap machines setup, or: ssh-copy-id" in found["risc3"]
         assert "wrote 2 lines" in found["risc3"]
 
         changed = server.known_hosts.read_text().replace(server.host_keys["ed25519"], key_pair(tmp_path / "strange"))
@@ -454,14 +465,15 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         assert code == 1 and "HAS CHANGED; nothing was written" in flat(printed)
         assert "ssh-keygen -R '%s'" % server.name(0) in printed and server.known_hosts.read_text() == changed
 
-        # an sshd that would not come back from reading its settings is left alone
+        # an sshd that would not come back from reading its settings is left alone, and so is a file that it had
         server.known_hosts.write_text(written)
-        keep_alive.unlink()
         with (tmp_path / "server" / "sshd_config").open("a") as config:
             config.write("NoSuchSetting yes\n")
-        code, printed = server.maap("setup", file, "--only", "risc2")
-        print(printed)
-        assert code == 0 and "NoSuchSetting" in printed and not keep_alive.exists()
+        for had_it in (True, False):
+            code, printed = server.maap("setup", file, "--only", "risc2")
+            print(printed)
+            assert code == 0 and "NoSuchSetting" in printed and keep_alive.exists() == had_it
+            keep_alive.unlink(missing_ok=True)
         with socket.create_connection((server.addresses[0], server.port)):
             pass
     finally:
@@ -470,7 +482,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
 
 @needs_mounts
 def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
-    here, there, poor = tmp_path / "ws", tmp_path / "there", tmp_path / "poor"
+    here, there, poor, other = tmp_path / "ws", tmp_path / "there", tmp_path / "poor", tmp_path / "other"
     for path, text in {
         "src/pkg/nodes/fly.py": "new", "src/pkg/config/cameras/risc1.yaml": "ours", "launch/x.launch": "", "maap": "",
         "devel/setup.sh": "", ".venv/bin/python": "", "build/x": "",
@@ -484,10 +496,18 @@ def test_deploy_brings_the_workspace_and_loses_nothing(tmp_path):
     poor.mkdir()
     for program in ("sh", "timeout", "mkdir"):
         (poor / program).symlink_to(shutil.which(program))
-    server = Server(tmp_path / "server", 2, {1: ["SetEnv PATH=%s" % poor]}, "mount --bind %s %s" % (there, here))
+    other.mkdir()
+    (other / "uname").write_text("#!/bin/sh\necho pdp11\n")
+    (other / "uname").chmod(0o755)
+    special = {1: ["SetEnv PATH=%s" % poor], 2: ["SetEnv PATH=%s:/usr/bin:/bin" % other]}
+    server = Server(tmp_path / "server", 3, special, "mount --bind %s %s" % (there, here))
     try:
         server.give_key()
-        server.known_hosts.write_text(server.know(0) + server.know(1))
+        server.known_hosts.write_text("".join(map(server.know, range(3))))
+        foreign = server.launch_file(server.machine(2, "risc2", loader))
+        code, printed = server.maap("deploy", foreign, root=here)
+        assert code == 1 and "red processor its processor is pdp11, this one is" in flat(printed)
+        assert not any(there.iterdir())
         file = server.launch_file(
             server.machine(0, "risc2", loader), server.machine(1, "risc3", loader),
             server.machine(1, "risc4", tmp_path / "elsewhere/devel/coop.sh"),
@@ -592,12 +612,74 @@ def test_nobody_knocks_at_the_shipped_addresses_from_another_lab(words, monkeypa
     assert "risc2 (129.123.5.200)" in capsys.readouterr().err
 
 
+YOURS = ["risc%d_address:=127.0.9.%d" % (number, number) for number in range(1, 5)]
+
+
+@pytest.mark.parametrize("words", [YOURS, [*YOURS, "--only", "risc2"], ["machine:=local"]])
+def test_nobody_asks_the_shipped_cortex_host_from_another_lab(words, monkeypatch, capsys):
+    """Neither the check nor the line that it would print."""
+    monkeypatch.setenv("RISC_MAAP_ROOT", str(ROOT))
+    done = []
+    for action in ("check", "setup"):
+        monkeypatch.setattr(getattr(machines, action), "run", lambda experiment, *_: done.append(experiment) or 0)
+    assert exit_code_of("check", *words) == 2 and not done
+    fleet = "one_computer" if "machine:=local" in words else "lab3"
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "the Cortex host 129.123.5.10 is in the thesis' laboratory" in line and "fleets/%s.yaml" % fleet in line
+    assert exit_code_of("setup", *words) == 0, "asks no Cortex"
+    card = Interface("eth0", (ipaddress.ip_interface("129.123.5.77/24"),))
+    monkeypatch.setattr(machines, "read_interfaces", lambda: [card])
+    assert exit_code_of("check", *words) == 0, "a newcomer in that laboratory"
+    assert done[-1].cortex == ("129.123.5.10",)
+
+
+def test_the_virtual_lab_brings_its_own_cortex(monkeypatch):
+    monkeypatch.setenv("RISC_MAAP_ROOT", str(ROOT))
+    monkeypatch.setattr(machines.check, "run", lambda experiment, *_: len(experiment.cortex))
+    assert exit_code_of("check", "machine:=local", "lab:=true") == 0
+
+
+def guide_lines(pattern):
+    """Lines of the guide's blocks of shell, as they stand there, without comments."""
+    text = (ROOT / "docs/many_machines.md").read_text()
+    blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = [line.partition("  #")[0] for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    return [line for line in lines if re.search(pattern, line)]
+
+
+def test_the_guides_fleet_files_are_let_pass(tmp_path, monkeypatch):
+    """Its lines, as a reader types them: the fleet of the laboratory, and that of the virtual lab for laptops."""
+    (tmp_path / "launch").symlink_to(ROOT / "launch")
+    monkeypatch.setenv("RISC_MAAP_ROOT", str(ROOT))
+    monkeypatch.chdir(tmp_path)
+    done = []
+    monkeypatch.setattr(machines.check, "run", lambda experiment, *_: done.append(experiment) or 0)
+    (addresses,) = guide_lines("^addresses=")
+    script = "\n".join([*guide_lines("^sed "), addresses, 'printf "%s\\n" $addresses'])
+    words = run("bash", "-euc", script, cwd=str(tmp_path)).split()
+    assert exit_code_of("check", *words) == 0
+    (real,) = {host for computer in done[0].computers for host in computer.cortex}
+    assert done[0].cortex == (real,) and real.startswith("192.168.0.")
+    assert [computer.vehicles for computer in done[0].computers] == [()] + 3 * [("192.168.1.1",)]
+
+    (check,) = guide_lines("machines check .*lab:=true")
+    more = run("bash", "-euc", 'printf "%%s\\n" %s' % check.partition("$addresses")[2], cwd=str(tmp_path)).split()
+    assert exit_code_of("check", *words, *more) == 0
+    base, virtual = done[1].computers[0].address, load_fleet(tmp_path / "my_lab.yaml")
+    own = {address for line in guide_lines("ip address add") for address in re.findall(r"[0-9.]{7,}(?=/)", line)}
+    assert virtual.mocap.host == base and {vehicle.address for vehicle in virtual.vehicles} == own
+    assert not virtual.mocap.interface and virtual.mocap.stream_port > 1023 and done[1].cortex == ()
+
+
 def test_every_example_of_the_help_is_right(tmp_path, monkeypatch, capsys):
     """Read, found and let pass, in a laboratory with other addresses than the thesis'; what would be done is not."""
     shutil.copytree(str(ROOT / "launch"), str(tmp_path / "launch"))
     shipped = (ROOT / machines.DEFAULT_FILE).read_text()
     (tmp_path / "launch/my_laboratory.launch").write_text(shipped.replace("129.123.", "10.123."))
+    own = (ROOT / "launch/fleets/lab3.yaml").read_text().replace("129.123.5.10", "192.168.0.5")
+    (tmp_path / "my_fleet.yaml").write_text(own)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PWD", str(tmp_path))
     monkeypatch.setenv("RISC_MAAP_ROOT", str(tmp_path))
     done = []
     for action in ("check", "setup", "deploy"):
@@ -605,7 +687,7 @@ def test_every_example_of_the_help_is_right(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     lines = re.findall(r"^  ./maap machines (.*)$", capsys.readouterr().out, re.MULTILINE)
-    assert [main(shlex.split(line)) for line in lines] == [0, 0, 0], capsys.readouterr().err
+    assert [main(shlex.split(os.path.expandvars(line))) for line in lines] == [0, 0, 0], capsys.readouterr().err
     assert [len(experiment.computers) for experiment in done] == [4, 1, 2]
     assert main(["check", "risc2_address:=10.0.0.2"]) == 2  # the others still have the thesis'
     assert "risc2_address:=192.168.0.11 risc3_address" in capsys.readouterr().err

@@ -266,8 +266,9 @@ class Talker:
 
 @pytest.mark.parametrize("printed", ["", "5", "null", "{}", "[3]", '{"files": 5}', '{"files": {}}', "[]]"])
 def test_what_is_no_answer_is_a_finding(printed):
-    assert "cannot say what it is made of" in check._workspace(Talker(printed), {}, "/ws").text
-    assert [found.text[:16] for found in check._doctor(Talker(printed))] == ["it does not run "]
+    found = [check._workspace(Talker(printed), {}, "/ws"), *check._doctor(Talker(printed))]
+    assert [finding.text[:16] for finding in found] == ["it cannot say wh", "it does not run "]
+    assert all("./maap setup on that computer" in finding.cure for finding in found), "it may lack packages"
 
 
 def test_the_workspace_that_a_link_leads_to_is_the_one_that_is_sourced(tmp_path, monkeypatch, capsys):
@@ -309,6 +310,34 @@ def test_the_disk_that_is_looked_at_is_that_of_the_bag(options, folder, tmp_path
 
 
 @pytest.mark.parametrize(
+    ("more", "hosts", "checks"),
+    [
+        ("", ("10.0.0.5",), "disk,subnets,multicast,ports,cortex"),
+        ('<node pkg="risc_simulator" type="virtual_lab_node.py" name="lab"/>', (), "disk"),  # there when it flies
+    ],
+)
+def test_the_computer_that_listens_to_cortex_is_asked_for_it(more, hosts, checks, tmp_path):
+    path = tmp_path / "x.launch"
+    path.write_text(
+        """<launch><arg name="fleet" default="my_fleet.yaml"/>
+        <machine name="risc2" address="127.0.0.9" user="nobody-here" env-loader="/ws/devel/coop.sh"/>
+        <node machine="risc2" pkg="joy" type="joy_node" name="joy"/>
+        <machine name="risc1" address="localhost" default="true"/>%s
+        <node pkg="cortex_ros" type="stream_markers" name="stream_markers">
+          <param name="host" value="10.0.0.5"/></node></launch>"""
+        % more
+    )
+    experiment = load_experiment(str(path))
+    assert experiment.cortex == experiment.only(["risc2"]).cortex == hosts
+    assert [computer.cortex for computer in experiment.computers] == [(), hosts]
+    talker = Talker("[]")
+    talker.computer = experiment.computers[1]
+    check._doctor(talker)
+    (command,) = talker.commands
+    assert command[-2:] == ["--only", checks] and command[3] == "my_fleet.yaml"
+
+
+@pytest.mark.parametrize(
     ("param", "address"), [('<param name="drone_ip" value="10.0.0.7"/>', "10.0.0.7"), ("", "192.168.1.1")]
 )
 def test_a_vehicle_is_asked_by_its_address_without_a_fleet_file(param, address, tmp_path):
@@ -325,5 +354,6 @@ def test_a_vehicle_is_asked_by_its_address_without_a_fleet_file(param, address, 
     talker.computer = computer
     check._doctor(talker)
     (command,) = talker.commands
-    assert command[-2:] == ["--vehicle", address] and "vehicles" in command[command.index("--only") + 1]
+    assert command[-2:] == ["--vehicle", address]
+    assert command[command.index("--only") + 1] == "disk,subnets,vehicles"
     assert "my_fleet.yaml" not in command

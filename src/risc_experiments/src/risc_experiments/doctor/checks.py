@@ -23,6 +23,7 @@ from risc_experiments.findings import red, yellow
 CHECKS = {
     "workspace": ("revision and content of the workspace, and whether it is the sourced one", workspace.check),
     "network": ("network cards, subnets, the way to Cortex and to the vehicles", network.check),
+    "subnets": ("whether each network card is in a network of its own", network.check_subnets),
     "multicast": ("the group of the mocap stream", network.check_multicast),
     "ports": ("ports that are taken or not allowed, other drivers", ports.check),
     "cortex": ("motion capture: there, live, rate, loss, units", cortex.check),

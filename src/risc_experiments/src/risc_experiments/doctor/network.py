@@ -1,6 +1,7 @@
 """Network cards, subnets and the way that the mocap stream comes in by."""
 
 import collections
+import ipaddress
 import pathlib
 import socket
 
@@ -8,6 +9,7 @@ from risc_experiments.doctor import interfaces as net
 from risc_experiments.findings import green, red, yellow
 
 _STRICT = 1  # of rp_filter: drop what comes in by another card than the answer would leave by
+_NO_WAY = "give this computer an address in that network, or correct the address in the fleet file"
 
 
 def check(situation):
@@ -18,7 +20,7 @@ def check(situation):
 def judge(fleet, interfaces, simulated, source_towards):
     """Findings. source_towards: address -> own address that the kernel would send from, None without a route."""
     say, host = "network", fleet.mocap.host
-    cards = [card for card in interfaces if card.up and card.addresses and not card.is_loopback]
+    cards = _cards(interfaces)
     findings = []
     if not any(card.up and card.is_loopback for card in interfaces):
         text = "the loopback card is down: programs of this computer do not reach each other"
@@ -39,7 +41,6 @@ def judge(fleet, interfaces, simulated, source_towards):
         if not card.connected:
             text = "%s has an address, but no cable or no Wi-Fi network" % card.name
             findings.append(yellow(say, text, "plug it in, or switch it off: sudo ip link set %s down" % card.name))
-    findings += _same_subnet(cards)
     if fleet.mocap.interface and not net.is_own(interfaces, fleet.mocap.interface):
         findings.append(
             red(
@@ -54,30 +55,44 @@ def judge(fleet, interfaces, simulated, source_towards):
         addresses = [vehicle.address for vehicle in fleet.vehicles]
         outside = [address for address in addresses if not net.interface_towards(interfaces, address)]
         cure = "join the vehicle's Wi-Fi, or correct its address in the fleet file"
-        for address in outside:
-            findings.append(_way(say, "vehicle", address, interfaces, source_towards, cure))
+        findings += [_way(say, "vehicle", address, interfaces, source_towards, cure) for address in outside]
         if not outside:
             findings.append(green(say, "every vehicle (%d) is in a network of this computer" % len(addresses)))
     return findings
 
 
-def _same_subnet(cards):
-    """Two cards in one network: the kernel answers by either, and the stream may come in by the other one."""
-    by_network = collections.defaultdict(list)
-    for card in cards:
+def _cards(interfaces):
+    """Those that lead to other computers."""
+    return [card for card in interfaces if card.up and card.addresses and not card.is_loopback]
+
+
+def check_subnets(situation):
+    """Is each card in a network of its own?"""
+    return judge_subnets(situation.interfaces(), [vehicle.address for vehicle in situation.vehicles()])
+
+
+def judge_subnets(interfaces, vehicles):
+    """Two cards in one network: the kernel sends by either, and the stream may come in by the other one.
+
+    vehicles: addresses of those that are flown.
+    """
+    by_network, findings = collections.defaultdict(set), []
+    for card in _cards(interfaces):
         for address in card.addresses:
             if address.network.prefixlen < 31:
-                by_network[address.network].append(card.name)
-    return [
-        yellow(
-            "network",
-            "%s are in the same network %s" % (" and ".join(sorted(set(names))), network),
-            "leave it with one of them (usually the Wi-Fi while the cable is in): sudo ip link set %s down"
-            % sorted(set(names))[-1],
-        )
-        for network, names in by_network.items()
-        if len(set(names)) > 1
-    ]
+                by_network[address.network].add(card.name)
+    for network, cards in by_network.items():
+        if len(cards) < 2:
+            continue
+        text = "%s are in the same network %s" % (" and ".join(sorted(cards)), network)
+        cure = "leave it with one of them (usually the Wi-Fi while the cable is in): sudo ip link set %s down"
+        cure %= max(cards)
+        flown = [address for address in vehicles if ipaddress.ip_address(address) in network]
+        if flown:
+            text += ": what is meant for the vehicle at %s may leave by the wrong one" % flown[0]
+            cure = "if one is the vehicle's own Wi-Fi: give the laboratory another network in its router; else " + cure
+        findings.append(yellow("subnets", text, cure))
+    return findings or [green("subnets", "no two network cards are in the same network")]
 
 
 def _way(say, what, address, interfaces, source_towards, cure):
@@ -93,7 +108,7 @@ def _way(say, what, address, interfaces, source_towards, cure):
         return red(
             say,
             "there is no way to %s %s" % (what, address),
-            "give this computer an address in that network, or correct the address in the fleet file",
+            _NO_WAY,
         )
     return yellow(
         say,
@@ -108,7 +123,7 @@ def check_multicast(situation):
     own = mocap.interface or net.source_towards(mocap.host)
     if own is None:
         text = "no card leads to the Cortex host %s, so there is none to hear the stream by" % mocap.host
-        return [red("multicast", text, "see `network`")]
+        return [red("multicast", text, _NO_WAY)]
     card = net.interface_of(interfaces, own)
     if card is None:
         text = "no card has the address %s that the stream is to come in by" % own

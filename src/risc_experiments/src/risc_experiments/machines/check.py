@@ -228,7 +228,7 @@ def _workspace(session, here, root):
     try:
         there = workspace.from_output(answer.out)
     except ValueError:
-        return red("workspace", "it cannot say what it is made of: %s" % answer.reason(), "./maap machines deploy")
+        return red("workspace", "it cannot say what it is made of: %s" % answer.reason(), workspace.CURE)
     folder = there.get("folder", folder)
     found = workspace.compare(here, there)
     if found.level != RED and os.path.realpath(folder) != os.path.realpath(root):
@@ -241,20 +241,22 @@ def _doctor(place):
     """Findings of the doctor there: disk, and what the launch file says is connected to that computer."""
     computer = place.computer
     checks, options = ["disk"], []
+    if computer.cortex and computer.local and computer.fleet:  # the fleet file says where the stream comes in
+        checks += ["subnets", "multicast", "ports", "cortex"]
     if computer.bag_folder:
         options += ["--bag-folder", computer.bag_folder]
     if computer.joysticks:
         checks.append("joystick")
         options += ["--joystick", *computer.joysticks]
     if computer.vehicles:
-        checks.append("vehicles")
+        checks += ["subnets", "vehicles"]
         options += ["--vehicle", *computer.vehicles]
-    command = ["python", "-m", "risc_experiments.doctor", "--json", "--only", ",".join(checks), *options]
+    command = ["python", "-m", "risc_experiments.doctor", "--json", "--only", ",".join(dict.fromkeys(checks)), *options]
     if computer.local and computer.fleet:  # another computer need not have it: what is asked there is said in full
         command.insert(3, computer.fleet)
     answer = place.loaded(command, _DOCTOR_S)
     found = []
     with contextlib.suppress(ValueError, IndexError, TypeError):
         found = [Finding.from_dict(content) for content in json.loads(answer.out.splitlines()[-1])]
-    cure = "./maap doctor on that computer; when the workspace there is another one: ./maap machines deploy"
+    cure = "./maap doctor on that computer; if that does not run either: " + workspace.CURE
     return found or [yellow("doctor", "it does not run there: %s" % answer.reason(), cure)]

@@ -82,7 +82,7 @@ def deploy(computer, root, description):
 
 
 def _prepare(session, root):
-    """A folder to write into, rsync, and nothing of ours that runs. Raises MachineError."""
+    """A folder to write into, rsync, a processor like ours, and nothing of ours that runs. Raises MachineError."""
     folder = shlex.quote(str(root))
     if session.limited("mkdir -p %s && test -w %s" % (folder, folder), _COMMAND_S).code != 0:
         user = session.computer.user or "$USER"
@@ -90,6 +90,11 @@ def _prepare(session, root):
         raise ssh.MachineError(red("folder", "this login cannot write %s there" % root, cure))
     if session.limited("command -v rsync", _COMMAND_S).code != 0:
         raise ssh.MachineError(red("rsync", "it is not installed there", "on that computer: sudo apt install rsync"))
+    answer = session.limited("uname -m", _COMMAND_S)
+    kind = answer.out.strip()
+    if answer.code == 0 and kind != os.uname().machine:
+        text = "its processor is %s, this one is %s: what is built here does not run there" % (kind, os.uname().machine)
+        raise ssh.MachineError(red("processor", text, "clone the workspace there, at the same revision: ./maap build"))
     pattern = "".join("[%s]" % c if c in "[]()*+?{}|$." else c for c in str(root)) + "/.* [_]_name:="
     running = session.limited(_RUNNING % shlex.quote(pattern), _COMMAND_S)
     if running.code == 0:

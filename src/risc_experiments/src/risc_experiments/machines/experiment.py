@@ -3,7 +3,7 @@
 import os
 import posixpath
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import roslaunch
 from roslaunch.arg_dump import get_args
@@ -11,7 +11,7 @@ from roslaunch.core import RLException, is_machine_local
 
 from ardrone_autonomy.protocol import DEFAULT_ADDRESS
 
-_VIRTUAL_LAB = "virtual_lab"  # node types that begin so bring the vehicles of a launch file with them
+_VIRTUAL_LAB = "virtual_lab"  # node types that begin so bring the vehicles and the Cortex of a launch file with them
 _BAG_OPTIONS = "-O", "--output-name", "-o", "--output-prefix"  # of rosbag record
 
 
@@ -35,6 +35,7 @@ class Computer:
     nodes: int = 0  # how many run there
     joysticks: tuple = ()  # devices of its joy_nodes
     vehicles: tuple = ()  # addresses of the vehicles that its drivers fly
+    cortex: tuple = ()  # addresses of the Cortex hosts that its stream_markers asks
     bag_folder: str = ""  # of the bag that is recorded there; "" = none is, or the file's path is not absolute
     fleet: str = ""  # the fleet file, a path of this computer; "" = the launch file names none
 
@@ -61,6 +62,7 @@ class Experiment:
     path: str
     arguments: tuple  # "NAME:=VALUE"
     computers: tuple
+    cortex: tuple = ()  # addresses of the Cortex hosts that are asked, wherever the nodes run
 
     def only(self, names):
         """The same with some of its computers. Raises ExperimentError for a name that the file has not."""
@@ -68,7 +70,7 @@ class Experiment:
         unknown = [name for name in names if name not in known]
         if unknown:
             raise ExperimentError("%s has no machine %s: it has %s" % (self.path, unknown[0], ", ".join(known)))
-        return Experiment(self.path, self.arguments, tuple(c for c in self.computers if c.name in names))
+        return replace(self, computers=tuple(c for c in self.computers if c.name in names))
 
 
 def load_experiment(path, arguments=()):
@@ -93,7 +95,7 @@ def load_experiment(path, arguments=()):
                                   % (path, node.name, node.machine_name))  # fmt: skip
     fleet = loader.root_context.resolve_dict.get("arg", {}).get("fleet", "")
     computers = tuple(_computer(machine, config, fleet) for machine in machines.values())
-    return Experiment(str(path), tuple(arguments), computers)
+    return Experiment(str(path), tuple(arguments), computers, _cortex(config, config.nodes))
 
 
 def default_addresses(path):
@@ -117,9 +119,8 @@ def _computer(machine, config, fleet):
         local = is_machine_local(machine)
     except RLException:
         unresolved = machine.address
-    with_lab = any(node.type.startswith(_VIRTUAL_LAB) for node in config.nodes)
     joysticks = [_value(config, node, "dev") for node in nodes if node.type == "joy_node"]
-    drivers = [node for node in nodes if node.type == "ardrone_driver" and not with_lab]
+    drivers = [node for node in nodes if node.type == "ardrone_driver" and not _with_lab(config)]
     bags = [_bag_folder(node.args) for node in nodes if (node.package, node.type) == ("rosbag", "record")]
     return Computer(
         name=machine.name,
@@ -134,9 +135,21 @@ def _computer(machine, config, fleet):
         nodes=len(nodes),
         joysticks=tuple(dict.fromkeys(filter(None, joysticks))),
         vehicles=tuple(dict.fromkeys(_value(config, node, "drone_ip") or DEFAULT_ADDRESS for node in drivers)),
+        cortex=_cortex(config, nodes),
         bag_folder=next(filter(None, bags), ""),
         fleet=fleet,
     )
+
+
+def _with_lab(config):
+    """Whether the launch file starts the virtual lab: then vehicles and Cortex are there only when it runs."""
+    return any(node.type.startswith(_VIRTUAL_LAB) for node in config.nodes)
+
+
+def _cortex(config, nodes):
+    """The Cortex hosts that these nodes ask."""
+    readers = [node for node in nodes if node.type == "stream_markers" and not _with_lab(config)]
+    return tuple(dict.fromkeys(filter(None, (_value(config, node, "host") for node in readers))))
 
 
 def _value(config, node, name):

@@ -34,14 +34,18 @@ _READ = """
 set -- $SSH_CONNECTION;
 $sudo $sshd -T -C "user=$(id -un),host=$1,addr=$1,laddr=$3,lport=$4"
 """
-# As root: write the file and let the listener read it (the HUP is what `systemctl reload ssh` sends). Sessions that are
-# open stay open. As that does, ask sshd first: with a mistake elsewhere in its settings, the listener would end, and
-# nobody could log in.
+# As root: let the listener read its files (the HUP is what `systemctl reload ssh` sends). Sessions that are open stay
+# open. As that does, ask sshd first: with a mistake in its settings, the listener would end, and nobody could log in.
+_RELOAD = """
+$sudo $sshd -t || { $undo; exit 1; };
+[ -z "$listener" ] || $sudo kill -HUP "$listener"
+"""
+_READ_AGAIN = "undo=:;" + _RELOAD
 _WRITE = """
 set -e;
-printf '{text}' | $sudo tee {file} >/dev/null;
-$sudo $sshd -t || {{ $sudo rm {file}; exit 1; }};
-[ -z "$listener" ] || $sudo kill -HUP "$listener"
+undo=:;
+[ -e %s ] || undo="$sudo rm %s";
+printf '%s' | $sudo tee %s >/dev/null;
 """
 
 
@@ -52,12 +56,16 @@ def check(session):
 
 
 def write(session):
-    """Write the settings when they are missing and the login may. Returns the Finding."""
+    """Write the settings when they are missing, and have them read, where the login may. Returns the Finding."""
     well, ill = _look(session)
-    if well:
-        return green("keep-alive", well)
     text = TEXT.replace("\n", "\\n")
-    answer = _run(session, _WRITE.format(text=text, file=FILE))
+    if well:  # by the files; whoever wrote them may have been cut off before sshd was told
+        answer = _run(session, _READ_AGAIN)
+        if answer.code in (0, _NOT_ROOT):
+            return green("keep-alive", well)
+        ill = well + ", but could not be told to read its settings"
+    else:
+        answer = _run(session, _WRITE % (FILE, FILE, text, FILE) + _RELOAD)
     if answer.code == 0:
         well, ill = _look(session)
         if well:
@@ -83,7 +91,9 @@ def _look(session):
         limit_s = int(settings["clientaliveinterval"]) * int(settings["clientalivecountmax"])
     except (KeyError, ValueError):
         return "", "sshd there cannot be asked for its settings: %s" % answer.reason()
-    return ("sshd there ends dead connections after %d s" % limit_s, "") if 0 < limit_s <= _SOON_S else ("", _ILL)
+    if not 0 < limit_s <= _SOON_S:
+        return "", _ILL
+    return "sshd there is set to end dead connections after %d s" % limit_s, ""
 
 
 def _run(session, script):

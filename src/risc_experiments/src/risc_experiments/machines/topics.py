@@ -11,6 +11,7 @@ import tempfile
 import time
 
 from risc_experiments.findings import green, red
+from risc_experiments.machines import workspace
 from risc_experiments.machines.echo import trouble_with
 
 _TALK_S = 6.0  # for the first message; a second is usual
@@ -71,7 +72,7 @@ def check(session, master, here, number):
         answer = session.loaded(["python", "-m", _ECHO, theirs, ours, str(_TALK_S)], _TALK_S + _START_S, uri)
         there = outcome(answer.out)
         if there is None:
-            return [red("topics", "the test program does not run there: " + answer.reason(), "./maap machines deploy")]
+            return [red("topics", "the test program does not run there: " + answer.reason(), workspace.CURE)]
         if there.get("heard") and there.get("answered"):
             return judge(session.computer, uri, there, {"heard": True})
         near.terminate()

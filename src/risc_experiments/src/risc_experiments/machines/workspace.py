@@ -14,6 +14,8 @@ import sys
 from risc_experiments.findings import green, red, yellow
 from risc_experiments.flight_record import revision
 
+# of programs that do not run there: the files are others, or Debian packages are missing
+CURE = "./maap machines deploy, or ./maap setup on that computer"
 DEPLOYED = ".deployed"  # what `machines deploy` leaves there: JSON with revision, hash, time, from
 _PARTS = "src", "launch", "devel", "install", "maap", "requirements.txt", ".venv/.requirements"
 _BUILT = "devel/", "install/"
