@@ -12,10 +12,32 @@ import yaml
 from flying import finish, fly, judged, left_behind, start, try_to_fly, wait_for_line
 
 from data_extraction.bags import Bag
+from data_extraction.flatten import seconds
 from data_extraction.report.origin import parameter_hash
 
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
 HELD_UP_MS = 45.0  # an estimator that was held up for longer passes frames over (queue_frames)
+
+
+def frames_without_states(path):
+    """(frames that an estimator that was held up passed over (queue_frames), as it says itself; frames of those seconds
+    that have no states in the bag).
+
+    It says so once a second: what it passed over after the last time is in neither number.
+    """
+    frames_s, states_s, told = set(), set(), []
+    with Bag(path) as bag:
+        for topic, _, message in bag.messages(["/mocap_data", "/cortex_raw", "/diagnostics"]):
+            stamp_s = seconds(message.header.stamp)
+            if topic == "/diagnostics":
+                values = [value for status in message.status for value in status.values]
+                told += [(stamp_s, int(v.value)) for v in values if v.key == "frames passed over"]
+            else:
+                (frames_s if topic == "/mocap_data" else states_s).add(stamp_s)
+    assert len(told) > 10
+    told_s, passed_over = told[-1]
+    known_s = min(told_s - 0.5, max(states_s))  # what is passed over is noticed with the next frame that is not
+    return passed_over, sum(min(states_s) < stamp_s < known_s for stamp_s in frames_s - states_s)
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +73,8 @@ def test_every_frame_is_received_and_estimated(circles):
     assert mocap["frames_received"] == mocap["frames_sent"]
     missing = mocap["frames_received"] - mocap["frames_estimated"]
     assert missing == 0 or (held_up_ms > HELD_UP_MS and missing < 0.02 * mocap["frames_sent"])
+    told, without_states = frames_without_states(circles[2]["artefacts"]["bag"])
+    assert without_states <= told
     assert mocap["rate_hz"] == pytest.approx(200.0, abs=0.2)
 
 

@@ -103,10 +103,10 @@ class StatesEstimationNode(object):
             status.summary(DiagnosticStatus.ERROR, "no mocap frames")
         elif new_refused:
             status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new_refused)
-        elif new_passed_over:
-            status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new_passed_over)
         elif visible < known:
             status.summary(DiagnosticStatus.WARN, "%d of %d vehicles visible" % (visible, known))
+        elif new_passed_over:
+            status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new_passed_over)
         elif unknown:
             status.summary(DiagnosticStatus.WARN, "bodies without a template: " + ", ".join(sorted(unknown)))
         else:
