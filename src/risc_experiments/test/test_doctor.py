@@ -627,12 +627,12 @@ def test_what_another_computer_asks_for_comes_as_one_line_of_json(tmp_path):
     start = time.monotonic()
     code, out, complaints = doctor(
         *("--json", "--only", "workspace,disk,joystick,clock,drone", "--joystick", "/dev/null"),
-        *("--drone", "127.250.1.1", "--bag-folder", tmp_path),
+        *("--drone", "127.251.1.1", "--bag-folder", tmp_path),
     )
     assert code == 1 and not complaints and len(out.splitlines()) == 1
     found = {(item["check"], item["level"]): item for item in json.loads(out)}
     assert {check for check, _ in found} == {"workspace", "disk", "joystick", "clock", "vehicles"} <= set(CHECKS)
-    assert "127.250.1.1" in found["vehicles", RED]["text"] and ("joystick", RED) in found
+    assert "127.251.1.1" in found["vehicles", RED]["text"] and ("joystick", RED) in found
     assert set(found["workspace", GREEN]["data"]) == {"path", "revision", "content"}
     assert found["disk", GREEN]["data"]["speed_mb_s"] > 0.0
     assert time.monotonic() - start < 60.0, "hangs"

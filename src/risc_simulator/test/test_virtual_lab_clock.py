@@ -15,7 +15,7 @@ TAKE_OFF = 290718208
 
 
 def make_fleet(rate_hz=200.0):
-    net = "127.%d" % random.SystemRandom().randint(100, 250)  # that no other test run uses
+    net = "127.%d" % random.SystemRandom().randint(180, 199)  # a range of this file: tests may run side by side
     vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", net + ".1.1", "", (0.5, 0.0, 0.0), 0.0)
     return Fleet("one", MocapEndpoint(net + ".0.1", stream_port=21001, rate_hz=rate_hz), (vehicle,), ())
 

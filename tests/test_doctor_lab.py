@@ -28,7 +28,7 @@ from risc_simulator.cortex_host import CortexHost
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.virtual_lab import VirtualLab
 
-ROOT = pathlib.Path(__file__).resolve().parents[3]
+ROOT = pathlib.Path(__file__).resolve().parents[1]
 PATIENCE_S = 40.0
 
 
