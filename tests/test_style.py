@@ -9,7 +9,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 BIN = pathlib.Path(sys.executable).parent
-PYTHON = ["src", "tests"]
+PYTHON = ["src", "tests", "conftest.py"]
 CPP = sorted(
     str(path) for suffix in ("*.cpp", "*.hpp") for path in (ROOT / "src").rglob(suffix) if "golden" not in path.parts
 )

@@ -25,7 +25,7 @@ def polynomial(coefficients, stamps_s, origin_s):
     return values, np.polynomial.polynomial.polyval(u[-1], derivative)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, derandomize=True)
 @given(order=st.integers(1, 4), seed=st.integers(0, 10**6), jitter=st.floats(0.0, 0.4))
 def test_exact_on_polynomials_at_irregular_stamps(order, seed, jitter):
     rng = np.random.default_rng(seed)

@@ -104,7 +104,7 @@ def test_every_yaw_with_exactly_zero_roll_and_pitch(yaw_deg):
     assert state[S.U : S.PHI] == pytest.approx([0, 0, 0], abs=1e-6)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(
     x=st.floats(-2.0, 2.0),
     y=st.floats(-1.7, 1.7),
@@ -397,7 +397,7 @@ def test_more_and_fewer_markers_than_the_template():
         assert not feed(StatesEstimator(TEMPLATES), [{"fluffy_II": few}] * 60)[-1].visible.any()
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(seed=st.integers(0, 10**6))
 def test_no_frame_whatsoever_raises_or_yields_nan(seed):
     rng = np.random.default_rng(seed)

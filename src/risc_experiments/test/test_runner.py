@@ -100,7 +100,15 @@ def test_reservations_do_not_share_a_subnet():
 
 
 def test_free_port_is_free():
-    assert 1024 < free_tcp_port() < 65536
+    ports = {free_tcp_port() for _ in range(20)}
+    assert len(ports) > 10, "those who ask at the same time get different ones"
+    first_of_the_kernel = int(pathlib.Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    assert min(ports) > 1024 and (max(ports) < first_of_the_kernel or first_of_the_kernel < 30000)
+    taken = ports.pop()
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", taken))
+        assert free_tcp_port(taken) != taken
+    assert free_tcp_port(taken) == taken
 
 
 class Terminal(io.StringIO):

@@ -369,7 +369,7 @@ def test_out_of_range_sticks_are_clipped(fake_lab):
     assert setpoint.yaw_rate_rad_s == pytest.approx(1.745329)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.lists(
         st.one_of(

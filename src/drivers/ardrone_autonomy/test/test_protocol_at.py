@@ -174,7 +174,7 @@ def test_sequence_counter_starts_at_one():
     assert counter.next() == 1
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(
     st.one_of(
         st.binary(max_size=200),
@@ -201,7 +201,7 @@ _ARGUMENTS = {
 }
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.data())
 def test_round_trip(data):
     name = data.draw(st.sampled_from(sorted(at.SIGNATURES)))

@@ -208,7 +208,7 @@ def test_a_size_that_would_eat_the_memory_is_refused():
     assert decoder.errors == 1
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 29), st.integers(0, 400), st.binary(max_size=60)), max_size=10))
 @example([(0, 23, b"*\x91")])  # parameters that make a decoder hold eight pictures back
 @example([(0, 23, b"*$")])

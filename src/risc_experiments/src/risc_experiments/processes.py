@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pathlib
+import random
 import signal
 import socket
 import subprocess
@@ -10,6 +11,8 @@ import time
 import uuid
 
 MARK = "RISC_MAAP_FLIGHT"  # every process of a flight carries its identity in this environment variable
+_PORTS = range(15000, 30000)  # of TCP, for masters and pages
+_ATTEMPTS = 50  # to find one that is free
 
 
 class PortReservation:
@@ -39,9 +42,12 @@ class PortReservation:
         self._guard.close()
 
 
-def free_tcp_port(preferred=0):
-    """A TCP port on 127.0.0.1 that nobody listens on: the preferred one, unless it is taken."""
-    for port in (preferred, 0):
+def free_tcp_port(*preferred):
+    """A TCP port on 127.0.0.1 that nobody listens on: the preferred one, unless it is taken.
+
+    It is none of those that Linux gives to whoever asks for any, so it is free still when its user comes.
+    """
+    for port in (*preferred, *random.sample(_PORTS, _ATTEMPTS)):
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
             return probe.getsockname()[1]
