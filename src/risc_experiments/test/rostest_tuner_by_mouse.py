@@ -17,7 +17,7 @@ import rostest
 import tf2_ros
 import yaml
 from scipy.spatial.transform import Rotation
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from risc_control.camera import rotation_camera_to_body
 from risc_control.frames import rotation_body_to_cortex
@@ -77,24 +77,19 @@ class TunerByMouseTest(unittest.TestCase):
         cls.pilot = threading.Thread(target=cls.fly)
         cls.pilot.start()
         cls.addClassCleanup(cls.end_flight)
-        cls.config = load_config(package_file("risc_visual", "config/Trans_tuner.rviz"))
-        current = dict(saved_view(cls.config), **VIEW)
+        config = load_config(package_file("risc_visual", "config/Trans_tuner.rviz"))
+        current = dict(saved_view(config), **VIEW)
         cls.view = orbit_view_from_dict(current)
         cls.folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(cls.folder.cleanup)
         path = pathlib.Path(cls.folder.name) / "tuner.rviz"
-        path.write_text(yaml.safe_dump(picture_config(cls.config, current, *SIZE, RVIZ_HZ)), encoding="utf-8")
-        cls.rviz = ["rviz", "--splash-screen", "", "--fullscreen", "--display-config", str(path), "__name:=rviz"]
-        cls.open_rviz()
-        cls.until(cls.hovering.is_set, "the end of the flight")
-
-    @classmethod
-    def open_rviz(cls):
+        path.write_text(yaml.safe_dump(picture_config(config, current, *SIZE, RVIZ_HZ)), encoding="utf-8")
         cls.screen = VirtualScreen(*SIZE)
         cls.addClassCleanup(cls.screen.close)
-        cls.screen.start(cls.rviz)
-        wanted = {*marker_topics(cls.config), "/transform_tuner/update"}
+        cls.screen.start(["rviz", "--splash-screen", "", "--fullscreen", "--display-config", str(path), "__name:=rviz"])
+        wanted = {*marker_topics(config), "/transform_tuner/update"}
         cls.until(lambda: wanted <= cls.heard_by_rviz(), "rviz with its displays")
+        cls.until(cls.hovering.is_set, "the end of the flight")
 
     @classmethod
     def end_flight(cls):
@@ -197,26 +192,6 @@ class TunerByMouseTest(unittest.TestCase):
     def sees_rays(self):
         return all(mask.sum() > 300 for mask in self.coloured().values())
 
-    def wait_for_rays(self):
-        """An rviz that draws nothing of what it is sent, seen once, is started again: that is no fault of ours."""
-        try:
-            self.until(self.sees_rays, "rays")
-        except AssertionError as error:
-            if not self.rays_are_sent():
-                raise
-            rospy.logwarn("rviz draws nothing of what it is sent: %s", error)
-            self.screen.close()
-            self.open_rviz()
-            self.until(self.sees_rays, "rays")
-
-    def rays_are_sent(self):
-        """Whether the rays of this moment are on the wire, and the frame that they are drawn in."""
-        sent = rospy.wait_for_message("/angle_lines", MarkerArray, PATIENCE_S).markers
-        rays = [item for item in sent if item.action == Marker.ADD and len(item.points) > 1]
-        wait = rospy.Duration(PATIENCE_S)
-        placed = [self.frames.can_transform("cortex", item.header.frame_id, item.header.stamp, wait) for item in rays]
-        return len(placed) >= len(AHEAD) and all(placed)
-
     def ray_shares(self):
         """{landmark: share of the line from the camera's true place to the landmark that has its ray's colour}."""
         eye_m = np.add(HOVER_M, rotation_body_to_cortex(0.0, 0.0, 0.0) @ load_mount("risc1_mount.yaml").position_m)
@@ -284,7 +259,7 @@ class TunerByMouseTest(unittest.TestCase):
 
     def test_handles_and_menu(self):
         self.until(lambda: self.is_at(FRONT_MOUNT), "the nominal mount")
-        self.wait_for_rays()
+        self.until(self.sees_rays, "rays")
         self.assertLess(max(self.ray_shares().values()), 0.3, "the rays should miss the spheres")
         self.keep("tuner_before.png")
         middle, right = self.pixel_of((0.0, 0.0, 0.0)), self.pixel_of((0.0, HANDLE_M, 0.0))
