@@ -86,16 +86,17 @@ class ScriptedVideo(object):
     """Start with `with`. Films all the time, whether somebody is connected or not; attributes may be changed meanwhile.
 
     channel: function that returns 0 (front) or 1 (bottom), the camera that films.
+    alter: function of a picture with its header (bytes) that gives what is sent to the client instead.
     """
 
-    def __init__(self, address, channel=lambda: 0, header_bytes=68):
+    def __init__(self, address, channel=lambda: 0, header_bytes=68, alter=lambda data: data):
         self.address = address
         self.channel = channel
         self.header_bytes = header_bytes
         self.clients = 0  # that have connected so far
         self.silent = False  # True: films, but sends nothing
         self.noise = b""  # sent before the next picture
-        self.alter = lambda data: data  # function of a picture with its header, on its way to the client
+        self.alter = alter
         self.started_s = time.monotonic()  # when the clock of the headers read 0
         self._stop = threading.Event()
         self._alive = threading.Event()  # cleared: the port is closed

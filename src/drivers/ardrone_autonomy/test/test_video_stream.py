@@ -196,8 +196,7 @@ def test_damaged_pictures_are_hidden_and_counted(address):
                 picture[i] ^= 0x5A
         return bytes(picture)
 
-    with ScriptedVideo(address) as camera, Viewer(address) as viewer:
-        camera.alter = spoil
+    with ScriptedVideo(address, alter=spoil), Viewer(address) as viewer:
         wait_for(lambda: viewer.stream.decoder.errors >= 3)
         assert viewer.stream.connections == 1
         assert all(seen_channel(picture.rgb) == 0 for picture in viewer.pictures)
@@ -212,8 +211,7 @@ def test_another_codec_is_explained(address, monkeypatch):
     def as_p264(data):
         return data[:5] + bytes([Codec.P264]) + data[6:]
 
-    with ScriptedVideo(address) as camera, Viewer(address) as viewer:
-        camera.alter = as_p264
+    with ScriptedVideo(address, alter=as_p264) as camera, Viewer(address) as viewer:
         wait_for(lambda: viewer.stream.connections >= 2)
         assert ["video_codec" in text for text in viewer.texts("warn")] == [True]
         camera.alter = lambda data: data
@@ -222,8 +220,11 @@ def test_another_codec_is_explained(address, monkeypatch):
 
 def test_pictures_that_never_decode_lead_to_a_new_connection(address, monkeypatch):
     monkeypatch.setattr(video_stream, "UNUSABLE_S", 0.5)
-    with ScriptedVideo(address) as camera, Viewer(address) as viewer:
-        camera.alter = lambda data: data if parse_header(data).frame_type != FrameType.IDR else b""
+
+    def without_idr(data):
+        return data if parse_header(data).frame_type != FrameType.IDR else b""
+
+    with ScriptedVideo(address, alter=without_idr), Viewer(address) as viewer:
         wait_for(lambda: viewer.stream.connections >= 2)
         assert "no picture can be decoded" in viewer.texts("warn")[0]
         assert not viewer.pictures
