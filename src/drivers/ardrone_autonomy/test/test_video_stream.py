@@ -10,6 +10,7 @@ from scripted_video import PICTURES_PER_IDR, RATE_HZ, ScriptedVideo, bar_number,
 from ardrone_autonomy import video_stream
 from ardrone_autonomy.protocol import VIDEO_PORT
 from ardrone_autonomy.protocol.video import Codec, FrameType, StreamWriter, parse_header
+from ardrone_autonomy.video_clock import LEAST_STEP_S
 from ardrone_autonomy.video_stream import VideoStream
 
 LIMIT_S = 20.0
@@ -76,7 +77,9 @@ def test_pictures_arrive_one_by_one(address, header_bytes):
         assert following.header.frame_number == picture.header.frame_number + 1
         assert bar_number(following.rgb) == (bar_number(picture.rgb) + 1) % PICTURES_PER_IDR
         assert picture.received_s <= following.received_s
-        assert picture.exposure_s < following.exposure_s <= following.received_s - 0.05
+        assert picture.exposure_s <= following.exposure_s <= following.received_s - 0.05
+        if following.received_s - picture.received_s >= LEAST_STEP_S:  # not when a busy computer read both at once
+            assert picture.exposure_s < following.exposure_s
     assert pictures[0].received_s <= time.monotonic()
     stream = viewer.stream
     assert stream.shown == len(viewer.pictures)
