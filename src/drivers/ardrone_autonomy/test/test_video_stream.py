@@ -155,10 +155,10 @@ def test_a_cut_connection_is_opened_again(address):
 
 
 def test_a_silent_connection_is_given_up(address, monkeypatch):
-    monkeypatch.setattr(video_stream, "SILENCE_S", 0.4)
     with ScriptedVideo(address) as camera, Viewer(address) as viewer:
         viewer.wait_for_more()
         camera.silent = True
+        monkeypatch.setattr(video_stream, "SILENCE_S", 0.4)
         wait_for(lambda: viewer.stream.connections >= 3)
         assert viewer.texts("warn") == [text for text in viewer.texts("warn") if "nothing comes" in text][:1]
         camera.silent = False
