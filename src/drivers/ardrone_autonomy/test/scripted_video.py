@@ -133,7 +133,7 @@ class ScriptedVideo(object):
     def dead(self):
         """Inside, the connection is cut and the port is closed."""
         self._alive.clear()
-        while self._listener.fileno() >= 0:
+        while self._listener.fileno() >= 0 or self.has_client:
             time.sleep(0.001)
         yield
         self._alive.set()
@@ -172,8 +172,8 @@ class ScriptedVideo(object):
 
     def _serve(self, timeout_s):
         if not self._alive.is_set():
+            self._listener.close()  # before the client notices, and comes back
             self._drop()
-            self._listener.close()
             if not self._alive.wait(timeout_s):
                 return
         if self._listener.fileno() < 0:

@@ -30,6 +30,12 @@ def quick(monkeypatch):
 
 
 @pytest.fixture
+def patient(monkeypatch):
+    """Every picture is shown, also when a busy computer reads many at once."""
+    monkeypatch.setattr(video_stream, "MAX_BACKLOG", 1000)
+
+
+@pytest.fixture
 def address():
     return free_address()
 
@@ -66,7 +72,7 @@ class Viewer(object):
 
 
 @pytest.mark.parametrize("header_bytes", [64, 68])
-def test_pictures_arrive_one_by_one(address, header_bytes):
+def test_pictures_arrive_one_by_one(address, patient, header_bytes):
     with ScriptedVideo(address, header_bytes=header_bytes), Viewer(address, latency_s=0.05) as viewer:
         pictures = viewer.wait_for_more(25)
         assert viewer.stream.connected
@@ -87,7 +93,7 @@ def test_pictures_arrive_one_by_one(address, header_bytes):
     assert viewer.reports == [("info", "video from %s:%d" % (address, VIDEO_PORT))]
 
 
-def test_joining_in_the_middle_begins_with_an_idr(address):
+def test_joining_in_the_middle_begins_with_an_idr(address, patient):
     with ScriptedVideo(address) as camera:
         with Viewer(address, wanted=False) as viewer:
             for _ in range(3):  # at arbitrary places of the stream
@@ -160,7 +166,7 @@ def test_a_silent_connection_is_given_up(address, monkeypatch):
         camera.silent = True
         monkeypatch.setattr(video_stream, "SILENCE_S", 0.4)
         wait_for(lambda: viewer.stream.connections >= 3)
-        assert viewer.texts("warn") == [text for text in viewer.texts("warn") if "nothing comes" in text][:1]
+        assert ["nothing comes" in text for text in viewer.texts("warn")] == [True]
         camera.silent = False
         viewer.wait_for_more()
 
@@ -209,12 +215,12 @@ def test_damaged_pictures_are_hidden_and_counted(address):
 
 
 def test_another_codec_is_explained(address, monkeypatch):
-    monkeypatch.setattr(video_stream, "UNUSABLE_S", 0.5)
-
     def as_p264(data):
         return data[:5] + bytes([Codec.P264]) + data[6:]
 
     with ScriptedVideo(address, alter=as_p264) as camera, Viewer(address) as viewer:
+        wait_for(lambda: viewer.stream.decoder.foreign)
+        monkeypatch.setattr(video_stream, "UNUSABLE_S", 0.5)
         wait_for(lambda: viewer.stream.connections >= 2)
         assert ["video_codec" in text for text in viewer.texts("warn")] == [True]
         camera.alter = lambda data: data
