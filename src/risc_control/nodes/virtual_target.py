@@ -4,10 +4,10 @@
 import sys
 
 import rospy
-from sensor_msgs.msg import Joy
 from std_msgs.msg import Float64
 
 from risc_control.ros.controller_node import main
+from risc_control.ros.joystick_buttons import ButtonSubscriber
 from risc_control.ros.params import dataclass_from_params, number, vehicles
 from risc_control.ros.trajectory_node import ManagerWiring, ReferenceNode
 from risc_control.virtual_target import TargetParams, VirtualTarget
@@ -24,12 +24,10 @@ class VirtualTargetNode(ReferenceNode):
         button = number("~chase_button", 1)
         if button < 0 or button != int(button):
             raise ValueError("parameter ~chase_button must be a button, counted from 0, got %r" % button)
-        self._button = int(button)
-        self._held = True  # held at the start is no press
         self._chasing = False
         self._speed_publisher = rospy.Publisher("target_velocity", Float64, queue_size=1, tcp_nodelay=True)
         super().__init__(wiring)
-        rospy.Subscriber("joy", Joy, self._on_joy, queue_size=10)
+        ButtonSubscriber((int(button),), self._on_press)
 
     def _sampled(self, time_s):
         self._speed_publisher.publish(self._target.target_speed_m_s(time_s))
@@ -37,17 +35,14 @@ class VirtualTargetNode(ReferenceNode):
             self._chasing = self._target.chasing
             self.wiring.announce(self._target.target if self._chasing else self._target.course)
 
-    def _on_joy(self, message):
-        pressed = self._button < len(message.buttons) and bool(message.buttons[self._button])
-        if pressed and not self._held:
-            with self.wiring.lock:
-                will = self._target.let_go(rospy.get_time())
-            rospy.loginfo(
-                "the target is let go as soon as the vehicle waits for it"
-                if will
-                else "the target is not let go: it runs already, or the vehicle is not on its way to where it waits"
-            )
-        self._held = pressed
+    def _on_press(self, _buttons):
+        with self.wiring.lock:
+            will = self._target.let_go(rospy.get_time())
+        rospy.loginfo(
+            "the target is let go as soon as the vehicle waits for it"
+            if will
+            else "the target is not let go: it runs already, or the vehicle is not on its way to where it waits"
+        )
 
 
 if __name__ == "__main__":

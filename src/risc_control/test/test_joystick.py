@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from risc_control.joystick import Button, Joystick, JoystickParams, Sticks, parse_bool
+from risc_control.joystick import LATE_S, Button, ButtonPresses, Joystick, JoystickParams, Sticks, parse_bool
 
 
 def buttons(*down, count=11):
@@ -116,3 +116,68 @@ def test_parse_bool(value, meaning):
 def test_parse_bool_refuses(value):
     with pytest.raises(ValueError, match="Simulation"):
         parse_bool(value, "Simulation")
+
+
+# --------------------------------------------------------------------------------- nodes that listen for a few buttons
+
+
+def test_a_button_counts_once_however_long_it_is_held():
+    presses = ButtonPresses((3, 5))
+    presses.update(buttons())
+    found = [presses.update(values).in_time for values in (buttons(3), buttons(3), buttons(3, 5, 0), buttons(), [0, 1])]
+    assert found == [{3}, set(), {5}, set(), set()]
+    assert presses.update(buttons(5, 3)).in_time == {3, 5}
+
+
+def test_a_button_that_is_down_in_the_first_message_of_a_sender_was_pressed():
+    presses = ButtonPresses((3,))
+    assert presses.update(buttons(3), sender="/operator").in_time == {3}
+    assert presses.update(buttons(3), sender="/joy_node").in_time == {3}
+
+
+def test_a_press_in_a_late_message_counts_neither_then_nor_while_it_is_held():
+    presses = ButtonPresses((3,))
+    presses.update(buttons(), 0.0, 0.01)
+    late = presses.update(buttons(3), 1.0, LATE_S + 0.1)
+    assert (late.in_time, late.late, late.age_s) == (set(), {3}, pytest.approx(LATE_S + 0.1))
+    held = presses.update(buttons(3), 1.1, 0.01)
+    assert (held.in_time, held.late) == (set(), set())
+    presses.update(buttons(), 1.2, 0.01)
+    assert presses.update(buttons(3), 1.3, LATE_S - 0.1).in_time == {3}
+
+
+def test_a_press_that_was_over_before_its_message_came_is_late():
+    """A burst that a network held up: nobody holds the button any more when it arrives."""
+    presses = ButtonPresses((3,))
+    presses.update(buttons(), 0.0, 0.01)
+    burst = [presses.update(values, 5.0, age_s) for values, age_s in ((buttons(3), 4.0), (buttons(), 3.9))]
+    assert [found.in_time for found in burst] == [set(), set()]
+
+
+def test_a_clock_that_is_ahead_hides_no_late_press():
+    presses = ButtonPresses((3,))
+    presses.update(buttons(), 0.0, -2.0)
+    assert presses.update(buttons(3), 1.0, -1.0).late == {3}
+
+
+def test_beside_a_sender_of_zeros_a_held_button_is_no_new_press():
+    presses = ButtonPresses((3,))
+    found = []
+    for k in range(5):
+        presses.update(buttons(), 0.1 * k, 0.0, "/operator")
+        found.append(presses.update(buttons(3) if k else buttons(), 0.1 * k, 0.0, "/joy_node").in_time)
+    assert found == [set(), {3}, set(), set(), set()]
+
+
+def test_without_a_limit_no_message_is_too_old():
+    presses = ButtonPresses((3,), math.inf)
+    presses.update(buttons())
+    assert presses.update(buttons(3), 1.0, 1e8).in_time == {3}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "late_s", "text"), [((-1,), 0.3, "index"), ((1.5,), 0.3, "index"), ((1,), 0.0, "joystick_late_s")]
+)
+def test_buttons_and_limits_that_make_no_sense_are_refused(wanted, late_s, text):
+    with pytest.raises(ValueError, match=text):
+        ButtonPresses(wanted, late_s)

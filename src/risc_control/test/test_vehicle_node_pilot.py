@@ -241,6 +241,33 @@ def test_of_two_joysticks_neither_makes_a_held_button_a_new_press(age_s):
     assert (lands, takeoffs) == (1, 0)
 
 
+def test_of_two_joysticks_the_larger_deflection_counts():
+    """A person's sticks beside a virtual operator, whose joystick says 30 times a second that its own are centred."""
+    desk = Desk(AxisRoll=0, AxisPitch=1).fly()
+    desk.pilot.on_joy([0] * 11, [0.5, -1.0] + [0.0] * 6, desk.now_s, 0.0, "/risc1/joy_node")
+    desk.pilot.on_joy([0] * 11, [-0.2] + [0.0] * 7, desk.now_s, 0.0, "/operator")
+    assert {sticks for _, sticks, _ in desk.run(0.2)} == {Sticks(-1.0, 0.5, 0.0, 0.0)}
+
+
+def test_without_a_timeout_a_dead_joysticks_deflection_ends_with_the_next_message_of_another():
+    desk = Desk(stick_timeout=0.0).fly()
+    desk.pilot.on_joy([int(k == UP) for k in range(11)], [0.0] * 8, desk.now_s, 0.0, "/risc1/joy_node")
+    assert {sticks.up for _, sticks, _ in desk.run(1.0)} == {1.0}
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, 0.0, "/operator")
+    assert {sticks.up for _, sticks, _ in desk.run(0.2)} == {0.0}
+
+
+def test_a_silent_joysticks_deflection_ends_while_another_goes_on():
+    desk = Desk(stick_timeout=0.5).fly()
+    desk.pilot.on_joy([int(k == UP) for k in range(11)], [0.0] * 8, desk.now_s, 0.0, "/risc1/joy_node")
+    ups, orders = [], len(desk.orders)
+    for _ in range(8):
+        desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, 0.0, "/operator")
+        ups.extend(sticks.up for _, sticks, _ in desk.run(0.1))
+    assert (ups[0], ups[-1]) == (1.0, 0.0)
+    assert "'/risc1/joy_node' silent for 0.5 s" in " ".join(texts(order) for _, order in desk.orders[orders:])
+
+
 def test_a_toggle_that_went_down_in_a_late_message_does_not_take_back_the_ladders_landing():
     desk = Desk().fly(autonomous=True)
     desk.alive = {"navdata"}

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from risc_msgs.msg import Controls, Cortex, States, Trajectories
 
-NODES = ("generic", "quadrants", "demo", "circle", "circles3", "knot")
+NODES = ("generic", "quadrants", "demo", "circle", "circles3", "target", "knot")
 NAMES = ("fluffy_II", "albatross")
 HOVER = {"fluffy_II": (0.8, 0.1, 0.9), "albatross": (-0.9, 0.0, 1.0)}
 RATE_HZ = 200.0
@@ -41,7 +41,8 @@ class Lab:
         self.controls = []
         self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
         self._status = [rospy.Publisher("/risc%d/controller_status" % k, Bool, queue_size=1) for k in (1, 2)]
-        self.joy = {node: rospy.Publisher("/%s/joy" % node, Joy, queue_size=10) for node in ("quadrants", "demo")}
+        listening = ("quadrants", "demo", "target")
+        self.joy = {node: rospy.Publisher("/%s/joy" % node, Joy, queue_size=10) for node in listening}
         for node in NODES:
             rospy.Subscriber("/%s/trajectory" % node, Trajectories, self.references[node].append, queue_size=100)
             rospy.Subscriber("/%s/trajectory_phase" % node, String, self._on_phase, callback_args=node)
@@ -89,11 +90,13 @@ class Lab:
         wait_for(lambda: references[-1].header.stamp > now, "%s publishes" % node)
         return {entry.name: entry for entry in references[-1].Obj}
 
-    def press(self, node, button):
+    def press(self, node, button, age_s=None):
+        """Press and release. age_s: how long ago the messages were sent, by their stamps; None: they have none."""
         for value in (0, 1, 0):
-            buttons = [0] * 11
-            buttons[button] = value
-            self.joy[node].publish(Joy(buttons=buttons))
+            joy = Joy(buttons=[value if k == button else 0 for k in range(11)])
+            if age_s is not None:
+                joy.header.stamp = rospy.Time.now() - rospy.Duration(age_s)
+            self.joy[node].publish(joy)
             time.sleep(0.05)
 
 
@@ -182,6 +185,11 @@ class TrajectoryNodeTest(unittest.TestCase):
             places = [(round(e.x, 6), round(e.y, 6)) for e in self.lab.newest("quadrants").values()]
             self.assertIn(corner, places)
             self.assertEqual(len(set(places)), 2, "the other vehicle stands in another quadrant")
+        self.lab.press("quadrants", 5, age_s=2.0)  # a network held it up: not obeyed, or the next leads elsewhere
+        self.lab.press("quadrants", 4)
+        names = ["origin", "quadrant 1", "quadrant 2", "quadrant 1", "origin"]
+        wait_for(lambda: self.lab.courses["quadrants"][-1] == names[-1], "the press that is in time counts")
+        self.assertEqual(self.lab.courses["quadrants"], names)
 
     def test_6_demo_is_controller_and_trajectory_in_one(self):
         self.lab.autonomous = True
@@ -205,6 +213,22 @@ class TrajectoryNodeTest(unittest.TestCase):
         self.assertAlmostEqual(math.hypot(entry.x, entry.y), 0.7, places=6)
         self.assertAlmostEqual(math.hypot(entry.xdot, entry.ydot), 0.7 * 2.0 * math.pi / 5.0, places=6)
         self.assertAlmostEqual(self.lab.newest("circles3")["albatross"].psidot, 2.0 * math.pi / 24.0, places=6)
+
+    def test_8_a_button_lets_the_target_go(self):
+        self.lab.autonomous = True
+        self.lab.wait_for_phase("target", "course")
+        self.lab.press("target", 1, age_s=2.0)  # a network held it up
+        stamp = rospy.Time.now()
+        wait_for(lambda: self.lab.references["target"][-1].header.stamp > stamp + rospy.Duration(0.5), "references")
+        self.assertEqual(self.lab.courses["target"], ["WP"])
+        self.lab.press("target", 1)
+        wait_for(lambda: self.lab.courses["target"] == ["WP", "NGC"], "the target is let go")
+        wait_for(lambda: math.hypot(*self.target_velocity()) > 0.1, "the target runs")
+        self.assertAlmostEqual(math.hypot(*self.target_velocity()), 0.2, places=3)
+
+    def target_velocity(self):
+        entry = self.lab.newest("target")["fluffy_II"]
+        return entry.xdot, entry.ydot
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 """The course's plots, live, or from the bag that is its argument. Wiring only; see risc_visual.df_plots, df_pages."""
 
 import contextlib
+import math
 import pathlib
 import sys
 import threading
@@ -13,12 +14,14 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
+from risc_control.joystick import ButtonPresses
+from risc_control.ros.joystick_buttons import origin
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import fleet_vehicles, load_params, number
 from risc_msgs.msg import Controls, Cortex, Trajectories
 from risc_visual import df_plots_bag
 from risc_visual.df_pages import PageWriter
-from risc_visual.df_plots import PLOT_BUTTON, ButtonEdge, PlotParams, Recorder
+from risc_visual.df_plots import PLOT_BUTTON, PlotParams, Recorder
 from risc_visual.ros.health import Health
 
 _LOOK_S = 0.2  # how often the main thread looks whether there is something to draw, or an end
@@ -32,6 +35,8 @@ class DFPlots:
         params = load_params(PlotParams)[0]
         if params.plot_button < 0:
             params = replace(params, plot_button=int(number("/plot_button", PLOT_BUTTON)))
+            if params.plot_button < 0:
+                raise ValueError("parameter /plot_button must be a button (0, 1, ...), found %d" % params.plot_button)
         if params.euler_angle_max < 0.0:
             params = replace(params, euler_angle_max=number("/euler_angle_max", params.euler_angle_max))
         self._params = params
@@ -46,7 +51,9 @@ class DFPlots:
         rospy.Service("~plot", Trigger, self._on_plot)
         joysticks = params.joysticks or ["joy"] + ["/%s/joy" % vehicle.namespace for vehicle in fleet]
         for topic in sorted(set(map(rospy.resolve_name, joysticks))):
-            rospy.Subscriber(topic, Joy, self._on_joy, ButtonEdge(params.plot_button), queue_size=10)
+            # Of any age: plots move nothing, and a bag that is played is old.
+            presses = ButtonPresses((params.plot_button,), math.inf)
+            rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10)
         rospy.Subscriber("/trajectory_phase", String, self._on_text, self._recorder.phases, queue_size=10)
         rospy.Subscriber("/trajectory_course", String, self._on_text, self._recorder.course, queue_size=10)
         rospy.Subscriber("/operator/phase", String, self._on_text, self._recorder.operator_phase, queue_size=10)
@@ -85,8 +92,8 @@ class DFPlots:
         with self._lock:
             take(rospy.get_time(), message.data)
 
-    def _on_joy(self, message, edge):
-        if edge.update(message.buttons):
+    def _on_joy(self, message, presses):
+        if presses.update(message.buttons, sender=origin(message)[1]).in_time:
             self._wanted.set()
 
     def _on_plot(self, _request):

@@ -24,7 +24,6 @@ from risc_visual.df_plots import (
     COLUMNS,
     DESIRED_POSITION,
     POSITION,
-    ButtonEdge,
     PlotParams,
     Recorder,
     full_scales_deg,
@@ -224,12 +223,6 @@ def test_a_long_flight_is_cut_and_old_segments_are_forgotten():
     segments = recorder.segments()
     assert [round(s.start_s - T0_S) for s in segments] == [16, 18]
     assert all(s.duration_s == pytest.approx(2.0, abs=0.05) for s in segments)
-
-
-def test_button_edges():
-    edge = ButtonEdge(3)
-    presses = [edge.update(buttons) for buttons in ([0, 0, 0, 1], [0, 0, 0, 1], [0, 0, 0], [1, 1, 1, 0], [0, 0, 0, 1])]
-    assert presses == [True, False, False, False, True]
 
 
 def test_parameters():

@@ -1,4 +1,4 @@
-"""Stepping through a list with two joystick buttons, by edge: the original's way of choosing a trajectory."""
+"""Stepping through a list with two joystick buttons: the original's way of choosing a trajectory."""
 
 NEXT_BUTTON, PREVIOUS_BUTTON = 5, 4
 
@@ -15,15 +15,15 @@ class BumperSelector:
             )
         self.index = 0
         self._count = count
-        self._buttons = (next_button, 1), (previous_button, -1)
-        self._held = {button: True for button, _ in self._buttons}  # held at the start is no press
+        self._steps = {next_button: 1, previous_button: -1}
 
-    def update(self, buttons):
-        """True when these button values (0 or 1 each) select another entry."""
+    @property
+    def buttons(self):
+        """The two buttons."""
+        return frozenset(self._steps)
+
+    def press(self, buttons):
+        """True when these buttons, pressed together, select another entry."""
         before = self.index
-        for button, step in self._buttons:
-            pressed = button < len(buttons) and bool(buttons[button])
-            if pressed and not self._held[button]:
-                self.index = (self.index + step) % self._count
-            self._held[button] = pressed
+        self.index = (self.index + sum(self._steps.get(button, 0) for button in buttons)) % self._count
         return self.index != before

@@ -5,8 +5,13 @@ The names and defaults of the parameters are those of the original release; hous
 
 import enum
 import math
-from collections import namedtuple
+from collections import defaultdict, namedtuple
 from dataclasses import dataclass, fields
+
+from risc_control.message_age import MessageAges
+
+LATE_S = 0.3  # [s] a joystick message older than this when it arrives is no word of the operator of now
+CLOCK_MEMORY_S = 2.0  # [s] after a joystick's clock was set back, its messages pass for late for one to two of these
 
 
 class Button(enum.Enum):
@@ -143,6 +148,44 @@ class Joystick:
             problems.append("axis %d (%s) of the joystick is not a finite number: taken as 0" % (index, name))
             return 0.0
         return _limit(axes[index] / scale)
+
+
+# Frozensets of the buttons that went down with a message in time and with a late one, and its age [s].
+Presses = namedtuple("Presses", "in_time late age_s")
+
+
+class ButtonPresses:
+    """When a few buttons go down, for nodes that listen for nothing else.
+
+    Down in the very first message counts, as in `Joystick`.
+    Every sender has edges and a clock of its own: beside a virtual operator, which sends all the time, a button that a
+    person holds would be a new press with every message.
+    """
+
+    def __init__(self, buttons, late_s=LATE_S):
+        """buttons: indices from 0.  late_s: limit of the age [s]; inf when no message is too old. Raises ValueError."""
+        self._buttons = frozenset(buttons)
+        for button in self._buttons:
+            if button < 0 or button != int(button):
+                raise ValueError("a joystick's button must be an index (0, 1, ...), found %r" % button)
+        if not late_s > 0.0:
+            raise ValueError("parameter joystick_late_s must be > 0, found %r" % late_s)
+        self._late_s = late_s
+        self._down = defaultdict(frozenset)
+        self._ages = defaultdict(lambda: MessageAges(CLOCK_MEMORY_S))
+
+    def update(self, values, now_s=0.0, age_s=0.0, sender=""):
+        """Presses of a message with these button values (0 or 1 each), as many as there happen to be.
+
+        now_s: of a clock that never steps. age_s: by the message's stamp [s]; 0 when it has none. sender: any key.
+        What goes down in a late message does not count when it is still down in one that is in time.
+        """
+        down = frozenset(button for button in self._buttons if button < len(values) and values[button])
+        pressed = down - self._down[sender]
+        self._down[sender] = down
+        age_s = self._ages[sender].corrected(age_s, now_s)
+        late = age_s > self._late_s
+        return Presses(frozenset() if late else pressed, pressed if late else frozenset(), age_s)
 
 
 def _limit(fraction):

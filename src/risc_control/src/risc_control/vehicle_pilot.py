@@ -10,7 +10,7 @@ from collections import defaultdict, deque, namedtuple
 from dataclasses import dataclass, field, fields
 from typing import Tuple
 
-from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks, parse_bool
+from risc_control.joystick import CENTRED, CLOCK_MEMORY_S, LATE_S, Button, Joystick, JoystickParams, Sticks, parse_bool
 from risc_control.mappings.ardrone import climb_rate_command
 from risc_control.message_age import MessageAges
 from risc_control.safety import Rung, SafetyLadder, SafetyLimits
@@ -36,7 +36,6 @@ class FlightState(enum.IntEnum):
 _TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _CLIMB_MEMORY_S = 2.0  # [s] climb commands that took effect longer ago answer no state that anybody acts on
-_JOY_MEMORY_S = 2.0  # [s] after a joystick's clock was set back, its messages pass for late for one to two of these
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
 
 
@@ -51,8 +50,8 @@ class PilotParams:
     command_rate_hz: float = 30.0  # [Hz] what the vehicle takes
     land_repeat_s: float = 0.2  # [s] how often a landing of the ladder is ordered
     takeoff_grace_s: float = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
-    stick_timeout: float = 0.5  # [s] no joystick message: sticks centred; 0 = off: the last deflection stays
-    joystick_late_s: float = 0.3  # [s] a joystick message older than this when it arrives is not obeyed
+    stick_timeout: float = 0.5  # [s] a joystick silent: its sticks centred; 0 = off: the last message stays
+    joystick_late_s: float = LATE_S  # [s] a joystick message older than this when it arrives is not obeyed
     hold_auto_hover: bool = True  # HOLD: True the vehicle's own position hold, False level without position hold
 
     def __post_init__(self):
@@ -64,6 +63,16 @@ class PilotParams:
         for name in ("takeoff_grace_s", "stick_timeout"):
             if _number(getattr(self, name), name) < 0.0:
                 raise ValueError("parameter %s must not be negative, found %r" % (name, getattr(self, name)))
+
+
+@dataclass
+class _Sender:
+    """One joystick, by the name of its node."""
+
+    joystick: Joystick
+    ages: MessageAges
+    sticks: Sticks = CENTRED
+    heard_s: float = -math.inf  # arrival of its newest message in time
 
 
 @dataclass(frozen=True)
@@ -223,16 +232,14 @@ class VehiclePilot:
     def __init__(self, params, vehicle_type, now_s):
         self._params = params.pilot
         self._type = vehicle_type
-        # By sender: a person's joystick beside a virtual operator has buttons and a clock of its own.
-        self._joysticks = defaultdict(lambda: (Joystick(params.joystick), MessageAges(_JOY_MEMORY_S)))
+        # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
+        self._joysticks = defaultdict(lambda: _Sender(Joystick(params.joystick), MessageAges(CLOCK_MEMORY_S)))
         self._joystick_names = params.joystick
         self.ladder = SafetyLadder(params.limits, now_s)
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
         self.airborne = self._params.Simulation  # may be in the air; simulators without navdata always fly
         self._takeoff_s = None  # when a take-off was ordered of which nothing was heard yet
-        self._sticks = CENTRED
-        self._joy_s = now_s  # arrival of the newest joystick message
         self._state = None
         self._state_s = 0.0  # when the state held [s]
         self._safety_text = None
@@ -256,17 +263,16 @@ class VehiclePilot:
         autonomous mode only.
         """
         orders = Orders()
-        joystick, ages = self._joysticks[sender]
-        age_s = ages.corrected(age_s, now_s)
+        source = self._joysticks[sender]
+        age_s = source.ages.corrected(age_s, now_s)
         late = age_s > self._params.joystick_late_s
-        joy = joystick.update(buttons, axes, late)
+        joy = source.joystick.update(buttons, axes, late)
         if late:
             text = "a joystick message came %.1f s late and is not obeyed: look at the network, and at the clocks"
             orders.log.append(("warn", text % age_s))
             return orders
         self.ladder.note_joystick(now_s)
-        self._joy_s = now_s
-        self._sticks = joy.sticks
+        source.sticks, source.heard_s = joy.sticks, now_s
         orders.log.extend(("warn", problem) for problem in joy.problems)
         down = joy.pressed | joy.belated
         if Button.EMERGENCY in down:
@@ -382,15 +388,26 @@ class VehiclePilot:
     def _centre_silent_sticks(self, orders, now_s):
         """A deflection holds only as long as the joystick repeats it: it may be unplugged, or its node dead."""
         limit_s = self._params.stick_timeout
-        if 0.0 < limit_s < now_s - self._joy_s and self._sticks != CENTRED:
-            self._sticks = CENTRED
-            orders.log.append(
-                (
-                    "warn",
-                    "joystick silent for %g s with its sticks deflected: taken as centred (joy_node must repeat: set "
-                    "its autorepeat_rate, e.g. 20)" % limit_s,
+        for name, source in self._joysticks.items():
+            if 0.0 < limit_s < now_s - source.heard_s and source.sticks != CENTRED:
+                source.sticks = CENTRED
+                orders.log.append(
+                    (
+                        "warn",
+                        "joystick '%s' silent for %g s with its sticks deflected: taken as centred (joy_node must "
+                        "repeat: set its autorepeat_rate, e.g. 20)" % (name, limit_s),
+                    )
                 )
-            )
+
+    def _sticks(self):
+        """What all joysticks together say: the larger deflection, so that none takes back what another commands.
+
+        Without stick_timeout a deflection may be that of a dead joystick: the newest message counts alone.
+        """
+        sources = list(self._joysticks.values())
+        if self._params.stick_timeout == 0.0:
+            sources = sorted(sources, key=lambda source: source.heard_s)[-1:]
+        return Sticks(*(max(axis, key=abs) for axis in zip(CENTRED, *(source.sticks for source in sources))))
 
     def _takeoff_or_land(self, orders, now_s, may_take_off):
         """The vehicle's own report decides, not what was pressed before (D-31); an old report decides nothing."""
@@ -483,7 +500,7 @@ class VehiclePilot:
         """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""
         holds = self.ladder.verdict.rung > Rung.OK
         orders.level_only = holds and not self._params.hold_auto_hover
-        self._send(CENTRED if holds else self._sticks, 0.0, orders, now_s)
+        self._send(CENTRED if holds else self._sticks(), 0.0, orders, now_s)
 
     def _send(self, sticks, stamp_s, orders, now_s):
         self._climb.sent(now_s, sticks.up * self._type.climb_max_m_s)

@@ -385,19 +385,3 @@ def _between(time_s, before, after, wrapped=None):
         turn = (last[wrapped] - first[wrapped] + 180.0) % 360.0 - 180.0
         values[wrapped] = (first[wrapped] + share * turn + 180.0) % 360.0 - 180.0
     return values
-
-
-class ButtonEdge:
-    """Tells when a button of one joystick goes down.
-
-    Down in the very first message counts: a joystick's node publishes on change, so that message often is the press.
-    """
-
-    def __init__(self, button):
-        self._button, self._down = button, False
-
-    def update(self, buttons):
-        """True when these button values (0 or 1 each) press it."""
-        before = self._down
-        self._down = self._button < len(buttons) and bool(buttons[self._button])
-        return self._down and not before

@@ -6,7 +6,6 @@ import threading
 
 import numpy as np
 import rospy
-from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger, TriggerResponse
 
@@ -14,6 +13,7 @@ from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
 from risc_control.joystick import parse_bool
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros.conversions import TrajectoriesMessage, states_from_msg
+from risc_control.ros.joystick_buttons import ButtonSubscriber
 from risc_control.ros.params import dataclass_from_params, has_private, number, private, vehicles
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.trajectories import (
@@ -176,10 +176,10 @@ class CourseSelector:
         self._bumpers = BumperSelector(
             len(courses), int(number("~next_button", NEXT_BUTTON)), int(number("~previous_button", PREVIOUS_BUTTON))
         )
-        rospy.Subscriber("joy", Joy, self._on_joy, queue_size=10)
+        ButtonSubscriber(self._bumpers.buttons, self._on_press)
 
-    def _on_joy(self, message):
-        if self._bumpers.update(message.buttons):
+    def _on_press(self, buttons):
+        if self._bumpers.press(buttons):
             course = self._courses[self._bumpers.index]
             rospy.loginfo("course %d of %d: %s", self._bumpers.index + 1, len(self._courses), course.name)
             self._wiring.set_course(course)

@@ -20,6 +20,7 @@ from risc_control.lab.fleet import fleet_from_dict
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
+from risc_control.ros.joystick_buttons import origin
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.safety import Rung
 from risc_control.vehicle_pilot import (
@@ -145,9 +146,7 @@ class VehicleNode:
             rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.vehicle, error))
 
     def _on_joy(self, message):
-        stamp_s = message.header.stamp.to_sec()
-        age_s = rospy.get_time() - stamp_s if stamp_s else 0.0
-        sender = message._connection_header.get("callerid", "")  # rospy has no public name for it
+        age_s, sender = origin(message)
         with self._lock:
             orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic(), age_s, sender)
             self._carry_out(orders)

@@ -1,0 +1,66 @@
+"""Joystick messages by sender and age, and the buttons that they press, for nodes that listen for a button or two."""
+
+import queue
+import threading
+import time
+import traceback
+
+import rospy
+from sensor_msgs.msg import Joy
+
+from risc_control.joystick import LATE_S, ButtonPresses
+from risc_control.ros.params import number
+
+
+def origin(message):
+    """(age [s], name of the node that sent it) of a message with a header; without a stamp it is as old as its arrival.
+
+    The age is by the clocks of two computers: `message_age.MessageAges` corrects it.
+    """
+    stamp_s = message.header.stamp.to_sec()
+    age_s = rospy.get_time() - stamp_s if stamp_s else 0.0
+    return age_s, message._connection_header.get("callerid", "")  # rospy has no public name for it
+
+
+class ButtonSubscriber:
+    """Calls back when buttons go down on `joy`. A press that comes later than ~joystick_late_s is told, not obeyed."""
+
+    def __init__(self, buttons, callback):
+        """buttons: indices from 0.  callback: takes the frozenset of those that one message presses, never empty.
+
+        Presses are worked off one after the other in a thread of their own: as long as the callback takes, messages
+        would wait, and look as if the network had held them up. Raises ValueError for a parameter or an index that
+        makes no sense.
+        """
+        self._judge = ButtonPresses(buttons, number("~joystick_late_s", LATE_S))
+        self._callback = callback
+        self._pressed = queue.SimpleQueue()
+        self._lock = threading.Lock()  # every sender has a thread of its own
+        # Every message: of a burst that a network held up, the first say that a press is old.
+        rospy.Subscriber("joy", Joy, self._on_joy, queue_size=None)
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _on_joy(self, message):
+        age_s, sender = origin(message)
+        with self._lock:
+            presses = self._judge.update(message.buttons, time.monotonic(), age_s, sender)
+            if presses.in_time:
+                self._pressed.put(presses.in_time)
+        if presses.late:
+            rospy.logwarn(
+                "a joystick button was pressed %.1f s ago and is not obeyed: look at the network, and at the clocks",
+                presses.age_s,
+            )
+
+    def _run(self):
+        while True:
+            buttons = self._pressed.get()
+            try:
+                self._callback(buttons)
+            except Exception as error:  # whatever it is, the next press must count
+                if rospy.core.is_shutdown_requested():
+                    return
+                rospy.logerr(
+                    "a joystick button had no effect, please report it (%s: %s)\n%s"
+                    % (type(error).__name__, error, traceback.format_exc())
+                )

@@ -1,0 +1,90 @@
+"""risc_control.ros.joystick_buttons without a master: what a slow callback must not change."""
+
+import threading
+
+import pytest
+import rospy
+from sensor_msgs.msg import Joy
+
+from risc_control.ros import joystick_buttons
+from risc_control.ros.joystick_buttons import ButtonSubscriber
+
+TIMEOUT_S = 30.0
+
+
+@pytest.fixture
+def desk(monkeypatch):
+    """ROS as far as the subscriber needs it: what it subscribes to, a clock that the test sets, what is logged."""
+
+    class Desk:
+        now_s = 1000.0
+        logged = []
+
+        def send(self, *down, sender="/joy_node", age_s=0.0):
+            """A message that arrives now."""
+            message = Joy(buttons=[int(k in down) for k in range(8)])
+            message.header.stamp = rospy.Time.from_sec(self.now_s - age_s)
+            message._connection_header = {"callerid": sender}
+            self.receive(message)
+
+    found = Desk()
+    found.logged = []
+    monkeypatch.setattr(joystick_buttons, "number", lambda name, default: default)
+    monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, callback, **_: setattr(found, "receive", callback))
+    monkeypatch.setattr(rospy, "get_time", lambda: found.now_s)
+    for level in ("logwarn", "logerr"):
+        monkeypatch.setattr(rospy, level, lambda text, *values: found.logged.append(text % values if values else text))
+    return found
+
+
+def test_a_press_counts_while_the_callback_is_busy_with_the_one_before(desk):
+    seen, busy, done, both = [], threading.Event(), threading.Event(), threading.Event()
+
+    def callback(buttons):
+        seen.append(buttons)
+        busy.set()
+        assert done.wait(TIMEOUT_S)
+        if len(seen) == 2:
+            both.set()
+
+    ButtonSubscriber((4, 5), callback)
+    desk.send(5)
+    assert busy.wait(TIMEOUT_S)
+    desk.send()
+    desk.send(4, 5)  # returns although the callback has not: nothing waits for it in the socket
+    done.set()
+    assert both.wait(TIMEOUT_S)
+    assert seen == [{5}, {4, 5}]
+    assert desk.logged == []
+
+
+def test_a_callback_that_fails_is_told_and_the_next_press_counts(desk):
+    worked = threading.Event()
+
+    def callback(buttons):
+        if 4 in buttons:
+            raise RuntimeError("no such course")
+        worked.set()
+
+    ButtonSubscriber((4, 5), callback)
+    desk.send(4)
+    desk.send(5)
+    assert worked.wait(TIMEOUT_S)
+    assert len(desk.logged) == 1
+    assert "RuntimeError: no such course" in desk.logged[0]
+
+
+def test_a_late_press_is_told_with_its_age_and_not_obeyed(desk):
+    seen, worked = [], threading.Event()
+
+    def callback(buttons):
+        seen.append(buttons)
+        worked.set()
+
+    ButtonSubscriber((4, 5), callback)
+    desk.send(4, age_s=2.0)
+    desk.send(5)
+    assert worked.wait(TIMEOUT_S)
+    assert seen == [{5}]
+    assert len(desk.logged) == 1
+    assert "pressed 2.0 s ago and is not obeyed" in desk.logged[0]
