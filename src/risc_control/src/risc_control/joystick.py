@@ -1,4 +1,4 @@
-"""What a joystick message means to a vehicle (Appendix C): buttons by edge, sticks in manual mode. No ROS.
+"""What a joystick message means (Appendix C): buttons by edge, sticks in manual mode, what is too late. No ROS.
 
 The names and defaults of the parameters are those of the original release; house names are used inside.
 """
