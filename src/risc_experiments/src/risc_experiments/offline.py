@@ -242,7 +242,11 @@ def main(argv=None):
     parser.add_argument("--ideal", action="store_true", help="the plant is exactly the nominal model")
     parser.add_argument("--gusts", action="store_true")
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
+    parser.add_argument("--compile", action="store_true", help="only compile what flies (see risc_control.compiled)")
     args = parser.parse_args(argv)
+    if args.compile:
+        fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
+        return 0
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
           "worst", "closest", "speed"))  # fmt: skip
     failed, rows = False, []

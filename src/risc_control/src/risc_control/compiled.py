@@ -1,0 +1,29 @@
+"""Compiled scalar code: what runs for every vehicle in every frame.
+
+A function under `@compiled` is plain Python on floats, arrays and records, in the words of the equations: a loop over
+vehicles with scalars inside. numba turns it into machine code, once: `./maap build` flies a second offline, which
+compiles everything, and the results are kept in __pycache__ beside the sources. Nothing is compiled in flight, since
+whatever uses such a function calls it once when it is made. With NUMBA_DISABLE_JIT=1 the same source runs as it stands:
+the tests compare the two.
+
+    VEHICLE = record(("phi_rad", float), ("theta_rad", float), ("velocity_m_s", float, (3,)))
+
+    @compiled
+    def tilt(vehicles, out_rad):
+        for i in range(len(vehicles)):
+            v = vehicles[i]
+            out_rad[i] = math.acos(math.cos(v.phi_rad) * math.cos(v.theta_rad))
+
+A call costs 0.15 us and 0.05 us an argument (arrays and records alike), so one call a frame for the whole fleet.
+"""
+
+import numba
+import numpy as np
+
+# Divisions by zero give inf or NaN, as in numpy; the arithmetic is that of Python to the last bit (no fastmath).
+compiled = numba.njit(cache=True, error_model="numpy")
+
+
+def record(*fields):
+    """dtype of an array of records: numpy fields (name, type[, shape]) that are read as attributes, r.name."""
+    return np.dtype((np.record, list(fields)))
