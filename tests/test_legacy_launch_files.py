@@ -129,7 +129,7 @@ FILES = {
     "controller": CONTROLLER,
     "waypoint": CONTROLLER,
     "cortex_way": CONTROLLER,
-    "controller_data": file(CONTROLLER, {"/bagger": "rosbag/record"}),
+    "controller_data": file(CONTROLLER, {"/bagger": "data_extraction/recorder"}),
     "old_controller": OLD_CONTROLLER,
     "controller_test": OLD_CONTROLLER,
     "joyway": file(flight(), trajectory("quadrants_traj.py"), LQR),

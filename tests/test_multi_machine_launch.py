@@ -20,7 +20,7 @@ BASE_STATION = {
     "/draw_risc_maap": "risc_visual/draw_risc_maap",
     "/draw_cortex": "risc_visual/draw_cortex",
     "/rviz": "risc_visual/open_rviz",  # rviz, at a low priority
-    "/bagger": "rosbag/record",
+    "/bagger": "data_extraction/recorder",
 }
 OURS = {"/draw_trajectories", "/risc1/ardrone/compress_images", "/risc2/ardrone/compress_images",
         "/risc3/ardrone/compress_images"}  # fmt: skip

@@ -189,6 +189,11 @@ class SlotClock:
         self._next_s = now_s + self._period_s if late_s > self._period_s else self._next_s + self._period_s
         return True
 
+    @property
+    def next_s(self):
+        """When the next slot begins that was not used."""
+        return self._next_s
+
     def restart(self, now_s):
         """A slot was used out of turn: the next one is a full period away."""
         self._next_s = now_s + self._period_s
@@ -379,6 +384,11 @@ class VehiclePilot:
         """True while the vehicle may be in the air and does not report that it lands."""
         obeys = self.flight_state == FlightState.LANDING and self.ladder.navdata_is_fresh(now_s)
         return self.airborne and not obeys
+
+    @property
+    def next_command_s(self):
+        """When a command of the controller is needed next [s]; infinite while somebody else flies."""
+        return self._slots.next_s if self.autonomous and not self._ended and self._takes_commands() else math.inf
 
     # --- what is decided ----------------------------------------------------------------------------------------
 

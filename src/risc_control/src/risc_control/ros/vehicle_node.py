@@ -1,4 +1,4 @@
-"""The vehicle node: joystick, safety and input mapping of one vehicle (`risc_controller.py`, `riscN_controller.py`).
+"""The vehicle node: joystick, safety and input mapping of one vehicle, or of several (`risc_controller.py`, ...).
 
 Wiring only: what is decided is decided in `vehicle_pilot`, `joystick` and `safety`.
 """
@@ -9,6 +9,7 @@ import threading
 import time
 import traceback
 
+import genpy
 import rospy
 from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import Joy
@@ -20,8 +21,10 @@ from risc_control.lab.fleet import fleet_from_dict
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
+from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays
 from risc_control.ros.joystick_buttons import origin
 from risc_control.ros.paced import PacedSubscriber
+from risc_control.ros.ticker import Ticker
 from risc_control.safety import Rung
 from risc_control.vehicle_pilot import (
     OwnControl,
@@ -31,7 +34,6 @@ from risc_control.vehicle_pilot import (
     choose_vehicle,
     params_from_dict,
 )
-from risc_msgs.msg import Controls, Cortex
 
 _RAD_PER_DEG = 0.017453292519943295
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
@@ -40,110 +42,225 @@ _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
-_OWN_KEYS = ("vehicle", "type", "diagnostic_period")
+_OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
 
 
 class VehicleNode:
-    """joy, navdata, /cortex_raw, /controls, service land -> cmd_vel, take-off, land, reset of one vehicle.
+    """joy, navdata, /cortex_raw, /controls, service land -> cmd_vel, take-off, land, reset of its vehicles.
 
     namespace: "" = relative names, for a node started inside its vehicle's group; "risc1" = the absolute names
-    /risc1/..., as the riscN_controller.py of the original release.
+    /risc1/..., as the riscN_controller.py of the original release. With ~vehicles, a list of namespaces of /fleet, the
+    node is for all of them, on the absolute names of each; all have the node's parameters.
     """
 
     def __init__(self, namespace=""):
-        group = namespace or rospy.get_namespace().strip("/").split("/")[-1]
-        params, unknown = params_from_dict(
-            {name: value for name, value in rospy.get_param("~", {}).items() if name not in _OWN_KEYS}
-        )
+        values = rospy.get_param("~", {})
+        params, unknown = params_from_dict({name: value for name, value in values.items() if name not in _OWN_KEYS})
         for name in unknown:
-            rospy.logwarn("%s: parameter ~%s means nothing to this node: is it misspelt?", group, name)
+            rospy.logwarn("parameter ~%s means nothing to this node: is it misspelt?", name)
         fleet = rospy.get_param("/fleet", None)
-        self.vehicle, kind = choose_vehicle(
-            rospy.get_param("~vehicle", ""), group, fleet and fleet_from_dict(fleet, "parameter /fleet")
+        fleet = fleet and fleet_from_dict(fleet, "parameter /fleet")
+        self._parameters = queue.Queue()  # (name, value): writing to the master must not hold up a callback
+        threading.Thread(target=self._write_parameters, daemon=True).start()
+        self._vehicles = [_Vehicle(*names, params, self._parameters) for names in _chosen(values, namespace, fleet)]
+        self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
+        self._controls, self._states = ControlsArrays(), CortexArrays()
+        self._answered = None  # the newest /controls that was looked at
+        self._newest = None
+        self._complete = {}  # {topic: names of its messages}, where all vehicles were found
+        self._answering = threading.Lock()
+        self._diagnostics = make_updater(", ".join(self._by_name))
+        for vehicle in self._vehicles:
+            self._diagnostics.add("vehicle " + vehicle.name, vehicle.diagnose)
+        self._tickers = ()
+        rospy.on_shutdown(self._on_shutdown)
+        for vehicle in self._vehicles:
+            vehicle.listen()
+        # Only the newest counts, and a backlog must not be worked off message by message.
+        rospy.Subscriber(
+            "/controls", ControlsArrays.Raw, self._guarded(self._on_controls), queue_size=1, tcp_nodelay=True
         )
-        kind = rospy.get_param("~type", kind)
+        # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
+        period_s = 1.0 / (_TICKS_PER_COMMAND * params.pilot.command_rate_hz)
+        PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), 1.0 / period_s)
+        self._tickers = (
+            Ticker(period_s, self._on_tick, "the vehicles' clock"),
+            Ticker(0.5, self._diagnostics.update, "the diagnostics"),
+        )
+
+    def _guarded(self, work):
+        """`work` as a callback of all vehicles that outlives an exception; autonomous ones land when it fails."""
+
+        def run(message):
+            try:
+                work(message)
+            except genpy.DeserializationError as error:  # silence is what the ladder knows how to deal with
+                rospy.logwarn_throttle(_ERROR_LOG_S, "a message is not understood: %s" % error)
+            except Exception as error:  # whatever it is, the next message must come
+                for vehicle in self._vehicles:
+                    vehicle.on_error(error)
+
+        return run
+
+    def _on_controls(self, message):
+        """Commands leave here when a vehicle takes one; what comes in between is looked at once a tick."""
+        self._newest = message
+        now_s = time.monotonic()
+        for vehicle in self._vehicles:
+            if now_s >= vehicle.next_command_s:
+                self._answer()
+                break
+
+    def _answer(self):
+        with self._answering:
+            message = self._newest
+            if message is self._answered:
+                return
+            self._answered = message
+            controls = self._controls.deserialize(message.buff)
+            stamp = controls.header.stamp
+            stamp_s, rows = stamp.to_sec(), controls.controls.tolist()
+            age_s = rospy.get_time() - stamp_s
+            for name, row in zip(controls.names, rows):
+                vehicle = self._by_name.get(name)
+                if vehicle is not None:
+                    vehicle.on_controls(OwnControl(*row), stamp, stamp_s, age_s)
+            self._tell_missing(
+                "/controls", controls.names, "is it in the controller's and the trajectory's list of vehicles?"
+            )
+
+    def _on_states(self, message):
+        states = self._states.deserialize(message.buff)
+        age_s = rospy.get_time() - states.header.stamp.to_sec()
+        for name, visible, row in zip(states.names, states.visible.tolist(), states.states.tolist()):
+            vehicle = self._by_name.get(name)
+            if vehicle is not None:
+                vehicle.on_state(visible, row, age_s)
+        self._tell_missing(
+            "/cortex_raw", states.names, "does the estimator know the template, and is the vehicle's name right?"
+        )
+
+    def _tell_missing(self, topic, names, cure):
+        """Vehicles are found by name (D-27); names: those of the message."""
+        if names is self._complete.get(topic):
+            return
+        missing = [name for name in self._by_name if name not in names]
+        if missing:
+            rospy.logwarn_throttle_identical(
+                5.0,
+                "%s has no '%s' (it has %s): %s" % (topic, "', '".join(missing), ", ".join(names) or "nobody", cure),
+            )
+        else:
+            self._complete[topic] = names
+
+    def _on_tick(self):
+        if self._newest is not None:
+            self._guarded(lambda _: self._answer())(None)
+        for vehicle in self._vehicles:
+            vehicle.on_tick()
+
+    def _write_parameters(self):
+        while True:
+            name, value = self._parameters.get()
+            try:
+                rospy.set_param(name, value)
+            except (OSError, rospy.ROSException) as error:
+                rospy.logwarn_throttle(10.0, "cannot set parameter %s: %s" % (name, error))
+
+    def _on_shutdown(self):
+        """Level, and land when in the air: the vehicles' last orders."""
+        for ticker in self._tickers:
+            ticker.stop()
+        land(self._vehicles)
+        time.sleep(_FLUSH_S)
+
+
+def land(vehicles):
+    """Give last orders until none of the vehicles may be in the air without reporting that it lands."""
+    for _ in range(_LAND_ROUNDS):
+        vehicles = [vehicle for vehicle in vehicles if not vehicle.last_orders()]
+        if not vehicles:
+            return
+        time.sleep(_LAND_ROUND_S)
+
+
+class _Vehicle:
+    """One vehicle of the node. Its trouble is its own: what fails here, fails for no other vehicle."""
+
+    def __init__(self, name, kind, prefix, is_alone, params, parameters):
+        """prefix: of its topics.  is_alone: its shut-down button ends the node.  parameters: queue of (name, value)."""
         if kind == "iris":
-            raise ValueError("%s is an IRIS+, which takes no cmd_vel: start its own node instead" % self.vehicle)
-        vehicle_type = load_vehicle_type(kind)
-        warning = check_full_scale(params, vehicle_type)
+            raise ValueError("%s is an IRIS+, which takes no cmd_vel: start its own node instead" % name)
+        self.name = name
+        self._params, self._type = params, load_vehicle_type(kind)
+        self._prefix, self._is_alone, self._parameters = prefix, is_alone, parameters
+        warning = check_full_scale(params, self._type)
         if warning:
-            rospy.logwarn("%s: %s", self.vehicle, warning)
-        self._pilot = VehiclePilot(params, vehicle_type, time.monotonic())
+            rospy.logwarn("%s: %s", name, warning)
+        self._pilot = VehiclePilot(params, self._type, time.monotonic())
         self._lock = threading.Lock()
         self._counts = dict.fromkeys(("states", "controls", "commands", "unseen", "errors"), 0)
         self._reported = dict(self._counts)
         self._reported_s = time.monotonic()
         self._error_land_s = 0.0  # when a landing was ordered because of an error
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
-        self._parameters = queue.Queue()  # (name, value): writing to the master must not hold up a callback
-        threading.Thread(target=self._write_parameters, daemon=True).start()
+        self._twist = TwistStamped()  # filled again and again
+        self._cmd_vel = self._publisher("cmd_vel", Twist)
+        self._cmd_vel_stamped = self._publisher("cmd_vel_stamped", TwistStamped)
+        self._takeoff = self._publisher("ardrone/takeoff", Empty)
+        self._land = self._publisher("ardrone/land", Empty)
+        self._reset = self._publisher("ardrone/reset", Empty)
+        self._status = self._publisher("controller_status", Bool)
+        self._safety = self._publisher("safety", String, latch=True)
 
-        def name(topic):
-            return "/%s/%s" % (namespace, topic) if namespace else topic
+    def _publisher(self, topic, message, **options):
+        return rospy.Publisher(self._prefix + topic, message, queue_size=10, tcp_nodelay=True, **options)
 
-        def publisher(topic, message, **options):
-            return rospy.Publisher(name(topic), message, tcp_nodelay=True, **dict({"queue_size": 10}, **options))
-
-        self._cmd_vel = publisher("cmd_vel", Twist)
-        self._cmd_vel_stamped = publisher("cmd_vel_stamped", TwistStamped)
-        self._takeoff = publisher("ardrone/takeoff", Empty)
-        self._land = publisher("ardrone/land", Empty)
-        self._reset = publisher("ardrone/reset", Empty)
-        self._status = publisher("controller_status", Bool)
-        self._safety = publisher("safety", String, latch=True)
-        self._diagnostics = make_updater(self.vehicle)
-        self._diagnostics.add("vehicle " + self.vehicle, self._diagnose)
-        self._timers = ()
-        rospy.on_shutdown(self._on_shutdown)
+    def listen(self):
+        """Begin: what arrives from now on counts."""
         # Every joystick message: of a burst that a network held up, the first say that a press is old.
         for topic, message, callback, queue_size in (
-            (name("joy"), Joy, self._on_joy, None),
-            (name("ardrone/navdata"), Navdata, self._on_navdata, 10),
+            ("joy", Joy, self._on_joy, None),
+            ("ardrone/navdata", Navdata, self._on_navdata, 10),
         ):
-            rospy.Subscriber(topic, message, self._guarded(callback), queue_size=queue_size, tcp_nodelay=True)
-        # Only the newest counts, and a backlog must not be worked off message by message.
-        rospy.Subscriber("/controls", Controls, self._guarded(self._on_controls), queue_size=1, tcp_nodelay=True)
-        # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
-        period_s = 1.0 / (_TICKS_PER_COMMAND * params.pilot.command_rate_hz)
-        self._states = PacedSubscriber("/cortex_raw", Cortex, self._guarded(self._on_states), 1.0 / period_s)
-        self._timers = (
-            rospy.Timer(rospy.Duration(period_s), self._guarded(self._on_tick), reset=True),
-            rospy.Timer(rospy.Duration(0.5), self._guarded(lambda _: self._diagnostics.update(), False), reset=True),
-        )
-        self._service = rospy.Service(name("land"), Trigger, self._on_land_request)
+            rospy.Subscriber(
+                self._prefix + topic, message, self._guarded(callback), queue_size=queue_size, tcp_nodelay=True
+            )
+        self._service = rospy.Service(self._prefix + "land", Trigger, self._on_land_request)
         topic = self._cmd_vel.resolved_name
-        rospy.loginfo("%s flies %s (%s), commands on %s", rospy.get_name(), self.vehicle, kind, topic)
+        rospy.loginfo("%s flies %s (%s), commands on %s", rospy.get_name(), self.name, self._type.name, topic)
 
-    def _guarded(self, work, flies=True):
-        """`work` as a callback that outlives an exception, which would end a timer and with it the ladder's clock.
+    @property
+    def next_command_s(self):
+        """When the vehicle takes the next command of the controller [s]; infinite while it takes none."""
+        return self._pilot.next_command_s
 
-        flies: the vehicle depends on it, so an autonomous one lands when it fails.
-        """
+    def _guarded(self, work):
+        """`work` as a callback that outlives an exception."""
 
-        def run(argument):
+        def run(*arguments):
             try:
-                work(argument)
-            except Exception as error:  # whatever it is, the next tick must come
-                if rospy.core.is_shutdown_requested():
-                    return  # topics are closed already; the last orders are those of _on_shutdown
-                self._counts["errors"] += 1
-                rospy.logerr_throttle(
-                    _ERROR_LOG_S,
-                    "%s: error in the vehicle node, please report it (%s: %s)\n%s"
-                    % (self.vehicle, type(error).__name__, error, traceback.format_exc()),
-                )
-                if flies:
-                    self._land_after_error(error)
+                work(*arguments)
+            except Exception as error:  # whatever it is, the next message must come
+                self.on_error(error)
 
         return run
 
-    def _land_after_error(self, error):
-        """An autonomous vehicle must not fly on with a node that fails; in manual mode its operator decides."""
+    def on_error(self, error):
+        """Something failed. An autonomous vehicle must not fly on with it; in manual mode its operator decides."""
+        if rospy.core.is_shutdown_requested():
+            return  # topics are closed already; the last orders are those of the shutdown
+        self._counts["errors"] += 1
+        rospy.logerr_throttle(
+            _ERROR_LOG_S,
+            "%s: error in the vehicle node, please report it (%s: %s)\n%s"
+            % (self.name, type(error).__name__, error, traceback.format_exc()),
+        )
         now_s = time.monotonic()
         if self._pilot.autonomous and now_s - self._error_land_s >= _ERROR_LAND_S:
             self._error_land_s = now_s
             self._land.publish()
-            rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.vehicle, error))
+            rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.name, error))
 
     def _on_joy(self, message):
         age_s, sender = origin(message)
@@ -158,41 +275,29 @@ class VehicleNode:
             self._carry_out(orders)
         self._report(orders)
 
-    def _own(self, message, topic, cure):
-        """Own entry of a message, by name (D-27); None and a warning when there is none."""
-        for entry in message.Obj:
-            if entry.name == self.vehicle:
-                return entry
-        names = ", ".join(entry.name for entry in message.Obj) or "nobody"
-        rospy.logwarn_throttle_identical(5.0, "%s has no '%s' (it has %s): %s" % (topic, self.vehicle, names, cure))
-        return None
-
-    def _on_states(self, message):
-        entry = self._own(message, "/cortex_raw", "does the estimator know the template, and is ~vehicle right?")
-        if entry is None:
-            return
-        if not entry.visible:
+    def on_state(self, visible, row, age_s):
+        """Its entry of /cortex_raw. row: the twelve numbers in the message's units; age_s: of the message [s]."""
+        if not visible:
             self._counts["unseen"] += 1
             return
-        position_m, velocity_m_s = (entry.x, entry.y, entry.z), (entry.u, entry.v, entry.w)
-        own = OwnState(position_m, velocity_m_s, entry.phi * _RAD_PER_DEG, entry.theta * _RAD_PER_DEG)
-        age_s = rospy.get_time() - message.header.stamp.to_sec()
-        with self._lock:
-            self._counts["states"] += 1
-            self._pilot.on_state(own, age_s, time.monotonic())
+        own = OwnState(row[:3], row[3:6], row[6] * _RAD_PER_DEG, row[7] * _RAD_PER_DEG)
+        try:
+            with self._lock:
+                self._counts["states"] += 1
+                self._pilot.on_state(own, age_s, time.monotonic())
+        except Exception as error:  # whatever it is, the other vehicles are no part of it
+            self.on_error(error)
 
-    def _on_controls(self, message):
-        entry = self._own(message, "/controls", "is it in the controller's and the trajectory's list of vehicles?")
-        if entry is None:
-            return
-        own = OwnControl(entry.phi, entry.theta, entry.psi, entry.T)
-        stamp_s = message.header.stamp.to_sec()
-        age_s = rospy.get_time() - stamp_s
-        with self._lock:
-            self._counts["controls"] += 1
-            orders = self._pilot.on_controls(own, stamp_s, age_s, time.monotonic())
-            self._carry_out(orders, message.header.stamp)
-        self._report(orders)
+    def on_controls(self, own, stamp, stamp_s, age_s):
+        """Its entry of /controls, an OwnControl, with the stamp of the message."""
+        try:
+            with self._lock:
+                self._counts["controls"] += 1
+                orders = self._pilot.on_controls(own, stamp_s, age_s, time.monotonic())
+                self._carry_out(orders, stamp)
+            self._report(orders)
+        except Exception as error:  # whatever it is, the other vehicles are no part of it
+            self.on_error(error)
 
     def _on_land_request(self, _request):
         with self._lock:
@@ -201,11 +306,21 @@ class VehicleNode:
         self._report(orders)
         return TriggerResponse(done, text)
 
-    def _on_tick(self, _event):
+    def on_tick(self):
+        """Twice for each command that the vehicle takes."""
+        try:
+            with self._lock:
+                orders = self._pilot.tick(time.monotonic())
+                self._carry_out(orders)
+            self._report(orders)
+        except Exception as error:  # whatever it is, the next tick must come
+            self.on_error(error)
+
+    def last_orders(self):
+        """Level and land, once. Returns whether that was enough."""
         with self._lock:
-            orders = self._pilot.tick(time.monotonic())
-            self._carry_out(orders)
-        self._report(orders)
+            self._carry_out(self._pilot.on_shutdown(time.monotonic()))
+            return not self._pilot.needs_landing(time.monotonic())
 
     def _carry_out(self, orders, stamp=None):
         """Publish what was ordered; inside the lock, so that an older command never overtakes a newer one."""
@@ -217,14 +332,16 @@ class VehicleNode:
             self._land.publish()
         if orders.command is not None:
             sticks, stamp_s = orders.command
-            twist = Twist()
+            stamped = self._twist
+            twist = stamped.twist
             twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z = sticks
             twist.angular.x = 1.0 if orders.level_only else 0.0  # any value but 0 keeps the driver from auto-hovering
             self._cmd_vel.publish(twist)
-            stamped = TwistStamped(twist=twist)
             if stamp_s and stamp is not None:
                 stamped.header.stamp = stamp
                 self._answer_max_s = max(self._answer_max_s, rospy.get_time() - stamp_s)
+            else:
+                stamped.header.stamp = rospy.Time()
             self._cmd_vel_stamped.publish(stamped)
             self._counts["commands"] += 1
         if orders.status is not None:
@@ -239,7 +356,7 @@ class VehicleNode:
         if orders.simulator_reset is not None:
             self._parameters.put(("/RESET", orders.simulator_reset))
         for level, text in orders.log:
-            text = "%s: %s" % (self.vehicle, text)
+            text = "%s: %s" % (self.name, text)
             if level == "info":
                 rospy.loginfo(text)
             elif level == "warn":
@@ -247,30 +364,18 @@ class VehicleNode:
             else:
                 rospy.logerr(text)
         if orders.shut_down:
-            threading.Thread(target=rospy.signal_shutdown, args=("shut-down button",), daemon=True).start()
+            end = (lambda: rospy.signal_shutdown("shut-down button")) if self._is_alone else self._begin_again
+            threading.Thread(target=end, daemon=True).start()
 
-    def _write_parameters(self):
-        while True:
-            name, value = self._parameters.get()
-            try:
-                rospy.set_param(name, value)
-            except (OSError, rospy.ROSException) as error:
-                rospy.logwarn_throttle(10.0, "cannot set parameter %s: %s" % (name, error))
+    def _begin_again(self):
+        """What the shut-down button means beside other vehicles: land, then be as a node that has just started."""
+        land([self])
+        with self._lock:
+            self._pilot = VehiclePilot(self._params, self._type, time.monotonic())
+        rospy.loginfo("%s: started again, in manual mode", self.name)
 
-    def _on_shutdown(self):
-        """Level, and land when in the air: the vehicle's last orders."""
-        for timer in self._timers:
-            timer.shutdown()
-        for _ in range(_LAND_ROUNDS):
-            with self._lock:
-                self._carry_out(self._pilot.on_shutdown(time.monotonic()))
-                landing = not self._pilot.needs_landing(time.monotonic())
-            if landing:
-                break
-            time.sleep(_LAND_ROUND_S)
-        time.sleep(_FLUSH_S)
-
-    def _diagnose(self, status):
+    def diagnose(self, status):
+        """A task of diagnostic_updater."""
         with self._lock:
             now_s = time.monotonic()
             elapsed_s = max(now_s - self._reported_s, 1e-3)
@@ -283,7 +388,7 @@ class VehicleNode:
             behind_s = pilot.ladder.state.clock_behind_s
             autonomous, flight_state = pilot.autonomous, pilot.flight_state
         status.summary({Rung.OK: 0, Rung.HOLD: 1, Rung.LAND: 2}[verdict.rung], verdict.text)
-        status.add("vehicle", self.vehicle)
+        status.add("vehicle", self.name)
         status.add("computer", socket.gethostname())
         status.add("mode", "autonomous" if autonomous else "manual")
         status.add("flight state (navdata)", "none yet" if flight_state is None else flight_state)
@@ -304,6 +409,27 @@ class VehicleNode:
             status.add(label + "age when it was ordered (ms)", "%.0f" % (1e3 * reaction.age_s))
             status.add(label + "reaction after the limit (ms)", "%.1f" % (1e3 * reaction.beyond_s))
         return status
+
+
+def _chosen(values, namespace, fleet):
+    """[(mocap template, type, prefix of the topics, whether it is the only one)] of the vehicles to fly.
+
+    values: private parameters.  fleet: Fleet or None.  Raises ValueError when it cannot be known.
+    """
+    wanted = values.get("vehicles", "")
+    if not wanted:
+        group = namespace or rospy.get_namespace().strip("/").split("/")[-1]
+        template, kind = choose_vehicle(values.get("vehicle", ""), group, fleet)
+        return [(template, values.get("type", kind), "/%s/" % namespace if namespace else "", True)]
+    names = wanted.split() if isinstance(wanted, str) else wanted
+    known = {vehicle.namespace: vehicle for vehicle in fleet.vehicles} if fleet is not None else {}
+    unknown = [name for name in names if name not in known]
+    if unknown or len(set(names)) < len(names):
+        raise ValueError(
+            "parameter ~vehicles must be namespaces of /fleet (%s), each once; found %s"
+            % (", ".join(known) or "there is none: load a fleet file", ", ".join(map(str, names)))
+        )
+    return [(known[name].template, known[name].type, "/%s/" % name, len(names) == 1) for name in names]
 
 
 def main(namespace=""):

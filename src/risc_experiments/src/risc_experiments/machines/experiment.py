@@ -112,6 +112,9 @@ def _check_arguments(path, arguments):
             raise ExperimentError("%s has no argument %s: it has %s" % (path, name, ", ".join(sorted(known))))
 
 
+_RECORDERS = {("data_extraction", "recorder"), ("rosbag", "record")}
+
+
 def _computer(machine, config, fleet):
     nodes = [node for node in config.nodes if node.machine_name == machine.name]
     local, unresolved = False, ""
@@ -121,7 +124,7 @@ def _computer(machine, config, fleet):
         unresolved = machine.address
     joysticks = [_value(config, node, "dev") for node in nodes if node.type == "joy_node"]
     drivers = [node for node in nodes if node.type == "ardrone_driver" and not _with_lab(config)]
-    bags = [_bag_folder(node.args) for node in nodes if (node.package, node.type) == ("rosbag", "record")]
+    bags = [_bag_folder(node.args) for node in nodes if (node.package, node.type) in _RECORDERS]
     return Computer(
         name=machine.name,
         address=machine.address,

@@ -1,0 +1,49 @@
+"""Periodic work at a fixed rate."""
+
+import threading
+import time
+import traceback
+
+import rospy
+
+_LOG_PERIOD_S = 2.0
+
+
+class Ticker:
+    """Calls `work` every period_s, in a thread of its own, on an absolute schedule of the monotonic clock.
+
+    A call that takes too long, or a computer that stands still, makes the next one late; those that were missed are
+    not made up for. An exception is logged and the next call comes all the same: rospy.Timer's thread ends with it.
+    """
+
+    def __init__(self, period_s, work, name="ticker"):
+        if not period_s > 0.0:
+            raise ValueError("a period must be > 0 s, got %r" % (period_s,))
+        self._period_s, self._work = period_s, work
+        self._over = threading.Event()
+        rospy.on_shutdown(self.stop)
+        threading.Thread(target=self._run, name=name, daemon=True).start()
+
+    def stop(self):
+        """No further call begins."""
+        self._over.set()
+
+    def _run(self):
+        next_s = time.monotonic()
+        while not self._over.is_set():
+            try:
+                self._work()
+            except Exception as error:  # whatever it is, the next tick must come
+                if rospy.core.is_shutdown_requested():
+                    return  # topics are closed already
+                rospy.logerr_throttle(
+                    _LOG_PERIOD_S,
+                    "%s failed, please report it (%s: %s)\n%s"
+                    % (threading.current_thread().name, type(error).__name__, error, traceback.format_exc()),
+                )
+            next_s += self._period_s
+            now_s = time.monotonic()
+            if next_s > now_s:
+                time.sleep(next_s - now_s)
+            elif next_s < now_s - self._period_s:
+                next_s = now_s
