@@ -14,10 +14,10 @@ from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.params import fleet_vehicles, load_params
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_estimation.ros.conversions import (
-    bodies_from_msg,
     cortex_from_estimate,
     header_for,
     landmarks_from_estimate,
+    markers_from_msg,
 )
 from risc_estimation.ros.params import NodeParams
 from risc_estimation.states import EstimatorParams, StatesEstimator
@@ -62,7 +62,7 @@ class StatesEstimationNode(object):
             if self._last_seq is not None:
                 self._passed_over += max(msg.header.seq - self._last_seq - 1, 0)
             self._last_seq = msg.header.seq
-            estimate = self._estimator.update(msg.header.stamp.to_sec(), bodies_from_msg(msg))
+            estimate = self._estimator.update(msg.header.stamp.to_sec(), *markers_from_msg(msg))
             self._last_receipt_s = time.monotonic()
             if estimate is None:
                 return

@@ -12,7 +12,7 @@ from std_msgs.msg import Header  # noqa: E402
 
 from risc_estimation.ros import conversions  # noqa: E402
 from risc_estimation.states import FrameEstimate  # noqa: E402
-from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers  # noqa: E402
+from risc_msgs.msg import Cortex, Mocap_data, Mocap_markers  # noqa: E402
 
 
 def over_the_wire(msg):
@@ -28,28 +28,20 @@ def estimate():
     )
 
 
-def test_bodies_round_trip():
-    bodies = {
-        "Raven": np.array([[1.0, 2.0, 3.0], [np.nan] * 3, [4.0, 5.0, 9999.999]]),
-        "empty": np.zeros((0, 3)),
-        "albatross": np.arange(6.0).reshape(2, 3),
-    }
-    back = conversions.bodies_from_msg(over_the_wire(conversions.bodies_to_msg(Header(), bodies)))
-    assert list(back) == list(bodies)
-    for name, markers in bodies.items():
-        np.testing.assert_array_equal(back[name].reshape(-1, 3), markers)
+def test_markers_round_trip():
+    layout = (("Raven", 3), ("empty", 0), ("albatross", 2), ("Raven", 1))
+    markers_m = np.arange(18.0).reshape(6, 3)
+    markers_m[1], markers_m[2, 2] = np.nan, 9999.999
+    back = conversions.markers_from_msg(over_the_wire(conversions.markers_to_msg(Header(), layout, markers_m)))
+    assert back[0] == layout
+    np.testing.assert_array_equal(back[1], markers_m)
 
 
 @pytest.mark.parametrize("msg", [Mocap_data(), Mocap_data(Obj=[Mocap_markers(name="empty")])])
 def test_empty_frames(msg):
-    assert [len(markers) for markers in conversions.bodies_from_msg(msg).values()] == [0] * len(msg.Obj)
-
-
-def test_a_name_that_occurs_twice_counts_once():
-    twice = Mocap_data(
-        Obj=[Mocap_markers("Raven", 0.0, [Mocap_marker(1, 2, 3)]), Mocap_markers("Raven", 0.0, [Mocap_marker(7, 8, 9)])]
-    )
-    assert conversions.bodies_from_msg(twice)["Raven"].tolist() == [[1, 2, 3]]
+    layout, markers_m = conversions.markers_from_msg(msg)
+    assert layout == tuple(("empty", 0) for _ in msg.Obj)
+    assert (markers_m.shape, markers_m.dtype) == ((0, 3), float)
 
 
 def test_states_leave_in_degrees_field_by_field():

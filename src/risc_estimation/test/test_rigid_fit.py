@@ -6,105 +6,105 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from risc_estimation.rigid_fit import TemplateStack, fit_rigid, fit_without_worst
+from risc_estimation.rigid_fit import POSE, WORK, fit_pose_without_worst, fit_rigid
 
 SQUARE = np.array([[0.2, 0.2, 0.0], [0.2, -0.2, 0.0], [-0.2, 0.2, 0.0]])
 HULL = np.vstack([SQUARE, [-0.12, -0.2, -0.08]])
 IRIS = np.array([[0.18, 0.18, 0.0], [-0.18, -0.18, 0.0], [-0.18, 0.18, 0.0], [0.14, -0.2, 0.0], [0.0, 0.0, -0.05]])
 
 
-def padded(stack, clouds):
-    """(bodies, markers, 3) array for a stack."""
-    frame = np.zeros(stack.shape + (3,))
-    for row, cloud in enumerate(clouds):
-        frame[row, : len(cloud)] = cloud
-    return frame
+def random_rotation(seed):
+    return Rotation.random(random_state=seed).as_matrix()
 
 
 @settings(max_examples=100, derandomize=True)
 @given(seed=st.integers(0, 10**6))
-def test_exact_for_any_pose_and_mixed_marker_counts(seed):
+def test_exact_for_any_pose(seed):
+    R, p = random_rotation(seed), np.random.default_rng(seed).uniform(-3.0, 3.0, 3)
+    for template in (SQUARE, HULL, IRIS):
+        fit = fit_rigid(template, template @ R.T + p)
+        assert fit.rotation == pytest.approx(R, abs=1e-9)
+        assert fit.position_m == pytest.approx(p, abs=1e-12)
+        assert fit.residual_m == pytest.approx(0.0, abs=1e-12)
+        assert fit.spread_m > 0.1
+
+
+@settings(max_examples=200, derandomize=True)
+@given(seed=st.integers(0, 10**6), noise_m=st.sampled_from([1e-9, 0.002, 0.1, 3.0]), flat=st.booleans())
+def test_equals_kabsch_by_numpys_decomposition(seed, noise_m, flat):
+    """Any noise, mirror images too. Residual: rms distance; spread: root of the second singular value."""
     rng = np.random.default_rng(seed)
-    templates = [SQUARE, HULL, IRIS]
-    stack = TemplateStack(templates)
-    rotations = Rotation.random(3, random_state=seed).as_matrix()
-    positions = rng.uniform(-3.0, 3.0, (3, 3))
-    fit = fit_rigid(stack, padded(stack, [t @ R.T + p for t, R, p in zip(templates, rotations, positions)]))
-    assert fit.rotations == pytest.approx(rotations, abs=1e-9)
-    assert fit.positions == pytest.approx(positions, abs=1e-12)
-    assert fit.residuals_m == pytest.approx(np.zeros(3), abs=1e-12)
-    assert (fit.spreads_m > 0.1).all()
-    assert np.linalg.det(fit.rotations) == pytest.approx(np.ones(3))
+    template = rng.normal(size=(rng.integers(3, 8), 3)) * [1.0, 1.0, 0.0 if flat else 1.0]
+    measured = template @ random_rotation(seed).T + rng.normal(0.0, noise_m, template.shape) + rng.normal(size=3)
+    if seed % 3 == 0:
+        measured *= [1.0, 1.0, -1.0]
+    arms, measured_arms = template - template.mean(axis=0), measured - measured.mean(axis=0)
+    u, singular, vt = np.linalg.svd(arms.T @ measured_arms)
+    R = (u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt).T
+    fit = fit_rigid(template, measured)
+    assert fit.rotation @ fit.rotation.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(fit.rotation) == pytest.approx(1.0)
+    assert fit.spread_m == pytest.approx(np.sqrt(singular[1]), abs=1e-9)
+    errors = measured_arms - arms @ R.T
+    assert fit.residual_m == pytest.approx(np.sqrt((errors**2).sum(axis=1).mean()), rel=1e-9, abs=1e-12)
+    if singular[1] - singular[2] > 1e-3:  # else the best rotation is not unique
+        assert fit.rotation == pytest.approx(R, abs=1e-9)
 
 
-def test_noisy_fit_equals_scipy_and_the_residual_is_the_rms_distance():
+def test_noisy_fit_equals_scipy():
     rng = np.random.default_rng(2)
     for template in (SQUARE, HULL, IRIS):
-        stack = TemplateStack([template])
-        measured = template @ Rotation.random(random_state=5).as_matrix().T + [1.0, -2.0, 0.5]
+        measured = template @ random_rotation(5).T + [1.0, -2.0, 0.5]
         measured = measured + rng.normal(0.0, 0.002, template.shape)
-        fit = fit_rigid(stack, measured[None])
+        fit = fit_rigid(template, measured)
         reference, _ = Rotation.align_vectors(measured - measured.mean(axis=0), template - template.mean(axis=0))
-        assert fit.rotations[0] == pytest.approx(reference.as_matrix(), abs=1e-9)
-        errors = measured - (template @ fit.rotations[0].T + fit.positions[0])
-        assert fit.residuals_m[0] == pytest.approx(np.sqrt((errors**2).sum(axis=1).mean()))
+        assert fit.rotation == pytest.approx(reference.as_matrix(), abs=1e-9)
 
 
-def test_hidden_markers_do_not_count():
-    stack = TemplateStack([HULL, IRIS])
-    frame = padded(stack, [HULL + 1.0, IRIS - 1.0])
-    visible = stack.defined.copy()
-    visible[0, 2] = visible[1, 0] = visible[1, 3] = False
-    frame[~visible] = 0.0
-    fit = fit_rigid(stack, frame, visible)
-    assert fit.positions == pytest.approx(np.array([[1.0] * 3, [-1.0] * 3]), abs=1e-12)
-    assert fit.rotations == pytest.approx(np.tile(np.eye(3), (2, 1, 1)), abs=1e-12)
-    assert fit.residuals_m == pytest.approx([0.0, 0.0], abs=1e-12)
-    rows = fit_rigid(stack, frame[[1]], visible[[1]], np.array([1]))
-    assert rows.positions == pytest.approx(fit.positions[[1]], abs=1e-12)
+@pytest.mark.parametrize("hidden", [[2], [0, 3], [1, 4]])
+def test_hidden_markers_do_not_count(hidden):
+    measured = IRIS @ random_rotation(3).T - 1.0
+    measured[hidden] = np.nan
+    fit = fit_rigid(IRIS, measured, np.isfinite(measured[:, 0]))
+    assert fit.position_m == pytest.approx([-1.0] * 3, abs=1e-12)
+    assert fit.rotation == pytest.approx(random_rotation(3), abs=1e-12)
+    assert fit.residual_m == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
     "cloud",
     [
         np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.3, 0.0, 0.0]]),  # on one line
+        np.array([[0.0, 0.0, 0.1], [0.1, 0.2, 0.3], [0.2, 0.4, 0.5]]),
         np.zeros((3, 3)),  # all in one place
     ],
 )
 def test_collinear_markers_have_no_spread(cloud):
-    fit = fit_rigid(TemplateStack([cloud]), cloud[None] + 1.0)
-    assert fit.spreads_m[0] < 1e-6
-    assert np.isfinite(fit.rotations).all()
-    measured_on_a_line = fit_rigid(TemplateStack([SQUARE]), cloud[None])
-    assert measured_on_a_line.spreads_m[0] < 1e-6
+    for template, measured in ((cloud, cloud + 1.0), (SQUARE, cloud), (cloud, SQUARE)):
+        fit = fit_rigid(template, measured)
+        assert fit.spread_m < 1e-6
+        assert fit.rotation @ fit.rotation.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert fit_rigid(cloud, cloud + 1.0).residual_m == pytest.approx(0.0, abs=1e-12)
 
 
 def test_hull_minus_any_marker_still_has_spread():
-    stack = TemplateStack([HULL])
     for hidden in range(4):
-        visible = np.ones((1, 4), dtype=bool)
-        visible[0, hidden] = False
-        assert fit_rigid(stack, HULL[None] * visible[:, :, None], visible).spreads_m[0] > 0.1
+        assert fit_rigid(HULL, HULL, np.arange(4) != hidden).spread_m > 0.1
 
 
 @pytest.mark.parametrize("wrong", range(4))
 def test_ghost_marker_is_found_and_left_out(wrong):
     measured = HULL + [0.5, 0.5, 1.0]
     measured[wrong] += [0.0, 0.1, 0.15]
-    stack = TemplateStack([SQUARE, HULL])
-    assert fit_rigid(TemplateStack([HULL]), measured[None]).residuals_m[0] > 0.015
-    fit, left_out = fit_without_worst(stack, 1, measured, np.ones(4, dtype=bool))
-    assert left_out == wrong
-    assert fit.residuals_m[0] == pytest.approx(0.0, abs=1e-9)
-    assert fit.positions[0] == pytest.approx([0.5, 0.5, 1.0], abs=1e-9)
+    assert fit_rigid(HULL, measured).residual_m > 0.015
+    visible, poses = np.ones(4, dtype=bool), np.zeros(1, dtype=POSE)
+    assert fit_pose_without_worst(HULL, measured, visible, np.zeros(1, dtype=WORK)[0], poses[0]) == wrong
+    assert visible.tolist() == [marker != wrong for marker in range(4)]
+    assert poses[0].residual_m == pytest.approx(0.0, abs=1e-9)
+    assert poses[0].position_m == pytest.approx([0.5, 0.5, 1.0], abs=1e-9)
 
 
-def test_leaving_out_needs_four():
-    with pytest.raises(ValueError, match="needs 4 visible markers"):
-        fit_without_worst(TemplateStack([SQUARE]), 0, SQUARE, np.ones(3, dtype=bool))
-
-
-def test_no_bodies_is_fine():
-    stack = TemplateStack([HULL])
-    fit = fit_rigid(stack, np.zeros((0, 4, 3)), np.zeros((0, 4), dtype=bool), np.zeros(0, dtype=int))
-    assert fit.positions.shape == (0, 3)
+@pytest.mark.parametrize("shape,visible", [((3, 3), None), ((4, 2), None), ((4, 3), np.zeros(4, dtype=bool))])
+def test_refusals_name_what_is_needed(shape, visible):
+    with pytest.raises(ValueError, match="with a visible marker"):
+        fit_rigid(HULL, np.zeros(shape), visible)

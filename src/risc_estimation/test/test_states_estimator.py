@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from risc_control.frames import rotation_body_to_cortex
 from risc_control.lab.templates import load_templates
-from risc_estimation.states import EstimatorParams, S, StatesEstimator
+from risc_estimation import states
+from risc_estimation.states import EstimatorParams, S, StatesEstimator, pack_bodies
 
 DT_S = 0.005
 TEMPLATES = load_templates()
@@ -20,9 +21,14 @@ def markers_at(position, phi=0.0, theta=0.0, psi=0.0, hull=HULL):
     return np.asarray(position) + hull @ rotation_body_to_cortex(phi, theta, psi).T
 
 
+def see(estimator, stamp_s, bodies):
+    """Update with a dict name -> (k, 3) markers."""
+    return estimator.update(stamp_s, *pack_bodies(bodies))
+
+
 def feed(estimator, frames, start_s=100.0, dt_s=DT_S):
     """Update with every frame; returns the list of estimates."""
-    return [estimator.update(start_s + k * dt_s, bodies) for k, bodies in enumerate(frames)]
+    return [see(estimator, start_s + k * dt_s, bodies) for k, bodies in enumerate(frames)]
 
 
 def still(name="fluffy_II", frames=60, **pose):
@@ -171,7 +177,7 @@ def test_real_stamps_decide_the_velocity():
     stamps_s = np.cumsum(rng.uniform(0.003, 0.012, 100))
     estimator = StatesEstimator(TEMPLATES)
     for s in stamps_s:
-        estimate = estimator.update(50.0 + s, {"fluffy_II": markers_at((-1.0 + s, 0, 1))})
+        estimate = see(estimator, 50.0 + s, {"fluffy_II": markers_at((-1.0 + s, 0, 1))})
     assert estimate.vehicle("fluffy_II")[1][S.U] == pytest.approx(1.0, abs=1e-6)
 
 
@@ -198,9 +204,9 @@ def test_order_of_objects_means_nothing():
             bodies[name] = exact + rng.normal(0, 0.002, hull.shape)
         if k % 7 == 3:
             del bodies["albatross"]
-        a = ordered.update(k * DT_S, bodies)
-        b = shuffled.update(
-            k * DT_S, {names[i]: bodies[names[i]] for i in rng.permutation(len(names)) if names[i] in bodies}
+        a = see(ordered, k * DT_S, bodies)
+        b = see(
+            shuffled, k * DT_S, {names[i]: bodies[names[i]] for i in rng.permutation(len(names)) if names[i] in bodies}
         )
         assert sorted(a.names) == sorted(b.names)
         for name in a.names:
@@ -216,8 +222,8 @@ def test_twelve_bodies_keep_their_own_histories():
     templates = {"v%d" % i: type(hull)("v%d" % i, "vehicle", hull.marker_names, hull.markers_m) for i in range(12)}
     estimator = StatesEstimator(templates)
     for k in range(70):
-        estimate = estimator.update(
-            k * DT_S, {"v%d" % i: markers_at((0.1 * i - 0.6 + 0.1 * i * k * DT_S, 0, 1)) for i in range(12)}
+        estimate = see(
+            estimator, k * DT_S, {"v%d" % i: markers_at((0.1 * i - 0.6 + 0.1 * i * k * DT_S, 0, 1)) for i in range(12)}
         )
     assert len(estimate.names) == 12
     for i in range(12):
@@ -226,11 +232,11 @@ def test_twelve_bodies_keep_their_own_histories():
 
 def test_listed_vehicles_are_always_there_and_others_once_seen():
     estimator = StatesEstimator(TEMPLATES, vehicles=["Raven", "fluffy_II"])
-    first = estimator.update(0.0, {})
+    first = see(estimator, 0.0, {})
     assert first.names == ("Raven", "fluffy_II")
     assert not first.visible.any()
     assert (first.states == 0.0).all()
-    estimates = feed(estimator, still("albatross", 20), start_s=1.0) + [estimator.update(2.0, {})]
+    estimates = feed(estimator, still("albatross", 20), start_s=1.0) + [see(estimator, 2.0, {})]
     assert estimates[-1].names == ("Raven", "fluffy_II", "albatross")
     assert not estimates[-1].visible.any()
     with pytest.raises(KeyError, match="no vehicle 'Kahn'"):
@@ -259,6 +265,64 @@ def test_a_template_with_two_markers_is_refused_before_anything_flies():
         StatesEstimator({"short": short})
 
 
+# --- layouts
+
+
+def test_of_two_bodies_of_one_name_the_first_counts():
+    twice = (("fluffy_II", 4), ("mystery", 1), ("fluffy_II", 4), ("mystery", 2))
+    markers_m = np.concatenate([markers_at((0, 0, 1)), np.ones((1, 3)), markers_at((1, 1, 1)), np.ones((2, 3))])
+    estimator = StatesEstimator(TEMPLATES)
+    for k in range(20):
+        estimate = estimator.update(k * DT_S, twice, markers_m)
+    assert state_of([estimate])[:3] == pytest.approx([0, 0, 1], abs=1e-9)
+    assert estimator.counts.unknown == {"mystery": 20}
+
+
+def test_layouts_may_alternate_and_bodies_join_at_any_time():
+    """Equal layouts need not be the same object; a name first seen in one layout gets its row in all of them."""
+    places = {"fluffy_II": (-1, 0, 1), "albatross": (0, 1, 1), "Raven": (1, 0, 1.5)}
+    orders = [["fluffy_II", "albatross"], ["albatross", "fluffy_II"], ["Raven", "albatross", "fluffy_II"]]
+    estimator = StatesEstimator(TEMPLATES)
+    for k in range(60):
+        order = orders[k % 2 if k < 30 else k % 3]
+        estimate = see(estimator, k * DT_S, {name: markers_at(places[name]) for name in order})
+    for name, position in places.items():
+        assert state_of([estimate], name)[:3] == pytest.approx(position, abs=1e-9)
+    for k in range(60, 300):  # more layouts than are remembered
+        estimate = see(estimator, k * DT_S, {"stranger %d" % k: np.zeros((1, 3)), "Raven": markers_at((1, 0, 1.5))})
+    assert estimate.visible.tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (5, 3), (4, 2), (12,)])
+def test_markers_that_do_not_match_their_layout_are_refused(shape):
+    with pytest.raises(ValueError, match="the layout has 4 markers, the array is"):
+        StatesEstimator(TEMPLATES).update(0.0, (("fluffy_II", 4),), np.zeros(shape))
+
+
+def test_markers_may_come_in_any_kind_of_array():
+    """As single precision, read only, every other row of a buffer or as lists: nothing is compiled for them."""
+    markers = markers_at((0.5, 0.25, 1.0), psi=1.0).astype(np.float32)
+    frozen = markers.astype(float)
+    frozen.setflags(write=False)
+    estimator = StatesEstimator(TEMPLATES)
+    compiled = len(states._estimate_frame.signatures)
+    for k in range(40):
+        given = [markers, frozen, np.repeat(frozen, 2, axis=0)[::2], frozen.tolist()][k % 4]
+        estimate = estimator.update(k * DT_S, (("fluffy_II", 4),), given)
+    assert state_of([estimate])[:3] == pytest.approx([0.5, 0.25, 1.0], abs=1e-7)
+    assert len(states._estimate_frame.signatures) == compiled == 1
+
+
+def test_estimates_are_safe_to_keep():
+    estimates = feed(StatesEstimator(TEMPLATES), [
+        {"fluffy_II": markers_at((0.01 * k, 0, 1)), "Green_pink": TEMPLATES["Green_pink"].markers_m + 0.1 * k}
+        for k in range(40)
+    ])  # fmt: skip
+    assert [estimate.visible[0] for estimate in estimates].index(True) == 9
+    assert [estimate.states[0, S.X] for estimate in estimates[9:]] == pytest.approx(0.01 * np.arange(9, 40), abs=1e-6)
+    assert [estimate.landmarks_m[0, 0] for estimate in estimates] == pytest.approx(0.1 * np.arange(40))
+
+
 # --- visibility
 
 
@@ -268,11 +332,11 @@ def test_lost_markers_however_they_are_written(lost):
     before = feed(estimator, still(psi=0.5))
     one_lost = markers_at((0.3, -0.4, 1.0), psi=0.5)
     one_lost[1] = lost
-    still_fine = estimator.update(101.0 - 0.65, {"fluffy_II": one_lost})
+    still_fine = see(estimator, 101.0 - 0.65, {"fluffy_II": one_lost})
     assert still_fine.visible.all()
     assert still_fine.states == pytest.approx(before[-1].states, abs=1e-6)
     one_lost[2, 0] = lost  # one bad coordinate spoils a marker; two markers left
-    gone = estimator.update(101.0 - 0.645, {"fluffy_II": one_lost})
+    gone = see(estimator, 101.0 - 0.645, {"fluffy_II": one_lost})
     assert not gone.visible.any()
     assert gone.states == pytest.approx(still_fine.states)
     assert np.isfinite(gone.states).all()
@@ -288,16 +352,16 @@ def test_dropout_then_recovery_without_a_spike(frames_lost):
         return {"fluffy_II": markers_at((-1.5 + 0.8 * k * DT_S, 0, 1), psi=np.pi) + rng.normal(0, 0.002, HULL.shape)}
 
     for k in range(100):
-        estimate = estimator.update(k * DT_S, frame(k))
+        estimate = see(estimator, k * DT_S, frame(k))
     last = estimate.states.copy()
     for k in range(100, 100 + frames_lost):
-        estimate = estimator.update(k * DT_S, {"fluffy_II": np.full((4, 3), np.nan)} if k % 2 else {})
+        estimate = see(estimator, k * DT_S, {"fluffy_II": np.full((4, 3), np.nan)} if k % 2 else {})
         assert not estimate.visible.any()
         assert (estimate.states == last).all()
     back = 100 + frames_lost
     shown = []
     for k in range(back, back + 60):
-        estimate = estimator.update(k * DT_S, frame(k))
+        estimate = see(estimator, k * DT_S, frame(k))
         if estimate.visible[0]:
             shown.append(k)
             state = estimate.states[0]
@@ -341,7 +405,7 @@ def test_coming_back_from_outside_is_visible_at_once():
     estimator = StatesEstimator(TEMPLATES)
     for k in range(200):
         x_m = 2.9 - 0.8 * k * DT_S
-        estimate = estimator.update(k * DT_S, {"fluffy_II": markers_at((x_m, 0, 1))})
+        estimate = see(estimator, k * DT_S, {"fluffy_II": markers_at((x_m, 0, 1))})
         assert estimate.visible[0] == (x_m <= 2.54)
     assert estimate.states[0, S.U] == pytest.approx(-0.8, abs=1e-6)
 
@@ -355,10 +419,10 @@ def test_ghost_marker_is_left_out_of_four_and_makes_three_invisible():
     feed(estimator, [{"fluffy_II": good}] * 60)
     ghost = good.copy()
     ghost[3] += [0.1, 0.05, 0.0]
-    estimate = estimator.update(101.0, {"fluffy_II": ghost})
+    estimate = see(estimator, 101.0, {"fluffy_II": ghost})
     assert estimator.counts.markers_left_out == 1
     ghost[0] = np.nan
-    estimate = estimator.update(101.005, {"fluffy_II": ghost})
+    estimate = see(estimator, 101.005, {"fluffy_II": ghost})
     assert not estimate.visible[0]
     assert estimator.counts.misfits == 1
 
@@ -411,7 +475,7 @@ def test_no_frame_whatsoever_raises_or_yields_nan(seed):
                 markers = TEMPLATES[name].markers_m + rng.normal(0.0, 1.0, 3)
             markers[rng.random(markers.shape) < 0.1] = rng.choice([np.nan, np.inf, -np.inf, SENTINEL_M, 0.0])
             bodies[str(name)] = markers
-        estimate = estimator.update(k * DT_S, bodies)
+        estimate = see(estimator, k * DT_S, bodies)
         assert np.isfinite(estimate.states).all()
         assert np.isfinite(estimate.landmarks_m).all()
 
@@ -438,11 +502,11 @@ def test_landmarks_are_listed_only_while_seen():
     hidden = disc.copy()
     hidden[1:] = SENTINEL_M
     estimator = StatesEstimator(TEMPLATES)
-    both = estimator.update(0.0, {"Green_pink": disc, "Pink_blue": disc - 1.0})
+    both = see(estimator, 0.0, {"Green_pink": disc, "Pink_blue": disc - 1.0})
     assert both.landmark_names == ("Green_pink", "Pink_blue")
     assert both.landmarks_m == pytest.approx(np.array([[2.0, 1.0, 1.2], [1.0, 0.0, 0.2]]))
-    assert estimator.update(0.005, {"Green_pink": hidden, "Pink_blue": disc}).landmark_names == ("Pink_blue",)
-    assert estimator.update(0.010, {}).landmark_names == ()
+    assert see(estimator, 0.005, {"Green_pink": hidden, "Pink_blue": disc}).landmark_names == ("Pink_blue",)
+    assert see(estimator, 0.010, {}).landmark_names == ()
 
 
 # --- stamps
@@ -451,11 +515,11 @@ def test_landmarks_are_listed_only_while_seen():
 def test_stamps_that_do_not_advance_are_refused_and_counted():
     estimator = StatesEstimator(TEMPLATES)
     bodies = still()[0]
-    assert estimator.update(10.0, bodies) is not None
-    assert estimator.update(10.0, bodies) is None
-    assert estimator.update(9.995, bodies) is None
-    assert estimator.update(float("nan"), bodies) is None
-    assert estimator.update(10.005, bodies) is not None
+    assert see(estimator, 10.0, bodies) is not None
+    assert see(estimator, 10.0, bodies) is None
+    assert see(estimator, 9.995, bodies) is None
+    assert see(estimator, float("nan"), bodies) is None
+    assert see(estimator, 10.005, bodies) is not None
     counts = estimator.counts
     assert (counts.frames, counts.duplicate_stamps, counts.backward_stamps, counts.clock_resets) == (2, 1, 2, 0)
 
@@ -464,8 +528,8 @@ def test_refused_frames_leave_no_trace():
     clean, disturbed = StatesEstimator(TEMPLATES), StatesEstimator(TEMPLATES)
     for k in range(60):
         bodies = {"fluffy_II": markers_at((0.3 * k * DT_S, 0, 1))}
-        expected, got = clean.update(k * DT_S, bodies), disturbed.update(k * DT_S, bodies)
-        disturbed.update((k - 3) * DT_S, {"fluffy_II": markers_at((1, 1, 1))})
+        expected, got = see(clean, k * DT_S, bodies), see(disturbed, k * DT_S, bodies)
+        see(disturbed, (k - 3) * DT_S, {"fluffy_II": markers_at((1, 1, 1))})
     assert (got.states == expected.states).all()
 
 

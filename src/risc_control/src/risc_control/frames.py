@@ -8,10 +8,15 @@ Frames
     flu       body with x nose, y left, z up: what ROS (REP 103) calls the base frame.
 
 Angles: phi roll, + right wing down; theta pitch, + nose up; psi yaw, + clockwise seen from above.
-All functions broadcast over leading axes; vectors are the last axis, matrices the last two.
+All functions broadcast over leading axes; vectors are the last axis, matrices the last two. Those at the end are for
+compiled code: one vehicle, scalars.
 """
 
+import math
+
 import numpy as np
+
+from risc_control.compiled import compiled
 
 GRAVITY_M_S2 = 9.80665  # one constant for the whole workspace (thesis ch. 6)
 
@@ -118,3 +123,26 @@ def body_rates_from_euler_rates(phi_rad, theta_rad, phi_dot_rad_s, theta_dot_rad
 def wrap_angle(angle_rad):
     """Angle [rad] turned by whole revolutions into (-pi, pi]."""
     return np.pi - np.mod(np.pi - np.asarray(angle_rad, dtype=float), 2.0 * np.pi)
+
+
+# --- for compiled code
+
+
+@compiled
+def euler_of_body_in_cortex(R_body_to_cortex):
+    """(phi, theta, psi) [rad] of one rotation matrix (3, 3): the inverse of `rotation_body_to_cortex`.
+
+    As `euler_from_body_to_ned`, whose matrix has rows 1 and 2 of the other sign.
+    """
+    R = R_body_to_cortex
+    cos_theta = math.sqrt(R[2, 1] * R[2, 1] + R[2, 2] * R[2, 2])
+    theta = math.atan2(R[2, 0], cos_theta)
+    if cos_theta > _NOSE_VERTICAL:
+        return math.atan2(-R[2, 1], -R[2, 2]), theta, math.atan2(-R[1, 0], R[0, 0])
+    return 0.0, theta, math.atan2(-R[0, 1], -R[1, 1])
+
+
+@compiled
+def wrap_one_angle(angle_rad):
+    """As `wrap_angle`, of one angle."""
+    return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)

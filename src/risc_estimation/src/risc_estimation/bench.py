@@ -13,7 +13,7 @@ import numpy as np
 
 from risc_control.frames import rotation_body_to_cortex
 from risc_control.lab.templates import Template, load_templates
-from risc_estimation.states import EstimatorParams, S, StatesEstimator
+from risc_estimation.states import EstimatorParams, S, StatesEstimator, pack_bodies
 
 RATE_HZ = 200.0
 MARKER_NOISE_M = 0.002
@@ -35,26 +35,32 @@ COLUMNS = {
 }
 
 
-def hover_frames(templates, frames, rng):
-    """List of dict name -> markers (n, 3) [m]: every template at rest at its own place inside the net."""
+def hover_frames(templates, frames, rng, hidden=0.0):
+    """(layout, list of markers (n, 3) [m]): every template at rest at its own place inside the net.
+
+    hidden: share of the bodies that have a marker less, in each frame others.
+    """
     exact = {}
     for index, template in enumerate(templates):
         place = np.array([-2.0 + 0.4 * (index % 11), -1.6 + 0.8 * (index // 11), 1.0])
         turn = rotation_body_to_cortex(0.0, 0.0, 0.4 * index) if template.kind == "vehicle" else np.eye(3)
         exact[template.name] = place + template.markers_m @ turn.T
-    return [
-        {name: markers + rng.normal(0.0, MARKER_NOISE_M, markers.shape) for name, markers in exact.items()}
-        for _ in range(frames)
-    ]
+    layout, exact_m = pack_bodies(exact)
+    sampled = [exact_m + rng.normal(0.0, MARKER_NOISE_M, exact_m.shape) for _ in range(frames)]
+    if hidden:
+        firsts = np.cumsum([0] + [count for _, count in layout[:-1]])
+        for markers_m in sampled:
+            markers_m[firsts[rng.random(len(firsts)) < hidden]] = np.nan
+    return layout, sampled
 
 
-def run(estimator, frames, rng):
+def run(estimator, layout, frames, rng):
     """Estimates of all frames and the seconds each took."""
     stamps_s = 1.0e9 + np.arange(len(frames)) / RATE_HZ + rng.normal(0.0, STAMP_JITTER_S, len(frames))
     estimates, seconds = [], []
-    for stamp_s, frame in zip(stamps_s.tolist(), frames):
+    for stamp_s, markers_m in zip(stamps_s.tolist(), frames):
         start = time.perf_counter()
-        estimates.append(estimator.update(stamp_s, frame))
+        estimates.append(estimator.update(stamp_s, layout, markers_m))
         seconds.append(time.perf_counter() - start)
     return estimates, seconds
 
@@ -68,38 +74,35 @@ def noise_table(frames=4000, seed=1):
     table = {}
     for name, (body, params) in cases.items():
         rng = np.random.default_rng(seed)
-        estimates, _ = run(StatesEstimator({body.name: body}, params), hover_frames([body], frames, rng), rng)
+        estimates, _ = run(StatesEstimator({body.name: body}, params), *hover_frames([body], frames, rng), rng)
         states = np.array([estimate.states[0] for estimate in estimates[100:]])
         table[name] = {column: float(states[:, index].std() * scale) for column, (index, scale) in COLUMNS.items()}
     return table
 
 
-def time_table(fleet_sizes, frames=600, seed=1):
-    """Microseconds per frame: list of dict with vehicles, p50_us, p99_us (estimator), messages_p50_us (ROS side)."""
+def time_table(fleet_sizes, frames=1000, seed=1):
+    """Microseconds per frame: list of dict, one for each fleet; its vehicles have five markers."""
     known = load_templates()
-    hull = known["fluffy_II"]
+    iris = known["IRIS"]
     landmarks = [template for template in known.values() if template.kind == "landmark"]
     rows = []
     for count in fleet_sizes:
-        vehicles = [Template("vehicle_%d" % k, "vehicle", hull.marker_names, hull.markers_m) for k in range(count)]
+        vehicles = [Template("vehicle_%d" % k, "vehicle", iris.marker_names, iris.markers_m) for k in range(count)]
         bodies = vehicles + landmarks
-        rng = np.random.default_rng(seed)
-        sampled = hover_frames(bodies, frames, rng)
-        estimator = StatesEstimator({template.name: template for template in bodies})
-        estimates, seconds = run(estimator, sampled, rng)
-        row = {
-            "vehicles": count,
-            "landmarks": len(landmarks),
-            "p50_us": 1e6 * float(np.percentile(seconds[100:], 50)),
-            "p99_us": 1e6 * float(np.percentile(seconds[100:], 99)),
-        }
-        if importlib.util.find_spec("risc_msgs") is not None:
-            row["messages_p50_us"] = messages_us(sampled, estimates)
+        row = {"vehicles": count, "landmarks": len(landmarks)}
+        for view, hidden in (("", 0.0), ("hidden_", 0.3)):
+            rng = np.random.default_rng(seed)
+            layout, sampled = hover_frames(bodies, frames, rng, hidden)
+            estimator = StatesEstimator({template.name: template for template in bodies})
+            estimates, seconds = run(estimator, layout, sampled, rng)
+            row[view + "p50_us"], row[view + "p99_us"] = (1e6 * np.percentile(seconds[100:], [50, 99])).tolist()
+            if not hidden and importlib.util.find_spec("risc_msgs") is not None:
+                row["messages_p50_us"] = messages_us(layout, sampled, estimates)
         rows.append(row)
     return rows
 
 
-def messages_us(frames, estimates):
+def messages_us(layout, frames, estimates):
     """Median time [us] to deserialise a frame, convert both ways and serialise the results."""
     import io
 
@@ -109,13 +112,13 @@ def messages_us(frames, estimates):
     from risc_msgs.msg import Mocap_data
 
     seconds = []
-    for frame, estimate in zip(frames, estimates):
+    for markers_m, estimate in zip(frames, estimates):
         wire = io.BytesIO()
-        conversions.bodies_to_msg(Header(frame_id=conversions.FRAME_ID), frame).serialize(wire)
+        conversions.markers_to_msg(Header(frame_id=conversions.FRAME_ID), layout, markers_m).serialize(wire)
         data = wire.getvalue()
         start = time.perf_counter()
         msg = Mocap_data().deserialize(data)
-        conversions.bodies_from_msg(msg)
+        conversions.markers_from_msg(msg)
         header = conversions.header_for(msg.header)
         conversions.cortex_from_estimate(header, estimate).serialize(io.BytesIO())
         conversions.landmarks_from_estimate(header, estimate).serialize(io.BytesIO())
@@ -138,13 +141,12 @@ def main(arguments=None):
     print("%-30s" % "" + "".join("%10s" % column for column in COLUMNS))
     for name, row in noise.items():
         print("%-30s" % name + "".join("%10.2f" % row[column] for column in COLUMNS))
-    print("\nTime per frame, one core")
-    print("%10s%10s%14s%14s%16s" % ("vehicles", "landmarks", "estimate p50", "estimate p99", "messages p50"))
+    print("\nTime per frame [us], one core; hidden: three of ten bodies lack a marker, others in each frame")
+    print(("%10s%10s" + "%14s" * 5) % ("vehicles", "landmarks", "p50", "p99", "hidden: p50", "p99", "messages p50"))
     for row in times:
-        messages = "%13.0f us" % row["messages_p50_us"] if "messages_p50_us" in row else "%16s" % "-"
-        print(
-            "%10d%10d%11.0f us%11.0f us%s" % (row["vehicles"], row["landmarks"], row["p50_us"], row["p99_us"], messages)
-        )
+        figures = [row[key] for key in ("p50_us", "p99_us", "hidden_p50_us", "hidden_p99_us")]
+        figures.append(row.get("messages_p50_us", np.nan))
+        print(("%10d%10d" + "%14.1f" * 5) % (row["vehicles"], row["landmarks"], *figures))
     if options.json:
         with open(options.json, "w", encoding="utf-8") as output:
             json.dump(

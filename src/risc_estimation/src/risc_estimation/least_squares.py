@@ -13,56 +13,71 @@ the slope of a parabola at its newest sample about four times that. The line's s
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from risc_control.compiled import compiled, record
+
 MAX_ORDER = 4
-_HANKEL = [np.add.outer(np.arange(order + 1), np.arange(order + 1)) for order in range(MAX_ORDER + 1)]
+# Weights are reused while the stamps sit this well on the pattern that the weights were made for. At 1 m/s the
+# velocity is off by 0.4 mm/s then (parabola, 50 samples at 200 Hz): a twentieth of the noise of 2 mm markers.
+UNIFORM_TOLERANCE_S = 50e-6
+_DISTINCT = 1e-12  # share of a moment that must be left after the lower orders, or the times are not distinct
+
+FIT = record(
+    ("window_s", float),
+    ("ramp_s", float),  # a line is fitted to what spans less
+    ("max_gap_s", float),
+    ("order", int),
+    ("capacity", int),  # samples
+    ("frames", int),  # pushed so far
+    ("weighed", int),  # samples that the shared weights are for; 0 = none
+    ("moments", float, (2 * MAX_ORDER + 1,)),  # sums of the powers of the scaled times
+    ("normal", float, (MAX_ORDER + 1, MAX_ORDER + 1)),  # the normal equations
+    ("polynomials", float, (MAX_ORDER + 1, 2)),  # weight of a sample as polynomial in its time: for value, for slope
+)
+BODY = record(
+    ("last_s", float),  # stamp of the newest sample
+    ("gapless", int),  # [samples] run of consecutive frames, newest last
+    ("samples", int),  # used in the last estimate
+    ("span_s", float),  # from the oldest to the newest of them
+)
 
 
-def endpoint_weights(ages_s, orders, present=None, scale_s=None):
+class Window(NamedTuple):
+    """Samples of all bodies and what was last estimated from them.
+
+    A ring of `capacity` samples. Each is held twice, `capacity` apart, so that the newest ones are one stretch.
+    """
+
+    fit: np.ndarray  # (1,) FIT
+    bodies: np.ndarray  # (bodies,) BODY
+    stamps_s: np.ndarray  # (2 capacity,)
+    present: np.ndarray  # (bodies, 2 capacity) bool
+    values: np.ndarray  # (bodies, 2 capacity, channels) [unit]
+    weights: np.ndarray  # (3, capacity) shared weights: ages that they are for [s], for the value, for the slope [1/s]
+    estimates: np.ndarray  # (bodies, 2, channels) value [unit], slope [unit/s]
+
+
+def endpoint_weights(ages_s, order, scale_s=None):
     """Weights that turn samples into the fitted polynomial's value and slope at age zero.
 
-    ages_s: (n,) age of each sample [s], >= 0, age 0 being the moment to evaluate at.
-    orders: polynomial order 0..4, an int; or, together with `present`, a (bodies,) int array.
-    present: None (every sample counts, one set of weights), or (n, bodies) bool: which samples each body has.
+    ages_s: (n,) age of each sample [s], >= 0, age 0 being the moment to evaluate at.   order: 0..4.
     scale_s: time that the ages are divided by for conditioning; default the largest age.
-    Returns (2, n), or (bodies, 2, n) with `present`: row 0 the value [unit], row 1 the slope [unit/s].
+    Returns (2, n): row 0 the value [unit], row 1 the slope [unit/s].
     Raises ValueError if there are not order + 1 distinct samples.
     Deviation from eq 4.1: times count from the newest sample and are scaled; the estimate is unchanged.
     """
-    ages_s = np.asarray(ages_s, dtype=float)
+    ages_s = np.array(ages_s, dtype=float)
     if scale_s is None:
         scale_s = float(ages_s.max()) if ages_s.size and ages_s.max() > 0.0 else 1.0
-    highest = orders if present is None else int(orders.max())
-    u = ages_s * (-1.0 / scale_s)
-    powers = np.ones((2 * highest + 1, u.size))
-    for k in range(1, 2 * highest + 1):
-        np.multiply(powers[k - 1], u, out=powers[k])
-    basis = powers[: highest + 1]
-    hankel = _HANKEL[highest]
-    selector = np.zeros((highest + 1, 2))  # the value is coefficient 0, the slope coefficient 1
-    selector[0, 0] = 1.0
-    if highest > 0:
-        selector[1, 1] = 1.0 / scale_s
-    try:
-        if present is None:
-            return np.linalg.solve(powers.sum(axis=1)[hankel], selector).T @ basis
-        moments = (powers @ present).T  # (bodies, 2 * highest + 1)
-        gram = moments[:, hankel]
-        rhs = np.repeat(selector[None], moments.shape[0], axis=0)
-        unused = np.arange(highest + 1)[None, :] > np.asarray(orders)[:, None]
-        if unused.any():  # lower order for this body: pin the higher coefficients to 0
-            gram[unused[:, :, None] | unused[:, None, :]] = 0.0
-            body, k = np.nonzero(unused)
-            gram[body, k, k] = 1.0
-            rhs[body, k] = 0.0
-        return (np.linalg.solve(gram, rhs).transpose(0, 2, 1) @ basis) * present.T[:, None, :]
-    except np.linalg.LinAlgError as error:
+    weights = np.zeros((2, ages_s.size))
+    if not _weigh_all(np.zeros(1, dtype=FIT), ages_s, int(order), float(scale_s), weights):
         raise ValueError(
-            "a polynomial of order %s needs order + 1 samples at distinct times, got %d samples"
-            % (highest, ages_s.size)
-        ) from error
+            "a polynomial of order %s needs order + 1 samples at distinct times, got %d samples" % (order, ages_s.size)
+        )
+    return weights
 
 
 def slope_noise_gain(samples, spacing_s, order=1):
@@ -81,11 +96,9 @@ class SlidingFit(object):
     without a sample its window starts afresh, so that no estimate ever spans a gap. While a body's window is
     shorter than `ramp` of the full one, a line is fitted instead of a higher order: a parabola through a
     short window amplifies noise too much.
-    """
 
-    # Weights are reused while the stamps sit this well on the pattern that the weights were made for. At 1 m/s the
-    # velocity is off by 0.4 mm/s then (parabola, 50 samples at 200 Hz): a twentieth of the noise of 2 mm markers.
-    UNIFORM_TOLERANCE_S = 50e-6
+    `window` is what `push_samples` and `estimate_newest` work on in compiled code; `push` and `estimate` call them.
+    """
 
     def __init__(self, window_s, order, channels, max_gap_s, max_rate_hz=500.0, ramp=0.6):
         """window_s [s], order 1..4, channels per body, max_gap_s [s], max_rate_hz: highest frame rate [Hz]."""
@@ -96,46 +109,42 @@ class SlidingFit(object):
                 "window_s, max_gap_s and max_rate_hz must be positive, got %r, %r, %r"
                 % (window_s, max_gap_s, max_rate_hz)
             )
-        self.window_s = float(window_s)
-        self.order = int(order)
-        self._channels = int(channels)
-        self._max_gap_s = float(max_gap_s)
-        self._ramp_s = float(ramp) * self.window_s
-        self._capacity = int(math.ceil(window_s * max_rate_hz)) + 1
-        slots = 8 * self._capacity  # the window slides through the buffer and is moved back when it ends
-        self._stamps_s = np.zeros(slots)
-        self._values = np.zeros((slots, 0, self._channels))
-        self._present = np.zeros((slots, 0), dtype=bool)
-        self._last_s = np.zeros(0)
-        self._gapless = np.zeros(0, dtype=int)  # [samples] each body's run of consecutive frames, newest last
-        self._end = 0
-        self._weights = None
-        self._weights_ages_s = None
-
-    @property
-    def bodies(self):
-        """How many bodies there are."""
-        return self._present.shape[1]
+        fit = np.zeros(1, dtype=FIT)
+        capacity = int(math.ceil(window_s * max_rate_hz)) + 1
+        fit["window_s"], fit["ramp_s"], fit["max_gap_s"] = window_s, ramp * window_s, max_gap_s
+        fit["order"], fit["capacity"] = order, capacity
+        slots = 2 * capacity
+        self.window = Window(
+            fit,
+            np.zeros(0, dtype=BODY),
+            np.zeros(slots),
+            np.zeros((0, slots), dtype=bool),
+            np.zeros((0, slots, channels)),
+            np.zeros((3, capacity)),
+            np.zeros((0, 2, channels)),
+        )
 
     def add_body(self):
         """Add one body without samples; returns its index."""
-        slots = self._stamps_s.size
-        self._values = np.concatenate([self._values, np.zeros((slots, 1, self._channels))], axis=1)
-        self._present = np.concatenate([self._present, np.zeros((slots, 1), dtype=bool)], axis=1)
-        self._last_s = np.append(self._last_s, -np.inf)
-        self._gapless = np.append(self._gapless, 0)
-        return self.bodies - 1
+        old = self.window
+        index, slots, channels = old.values.shape
+        body = np.zeros(1, dtype=BODY)
+        body["last_s"] = -np.inf
+        self.window = old._replace(
+            bodies=np.concatenate([old.bodies, body]),
+            present=np.concatenate([old.present, np.zeros((1, slots), dtype=bool)]),
+            values=np.concatenate([old.values, np.zeros((1, slots, channels))]),
+            estimates=np.zeros((index + 1, 2, channels)),
+        )
+        return index
 
     def reset(self):
         """Forget every sample."""
-        self._present[:] = False
-        self._last_s[:] = -np.inf
-        self._gapless[:] = 0
-        self._end = 0
-
-    def gapped(self, stamp_s):
-        """(bodies,) bool: whose window a sample at stamp_s [s] would start afresh (too old or empty)."""
-        return stamp_s - self._last_s > self._max_gap_s
+        window = self.window
+        window.fit["frames"] = 0
+        window.bodies["last_s"] = -np.inf
+        window.bodies["gapless"] = 0
+        window.present[:] = False
 
     def push(self, stamp_s, values, present=None):
         """Add one frame at stamp_s [s], later than the frame before.
@@ -143,33 +152,12 @@ class SlidingFit(object):
         values: (bodies, channels) [unit]; rows of absent bodies are ignored and may be NaN.
         present: (bodies,) bool, None = all. Raises ValueError if time does not advance.
         """
-        end = self._end
-        if end and stamp_s <= self._stamps_s[end - 1]:
-            raise ValueError("stamps must increase, got %r after %r" % (stamp_s, self._stamps_s[end - 1]))
-        if end == self._stamps_s.size:
-            keep = self._capacity - 1
-            for buffer in (self._stamps_s, self._values, self._present):
-                buffer[:keep] = buffer[end - keep : end]
-            end = keep
-        gapped = self.gapped(stamp_s)
-        if present is None:
-            self._values[end] = values
-            self._present[end] = True
-        else:
-            self._values[end] = np.where(present[:, None], values, 0.0)
-            self._present[end] = present
-            gapped &= present
-        if gapped.any():
-            self._present[:end, gapped] = False
-            self._gapless[gapped] = 0
-        if present is None:
-            self._gapless += 1
-            self._last_s[:] = stamp_s
-        else:
-            self._gapless = np.where(present, self._gapless + 1, 0)
-            self._last_s[present] = stamp_s
-        self._stamps_s[end] = stamp_s
-        self._end = end + 1
+        window = self.window
+        frames, capacity = int(window.fit["frames"][0]), int(window.fit["capacity"][0])
+        if frames and stamp_s <= window.stamps_s[(frames - 1) % capacity]:
+            raise ValueError("stamps must increase, got %r" % (stamp_s,))
+        present = np.ones(len(window.bodies), dtype=bool) if present is None else present
+        push_samples(window, float(stamp_s), np.array(values, dtype=float), present)
 
     def estimate(self, bodies=None):
         """Fit all, or the given, bodies at the newest frame. Each must have a sample in that frame.
@@ -178,47 +166,210 @@ class SlidingFit(object):
         (zero from a single sample), samples (bodies,) used and span_s (bodies,) from oldest to newest used.
         Raises ValueError if there is no frame, or a body has no sample in the newest one.
         """
-        end = self._end
-        if end == 0:
+        window = self.window
+        if window.fit["frames"][0] == 0:
             raise ValueError("no frame to estimate from: push one first")
-        newest_s = self._stamps_s[end - 1]
-        start = max(0, end - self._capacity)
-        # Half a frame of slack, or jitter would have the sample at the window's edge come and go.
-        frame_s = newest_s - self._stamps_s[end - 2] if end - start > 1 else 0.0
-        slack_s = min(0.5 * frame_s, 0.25 * self.window_s)
-        start += int(np.searchsorted(self._stamps_s[start:end], newest_s - self.window_s + slack_s))
-        ages_s = newest_s - self._stamps_s[start:end]
-        n = end - start
-        values = self._values[start:end]
-        gapless = self._gapless
-        if bodies is not None:
-            values = values[:, bodies]
-            gapless = gapless[bodies]
-        if gapless.size == 0:
-            empty = np.zeros((0, self._channels))
-            return empty, empty, np.zeros(0, dtype=int), np.zeros(0)
-        fewest = gapless.min()
-        if fewest == 0:
+        bodies = np.arange(len(window.bodies)) if bodies is None else bodies
+        if (window.bodies["gapless"][bodies] == 0).any():
             raise ValueError("a body without a sample in the newest frame cannot be estimated there")
-        if fewest >= n:
-            estimates = self._shared_weights(ages_s) @ values.reshape(n, -1)
-            estimates = estimates.reshape(2, gapless.size, self._channels)
-            return (estimates[0], estimates[1], np.full(gapless.size, n), np.full(gapless.size, ages_s[0]))
-        present = self._present[start:end]
-        if bodies is not None:
-            present = present[:, bodies]
-        samples = present.sum(axis=0)
-        spans_s = ages_s[present.argmax(axis=0)]
-        orders = np.minimum(np.where(spans_s >= self._ramp_s, self.order, 1), samples - 1)
-        weights = endpoint_weights(ages_s, orders, present, self.window_s)
-        estimates = weights @ values.transpose(1, 0, 2)
-        return estimates[:, 0], estimates[:, 1], samples, spans_s
+        wanted = np.zeros(len(window.bodies), dtype=bool)
+        wanted[bodies] = True
+        estimate_newest(window, wanted)
+        newest, found = window.bodies[bodies], window.estimates[bodies]
+        return found[:, 0], found[:, 1], newest["samples"], newest["span_s"]
 
-    def _shared_weights(self, ages_s):
-        """(2, n) weights for bodies that have every sample; remade only when the pattern of stamps changes."""
-        known = self._weights_ages_s
-        if known is None or known.size != ages_s.size or np.abs(ages_s - known).max() > self.UNIFORM_TOLERANCE_S:
-            order = min(self.order if ages_s[0] >= self._ramp_s else 1, ages_s.size - 1)
-            self._weights = endpoint_weights(ages_s, order, scale_s=self.window_s)
-            self._weights_ages_s = ages_s
-        return self._weights
+
+@compiled
+def push_samples(window, stamp_s, values, present):
+    """Add one frame at stamp_s [s], later than the frame before.
+
+    values: (bodies, channels) [unit]; present: (bodies,) bool: who has a sample, the values of others are ignored.
+    """
+    fit = window.fit[0]
+    slot = fit.frames % fit.capacity
+    fit.frames += 1
+    window.stamps_s[slot] = window.stamps_s[slot + fit.capacity] = stamp_s
+    for i in range(len(present)):
+        body, here = window.bodies[i], present[i]
+        if not here:
+            body.gapless = 0
+        else:
+            if stamp_s - body.last_s > fit.max_gap_s:
+                window.present[i, :] = False
+                body.gapless = 0
+            body.gapless += 1
+            body.last_s = stamp_s
+        for k in (slot, slot + fit.capacity):
+            window.present[i, k] = here
+            for channel in range(values.shape[1]):
+                window.values[i, k, channel] = values[i, channel] if here else 0.0
+
+
+@compiled
+def estimate_newest(window, wanted):
+    """Fit the bodies that are wanted ((bodies,) bool) at the newest frame, in which each of them has a sample.
+
+    Fills window.estimates, and samples and span_s of window.bodies. Bodies that have every sample of the window share
+    their weights.
+    """
+    start, end = _newest_stretch(window)
+    complete = True
+    for i in range(len(wanted)):
+        if wanted[i] and window.bodies[i].gapless < end - start:
+            complete = False
+    if complete:
+        _renew_shared_weights(window, start, end)
+    for i in range(len(wanted)):
+        if wanted[i]:
+            if complete:
+                body = window.bodies[i]
+                body.samples, body.span_s = end - start, window.stamps_s[end - 1] - window.stamps_s[start]
+                _apply_shared_weights(window, i, start, end)
+            else:
+                _fit_own_samples(window, i, start, end)
+
+
+@compiled
+def _newest_stretch(window):
+    """(start, end) of the window's samples in the ring."""
+    fit = window.fit[0]
+    stamps_s = window.stamps_s
+    end = (fit.frames - 1) % fit.capacity + fit.capacity + 1
+    held = min(fit.frames, fit.capacity)
+    # Half a frame of slack, or jitter would have the sample at the window's edge come and go.
+    frame_s = stamps_s[end - 1] - stamps_s[end - 2] if held > 1 else 0.0
+    slack_s = min(0.5 * frame_s, 0.25 * fit.window_s)
+    oldest_s = stamps_s[end - 1] - fit.window_s + slack_s
+    start = end - 1
+    while start > end - held and stamps_s[start - 1] >= oldest_s:
+        start -= 1
+    return start, end
+
+
+@compiled
+def _renew_shared_weights(window, start, end):
+    """Weights for bodies that have every sample; remade only when the pattern of stamps changes."""
+    fit = window.fit[0]
+    samples, newest_s = end - start, window.stamps_s[end - 1]
+    known = fit.weighed == samples
+    for k in range(samples):
+        if known and abs(newest_s - window.stamps_s[start + k] - window.weights[0, k]) > UNIFORM_TOLERANCE_S:
+            known = False
+    if known:
+        return
+    fit.weighed = samples
+    for k in range(samples):
+        window.weights[0, k] = newest_s - window.stamps_s[start + k]
+    order = _order(fit, samples, window.weights[0, 0])
+    while not _weigh(fit, window.weights[0, :samples], order, fit.window_s, window.weights[1:]):
+        order -= 1
+
+
+@compiled
+def _apply_shared_weights(window, i, start, end):
+    for channel in range(window.values.shape[2]):
+        value = slope = 0.0
+        for k in range(end - start):
+            sample = window.values[i, start + k, channel]
+            value += window.weights[1, k] * sample
+            slope += window.weights[2, k] * sample
+        window.estimates[i, 0, channel] = value
+        window.estimates[i, 1, channel] = slope
+
+
+@compiled
+def _fit_own_samples(window, i, start, end):
+    """Fit a body that misses samples of the window."""
+    fit, body = window.fit[0], window.bodies[i]
+    newest_s = window.stamps_s[end - 1]
+    fit.moments[:] = 0.0
+    samples = 0
+    for k in range(start, end):
+        if window.present[i, k]:
+            if samples == 0:
+                body.span_s = newest_s - window.stamps_s[k]
+            samples += 1
+            _add_moments(fit, (newest_s - window.stamps_s[k]) / -fit.window_s)
+    body.samples = samples
+    order = _order(fit, samples, body.span_s)
+    while not _solve(fit, order, fit.window_s):
+        order -= 1
+    window.estimates[i, :, :] = 0.0
+    for k in range(start, end):
+        if window.present[i, k]:
+            value, slope = _weights_at(fit, order, (newest_s - window.stamps_s[k]) / -fit.window_s)
+            for channel in range(window.values.shape[2]):
+                window.estimates[i, 0, channel] += value * window.values[i, k, channel]
+                window.estimates[i, 1, channel] += slope * window.values[i, k, channel]
+
+
+@compiled
+def _order(fit, samples, span_s):
+    """Order of the polynomial for so many samples over such a time."""
+    return min(fit.order if span_s >= fit.ramp_s else 1, samples - 1)
+
+
+@compiled
+def _weigh_all(fits, ages_s, order, scale_s, weights):
+    return _weigh(fits[0], ages_s, order, scale_s, weights)
+
+
+@compiled
+def _weigh(fit, ages_s, order, scale_s, weights):
+    """Fills weights (2, n) as `endpoint_weights`; returns whether there are enough distinct times for that order."""
+    fit.moments[:] = 0.0
+    for k in range(len(ages_s)):
+        _add_moments(fit, ages_s[k] / -scale_s)
+    if not _solve(fit, order, scale_s):
+        return False
+    for k in range(len(ages_s)):
+        weights[0, k], weights[1, k] = _weights_at(fit, order, ages_s[k] / -scale_s)
+    return True
+
+
+@compiled
+def _add_moments(fit, u):
+    power = 1.0
+    for k in range(len(fit.moments)):
+        fit.moments[k] += power
+        power *= u
+
+
+@compiled
+def _solve(fit, order, scale_s):
+    """Polynomials whose values at the samples' times are the weights; False if the normal equations are singular.
+
+    The value is coefficient 0 of the fitted polynomial, the slope coefficient 1 over the scale of time: rows 0 and 1 of
+    the inverse of the normal equations. Gauss' elimination; the matrix is positive definite, so it needs no pivoting.
+    """
+    A, x = fit.normal, fit.polynomials
+    for j in range(order + 1):
+        for k in range(order + 1):
+            A[j, k] = fit.moments[j + k]
+        x[j, 0] = 1.0 if j == 0 else 0.0
+        x[j, 1] = 1.0 / scale_s if j == 1 else 0.0
+    for j in range(order + 1):
+        if not A[j, j] > _DISTINCT * fit.moments[2 * j]:
+            return False
+        for i in range(j + 1, order + 1):
+            factor = A[i, j] / A[j, j]
+            for k in range(j, order + 1):
+                A[i, k] -= factor * A[j, k]
+            for side in range(2):
+                x[i, side] -= factor * x[j, side]
+    for j in range(order, -1, -1):
+        for side in range(2):
+            for k in range(j + 1, order + 1):
+                x[j, side] -= A[j, k] * x[k, side]
+            x[j, side] /= A[j, j]
+    return True
+
+
+@compiled
+def _weights_at(fit, order, u):
+    """(value, slope): the weights of a sample at scaled time u."""
+    value = slope = 0.0
+    for k in range(order, -1, -1):
+        value = value * u + fit.polynomials[k, 0]
+        slope = slope * u + fit.polynomials[k, 1]
+    return value, slope

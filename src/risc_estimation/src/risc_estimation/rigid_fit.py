@@ -1,100 +1,197 @@
-"""Pose of many rigid bodies from their markers (least-squares rigid fit, all bodies in one go).
+"""Pose of a rigid body from its markers (least-squares rigid fit).
 
-For each body the rotation R and translation p minimise  sum_i |m_i - (R t_i + p)|^2  over the visible markers,
-t_i being the template's marker and m_i the measured one (Kabsch's solution: singular value decomposition of the
-cross-covariance). No axis is singled out, so there is no attitude at which the fit degenerates.
+The rotation R and translation p minimise  sum_i |m_i - (R t_i + p)|^2  over the visible markers, t_i being the
+template's marker and m_i the measured one (Kabsch's solution: singular value decomposition of the cross-covariance).
+No axis is singled out, so there is no attitude at which the fit degenerates.
+
+`fit_pose` is compiled: it is called for every body in every frame. `fit_rigid` is the same fit for everybody else.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from risc_control.compiled import compiled, record
+
 MIN_MARKERS = 3
+_SWEEPS = 30  # of Jacobi's rotations; four to six are enough
+_ORTHOGONAL = 1e-15  # cosine between two axes that are left as they are
+_FLAT = 1e-14  # ratio of singular values below which the smaller one is rounding
+
+POSE = record(
+    ("rotation", float, (3, 3)),  # template frame -> measured frame
+    ("position_m", float, (3,)),  # template origin in the measured frame [m]
+    ("residual_m", float),  # rms distance of the used markers from the fitted template [m]
+    ("spread_m", float),  # second principal extent of the used markers [m]; 0 = on one line
+)
+WORK = record(  # what a fit needs beside its result
+    ("axes", float, (3, 3)),
+    ("turns", float, (3, 3)),
+)
 
 
 class RigidFit(NamedTuple):
-    """Result of `fit_rigid`, one row per body."""
+    """Result of `fit_rigid`; as `POSE`."""
 
-    rotations: np.ndarray  # (bodies, 3, 3) template frame -> measured frame
-    positions: np.ndarray  # (bodies, 3) template origin in the measured frame [m]
-    residuals_m: np.ndarray  # (bodies,) rms distance of the used markers from the fitted template [m]
-    spreads_m: np.ndarray  # (bodies,) second principal extent of the used markers [m]; 0 = on one line
-
-
-class TemplateStack(object):
-    """Templates of several bodies padded to one array, with what the full-view fit needs precomputed."""
-
-    def __init__(self, markers_list):
-        """markers_list: one (n_i, 3) array per body: template markers [m]."""
-        widest = max([len(markers) for markers in markers_list] + [MIN_MARKERS])
-        self.markers = np.zeros((len(markers_list), widest, 3))
-        self.defined = np.zeros((len(markers_list), widest), dtype=bool)
-        for body, markers in enumerate(markers_list):
-            self.markers[body, : len(markers)] = markers
-            self.defined[body, : len(markers)] = True
-        self.full = _weigh(self.markers, self.defined)
-
-    @property
-    def shape(self):
-        """(bodies, markers) of the padded array."""
-        return self.defined.shape
+    rotation: np.ndarray  # (3, 3)
+    position_m: np.ndarray  # (3,)
+    residual_m: float
+    spread_m: float
 
 
-class _Weighed(NamedTuple):
-    """Templates reduced to the visible markers, one row per body."""
+def fit_rigid(template_m, measured_m, visible=None):
+    """Fit a template to measured markers.
 
-    weights: np.ndarray  # (bodies, 1, n) 1 / number of visible markers, 0 where not visible
-    centroids: np.ndarray  # (bodies, 1, 3) [m]
-    arms: np.ndarray  # (bodies, 3, n) visible markers about their centroid [m], 0 where not visible
-
-
-def _weigh(markers, visible):
-    weights = visible[:, None, :] / np.maximum(visible.sum(axis=1), 1)[:, None, None]
-    centroids = weights @ markers
-    return _Weighed(weights, centroids, ((markers - centroids) * visible[:, :, None]).transpose(0, 2, 1))
-
-
-def fit_rigid(stack, measured, visible=None, bodies=None):
-    """Fit templates to measured markers.
-
-    stack: TemplateStack.   measured: (b, n, 3) [m], any right-handed frame; invisible markers must be finite (0).
-    visible: (b, n) bool, None = every defined marker.   bodies: rows of the stack that `measured` holds, None = all.
-    Returns RigidFit with b rows. A row with fewer than 3 visible markers or markers on one line has a spread of
-    (nearly) zero: its rotation is meaningless, and the caller is to look at the spread before using it.
+    template_m, measured_m: (n, 3) [m], right-handed frames.   visible: (n,) bool, None = all; at least one marker.
+    Returns RigidFit. With fewer than 3 visible markers or markers on one line the spread is (nearly) zero: the rotation
+    is meaningless then, and the caller is to look at the spread before using it.
     """
-    markers = stack.markers if bodies is None else stack.markers[bodies]
-    if visible is None:
-        weighed = stack.full if bodies is None else _Weighed(*[part[bodies] for part in stack.full])
+    template_m, measured_m = np.array(template_m, dtype=float), np.array(measured_m, dtype=float)
+    visible = np.ones(len(template_m), dtype=bool) if visible is None else np.array(visible, dtype=bool)
+    if not template_m.shape == measured_m.shape == visible.shape + (3,) or not visible.any():
+        raise ValueError(
+            "give two arrays (n, 3) with a visible marker, got %s and %s" % (template_m.shape, measured_m.shape)
+        )
+    work, poses = np.zeros(1, dtype=WORK), np.zeros(1, dtype=POSE)
+    _fit_first(template_m, measured_m, visible, work, poses)
+    pose = poses[0]
+    return RigidFit(pose.rotation, pose.position_m, float(pose.residual_m), float(pose.spread_m))
+
+
+@compiled
+def _fit_first(template, measured, visible, works, poses):
+    fit_pose(template, measured, visible, works[0], poses[0])
+
+
+@compiled
+def fit_pose(template, measured, visible, work, pose):
+    """Fit one body; fills pose (POSE). template, measured: (>= n, 3) [m]; visible: (n,) bool, one at least."""
+    count = 0
+    tx = ty = tz = mx = my = mz = 0.0  # centroids
+    for i in range(len(visible)):
+        if visible[i]:
+            count += 1
+            tx += template[i, 0]
+            ty += template[i, 1]
+            tz += template[i, 2]
+            mx += measured[i, 0]
+            my += measured[i, 1]
+            mz += measured[i, 2]
+    tx, ty, tz, mx, my, mz = tx / count, ty / count, tz / count, mx / count, my / count, mz / count
+
+    axes = work.axes  # cross-covariance, measured by template
+    axes[:, :] = 0.0
+    for i in range(len(visible)):
+        if visible[i]:
+            x, y, z = template[i, 0] - tx, template[i, 1] - ty, template[i, 2] - tz
+            for row in range(3):
+                arm = measured[i, row] - (mx, my, mz)[row]
+                axes[row, 0] += arm * x
+                axes[row, 1] += arm * y
+                axes[row, 2] += arm * z
+    pose.spread_m = math.sqrt(_rotation_of(axes, work.turns, pose.rotation))
+
+    R, p = pose.rotation, pose.position_m
+    p[0] = mx - (R[0, 0] * tx + R[0, 1] * ty + R[0, 2] * tz)
+    p[1] = my - (R[1, 0] * tx + R[1, 1] * ty + R[1, 2] * tz)
+    p[2] = mz - (R[2, 0] * tx + R[2, 1] * ty + R[2, 2] * tz)
+    squares = 0.0
+    for i in range(len(visible)):
+        if visible[i]:
+            x, y, z = template[i, 0], template[i, 1], template[i, 2]
+            for row in range(3):
+                error = R[row, 0] * x + R[row, 1] * y + R[row, 2] * z + p[row] - measured[i, row]
+                squares += error * error
+    pose.residual_m = math.sqrt(squares / count)
+
+
+@compiled
+def fit_pose_without_worst(template, measured, visible, work, pose):
+    """Fit one body without the marker that spoils the fit most, and clear that marker's `visible`; returns its index.
+
+    A swapped or ghost marker spoils the fit of all; without it the rest fits again. As `fit_pose`, but at least two.
+    """
+    worst, least_m = -1, math.inf
+    for i in range(len(visible)):
+        if visible[i]:
+            visible[i] = False
+            fit_pose(template, measured, visible, work, pose)
+            visible[i] = True
+            if pose.residual_m < least_m:
+                worst, least_m = i, pose.residual_m
+    visible[worst] = False
+    fit_pose(template, measured, visible, work, pose)
+    return worst
+
+
+@compiled
+def _rotation_of(axes, turns, rotation):
+    """Fills the rotation R that maximises trace(R^T axes); returns the second singular value of axes.
+
+    One-sided Jacobi: pairs of rows of `axes` are turned until all are orthogonal; axes = turns^T diag(s) U then. Only
+    the two longest rows count. The third axes of both frames are their cross products, so that R is a rotation even
+    where a mirror image would fit as well (flat templates) or better.
+    """
+    for row in range(3):
+        for column in range(3):
+            turns[row, column] = 1.0 if row == column else 0.0
+    for _ in range(_SWEEPS):
+        turned = _make_orthogonal(axes, turns, 0, 1)
+        turned |= _make_orthogonal(axes, turns, 0, 2)
+        turned |= _make_orthogonal(axes, turns, 1, 2)
+        if not turned:
+            break
+    longest, second = 0, 1
+    if _dot(axes, 1, 1) > _dot(axes, 0, 0):
+        longest, second = 1, 0
+    if _dot(axes, 2, 2) > _dot(axes, longest, longest):
+        longest, second = 2, longest
+    elif _dot(axes, 2, 2) > _dot(axes, second, second):
+        second = 2
+    s1, s2 = math.sqrt(_dot(axes, longest, longest)), math.sqrt(_dot(axes, second, second))
+
+    if s1 > 0.0:
+        ax, ay, az = axes[longest, 0] / s1, axes[longest, 1] / s1, axes[longest, 2] / s1
     else:
-        weighed = _weigh(markers, visible)
-    weights, centroids, arms = weighed
-    centroids_measured = weights @ measured
-    u, singular, vt = np.linalg.svd(arms @ measured)  # arms sum to zero: no need to centre the measured markers
-    rotations_t = u @ vt
-    mirrored = np.linalg.det(rotations_t) < 0.0
-    if mirrored.any():
-        vt[mirrored, 2] *= -1.0  # a flat template fits its mirror image as well: take the rotation
-        rotations_t = u @ vt
-    positions = centroids_measured - centroids @ rotations_t
-    errors = markers @ rotations_t
-    errors += positions
-    errors -= measured
-    np.multiply(errors, errors, out=errors)
-    residuals_m = np.sqrt((weights @ errors).sum(axis=2)[:, 0])
-    return RigidFit(rotations_t.transpose(0, 2, 1), positions[:, 0], residuals_m, np.sqrt(singular[:, 1]))
+        ax, ay, az = 1.0, 0.0, 0.0
+    if s2 > _FLAT * s1:
+        bx, by, bz = axes[second, 0] / s2, axes[second, 1] / s2, axes[second, 2] / s2
+    else:  # markers on a line: any direction across it
+        bx, by, bz = (ay, -ax, 0.0) if abs(az) < 0.5 else (0.0, az, -ay)
+        across = math.sqrt(bx * bx + by * by + bz * bz)
+        bx, by, bz = bx / across, by / across, bz / across
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    for row in range(3):
+        # the same three axes in the measured frame
+        p, q = turns[longest, row], turns[second, row]
+        j, k = (row + 1) % 3, (row + 2) % 3
+        r = turns[longest, j] * turns[second, k] - turns[longest, k] * turns[second, j]
+        rotation[row, 0] = p * ax + q * bx + r * cx
+        rotation[row, 1] = p * ay + q * by + r * cy
+        rotation[row, 2] = p * az + q * bz + r * cz
+    return s2
 
 
-def fit_without_worst(stack, body, measured, visible):
-    """Fit one body once without each visible marker in turn and return the best: (RigidFit of one row, marker).
+@compiled
+def _dot(rows, i, j):
+    return rows[i, 0] * rows[j, 0] + rows[i, 1] * rows[j, 1] + rows[i, 2] * rows[j, 2]
 
-    A swapped or ghost marker spoils the fit of all; without it the rest fits again. measured: (n, 3) [m],
-    visible: (n,) bool with at least 4 set, else ValueError. The marker left out is returned as its index.
-    """
-    candidates = np.flatnonzero(visible)
-    if candidates.size < MIN_MARKERS + 1:
-        raise ValueError("leaving a marker out needs %d visible markers, got %d" % (MIN_MARKERS + 1, candidates.size))
-    tries = np.repeat(visible[None], candidates.size, axis=0)
-    tries[np.arange(candidates.size), candidates] = False
-    fit = fit_rigid(stack, np.where(tries[:, :, None], measured[None], 0.0), tries, np.full(candidates.size, body))
-    best = int(fit.residuals_m.argmin())
-    return RigidFit(*[part[best : best + 1] for part in fit]), int(candidates[best])
+
+@compiled
+def _make_orthogonal(axes, turns, i, j):
+    """Turn rows i and j within their plane so that they are orthogonal in `axes`. Returns whether they were not."""
+    along = _dot(axes, i, j)
+    first, other = _dot(axes, i, i), _dot(axes, j, j)
+    if abs(along) <= _ORTHOGONAL * math.sqrt(first * other):
+        return False
+    zeta = (other - first) / (2.0 * along)
+    tangent = math.copysign(1.0, zeta) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+    cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+    sine = cosine * tangent
+    for rows in (axes, turns):
+        for k in range(3):
+            a, b = rows[i, k], rows[j, k]
+            rows[i, k] = cosine * a - sine * b
+            rows[j, k] = sine * a + cosine * b
+    return True

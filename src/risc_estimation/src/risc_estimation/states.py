@@ -5,17 +5,21 @@ Bodies are keyed by name; their order in a frame means nothing. Time comes from 
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import NamedTuple, Tuple
 
 import numpy as np
 
-from risc_control.frames import cortex_to_ned, euler_from_body_to_ned, wrap_angle
+from risc_control.compiled import compiled, record
+from risc_control.frames import euler_of_body_in_cortex, wrap_one_angle
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
-from risc_estimation.landmarks import LandmarkTracker
-from risc_estimation.least_squares import SlidingFit
-from risc_estimation.rigid_fit import MIN_MARKERS, TemplateStack, fit_rigid, fit_without_worst
+from risc_estimation.gates import REFUSALS, believe_pose, is_inside, is_settled, limits_of, see_markers
+from risc_estimation.landmarks import LANDMARK, locate_landmark
+from risc_estimation.least_squares import SlidingFit, Window, estimate_newest, push_samples
+from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst
+
+_LAYOUTS = 64  # that are remembered
 
 LEGACY_WINDOW_S = 0.25  # the original release: a line through 50 samples at 200 Hz
 
@@ -119,11 +123,45 @@ class EstimatorCounts:
     unknown: Counter = field(default_factory=Counter)  # frames by name that no template knows
 
 
-class _Slot(NamedTuple):
-    """Where the markers of one body go: rows of the vehicles' or the landmarks' frame buffer."""
+ROWS = record(("first", int), ("count", int))  # the markers of a body in those of the frame
+VEHICLE = record(("markers", int), ("has_attitude", bool))  # number of its template's; not a rod's tip
 
-    buffer: np.ndarray  # (markers, 3) view of the buffer, as many as the template has
-    markers: int
+
+class Vehicles(NamedTuple):
+    """What is known of the vehicles, one row each."""
+
+    known: np.ndarray  # (vehicles,) VEHICLE
+    templates_m: np.ndarray  # (vehicles, most markers, 3)
+    poses: np.ndarray  # (vehicles,) POSE, body to cortex frame
+    present: np.ndarray  # (vehicles,) bool: the newest frame gave a pose
+    positions_m: np.ndarray  # (vehicles, 3) and which
+    angles_rad: np.ndarray  # (vehicles, 3) roll pitch yaw, without jumps of a whole turn
+    states: np.ndarray  # (vehicles, 12)
+
+
+class Landmarks(NamedTuple):
+    """What is known of the landmarks."""
+
+    known: np.ndarray  # (landmarks,) LANDMARK
+    offsets_m: np.ndarray  # (landmarks, most markers, 3)
+    positions_m: np.ndarray  # (landmarks, 3) of those seen in the newest frame, which come first
+    rows: np.ndarray  # (landmarks,) which ones these are
+
+
+class _Plan(NamedTuple):
+    """What a layout of the frame means."""
+
+    vehicles: np.ndarray  # (vehicles,) ROWS
+    landmarks: np.ndarray  # (landmarks,) ROWS
+    unknown: Tuple[str, ...]  # names without a template
+    markers_m: np.ndarray  # (markers, 3) copy of the frame's
+
+
+def pack_bodies(bodies):
+    """(layout, markers_m) as `StatesEstimator.update` takes them, from a dict name -> (k, 3) markers [m]."""
+    parts = [np.reshape(markers, (-1, 3)) for markers in bodies.values()]
+    layout = tuple((name, len(part)) for name, part in zip(bodies, parts))
+    return layout, np.concatenate([np.zeros((0, 3)), *parts])
 
 
 class StatesEstimator(object):
@@ -142,40 +180,54 @@ class StatesEstimator(object):
         has fewer than three markers.
         """
         self.params = params = params or EstimatorParams()
-        self.counts = EstimatorCounts()
+        self._counts = EstimatorCounts()
+        self._refusals = np.zeros(1, dtype=REFUSALS)
         self._templates = dict(templates)
-        orders, windows_s = (
-            (params.position_order, params.angle_order),
-            (params.position_window_s, params.angle_window_s),
-        )
-        self._smooth = (params.smooth_position, params.smooth_angles)
-        if params.legacy_window:
-            orders, windows_s, self._smooth = (1, 1), (LEGACY_WINDOW_S, LEGACY_WINDOW_S), (False, False)
-        self._position_fit, self._angle_fit = [
-            SlidingFit(window_s, order, 3, params.max_gap_s, params.max_rate_hz)
-            for window_s, order in zip(windows_s, orders)
-        ]
-        margin_m = params.arena_margin_m
-        self._lower_m = np.array([-params.arena_x_m, -params.arena_y_m, params.arena_z_min_m]) - margin_m
-        self._upper_m = np.array([params.arena_x_m, params.arena_y_m, params.arena_z_max_m]) + margin_m
-        self._cos_tilt_max = math.cos(min(params.tilt_max_rad, math.pi))
-
         self._last_stamp_s = None
-        self._names = ()
-        self._is_tip = np.zeros(0, dtype=bool)
-        self._stack = TemplateStack([])
-        self._blank = self._frame = np.zeros((0, MIN_MARKERS, 3))
-        self._states = np.zeros((0, len(S)))
-        self._unwrapped = np.zeros((0, 3))
-        self._landmarks = LandmarkTracker(params.residual_max_m)
-        self._landmark_blank = self._landmark_frame = np.zeros((0, 0, 3))
-        self._slots = {}
+        self._names, self._landmark_names = (), ()
         for template in self._templates.values():
             if template.kind != "landmark" and len(template.markers_m) < MIN_MARKERS:
                 raise ValueError(
                     "template '%s' has %d markers; a body of kind %s needs at least %d"
                     % (template.name, len(template.markers_m), template.kind, MIN_MARKERS)
                 )
+
+        orders, windows_s, smooth = (
+            (params.position_order, params.angle_order),
+            (params.position_window_s, params.angle_window_s),
+            (params.smooth_position, params.smooth_angles),
+        )
+        if params.legacy_window:
+            orders, windows_s, smooth = (1, 1), (LEGACY_WINDOW_S, LEGACY_WINDOW_S), (False, False)
+        self._position_fit, self._angle_fit = [
+            SlidingFit(window_s, order, 3, params.max_gap_s, params.max_rate_hz)
+            for window_s, order in zip(windows_s, orders)
+        ]
+        most = max([len(template.markers_m) for template in self._templates.values()], default=0)
+        self._fixed = (
+            limits_of(params),
+            self._refusals,
+            np.zeros(1, dtype=WORK),
+            np.zeros(most, dtype=bool),
+            *map(bool, smooth),
+        )
+        self._vehicles = Vehicles(
+            known=np.zeros(0, dtype=VEHICLE),
+            templates_m=np.zeros((0, most, 3)),
+            poses=np.zeros(0, dtype=POSE),
+            present=np.zeros(0, dtype=bool),
+            positions_m=np.zeros((0, 3)),
+            angles_rad=np.zeros((0, 3)),
+            states=np.zeros((0, len(S))),
+        )
+        self._landmarks = Landmarks(
+            known=np.zeros(0, dtype=LANDMARK),
+            offsets_m=np.zeros((0, most, 3)),
+            positions_m=np.zeros((0, 3)),
+            rows=np.zeros(0, dtype=int),
+        )
+        self._forget_layouts()
+        self._estimate(0.0, self._plan_for(()))  # of nobody: loads the compiled code
         for name in vehicles:
             template = self._templates.get(name)
             if template is None or template.kind == "landmark":
@@ -183,37 +235,52 @@ class StatesEstimator(object):
                     "vehicle '%s' needs a template of kind vehicle; there are %s. Add it to the templates "
                     "file or correct the name" % (name, ", ".join(sorted(self._vehicle_names())))
                 )
-            if name not in self._names:
-                self._add_vehicle(template)
+            self._admit(name)
 
     @property
     def names(self):
         """Names of all known vehicles: the listed ones, then the others in the order they were first seen."""
         return self._names
 
-    def update(self, stamp_s, bodies):
+    @property
+    def counts(self):
+        """EstimatorCounts up to now."""
+        return replace(self._counts, **dict(zip(REFUSALS.names, self._refusals[0].tolist())))
+
+    def update(self, stamp_s, layout, markers_m):
         """Estimate one frame.
 
-        stamp_s: time of exposure [s].   bodies: dict name -> (k, 3) markers [m], cortex frame, in the template's
-        order. A lost marker is NaN, infinite or beyond marker_limit_m; markers beyond the template's are ignored,
-        missing ones at the end count as lost.
-        Returns FrameEstimate, or None when the stamp does not advance (counted).
+        stamp_s: time of exposure [s].   layout: ((name, number of markers), ...), cheapest when it is the same object
+        as long as it stays the same.   markers_m: (markers, 3) [m] of all bodies in that order, cortex frame, each
+        body's in its template's order. A lost marker is NaN, infinite or beyond marker_limit_m; markers beyond the
+        template's are ignored, missing ones at the end count as lost. Of two bodies of one name the first counts.
+        Returns FrameEstimate, or None when the stamp does not advance (counted). Raises ValueError when layout and
+        markers_m do not match.
         """
         if not self._accept_stamp(stamp_s):
             return None
-        self.counts.frames += 1
-        np.copyto(self._frame, self._blank)
-        np.copyto(self._landmark_frame, self._landmark_blank)
-        for name, markers in bodies.items():
-            slot = self._slots.get(name) or self._admit(name)
-            if slot is not None:
-                if len(markers) == slot.markers:
-                    slot.buffer[:] = markers
-                elif len(markers):
-                    slot.buffer[: len(markers)] = markers[: slot.markers]
-        visible = self._update_vehicles(stamp_s)
-        landmark_names, landmarks_m = self._update_landmarks()
-        return FrameEstimate(stamp_s, self._names, visible, self._states.copy(), landmark_names, landmarks_m)
+        if layout is not self._layout:
+            self._plan = self._plans.get(layout) or self._plan_for(layout)
+            self._layout = layout
+        plan = self._plan
+        if np.shape(markers_m) != plan.markers_m.shape:
+            raise ValueError("the layout has %d markers, the array is %r" % (len(plan.markers_m), np.shape(markers_m)))
+        plan.markers_m[:] = markers_m
+        self._counts.frames += 1
+        for name in plan.unknown:
+            self._counts.unknown[name] += 1
+        visible, seen = self._estimate(float(stamp_s), plan)
+        landmark_names = self._landmark_names
+        if seen < len(landmark_names):
+            landmark_names = tuple([landmark_names[row] for row in self._landmarks.rows[:seen]])
+        return FrameEstimate(
+            stamp_s,
+            self._names,
+            visible,
+            self._vehicles.states.copy(),
+            landmark_names,
+            self._landmarks.positions_m[:seen].copy(),
+        )
 
     def lost(self):
         """FrameEstimate for "no frames arrive any more": the last numbers, nothing visible. None before any."""
@@ -223,24 +290,25 @@ class StatesEstimator(object):
             self._last_stamp_s,
             self._names,
             np.zeros(len(self._names), dtype=bool),
-            self._states.copy(),
+            self._vehicles.states.copy(),
             (),
             np.zeros((0, 3)),
         )
 
     def _accept_stamp(self, stamp_s):
+        counts = self._counts
         if not math.isfinite(stamp_s):
-            self.counts.backward_stamps += 1
+            counts.backward_stamps += 1
             return False
         last_s = self._last_stamp_s
         if last_s is not None and stamp_s <= last_s:
             if stamp_s == last_s:
-                self.counts.duplicate_stamps += 1
+                counts.duplicate_stamps += 1
                 return False
             if last_s - stamp_s <= self.params.backward_reset_s:
-                self.counts.backward_stamps += 1
+                counts.backward_stamps += 1
                 return False
-            self.counts.clock_resets += 1  # a bag was started again, or the clock was set
+            counts.clock_resets += 1  # a bag was started again, or the clock was set
             self._position_fit.reset()
             self._angle_fit.reset()
         self._last_stamp_s = stamp_s
@@ -249,161 +317,165 @@ class StatesEstimator(object):
     def _vehicle_names(self):
         return [name for name, template in self._templates.items() if template.kind != "landmark"]
 
+    def _plan_for(self, layout):
+        """Plan of a layout, remembered; bodies seen for the first time are admitted."""
+        places, first = {}, 0
+        for name, count in layout:
+            places.setdefault(name, (first, count))
+            first += count
+        for name in places:
+            self._admit(name)
+        if len(self._plans) >= _LAYOUTS:
+            self._forget_layouts()
+        plan = self._plans[layout] = _Plan(
+            np.array([places.get(name, (0, 0)) for name in self._names], dtype=ROWS),
+            np.array([places.get(name, (0, 0)) for name in self._landmark_names], dtype=ROWS),
+            tuple([name for name in places if name not in self._templates]),
+            np.zeros((first, 3)),
+        )
+        return plan
+
+    def _forget_layouts(self):
+        self._plans, self._layout, self._plan = {}, None, None
+
     def _admit(self, name):
-        """Slot of a body seen for the first time; None, counted, if no template knows it."""
+        """A row for a body, if it has none yet and a template knows it."""
         template = self._templates.get(name)
-        if template is None:
-            self.counts.unknown[name] += 1
-            return None
+        if template is None or name in self._names or name in self._landmark_names:
+            return
+        self._forget_layouts()  # their plans have no row for it
+        markers = np.zeros((1,) + self._vehicles.templates_m.shape[1:])
+        markers[0, : len(template.markers_m)] = template.markers_m
         if template.kind == "landmark":
-            self._add_landmark(template)
+            known = np.array([(len(template.markers_m), False)], dtype=LANDMARK)
+            self._landmark_names += (name,)
+            self._landmarks = _with_row(self._landmarks, known=known, offsets_m=markers)
         else:
-            self._add_vehicle(template)
-        return self._slots[name]
+            known = np.array([(len(template.markers_m), template.kind != "pendulum_tip")], dtype=VEHICLE)
+            self._names += (name,)
+            self._vehicles = _with_row(self._vehicles, known=known, templates_m=markers)
+            self._position_fit.add_body()
+            self._angle_fit.add_body()
 
-    def _add_vehicle(self, template):
-        self._names += (template.name,)
-        self._is_tip = np.append(self._is_tip, template.kind == "pendulum_tip")
-        self._stack = TemplateStack([self._templates[name].markers_m for name in self._names])
-        self._states = np.vstack([self._states, np.zeros(len(S))])
-        self._unwrapped = np.vstack([self._unwrapped, np.zeros(3)])
-        self._position_fit.add_body()
-        self._angle_fit.add_body()
-        self._blank, self._frame = self._new_frame(self._frame, self._stack.defined, self._names)
-
-    def _add_landmark(self, template):
-        self._landmarks.add(template.name, template.markers_m)
-        self._landmark_blank, self._landmark_frame = self._new_frame(
-            self._landmark_frame, self._landmarks.defined, self._landmarks.names
+    def _estimate(self, stamp_s, plan):
+        """(visible (vehicles,) bool, number of landmarks seen); states and landmarks are brought up to date."""
+        visible = np.zeros(len(self._names), dtype=bool)
+        seen = _estimate_frame(
+            stamp_s,
+            plan.markers_m,
+            plan.vehicles,
+            plan.landmarks,
+            visible,
+            *self._fixed,
+            *self._vehicles,
+            *self._position_fit.window,
+            *self._angle_fit.window,
+            *self._landmarks,
         )
+        return visible, seen
 
-    def _new_frame(self, old, defined, names):
-        """Frame buffer for so many bodies, keeping what `old` already holds, and its blank: NaN = not seen."""
-        blank = np.zeros(defined.shape + (3,))
-        blank[defined] = np.nan
-        frame = blank.copy()
-        frame[: old.shape[0], : old.shape[1]] = old
-        for row, name in enumerate(names):
-            count = len(self._templates[name].markers_m)
-            self._slots[name] = _Slot(frame[row, :count], count)
-        return blank, frame
 
-    def _update_vehicles(self, stamp_s):
-        """Fit, gate, differentiate; returns visible (vehicles,) and refreshes self._states where visible."""
-        count = len(self._names)
-        visible = np.zeros(count, dtype=bool)
-        if count == 0:
-            return visible
-        rows, positions, rotations = self._fit_poses()
-        if rows is None:  # the usual case: every known vehicle has a pose
-            rows, present = slice(None), None
-        else:
-            present = np.zeros(count, dtype=bool)
-            present[rows] = True
-        everyone = present is None
-        fitted = None if everyone else rows
+def _with_row(table, **first):
+    """A NamedTuple of arrays with one more row of zeros, or of what is given."""
+    return table._make(
+        np.concatenate([array, first.get(name, np.zeros((1,) + array.shape[1:], dtype=array.dtype))])
+        for name, array in zip(table._fields, table)
+    )
 
-        angles = np.stack(euler_from_body_to_ned(rotations), axis=-1)
-        angles[self._is_tip[rows]] = 0.0  # three degrees of freedom: a rod's tip has no attitude of interest
-        turned = angles - self._unwrapped[rows]
-        turned -= (2.0 * np.pi) * np.rint(turned * (0.5 / np.pi))
-        self._unwrapped[rows] += turned
-        if everyone:
-            self._position_fit.push(stamp_s, positions)
-        else:
-            padded = np.zeros((count, 3))
-            padded[rows] = positions
-            self._position_fit.push(stamp_s, padded, present)
-        self._angle_fit.push(stamp_s, self._unwrapped, present)
-        if not everyone and rows.size == 0:
-            return visible
 
-        value, velocity, samples, spans_s = self._position_fit.estimate(fitted)
-        angle, rate, samples_angle, spans_angle_s = self._angle_fit.estimate(fitted)
-        inside = ((positions >= self._lower_m) & (positions <= self._upper_m)).all(axis=1)
-        if not inside.all():
-            self.counts.outside += int((~inside).sum())
-        shown = (
-            inside
-            & (np.minimum(samples, samples_angle) >= self.params.min_samples)
-            & (np.minimum(spans_s, spans_angle_s) >= self.params.min_span_s)
-        )
-        smooth_position, smooth_angles = self._smooth
-        fresh = np.concatenate(
-            [
-                value if smooth_position else positions,
-                velocity,
-                wrap_angle(angle if smooth_angles else self._unwrapped[rows]),
-                rate,
-            ],
-            axis=1,
-        )
-        visible[rows] = shown
-        if shown.all():
-            self._states[rows] = fresh
-        else:
-            self._states[visible] = fresh[shown]
-        return visible
+# --- compiled: all bodies of a frame in one call
 
-    def _fit_poses(self):
-        """Poses of the bodies in the frame buffer that pass the gates.
 
-        Returns rows (None = all), positions (rows, 3) [m] cortex frame, rotations body -> NED (rows, 3, 3).
-        """
-        params = self.params
-        frame = self._frame
-        rows = seen = None
-        finite = np.abs(frame) < params.marker_limit_m
-        if not finite.all():
-            seen = finite.all(axis=2) & self._stack.defined
-            frame = np.where(seen[:, :, None], frame, 0.0)
-            rows = np.flatnonzero(seen.sum(axis=1) >= MIN_MARKERS)
-            fit = fit_rigid(self._stack, frame[rows], seen[rows], rows)
-        else:
-            fit = fit_rigid(self._stack, frame)
-        rotations, positions = fit.rotations, fit.positions
-        good = fit.residuals_m <= params.residual_max_m
-        if not good.all():
-            self._retry_misfits(fit, good, frame, self._stack.defined if seen is None else seen, rows)
-        rotations = cortex_to_ned(rotations.swapaxes(1, 2)).swapaxes(1, 2)
-        broad = fit.spreads_m >= params.min_spread_m
-        upright = rotations[:, 2, 2] >= self._cos_tilt_max
-        if not (broad & upright).all():
-            upright |= self._is_tip if rows is None else self._is_tip[rows]
-            self.counts.collinear += int((good & ~broad).sum())
-            self.counts.tilted += int((good & broad & ~upright).sum())
-            good &= broad & upright
-        if good.all():
-            return rows, positions, rotations
-        rows = np.flatnonzero(good) if rows is None else rows[good]
-        return rows, positions[good], rotations[good]
+# The arrays come one by one, since a tuple of them takes three times as long to pass.
+@compiled
+def _estimate_frame(
+    stamp_s, markers_m, vehicle_rows, landmark_rows, visible,
+    limits, refusals, work, marker_visible, smooth_position, smooth_angles,
+    known, templates_m, poses, present, positions_m, angles_rad, states,
+    p_fit, p_bodies, p_stamps_s, p_present, p_values, p_weights, p_estimates,
+    a_fit, a_bodies, a_stamps_s, a_present, a_values, a_weights, a_estimates,
+    l_known, l_offsets_m, l_positions_m, l_rows,
+):  # fmt: skip
+    """One frame. Returns how many landmarks are seen."""
+    vehicles = Vehicles(known, templates_m, poses, present, positions_m, angles_rad, states)
+    positions = Window(p_fit, p_bodies, p_stamps_s, p_present, p_values, p_weights, p_estimates)
+    angles = Window(a_fit, a_bodies, a_stamps_s, a_present, a_values, a_weights, a_estimates)
+    landmarks = Landmarks(l_known, l_offsets_m, l_positions_m, l_rows)
+    if len(known) > 0:
+        for i in range(len(known)):
+            rows = vehicle_rows[i]
+            measured = markers_m[rows.first : rows.first + rows.count]
+            present[i] = _locate(vehicles, i, measured, limits[0], refusals[0], work[0], marker_visible)
+        push_samples(positions, stamp_s, positions_m, present)
+        push_samples(angles, stamp_s, angles_rad, present)
+        estimate_newest(positions, present)
+        estimate_newest(angles, present)
+        for i in range(len(known)):
+            visible[i] = present[i] and is_inside(positions_m[i], limits[0], refusals[0])
+            visible[i] &= is_settled(p_bodies[i], limits[0]) and is_settled(a_bodies[i], limits[0])
+            if visible[i]:
+                _show(vehicles, i, p_estimates[i], a_estimates[i], smooth_position, smooth_angles)
+    return _find_landmarks(landmarks, landmark_rows, markers_m, limits[0], marker_visible)
 
-    def _retry_misfits(self, fit, good, frame, seen, rows):
-        """Refit, without their worst marker, the bodies that do not fit; `fit` and `good` are updated in place."""
-        for index in np.flatnonzero(~good):
-            row = index if rows is None else rows[index]
-            if seen[row].sum() > MIN_MARKERS:
-                retry, _ = fit_without_worst(self._stack, row, frame[row], seen[row])
-                if retry.residuals_m[0] <= self.params.residual_max_m:
-                    for whole, part in zip(fit, retry):
-                        whole[index] = part[0]
-                    good[index] = True
-                    self.counts.markers_left_out += 1
-                    continue
-            self.counts.misfits += 1
 
-    def _update_landmarks(self):
-        """Names and positions (landmarks, 3) [m] of the landmarks seen in this frame."""
-        if not self._landmarks.names:
-            return (), np.zeros((0, 3))
-        frame = self._landmark_frame
-        seen = self._landmarks.defined
-        finite = np.abs(frame) < self.params.marker_limit_m
-        if not finite.all():
-            seen = finite.all(axis=2) & seen
-            frame = np.where(seen[:, :, None], frame, 0.0)
-        positions, visible = self._landmarks.update(frame, seen)
-        if visible.all():
-            return tuple(self._landmarks.names), positions
-        names = tuple(name for name, shown in zip(self._landmarks.names, visible) if shown)
-        return names, positions[visible]
+@compiled
+def _locate(vehicles, i, measured, limits, refusals, work, marker_visible):
+    """Pose of a vehicle from its markers of this frame; returns whether it is believed."""
+    pose, template = vehicles.poses[i], vehicles.templates_m[i]
+    has_attitude = vehicles.known[i].has_attitude
+    seen = marker_visible[: vehicles.known[i].markers]
+    count = see_markers(measured, limits, seen)
+    if count < MIN_MARKERS:
+        return False
+    fit_pose(template, measured, seen, work, pose)
+    if not pose.residual_m <= limits.residual_max_m:
+        if count > MIN_MARKERS:
+            fit_pose_without_worst(template, measured, seen, work, pose)
+        if not pose.residual_m <= limits.residual_max_m:
+            refusals.misfits += 1
+            return False
+        refusals.markers_left_out += 1
+    if not believe_pose(pose, has_attitude, limits, refusals):
+        return False
+    vehicles.positions_m[i] = pose.position_m
+    if has_attitude:
+        phi, theta, psi = euler_of_body_in_cortex(pose.rotation)
+        angles_rad = vehicles.angles_rad[i]
+        angles_rad[0] = _nearest(phi, angles_rad[0])
+        angles_rad[1] = _nearest(theta, angles_rad[1])
+        angles_rad[2] = _nearest(psi, angles_rad[2])
+    return True
+
+
+@compiled
+def _nearest(angle_rad, to_rad):
+    """The angle, whole turns added, that is nearest to another."""
+    turned = angle_rad - to_rad
+    return to_rad + (turned - 2.0 * math.pi * round(turned * (0.5 / math.pi)))
+
+
+@compiled
+def _show(vehicles, i, position, angle, smooth_position, smooth_angles):
+    """State of a vehicle from the estimates of its windows, each (2, 3): value and slope."""
+    state = vehicles.states[i]
+    for axis in range(3):
+        state[axis] = position[0, axis] if smooth_position else vehicles.positions_m[i, axis]
+        state[3 + axis] = position[1, axis]
+        state[6 + axis] = wrap_one_angle(angle[0, axis] if smooth_angles else vehicles.angles_rad[i, axis])
+        state[9 + axis] = angle[1, axis]
+
+
+@compiled
+def _find_landmarks(landmarks, landmark_rows, markers_m, limits, marker_visible):
+    """Fills positions and rows of the landmarks that are seen in this frame; returns how many."""
+    count = 0
+    for i in range(len(landmarks.known)):
+        landmark, rows = landmarks.known[i], landmark_rows[i]
+        measured = markers_m[rows.first : rows.first + rows.count]
+        seen = marker_visible[: landmark.markers]
+        see_markers(measured, limits, seen)
+        offsets, position_m = landmarks.offsets_m[i], landmarks.positions_m[count]
+        if locate_landmark(landmark, offsets, measured, seen, limits.residual_max_m, position_m):
+            landmarks.rows[count] = i
+            count += 1
+    return count

@@ -106,7 +106,8 @@ def fly(flight):
         time_s = frame * FRAME_S
         now_s = time_s + LATENCY_S
         world.step_to(time_s)
-        estimate = estimator.update(time_s, dict(cameras.observe(time_s, world.bodies()).bodies()))
+        seen = cameras.observe(time_s, world.bodies())
+        estimate = estimator.update(time_s, seen.layout, seen.markers_m)
         states = _states(estimate)
         if time_s >= WARM_UP_S and not chains[0].pilot.autonomous:
             for name, chain, state in zip(names, chains, estimate.states):

@@ -1,5 +1,7 @@
 """Between messages (degrees, risc_msgs) and the estimator's values (SI units, numpy): the only place that does it."""
 
+import itertools
+
 import numpy as np
 from std_msgs.msg import Header
 
@@ -17,25 +19,21 @@ def header_for(header):
     return Header(stamp=header.stamp, frame_id=header.frame_id.lstrip("/") or FRAME_ID)
 
 
-def bodies_from_msg(msg):
-    """Mocap_data -> dict name -> (k, 3) markers [m], cortex frame. A name that occurs twice: the first one counts."""
-    coordinates = np.array([(marker.x, marker.y, marker.z) for body in msg.Obj for marker in body.marker])
-    bodies = {}
-    start = 0
-    for body in msg.Obj:
-        end = start + len(body.marker)
-        bodies.setdefault(body.name, coordinates[start:end])
-        start = end
-    return bodies
+def markers_from_msg(msg):
+    """Mocap_data -> (layout ((name, number of markers), ...), (markers, 3) of all bodies [m], cortex frame)."""
+    layout = tuple([(body.name, len(body.marker)) for body in msg.Obj])
+    markers = [(marker.x, marker.y, marker.z) for body in msg.Obj for marker in body.marker]
+    return layout, np.array(markers, dtype=float).reshape(-1, 3)
 
 
-def bodies_to_msg(header, bodies):
-    """dict name -> (k, 3) markers [m], cortex frame -> Mocap_data. The inverse of `bodies_from_msg`."""
+def markers_to_msg(header, layout, markers_m):
+    """The inverse of `markers_from_msg`."""
+    markers = iter(markers_m.tolist())
     return Mocap_data(
         header=header,
         Obj=[
-            Mocap_markers(name, 0.0, [Mocap_marker(*marker) for marker in np.asarray(markers, dtype=float).tolist()])
-            for name, markers in bodies.items()
+            Mocap_markers(name, 0.0, [Mocap_marker(*marker) for marker in itertools.islice(markers, count)])
+            for name, count in layout
         ],
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from risc_control.frames import frd_to_flu
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
-from risc_estimation.rigid_fit import TemplateStack, fit_rigid
+from risc_estimation.rigid_fit import fit_rigid
 from risc_experiments.findings import green, red, yellow
 
 AXES = "xyz"
@@ -122,8 +122,8 @@ def _spread(points):
 
 def fit_both_hands(template, measured):
     """(rotation template -> measured, its rms residual, rms residual of the best fit of the mirrored template)."""
-    fit = fit_rigid(TemplateStack([template, -template]), np.stack([measured, measured]))
-    return (fit.rotations[0], *map(float, fit.residuals_m))
+    fit, mirrored = fit_rigid(template, measured), fit_rigid(-template, measured)
+    return fit.rotation, fit.residual_m, mirrored.residual_m
 
 
 def judge_moves(moves):

@@ -1,0 +1,79 @@
+"""The estimator against the one in numpy that it replaced (golden/make_states.py), and against itself uncompiled."""
+
+import json
+import os
+import pathlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from golden.make_states import BODIES, LANDMARKS, LISTED, VARIANTS, from_grid
+
+from risc_control.lab.templates import load_templates
+from risc_estimation.states import StatesEstimator
+
+GOLDEN = np.load(pathlib.Path(__file__).parent / "golden" / "states.npz")
+UNCOMPILED_FRAMES = 160
+TOLERANCE = 1e-9  # m, m/s, rad, rad/s
+
+
+def replay(variant, frames=None):
+    """(estimator, list of its estimates) of the recorded flight."""
+    layouts = [tuple(map(tuple, layout)) for layout in json.loads(str(GOLDEN["layouts"]))]
+    markers_m = from_grid(GOLDEN["markers"])
+    estimator = StatesEstimator(load_templates(), VARIANTS[variant][0], LISTED)
+    estimates, first = [], 0
+    for stamp_s, index in zip(GOLDEN["stamps_s"][:frames].tolist(), GOLDEN["layout"]):
+        layout = layouts[index]
+        last = first + sum(count for _, count in layout)
+        estimates.append(estimator.update(stamp_s, layout, markers_m[first:last]))
+        first = last
+    return estimator, estimates
+
+
+def padded(rows, count):
+    """(count, ...) with NaN where there are no rows yet."""
+    return np.concatenate([rows, np.full((count - len(rows),) + rows.shape[1:], np.nan)])
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_states_equal_those_of_the_old_estimator(variant):
+    estimator, estimates = replay(variant)
+    assert estimator.names == BODIES
+    for estimate, expected in zip(estimates, GOLDEN[variant + "_visible"]):
+        if estimate is not None:
+            assert estimate.visible.tolist() == expected[: len(estimate.names)].tolist()
+    states = np.array([padded(estimates[k].states, len(BODIES)) for k in GOLDEN[variant + "_kept"]])
+    np.testing.assert_allclose(states, GOLDEN[variant + "_states"], rtol=0, atol=TOLERANCE)
+
+
+def test_landmarks_and_counts_equal_those_of_the_old_estimator():
+    estimator, estimates = replay("default")
+    assert vars(estimator.counts) == json.loads(str(GOLDEN["counts"]))
+    assert sum(estimate is None for estimate in estimates) == 2
+    expected = dict(zip(GOLDEN["default_kept"].tolist(), GOLDEN["landmarks_m"]))
+    for k, estimate in enumerate(estimates):
+        if estimate is not None:
+            seen = GOLDEN["landmarks_seen"][k]
+            assert estimate.landmark_names == tuple(np.array(LANDMARKS)[seen])
+            if k in expected:
+                np.testing.assert_allclose(estimate.landmarks_m, expected[k][seen], rtol=0, atol=TOLERANCE)
+
+
+def test_uncompiled_gives_the_same(tmp_path):
+    file = tmp_path / "uncompiled.npy"
+    subprocess.run(
+        [sys.executable, __file__, str(file)], check=True, env=dict(os.environ, NUMBA_DISABLE_JIT="1"), timeout=300
+    )
+    np.testing.assert_allclose(last_numbers(), np.load(file), rtol=0, atol=1e-12)
+
+
+def last_numbers():
+    """(frames, bodies, 12) states of the first frames."""
+    estimates = replay("default", UNCOMPILED_FRAMES)[1]
+    return np.array([padded(estimate.states, len(BODIES)) for estimate in estimates if estimate is not None])
+
+
+if __name__ == "__main__":
+    np.save(sys.argv[1], last_numbers())
