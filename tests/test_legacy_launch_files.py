@@ -17,6 +17,7 @@ import rosbag
 import roslaunch
 import rospy
 import yaml
+from launch_parameters import unroll
 from std_msgs.msg import String
 
 from risc_control.lab import load_fleet
@@ -200,6 +201,7 @@ def load(path, *argv):
     config = roslaunch.config.ROSLaunchConfig()
     Loader().load(str(path), config, argv=list(argv), verbose=False)
     config.assign_machines()
+    unroll(config)
     return config
 
 

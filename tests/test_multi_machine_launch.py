@@ -4,6 +4,7 @@ import pathlib
 
 import pytest
 import roslaunch
+from launch_parameters import unroll
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FILE = ROOT / "launch/Multi_Machine_Experiment.launch"
@@ -40,6 +41,7 @@ def load(*argv):
     config = roslaunch.config.ROSLaunchConfig()
     roslaunch.xmlloader.XmlLoader().load(str(FILE), config, argv=list(argv), verbose=False)
     config.assign_machines()
+    unroll(config)
     return config
 
 

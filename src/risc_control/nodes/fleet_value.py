@@ -1,36 +1,73 @@
 #!/usr/bin/env python3
-"""Print one value of a fleet file, for launch files: <param name="host" command="... FLEET mocap host"/>.
+"""Print what a fleet file says as parameters of a node, in YAML, for launch files:
 
-Usage: fleet_value.py FLEET mocap KEY | fleet_value.py FLEET NAMESPACE KEY
+    <param name="ardrone_driver" type="yaml" command="$(find risc_control)/fleet_value.py FLEET driver NAMESPACE"/>
+
+Usage: fleet_value.py FLEET mocap | FLEET driver NAMESPACE | FLEET drivers NAMESPACE... | FLEET NAMESPACE KEY
+mocap: of stream_markers.  driver: of one vehicle's ardrone_driver.  drivers: of one for several, {namespace: {...}}.
 A vehicle's KEY is one of its own, one of its type's (video_latency_s ...), or camera_info_url.
 """
 
 import sys
 
+import yaml
+
 from risc_control.lab import load_fleet, load_vehicle_type
 from risc_control.lab.calibration import resolve_url
 
 
-def fleet_value(fleet, owner, key):
-    """Value of a key of `mocap`, or of the vehicle with that namespace or its type. ValueError when there is none."""
-    owners = {vehicle.namespace: vehicle for vehicle in fleet.vehicles}
-    owners["mocap"] = fleet.mocap
-    if owner not in owners:
-        raise ValueError("fleet '%s' has no vehicle '%s'; it has %s" % (fleet.name, owner, ", ".join(sorted(owners))))
-    values = dict(vars(owners[owner]))
-    if owner != "mocap":
-        calibration = values["calibration"]
-        values["camera_info_url"] = "file://%s" % resolve_url(calibration).absolute() if calibration else ""
-        if key not in values:
-            values.update(vars(load_vehicle_type(values["type"])))
+def fleet_value(fleet, what, *names):
+    """What is to be printed, see above. Raises ValueError when there is none."""
+    if what == "mocap":
+        mocap = fleet.mocap
+        return {
+            "host": mocap.host,
+            "command_port": mocap.command_port,
+            "stream_group": mocap.stream_group,
+            "stream_port": mocap.stream_port,
+            "local_address": mocap.interface,
+        }
+    if what == "drivers":
+        return {name: _driver(_values(fleet, name)) for name in names}
+    if what == "driver":
+        return _driver(_values(fleet, *names))
+    values = _values(fleet, what)
+    (key,) = names
     if key not in values:
-        raise ValueError("'%s' has no '%s'; it has %s" % (owner, key, ", ".join(values)))
+        raise ValueError("'%s' has no '%s'; it has %s" % (what, key, ", ".join(values)))
     return values[key]
 
 
-if __name__ == "__main__":
+def _driver(values):
+    return {
+        "drone_ip": values["address"],
+        "drone_frame_id": values["namespace"] + "_ardrone_base",
+        "camera_info_url": values["camera_info_url"],
+        "video_latency": values["video_latency_s"],
+    }
+
+
+def _values(fleet, name):
+    """{key: value} of the vehicle with that namespace, and of its type."""
+    vehicles = {vehicle.namespace: vehicle for vehicle in fleet.vehicles}
+    if name not in vehicles:
+        raise ValueError("fleet '%s' has no vehicle '%s'; it has %s" % (fleet.name, name, ", ".join(sorted(vehicles))))
+    own = vars(vehicles[name])
+    calibration = own["calibration"]
+    url = "file://%s" % resolve_url(calibration).absolute() if calibration else ""
+    return {**vars(load_vehicle_type(own["type"])), **own, "camera_info_url": url}
+
+
+def main():
+    """Command line."""
+    if len(sys.argv) < 3 or len(sys.argv) == 3 and sys.argv[2] != "mocap":
+        sys.exit(__doc__)
     try:
-        fleet_path, owner_name, key_name = sys.argv[1:4]
-        print(fleet_value(load_fleet(fleet_path), owner_name, key_name), end="")
+        value = fleet_value(load_fleet(sys.argv[1]), *sys.argv[2:])
     except ValueError as error:
         sys.exit("fleet_value: %s" % error)
+    print(yaml.safe_dump(value) if isinstance(value, dict) else value, end="")
+
+
+if __name__ == "__main__":
+    main()

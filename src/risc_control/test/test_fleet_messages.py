@@ -72,7 +72,8 @@ def wire(message):
 @pytest.mark.parametrize("kind", KINDS)
 def test_same_type_on_the_wire(kind):
     original = dict(zip(KINDS, (Cortex, Trajectories, Controls, Landmarks, Mocap_data)))[kind]
-    assert (kind._type, kind._md5sum, kind._full_text) == (original._type, original._md5sum, original._full_text)
+    for ours in (kind, kind.Raw):
+        assert (ours._type, ours._md5sum, ours._full_text) == (original._type, original._md5sum, original._full_text)
     assert kind._has_header  # rospy counts by it
 
 
@@ -125,6 +126,16 @@ def test_bytes_that_are_no_message_are_refused_or_read_as_genpy_reads_them(kind,
         return
     assert message.data.size == message.layout.size
     assert len(wire(message)) <= len(torn)
+
+
+def test_the_bytes_alone_are_read_when_somebody_wants_them():
+    sent = wire(Cortex(Obj=[States("a", True, *[1.0] * 12)]))
+    raw = CortexArrays.Raw().deserialize(sent)
+    assert raw.buff == sent
+    own = CortexArrays()
+    states = own.deserialize(raw.buff).states
+    own.deserialize(wire(Cortex(Obj=[States("a", True, *[2.0] * 12)])))
+    assert states.tolist() == [[2.0] * 12], "one's own arrays are written again"
 
 
 def test_names_that_change_and_come_back():

@@ -326,13 +326,14 @@ class VehicleNodeTest(unittest.TestCase):
         rospy.Subscriber("/risc4/ardrone/land", Empty, landings.append)
         rospy.Subscriber("/risc4/controller_status", Bool, statuses.append)
         wait_for(lambda: statuses, "controller_status")
-        pilot, good = node._pilot, node._pilot.tick
+        (vehicle,) = node._vehicles
+        pilot, good = vehicle._pilot, vehicle._pilot.tick
 
         def broken(_now_s):
             raise ZeroDivisionError("as if")
 
         pilot.tick = broken
-        wait_for(lambda: node._counts["errors"] > 10, "the errors of every tick")
+        wait_for(lambda: vehicle._counts["errors"] > 10, "the errors of every tick")
         time.sleep(0.2)  # a landing would have arrived
         self.assertEqual(landings, [], "in manual mode the operator decides")
         pilot.autonomous = True
@@ -340,10 +341,10 @@ class VehicleNodeTest(unittest.TestCase):
         pilot.tick = good
         del statuses[:]
         wait_for(lambda: len(statuses) >= 15, "the timer goes on")  # what was ordered before has arrived
-        errors = node._counts["errors"]
+        errors = vehicle._counts["errors"]
         del landings[:]
         wait_for(lambda: len(statuses) >= 35, "the timer goes on")
-        self.assertEqual((landings, node._counts["errors"]), ([], errors))
+        self.assertEqual((landings, vehicle._counts["errors"]), ([], errors))
         pilot.on_controls = lambda *_: 1 / 0
         wait_for(lambda: landings, "landing when commands cannot be worked out")
         pilot.autonomous = False

@@ -21,7 +21,14 @@ def load(file_name, *arguments):
     path = str(PACKAGE / "launch" / file_name)  # an absolute one stays what it is
     roslaunch.xmlloader.XmlLoader().load(path, config, argv=list(arguments), verbose=False)
     nodes = {node.namespace + node.name: node for node in config.nodes}
-    return nodes, {name: param.value for name, param in config.params.items()}
+    params = {}
+    for name, param in config.params.items():
+        params.update(
+            {"%s/%s" % (name, key): value for key, value in param.value.items()}
+            if isinstance(param.value, dict)
+            else {name: param.value}
+        )
+    return nodes, params
 
 
 @pytest.mark.parametrize(

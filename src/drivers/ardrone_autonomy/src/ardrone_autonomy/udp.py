@@ -85,17 +85,23 @@ class UdpThread(object):
         except OSError:
             return  # closed: the node is shutting down
 
-    def stop(self):
-        """Hover, land if flying (waits up to LANDING_CONFIRMATION_S for the vehicle to confirm), close the sockets."""
-        if self._thread.is_alive():
+    def begin_to_stop(self):
+        """Hover, land if flying; obey nothing from now on."""
+        if self._thread.is_alive() and self._closing_since_s is None:
             self.post(self._close)
+
+    def stop(self):
+        """`begin_to_stop`, wait up to LANDING_CONFIRMATION_S for the vehicle to confirm, close the sockets."""
+        self.begin_to_stop()
+        if self._thread.is_alive():
             self._thread.join(LANDING_CONFIRMATION_S + 1.0)
         for sock in (self._navdata, self._command, self._bell_in, self._bell_out):
             sock.close()
 
     def _close(self, now_s):
-        self._closing_since_s = now_s
-        self.link.close(now_s)
+        if self._closing_since_s is None:
+            self._closing_since_s = now_s
+            self.link.close(now_s)
 
     def _closed(self, now_s):
         if self._closing_since_s is None:

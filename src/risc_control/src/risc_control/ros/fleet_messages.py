@@ -89,9 +89,11 @@ class FleetMessage(genpy.Message):
 
     def __init_subclass__(cls, of, **options):
         super().__init_subclass__(**options)
-        cls._type, cls._md5sum, cls._full_text = of._type, of._md5sum, of._full_text
+        kind = {name: getattr(of, name) for name in ("_type", "_md5sum", "_full_text")}
+        for name, value in kind.items():
+            setattr(cls, name, value)
+        cls.Raw = type(cls.__name__ + "Raw", (_Raw,), dict(kind, __slots__=()))
         cls._layouts = {}
-        cls.Raw = type(cls.__name__ + "Raw", (_Raw,), {"__slots__": (), "_type": of._type, "_md5sum": of._md5sum})
         cls(()).deserialize(_serialised(cls(())))  # loads what is compiled, now
 
     def __init__(self, key=None):

@@ -146,10 +146,9 @@ class VehicleNode:
             return
         missing = [name for name in self._by_name if name not in names]
         if missing:
-            rospy.logwarn_throttle_identical(
-                5.0,
-                "%s has no '%s' (it has %s): %s" % (topic, "', '".join(missing), ", ".join(names) or "nobody", cure),
-            )
+            text = "%s has no '%s' (it has %s): %s"
+            found = ", ".join(names) or "nobody"
+            rospy.logwarn_throttle_identical(5.0, text % (topic, "', '".join(missing), found, cure))
         else:
             self._complete[topic] = names
 

@@ -119,24 +119,26 @@ def _vehicle_clients(situation):
 
 
 def driven_addresses():
-    """[(process, address)] of the drivers on this computer; address None when nobody can say."""
-    return [(process, _driven_address(process)) for process in processes.drivers()]
+    """[(process, address)] of the drivers on this computer, one for each vehicle; address None when it is not known."""
+    return [(process, address) for process in processes.drivers() for address in _driven_addresses(process)]
 
 
-def _driven_address(process):
+def _driven_addresses(process):
     """From its command line, or from the master that it belongs to."""
     if "-ip" in process.words[:-1]:
-        return process.words[process.words.index("-ip") + 1]
+        return [process.words[process.words.index("-ip") + 1]]
     uri = process.environment.get("ROS_MASTER_URI")
     name = processes.argument(process.words, "__name") or "ardrone_driver"
     space = processes.argument(process.words, "__ns") or process.environment.get("ROS_NAMESPACE", "")
     if not uri:
-        return None
-    place = "/".join(part for part in (space.strip("/"), name, "drone_ip") if part)
+        return [None]
+    place = "/".join(part for part in (space.strip("/"), name) if part)
     try:
-        return str(call(uri, "getParam", "/" + place))
+        own = call(uri, "getParam", "/" + place)
     except MasterError:
-        return None
+        return [None]
+    vehicles = own.get("vehicles", {"": own}).values()
+    return [str(values["drone_ip"]) if "drone_ip" in values else None for values in vehicles]
 
 
 def _names(found):

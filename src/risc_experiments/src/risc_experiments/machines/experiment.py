@@ -137,7 +137,7 @@ def _computer(machine, config, fleet):
         unresolved=unresolved,
         nodes=len(nodes),
         joysticks=tuple(dict.fromkeys(filter(None, joysticks))),
-        vehicles=tuple(dict.fromkeys(_value(config, node, "drone_ip") or DEFAULT_ADDRESS for node in drivers)),
+        vehicles=tuple(dict.fromkeys(address for node in drivers for address in _vehicle_addresses(config, node))),
         cortex=_cortex(config, nodes),
         bag_folder=next(filter(None, bags), ""),
         fleet=fleet,
@@ -157,8 +157,23 @@ def _cortex(config, nodes):
 
 def _value(config, node, name):
     """Value of a node's own parameter as text, "" when the launch file gives none."""
-    param = config.params.get(node.namespace + node.name + "/" + name)
-    return "" if param is None else str(param.value)
+    return str(_parameters(config, node).get(name, ""))
+
+
+def _parameters(config, node):
+    """{name: value} of a node's own parameters."""
+    own = node.namespace + node.name
+    values = dict(config.params[own].value) if own in config.params else {}  # several at once, as a dictionary
+    prefix = own + "/"
+    values.update((key[len(prefix) :], param.value) for key, param in config.params.items() if key.startswith(prefix))
+    return values
+
+
+def _vehicle_addresses(config, driver):
+    """Addresses of the vehicles that a driver node is for."""
+    own = _parameters(config, driver)
+    each = own["vehicles"].values() if "vehicles" in own else [own]
+    return [str(values.get("drone_ip") or DEFAULT_ADDRESS) for values in each]
 
 
 def _bag_folder(arguments):

@@ -1,7 +1,7 @@
-"""The node `ardrone_driver`: wires one vehicle (udp.UdpThread, link.DroneLink) to topics, services and tf.
+"""The node `ardrone_driver`: wires vehicles (udp.UdpThread, link.DroneLink) to topics, services and tf.
 
-Four kinds of threads: rospy's own, which only hand orders over; the UDP thread, which pilots; one that publishes; and
-one that receives and decodes pictures.
+Four kinds of threads: rospy's own, which only hand orders over; and for each vehicle the UDP thread, which pilots; one
+that publishes; and one that receives and decodes pictures. A vehicle's trouble stays in its own three.
 """
 
 import functools
@@ -36,6 +36,7 @@ from ardrone_autonomy.udp import UdpThread, resolve
 
 QUEUE_SIZE = 200  # of the telemetry topics, as in the original
 LOOPS_PER_CAMERA_FRAME = 5
+RESTART_S = 1.0  # until a driver that failed beside others begins again
 REALTIME_BACKLOG = 20  # packets that may wait for the publishing thread with realtime_navdata
 REPEAT_WARNING_S = 5.0
 PUBLISH_PATIENCE_S = 5.0  # how long every packet may fail to be published before the driver gives up and lands
@@ -65,37 +66,60 @@ STATE_NAMES = (
 _LOG = {"info": rospy.loginfo, "warn": rospy.logwarn, "error": rospy.logerr}
 
 
-class ArdroneDriver(object):
-    """Everything of the node; make it after rospy.init_node, then `run`."""
+def make_drivers(arguments=()):
+    """The ArdroneDrivers of the node: one in its namespace, or those of ~vehicles, {namespace: its own parameters}.
 
-    def __init__(self, arguments=()):
-        """arguments: command line, see parse_params. ValueError naming what is wrong and the cure."""
-        tree = rospy.get_param("~", {})
-        tree = tree if isinstance(tree, dict) else {}
+    Parameters beside ~vehicles are for all of them. Raises ValueError naming what is wrong and the cure.
+    """
+    tree = rospy.get_param("~", {})
+    tree = tree if isinstance(tree, dict) else {}
+    vehicles = tree.pop("vehicles", None)
+    if vehicles is None:
+        return [ArdroneDriver(tree, arguments=arguments)]
+    if not isinstance(vehicles, dict) or not vehicles or not all(isinstance(v, dict) for v in vehicles.values()):
+        raise ValueError(
+            "parameter ~vehicles must be {namespace: {drone_ip: ADDRESS, ...}, ...}, found %r" % (vehicles,)
+        )
+    if len(vehicles) > 1 and arguments:
+        raise ValueError("-ip is for a driver of one vehicle: give each vehicle its drone_ip in ~vehicles")
+    return [
+        ArdroneDriver(dict(tree, **own), "/%s/" % namespace.strip("/"), len(vehicles) == 1, arguments)
+        for namespace, own in vehicles.items()
+    ]
+
+
+def run(drivers):
+    """Fly until ROS shuts down; then hover, land what flies, and close the sockets."""
+    for driver in drivers:
+        driver.start()
+    try:
+        rospy.spin()
+    finally:
+        for driver in drivers:
+            driver.begin_to_stop()
+        for driver in drivers:
+            driver.stop()
+
+
+class ArdroneDriver(object):
+    """Everything of one vehicle; make it after rospy.init_node, then `start` it."""
+
+    def __init__(self, tree, prefix="", is_alone=True, arguments=()):
+        """tree: parameters.  prefix: of topics and services.  is_alone: its failure ends the node.
+
+        arguments: command line, see parse_params. ValueError naming what is wrong and the cure.
+        """
         # Launch files of the laboratory set it for the group of the camera's nodes, not for the driver
-        tree["camera_info_url"] = tree.get("camera_info_url") or rospy.get_param("ardrone/camera_info_url", "")
-        self._params = params = parse_params(tree, arguments)
+        url = tree.get("camera_info_url") or rospy.get_param(prefix + "ardrone/camera_info_url", "")
+        self._params = params = parse_params(dict(tree, camera_info_url=url), arguments)
+        self._prefix, self._is_alone = prefix, is_alone
         for text in params.warnings:
-            rospy.logwarn(text)
+            rospy.logwarn("%s%s", self._who, text)
         self._address = resolve(params.address)
-        session_id = secrets.token_hex(4)
         self._period_s = 1.0 / params.looprate_hz
         self._realtime = queue.Queue(REALTIME_BACKLOG) if params.realtime_navdata else None
-        self._udp = UdpThread(
-            self._address,
-            functools.partial(
-                DroneLink,
-                setup_writes=setup_writes(params.setting_texts, session_id),
-                session_id=session_id,
-                settle_s=params.settle_time_s,
-                command_timeout_s=params.command_timeout_s,
-                report=self._report,
-            ),
-            self._report,
-            on_packet=None if self._realtime is None else self._on_packet,
-            on_failure=self._on_failure,
-        )
-        self._link = self._udp.link
+        self._arrived = threading.Event()  # a packet that was not published yet
+        self._udp = self._make_udp()
         self._channel = params.video_channel
         self._channel_set_in = 0  # which configuration of the vehicle the channel was chosen in
         self._video = Video(
@@ -106,33 +130,76 @@ class ArdroneDriver(object):
             params.video_latency_s,
             params.realtime_video,
             self._report,
+            prefix,
         )
         self._video_configured = 0  # the configuration of the vehicle that the video knows of
         self._telemetry = None
         self._failing_since_s = None  # publishing has failed without a success since then
-        self._health = _Health(self._udp, self._video)
+        self._health = _Health(self, self._video)
         self._subscribe()
 
-    def run(self):
-        """Fly until ROS shuts down; then hover, land if flying, and close the sockets."""
-        rospy.loginfo("looking for the vehicle at %s", self._address)
+    @property
+    def udp(self):
+        """The UdpThread in service: another one after a failure."""
+        return self._udp
+
+    def label(self, what):
+        """Name of a status on /diagnostics."""
+        return what if self._is_alone else "%s %s" % (what, self._prefix.strip("/"))
+
+    @property
+    def _link(self):
+        return self._udp.link
+
+    @property
+    def _who(self):
+        return "" if self._is_alone else self._prefix.strip("/") + ": "
+
+    def _make_udp(self):
+        params, session_id = self._params, secrets.token_hex(4)
+        return UdpThread(
+            self._address,
+            functools.partial(
+                DroneLink,
+                setup_writes=setup_writes(params.setting_texts, session_id),
+                session_id=session_id,
+                settle_s=params.settle_time_s,
+                command_timeout_s=params.command_timeout_s,
+                report=self._report,
+            ),
+            self._report,
+            on_packet=self._on_packet,
+            on_failure=self._on_failure,
+        )
+
+    def start(self):
+        """Look for the vehicle."""
+        rospy.loginfo("%slooking for the vehicle at %s", self._who, self._address)
         threading.Thread(target=self._publish_loop, name="ardrone_publish", daemon=True).start()
         self._udp.start()
         self._video.start()
-        try:
-            rospy.spin()
-        finally:
-            self._udp.stop()
-            self._video.stop()
+
+    def begin_to_stop(self):
+        """Hover, and land if flying; `stop` waits for it."""
+        self._udp.begin_to_stop()
+
+    def stop(self):
+        """End what `start` has begun."""
+        self._udp.stop()
+        self._video.stop()
 
     # --- orders: handed over, nothing else ------------------------------------------------------------------------
     def _subscribe(self):
-        post, link = self._udp.post, self._link
-        for topic, order in (("takeoff", link.take_off), ("land", link.land), ("reset", link.reset)):
+        prefix = self._prefix
+        for topic, order in (("takeoff", DroneLink.take_off), ("land", DroneLink.land), ("reset", DroneLink.reset)):
             rospy.Subscriber(
-                "ardrone/" + topic, Empty, functools.partial(_post_empty, post, order), queue_size=1, tcp_nodelay=True
+                prefix + "ardrone/" + topic,
+                Empty,
+                lambda _message, order=order: self._post(order),
+                queue_size=1,
+                tcp_nodelay=True,
             )
-        rospy.Subscriber("cmd_vel", Twist, self._on_cmd_vel, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber(prefix + "cmd_vel", Twist, self._on_cmd_vel, queue_size=1, tcp_nodelay=True)
         for name, service_type, handler in (
             ("togglecam", EmptySrv, self._on_toggle_camera),
             ("setcamchannel", srv.CamSelect, self._on_camera_channel),
@@ -141,7 +208,12 @@ class ArdroneDriver(object):
             ("flattrim", EmptySrv, self._on_flat_trim),
             ("setrecord", srv.RecordEnable, self._on_record),
         ):
-            rospy.Service("ardrone/" + name, service_type, handler)
+            rospy.Service(prefix + "ardrone/" + name, service_type, handler)
+
+    def _post(self, order, *arguments):
+        """Hand an order (a method of DroneLink) to the UDP thread in service."""
+        udp = self._udp
+        udp.post(order, udp.link, *arguments)
 
     def _on_cmd_vel(self, twist):
         linear, angular = twist.linear, twist.angular
@@ -151,7 +223,7 @@ class ArdroneDriver(object):
             sticks = HOVER
             self._health.refused_commands += 1
             rospy.logerr_throttle(REPEAT_WARNING_S, "%s: refused, hovering until a sound command comes" % error)
-        self._udp.post(self._link.steer, sticks)
+        self._post(DroneLink.steer, sticks)
 
     def _on_toggle_camera(self, _request):
         self._require_vehicle("togglecam")
@@ -181,7 +253,7 @@ class ArdroneDriver(object):
             rospy.logwarn("setledanimation refused: the frequency %r is not a finite number", request.freq)
             return False
         animation = LED_ANIMATIONS[request.type % len(LED_ANIMATIONS)]
-        self._udp.post(self._link.blink, int(animation), abs(request.freq), request.duration)
+        self._post(DroneLink.blink, int(animation), abs(request.freq), request.duration)
         return True
 
     def _on_flight_animation(self, request):
@@ -196,7 +268,7 @@ class ArdroneDriver(object):
         self._require_vehicle("flattrim")
         if self._link.state_bits & State.FLYING:
             raise rospy.ServiceException("flattrim refused: the vehicle flies")
-        self._udp.post(self._link.flat_trim)
+        self._post(DroneLink.flat_trim)
         return EmptyResponse()
 
     def _on_record(self, request):
@@ -208,7 +280,7 @@ class ArdroneDriver(object):
         return True
 
     def _write(self, name, text):
-        self._udp.post(self._link.write, WRITABLE_KEYS[name].key, text)
+        self._post(DroneLink.write, WRITABLE_KEYS[name].key, text)
 
     def _ready(self, service):
         if self._link.phase is Phase.READY:
@@ -221,17 +293,31 @@ class ArdroneDriver(object):
             raise rospy.ServiceException("%s refused: the vehicle is not ready" % service)
 
     # --- from the UDP thread ----------------------------------------------------------------------------------------
-    @staticmethod
-    def _report(level, text):
-        _LOG[level](text)
+    def _report(self, level, text):
+        _LOG[level]("%s", self._who + text)
 
-    @staticmethod
-    def _on_failure(error):
-        rospy.logfatal("the driver failed, the node ends: %r", error)
-        rospy.signal_shutdown("the driver failed: %r" % error)
+    def _on_failure(self, error):
+        """Alone the node ends, and is started again; beside others only this vehicle's part is."""
+        if self._is_alone:
+            rospy.logfatal("the driver failed, the node ends: %r", error)
+            rospy.signal_shutdown("the driver failed: %r" % error)
+            return
+        rospy.logfatal("%sthe driver failed and begins again: %r", self._who, error)
+        threading.Thread(target=self._begin_again, args=(self._udp,), name="ardrone_restart", daemon=True).start()
+
+    def _begin_again(self, failed):
+        failed.stop()
+        time.sleep(RESTART_S)
+        if rospy.is_shutdown() or self._udp is not failed:
+            return
+        self._udp = self._make_udp()
+        self._udp.start()
 
     def _on_packet(self, packet):
         if self._telemetry is None:
+            return
+        self._arrived.set()
+        if self._realtime is None:
             return
         try:
             self._realtime.put_nowait(packet)
@@ -240,40 +326,55 @@ class ArdroneDriver(object):
 
     # --- publishing -------------------------------------------------------------------------------------------------
     def _publish_loop(self):
-        try:
-            self._wait_until_ready()
-            self._telemetry = _Telemetry(self._params)
-            self._publish_until_shutdown()
-        except Exception as error:  # whatever it is: a driver without telemetry must not go on in silence
-            if not rospy.core.is_shutdown_requested():  # then topics close under our feet
+        while not rospy.is_shutdown():
+            try:
+                self._wait_until_ready()
+                self._telemetry = self._telemetry or _Telemetry(self._params, self._prefix)
+                self._publish_until_shutdown()
+            except Exception as error:  # noqa: PERF203  whatever it is: without telemetry nobody must fly on in silence
+                if rospy.core.is_shutdown_requested():  # then topics close under our feet
+                    return
+                self._failing_since_s = None
                 self._on_failure(error)
 
     def _wait_until_ready(self):
         while not rospy.is_shutdown() and self._link.phase is not Phase.READY:
-            time.sleep(self._period_s)
+            time.sleep(LOOPS_PER_CAMERA_FRAME * self._period_s)
 
     def _publish_until_shutdown(self):
         last = None
         loop_s = camera_s = time.monotonic()
+        # pictures that are not published at once wait for the loop
+        patience_s = self._period_s * (LOOPS_PER_CAMERA_FRAME if self._params.realtime_video else 1)
         while not rospy.is_shutdown():
-            if self._realtime is None:
-                loop_s = max(loop_s + self._period_s, time.monotonic())
-                time.sleep(max(0.0, loop_s - time.monotonic()))
-                packet = self._udp.newest
-            else:
-                packet = self._next_packet()
-            try:
-                if packet is not None and packet is not last:
-                    last = packet
+            if self._arrived.wait(patience_s) and self._realtime is None:
+                time.sleep(max(0.0, loop_s - time.monotonic()))  # the newest packet of a loop
+                loop_s = time.monotonic() + self._period_s
+            self._arrived.clear()
+            for packet in self._waiting_packets():
+                if packet is last or packet is None:
+                    continue
+                last = packet
+                try:
                     self._publish(packet)
-                now_s = time.monotonic()
-                if now_s >= camera_s:
-                    camera_s = max(camera_s + LOOPS_PER_CAMERA_FRAME * self._period_s, now_s)
-                    self._telemetry.publish_camera_frames()
-            except Exception as error:  # whatever it is: the values of one packet must not end a flight
-                if not self._tolerable(error):
-                    raise
-            self._tick_video()
+                except Exception as error:  # whatever it is: the values of one packet must not end a flight
+                    if not self._tolerable(error):
+                        raise
+            now_s = time.monotonic()
+            if now_s >= camera_s:
+                camera_s = max(camera_s + LOOPS_PER_CAMERA_FRAME * self._period_s, now_s)
+                self._telemetry.publish_camera_frames()
+                self._tick_video()
+            elif not self._params.realtime_video:
+                self._tick_video()
+
+    def _waiting_packets(self):
+        if self._realtime is None:
+            return [self._udp.newest]
+        packets = []
+        while not self._realtime.empty():
+            packets.append(self._realtime.get_nowait())
+        return packets
 
     def _tick_video(self):
         is_ready = self._link.phase is Phase.READY
@@ -281,12 +382,6 @@ class ArdroneDriver(object):
             self._video_configured = self._link.configurations
             self._video.on_configured(self._current_channel())
         self._video.tick(is_ready)
-
-    def _next_packet(self):
-        try:
-            return self._realtime.get(timeout=self._period_s)
-        except queue.Empty:
-            return None
 
     def _publish(self, packet):
         try:
@@ -310,10 +405,6 @@ class ArdroneDriver(object):
         return True
 
 
-def _post_empty(post, order, _message):
-    post(order)
-
-
 def _frame(params, suffix):
     """tf name of one of the vehicle's frames."""
     tf_prefix_key = rospy.search_param("tf_prefix")
@@ -323,23 +414,26 @@ def _frame(params, suffix):
 class _Telemetry(object):
     """The topics and tf frames that come from navdata. What nobody listens to is not computed."""
 
-    def __init__(self, params):
+    def __init__(self, params, prefix):
         self._params = params
         base = _frame(params, "_link")
         self._base_frame = base
         self._odometry = Odometry()
         self._navdata = self._imu = self._mag = None
         if params.legacy_navdata:
-            self._navdata = rospy.Publisher("ardrone/navdata", msg.Navdata, queue_size=QUEUE_SIZE)
-            self._imu = rospy.Publisher("ardrone/imu", Imu, queue_size=QUEUE_SIZE)
-            self._mag = rospy.Publisher("ardrone/mag", Vector3Stamped, queue_size=QUEUE_SIZE)
-        self._odometry_topic = rospy.Publisher("ardrone/odometry", OdometryMsg, queue_size=QUEUE_SIZE)
+            self._navdata = rospy.Publisher(prefix + "ardrone/navdata", msg.Navdata, queue_size=QUEUE_SIZE)
+            self._imu = rospy.Publisher(prefix + "ardrone/imu", Imu, queue_size=QUEUE_SIZE)
+            self._mag = rospy.Publisher(prefix + "ardrone/mag", Vector3Stamped, queue_size=QUEUE_SIZE)
+        self._odometry_topic = rospy.Publisher(prefix + "ardrone/odometry", OdometryMsg, queue_size=QUEUE_SIZE)
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=QUEUE_SIZE)
         self._selective = []
         for name in params.options:
             converter = conversions.OptionConverter(name)
             self._selective.append(
-                (converter, rospy.Publisher("ardrone/navdata_" + name, converter.message_type, queue_size=QUEUE_SIZE))
+                (
+                    converter,
+                    rospy.Publisher(prefix + "ardrone/navdata_" + name, converter.message_type, queue_size=QUEUE_SIZE),
+                )
             )
         self._camera_frames = TFMessage(
             [
@@ -406,21 +500,22 @@ class _Telemetry(object):
 class _Health(object):
     """What /diagnostics says, once a second."""
 
-    def __init__(self, udp, video):
+    def __init__(self, driver, video):
+        """driver: the ArdroneDriver."""
         self.refused_commands = 0  # cmd_vel that is not finite
         self.skipped_packets = 0  # realtime_navdata faster than it can be published
         self.bad_packets = 0  # header sound, content not
         self.unpublished = 0  # failures to convert or publish
-        self._udp = udp
+        self._driver = driver
         self._battery_pct = None
         self._state = None
         self._link_quality = None
         self._accepted = 0
         self._counted_s = time.monotonic()
         self._updater = diagnostic_updater.Updater()
-        self._updater.setHardwareID("AR.Drone %s" % udp.address)
-        self._updater.add("vehicle", self._fill)
-        self._updater.add("video", video.fill)
+        self._updater.setHardwareID("AR.Drone %s" % driver.udp.address)
+        self._updater.add(driver.label("vehicle"), self._fill)
+        self._updater.add(driver.label("video"), video.fill)
         self._timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.force_update(), reset=True)
         rospy.on_shutdown(self._timer.shutdown)
 
@@ -435,14 +530,15 @@ class _Health(object):
             self._link_quality = wifi.link_quality
 
     def _fill(self, status):
-        link = self._udp.link
+        udp = self._driver.udp
+        link = udp.link
         now_s = time.monotonic()
         accepted = link.accepted
         rate_hz = (accepted - self._accepted) / max(1e-3, now_s - self._counted_s)
         self._accepted, self._counted_s = accepted, now_s
         bits = link.state_bits
         if not link.connected:
-            status.summary(DiagnosticStatus.ERROR, "no vehicle at %s" % self._udp.address)
+            status.summary(DiagnosticStatus.ERROR, "no vehicle at %s" % udp.address)
         elif link.emergency:
             status.summary(DiagnosticStatus.ERROR, "emergency: motors stopped")
         elif bits & State.BATTERY_LOW:
@@ -464,10 +560,10 @@ class _Health(object):
         status.add("link quality", "unknown" if self._link_quality is None else self._link_quality)
         status.add("reconnects", max(0, link.connections - 1))
         status.add("late packets", link.stale)
-        status.add("foreign or bad packets", self._udp.foreign + link.refused + self.bad_packets)
+        status.add("foreign or bad packets", udp.foreign + link.refused + self.bad_packets)
         status.add("skipped packets", self.skipped_packets)
         status.add("packets not published", self.unpublished)
-        status.add("send errors", self._udp.send_errors)
+        status.add("send errors", udp.send_errors)
         status.add("unanswered configuration writes", link.unanswered_writes)
         status.add("refused cmd_vel", self.refused_commands)
         return status

@@ -38,18 +38,19 @@ class Video(object):
     latency_s: from exposure to reception, taken off the stamps.
     realtime: publish every picture at once; otherwise `tick` publishes the newest one.
     report: function (level, text).
+    prefix: of the topics and services.
     """
 
-    def __init__(self, address, frames, channel, camera_info_urls, latency_s, realtime, report):
+    def __init__(self, address, frames, channel, camera_info_urls, latency_s, realtime, report, prefix=""):
         self._frames = frames
         self._realtime = realtime
         self._lock = threading.Lock()
         self._newest = None  # (Picture, channel) that is not published yet
         self._tracker = CameraTracker(channel)
-        self._selected = _advertise("ardrone")
-        self._cameras = tuple(_advertise("ardrone/" + name) for name in CAMERA_NAMES)
+        self._selected = _advertise(prefix + "ardrone")
+        self._cameras = tuple(_advertise(prefix + "ardrone/" + name) for name in CAMERA_NAMES)
         self._managers = tuple(
-            CameraInfoManager("ardrone_" + name, url, "ardrone/" + name)
+            CameraInfoManager("ardrone_" + name, url, prefix + "ardrone/" + name)
             for name, url in zip(CAMERA_NAMES, camera_info_urls)
         )
         for manager in self._managers:
