@@ -11,17 +11,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from risc_control.lab.templates import load_templates
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
+from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_control.ros.params import fleet_vehicles, load_params
+from risc_control.ros.ticker import Ticker
 from risc_control.ros.until_shutdown import until_shutdown
-from risc_estimation.ros.conversions import (
-    cortex_from_estimate,
-    header_for,
-    landmarks_from_estimate,
-    markers_from_msg,
-)
+from risc_estimation.ros.conversions import EstimateMessages
 from risc_estimation.ros.params import NodeParams
 from risc_estimation.states import EstimatorParams, StatesEstimator
-from risc_msgs.msg import Cortex, Landmarks, Mocap_data
+
+_BUFFER_BYTES = 2**20  # holds the frames that wait while the node is held up, of a large fleet as well
 
 
 class StatesEstimationNode(object):
@@ -37,57 +35,58 @@ class StatesEstimationNode(object):
         self._silence_s = params.silence_s
         self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
         self._last_receipt_s = None  # monotonic clock
-        self._last_header = None
+        self._last_estimate = None
         self._last_seq = None  # of the newest frame; publishers count them
         self._passed_over = self._reported_passed_over = 0  # frames
-        self._last_visible = 0
         self._silent = True
         self._told_unknown = set()
         self._reported_frames, self._reported_refused, self._reported_s = 0, 0, time.monotonic()
         # Queues that hold more than a hiccup: a late subscriber gets every frame, and judges its age by the stamp.
-        self._states_pub = rospy.Publisher("cortex_raw", Cortex, queue_size=100, tcp_nodelay=True)
-        self._landmarks_pub = rospy.Publisher("states3", Landmarks, queue_size=100, tcp_nodelay=True)
+        self._states_pub = rospy.Publisher("cortex_raw", CortexArrays, queue_size=100, tcp_nodelay=True)
+        self._landmarks_pub = rospy.Publisher("states3", LandmarksArrays, queue_size=100, tcp_nodelay=True)
+        self._frame, self._messages = MocapArrays(), EstimateMessages()
         self._diagnostics = make_updater("mocap")
         self._diagnostics.add("states estimation", self._diagnose)
-        self._timers = [rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.update(), reset=True)]
+        Ticker(1.0, self._diagnostics.update, "the diagnostics")
         if self._silence_s > 0.0:
-            self._timers.append(rospy.Timer(rospy.Duration(0.25 * self._silence_s), self._on_check, reset=True))
-        for timer in self._timers:
-            rospy.on_shutdown(timer.shutdown)
-        rospy.Subscriber("mocap_data", Mocap_data, self._on_frame, queue_size=params.queue_frames, tcp_nodelay=True)
+            Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
+        options = {"queue_size": params.queue_frames, "buff_size": _BUFFER_BYTES, "tcp_nodelay": True}
+        rospy.Subscriber("mocap_data", MocapArrays.Raw, self._on_frame, **options)
 
     @until_shutdown
-    def _on_frame(self, msg):
+    def _on_frame(self, message):
         with self._lock:
+            frame = self._frame.deserialize(message.buff)
+            header = frame.header
             if self._last_seq is not None:
-                self._passed_over += max(msg.header.seq - self._last_seq - 1, 0)
-            self._last_seq = msg.header.seq
-            estimate = self._estimator.update(msg.header.stamp.to_sec(), *markers_from_msg(msg))
+                self._passed_over += max(header.seq - self._last_seq - 1, 0)
+            self._last_seq = header.seq
+            estimate = self._estimator.update(header.stamp.to_sec(), frame.layout.key, frame.markers_m)
             self._last_receipt_s = time.monotonic()
             if estimate is None:
                 return
             self._silent = False
-            self._last_header = header_for(msg.header)
-            self._last_visible = int(estimate.visible.sum())
-            self._states_pub.publish(cortex_from_estimate(self._last_header, estimate))
-        self._landmarks_pub.publish(landmarks_from_estimate(self._last_header, estimate))
+            self._last_estimate = estimate
+            self._states_pub.publish(self._messages.states(header, estimate))
+            self._landmarks_pub.publish(self._messages.landmarks(header, estimate))
 
     @until_shutdown
-    def _on_check(self, _event):
+    def _on_check(self):
         """Once per silence: tell everybody that the last numbers are just that. The stamp stays what it was."""
         with self._lock:
             if self._silent or time.monotonic() - self._last_receipt_s < self._silence_s:
                 return
             self._silent = True
-            self._last_visible = 0
-            self._states_pub.publish(cortex_from_estimate(self._last_header, self._estimator.lost()))
+            self._last_estimate = lost = self._estimator.lost()
+            self._states_pub.publish(self._messages.states(None, lost))
         rospy.logwarn("no mocap frame for %.0f ms: every vehicle is invisible", 1e3 * self._silence_s)
 
     def _diagnose(self, status):
         now_s = time.monotonic()
         with self._lock:
             counts = self._estimator.counts
-            known, visible, last_s = len(self._estimator.names), self._last_visible, self._last_receipt_s
+            known, last_s = len(self._estimator.names), self._last_receipt_s
+            visible = 0 if self._last_estimate is None else int(self._last_estimate.visible.sum())
             numbers = [(key, value) for key, value in sorted(vars(counts).items()) if key != "unknown"]
             unknown = dict(counts.unknown)
             passed_over = self._passed_over

@@ -18,7 +18,7 @@ from std_msgs.msg import Header
 
 from risc_control.frames import rotation_body_to_cortex
 from risc_control.lab.templates import load_templates
-from risc_estimation.ros.conversions import markers_to_msg
+from risc_estimation.ros.conversions import mocap_message
 from risc_estimation.states import pack_bodies
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data
 
@@ -88,7 +88,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
     def send(self, stamp_s, bodies, frame_id="cortex"):
         stamp = rospy.Time.from_sec(stamp_s)
         type(self).newest = stamp if self.newest is None else max(stamp, self.newest)
-        self.pub.publish(markers_to_msg(Header(stamp=stamp, frame_id=frame_id), *pack_bodies(bodies)))
+        self.pub.publish(mocap_message(Header(stamp=stamp, frame_id=frame_id), *pack_bodies(bodies)))
 
     def send_run(self, frames, **absent):
         """Send frames at 200 Hz; returns their stamps."""

@@ -108,20 +108,18 @@ def messages_us(layout, frames, estimates):
 
     from std_msgs.msg import Header
 
-    from risc_estimation.ros import conversions
-    from risc_msgs.msg import Mocap_data
+    from risc_control.ros.fleet_messages import MocapArrays
+    from risc_estimation.ros.conversions import FRAME_ID, EstimateMessages, mocap_message
 
-    seconds = []
+    frame, messages, seconds = MocapArrays(), EstimateMessages(), []
     for markers_m, estimate in zip(frames, estimates):
         wire = io.BytesIO()
-        conversions.markers_to_msg(Header(frame_id=conversions.FRAME_ID), layout, markers_m).serialize(wire)
+        mocap_message(Header(frame_id=FRAME_ID), layout, markers_m).serialize(wire)
         data = wire.getvalue()
         start = time.perf_counter()
-        msg = Mocap_data().deserialize(data)
-        conversions.markers_from_msg(msg)
-        header = conversions.header_for(msg.header)
-        conversions.cortex_from_estimate(header, estimate).serialize(io.BytesIO())
-        conversions.landmarks_from_estimate(header, estimate).serialize(io.BytesIO())
+        frame.deserialize(data)
+        messages.states(frame.header, estimate).serialize(io.BytesIO())
+        messages.landmarks(frame.header, estimate).serialize(io.BytesIO())
         seconds.append(time.perf_counter() - start)
     return 1e6 * float(np.median(seconds))
 

@@ -1,12 +1,10 @@
 """Between messages (degrees, risc_msgs) and the estimator's values (SI units, numpy): the only place that does it."""
 
-import itertools
-
 import numpy as np
 from std_msgs.msg import Header
 
+from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_estimation.states import S
-from risc_msgs.msg import Cortex, Landmark, Landmarks, Mocap_data, Mocap_marker, Mocap_markers, States
 
 FRAME_ID = "cortex"
 
@@ -14,68 +12,56 @@ _TO_MESSAGE = np.ones(len(S))
 _TO_MESSAGE[S.PHI :] = np.rad2deg(1.0)  # messages hold degrees and deg/s
 
 
+def frame_id_for(frame_id):
+    """Frame of a message derived from one in that frame; tf2 refuses the old bags' leading slash."""
+    return frame_id.lstrip("/") or FRAME_ID
+
+
 def header_for(header):
-    """Header of a message derived from one with `header`: same stamp; tf2 refuses the old bags' leading slash."""
-    return Header(stamp=header.stamp, frame_id=header.frame_id.lstrip("/") or FRAME_ID)
+    """Header of a message derived from one with `header`: same stamp."""
+    return Header(stamp=header.stamp, frame_id=frame_id_for(header.frame_id))
 
 
-def markers_from_msg(msg):
-    """Mocap_data -> (layout ((name, number of markers), ...), (markers, 3) of all bodies [m], cortex frame)."""
-    layout = tuple([(body.name, len(body.marker)) for body in msg.Obj])
-    markers = [(marker.x, marker.y, marker.z) for body in msg.Obj for marker in body.marker]
-    return layout, np.array(markers, dtype=float).reshape(-1, 3)
+def mocap_message(header, layout, markers_m):
+    """Mocap_data of ((name, number of markers), ...) and (markers, 3) of all bodies [m], cortex frame."""
+    message = MocapArrays(layout)
+    message.header = header
+    message.markers_m[:] = markers_m
+    return message
 
 
-def markers_to_msg(header, layout, markers_m):
-    """The inverse of `markers_from_msg`."""
-    markers = iter(markers_m.tolist())
-    return Mocap_data(
-        header=header,
-        Obj=[
-            Mocap_markers(name, 0.0, [Mocap_marker(*marker) for marker in itertools.islice(markers, count)])
-            for name, count in layout
-        ],
-    )
+class EstimateMessages:
+    """Cortex and Landmarks of an estimator, filled again and again: publish them before the next call."""
+
+    def __init__(self):
+        self._states = CortexArrays(())
+        self._landmarks = LandmarksArrays(())
+
+    def states(self, header, estimate):
+        """Cortex of a FrameEstimate: an entry per known vehicle, degrees and deg/s.
+
+        Stamp and frame as in header, or, when it is None, as they were.
+        """
+        message = self._states
+        if message.names != estimate.names:
+            message = self._states = CortexArrays(estimate.names)
+        np.multiply(estimate.states, _TO_MESSAGE, out=message.states)
+        message.visible[:] = estimate.visible
+        return _dated(message, header)
+
+    def landmarks(self, header, estimate):
+        """Landmarks of a FrameEstimate: those seen in this frame."""
+        message = self._landmarks
+        if message.names != estimate.landmark_names:
+            message = self._landmarks = LandmarksArrays(estimate.landmark_names)
+        message.positions_m[:] = estimate.landmarks_m
+        return _dated(message, header)
 
 
-def cortex_from_estimate(header, estimate):
-    """FrameEstimate -> Cortex, one entry per known vehicle, degrees and deg/s."""
-    rows = (estimate.states * _TO_MESSAGE).tolist()
-    return Cortex(
-        header,
-        [States(name, visible, *row) for name, visible, row in zip(estimate.names, estimate.visible.tolist(), rows)],
-    )
-
-
-def states_from_cortex(msg):
-    """Cortex -> dict name -> (visible, (12,) state in SI units, columns `risc_estimation.states.S`)."""
-    return {
-        entry.name: (
-            entry.visible,
-            np.array(
-                [
-                    entry.x,
-                    entry.y,
-                    entry.z,
-                    entry.u,
-                    entry.v,
-                    entry.w,
-                    entry.phi,
-                    entry.theta,
-                    entry.psi,
-                    entry.p,
-                    entry.q,
-                    entry.r,
-                ]
-            )
-            / _TO_MESSAGE,
-        )
-        for entry in msg.Obj
-    }
-
-
-def landmarks_from_estimate(header, estimate):
-    """FrameEstimate -> Landmarks: those seen in this frame."""
-    return Landmarks(
-        header, [Landmark(name, *row) for name, row in zip(estimate.landmark_names, estimate.landmarks_m.tolist())]
-    )
+def _dated(message, header):
+    if header is None:
+        return message
+    stamp = message.header.stamp
+    stamp.secs, stamp.nsecs = header.stamp.secs, header.stamp.nsecs
+    message.header.frame_id = frame_id_for(header.frame_id)
+    return message
