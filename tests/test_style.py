@@ -1,5 +1,6 @@
 """The whole tree keeps one style, and every package is what catkin expects."""
 
+import ast
 import pathlib
 import shutil
 import subprocess
@@ -40,6 +41,27 @@ def test_nodes_without_suffix_are_clean():
     assert nodes, "the drop-in drivers have nodes without a suffix"
     run(str(BIN / "ruff"), "check", "--no-cache", *nodes)
     run(str(BIN / "ruff"), "format", "--no-cache", "--check", *nodes)
+
+
+def programs():
+    """Python sources of the packages, nodes without suffix included, tests not."""
+    for path in (ROOT / "src").rglob("*"):
+        if path.is_file() and "test" not in path.parts and (path.suffix == ".py" or path.parent.name == "nodes"):
+            yield path
+
+
+def test_every_subscriber_asks_for_messages_at_once():
+    """Without TCP_NODELAY a publisher's computer may hold small messages back for 40 ms: Nagle's algorithm."""
+    found, without = 0, []
+    for path in programs():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "rospy.Subscriber":
+                found += 1
+                asked = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+                if asked.get("tcp_nodelay") != "True":
+                    without.append("%s:%d" % (path.relative_to(ROOT), node.lineno))
+    assert found > 20
+    assert not without, "say tcp_nodelay=True: " + ", ".join(without)
 
 
 def test_cpp_is_formatted():

@@ -50,8 +50,14 @@ class StatesEstimationNode(object):
         Ticker(1.0, self._diagnostics.update, "the diagnostics")
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
-        options = {"queue_size": params.queue_frames, "buff_size": _BUFFER_BYTES, "tcp_nodelay": True}
-        rospy.Subscriber("mocap_data", MocapArrays.Raw, self._on_frame, **options)
+        rospy.Subscriber(
+            "mocap_data",
+            MocapArrays.Raw,
+            self._on_frame,
+            queue_size=params.queue_frames,
+            buff_size=_BUFFER_BYTES,
+            tcp_nodelay=True,
+        )
 
     @until_shutdown
     def _on_frame(self, message):

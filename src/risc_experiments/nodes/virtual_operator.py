@@ -65,8 +65,10 @@ class VirtualOperator:
                 ("controller_status", Bool, self._on_status),
                 ("safety", String, self._on_safety),
             ):
-                rospy.Subscriber("/%s/%s" % (name, topic), message, callback, callback_args=name, queue_size=10)
-        rospy.Subscriber("/trajectory_phase", String, self._on_trajectory_phase, queue_size=10)
+                rospy.Subscriber(
+                    "/%s/%s" % (name, topic), message, callback, callback_args=name, queue_size=10, tcp_nodelay=True
+                )
+        rospy.Subscriber("/trajectory_phase", String, self._on_trajectory_phase, queue_size=10, tcp_nodelay=True)
         self._states = PacedSubscriber("/cortex_raw", Cortex, self._on_states, LOOK_RATE_HZ)
         self._timer = rospy.Timer(rospy.Duration(1.0 / JOY_RATE_HZ), self._on_tick, reset=True)
         rospy.on_shutdown(self._timer.shutdown)

@@ -53,10 +53,16 @@ class DFPlots:
         for topic in sorted(set(map(rospy.resolve_name, joysticks))):
             # Of any age: plots move nothing, and a bag that is played is old.
             presses = ButtonPresses((params.plot_button,), math.inf)
-            rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10)
-        rospy.Subscriber("/trajectory_phase", String, self._on_text, self._recorder.phases, queue_size=10)
-        rospy.Subscriber("/trajectory_course", String, self._on_text, self._recorder.course, queue_size=10)
-        rospy.Subscriber("/operator/phase", String, self._on_text, self._recorder.operator_phase, queue_size=10)
+            rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber(
+            "/trajectory_phase", String, self._on_text, self._recorder.phases, queue_size=10, tcp_nodelay=True
+        )
+        rospy.Subscriber(
+            "/trajectory_course", String, self._on_text, self._recorder.course, queue_size=10, tcp_nodelay=True
+        )
+        rospy.Subscriber(
+            "/operator/phase", String, self._on_text, self._recorder.operator_phase, queue_size=10, tcp_nodelay=True
+        )
         for topic, kind, take in (
             ("/trajectory", Trajectories, self._recorder.references),
             ("/controls", Controls, self._recorder.commands),

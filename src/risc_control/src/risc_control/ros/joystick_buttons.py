@@ -37,7 +37,7 @@ class ButtonSubscriber:
         self._pressed = queue.SimpleQueue()
         self._lock = threading.Lock()  # every sender has a thread of its own
         # Every message: of a burst that a network held up, the first say that a press is old.
-        rospy.Subscriber("joy", Joy, self._on_joy, queue_size=None)
+        rospy.Subscriber("joy", Joy, self._on_joy, queue_size=None, tcp_nodelay=True)
         threading.Thread(target=self._run, daemon=True).start()
 
     def _on_joy(self, message):

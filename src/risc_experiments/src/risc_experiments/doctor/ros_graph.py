@@ -117,13 +117,15 @@ def _listen(report, listen_s):
             worst[status.name] = (status.level, status.name, status.message)
 
     subscribers = [rospy.Subscriber(name, rospy.AnyMsg, meter, tcp_nodelay=True) for name, meter in meters.items()]
-    subscribers.append(rospy.Subscriber("/diagnostics", DiagnosticArray, on_diagnostics))
+    subscribers.append(rospy.Subscriber("/diagnostics", DiagnosticArray, on_diagnostics, tcp_nodelay=True))
     for namespace, heard in report.vehicles.items():
 
         def on_navdata(message, heard=heard):
             heard.battery_pct, heard.flies = float(message.batteryPercent), message.state not in _ON_THE_GROUND
 
-        subscribers.append(rospy.Subscriber("/%s/ardrone/navdata" % namespace, Navdata, on_navdata, queue_size=1))
+        subscribers.append(
+            rospy.Subscriber("/%s/ardrone/navdata" % namespace, Navdata, on_navdata, queue_size=1, tcp_nodelay=True)
+        )
     time.sleep(listen_s)
     for subscriber in subscribers:
         subscriber.unregister()

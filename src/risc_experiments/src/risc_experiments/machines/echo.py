@@ -50,7 +50,7 @@ def converse(say, hear, limit_s):
             stop.set()
 
     publisher = rospy.Publisher(say, UInt8, queue_size=1)
-    rospy.Subscriber(hear, UInt8, listen)
+    rospy.Subscriber(hear, UInt8, listen, tcp_nodelay=True)
     for _ in range(int(limit_s / _PERIOD_S)):
         publisher.publish(UInt8(1 if heard.is_set() else 0))
         if stop.wait(_PERIOD_S):

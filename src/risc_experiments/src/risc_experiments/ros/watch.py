@@ -24,9 +24,13 @@ class Watch:
         self.rate_hz = None
         self._operator_s = None  # when the operator's diagnostics last came
         rospy.init_node("maap_fly", disable_signals=True, disable_rostime=True)
-        rospy.Subscriber("/operator/phase", String, lambda message: setattr(self, "phase", message.data))
-        rospy.Subscriber("/operator/result", String, lambda message: setattr(self, "result", message.data))
-        rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)
+        rospy.Subscriber(
+            "/operator/phase", String, lambda message: setattr(self, "phase", message.data), tcp_nodelay=True
+        )
+        rospy.Subscriber(
+            "/operator/result", String, lambda message: setattr(self, "result", message.data), tcp_nodelay=True
+        )
+        rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, tcp_nodelay=True)
 
     def _on_diagnostics(self, message):
         for status in message.status:

@@ -144,7 +144,7 @@ class LiveView:
         self._turns.update(due_s=0.0, panel_due_s=0.0)
 
         def every(topic, kind, callback, *args):
-            self._subscribers.append(rospy.Subscriber(topic, kind, callback, args, queue_size=_QUEUE))
+            self._subscribers.append(rospy.Subscriber(topic, kind, callback, args, queue_size=_QUEUE, tcp_nodelay=True))
 
         def newest(topic, kind, callback, rate_hz, *args):
             self._subscribers.append(PacedSubscriber(topic, kind, callback, rate_hz, (args,)))

@@ -60,7 +60,7 @@ class JoyNode:
         self._diagnostics.setHardwareID("none")
         self._diagnostics.add("Joystick Driver Status", self._diagnose)
         self._rumble = self._open_rumble(str(rospy.get_param("~dev_ff", "/dev/input/event0")))
-        rospy.Subscriber("joy/set_feedback", JoyFeedbackArray, self._on_feedback, queue_size=10)
+        rospy.Subscriber("joy/set_feedback", JoyFeedbackArray, self._on_feedback, queue_size=10, tcp_nodelay=True)
 
     def run(self):
         """Read the joystick until shutdown; a lost or missing one is tried again every second."""
