@@ -7,6 +7,8 @@ import numpy as np
 
 from data_extraction.flight import HOPS, percentiles_ms
 
+_MOST_PROGRAMS = 5  # that are named in the table
+
 
 def summarise(flight, experiment, simulated, artefacts):
     """The summary of a flight as a dict ready for JSON.
@@ -37,6 +39,7 @@ def summarise(flight, experiment, simulated, artefacts):
             "frames_sent": flight.mocap.frames_sent,
             "frames_received": flight.mocap.frames_received,
             "frames_estimated": flight.mocap.frames_estimated,
+            "frames_passed_over": flight.mocap.frames_received - flight.mocap.frames_estimated,
             "rate_hz": round(flight.mocap.rate_hz, 3),
         },
         "bearings": flight.bearings.figures() if flight.bearings is not None else None,
@@ -77,6 +80,10 @@ def table(summary):
         "mocap: %d frames sent, %d received, %d estimated, %.2f Hz"
         % (mocap["frames_sent"], mocap["frames_received"], mocap["frames_estimated"], mocap["rate_hz"])
     )
+    if summary.get("cpu_cores"):
+        cores = summary["cpu_cores"]
+        largest = ", ".join("%s %.2f" % item for item in list(cores.items())[:_MOST_PROGRAMS])
+        lines.append("processor cores: %.2f in all; %s" % (sum(cores.values()), largest))
     lines.append("positions judged against %s" % summary["judged_against"])
     if summary["bearings"] is not None:
         lines += ["", *_bearing_lines(summary["bearings"])]

@@ -2,6 +2,7 @@
 
 import argparse
 import datetime
+import json
 import math
 import os
 import pathlib
@@ -14,12 +15,14 @@ import time
 import yaml
 
 from data_extraction.progress import Progress
+from data_extraction.report.origin import PROCESSORS
 from risc_control.lab import load_fleet
 from risc_control.lab.calibration import load_calibration
 from risc_control.trajectories import COURSES
 from risc_experiments.flight_record import write_flight, write_parameters
 from risc_experiments.operator import OperatorParams, time_limit_s
 from risc_experiments.processes import Launch, PortReservation, free_tcp_port
+from risc_experiments.processor_use import ProcessorUse
 from risc_experiments.progress import flight_detail
 from risc_experiments.report import WITH_CAMERAS, make_report
 
@@ -27,6 +30,8 @@ ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 BROWSER_PORT = 8080  # of the web page, unless somebody else has it
+IN_THE_AIR = ("takeoff", "settle", "fly", "home", "land")  # phases of the operator
+USE_PERIOD_S = 2.0  # how often the processors' use is noted
 START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
 EXPERIMENTS = {
     "circles3": "several vehicles on courses (default)",
@@ -226,6 +231,7 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
     limit_s = time_limit_s(OperatorParams(duration=courses * args.duration))
     deadline = time.monotonic() + limit_s + START_MARGIN_S
     landing = recorded = False
+    use, use_s = ProcessorUse(launch.identity), 0.0
     while not watch.result:
         if not recorded and watch.operator_heard:  # by then roslaunch has set everything, and nothing flies yet
             recorded = True
@@ -236,6 +242,10 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
         if page is not None:
             page.look()
         phase, _, detail = watch.phase.partition(": ")
+        if phase in IN_THE_AIR and time.monotonic() >= use_s:
+            use_s = time.monotonic() + USE_PERIOD_S
+            use.look()
+            (folder / PROCESSORS).write_text(json.dumps(use.figures(), indent=2) + "\n", encoding="utf-8")
         progress.show(phase, "  ".join(filter(None, (flight_detail(watch.errors_mm, watch.rate_hz), detail))))
         if interrupted.wait(0.1) and not landing:
             progress.say("interrupted: landing all vehicles (once more: stop at once)")

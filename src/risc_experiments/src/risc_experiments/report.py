@@ -47,6 +47,7 @@ def make_report(args, folder, operator_result, progress, interrupted):
     result["lab_late_ms"] = lab.get("late_ms")
     result["video_late_ms"] = max(v["video"]["late_ms"] for v in lab["vehicles"].values()) if lab else None
     result["on_schedule"] = on_schedule(result) if lab else None
+    result.update(read_beside(folder / "flight.bag").processors)
     reasons = judge(flight, operator_result, with_cameras=args.experiment in WITH_CAMERAS)
     result["passed"] = not reasons
     result["reasons"] = reasons

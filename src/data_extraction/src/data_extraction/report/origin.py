@@ -12,12 +12,13 @@ from risc_control.lab import Fleet, load_fleet
 from risc_control.safety import SafetyLimits
 from risc_control.vehicle_pilot import params_from_dict
 
-FLIGHT, PARAMETERS, FLEET, SUMMARY, LAB = (
+FLIGHT, PARAMETERS, FLEET, SUMMARY, LAB, PROCESSORS = (
     "flight.yaml",
     "parameters.yaml",
     "fleet.yaml",
     "summary.json",
     "virtual_lab.json",
+    "processors.json",
 )
 # Parameters that differ from run to run though the flight is the same: identities, addresses, and live switches.
 RUN_KEYS = frozenset(
@@ -37,6 +38,7 @@ class Origin:
     fleet: Optional[Fleet] = None
     summary: dict = field(default_factory=dict)
     lab: dict = field(default_factory=dict)  # what the virtual lab counted
+    processors: dict = field(default_factory=dict)  # what the programs took of the computer
 
     @property
     def hash(self):
@@ -45,15 +47,25 @@ class Origin:
 
     def fence_limits(self):
         """{template: SafetyLimits} that the vehicles' nodes had; those that are not known are left out."""
-        vehicles = self.fleet.vehicles if self.fleet else ()
         result = {}
-        for vehicle in vehicles:
-            group = (self.parameters or {}).get(vehicle.namespace)
-            for node in group.values() if isinstance(group, dict) else ():
-                if isinstance(node, dict) and "fence_margin_m" in node:
+        for vehicle in self.fleet.vehicles if self.fleet else ():
+            for node in self._nodes_of(vehicle.namespace):
+                if "fence_margin_m" in node:
                     names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
                     result[vehicle.template] = params_from_dict(names)[0].limits
         return result
+
+    def _nodes_of(self, namespace):
+        """Parameters of the nodes of a vehicle: those in its group, and those for several vehicles."""
+        parameters = self.parameters or {}
+        group = parameters.get(namespace)
+        for node in group.values() if isinstance(group, dict) else ():
+            if isinstance(node, dict):
+                yield node
+        for node in parameters.values():
+            names = node.get("vehicles") if isinstance(node, dict) else None
+            if namespace in (names.split() if isinstance(names, str) else names or ()):
+                yield node
 
 
 def read_beside(bag_path, fleet_path=None):
@@ -70,6 +82,7 @@ def read_beside(bag_path, fleet_path=None):
         fleet=load_fleet(fleet_path) if fleet_path != folder / FLEET or fleet_path.exists() else None,
         summary=_mapping(folder / SUMMARY, json.loads),
         lab=_mapping(folder / LAB, json.loads),
+        processors=_mapping(folder / PROCESSORS, json.loads),
     )
 
 

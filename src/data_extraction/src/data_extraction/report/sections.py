@@ -20,6 +20,7 @@ UNKNOWN = "unknown"
 _MOST_ROWS = 60  # of a table of events
 _MOST_RUNGS = 25  # of a table of the loss ladder
 _FAILED = "failed: "  # how the operator's results begin
+_LEAST_CORES = 0.001  # that are worth a row
 _TEXTS = 99  # columns that are numeric: none
 _UNITS = {"m": "m", "s": "s", "rad": "rad", "deg": "°", "pct": "%", "ms": "ms", "hz": "Hz"}
 HOP_TEXTS = {
@@ -78,8 +79,8 @@ def all_sections(material, summary):
         return [
             make(material, summary)
             for make in (
-                origin, result, arena, tracking, latency, motion_capture, gates, ladder, fence, battery, cameras,
-                bearings, events, contents,
+                origin, result, arena, tracking, latency, processors, motion_capture, gates, ladder, fence, battery,
+                cameras, bearings, events, contents,
             )
         ]  # fmt: skip
 
@@ -228,6 +229,35 @@ def latency(material, _summary):
         section.tables.append(Table(caption, columns, rows))
     section.figures.append(_figure(plots.latency(material.flight, None), "How the latencies are spread (logarithmic)."))
     return section
+
+
+def processors(material, _summary):
+    """What the programs took of the computer that flew."""
+    used = material.origin.processors
+    if not used:
+        return Missing("Processors", "what the programs took of the computer was not recorded (processors.json)")
+    cores, computer = used["cpu_cores"], used["computer"]
+    section = Section(
+        "processors",
+        "Processors",
+        facts=[
+            ("cores of the computer", "%d" % computer["cores"]),
+            ("used by the flight", "%.2f cores" % sum(cores.values())),
+            ("used by other programs", "%.2f cores%s" % (computer["others"], _busiest(computer))),
+            ("idle", _unit(computer["idle"], 100.0, "%", 0)),
+            ("taken by the host of the virtual machine (steal)", _unit(computer["steal"], 100.0, "%", 1)),
+        ],
+    )
+    rows = [[name, "%.3f" % value] for name, value in cores.items() if value >= _LEAST_CORES]
+    caption = "Programs of the flight, mean from take-off to landing."
+    section.tables.append(Table(caption, ["program", "cores"], rows))
+    return section
+
+
+def _busiest(computer):
+    if computer["busiest_other_cores"] < _LEAST_CORES:
+        return ""
+    return ", most by %s (%.2f)" % (computer["busiest_other"], computer["busiest_other_cores"])
 
 
 def _spread(values_s):

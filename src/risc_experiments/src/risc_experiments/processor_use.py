@@ -1,0 +1,99 @@
+"""What the programs of a flight take of the processors, and what others leave them."""
+
+import contextlib
+import os
+import time
+from collections import Counter
+from typing import NamedTuple
+
+import psutil
+
+from risc_experiments.processes import MARK
+
+_LEAST_S = 1.0  # shorter spans say nothing
+
+
+class _Look(NamedTuple):
+    time_s: float
+    machine: tuple  # psutil.cpu_times of the whole computer
+    programs: dict  # {(process id, time of its start): (name, of the flight?, processor seconds)}
+
+
+class ProcessorUse:
+    """Processor time of every program from the first to the last call of `look`."""
+
+    def __init__(self, identity):
+        """identity: of the flight's processes, as in `processes.Launch`."""
+        self._identity = identity
+        self._names = {}  # {(process id, time of its start): (name, of the flight?)}
+        self._first = self._last = None
+
+    def look(self):
+        """Note what has been used so far. Costs some milliseconds."""
+        programs = {}
+        for process in psutil.process_iter():
+            with contextlib.suppress(psutil.Error):
+                key = process.pid, process.create_time()
+                if key not in self._names:
+                    self._names[key] = self._name(process)
+                times = process.cpu_times()
+                programs[key] = (*self._names[key], times.user + times.system)
+        self._last = _Look(time.monotonic(), psutil.cpu_times(), programs)
+        if self._first is None:
+            self._first = self._last
+
+    def figures(self):
+        """{"cpu_cores": {program of the flight: mean}, "computer": {...}}; {} when too little time was looked at.
+
+        cores: of the computer.  steal: fraction of its time that the host of a virtual machine gave to others.
+        others: mean of all programs that are not of the flight; busiest_other, busiest_other_cores: the largest.
+        """
+        first, last = self._first, self._last
+        if first is None or last.time_s - first.time_s < _LEAST_S:
+            return {}
+        span_s = last.time_s - first.time_s
+        ours, others = Counter(), Counter()
+        for key, (name, of_the_flight, used_s) in last.programs.items():
+            before_s = first.programs[key][2] if key in first.programs else 0.0
+            (ours if of_the_flight else others)[name] += (used_s - before_s) / span_s
+        machine = {name: getattr(last.machine, name) - getattr(first.machine, name) for name in last.machine._fields}
+        total_s = max(sum(machine.values()) - machine.get("guest", 0.0) - machine.get("guest_nice", 0.0), 1e-9)
+        busiest, cores = max(others.items(), key=lambda item: item[1], default=("", 0.0))
+        return {
+            "cpu_cores": {name: round(value, 4) for name, value in ours.most_common()},
+            "computer": {
+                "cores": psutil.cpu_count(),
+                "idle": round((machine["idle"] + machine.get("iowait", 0.0)) / total_s, 4),
+                "steal": round(machine.get("steal", 0.0) / total_s, 4),
+                "others": round(sum(others.values()), 4),
+                "busiest_other": busiest,
+                "busiest_other_cores": round(cores, 4),
+            },
+        }
+
+    def _name(self, process):
+        """(name, of the flight?): of a node that of its node, else that of its program."""
+        words = process.cmdline()
+        of_the_flight = process.pid == os.getpid()
+        space = ""
+        with contextlib.suppress(psutil.AccessDenied):
+            environment = process.environ()
+            of_the_flight = of_the_flight or environment.get(MARK) == self._identity
+            space = environment.get("ROS_NAMESPACE", "").strip("/")
+        if process.pid == os.getpid():
+            return "maap fly", True
+        node = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "")
+        if of_the_flight and node:
+            return "/".join(part for part in (space, node) if part), True
+        return _program(words) or process.name(), of_the_flight
+
+
+def _program(words):
+    """Of ["/usr/bin/python3", "-u", "/x/roslaunch", "a.launch"] the part that says what it is: roslaunch."""
+    words = list(words)
+    if words and os.path.basename(words[0]).startswith(("python", "bash", "sh")):
+        if "-m" in words[:-1]:
+            return words[words.index("-m") + 1]
+        scripts = [word for word in words[1:] if not word.startswith("-")]
+        words = scripts[:1] or words
+    return os.path.basename(words[0]) if words else ""
