@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import Tuple
 
 from risc_control.joystick import CENTRED, CLOCK_MEMORY_S, LATE_S, Button, Joystick, JoystickParams, Sticks, parse_bool
-from risc_control.mappings.ardrone import climb_rate_command
+from risc_control.mappings.climb_rate import climb_rate_command
 from risc_control.message_age import MessageAges
 from risc_control.safety import Rung, SafetyLadder, SafetyLimits
 
