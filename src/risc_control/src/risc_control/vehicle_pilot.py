@@ -169,7 +169,7 @@ OwnControl = namedtuple("OwnControl", "phi theta psi thrust_n")
 
 
 class Orders:
-    """What the node has to do now, in this order. Nothing, unless an attribute was set: most of them stay without."""
+    """What the node has to do now, in this order. What is not set on an object is that of the class: nothing."""
 
     reset = False
     takeoff = False
