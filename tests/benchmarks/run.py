@@ -17,6 +17,8 @@ BENCHMARKS = {
     "offline": ("offline closed loop: accuracy and speed", [PYTHON, "-m", "risc_experiments.offline", "--seeds", "3",
                                                             "--delay", "0.1", "0.3", "--json", "{json}"]),
     "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
+    "control": ("time per frame of controller and vehicle pilot", [PYTHON, "-m", "risc_control.bench",
+                                                                   "--json", "{json}"]),
     "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),
     "drawing": ("markers for rviz: time per drawing, up to 50 vehicles", [PYTHON, str(HERE / "drawing.py"),
                                                                           "--json", "{json}"]),

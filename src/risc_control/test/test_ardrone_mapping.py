@@ -6,13 +6,17 @@ import pytest
 from risc_control.flatness import FlatInputs
 from risc_control.frames import GRAVITY_M_S2 as G
 from risc_control.lab import load_vehicle_type
-from risc_control.mappings.ardrone import ArdroneMapping, climb_rate_command, thrust_for_climb_rate
+from risc_control.mappings.ardrone import full_scales, to_fractions, to_inputs
+from risc_control.mappings.climb_rate import climb_rate_command, thrust_for_climb_rate
 
 ARDRONE = load_vehicle_type("ardrone")
 
 
-def inputs(phi=0.0, theta=0.0, yaw_rate=0.0, thrust=4.4, n=1):
-    return FlatInputs(*(np.full(n, value) for value in (thrust, phi, theta, yaw_rate)))
+SCALE = full_scales([ARDRONE])[0]
+
+
+def inputs(phi=0.0, theta=0.0, yaw_rate=0.0, thrust=4.4):
+    return FlatInputs(thrust, phi, theta, yaw_rate)
 
 
 @pytest.mark.parametrize(
@@ -20,47 +24,46 @@ def inputs(phi=0.0, theta=0.0, yaw_rate=0.0, thrust=4.4, n=1):
 )
 def test_left_forward_and_left_turn_are_positive(moves, field):
     """/controls: + left, + forward, + counter-clockwise; the angles: + right, + nose up, + clockwise."""
-    fractions, _ = ArdroneMapping([ARDRONE]).to_fractions(inputs(**moves))
-    assert getattr(fractions, field)[0] > 0.0
+    fractions = to_fractions(inputs(**moves), SCALE)[0]
+    assert getattr(fractions, field) > 0.0
     others = {"phi", "theta", "psi"} - {field}
-    assert all(getattr(fractions, other)[0] == 0.0 for other in others)
+    assert all(getattr(fractions, other) == 0.0 for other in others)
 
 
 def test_the_gain_of_the_loops_is_divided_out():
-    fractions, saturated = ArdroneMapping([ARDRONE]).to_fractions(inputs(phi=0.1, theta=0.1, yaw_rate=0.1))
-    assert fractions.phi[0] * ARDRONE.tilt_max_rad * ARDRONE.roll.gain == pytest.approx(-0.1)
-    assert fractions.theta[0] * ARDRONE.tilt_max_rad * ARDRONE.pitch.gain == pytest.approx(-0.1)
-    assert fractions.psi[0] * ARDRONE.yaw_rate_max_rad_s == pytest.approx(-0.1)
-    assert not saturated.any()
+    fractions, *cut = to_fractions(inputs(phi=0.1, theta=0.1, yaw_rate=0.1), SCALE)
+    assert fractions.phi * ARDRONE.tilt_max_rad * ARDRONE.roll.gain == pytest.approx(-0.1)
+    assert fractions.theta * ARDRONE.tilt_max_rad * ARDRONE.pitch.gain == pytest.approx(-0.1)
+    assert fractions.psi * ARDRONE.yaw_rate_max_rad_s == pytest.approx(-0.1)
+    assert cut == [False, False]
 
 
 def test_limits_clip_and_are_reported():
-    mapping = ArdroneMapping([ARDRONE] * 2)
-    wanted = FlatInputs(np.array([4.4, 4.4]), np.array([1.0, 0.1]), np.array([0.0, -1.0]), np.array([-2.0, 0.0]))
-    fractions, saturated = mapping.to_fractions(wanted)
-    assert [part.tolist() for part in fractions[1:3]] == [[0.0, 1.0], [1.0, 0.0]]
-    assert fractions.phi[0] == -1.0
-    assert saturated.tolist() == [[True, False], [False, True], [True, False]]
+    fractions, *cut = to_fractions(inputs(phi=1.0, yaw_rate=-2.0), SCALE)
+    assert fractions[:3] == (-1.0, 0.0, 1.0) and cut == [True, True]
+    fractions, *cut = to_fractions(inputs(phi=0.1, theta=-1.0), SCALE)
+    assert fractions.theta == 1.0 and cut == [True, False]
 
 
 def test_inverse_inside_the_limits():
-    mapping = ArdroneMapping([ARDRONE] * 3, tilt_max_rad=0.2, yaw_rate_max_rad_s=0.7)
+    scale = full_scales([ARDRONE], tilt_max_rad=0.2, yaw_rate_max_rad_s=0.7)[0]
     rng = np.random.default_rng(1)
-    wanted = FlatInputs(rng.uniform(3, 6, 3), *rng.uniform(-0.2, 0.2, (3, 3)))
-    fractions, saturated = mapping.to_fractions(wanted)
-    assert not saturated.any()
-    assert np.array(mapping.to_inputs(fractions)) == pytest.approx(np.array(wanted))
+    for _ in range(3):
+        wanted = FlatInputs(rng.uniform(3, 6), *rng.uniform(-0.2, 0.2, 3))
+        fractions, *cut = to_fractions(wanted, scale)
+        assert cut == [False, False]
+        assert to_inputs(fractions, scale) == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize("broken", [{"phi": np.nan}, {"thrust": np.inf}, {"yaw_rate": -np.inf}])
 def test_what_is_not_finite_is_refused(broken):
     with pytest.raises(ValueError, match="not finite"):
-        ArdroneMapping([ARDRONE]).to_fractions(inputs(**broken))
+        to_fractions(inputs(**broken), SCALE)
 
 
 def test_wrong_limit_is_refused():
     with pytest.raises(ValueError, match="tilt_max_rad must be positive"):
-        ArdroneMapping([ARDRONE], tilt_max_rad=0.0)
+        full_scales([ARDRONE], tilt_max_rad=0.0)
 
 
 def test_hover_thrust_keeps_the_climb_rate():

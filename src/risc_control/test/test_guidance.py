@@ -7,7 +7,8 @@ import pytest
 
 from risc_control.guidance import GuidanceController, GuidanceParams, pursuit_acceleration
 from risc_control.lab import load_vehicle_type
-from risc_control.tracking import FlatnessController, States
+from risc_control.states import S, States
+from risc_control.tracking import FlatnessController
 from risc_control.virtual_target import TargetParams
 
 ARDRONE = load_vehicle_type("ardrone")
@@ -18,8 +19,9 @@ DT_S = 0.005
 
 def states(visible=True, x=0.0, y=0.0):
     """Of a vehicle that stands there; what is not visible has rows of zeros, as states_from_msg makes them."""
-    position = np.array([[x, y, 1.0]]) * visible
-    return States(np.array([visible]), position, *(np.zeros((1, 3)) for _ in range(3)))
+    rows = np.zeros((1, len(S)))
+    rows[0, :3] = np.array([x, y, 1.0]) * visible
+    return States(np.array([visible]), rows)
 
 
 def standing(x=0.0, y=0.0):
@@ -34,8 +36,14 @@ def update(controller, state, reference, stamp_s=0.0):
 
 
 def pursue(position, velocity, target):
-    scene = (np.array([value], dtype=complex) for value in (position, velocity, target))
-    return pursuit_acceleration(*scene, SPEED_M_S, PARAMS)[0]
+    """With complex numbers north + i east."""
+    scene = ((complex(value).real, complex(value).imag) for value in (position, velocity, target))
+    return complex(*pursuit_acceleration(*scene, SPEED_M_S, PARAMS))
+
+
+def point(controller):
+    """Where the law's point is, north + i east."""
+    return complex(*controller._points[0].position_m)
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
@@ -84,19 +92,18 @@ def test_the_pursuit_begins_where_the_vehicle_is_and_moves_on_with_the_law():
     controller = GuidanceController([ARDRONE])
     controller.target_speed_m_s = SPEED_M_S
     update(controller, states(), standing(y=-0.7))
-    first = controller._points[0][0]
-    assert first == 0.0
+    assert point(controller) == 0.0
     for k in range(1, 200):
         update(controller, states(), standing(y=-0.7), k * DT_S)
-    assert controller._points[0][0].imag > 0.05 and abs(controller._points[0][0].real) < 1e-9, "east is - y"
+    assert point(controller).imag > 0.05 and abs(point(controller).real) < 1e-9, "east is - y"
     assert controller.range_m[0] == pytest.approx(0.7), "of the vehicle, not of the point"
     one = np.ones(1, dtype=bool)
     controller.update(1.0, 1.004, states(), standing(y=-0.7), standing(y=-0.7), one, ~one)
-    assert controller._points[0][0] == 0.0
+    assert point(controller) == 0.0
     for k in range(201, 300):
         update(controller, states(), standing(y=-0.7), k * DT_S)
     update(controller, states(), standing(y=-0.7), 5.0)
-    assert controller._points[0][0] == 0.0, "a gap in the states"
+    assert point(controller) == 0.0, "a gap in the states"
 
 
 def test_a_vehicle_out_of_sight_has_no_place_its_point_runs_on():
@@ -109,7 +116,7 @@ def test_a_vehicle_out_of_sight_has_no_place_its_point_runs_on():
         for k, visible in enumerate(seen):
             stamp_s += gap_s if k and not seen[k - 1] else DT_S
             update(controller, states(visible, 0.8, 0.3), standing(0.8, -0.18), stamp_s)
-            found.append(controller._points[0][0])
+            found.append(point(controller))
         return np.array(found)
 
     all_seen = points([True] * 40)

@@ -16,10 +16,13 @@ from risc_control.prediction import (
     CommandHistory,
     Motion,
     NominalModel,
-    Predictor,
     TiltObserver,
     discretised,
     effective_delay_s,
+    observe,
+    predicted,
+    rows_in_force,
+    steps_of,
 )
 
 ARDRONE = load_vehicle_type("ardrone")
@@ -27,17 +30,31 @@ OTHER = replace(ARDRONE, roll=replace(ARDRONE.roll, natural_frequency_rad_s=9.0)
 MODEL = NominalModel.of([ARDRONE, OTHER])
 
 
-def random_motion(rng, n=2):
+PLANTS = MODEL.plants()
+REST = Motion(*[0.0] * len(Motion._fields))
+
+
+def random_motion(rng):
+    north, east, v_north, v_east = *rng.uniform(-1, 1, 2), *rng.uniform(-0.7, 0.7, 2)
     return Motion(
-        rng.uniform(-1, 1, n) + 1j * rng.uniform(-1, 1, n),
-        rng.uniform(-0.7, 0.7, n) + 1j * rng.uniform(-0.7, 0.7, n),
-        rng.uniform(0.5, 1.5, n),
-        rng.uniform(-0.3, 0.3, n),
-        *rng.uniform(-0.15, 0.15, (2, n)),
-        rng.uniform(-3, 3, n),
-        *rng.uniform(-0.5, 0.5, (2, n)),
-        rng.uniform(-0.3, 0.3, n),
+        north,
+        east,
+        rng.uniform(0.5, 1.5),
+        v_north,
+        v_east,
+        rng.uniform(-0.3, 0.3),
+        *rng.uniform(-0.15, 0.15, 2),
+        rng.uniform(-3, 3),
+        *rng.uniform(-0.5, 0.5, 2),
+        rng.uniform(-0.3, 0.3),
+        0.0,
     )
+
+
+def ahead(motion, time_s, horizon_s, history, delay_s, i=0):
+    """Motion of vehicle i after horizon_s; a command acts delay_s after it was sent."""
+    rows_in_force(time_s - delay_s, steps_of(horizon_s), history.sent_s, history.ends, history.rows)
+    return predicted(motion, PLANTS[MODEL.kind[i]], horizon_s, history.commands, history.rows, i)
 
 
 def random_history(rng, start_s, end_s, n=2, step_s=1.0 / 30.0):
@@ -75,8 +92,9 @@ def integrate(motion, i, model, time_s, horizon_s, delay_s, commands):
             (command[Channel.YAW_RATE] - psi_rate) / tau_yaw,
         ]
 
-    m = [part[i] for part in motion]
-    x = [m[0].real, -m[0].imag, m[2], m[1].real, -m[1].imag, m[3], m[4], m[7], m[5], m[8], m[6], m[9]]
+    m = motion
+    x = [m.north_m, -m.east_m, m.up_m, m.north_m_s, -m.east_m_s, m.up_m_s]
+    x += [m.phi_rad, m.phi_rate_rad_s, m.theta_rad, m.theta_rate_rad_s, m.psi_rad, m.psi_rate_rad_s]
     switches = sorted({s + delay_s for s, _ in commands if time_s < s + delay_s < time_s + horizon_s})
     edges = [time_s] + switches + [time_s + horizon_s]
     for begin, end in zip(edges, edges[1:]):
@@ -90,18 +108,16 @@ def test_predicts_what_the_nonlinear_model_does(horizon_s, tolerance_m):
     delay_s, now_s = horizon_s - 0.006, 100.0
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        motion = random_motion(rng)
+        motions = [random_motion(rng) for _ in range(2)]
         history, commands = random_history(rng, now_s - 0.6, now_s)
-        ahead, _ = Predictor(MODEL).ahead(motion, now_s, horizon_s, history, delay_s)
-        for i in range(2):
+        for i, motion in enumerate(motions):
+            found = ahead(motion, now_s, horizon_s, history, delay_s, i)
             x = integrate(motion, i, MODEL, now_s, horizon_s, delay_s, commands)
-            assert ahead.position_m[i] == pytest.approx(x[0] - 1j * x[1], abs=tolerance_m)
-            assert ahead.height_m[i] == pytest.approx(x[2], abs=tolerance_m)
-            assert ahead.velocity_m_s[i] == pytest.approx(x[3] - 1j * x[4], abs=10 * tolerance_m)
-            assert ahead.climb_m_s[i] == pytest.approx(x[5], abs=10 * tolerance_m)
+            assert (found.north_m, -found.east_m, found.up_m) == pytest.approx(x[:3], abs=tolerance_m)
+            assert (found.north_m_s, -found.east_m_s, found.up_m_s) == pytest.approx(x[3:6], abs=10 * tolerance_m)
             # a command that acts up to half a grid step early or late is all that may be wrong with the angles
-            assert (ahead.phi_rad[i], ahead.theta_rad[i]) == pytest.approx((x[6], x[8]), abs=5e-3)
-            assert ahead.psi_rad[i] == pytest.approx(x[10], abs=5e-3)
+            assert (found.phi_rad, found.theta_rad) == pytest.approx((x[6], x[8]), abs=5e-3)
+            assert found.psi_rad == pytest.approx(x[10], abs=5e-3)
 
 
 def test_loops_are_exact_on_the_grid():
@@ -109,15 +125,13 @@ def test_loops_are_exact_on_the_grid():
     wn, zeta = ARDRONE.roll.natural_frequency_rad_s, ARDRONE.roll.damping_ratio
     history = CommandHistory(2)
     history.append(0.0, np.full((2, 4), 0.1))
-    zero = np.zeros(2)
-    rest = Motion(zero + 0j, zero + 0j, zero, *[zero] * 7)
     for horizon_s in (0.1, 0.35, 0.8):
-        ahead, _ = Predictor(MODEL).ahead(rest, 0.2, horizon_s, history, 0.2)
+        found = ahead(REST, 0.2, horizon_s, history, 0.2)
         damped = wn * math.sqrt(1.0 - zeta**2)
         decay = math.exp(-zeta * wn * horizon_s)
         step = 1.0 - decay * (math.cos(damped * horizon_s) + zeta * wn / damped * math.sin(damped * horizon_s))
-        assert ahead.phi_rad[0] == pytest.approx(0.1 * step, abs=1e-12)
-        assert ahead.climb_m_s[0] == pytest.approx(0.1 * (1 - math.exp(-horizon_s / ARDRONE.climb_time_constant_s)))
+        assert found.phi_rad == pytest.approx(0.1 * step, abs=1e-12)
+        assert found.up_m_s == pytest.approx(0.1 * (1 - math.exp(-horizon_s / ARDRONE.climb_time_constant_s)))
 
 
 @pytest.mark.parametrize(
@@ -137,86 +151,97 @@ def test_where_a_positive_angle_goes(psi_deg, channel, north, east):
     command[:, channel] = 0.1
     history = CommandHistory(2)
     history.append(0.0, command)
-    zero = np.zeros(2)
-    rest = Motion(zero + 0j, zero + 0j, zero, zero, zero, zero, zero + math.radians(psi_deg), zero, zero, zero)
-    ahead, _ = Predictor(MODEL).ahead(rest, 1.0, 0.3, history, 0.1)
-    assert ahead.velocity_m_s[0] / abs(ahead.velocity_m_s[0]) == pytest.approx(north + 1j * east, abs=1e-9)
+    found = ahead(REST._replace(psi_rad=math.radians(psi_deg)), 1.0, 0.3, history, 0.1)
+    speed_m_s = math.hypot(found.north_m_s, found.east_m_s)
+    assert (found.north_m_s / speed_m_s, found.east_m_s / speed_m_s) == pytest.approx((north, east), abs=1e-9)
 
 
 def test_hover_stays():
-    zero = np.zeros(2)
-    rest = Motion(zero + (0.3 - 0.2j), zero + 0j, zero + 1.0, *[zero] * 7)
-    ahead, a_up = Predictor(MODEL).ahead(rest, 5.0, 0.2, CommandHistory(2), 0.13)
-    for before, after in zip(rest, ahead):
-        assert after == pytest.approx(before, abs=1e-15)
-    assert a_up == pytest.approx([0.0, 0.0])
+    hover = REST._replace(north_m=0.3, east_m=-0.2, up_m=1.0)
+    assert ahead(hover, 5.0, 0.2, CommandHistory(2), 0.13) == pytest.approx(hover, abs=1e-15)
 
 
 def test_commands_count_from_when_they_act():
     history = CommandHistory(2)
     history.append(1.0, np.full((2, 4), 0.1))
-    zero = np.zeros(2)
-    rest = Motion(zero + 0j, zero + 0j, zero, *[zero] * 7)
-    before, _ = Predictor(MODEL).ahead(rest, 1.0, 0.1, history, 0.1)
-    after, _ = Predictor(MODEL).ahead(rest, 1.0, 0.15, history, 0.1)
-    assert before.phi_rad[0] == 0.0 < after.phi_rad[0]
+    before, after = (ahead(REST, 1.0, horizon_s, history, 0.1) for horizon_s in (0.1, 0.15))
+    assert before.phi_rad == 0.0 < after.phi_rad
 
 
 def test_horizon_between_grid_points_is_smooth():
     rng = np.random.default_rng(5)
     motion, (history, _) = random_motion(rng), random_history(rng, 0.0, 1.0)
-    predictor = Predictor(MODEL)
-    positions = [predictor.ahead(motion, 1.0, h, history, 0.13)[0].position_m[0] for h in np.arange(0.1, 0.2, 0.0005)]
-    assert np.abs(np.diff(positions, 2)).max() < 2e-5
+    positions = [ahead(motion, 1.0, h, history, 0.13)[:3] for h in np.arange(0.1, 0.2, 0.0005)]
+    assert np.abs(np.diff(positions, 2, axis=0)).max() < 2e-5
 
 
 @pytest.mark.parametrize("horizon_s", [-0.01, MAX_HORIZON_S + 0.1, math.nan])
 def test_impossible_horizons(horizon_s):
-    zero = np.zeros(2)
     with pytest.raises(ValueError, match="prediction horizon"):
-        Predictor(MODEL).ahead(Motion(*[zero] * 10), 0.0, horizon_s, CommandHistory(2), 0.1)
+        ahead(REST, 0.0, horizon_s, CommandHistory(2), 0.1)
 
 
 def test_history_holds_replaces_and_never_grows():
     history = CommandHistory(1)
-    assert history.at(np.array([-5.0]))[0].tolist() == [[0.0] * 4]
+    assert history.at(-5.0).tolist() == [[0.0] * 4]
     for k in range(10000):
         history.append(0.005 * k, np.full((1, 4), float(k)))
-    assert history.at(np.array([49.9951, 49.996, 49.9949, 60.0]))[:, 0, 0].tolist() == [9999, 9999, 9998, 9999]
+    assert [history.at(t)[0, 0] for t in (49.9951, 49.996, 49.9949, 60.0)] == [9999, 9999, 9998, 9999]
+    assert history.at(0.0)[0, 0] == history.at(49.0)[0, 0] - 9800 + 10000 - len(history.sent_s), "the oldest kept"
     history.append(49.99, np.full((1, 4), -1.0))
-    assert history.at(np.array([49.981, 49.999]))[:, 0, 0].tolist() == [9996, -1], "the clock was set back"
+    assert [history.at(t)[0, 0] for t in (49.981, 49.999)] == [9996, -1], "the clock was set back"
     history.clear()
-    assert history.at(np.array([49.98]))[0, 0, 0] == 0.0
+    assert history.at(49.98)[0, 0] == 0.0
+
+
+def observed(observer, time_s, angles_rad, rates_rad_s, command):
+    """((phi, theta), their rates) of the only vehicle."""
+    observe(observer.tilts[0], time_s, (*angles_rad, *rates_rad_s), command, observer.steps[0], observer.gains[0])
+    tilt = observer.tilts[0]
+    return (tilt.phi_rad, tilt.theta_rad), (tilt.phi_rate_rad_s, tilt.theta_rate_rad_s)
 
 
 def test_observer_knows_the_rate_from_noisy_angles():
     """Better than the measured angles, without lag in the rate: 0.3 degree of noise, known commands."""
     model = NominalModel.of([ARDRONE])
     observer = TiltObserver(model, 0.005, 0.6)
-    A, b = (part[:, :2] for part in model.loops())
+    A, b = (part[0, :2] for part in model.loops())
     phi, gamma = discretised(A, b, 0.005)
-    rng, truth = np.random.default_rng(0), np.zeros((1, 2, 2))
+    rng, truth = np.random.default_rng(0), np.zeros((2, 2))
     angle_errors, rate_errors = [], []
     for k in range(1500):
-        command = 0.1 * np.sin(2.0 * 0.005 * k + np.array([[0.0, 1.0]]))
-        truth = np.matmul(phi, truth[..., None])[..., 0] + gamma * command[..., None]
-        measured = truth[..., 0] + 0.005 * rng.standard_normal((1, 2))
-        seen = np.array([k % 50 != 7])  # a frame is lost now and then
-        angles, rates = observer.update(0.005 * k, measured, np.zeros((1, 2)), command, seen)
-        if k > 300 and seen[0]:
-            angle_errors.append(angles - truth[..., 0])
-            rate_errors.append(rates - truth[..., 1])
+        command = np.zeros(len(Channel))
+        command[: Channel.CLIMB] = 0.1 * np.sin(2.0 * 0.005 * k + np.array([0.0, 1.0]))
+        truth = np.matmul(phi, truth[..., None])[..., 0] + gamma * command[: Channel.CLIMB, None]
+        measured = truth[:, 0] + 0.005 * rng.standard_normal(2)
+        if k % 50 != 7:  # a frame is lost now and then
+            angles, rates = observed(observer, 0.005 * k, measured, (0.0, 0.0), command)
+            if k > 300:
+                angle_errors.append(angles - truth[:, 0])
+                rate_errors.append(rates - truth[:, 1])
     assert np.std(angle_errors) < 0.0025 and abs(np.mean(angle_errors)) < 5e-4
     assert np.std(rate_errors) < 0.06
 
 
 def test_observer_starts_from_the_measurement_and_again_after_a_gap():
-    observer = TiltObserver(NominalModel.of([ARDRONE]), 0.005, 0.6)
-    seen, command = np.array([True]), np.zeros((1, 2))
+    observer, command = TiltObserver(NominalModel.of([ARDRONE]), 0.005, 0.6), np.zeros(len(Channel))
     for time_s in (10.0, 10.5):
-        angles, rates = observer.update(time_s, np.array([[0.1, -0.1]]), np.array([[0.3, 0.2]]), command, seen)
-        assert angles.tolist() == [[0.1, -0.1]] and rates.tolist() == [[0.3, 0.2]]
-        observer.update(time_s + 0.005, np.array([[0.0, 0.0]]), np.zeros((1, 2)), command, seen)
+        assert observed(observer, time_s, (0.1, -0.1), (0.3, 0.2), command) == ((0.1, -0.1), (0.3, 0.2))
+        observed(observer, time_s + 0.005, (0.0, 0.0), (0.0, 0.0), command)
+
+
+def test_observer_steps_of_any_length_are_those_of_the_exponential():
+    model = NominalModel.of([ARDRONE, OTHER])
+    steps = TiltObserver(model, 0.005, 0.6).steps
+    A, b = (part[:, :2] for part in model.loops())
+    for j in (1, 10, 137, 200):
+        Phi, Gamma = discretised(A, b, 0.0005 * j)
+        for axis, name in enumerate(("phi", "theta")):
+            step = steps[name][:, j - 1]
+            assert np.stack([step[f] for f in ("f11", "f12", "f21", "f22")], axis=1) == pytest.approx(
+                Phi[:, axis].reshape(2, 4), abs=1e-13
+            )
+            assert np.stack([step["g1"], step["g2"]], axis=1) == pytest.approx(Gamma[:, axis], abs=1e-13)
 
 
 def test_effective_delay():

@@ -8,7 +8,7 @@ import pytest
 from risc_control.guidance import GuidanceController, GuidanceParams
 from risc_control.lab import load_templates
 from risc_control.reference import ReferenceBuffer
-from risc_control.tracking import States
+from risc_control.states import States
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.virtual_target import TargetParams, VirtualTarget
 from risc_estimation.states import S, StatesEstimator
@@ -64,9 +64,9 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         buffer.push(time_s, reference.derivatives[:3])
         controller.target_speed_m_s = target.target_speed_m_s(time_s)
         present, ahead = buffer.at(np.array([time_s, time_s + controller.horizon_s(time_s, now_s)]))
-        states = offline._states(estimate)
+        states = States(estimate.visible, estimate.states)
         if frame % LOST_EVERY == 0:  # as states_from_msg gives what is not seen
-            states = States(~NOW, *(np.zeros_like(rows) for rows in states[1:]))
+            states = States(~NOW, np.zeros_like(states.x))
         output = controller.update(time_s, now_s, states, present, ahead, NOW, NOW & chain.pilot.autonomous)
         chain.step(states.visible[0], state, output.fractions, 0, time_s, now_s, frame)
         assert not world.crashes

@@ -5,16 +5,20 @@ vehicle with speed V that sees its target at an angle eta off its course acceler
 That is the circle through its place and the target which its course touches, when the target is R* away; behind a
 target that runs on a circle the vehicle ends up on the same circle. Along its course it keeps the range R*.
 
-Horizontal vectors are complex numbers north + i east, as in `tracking`.
+Horizontal vectors are (north, east).
 """
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 
+from risc_control.reference import Axis
+from risc_control.states import S
 from risc_control.tracking import FlatnessController
 
 _LONGEST_STEP_S = 0.1  # out of sight: after a longer gap the pursuit begins anew, from where the vehicle is
+_AT_TARGET_M = 1e-6  # nearer than this the target is in no direction
 
 
 @dataclass(frozen=True)
@@ -30,28 +34,50 @@ class GuidanceParams:
     def __post_init__(self):
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (np.isfinite(value) and value > 0.0):
+            if not (math.isfinite(value) and value > 0.0):
                 raise ValueError("%s must be a number > 0, got %r" % (field.name, value))
 
 
 def pursuit_acceleration(position_m, velocity_m_s, target_m, target_speed_m_s, params):
-    """Acceleration [m/s^2] (n,) complex of vehicles at positions and with velocities (n,) complex, behind targets.
+    """(north, east) acceleration [m/s^2] of a vehicle behind a target that has this speed.
 
-    target: (n,) complex.  target_speed: of all targets.  A vehicle that is at its target is only slowed down.
+    A vehicle that is at its target is only slowed down.
     """
-    line_m = target_m - position_m
-    range_m, speed_m_s = np.abs(line_m), np.abs(velocity_m_s)
-    slow = speed_m_s < params.slow_m_s
-    towards = line_m / np.maximum(range_m, 1e-6)
-    course = np.where(slow, towards, velocity_m_s / np.maximum(speed_m_s, params.slow_m_s))
-    sight = towards * course.conjugate()  # cos(eta) + i sin(eta)
-    # a target behind is turned to as hard as one abeam
-    sine = np.where(sight.real >= 0.0, sight.imag, np.where(sight.imag < 0.0, -1.0, 1.0) * np.abs(sight))
-    sideways = 2.0 * speed_m_s**2 / params.range_m * sine
+    north_m, east_m = target_m[0] - position_m[0], target_m[1] - position_m[1]
+    v_north, v_east = velocity_m_s
+    range_m, speed_m_s = math.hypot(north_m, east_m), math.hypot(v_north, v_east)
+    to_north, to_east = north_m / max(range_m, _AT_TARGET_M), east_m / max(range_m, _AT_TARGET_M)
+    if speed_m_s < params.slow_m_s:
+        on_north, on_east = to_north, to_east  # its course
+    else:
+        on_north, on_east = v_north / speed_m_s, v_east / speed_m_s
+    cos_eta, sin_eta = to_north * on_north + to_east * on_east, to_east * on_north - to_north * on_east
+    if cos_eta < 0.0:  # a target behind is turned to as hard as one abeam
+        sin_eta = (-1.0 if sin_eta < 0.0 else 1.0) * math.hypot(cos_eta, sin_eta)
+    sideways = 2.0 * speed_m_s**2 / params.range_m * sin_eta
     wanted_m_s = target_speed_m_s + params.range_gain_1_s * (range_m - params.range_m)
-    wanted_m_s = np.clip(wanted_m_s, 0.0, params.speed_max_m_s)
-    along = params.speed_gain_1_s * (wanted_m_s - (velocity_m_s * course.conjugate()).real)
-    return (along + 1j * sideways) * course
+    wanted_m_s = min(max(wanted_m_s, 0.0), params.speed_max_m_s)
+    along = params.speed_gain_1_s * (wanted_m_s - (v_north * on_north + v_east * on_east))
+    return along * on_north - sideways * on_east, along * on_east + sideways * on_north
+
+
+@dataclass
+class _Point:
+    """What the law steers in place of a vehicle; vectors (north, east)."""
+
+    position_m: tuple = (0.0, 0.0)
+    velocity_m_s: tuple = (0.0, 0.0)
+    acceleration_m_s2: tuple = (0.0, 0.0)
+    seen_s: float = -math.inf  # when its vehicle was seen last
+
+    def after(self, time_s):
+        """(position, velocity) that much later."""
+        a = self.acceleration_m_s2
+        p, v = self.position_m, self.velocity_m_s
+        return (
+            tuple(p[k] + time_s * (v[k] + 0.5 * time_s * a[k]) for k in (0, 1)),
+            tuple(v[k] + time_s * a[k] for k in (0, 1)),
+        )
 
 
 class GuidanceController(FlatnessController):
@@ -64,12 +90,12 @@ class GuidanceController(FlatnessController):
     guidance = GuidanceParams()
     target_speed_m_s = 0.0  # of the target that is chased; 0: fly to the reference itself
     range_m = np.array([np.nan])  # (n,) horizontal distance to the reference at the last update; NaN = not known
-    _points = None  # (position, velocity) (n,) complex of the points that the law steers
-    _points_s = -np.inf  # when they are there
+    _points = ()  # of the vehicles, while the target runs
+    _points_s = -math.inf  # when they are there
 
     def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous):
         """As `FlatnessController.update`; the reference is that of the target."""
-        line_m = present[0, :, :2] - states.position_m[:, :2]
+        line_m = present[0, :, : Axis.Z] - states.x[:, : S.Z]
         self.range_m = np.where(usable & states.visible, np.hypot(line_m[:, 0], line_m[:, 1]), np.nan)
         if self.target_speed_m_s > 0.0:
             present, ahead = present.copy(), ahead.copy()
@@ -77,7 +103,7 @@ class GuidanceController(FlatnessController):
             self._fill(present, 0.0)
             self._fill(ahead, self.horizon_s(stamp_s, now_s))
         else:
-            self._points = None
+            self._points = ()
         return super().update(stamp_s, now_s, states, present, ahead, usable, autonomous)
 
     def _steer(self, stamp_s, states, target, usable, autonomous):
@@ -86,30 +112,28 @@ class GuidanceController(FlatnessController):
         The point of a vehicle that is seen, but not flown by us or without a target, is with it. While a vehicle is out
         of sight its state means nothing: its point runs on without it.
         """
-        here = _complex(states.position_m), _complex(states.velocity_m_s)
         step_s, self._points_s = stamp_s - self._points_s, stamp_s
-        if self._points is None or not 0.0 < step_s <= _LONGEST_STEP_S:
-            self._points, self._acceleration, step_s = here, np.zeros_like(here[0]), 0.0
-            self._seen_s = np.full(len(here[0]), -np.inf)
-        runs_on = (stamp_s - self._seen_s <= _LONGEST_STEP_S) & (usable & autonomous | ~states.visible)
-        self._seen_s = np.where(states.visible, stamp_s, self._seen_s)
-        self._points = tuple(np.where(runs_on, *pair) for pair in zip(self._after(step_s), here))
-        pursuit = pursuit_acceleration(*self._points, _complex(target), self.target_speed_m_s, self.guidance)
-        self._acceleration = np.where(usable, pursuit, 0.0)
-
-    def _after(self, time_s):
-        position, velocity = self._points
-        return position + time_s * (
-            velocity + 0.5 * time_s * self._acceleration
-        ), velocity + time_s * self._acceleration
+        if not self._points or not 0.0 < step_s <= _LONGEST_STEP_S:
+            self._points = [_Point() for _ in states.visible]
+        for i, point in enumerate(self._points):
+            visible, x = states.visible[i], states.x[i].tolist()
+            recently = stamp_s - point.seen_s <= _LONGEST_STEP_S
+            if recently and (not visible or (usable[i] and autonomous[i])):
+                point.position_m, point.velocity_m_s = point.after(step_s)
+            else:
+                point.position_m, point.velocity_m_s = (x[S.X], -x[S.Y]), (x[S.U], -x[S.V])
+            if visible:
+                point.seen_s = stamp_s
+            point.acceleration_m_s2 = (0.0, 0.0)
+            if usable[i]:
+                target_m = float(target[i, Axis.X]), -float(target[i, Axis.Y])
+                point.acceleration_m_s2 = pursuit_acceleration(
+                    point.position_m, point.velocity_m_s, target_m, self.target_speed_m_s, self.guidance
+                )
 
     def _fill(self, reference, time_s):
         """The points that long after the last stamp into the horizontal axes of a reference (5, n, 4)."""
-        reference[:, :, :2] = 0.0
-        for order, value in enumerate((*self._after(time_s), self._acceleration)):
-            reference[order, :, 0], reference[order, :, 1] = value.real, -value.imag
-
-
-def _complex(xy):
-    """North + i east of cortex vectors (n, 2 or more)."""
-    return xy[:, 0] - 1j * xy[:, 1]
+        reference[:, :, : Axis.Z] = 0.0
+        for i, point in enumerate(self._points):
+            for order, (north, east) in enumerate((*point.after(time_s), point.acceleration_m_s2)):
+                reference[order, i, Axis.X], reference[order, i, Axis.Y] = north, -east

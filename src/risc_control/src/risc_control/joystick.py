@@ -121,7 +121,7 @@ class Joystick:
         sticks = Sticks(
             self._axis(axes, "AxisPitch", p.ScalePitch, problems),
             self._axis(axes, "AxisRoll", p.ScaleRoll, problems),
-            _limit(climb / p.ScaleZ),
+            limited(climb / p.ScaleZ),
             self._axis(axes, "AxisYaw", p.ScaleYaw, problems),
         )
         return JoystickInput(pressed, belated, held, sticks, tuple(problems))
@@ -147,7 +147,7 @@ class Joystick:
         if not math.isfinite(axes[index]):
             problems.append("axis %d (%s) of the joystick is not a finite number: taken as 0" % (index, name))
             return 0.0
-        return _limit(axes[index] / scale)
+        return limited(axes[index] / scale)
 
 
 # Frozensets of the buttons that went down with a message in time and with a late one, and its age [s].
@@ -188,5 +188,6 @@ class ButtonPresses:
         return Presses(frozenset() if late else pressed, pressed if late else frozenset(), age_s)
 
 
-def _limit(fraction):
+def limited(fraction):
+    """A fraction within [-1, 1]."""
     return min(max(fraction, -1.0), 1.0)

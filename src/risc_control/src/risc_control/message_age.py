@@ -16,11 +16,8 @@ class MessageAges:
         self._memory_s = memory_s
         self._period_s = -math.inf  # when the present period began: the least age counts for one to two periods
         self._least_s = self._before_s = 0.0
-
-    @property
-    def behind_s(self):
-        """By how much our clock is behind that of the stamps, at least [s]; 0 when nothing shows that it is."""
-        return -min(self._least_s, self._before_s)
+        # By how much our clock is behind that of the stamps, at least [s]; 0 when nothing shows that it is.
+        self.behind_s = 0.0
 
     def corrected(self, age_s, now_s):
         """Age [s] of a message when it arrived, at least.
@@ -29,5 +26,8 @@ class MessageAges:
         """
         if now_s - self._period_s >= self._memory_s:
             self._period_s, self._before_s, self._least_s = now_s, self._least_s, 0.0
-        self._least_s = min(self._least_s, age_s)
+            self.behind_s = -self._before_s
+        if age_s < self._least_s:
+            self._least_s = age_s
+            self.behind_s = -min(age_s, self._before_s)
         return age_s + self.behind_s

@@ -6,23 +6,40 @@ needs both. A polynomial of degree 5, fitted to three samples and their derivati
 was computed for cost no more than that. (The exact fit of degree 8 would amplify such a microsecond to metres.)
 """
 
-from collections import deque
+from enum import IntEnum
 
 import numpy as np
 
-ORDERS = 5  # position, velocity, acceleration, jerk, snap
+from risc_control.compiled import compiled
+
+
+class Order(IntEnum):
+    """First axis of a reference: the derivatives. Samples have the first three."""
+
+    POSITION, VELOCITY, ACCELERATION, JERK, SNAP = range(5)
+
+
+class Axis(IntEnum):
+    """Last axis of a reference: metres in cortex axes, and the yaw in radians, + clockwise from above."""
+
+    X, Y, Z, PSI = range(4)
+
+
+ORDERS = len(Order)
+NEW_CLOCK_S = 1.0
+_SAMPLE_ORDERS = 3
 _NODES = 3
-_DEGREE = 5
+_DEGREES = (0, 2, 3, 5)  # of the polynomial through so many samples: of one, its own acceleration
 _NODE_SPACING_S = 0.1
 _KEEP_S = (_NODES - 1) * _NODE_SPACING_S + 0.02
-_SHORT_SPAN_S = 0.1  # less than this is too short for a degree of 5: two samples and a constant jerk,
-_SHORT_DEGREE = 3
-NEW_CLOCK_S = 1.0
+_ROWS = 512  # > _KEEP_S of samples at 2 kHz
+_SHORT_SPAN_S = 0.1  # less than this is too short for three samples and a degree of 5: two and a constant jerk,
 _MIN_SPAN_S = 0.02  # and less than this even for that: the newest sample alone
 # A step between two samples of one smooth path obeys the trapezoidal rule to the sixth decimal. A jump, a stamp that
 # is not the time the sample was computed for, or an acceleration that is not the velocity's derivative does not.
 _TOLERANCE_1_S = 0.02  # [m/s, m/s^2] error of position and of velocity per second of step
-_DERIVATIVE = np.array([[np.prod(np.arange(p, p - d, -1.0)) for p in range(_DEGREE + 1)] for d in range(ORDERS)])
+# [d, p]: factor of t^(p - d) in the d-th derivative of t^p
+_DERIVATIVE = np.array([[np.prod(np.arange(p, p - d, -1.0)) for p in range(max(_DEGREES) + 1)] for d in range(ORDERS)])
 
 
 class ReferenceBuffer:
@@ -32,16 +49,21 @@ class ReferenceBuffer:
     """
 
     def __init__(self):
-        self._samples = deque()  # (stamp [s], (3, n, 4) value, first and second derivative)
+        self._stamps_s = np.empty(_ROWS)  # a ring: sample k is in row k % _ROWS
+        self._ends = np.empty(2, dtype=np.int64)  # k of the oldest and of the newest
+        self._resize((_SAMPLE_ORDERS, 0, len(Axis)))
+        self.push(0.0, self._samples[0])  # loads what is compiled
+        self.at(np.zeros(1))
+        self.clear()
+
+    def _resize(self, shape):
+        self._samples = np.zeros((_ROWS,) + shape)
+        self.clear()
 
     def clear(self):
         """Forget all samples."""
-        self._samples.clear()
-
-    @property
-    def newest_s(self):
-        """Stamp of the newest sample, -inf when there is none."""
-        return self._samples[-1][0] if self._samples else -np.inf
+        self._ends[:] = 0, -1
+        self.newest_s = -np.inf  # stamp of the newest sample, -inf when there is none
 
     def push(self, stamp_s, sample):
         """Add a sample (3, n, 4). A jump, another set of vehicles or a new clock forgets what was before.
@@ -49,90 +71,124 @@ class ReferenceBuffer:
         Returns False, and changes nothing, for a stamp that is not newer or a number that is not finite. A stamp that
         falls back by more than NEW_CLOCK_S is newer: a bag was started again, or the clock was set.
         """
-        if stamp_s < self.newest_s - NEW_CLOCK_S and np.isfinite(sample).all():
-            self._samples.clear()
-        if not stamp_s > self.newest_s or not np.isfinite(sample).all():
+        stamp_s, sample = float(stamp_s), np.ascontiguousarray(sample, dtype=float)
+        if not _is_news(stamp_s, sample, self.newest_s):
             return False
-        if self._samples:
-            before_s, before = self._samples[-1]
-            sample = sample.copy()
-            if sample.shape == before.shape:
-                turned = sample[0, :, 3] - before[0, :, 3]
-                sample[0, :, 3] -= 2.0 * np.pi * np.rint(turned / (2.0 * np.pi))
-            if not self._continues(stamp_s - before_s, before, sample):
-                self._samples.clear()
-        self._samples.append((stamp_s, sample))
-        while stamp_s - self._samples[0][0] > _KEEP_S:
-            self._samples.popleft()
+        if sample.shape != self._samples.shape[1:]:
+            self._resize(sample.shape)
+        _push(stamp_s, sample, self._stamps_s, self._samples, self._ends)
+        self.newest_s = stamp_s
         return True
-
-    @staticmethod
-    def _continues(step_s, before, sample):
-        if sample.shape != before.shape or step_s > _KEEP_S:
-            return False
-        # Hermite's rule for the position and the trapezoid for the velocity, both on the numbers of one step
-        velocity_error = sample[1] - before[1] - 0.5 * step_s * (sample[2] + before[2])
-        position_error = sample[0] - before[0] - 0.5 * step_s * (sample[1] + before[1])
-        position_error += step_s * step_s / 12.0 * (sample[2] - before[2])
-        worst = max(np.abs(velocity_error).max(), np.abs(position_error).max())
-        return worst < _TOLERANCE_1_S * step_s
 
     def at(self, times_s):
         """(k, ORDERS, n, 4) value and derivatives at times (k,); jerk and snap are 0 where only one sample is known.
 
         Raises ValueError when there is no sample.
         """
-        if not self._samples:
+        if self.newest_s == -np.inf:
             raise ValueError("no reference has arrived")
-        nodes = self._nodes()
-        newest_s, newest = nodes[-1]
-        times = np.asarray(times_s) - newest_s
-        shape = (len(times), ORDERS) + newest.shape[1:]
-        if len(nodes) == 1:
-            result = np.zeros(shape)
-            t = times[:, None, None]
-            result[:, 0] = newest[0] + t * (newest[1] + 0.5 * t * newest[2])
-            result[:, 1] = newest[1] + t * newest[2]
-            result[:, 2] = newest[2]
-            return result
-        scale_s = newest_s - nodes[0][0]
-        derivative = _DERIVATIVE[:, : (_DEGREE if len(nodes) == _NODES else _SHORT_DEGREE) + 1]
-        size = derivative.shape[1]
-        conditions = _basis(np.array([(stamp - newest_s) / scale_s for stamp, _ in nodes]), 3, derivative)
-        conditions = conditions.reshape(-1, size)
-        wanted = _basis(times / scale_s, ORDERS, derivative).reshape(-1, size)
-        data = np.array([sample for _, sample in nodes]) * _scales(scale_s, 3)  # (nodes, 3, n, 4)
-        fit = np.linalg.solve(conditions.T @ conditions, conditions.T @ data.reshape(len(conditions), -1))
-        return (wanted @ fit).reshape(shape) / _scales(scale_s, ORDERS)
-
-    def _nodes(self):
-        """Up to three samples about _NODE_SPACING_S apart, oldest first, the newest last."""
-        samples = self._samples
-        newest_s = samples[-1][0]
-        span_s = newest_s - samples[0][0]
-        if span_s < _MIN_SPAN_S:
-            return [samples[-1]]
-        count = _NODES if span_s >= _SHORT_SPAN_S else 2
-        spacing_s = min(_NODE_SPACING_S, span_s / (count - 1))
-        nodes, wanted_s = [samples[-1]], newest_s - spacing_s
-        for i in range(len(samples) - 2, -1, -1):
-            if samples[i][0] <= wanted_s + 1e-6:
-                nodes.append(samples[i])
-                if len(nodes) == count:
-                    break
-                wanted_s -= spacing_s
-        return nodes[::-1]
+        times_s = np.ascontiguousarray(times_s, dtype=float)
+        result = np.empty((len(times_s), ORDERS) + self._samples.shape[2:])
+        _at(times_s, self._stamps_s, self._samples, self._ends, result)
+        return result
 
 
-def _basis(times, orders, derivative):
-    """(k, orders, size): the d-th derivatives of the monomials at scaled times."""
-    size = derivative.shape[1]
-    powers = times[:, None] ** np.arange(size)
-    result = np.zeros((len(times), orders, size))
-    for d in range(orders):
-        result[:, d, d:] = derivative[d, d:] * powers[:, : size - d]
-    return result
+@compiled
+def _is_news(stamp_s, sample, newest_s):
+    """True for a sample of finite numbers that is newer than what is known, or of a new clock."""
+    return (stamp_s > newest_s or stamp_s < newest_s - NEW_CLOCK_S) and np.isfinite(sample).all()
 
 
-def _scales(scale_s, orders):
-    return (scale_s ** np.arange(orders))[:, None, None]
+@compiled
+def _push(stamp_s, sample, stamps_s, samples, ends):
+    """Add a sample that is news; see `ReferenceBuffer.push`."""
+    last, k = ends[1] % _ROWS, ends[1] + 1
+    row = k % _ROWS
+    known = ends[0] <= ends[1] and stamps_s[last] < stamp_s
+    stamps_s[row] = stamp_s
+    for i in range(sample.shape[1]):
+        for order in range(sample.shape[0]):
+            for axis in range(sample.shape[2]):
+                samples[row, order, i, axis] = sample[order, i, axis]
+        if known:
+            turned = sample[Order.POSITION, i, Axis.PSI] - samples[last, Order.POSITION, i, Axis.PSI]
+            samples[row, Order.POSITION, i, Axis.PSI] -= 2.0 * np.pi * np.rint(turned / (2.0 * np.pi))
+    oldest = ends[0] if known and _continues(stamp_s - stamps_s[last], samples[last], samples[row]) else k
+    while stamp_s - stamps_s[oldest % _ROWS] > _KEEP_S or k - oldest >= _ROWS:
+        oldest += 1
+    ends[0], ends[1] = oldest, k
+
+
+@compiled
+def _continues(step_s, before, sample):
+    """True when a sample follows from the one before by a step of one smooth path."""
+    if step_s > _KEEP_S:
+        return False
+    worst = 0.0
+    for i in range(sample.shape[1]):
+        for axis in range(sample.shape[2]):
+            p_0, v_0, a_0 = before[0, i, axis], before[1, i, axis], before[2, i, axis]
+            p_1, v_1, a_1 = sample[0, i, axis], sample[1, i, axis], sample[2, i, axis]
+            # Hermite's rule for the position and the trapezoid for the velocity, both on the numbers of one step
+            velocity_error = v_1 - v_0 - 0.5 * step_s * (a_1 + a_0)
+            position_error = p_1 - p_0 - 0.5 * step_s * (v_1 + v_0) + step_s * step_s / 12.0 * (a_1 - a_0)
+            worst = max(worst, abs(velocity_error), abs(position_error))
+    return worst < _TOLERANCE_1_S * step_s
+
+
+@compiled
+def _at(times_s, stamps_s, samples, ends, result):
+    """Fill the result (k, ORDERS, n, 4); see `ReferenceBuffer.at`."""
+    nodes = np.empty(_NODES, dtype=np.int64)
+    count = _find_nodes(stamps_s, ends, nodes)
+    newest_s = stamps_s[nodes[0]]
+    result[:] = 0.0
+    # Conditions C c = data on the coefficients c, wanted values W c: W (C'C)^-1 C' are the weights of the data. Times
+    # are from -1/2 to 1/2 on the nodes, which conditions C well, and with them the d-th derivatives count scale^d.
+    span_s = newest_s - stamps_s[nodes[count - 1]]
+    middle_s, scale_s = newest_s - 0.5 * span_s, span_s if count > 1 else 1.0
+    size = _DEGREES[count] + 1
+    C = _basis((stamps_s[nodes[:count]] - middle_s) / scale_s, _SAMPLE_ORDERS, size)
+    W = _basis((times_s - middle_s) / scale_s, ORDERS, size)
+    weights = W @ np.linalg.solve(C.T @ C, C.T)
+    for k in range(len(times_s)):
+        for d in range(ORDERS):
+            for node in range(count):
+                for order in range(_SAMPLE_ORDERS):
+                    weight = weights[k * ORDERS + d, node * _SAMPLE_ORDERS + order] * scale_s ** (order - d)
+                    sample = samples[nodes[node], order]
+                    for i in range(sample.shape[0]):
+                        for axis in range(sample.shape[1]):
+                            result[k, d, i, axis] += weight * sample[i, axis]
+
+
+@compiled
+def _find_nodes(stamps_s, ends, nodes):
+    """Fill `nodes` with the rows of up to three samples about _NODE_SPACING_S apart, the newest first. How many."""
+    oldest, newest = ends[0], ends[1]
+    newest_s = stamps_s[newest % _ROWS]
+    span_s = newest_s - stamps_s[oldest % _ROWS]
+    nodes[0] = newest % _ROWS
+    if span_s < _MIN_SPAN_S:
+        return 1
+    wanted = _NODES if span_s >= _SHORT_SPAN_S else 2
+    spacing_s = min(_NODE_SPACING_S, span_s / (wanted - 1))
+    count = 1
+    for k in range(newest - 1, oldest - 1, -1):
+        if stamps_s[k % _ROWS] <= newest_s - count * spacing_s + 1e-6:
+            nodes[count] = k % _ROWS
+            count += 1
+            if count == wanted:
+                break
+    return count
+
+
+@compiled
+def _basis(times, orders, size):
+    """(k orders, size): row k orders + d is the d-th derivatives of 1, t, t^2, ... at time k."""
+    basis = np.zeros((len(times) * orders, size))
+    for k in range(len(times)):
+        for d in range(orders):
+            for p in range(d, size):
+                basis[k * orders + d, p] = _DERIVATIVE[d, p] * times[k] ** (p - d)
+    return basis

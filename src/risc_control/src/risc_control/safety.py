@@ -16,6 +16,7 @@ time since.
 """
 
 import enum
+import functools
 import math
 from dataclasses import dataclass
 from typing import Tuple
@@ -28,6 +29,10 @@ class Rung(enum.IntEnum):
     OK = 0
     HOLD = 1
     LAND = 2
+
+
+_OK, _HOLD, _LAND = Rung  # the members of an enumeration are slow to look up, and this is asked in every frame
+_FINE = (_OK, "", "", None)  # what `SafetyLadder._judge` says of a flight without trouble
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ class Freshness:
     def __init__(self, what, clock_tolerance_s):
         self._what = what
         self._tolerance_s = clock_tolerance_s
-        self._arrival_s = None
+        self._arrival_s = -math.inf
         self._age_at_arrival_s = 0.0
         self._ages = MessageAges()
         self._clock_error_s = 0.0  # how far the newest stamp was in the future, when too far
@@ -96,7 +101,7 @@ class Freshness:
 
     def age_s(self, now_s):
         """Age now; infinite before the first good message."""
-        return math.inf if self._arrival_s is None else now_s - self._arrival_s + self._age_at_arrival_s
+        return now_s - self._arrival_s + self._age_at_arrival_s
 
     def describe(self, now_s):
         """Why it is not fresh, in a few words."""
@@ -138,10 +143,10 @@ class Verdict:
     reason: str  # "" when OK; numbers in it are those of the moment the rung was entered
     operator: bool = False  # LAND has no effect: the emergency stop is the operator's
 
-    @property
+    @functools.cached_property
     def text(self):
         """What goes out on the safety topic, e.g. "hold: state 120 ms old"."""
-        if self.rung == Rung.OK:
+        if self.rung == _OK:
             return "ok"
         text = "%s: %s" % (self.rung.name.lower(), self.reason)
         return text + "; it does not land: the emergency stop is the operator's" if self.operator else text
@@ -163,7 +168,11 @@ class SafetyLadder:
         self.limits = limits
         self.state = Freshness("state", limits.clock_tolerance_s)
         self.controls = Freshness("controls", limits.clock_tolerance_s)
-        self.verdict = Verdict(Rung.OK, "")
+        self._losses = (  # what it flies on, and how old that may be
+            ("state", self.state, limits.state_hold_s, limits.state_land_s),
+            ("controls", self.controls, limits.controls_hold_s, limits.controls_land_s),
+        )
+        self.verdict = Verdict(_OK, "")
         self.reactions = []  # the newest Reaction of each rung that was entered for age, oldest first
         self._navdata_s = None
         self._joystick_s = now_s  # silence counts from the start
@@ -173,19 +182,21 @@ class SafetyLadder:
         self._position_m = None
         self._kind = ""  # which rule set the verdict
         self._land_since_s = None
+        margin_m, sides = limits.fence_margin_m, zip(limits.fence_min_m, limits.fence_max_m)
+        self._room_m = tuple((low + margin_m, high - margin_m) for low, high in sides)  # x, y, z; where it may be
 
     def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s):
         """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame."""
         self.state.note(age_at_arrival_s, now_s)
-        limits = self.limits
         self._position_m = position_m
         # a landing vehicle keeps its velocity at first: the fast one must be told earlier than the slow one
-        ahead_s, margin_m = limits.fence_lookahead_s, limits.fence_margin_m
-        inside = all(
-            low + margin_m <= value <= high - margin_m and low + margin_m <= value + ahead_s * rate <= high - margin_m
-            for low, value, rate, high in zip(limits.fence_min_m, position_m, velocity_m_s, limits.fence_max_m)
-        )
-        self._outside.note(not inside, now_s)
+        ahead_s = self.limits.fence_lookahead_s
+        outside = False
+        for (low, high), value, rate in zip(self._room_m, position_m, velocity_m_s):
+            if not (low <= value <= high and low <= value + ahead_s * rate <= high):
+                outside = True
+                break
+        self._outside.note(outside, now_s)
 
     def note_controls(self, age_at_arrival_s, now_s):
         """A command for this vehicle came in."""
@@ -217,16 +228,16 @@ class SafetyLadder:
     def autonomy_problem(self, now_s, needs_navdata=True):
         """Why the vehicle must not fly by itself now, in a few words; "" when it may."""
         rung, _, reason, _ = self._judge(now_s, True, needs_navdata)
-        return reason if rung > Rung.OK else ""
+        return reason if rung > _OK else ""
 
     def request_landing(self, now_s):
         """Somebody wants it down: LAND, in every mode. One that lands already keeps its reason."""
-        if self.verdict.rung != Rung.LAND:
-            self._set(Rung.LAND, "request", "landing was requested", None, now_s)
+        if self.verdict.rung != _LAND:
+            self._set(_LAND, "request", "landing was requested", None, now_s)
 
     def take_over(self):
         """The operator flies: whatever was decided is taken back."""
-        self._set(Rung.OK, "", "", None, 0.0)
+        self._set(_OK, "", "", None, 0.0)
 
     def update(self, now_s, autonomous, airborne, obeys=False, needs_navdata=True):
         """Judge the situation. Returns the `Verdict`, which is also kept in `self.verdict`.
@@ -236,24 +247,24 @@ class SafetyLadder:
         nothing.
         """
         if not airborne:
-            if self.verdict.rung != Rung.OK:
+            if self.verdict.rung != _OK:
                 self.take_over()
             return self.verdict
-        if self.verdict.rung == Rung.LAND:
+        if self.verdict.rung == _LAND:
             if obeys and self.navdata_is_fresh(now_s):
                 self._land_since_s = now_s
             without_effect = now_s - self._land_since_s > self.limits.operator_after_s
             if without_effect != self.verdict.operator:
-                self.verdict = Verdict(Rung.LAND, self.verdict.reason, without_effect)
+                self.verdict = Verdict(_LAND, self.verdict.reason, without_effect)
             return self.verdict
         rung, kind, reason, reaction = self._judge(now_s, autonomous, needs_navdata)
-        if (rung, kind) != (self.verdict.rung, self._kind):
+        if rung != self.verdict.rung or kind != self._kind:
             self._set(rung, kind, reason, reaction, now_s)
         return self.verdict
 
     def _set(self, rung, kind, reason, reaction, now_s):
         self._kind = kind
-        self._land_since_s = now_s if rung == Rung.LAND else None
+        self._land_since_s = now_s if rung == _LAND else None
         entered = rung > self.verdict.rung
         self.verdict = Verdict(rung, reason)
         if entered and reaction is not None and math.isfinite(reaction[0]):
@@ -265,24 +276,23 @@ class SafetyLadder:
         age_s = now_s - self._joystick_s
         if 0.0 < limits.joystick_timeout < age_s:
             reason = "joystick silent for %.1f s" % age_s
-            return Rung.LAND, "joystick", reason, (age_s, age_s - limits.joystick_timeout)
+            return _LAND, "joystick", reason, (age_s, age_s - limits.joystick_timeout)
         if not autonomous:
-            return Rung.OK, "", "", None
-        hold = None
-        for what, fresh in (("state", self.state), ("controls", self.controls)):
+            return _FINE
+        hold = _FINE
+        for what, fresh, hold_s, land_s in self._losses:
             age_s = fresh.age_s(now_s)
-            hold_s, land_s = getattr(limits, what + "_hold_s"), getattr(limits, what + "_land_s")
             if age_s > land_s:
-                return Rung.LAND, what, fresh.describe(now_s), (age_s, age_s - land_s)
-            if age_s > hold_s and hold is None:
-                hold = Rung.HOLD, what, fresh.describe(now_s), (age_s, age_s - hold_s)
+                return _LAND, what, fresh.describe(now_s), (age_s, age_s - land_s)
+            if age_s > hold_s and hold is _FINE:
+                hold = _HOLD, what, fresh.describe(now_s), (age_s, age_s - hold_s)
         age_s = math.inf if self._navdata_s is None else now_s - self._navdata_s
         if needs_navdata and 0.0 < limits.navdata_timeout_s < age_s:
             reason = "navdata silent for %.1f s" % age_s if self._navdata_s is not None else "no navdata yet"
-            return Rung.LAND, "navdata", reason, (age_s, age_s - limits.navdata_timeout_s)
+            return _LAND, "navdata", reason, (age_s, age_s - limits.navdata_timeout_s)
         # Seen outside for that long: one false position followed by silence is a loss, not an escape.
         if self._outside.lasts(limits.fence_delay_s):
-            return Rung.LAND, "fence", "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
+            return _LAND, "fence", "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
         if self._battery_low.lasts(limits.battery_delay_s):
-            return Rung.LAND, "battery", "battery at %.0f %%" % self._battery_pct, None
-        return hold or (Rung.OK, "", "", None)
+            return _LAND, "battery", "battery at %.0f %%" % self._battery_pct, None
+        return hold

@@ -8,42 +8,39 @@ Two controllers with the same calls:
 `DoubleIntegratorController`   what the thesis describes (7.7-7.10): LQR on a double integrator, feed-forward of the
     acceleration, the present state. For teaching, and to measure what the rest is worth.
 
-Errors are reference - actual and feedback is +K (errata 6, 7). Horizontal vectors are complex numbers
-north + i east; times exp(-i psi) they are forward + i right (vehicle-1 axes).
+Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
+north and east turned by the yaw are forward and right (vehicle-1 axes).
 """
 
+import math
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.flatness import flat_inputs, limit_tilt, thrust_at_tilt
+from risc_control.compiled import compiled, record
+from risc_control.flatness import Acceleration, FlatInputs, flat_inputs, limit_tilt, thrust_at_tilt
 from risc_control.frames import GRAVITY_M_S2
 from risc_control.lqr import lqr_gain, with_integral
-from risc_control.mappings.ardrone import ArdroneMapping, Fractions
+from risc_control.mappings.ardrone import FULL_SCALE, Fractions, clipped, full_scales, to_fractions, to_inputs
 from risc_control.prediction import (
-    STEP_S,
     Channel,
     CommandHistory,
     Motion,
     NominalModel,
-    Predictor,
     TiltObserver,
+    append_command,
     effective_delay_s,
+    observe,
+    predicted,
+    rows_in_force,
+    steps_of,
 )
+from risc_control.reference import ORDERS, Axis, Order
+from risc_control.states import S, States
 
-_ROLL, _PITCH = 0, 1
 _LONGEST_STEP_S = 0.1  # of the integrators: a gap in the states must not count as error
-
-
-class States(NamedTuple):
-    """What is known of n vehicles at one time. SI units, cortex axes, angles in the NED sense."""
-
-    visible: np.ndarray  # (n,) bool; the other rows mean nothing where False
-    position_m: np.ndarray  # (n, 3)
-    velocity_m_s: np.ndarray  # (n, 3)
-    angles_rad: np.ndarray  # (n, 3) phi, theta, psi
-    rates_rad_s: np.ndarray  # (n, 3) Euler rates
 
 
 @dataclass(frozen=True)
@@ -95,12 +92,23 @@ class TrackingParams:
 class Output(NamedTuple):
     """Commands of n vehicles."""
 
-    fractions: Fractions
+    fractions: Fractions  # of arrays (n,)
     saturated: np.ndarray  # (n,) bool: a limit of the vehicle cut the command
 
 
+# What bounds the commands of a vehicle type; see `TrackingParams`.
+_LIMITS = record(
+    ("full_scale", FULL_SCALE),
+    ("tilt_max_rad", float),
+    ("climb_max_m_s", float),
+    ("error_max_m", float),
+    ("integral_max_m_s", float),
+    ("integral_min_height_m", float),
+)
+
+
 class _Tracker:
-    """What both controllers share."""
+    """What both controllers share. Arrays with a row for each vehicle type are looked up by `model.kind`."""
 
     WEIGHTS = LqrWeights()  # when none are given
     delay_s = 0.0  # [s] from sending a command to the effect that the controller counts on
@@ -108,14 +116,8 @@ class _Tracker:
     def __init__(self, vehicle_types, weights=None, params=None):
         self.params = params or TrackingParams()
         self.model = NominalModel.of(vehicle_types)
-        self._n = len(vehicle_types)
-        self._mapping = ArdroneMapping(
-            vehicle_types, _override(self.params.tilt_max_rad), _override(self.params.yaw_rate_max_rad_s)
-        )
-        # the limit is on the total tilt, so that a saturated command keeps its direction
-        gains = np.array([min(t.roll.gain, t.pitch.gain) for t in vehicle_types])
-        self._tilt_max_rad = self._mapping.tilt_max_rad * gains
-        self._climb_max_m_s = np.array([_override(self.params.climb_max_m_s) or t.climb_max_m_s for t in vehicle_types])
+        self._plants = self.model.plants()
+        self._limits = _limits_of(list(dict.fromkeys(vehicle_types)), self.params)
         self.set_weights(weights or self.WEIGHTS)
 
     def set_weights(self, weights):
@@ -130,10 +132,60 @@ class _Tracker:
         """How far [s] after the state's stamp the controller wants to know the reference."""
         return max(0.0, now_s - stamp_s) + self.delay_s
 
-    def _hover(self, fractions, usable):
-        """The fractions with zero acceleration (thesis 7.7) where no command can be computed."""
-        level = np.where(usable, fractions[:3], 0.0)
-        return Fractions(*level, np.where(usable, fractions.thrust_n, self.model.mass_kg * GRAVITY_M_S2))
+    def _load(self):
+        """Load what is compiled: nobody is seen."""
+        n = len(self.model.kind)
+        nobody, nowhere = np.zeros(n, dtype=bool), np.zeros((ORDERS, n, len(Axis)))
+        self.update(0.0, 0.0, States(nobody, np.zeros((n, len(S)))), nowhere, nowhere, nobody, nobody)
+        self.reset()
+
+
+def _limits_of(vehicle_types, params):
+    """(k,) _LIMITS of vehicle types. Raises ValueError."""
+    tilt_max_rad, yaw_rate_max_rad_s = _override(params.tilt_max_rad), _override(params.yaw_rate_max_rad_s)
+    limits = np.zeros(len(vehicle_types), _LIMITS)
+    limits["full_scale"] = full_scales(vehicle_types, tilt_max_rad, yaw_rate_max_rad_s)
+    # on the total tilt, so that a saturated command keeps its direction
+    limits["tilt_max_rad"] = [min(abs(limit.full_scale.phi_rad), abs(limit.full_scale.theta_rad)) for limit in limits]
+    limits["climb_max_m_s"] = [_override(params.climb_max_m_s) or t.climb_max_m_s for t in vehicle_types]
+    for name in ("error_max_m", "integral_max_m_s", "integral_min_height_m"):
+        limits[name] = getattr(params, name)
+    return limits
+
+
+def _override(value, zero_is_valid=False):
+    """The value, or None when it is negative: the vehicle type's is meant. Raises ValueError for no number."""
+    if not np.isfinite(value) or (value == 0.0 and not zero_is_valid):
+        raise ValueError("a limit must be positive (negative: that of the vehicle type), got %r" % (value,))
+    return None if value < 0.0 else float(value)
+
+
+# --- the flatness controller -------------------------------------------------------------------------------------
+
+# On the errors of a horizontal axis; and, forward through the attitude loop, on the first and second rate of the
+# reference's acceleration.
+_AXIS_GAINS = record(
+    ("integral", float),
+    ("position", float),
+    ("velocity", float),
+    ("tilt", float),
+    ("tilt_rate", float),
+    ("forward_rate_s", float),
+    ("forward_second_rate_s2", float),
+)
+_GAINS = record(
+    ("pitch", _AXIS_GAINS),
+    ("roll", _AXIS_GAINS),
+    ("height_integral", float),
+    ("height", float),
+    ("climb", float),
+    ("yaw", float),
+    ("yaw_rate", float),
+)
+# What is remembered of a vehicle: integrals of its position error, and whether a limit cut its last command.
+_INTEGRALS = record(
+    ("north_m_s", float), ("east_m_s", float), ("up_m_s", float), ("tilt_was_cut", bool), ("climb_was_cut", bool)
+)
 
 
 class FlatnessController(_Tracker):
@@ -150,15 +202,12 @@ class FlatnessController(_Tracker):
                 "give command_delay" % ", ".join("%.3g" % value for value in sorted(delays_s))
             )
         self.delay_s = delays_s.pop()
-        self._history = CommandHistory(self._n)
-        self._predictor = Predictor(self.model)
-        self._predictor.prepare(self.delay_s + STEP_S)
+        self._history = CommandHistory(len(vehicle_types))
         self._observer = TiltObserver(self.model, self.params.angle_noise_rad, self.params.tilt_disturbance_rad_s2)
-        self._integral = np.zeros(self._n, dtype=complex)
-        self._height_integral = np.zeros(self._n)
-        self._frozen = np.zeros(self._n, dtype=bool)
-        self._height_frozen = np.zeros(self._n, dtype=bool)
+        self._integrals = np.zeros(len(vehicle_types), _INTEGRALS)
+        self._applied = np.zeros((len(vehicle_types), len(Channel)))  # what the vehicles settle at, at our commands
         self._stamp_s = -np.inf
+        self._load()
 
     def design(self, weights):
         """Gains for these weights; changes nothing. Raises ValueError when there is no solution."""
@@ -166,8 +215,9 @@ class FlatnessController(_Tracker):
 
     def reset(self):
         """Forget the integrals and the commands under way."""
-        self._integral[:], self._height_integral[:] = 0.0, 0.0
+        self._integrals[:] = np.zeros((), _INTEGRALS)
         self._history.clear()
+        self._stamp_s = -np.inf
 
     def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous):
         """Output for the states at stamp_s, to be sent at now_s.
@@ -176,205 +226,212 @@ class FlatnessController(_Tracker):
         stamp_s + horizon_s(stamp_s, now_s); orders position to snap, axes x, y, z, psi of the cortex frame.
         usable: (n,) bool, False where there is no fresh reference.  autonomous: (n,) bool, False where somebody else
         flies the vehicle: its integrators rest at 0 and our commands do not count as sent.
+        Raises ValueError, and sends nothing, when a number of a vehicle that is seen is not finite.
         """
-        usable = usable & states.visible
-        if not usable.all():
-            states, present, ahead = _harmless(states, usable), _rows(present, usable), _rows(ahead, usable)
-        motion = self._motion(stamp_s, states)
-        horizon_s = self.horizon_s(stamp_s, now_s)
-        motion, a_up = self._predictor.ahead(motion, stamp_s, horizon_s, self._history, self.delay_s)
-        self._integrate(stamp_s, states, present, usable, autonomous)
-
-        f = np.empty((self._n, 3))
-        self._horizontal(motion, a_up, ahead, f)
-        climb_m_s, climb_cut = self._vertical(motion, ahead, f)
-        f, shortened = limit_tilt(f, self._tilt_max_rad)
-        inputs = flat_inputs(f, 0.0, self._yaw_rate(motion, ahead), self.model.mass_kg)
-        thrust_n = thrust_at_tilt(f[:, 2], motion.phi_rad, motion.theta_rad, self.model.mass_kg)
-        fractions, cut = self._mapping.to_fractions(inputs._replace(thrust_n=thrust_n))
-        self._frozen = shortened | cut[0] | cut[1]
-        self._height_frozen = climb_cut
-        if not usable.all():
-            fractions = self._hover(fractions, usable)
-
-        applied = self._mapping.to_inputs(fractions)
-        command = np.array([applied.phi_rad, applied.theta_rad, climb_m_s, applied.yaw_rate_rad_s]).T
-        flown = usable & autonomous
-        if not flown.all():
-            command[~flown] = 0.0
-        self._history.append(now_s, command)
-        return Output(fractions, self._frozen | cut[2] | climb_cut)
-
-    def _horizontal(self, motion, a_up, ahead, f):
-        """Wanted acceleration by tilt into f[:, :2]: forward, which is pitch, and right, which is roll."""
-        reference = _turned(_neu(ahead), motion.psi_rad, motion.psi_rate_rad_s, self.model.drag_1_s)
-        turn = np.exp(-1j * motion.psi_rad)
-        position_error = _shortened(_neu(ahead[0]) - motion.position_m, self.params.error_max_m)
-        velocity_error = _neu(ahead[1]) - motion.velocity_m_s
-        tilt = np.tan([motion.theta_rad, motion.phi_rad])
-        cos_theta = np.cos(motion.theta_rad)
-        lift = GRAVITY_M_S2 + a_up
-        tilt_acceleration = lift * (1j * tilt[1] / cos_theta - tilt[0])
-        # d tan(x)/dt = (1 + tan(x)^2) x'
-        slope = lift * (1.0 + tilt * tilt)
-        tilt_rate = 1j * slope[1] * motion.phi_rate_rad_s - slope[0] * motion.theta_rate_rad_s
-        terms = np.array(
-            [
-                turn * self._integral,
-                turn * position_error,
-                turn * velocity_error,
-                reference[0] - tilt_acceleration,
-                reference[1] - tilt_rate,
-                *reference,
-            ]
+        n = len(self._integrals)
+        fractions, saturated = np.empty((len(Fractions._fields), n)), np.empty(n, dtype=bool)
+        step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
+        history, observer = self._history, self._observer
+        _update(
+            float(stamp_s),
+            float(now_s),
+            self.horizon_s(stamp_s, now_s),
+            self.delay_s,
+            float(step_s),
+            self.model.kind,
+            self._plants,
+            self._limits,
+            self._gains,
+            observer.steps,
+            observer.gains,
+            observer.tilts,
+            self._integrals,
+            history.sent_s,
+            history.commands,
+            history.ends,
+            history.rows,
+            self._applied,
+            _floats(states.x),
+            states.visible & usable,
+            np.ascontiguousarray(autonomous),
+            _floats(present),
+            _floats(ahead),
+            fractions,
+            saturated,
         )
-        np.einsum("kn,kn->n", self._gains.pitch, terms.real, out=f[:, 0])
-        np.einsum("kn,kn->n", self._gains.roll, terms.imag, out=f[:, 1])
+        return Output(Fractions(*fractions), saturated)
 
-    def _vertical(self, motion, ahead, f):
-        """Wanted upward acceleration with gravity into f[:, 2]; (climb rate [m/s] that this commands, whether cut).
 
-        Eq. 5.4 cancels the climb loop, so the plant is a double integrator.
-        """
-        height_error = _clipped(ahead[0, :, 2] - motion.height_m, self.params.error_max_m)
-        k_integral, k_height, k_climb = self._gains.vertical
-        up = ahead[2, :, 2] + k_integral * self._height_integral + k_height * height_error
-        up += k_climb * (ahead[1, :, 2] - motion.climb_m_s)
-        tau = self.model.climb_time_constant_s
-        wanted = motion.climb_m_s + tau * up
-        climb = _clipped(wanted, self._climb_max_m_s)
-        f[:, 2] = GRAVITY_M_S2 + (climb - motion.climb_m_s) / tau
-        return climb, climb != wanted
-
-    def _yaw_rate(self, motion, ahead):
-        """Yaw rate to command [rad/s]."""
-        yaw, rate, acceleration = ahead[:3, :, 3]
-        error = yaw - motion.psi_rad
-        error -= 2.0 * np.pi * np.rint(error / (2.0 * np.pi))
-        k_yaw, k_rate = self._gains.yaw
-        forward = rate + self.model.yaw_time_constant_s * acceleration
-        return forward + k_yaw * error + k_rate * (rate - motion.psi_rate_rad_s)
-
-    def _motion(self, stamp_s, states):
-        command = self._history.at(np.array([stamp_s - self.delay_s - 0.5 * STEP_S]))[0]
-        angles, rates = self._observer.update(
-            stamp_s,
-            states.angles_rad[:, :2],
-            states.rates_rad_s[:, :2],
-            command[:, [Channel.PHI, Channel.THETA]],
-            states.visible,
-        )
-        return Motion(
-            _neu(states.position_m),
-            _neu(states.velocity_m_s),
-            states.position_m[:, 2],
-            states.velocity_m_s[:, 2],
-            angles[:, _ROLL],
-            angles[:, _PITCH],
-            states.angles_rad[:, 2],
-            rates[:, _ROLL],
-            rates[:, _PITCH],
-            states.rates_rad_s[:, 2],
-        )
-
-    def _integrate(self, stamp_s, states, present, usable, autonomous):
-        step_s = stamp_s - self._stamp_s
-        self._stamp_s = stamp_s
-        if not autonomous.all():
+@compiled
+def _update(
+    stamp_s, now_s, horizon_s, delay_s, step_s, kind, plants, limits, gains, observer_steps, observer_gains, tilts,
+    integrals, sent_s, commands, ends, rows, applied, x, usable, autonomous, present, ahead, fractions, saturated
+):  # fmt: skip
+    """See `FlatnessController.update`: fills fractions (4, n) and saturated (n,). step_s: since the last state."""
+    rows_in_force(stamp_s - delay_s, steps_of(horizon_s), sent_s, ends, rows)
+    for i in range(len(kind)):
+        plant, limit, gain, integral = plants[kind[i]], limits[kind[i]], gains[kind[i]], integrals[i]
+        applied[i] = 0.0
+        if not autonomous[i]:
             # somebody else flies it: what was learnt of this vehicle's trim may not hold when we take over
-            self._integral[~autonomous], self._height_integral[~autonomous] = 0.0, 0.0
-        if not 0.0 < step_s <= _LONGEST_STEP_S:
-            return
-        # a vehicle that is out of sight for a moment keeps its trim
-        active = usable & autonomous & (states.position_m[:, 2] > self.params.integral_min_height_m)
-        limit = self.params.integral_max_m_s
-        error = _shortened(_neu(present[0]) - _neu(states.position_m), self.params.error_max_m)
-        # a saturated command cannot use more integral: let it only shrink (anti-windup)
-        grows = (error * self._integral.conjugate()).real > 0.0
-        error *= step_s * (active & ~(self._frozen & grows))
-        self._integral = _shortened(self._integral + error, limit)
-        error = _clipped(present[0, :, 2] - states.position_m[:, 2], self.params.error_max_m)
-        grows = error * self._height_integral > 0.0
-        error *= step_s * (active & ~(self._height_frozen & grows))
-        self._height_integral = _clipped(self._height_integral + error, limit)
+            integral.north_m_s = integral.east_m_s = integral.up_m_s = 0.0
+        if not usable[i]:
+            # a vehicle that is out of sight for a moment keeps its trim
+            integral.tilt_was_cut = integral.climb_was_cut = saturated[i] = False
+            _hover(i, plant, fractions)
+            continue
+        measured = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
+        in_force = commands[rows[0], i]
+        observe(tilts[i], stamp_s, measured, in_force, observer_steps[kind[i]], observer_gains[kind[i]])
+        motion = predicted(_motion(x[i], tilts[i]), plant, horizon_s, commands, rows, i)
+        if autonomous[i] and 0.0 < step_s <= _LONGEST_STEP_S:
+            _integrate(integral, step_s, x[i], present[:, i], limit)
+
+        climb_m_s, climb_cut = _climb_rate(motion, ahead[:, i], plant, limit, gain, integral)
+        forward, right = _horizontal(motion, ahead[:, i], plant, limit, gain, integral)
+        up = GRAVITY_M_S2 + (climb_m_s - motion.up_m_s) / plant.climb_time_constant_s
+        f, shortened = limit_tilt(Acceleration(forward, right, up), limit.tilt_max_rad)
+        inputs = flat_inputs(f, 0.0, _yaw_rate(motion, ahead[:, i], plant, gain), plant.mass_kg)
+        thrust_n = thrust_at_tilt(f.up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
+        inputs = FlatInputs(thrust_n, inputs.phi_rad, inputs.theta_rad, inputs.yaw_rate_rad_s)
+        command, tilt_cut, yaw_cut = to_fractions(inputs, limit.full_scale)
+        _fill(i, command, fractions)
+        integral.tilt_was_cut, integral.climb_was_cut = shortened or tilt_cut, climb_cut
+        saturated[i] = shortened or tilt_cut or yaw_cut or climb_cut
+        if autonomous[i]:
+            reached = to_inputs(command, limit.full_scale)
+            applied[i, Channel.PHI], applied[i, Channel.THETA] = reached.phi_rad, reached.theta_rad
+            applied[i, Channel.CLIMB], applied[i, Channel.YAW_RATE] = climb_m_s, reached.yaw_rate_rad_s
+    append_command(now_s, applied, sent_s, commands, ends)
 
 
-class DoubleIntegratorController(_Tracker):
-    """The thesis' controller; the same calls as `FlatnessController`."""
-
-    # about the best without prediction; the original's gains (17.22, 1.62) oscillate at 0.1 s of command delay
-    WEIGHTS = LqrWeights(q_position=2.0, q_velocity=4.0, q_height=2.0, q_climb=1.0, q_yaw=1.0)
-
-    def design(self, weights):
-        """Gains from position, velocity, height, climb and yaw weights; changes nothing. Raises ValueError."""
-        A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
-        horizontal = lqr_gain(A, B, [weights.q_position, weights.q_velocity], [weights.r_horizontal])[0]
-        vertical = lqr_gain(A, B, [weights.q_height, weights.q_climb], [weights.r_vertical])[0]
-        yaw = lqr_gain([[0.0]], [[1.0]], [weights.q_yaw], [weights.r_yaw])[0, 0]
-        k_position, k_velocity = (np.array([horizontal[i], horizontal[i], vertical[i]]) for i in (0, 1))
-        return k_position, k_velocity, yaw
-
-    def reset(self):
-        """Nothing is remembered."""
-
-    def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous):
-        """As `FlatnessController.update`; `ahead`, `now_s` and `autonomous` are not used."""
-        usable = usable & states.visible
-        if not usable.all():
-            states, present = _harmless(states, usable), _rows(present, usable)
-        error = present[:2, :, :3] - np.array([states.position_m, states.velocity_m_s])
-        error[0] *= np.minimum(1.0, self.params.error_max_m / np.maximum(np.sqrt((error[0] ** 2).sum(axis=1)), 1e-9))[
-            :, None
-        ]
-        k_position, k_velocity, k_yaw = self._gains
-        u = k_position * error[0] + k_velocity * error[1] + present[2, :, :3]
-        f = u * (1.0, -1.0, 1.0) + (0.0, 0.0, GRAVITY_M_S2)  # (7.10) in north, east, up
-        f, shortened = limit_tilt(f, self._tilt_max_rad)
-        yaw_error = present[0, :, 3] - states.angles_rad[:, 2]
-        yaw_error -= 2.0 * np.pi * np.rint(yaw_error / (2.0 * np.pi))
-        yaw_rate = present[1, :, 3] + k_yaw * yaw_error
-        inputs = flat_inputs(f, states.angles_rad[:, 2], yaw_rate, self.model.mass_kg)
-        fractions, cut = self._mapping.to_fractions(inputs)
-        if not usable.all():
-            fractions = self._hover(fractions, usable)
-        return Output(fractions, shortened | cut.any(axis=0))
+@compiled
+def _motion(x, tilt):
+    """Motion of a vehicle by its state; roll and pitch as they are observed."""
+    return Motion(
+        x[S.X], -x[S.Y], x[S.Z], x[S.U], -x[S.V], x[S.W],
+        tilt.phi_rad, tilt.theta_rad, x[S.PSI], tilt.phi_rate_rad_s, tilt.theta_rate_rad_s, x[S.R], 0.0,
+    )  # fmt: skip
 
 
-class _Gains(NamedTuple):
-    # (8, n) on the errors of [integral, position, velocity, tilt acceleration, its rate] and, forward through the
-    # attitude loop, on the reference's [tilt acceleration, its rate, its second rate]
-    pitch: np.ndarray
-    roll: np.ndarray
-    vertical: np.ndarray  # (3, n) on [integral, height, climb rate]
-    yaw: np.ndarray  # (2, n) on [yaw, yaw rate]
+@compiled
+def _integrate(integral, step_s, x, reference, limit):
+    """Add a step of the position error to a vehicle's integrals."""
+    if not x[S.Z] > limit.integral_min_height_m:
+        return
+    position = reference[Order.POSITION]
+    north, east = _shortened(position[Axis.X] - x[S.X], x[S.Y] - position[Axis.Y], limit.error_max_m)
+    # a saturated command cannot use more integral: let it only shrink (anti-windup)
+    grows = north * integral.north_m_s + east * integral.east_m_s > 0.0
+    if not (integral.tilt_was_cut and grows):
+        integral.north_m_s, integral.east_m_s = _shortened(
+            integral.north_m_s + step_s * north, integral.east_m_s + step_s * east, limit.integral_max_m_s
+        )
+    up = clipped(position[Axis.Z] - x[S.Z], limit.error_max_m)
+    if not (integral.climb_was_cut and up * integral.up_m_s > 0.0):
+        integral.up_m_s = clipped(integral.up_m_s + step_s * up, limit.integral_max_m_s)
+
+
+@compiled
+def _horizontal(motion, reference, plant, limit, gain, integral):
+    """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll."""
+    cos_psi, sin_psi = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
+    # the tilt acceleration that the reference needs, and its first two rates, in axes that stand still ...
+    a_forward, a_right = _tilt_reference(reference, Order.ACCELERATION, plant, cos_psi, sin_psi)
+    j_forward, j_right = _tilt_reference(reference, Order.JERK, plant, cos_psi, sin_psi)
+    s_forward, s_right = _tilt_reference(reference, Order.SNAP, plant, cos_psi, sin_psi)
+    # ... and in the vehicle's, which turn at psi' (the yaw acceleration is neglected)
+    turn = motion.psi_rate_rad_s
+    s_forward, s_right = (
+        s_forward + turn * (2.0 * j_right - turn * a_forward),
+        s_right - turn * (2.0 * j_forward + turn * a_right),
+    )
+    j_forward, j_right = j_forward + turn * a_right, j_right - turn * a_forward
+
+    # the tilt acceleration that the vehicle has: (g + a_up) tan(tilt), and d tan(y)/dt = (1 + tan(y)^2) y'
+    lift = GRAVITY_M_S2 + motion.up_m_s2
+    tan_phi, tan_theta = math.tan(motion.phi_rad), math.tan(motion.theta_rad)
+    tilt_forward, tilt_right = -lift * tan_theta, lift * tan_phi / math.cos(motion.theta_rad)
+    tilt_rate_forward = -lift * (1.0 + tan_theta * tan_theta) * motion.theta_rate_rad_s
+    tilt_rate_right = lift * (1.0 + tan_phi * tan_phi) * motion.phi_rate_rad_s
+
+    position, velocity = reference[Order.POSITION], reference[Order.VELOCITY]
+    north, east = _shortened(position[Axis.X] - motion.north_m, -position[Axis.Y] - motion.east_m, limit.error_max_m)
+    p_forward, p_right = _turned(north, east, cos_psi, sin_psi)
+    v_forward, v_right = _turned(
+        velocity[Axis.X] - motion.north_m_s, -velocity[Axis.Y] - motion.east_m_s, cos_psi, sin_psi
+    )
+    i_forward, i_right = _turned(integral.north_m_s, integral.east_m_s, cos_psi, sin_psi)
+    return (
+        _axis(gain.pitch, i_forward, p_forward, v_forward, tilt_forward, tilt_rate_forward, a_forward, j_forward,
+              s_forward),
+        _axis(gain.roll, i_right, p_right, v_right, tilt_right, tilt_rate_right, a_right, j_right, s_right),
+    )  # fmt: skip
+
+
+@compiled
+def _axis(gain, integral, position, velocity, tilt, tilt_rate, a, j, s):
+    """Acceleration to command on one axis: feedback of the errors, and what makes the loop follow the reference's a.
+
+    integral, position, velocity: errors.  tilt, tilt_rate: accelerations that the vehicle has.  a, j, s: that the
+    reference needs. The attitude loop is a'' = wn^2 (u - a) - 2 zeta wn a'.
+    """
+    feedback = gain.integral * integral + gain.position * position + gain.velocity * velocity
+    feedback += gain.tilt * (a - tilt) + gain.tilt_rate * (j - tilt_rate)
+    return feedback + a + gain.forward_rate_s * j + gain.forward_second_rate_s2 * s
+
+
+@compiled
+def _tilt_reference(reference, order, plant, cos_psi, sin_psi):
+    """(forward, right) of a derivative of the reference that the tilt must make: with that of the drag."""
+    now, before = reference[order], reference[order - 1]
+    north = now[Axis.X] + plant.drag_1_s * before[Axis.X]
+    east = -now[Axis.Y] - plant.drag_1_s * before[Axis.Y]
+    return _turned(north, east, cos_psi, sin_psi)
+
+
+@compiled
+def _climb_rate(motion, reference, plant, limit, gain, integral):
+    """(climb rate to command [m/s], whether a limit cut it).
+
+    Eq. 5.4 cancels the climb loop, so the plant is a double integrator.
+    """
+    height_error = clipped(reference[Order.POSITION, Axis.Z] - motion.up_m, limit.error_max_m)
+    climb_error = reference[Order.VELOCITY, Axis.Z] - motion.up_m_s
+    up = gain.height_integral * integral.up_m_s + gain.height * height_error + gain.climb * climb_error
+    up += reference[Order.ACCELERATION, Axis.Z]
+    wanted = motion.up_m_s + plant.climb_time_constant_s * up
+    climb_m_s = clipped(wanted, limit.climb_max_m_s)
+    return climb_m_s, climb_m_s != wanted
+
+
+@compiled
+def _yaw_rate(motion, reference, plant, gain):
+    """Yaw rate to command [rad/s]."""
+    yaw, rate = reference[Order.POSITION, Axis.PSI], reference[Order.VELOCITY, Axis.PSI]
+    forward = rate + plant.yaw_time_constant_s * reference[Order.ACCELERATION, Axis.PSI]
+    return forward + gain.yaw * _short_way(yaw - motion.psi_rad) + gain.yaw_rate * (rate - motion.psi_rate_rad_s)
 
 
 def _full_gains(model, weights):
-    n = len(model.mass_kg)
-    wn, zeta = model.natural_frequency_rad_s, model.damping_ratio
-    axes = [
-        np.array([_horizontal_gain(wn[i, k], zeta[i, k], model.drag_1_s[i], weights) for i in range(n)]).T
-        for k in (_ROLL, _PITCH)
-    ]
+    """(k,) _GAINS of the types of a NominalModel."""
     A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
     height = [weights.q_height, weights.q_climb]
     vertical = _gain_with_integral(A, B, weights.q_height_integral, height, weights.r_vertical)
-    yaw = [
-        lqr_gain(
-            [[0.0, 1.0], [0.0, -1.0 / tau]], [[0.0], [1.0 / tau]], [weights.q_yaw, weights.q_yaw_rate], [weights.r_yaw]
-        )
-        for tau in model.yaw_time_constant_s
-    ]
-    return _Gains(
-        pitch=axes[_PITCH],
-        roll=axes[_ROLL],
-        vertical=np.repeat(vertical[:, None], n, axis=1),
-        yaw=np.array(yaw)[:, 0].T,
-    )
+    gains = np.zeros(len(model.mass_kg), _GAINS)
+    for kind, gain in enumerate(gains):
+        for axis, name in enumerate(("roll", "pitch")):
+            wn, zeta = model.natural_frequency_rad_s[kind, axis], model.damping_ratio[kind, axis]
+            gain[name] = _horizontal_gain(wn, zeta, model.drag_1_s[kind], weights)
+        gain.height_integral, gain.height, gain.climb = vertical
+        tau = model.yaw_time_constant_s[kind]
+        A_yaw, B_yaw = [[0.0, 1.0], [0.0, -1.0 / tau]], [[0.0], [1.0 / tau]]
+        gain.yaw, gain.yaw_rate = lqr_gain(A_yaw, B_yaw, [weights.q_yaw, weights.q_yaw_rate], [weights.r_yaw])[0]
+    return gains
 
 
 def _horizontal_gain(wn, zeta, drag_1_s, weights):
-    """(8,) row of `_Gains.pitch` or `.roll` of one vehicle."""
+    """_AXIS_GAINS of one axis, as a tuple."""
     A = np.zeros((4, 4))
     A[0, 1] = A[1, 2] = A[2, 3] = 1.0
     A[1, 1], A[3, 2], A[3, 3] = -drag_1_s, -(wn**2), -2.0 * zeta * wn
@@ -382,7 +439,7 @@ def _horizontal_gain(wn, zeta, drag_1_s, weights):
     Q = [weights.q_position, weights.q_velocity, weights.q_tilt, weights.q_tilt_rate]
     feedback = _gain_with_integral(A, B, weights.q_integral, Q, weights.r_horizontal)
     # the command that makes the loop a'' = wn^2 (u - a) - 2 zeta wn a' follow a given a(t)
-    return np.concatenate([feedback, [1.0, 2.0 * zeta / wn, wn**-2.0]])
+    return (*feedback, 2.0 * zeta / wn, wn**-2.0)
 
 
 def _gain_with_integral(A, B, q_integral, Q, r):
@@ -393,44 +450,117 @@ def _gain_with_integral(A, B, q_integral, Q, r):
     return lqr_gain(A, B, [q_integral] + list(Q), [r])[0]
 
 
-def _turned(derivatives, psi_rad, psi_rate_rad_s, drag_1_s):
-    """(3, n) tilt acceleration that the reference needs, and its first two rates, in the turning yaw frame.
+# --- the thesis' controller --------------------------------------------------------------------------------------
 
-    derivatives: (5, n) complex.  The tilt carries the acceleration and the drag; in a frame that turns at psi' the
-    derivative of z exp(-i psi) is (z' - i psi' z) exp(-i psi). The yaw acceleration is neglected.
-    """
-    a = derivatives[2:] + drag_1_s * derivatives[1:4]
-    w = 1j * psi_rate_rad_s
-    return np.array([a[0], a[1] - w * a[0], a[2] - w * (2.0 * a[1] - w * a[0])]) * np.exp(-1j * psi_rad)
+_THESIS_GAINS = record(
+    ("position", float), ("velocity", float), ("height", float), ("climb", float), ("yaw", float)
+)  # fmt: skip
 
 
-def _shortened(vector, longest):
-    """Complex vectors (n,) no longer than this."""
-    return vector * np.minimum(1.0, longest / np.maximum(np.abs(vector), 1e-9))
+class DoubleIntegratorController(_Tracker):
+    """The thesis' controller; the same calls as `FlatnessController`."""
+
+    # about the best without prediction; the original's gains (17.22, 1.62) oscillate at 0.1 s of command delay
+    WEIGHTS = LqrWeights(q_position=2.0, q_velocity=4.0, q_height=2.0, q_climb=1.0, q_yaw=1.0)
+
+    def __init__(self, vehicle_types, weights=None, params=None):
+        """As `FlatnessController`; the link delays do not matter."""
+        super().__init__(vehicle_types, weights, params)
+        self._load()
+
+    def design(self, weights):
+        """Gains from position, velocity, height, climb and yaw weights; changes nothing. Raises ValueError."""
+        A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
+        horizontal = lqr_gain(A, B, [weights.q_position, weights.q_velocity], [weights.r_horizontal])[0]
+        vertical = lqr_gain(A, B, [weights.q_height, weights.q_climb], [weights.r_vertical])[0]
+        yaw = lqr_gain([[0.0]], [[1.0]], [weights.q_yaw], [weights.r_yaw])[0]
+        return np.array([(*horizontal, *vertical, *yaw)], _THESIS_GAINS)
+
+    def reset(self):
+        """Nothing is remembered."""
+
+    def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous):
+        """As `FlatnessController.update`; `ahead`, the times and `autonomous` are not used."""
+        n = len(self.model.kind)
+        fractions, saturated = np.empty((len(Fractions._fields), n)), np.empty(n, dtype=bool)
+        _update_thesis(
+            self.model.kind,
+            self._plants,
+            self._limits,
+            self._gains,
+            _floats(states.x),
+            states.visible & usable,
+            _floats(present),
+            fractions,
+            saturated,
+        )
+        return Output(Fractions(*fractions), saturated)
 
 
-def _clipped(value, limit):
-    """Value within +-limit."""
-    return np.minimum(np.maximum(value, -limit), limit)
+@compiled
+def _update_thesis(kind, plants, limits, gains, x, usable, present, fractions, saturated):
+    """See `DoubleIntegratorController.update`: fills fractions (4, n) and saturated (n,)."""
+    K = gains[0]
+    for i in range(len(kind)):
+        plant, limit = plants[kind[i]], limits[kind[i]]
+        if not usable[i]:
+            saturated[i] = False
+            _hover(i, plant, fractions)
+            continue
+        position, velocity, acceleration = present[0, i], present[1, i], present[2, i]
+        # (7.7): u = K (x_r - x), with an error that is no longer than its limit
+        e_x, e_y, e_z = position[Axis.X] - x[i, S.X], position[Axis.Y] - x[i, S.Y], position[Axis.Z] - x[i, S.Z]
+        distance_m = math.sqrt(e_x * e_x + e_y * e_y + e_z * e_z)
+        scale = limit.error_max_m / distance_m if distance_m > limit.error_max_m else 1.0
+        u_x = K.position * scale * e_x + K.velocity * (velocity[Axis.X] - x[i, S.U])
+        u_y = K.position * scale * e_y + K.velocity * (velocity[Axis.Y] - x[i, S.V])
+        u_z = K.height * scale * e_z + K.climb * (velocity[Axis.Z] - x[i, S.W])
+        # (7.8)-(7.10), from cortex axes to north, east and up
+        f = Acceleration(
+            u_x + acceleration[Axis.X], -(u_y + acceleration[Axis.Y]), u_z + acceleration[Axis.Z] + GRAVITY_M_S2
+        )
+        f, shortened = limit_tilt(f, limit.tilt_max_rad)
+        psi = x[i, S.PSI]
+        yaw_rate = velocity[Axis.PSI] + K.yaw * _short_way(position[Axis.PSI] - psi)
+        command, tilt_cut, yaw_cut = to_fractions(flat_inputs(f, psi, yaw_rate, plant.mass_kg), limit.full_scale)
+        _fill(i, command, fractions)
+        saturated[i] = shortened or tilt_cut or yaw_cut
 
 
-def _neu(xy):
-    """Complex north + i east of cortex vectors (..., 2 or 3)."""
-    return xy[..., 0] - 1j * xy[..., 1]
+# --- parts of both -----------------------------------------------------------------------------------------------
+
+_floats = partial(np.ascontiguousarray, dtype=float)  # what compiled code was compiled for
 
 
-def _harmless(states, usable):
-    """The states with zeros in the rows that mean nothing: their results are replaced, but must be finite."""
-    keep = usable[:, None]
-    return States(usable, *(np.where(keep, array, 0.0) for array in states[1:]))
+@compiled
+def _hover(i, plant, fractions):
+    """Zero acceleration (thesis 7.7), where no command can be computed."""
+    _fill(i, Fractions(0.0, 0.0, 0.0, plant.mass_kg * GRAVITY_M_S2), fractions)
 
 
-def _rows(reference, usable):
-    return np.where(usable[:, None], reference, 0.0)
+@compiled
+def _fill(i, command, fractions):
+    """One vehicle's Fractions into column i of all vehicles' (4, n)."""
+    for part in range(len(command)):
+        fractions[part, i] = command[part]
 
 
-def _override(value, zero_is_valid=False):
-    """The value, or None when it is negative: the vehicle type's is meant. Raises ValueError for no number."""
-    if not np.isfinite(value) or (value == 0.0 and not zero_is_valid):
-        raise ValueError("a limit must be positive (negative: that of the vehicle type), got %r" % (value,))
-    return None if value < 0.0 else float(value)
+@compiled
+def _turned(north, east, cos_psi, sin_psi):
+    """(forward, right) of a horizontal vector: R(v to v1)."""
+    return cos_psi * north + sin_psi * east, cos_psi * east - sin_psi * north
+
+
+@compiled
+def _shortened(north, east, longest):
+    """The horizontal vector, no longer than this."""
+    length = math.hypot(north, east)
+    if length > longest:
+        north, east = north * longest / length, east * longest / length
+    return north, east
+
+
+@compiled
+def _short_way(angle_rad):
+    """The angle less whole turns."""
+    return angle_rad - 2.0 * math.pi * np.rint(angle_rad / (2.0 * math.pi))

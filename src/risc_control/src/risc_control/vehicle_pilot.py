@@ -8,10 +8,19 @@ import enum
 import math
 from collections import defaultdict, deque, namedtuple
 from dataclasses import dataclass, field, fields
-from typing import Tuple
 
-from risc_control.joystick import CENTRED, CLOCK_MEMORY_S, LATE_S, Button, Joystick, JoystickParams, Sticks, parse_bool
-from risc_control.mappings.ardrone import climb_rate_command
+from risc_control.joystick import (
+    CENTRED,
+    CLOCK_MEMORY_S,
+    LATE_S,
+    Button,
+    Joystick,
+    JoystickParams,
+    Sticks,
+    limited,
+    parse_bool,
+)
+from risc_control.mappings.climb_rate import climb_rate_command
 from risc_control.message_age import MessageAges
 from risc_control.safety import Rung, SafetyLadder, SafetyLimits
 
@@ -33,6 +42,8 @@ class FlightState(enum.IntEnum):
     LOOPING = 9
 
 
+# members of enumerations are slow to look up, and these are asked for in every frame
+_OK, _LAND, _LANDING = Rung.OK, Rung.LAND, FlightState.LANDING
 _TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _CLIMB_MEMORY_S = 2.0  # [s] climb commands that took effect longer ago answer no state that anybody acts on
@@ -157,21 +168,24 @@ OwnState = namedtuple("OwnState", "position_m velocity_m_s phi_rad theta_rad")
 OwnControl = namedtuple("OwnControl", "phi theta psi thrust_n")
 
 
-@dataclass
 class Orders:
-    """What the node has to do now, in this order."""
+    """What the node has to do now, in this order. What is not set on an object is that of the class: nothing."""
 
-    reset: bool = False
-    takeoff: bool = False
-    land: bool = False
-    command: Tuple[Sticks, float] = None  # (fractions, stamp [s] of the /controls answered; 0 = of none)
-    level_only: bool = False  # the command must not start the vehicle's own position hold
-    status: bool = None  # autonomous?, when it is time to say so
-    mode: bool = None  # autonomous?, when that has just changed
-    simulator_reset: bool = None  # value for the parameter RESET of simulators
-    safety: str = None  # new text of the safety topic
-    shut_down: bool = False
-    log: list = field(default_factory=list)  # (level "info" | "warn" | "error", sentence)
+    reset = False
+    takeoff = False
+    land = False
+    command = None  # (Sticks of fractions, stamp [s] of the /controls answered; 0 = of none)
+    level_only = False  # the command must not start the vehicle's own position hold
+    status = None  # autonomous?, when it is time to say so
+    mode = None  # autonomous?, when that has just changed
+    simulator_reset = None  # value for the parameter RESET of simulators
+    safety = None  # new text of the safety topic
+    shut_down = False
+    log = ()  # of (level "info" | "warn" | "error", sentence)
+
+    def say(self, level, sentence):
+        """Add to the log."""
+        self.log = (*self.log, (level, sentence))
 
 
 class SlotClock:
@@ -274,15 +288,16 @@ class VehiclePilot:
         joy = source.joystick.update(buttons, axes, late)
         if late:
             text = "a joystick message came %.1f s late and is not obeyed: look at the network, and at the clocks"
-            orders.log.append(("warn", text % age_s))
+            orders.say("warn", text % age_s)
             return orders
         self.ladder.note_joystick(now_s)
         source.sticks, source.heard_s = joy.sticks, now_s
-        orders.log.extend(("warn", problem) for problem in joy.problems)
+        for problem in joy.problems:
+            orders.say("warn", problem)
         down = joy.pressed | joy.belated
         if Button.EMERGENCY in down:
             orders.reset = True
-            orders.log.append(("warn", "emergency button: reset sent"))
+            orders.say("warn", "emergency button: reset sent")
         if self._ended:
             return orders
         if Button.TAKEOFF_LAND in down and not self._params.Simulation:
@@ -291,12 +306,12 @@ class VehiclePilot:
         if self._params.Simulation and reset != self._simulator_reset:
             self._simulator_reset = orders.simulator_reset = reset
         # a belated one was meant for autonomous mode, not to take back a landing that the ladder began meanwhile
-        ends_it = self.autonomous and self.ladder.verdict.rung < Rung.LAND and Button.TOGGLE_AUTONOMOUS in joy.belated
+        ends_it = self.autonomous and self.ladder.verdict.rung < _LAND and Button.TOGGLE_AUTONOMOUS in joy.belated
         if Button.TOGGLE_AUTONOMOUS in joy.pressed or ends_it:
             self._toggle(orders, now_s)
         if Button.SHUT_DOWN in down:
             orders.shut_down = True
-            orders.log.append(("info", "shut-down button: landing and ending"))
+            orders.say("info", "shut-down button: landing and ending")
         self._judge(orders, now_s)
         return orders
 
@@ -318,9 +333,10 @@ class VehiclePilot:
 
     def on_state(self, own, age_s, now_s):
         """The vehicle was seen (`OwnState`); do not call for entries that are not visible."""
-        if not all(map(math.isfinite, (*own.position_m, *own.velocity_m_s, own.phi_rad, own.theta_rad))):
+        position_m, velocity_m_s, phi_rad, theta_rad = own
+        if not all(map(math.isfinite, (*position_m, *velocity_m_s, phi_rad, theta_rad))):
             return
-        self.ladder.note_state(own.position_m, own.velocity_m_s, age_s, now_s)
+        self.ladder.note_state(position_m, velocity_m_s, age_s, now_s)
         self._state = own
         self._state_s = now_s - max(age_s, 0.0)
 
@@ -328,13 +344,13 @@ class VehiclePilot:
         """A command of the controller (`OwnControl`) with the stamp of the state it answers."""
         orders = Orders()
         if not all(map(math.isfinite, own)):
-            orders.log.append(("warn", "the controller sent a command that is not finite: ignored"))
+            orders.say("warn", "the controller sent a command that is not finite: ignored")
             return orders
         self.ladder.note_controls(age_s, now_s)
         if not self.autonomous or self._ended:
             return orders
         self._judge(orders, now_s)
-        if self.ladder.verdict.rung == Rung.OK and self._takes_commands() and self._slots.due(now_s):
+        if self.ladder.verdict.rung == _OK and self._takes_commands() and self._slots.due(now_s):
             self._send(self._map(own, now_s), stamp_s, orders, now_s)
         return orders
 
@@ -347,7 +363,7 @@ class VehiclePilot:
         self._judge(orders, now_s)
         if self._status_slots.due(now_s):
             orders.status = self.autonomous
-        safe = not self.autonomous or self.ladder.verdict.rung > Rung.OK
+        safe = not self.autonomous or self.ladder.verdict.rung > _OK
         if orders.command is None and safe and self._takes_commands() and self._slots.due(now_s):
             self._send_safe(orders, now_s)
         return orders
@@ -369,20 +385,21 @@ class VehiclePilot:
             # Nothing says that it stands, and an order to land does no harm to one that does.
             orders.land = True
             why = "the vehicle is silent" if silent else "it does not say that it stands (%s)" % self._state_text()
-            orders.log.append(("warn", "landing was requested: ordered once, but %s" % why))
+            orders.say("warn", "landing was requested: ordered once, but %s" % why)
             return orders, False, "landing ordered once, but %s: whether it flies is not known" % why
         return orders, True, "it stands: not airborne (%s)" % self._state_text()
 
     def on_shutdown(self, now_s):
         """One round of the last orders: level and, whatever is known of it, land. Nothing but a reset follows."""
         self._ended = True
-        orders = Orders(land=True)
+        orders = Orders()
+        orders.land = True
         self._send(CENTRED, 0.0, orders, now_s)
         return orders
 
     def needs_landing(self, now_s):
         """True while the vehicle may be in the air and does not report that it lands."""
-        obeys = self.flight_state == FlightState.LANDING and self.ladder.navdata_is_fresh(now_s)
+        obeys = self.flight_state == _LANDING and self.ladder.navdata_is_fresh(now_s)
         return self.airborne and not obeys
 
     @property
@@ -401,12 +418,10 @@ class VehiclePilot:
         for name, source in self._joysticks.items():
             if 0.0 < limit_s < now_s - source.heard_s and source.sticks != CENTRED:
                 source.sticks = CENTRED
-                orders.log.append(
-                    (
-                        "warn",
-                        "joystick '%s' silent for %g s with its sticks deflected: taken as centred (joy_node must "
-                        "repeat: set its autorepeat_rate, e.g. 20)" % (name, limit_s),
-                    )
+                orders.say(
+                    "warn",
+                    "joystick '%s' silent for %g s with its sticks deflected: taken as centred (joy_node must "
+                    "repeat: set its autorepeat_rate, e.g. 20)" % (name, limit_s),
                 )
 
     def _sticks(self):
@@ -427,39 +442,37 @@ class VehiclePilot:
             unsure = "" if fresh else " (the vehicle is silent, so the button means land)"
             if self.flight_state is None:
                 unsure = " (nothing was heard of the vehicle)"
-            orders.log.append(("info", "landing" + unsure))
+            orders.say("info", "landing" + unsure)
             if self.autonomous:
                 self._set_mode(False, orders, "landing")
         elif not may_take_off:
-            orders.log.append(("info", "no take-off: the button was pressed a while ago; release it and press again"))
+            orders.say("info", "no take-off: the button was pressed a while ago; release it and press again")
         elif self.ladder.battery_is_low():
-            orders.log.append(
-                (
-                    "warn",
-                    "take-off refused: the battery is at or below %g %%: charge it, or lower "
-                    "battery_min_pct" % self.ladder.limits.battery_min_pct,
-                )
+            orders.say(
+                "warn",
+                "take-off refused: the battery is at or below %g %%: charge it, or lower "
+                "battery_min_pct" % self.ladder.limits.battery_min_pct,
             )
         else:
             orders.takeoff = self.airborne = True
             self._takeoff_s = now_s
-            orders.log.append(("info", "taking off"))
+            orders.say("info", "taking off")
 
     def _toggle(self, orders, now_s):
         if self.autonomous:
             self.ladder.take_over()
             self._set_mode(False, orders, "joystick")
             return
-        if self.ladder.verdict.rung > Rung.OK:
+        if self.ladder.verdict.rung > _OK:
             self.ladder.take_over()
-            orders.log.append(("info", "operator takes over, manual"))
+            orders.say("info", "operator takes over, manual")
             return
         problem = self.ladder.autonomy_problem(now_s, not self._params.Simulation)
         if not problem and not self._takes_commands():
             # References would leave at once, and no command follow them.
             problem = "the vehicle does not fly yet (%s): take off and wait until it hovers" % self._state_text()
         if problem:
-            orders.log.append(("warn", "autonomous mode refused: %s" % problem))
+            orders.say("warn", "autonomous mode refused: %s" % problem)
             return
         self._set_mode(True, orders, "joystick")
 
@@ -473,7 +486,7 @@ class VehiclePilot:
 
     def _set_mode(self, autonomous, orders, why):
         self.autonomous = orders.mode = autonomous
-        orders.log.append(("info", "%s mode (%s)" % ("autonomous" if autonomous else "manual", why)))
+        orders.say("info", "%s mode (%s)" % ("autonomous" if autonomous else "manual", why))
 
     def _judge(self, orders, now_s, land=False):
         """Run the ladder; a new rung is acted on at once, not at the next slot. land: somebody asks for a landing."""
@@ -481,15 +494,15 @@ class VehiclePilot:
         before = ladder.verdict
         if land:
             ladder.request_landing(now_s)
-        obeys = self.flight_state == FlightState.LANDING
+        obeys = self.flight_state == _LANDING
         verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, not self._params.Simulation)
         if verdict.text != self._safety_text:
             self._safety_text = orders.safety = verdict.text
             if verdict.rung > before.rung or verdict.operator:
-                orders.log.append(("error" if verdict.operator else "warn", verdict.text))
-            elif before.rung > Rung.OK:
-                orders.log.append(("info", "safety: %s" % verdict.text))
-        if verdict.rung == Rung.LAND and now_s - self._land_s >= self._params.land_repeat_s:
+                orders.say("error" if verdict.operator else "warn", verdict.text)
+            elif before.rung > _OK:
+                orders.say("info", "safety: %s" % verdict.text)
+        if verdict.rung == _LAND and now_s - self._land_s >= self._params.land_repeat_s:
             self._land_s = now_s
             orders.land = True
         if verdict.rung > before.rung and self._takes_commands():
@@ -504,11 +517,11 @@ class VehiclePilot:
             own.thrust_n, state.phi_rad, state.theta_rad, climb_rate_m_s, self._params.delay, self._type.mass_kg
         )
         up = climb_m_s / self._type.climb_max_m_s
-        return Sticks(*(min(max(value, -1.0), 1.0) for value in (own.theta, own.phi, up, own.psi)))
+        return Sticks(limited(own.theta), limited(own.phi), limited(up), limited(own.psi))
 
     def _send_safe(self, orders, now_s):
         """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""
-        holds = self.ladder.verdict.rung > Rung.OK
+        holds = self.ladder.verdict.rung > _OK
         orders.level_only = holds and not self._params.hold_auto_hover
         self._send(CENTRED if holds else self._sticks(), 0.0, orders, now_s)
 

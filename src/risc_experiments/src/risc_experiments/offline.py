@@ -21,7 +21,8 @@ import numpy as np
 from risc_control.lab import load_fleet, load_templates, load_vehicle_type
 from risc_control.lab.yaml_reader import package_file
 from risc_control.reference import ReferenceBuffer
-from risc_control.tracking import DoubleIntegratorController, FlatnessController, States, TrackingParams
+from risc_control.states import States
+from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
 from risc_control.trajectories import COURSES, YawProgram, make_course
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehicleNodeParams, VehiclePilot
@@ -108,7 +109,7 @@ def fly(flight):
         world.step_to(time_s)
         seen = cameras.observe(time_s, world.bodies())
         estimate = estimator.update(time_s, seen.layout, seen.markers_m)
-        states = _states(estimate)
+        states = States(estimate.visible, estimate.states)
         if time_s >= WARM_UP_S and not chains[0].pilot.autonomous:
             for name, chain, state in zip(names, chains, estimate.states):
                 manager.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])
@@ -220,11 +221,6 @@ def _lab(flight):
     if flight.delay_s is not None:
         types = {name: replace(kind, command_delay_s=flight.delay_s) for name, kind in types.items()}
     return fleet, types, [types[vehicle.type] for vehicle in fleet.vehicles]
-
-
-def _states(estimate):
-    x = estimate.states
-    return States(estimate.visible, x[:, S.X : S.U], x[:, S.U : S.PHI], x[:, S.PHI : S.P], x[:, S.P : S.R + 1])
 
 
 def main(argv=None):

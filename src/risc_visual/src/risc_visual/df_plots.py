@@ -13,7 +13,7 @@ from typing import Tuple
 import numpy as np
 
 from risc_control.lab.vehicle_types import load_vehicle_type
-from risc_control.mappings.ardrone import ArdroneMapping, Fractions
+from risc_control.mappings.ardrone import full_scales
 from risc_visual.cast import phases_from_text
 
 POSITION = ("x_m", "y_m", "z_m")  # cortex frame, as all positions and velocities here
@@ -127,9 +127,8 @@ def full_scales_deg(params, fleet_vehicles=()):
         if not with_gains:
             angle_rad = override or vehicle_type.tilt_max_rad
             return -math.degrees(angle_rad), -math.degrees(angle_rad)
-        full, nothing = np.ones(1), np.zeros(1)
-        inputs = ArdroneMapping([vehicle_type], override).to_inputs(Fractions(full, full, nothing, nothing))
-        return math.degrees(inputs.phi_rad[0]), math.degrees(inputs.theta_rad[0])
+        full = full_scales([vehicle_type], override)[0]
+        return math.degrees(full.phi_rad), math.degrees(full.theta_rad)
 
     of_fleet = {vehicle.template: scale(params.vehicle_type or vehicle.type, True) for vehicle in fleet_vehicles}
     return of_fleet, scale(params.vehicle_type or "ardrone", False)

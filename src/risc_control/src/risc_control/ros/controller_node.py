@@ -51,7 +51,7 @@ class ControllerNode:
         self._counts = dict.fromkeys(("states", "saturated", "without command", "late", "refused references"), 0)
         self._reported, self._reported_s = dict(self._counts), time.monotonic()
         self._cycle_max_s = self._age_max_s = 0.0
-        self._errors_m = np.full(len(self.names), np.nan)  # NaN: not seen, or no reference
+        self._answered = None  # (reference, States, who has both) of the newest states
         self._message = ControlsMessage(self.names)
         self._publisher = rospy.Publisher("/controls", Controls, queue_size=1, tcp_nodelay=True)
         self._diagnostics = make_updater(", ".join(self.names))
@@ -143,12 +143,11 @@ class ControllerNode:
             known = usable & states.visible
             self._publisher.publish(self._message.fill(message.header.stamp, output.fractions, known))
             self._updated()
-            off_m = np.sqrt(((present[0, :, :3] - states.position_m) ** 2).sum(axis=1))
-            self._errors_m = np.where(usable & states.visible, off_m, np.nan)
+            self._answered = present, states, known
             counts = self._counts
             counts["states"] += 1
             counts["saturated"] += bool(output.saturated.any())
-            counts["without command"] += not (usable.all() and states.visible.all())
+            counts["without command"] += not known.all()
             self._age_max_s = max(self._age_max_s, age_s)
             self._cycle_max_s = max(self._cycle_max_s, time.perf_counter() - started_s)
 
@@ -175,7 +174,7 @@ class ControllerNode:
             elapsed_s = max(now_s - self._reported_s, 1e-3)
             rates = {what: (self._counts[what] - self._reported[what]) / elapsed_s for what in self._counts}
             self._reported, self._reported_s = dict(self._counts), now_s
-            cycle_s, age_s, errors_m = self._cycle_max_s, self._age_max_s, self._errors_m
+            cycle_s, age_s, answered = self._cycle_max_s, self._age_max_s, self._answered
             self._cycle_max_s = self._age_max_s = 0.0
         if rates["states"] == 0.0:
             status.summary(1, "no states on /cortex_raw")
@@ -187,10 +186,17 @@ class ControllerNode:
             status.add("%s (Hz)" % what, "%.1f" % rate)
         status.add("oldest state answered (ms)", "%.1f" % (1e3 * age_s))
         status.add("longest cycle (ms)", "%.2f" % (1e3 * cycle_s))
+        errors_m = _errors_m(*answered) if answered else [np.nan] * len(self.names)
         for name, error_m in zip(self.names, errors_m):
             status.add("position error of %s (mm)" % name, "%.1f" % (1e3 * error_m))
         status.add("autonomous", ", ".join(np.array(self.names)[self._autonomous].tolist()) or "none")
         return status
+
+
+def _errors_m(reference, states, known):
+    """(n,) distances between references and positions; NaN: not seen, or no reference."""
+    off_m = np.sqrt(((reference[0, :, :3] - states.position_m) ** 2).sum(axis=1))
+    return np.where(known, off_m, np.nan)
 
 
 def main(name, make_node):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from risc_control.tracking import States
+from risc_control.states import S, States
 from risc_msgs.msg import Control, Controls, Trajectories, Trajectory
 
 _TO_RAD = np.array([1.0] * 6 + [np.pi / 180.0] * 6)
@@ -13,7 +13,7 @@ def states_from_msg(message, index):
 
     index: dict name -> row.  A vehicle that the message lacks, or whose numbers are not finite, is not visible.
     """
-    rows = np.zeros((len(index), 12))
+    rows = np.zeros((len(index), len(S)))
     visible = np.zeros(len(index), dtype=bool)
     unknown = []
     for s in message.Obj:
@@ -27,7 +27,7 @@ def states_from_msg(message, index):
     if not np.isfinite(rows.sum()):
         broken = ~np.isfinite(rows).all(axis=1)
         rows[broken], visible[broken] = 0.0, False
-    return States(visible, rows[:, :3], rows[:, 3:6], rows[:, 6:9], rows[:, 9:]), unknown
+    return States(visible, rows), unknown
 
 
 class ControlsMessage:

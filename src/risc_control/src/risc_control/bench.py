@@ -1,0 +1,126 @@
+"""How long a frame takes in the controller and in the vehicle pilot: `python3 -m risc_control.bench [--json FILE]`.
+
+Vehicles on a circle with noisy states, one frame after the other as in flight. Seeded.
+"""
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from risc_control.lab.vehicle_types import load_vehicle_type
+from risc_control.reference import ORDERS, ReferenceBuffer
+from risc_control.states import S, States
+from risc_control.tracking import FlatnessController
+from risc_control.trajectories import make_course
+from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehicleNodeParams, VehiclePilot
+
+FRAME_S = 0.005
+AGE_S = 0.006  # of a state when it is answered
+TICK_EVERY, NAVDATA_EVERY = 3, 13  # frames
+WARM_UP = 100  # frames that do not count
+DELAYS_S = (0.1, 0.3)
+POSITION_NOISE_M, VELOCITY_NOISE_M_S = 0.001, 0.01
+
+
+def controller_table(fleet_sizes, frames, seed=1):
+    """Microseconds per frame: list of dict with vehicles, delay_s, construction_ms and p50_us of each step."""
+    ardrone = load_vehicle_type("ardrone")
+    FlatnessController([ardrone])  # what is compiled is loaded once
+    return [
+        controller_row(count, replace(ardrone, command_delay_s=delay_s), frames, seed)
+        for count in fleet_sizes
+        for delay_s in DELAYS_S
+    ]
+
+
+def controller_row(count, vehicle_type, frames, seed):
+    """One row of `controller_table`."""
+    begin_s = time.perf_counter()
+    controller, buffer = FlatnessController([vehicle_type] * count), ReferenceBuffer()
+    construction_s = time.perf_counter() - begin_s
+    course, rng, everyone = make_course("circle", count), np.random.default_rng(seed), np.ones(count, dtype=bool)
+    seconds = []
+    for k in range(WARM_UP + frames):
+        stamp_s = k * FRAME_S
+        now_s = stamp_s + AGE_S
+        reference, x = np.zeros((ORDERS, count, 4)), np.zeros((count, len(S)))
+        reference[..., :3], reference[:3, :, 3] = course.at(stamp_s)
+        x[:, S.X : S.U] = reference[0, :, :3] + POSITION_NOISE_M * rng.standard_normal((count, 3))
+        x[:, S.U : S.PHI] = reference[1, :, :3] + VELOCITY_NOISE_M_S * rng.standard_normal((count, 3))
+        times = [time.perf_counter()]
+        buffer.push(stamp_s, reference[:3])
+        times.append(time.perf_counter())
+        present, ahead = buffer.at(np.array([stamp_s, stamp_s + controller.horizon_s(stamp_s, now_s)]))
+        times.append(time.perf_counter())
+        controller.update(stamp_s, now_s, States(everyone, x), present, ahead, everyone, everyone)
+        times.append(time.perf_counter())
+        seconds.append(np.diff(times))
+    push_us, at_us, update_us = 1e6 * np.median(seconds[WARM_UP:], axis=0)
+    return {
+        "vehicles": count,
+        "delay_s": vehicle_type.command_delay_s,
+        "construction_ms": 1e3 * construction_s,
+        "push_us": push_us,
+        "at_us": at_us,
+        "update_us": update_us,
+        "frame_us": 1e6 * float(np.median(np.sum(seconds[WARM_UP:], axis=1))),
+    }
+
+
+def pilot_table(frames):
+    """Dict of what arrives -> median microseconds, of one vehicle in autonomous flight."""
+    params = VehicleNodeParams()
+    pilot = VehiclePilot(params, load_vehicle_type("ardrone"), 0.0)
+    own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03), OwnControl(0.1, 0.05, 0.02, 4.4)
+    buttons = [0] * 11
+    seconds = {"state": [], "controls, no command due": [], "controls, command sent": [], "tick": []}
+    for k in range(WARM_UP + frames):
+        now_s = k * FRAME_S
+        if k % NAVDATA_EVERY == 0:
+            pilot.on_navdata(FlightState.FLYING, 90.0, now_s)
+        if k in (5, 6):
+            buttons[params.joystick.JoytoWay] = k - 5
+            pilot.on_joy(buttons, [0.0] * 8, now_s)
+        begin_s = time.perf_counter()
+        pilot.on_state(own, 0.004, now_s)
+        seen_s = time.perf_counter()
+        orders = pilot.on_controls(control, now_s, AGE_S, now_s)
+        answered_s = time.perf_counter()
+        what = "controls, no command due" if orders.command is None else "controls, command sent"
+        seconds["state"].append(seen_s - begin_s)
+        seconds[what].append(answered_s - seen_s)
+        if k % TICK_EVERY == 0:
+            pilot.tick(now_s)
+            seconds["tick"].append(time.perf_counter() - answered_s)
+    return {what: 1e6 * float(np.median(values)) for what, values in seconds.items()}
+
+
+def main(arguments=None):
+    """Print both tables; with --json also write them. Returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--vehicles", type=int, nargs="+", default=[3, 10, 50], help="fleet sizes to time")
+    parser.add_argument("--frames", type=int, default=2000, help="frames to time (default: 2000)")
+    parser.add_argument("--json", metavar="FILE", help="also write the figures here")
+    options = parser.parse_args(arguments)
+    if min(options.vehicles) < 1 or options.frames < 1:
+        parser.error("--vehicles and --frames need numbers from 1 up")
+    controller, pilot = controller_table(options.vehicles, options.frames), pilot_table(options.frames)
+    print("Controller: median time per frame, one core")
+    print("%10s%8s%15s%10s%10s%10s%10s" % ("vehicles", "delay", "construction", "push", "at", "update", "frame"))
+    for row in controller:
+        print("%10d%6.1f s%12.0f ms%7.1f us%7.1f us%7.1f us%7.1f us" % tuple(row.values()))
+    print("\nVehicle pilot: median time per message, one vehicle in autonomous flight")
+    for what, microseconds in pilot.items():
+        print("%-26s%7.1f us" % (what, microseconds))
+    if options.json:
+        with open(options.json, "w", encoding="utf-8") as output:
+            json.dump({"controller": controller, "pilot_us": pilot}, output, indent=2)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
