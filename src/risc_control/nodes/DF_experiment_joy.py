@@ -9,11 +9,11 @@ import rospy
 from risc_control.cfg import TrackingWeightsConfig
 from risc_control.ros.controller_node import ControllerNode, main
 from risc_control.ros.conversions import TrajectoriesMessage
+from risc_control.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_control.ros.params import vehicles
 from risc_control.ros.trajectory_node import CourseSelector, ManagerWiring, yaw_from_params
 from risc_control.tracking import FlatnessController
 from risc_control.trajectories import make_course
-from risc_msgs.msg import Cortex, Trajectories
 
 FIGURES = ("origin", "slanted8", "origin", "flat8", "origin", "circle")
 
@@ -24,14 +24,19 @@ class ExperimentNode(ControllerNode):
     def __init__(self):
         fleet_vehicles = vehicles(only_one=True)
         courses = [make_course(name, 1, yaw_from_params()) for name in FIGURES]
-        self._wiring = ManagerWiring(fleet_vehicles, courses[0])
+        self._wiring = ManagerWiring(fleet_vehicles, courses[0], listens=False)
         self._selector = CourseSelector(self._wiring, courses)
         self._reference_message = TrajectoriesMessage(self._wiring.manager.names)
-        self._reference_publisher = rospy.Publisher("/trajectory", Trajectories, queue_size=1, tcp_nodelay=True)
+        self._reference_publisher = rospy.Publisher("/trajectory", TrajectoriesArrays, queue_size=1, tcp_nodelay=True)
         super().__init__(FlatnessController, TrackingWeightsConfig, fleet_vehicles)
 
     def _subscribe(self):
-        rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber("/cortex_raw", CortexArrays.Raw, self._on_states, queue_size=1, tcp_nodelay=True)
+
+    def _on_states(self, message):
+        if self._wiring.manager.watching:
+            self._wiring.look(message)
+        super()._on_states(message)
 
     def _references(self, stamp_s, ahead_s, now_s):
         with self._wiring.lock:

@@ -12,13 +12,16 @@ from std_msgs.msg import Bool
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.reference import NEW_CLOCK_S, ORDERS, ReferenceBuffer
 from risc_control.ros import low_latency
-from risc_control.ros.conversions import ControlsMessage, sample_from_msg, states_from_msg
+from risc_control.ros.conversions import ControlsMessage, StatesReader
 from risc_control.ros.diagnostics import make_updater
+from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
+from risc_control.ros.ticker import Ticker
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.tracking import LqrWeights, TrackingParams
-from risc_msgs.msg import Controls, Cortex, Trajectories
 
+_REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 _OBJECTS_WITHOUT_COMMANDS = frozenset(("Pendulum_tip",))
 
 
@@ -52,15 +55,17 @@ class ControllerNode:
         self._reported, self._reported_s = dict(self._counts), time.monotonic()
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
-        self._message = ControlsMessage(self.names)
-        self._publisher = rospy.Publisher("/controls", Controls, queue_size=1, tcp_nodelay=True)
+        self._everyone = list(range(len(self.names)))
+        self._reader, self._message = StatesReader(self.names), ControlsMessage(self.names)
+        self._trajectories = TrajectoriesArrays()
+        self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
         self._diagnostics = make_updater(", ".join(self.names))
         self._diagnostics.add("controller", self._diagnose)
-        self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._diagnostics.update(), reset=True)
+        Ticker(1.0, self._diagnostics.update, "the diagnostics")
         self._server = Server(config_type, self._on_reconfigure)
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
-            rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1)
+            rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
         self._subscribe()
         rospy.loginfo(
             "%s controls %s, acting %.0f ms ahead",
@@ -70,9 +75,10 @@ class ControllerNode:
         )
 
     def _subscribe(self):
-        options = {"queue_size": 1, "tcp_nodelay": True}
-        rospy.Subscriber("/trajectory", Trajectories, self._on_trajectory, **options)
-        rospy.Subscriber("/cortex_raw", Cortex, self._on_states, **options)
+        self._references_in = PacedSubscriber(
+            "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory, _REFERENCES_HZ
+        )
+        rospy.Subscriber("/cortex_raw", CortexArrays.Raw, self._on_states, queue_size=1, tcp_nodelay=True)
 
     def _on_reconfigure(self, config, _level):
         """New weights in flight; impossible ones change nothing."""
@@ -91,18 +97,22 @@ class ControllerNode:
         self._autonomous[i] = message.data
 
     def _on_trajectory(self, message):
-        names, sample = sample_from_msg(message)
-        if not message.header.stamp:
+        with self._lock:
+            trajectories = self._trajectories.deserialize(message.buff)
+            stamp_s = trajectories.header.stamp.to_sec()
+            if stamp_s:
+                self._take(trajectories.names, stamp_s, trajectories.derivatives.swapaxes(0, 1))
+        if not stamp_s:
             rospy.logwarn_throttle(
                 10.0, "/trajectory comes without a stamp and is not flown: set header.stamp to the time it is meant for"
             )
-            return
-        with self._lock:
-            entry = self._buffers.get(names)
-            if entry is None:
-                entry = self._buffers[names] = self._new_buffer(names)
-            if not entry[0].push(message.header.stamp.to_sec(), sample):
-                self._counts["refused references"] += 1
+
+    def _take(self, names, stamp_s, sample):
+        entry = self._buffers.get(names)
+        if entry is None:
+            entry = self._buffers[names] = self._new_buffer(names)
+        if not entry[0].push(stamp_s, sample):
+            self._counts["refused references"] += 1
 
     def _new_buffer(self, names):
         columns = [k for k, name in enumerate(names) if name in self._index]
@@ -119,11 +129,9 @@ class ControllerNode:
     @until_shutdown
     def _on_states(self, message):
         started_s = time.perf_counter()
-        stamp_s, now_s = message.header.stamp.to_sec(), rospy.get_time()
-        states, unknown = states_from_msg(message, self._index)
-        if unknown and not _OBJECTS_WITHOUT_COMMANDS.issuperset(unknown):
-            rospy.logwarn_throttle(60.0, "/cortex_raw shows %s, which this controller does not fly", ", ".join(unknown))
         with self._lock:
+            header, states = self._reader.read(message.buff)
+            stamp_s, now_s = header.stamp.to_sec(), rospy.get_time()
             if stamp_s <= self._last_stamp_s <= stamp_s + NEW_CLOCK_S:
                 return  # an older state than the last; one from long before is of a new clock or bag
             self._last_stamp_s = stamp_s
@@ -141,7 +149,7 @@ class ControllerNode:
             # Silence about a vehicle is what the loss ladder of its node acts on: hold, then land. A command without
             # a state or a reference behind it would look alive.
             known = usable & states.visible
-            self._publisher.publish(self._message.fill(message.header.stamp, output.fractions, known))
+            self._publisher.publish(self._message.fill(header.stamp, output.fractions, known))
             self._updated()
             self._answered = present, states, known
             counts = self._counts
@@ -150,6 +158,9 @@ class ControllerNode:
             counts["without command"] += not known.all()
             self._age_max_s = max(self._age_max_s, age_s)
             self._cycle_max_s = max(self._cycle_max_s, time.perf_counter() - started_s)
+            unknown = self._reader.unknown
+        if unknown and not _OBJECTS_WITHOUT_COMMANDS.issuperset(unknown):
+            rospy.logwarn_throttle(60.0, "/cortex_raw shows %s, which this controller does not fly", ", ".join(unknown))
 
     def _updated(self):
         """For subclasses: called after every update of the controller, with the lock held."""
@@ -159,7 +170,7 @@ class ControllerNode:
         n = len(self.names)
         fresh = [e for e in self._buffers.values() if abs(now_s - e[0].newest_s) <= self._reference_timeout_s and e[1]]
         times = np.array([stamp_s, ahead_s])
-        if len(fresh) == 1 and fresh[0][1] == list(range(n)) == fresh[0][2]:
+        if len(fresh) == 1 and fresh[0][1] == self._everyone == fresh[0][2]:
             both = fresh[0][0].at(times)
             return both[0], both[1], np.ones(n, dtype=bool)
         both, usable = np.zeros((2, ORDERS, n, 4)), np.zeros(n, dtype=bool)

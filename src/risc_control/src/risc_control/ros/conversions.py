@@ -1,50 +1,88 @@
 """Messages <-> arrays, once. States are degrees on the wire and radians inside; entries are found by name."""
 
+import math
+
 import numpy as np
 
+from risc_control.compiled import compiled
+from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_control.states import S, States
-from risc_msgs.msg import Control, Controls, Trajectories, Trajectory
 
-_TO_RAD = np.array([1.0] * 6 + [np.pi / 180.0] * 6)
+_RAD_PER_DEG = math.pi / 180.0
 
 
-def states_from_msg(message, index):
-    """(States of the vehicles in `index`, names of the message that are not in it).
+class StatesReader:
+    """States of these vehicles from /cortex_raw, message after message."""
 
-    index: dict name -> row.  A vehicle that the message lacks, or whose numbers are not finite, is not visible.
-    """
-    rows = np.zeros((len(index), len(S)))
-    visible = np.zeros(len(index), dtype=bool)
-    unknown = []
-    for s in message.Obj:
-        i = index.get(s.name)
-        if i is None:
-            unknown.append(s.name)
-        elif s.visible:
-            rows[i] = s.x, s.y, s.z, s.u, s.v, s.w, s.phi, s.theta, s.psi, s.p, s.q, s.r
-            visible[i] = True
-    rows *= _TO_RAD
-    if not np.isfinite(rows.sum()):
-        broken = ~np.isfinite(rows).all(axis=1)
-        rows[broken], visible[broken] = 0.0, False
-    return States(visible, rows), unknown
+    def __init__(self, names):
+        self._names = tuple(names)
+        self._message = CortexArrays(())
+        self._layout = None
+        self._adopt()
+        self._states()
+
+    def read(self, buff):
+        """(header, States of the vehicles in the order of the names) of a message's bytes.
+
+        A vehicle that the message lacks, or whose numbers are not finite, is not visible, and its numbers are 0.
+        """
+        message = self._message.deserialize(buff)
+        if message.layout is not self._layout:
+            self._adopt()
+        return message.header, self._states()
+
+    def _adopt(self):
+        """A message with other entries than the one before."""
+        message = self._message
+        self._layout, self._degrees, self._seen = message.layout, message.states, message.visible
+        at = {name: row for row, name in enumerate(message.names)}
+        self._rows = np.array([at.get(name, -1) for name in self._names], dtype=np.intp)
+        self.unknown = sorted(set(at) - set(self._names))  # names of the newest message that are not ours
+
+    def _states(self):
+        visible, x = np.empty(len(self._names), dtype=bool), np.empty((len(self._names), len(S)))
+        _pick_states(self._degrees, self._seen, self._rows, visible, x)
+        return States(visible, x)
+
+
+@compiled
+def _pick_states(degrees, seen, rows, visible, x):
+    """Fill visible (n,) and x (n, 12) from the rows of a message; row -1: not there."""
+    for i in range(len(rows)):
+        row = rows[i]
+        total = 0.0
+        for k in range(x.shape[1]):
+            value = degrees[row, k] if row >= 0 else 0.0
+            total += value
+            x[i, k] = value if k < S.PHI else value * _RAD_PER_DEG
+        visible[i] = row >= 0 and seen[row] and math.isfinite(total)
+        if not visible[i]:
+            x[i] = 0.0
 
 
 class ControlsMessage:
     """A Controls message for these vehicles, filled again and again."""
 
     def __init__(self, names, frame_id="cortex"):
-        self._entries = [Control(name=name) for name in names]
-        self._message = Controls()
-        self._message.header.frame_id = frame_id
+        self._names, self._frame_id = tuple(names), frame_id
+        self._message = self._of(self._names)
+
+    def _of(self, names):
+        message = ControlsArrays(names)
+        message.header.frame_id = self._frame_id
+        return message
 
     def fill(self, stamp, fractions, known):
         """The message with these Fractions (arrays (n,)) of the vehicles that are known (n,) bool."""
+        if known.all():
+            names, rows = self._names, np.array(fractions).T
+        else:
+            names = tuple(name for name, is_known in zip(self._names, known) if is_known)
+            rows = np.array(fractions).T[known]
+        if self._message.names != names:
+            self._message = self._of(names)
         self._message.header.stamp = stamp
-        rows = zip(*(part.tolist() for part in fractions))
-        for entry, row in zip(self._entries, rows):
-            entry.phi, entry.theta, entry.psi, entry.T = row
-        self._message.Obj = [entry for entry, is_known in zip(self._entries, known) if is_known]
+        self._message.controls[:] = rows
         return self._message
 
 
@@ -52,27 +90,12 @@ class TrajectoriesMessage:
     """A Trajectories message for these vehicles, filled again and again."""
 
     def __init__(self, names, frame_id="cortex"):
-        self._message = Trajectories(Obj=[Trajectory(name=name) for name in names])
+        self._message = TrajectoriesArrays(names)
         self._message.header.frame_id = frame_id
+        self._derivatives = self._message.derivatives
 
     def fill(self, stamp, derivatives):
         """The message with derivatives (3 or more, n, 4): position, velocity, acceleration of x, y, z, psi."""
         self._message.header.stamp = stamp
-        rows = derivatives[:3].transpose(1, 0, 2).reshape(-1, 12).tolist()
-        for entry, row in zip(self._message.Obj, rows):
-            entry.x, entry.y, entry.z, entry.psi, entry.xdot, entry.ydot, entry.zdot, entry.psidot = row[:8]
-            entry.xddot, entry.yddot, entry.zddot, entry.psiddot = row[8:]
+        self._derivatives[:] = derivatives[:3].transpose(1, 0, 2)
         return self._message
-
-
-def sample_from_msg(message):
-    """(names, (3, n, 4) position, velocity, acceleration of x, y, z, psi) of a Trajectories message."""
-    rows = [
-        (
-            (t.x, t.y, t.z, t.psi),
-            (t.xdot, t.ydot, t.zdot, t.psidot),
-            (t.xddot, t.yddot, t.zddot, t.psiddot),
-        )
-        for t in message.Obj
-    ]
-    return tuple([t.name for t in message.Obj]), np.array(rows, dtype=float).reshape(-1, 3, 4).swapaxes(0, 1)

@@ -12,9 +12,12 @@ from std_srvs.srv import Trigger, TriggerResponse
 from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
 from risc_control.joystick import parse_bool
 from risc_control.lab.vehicle_types import load_vehicle_type
-from risc_control.ros.conversions import TrajectoriesMessage, states_from_msg
+from risc_control.ros.conversions import StatesReader, TrajectoriesMessage
+from risc_control.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_control.ros.joystick_buttons import ButtonSubscriber
+from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import dataclass_from_params, has_private, number, private, vehicles
+from risc_control.ros.ticker import Ticker
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.trajectories import (
     COURSES,
@@ -25,14 +28,15 @@ from risc_control.trajectories import (
     peak_yaw_rate_rad_s,
 )
 from risc_control.trajectory_manager import TrajectoryManager, WayLimits, make_manager, phase_text
-from risc_msgs.msg import Cortex, Trajectories
+
+_WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 
 
 class ManagerWiring:
     """A TrajectoryManager with the topics and services around it, for nodes that publish what it samples."""
 
-    def __init__(self, fleet_vehicles, course, kind=TrajectoryManager):
-        """kind: TrajectoryManager or a subclass."""
+    def __init__(self, fleet_vehicles, course, kind=TrajectoryManager, listens=True):
+        """kind: TrajectoryManager or a subclass.  listens: to the states; a node that does it itself calls `look`."""
         self.vehicles = fleet_vehicles
         smooth = parse_bool(private("wait_for_autonomous", True), "~wait_for_autonomous")
         self.manager = make_manager(
@@ -45,7 +49,7 @@ class ManagerWiring:
             wait_for_all=parse_bool(private("wait_for_all", True), "~wait_for_all"),
         )
         self.lock = threading.Lock()
-        self._index = {name: i for i, name in enumerate(self.manager.names)}
+        self._reader = StatesReader(self.manager.names)
         self._phase = rospy.Publisher("trajectory_phase", String, queue_size=10, latch=True)
         self._course = rospy.Publisher("trajectory_course", String, queue_size=10, latch=True)
         self.announce(course)
@@ -58,9 +62,9 @@ class ManagerWiring:
         ]
         for vehicle in fleet_vehicles:
             topic = "/%s/controller_status" % vehicle.namespace
-            rospy.Subscriber(topic, Bool, self._on_status, callback_args=vehicle.template, queue_size=1)
-        if smooth:
-            self._watch()
+            rospy.Subscriber(topic, Bool, self._on_status, vehicle.template, queue_size=1, tcp_nodelay=True)
+        self._listens = smooth and listens
+        self._watch()
 
     def sample(self, time_s):
         """Reference at a time; the caller holds the lock. Announces a change of phase."""
@@ -91,16 +95,19 @@ class ManagerWiring:
 
     def _watch(self):
         """Look where the vehicles are as long as that matters, and no longer: states come 200 times a second."""
+        if not self._listens:
+            return
         with self._watch_lock:
             if self.manager.watching and self._watcher is None:
-                self._watcher = rospy.Subscriber("/cortex_raw", Cortex, self._on_states, queue_size=1)
+                self._watcher = PacedSubscriber("/cortex_raw", CortexArrays.Raw, self.look, _WATCH_HZ)
             elif not self.manager.watching and self._watcher is not None:
                 self._watcher.unregister()
                 self._watcher = None
 
-    def _on_states(self, message):
-        states, _ = states_from_msg(message, self._index)
+    def look(self, message):
+        """See where the vehicles are. message: of /cortex_raw, its bytes."""
         with self.lock:
+            _, states = self._reader.read(message.buff)
             for i in np.flatnonzero(states.visible):
                 self.manager.see(
                     self.manager.names[i], states.position_m[i], states.velocity_m_s[i], states.angles_rad[i, 2]
@@ -138,15 +145,14 @@ class ReferenceNode:
     def __init__(self, wiring):
         self.wiring = wiring
         self._message = TrajectoriesMessage(wiring.manager.names)
-        self._publisher = rospy.Publisher("trajectory", Trajectories, queue_size=1, tcp_nodelay=True)
+        self._publisher = rospy.Publisher("trajectory", TrajectoriesArrays, queue_size=1, tcp_nodelay=True)
         rate_hz = number("~rate", 200.0)
         if not 1.0 <= rate_hz <= 1000.0:
             raise ValueError("parameter ~rate must be from 1 to 1000 Hz, got %r" % rate_hz)
-        self._timer = rospy.Timer(rospy.Duration(1.0 / rate_hz), self._on_tick, reset=True)
-        rospy.on_shutdown(self._timer.shutdown)
+        Ticker(1.0 / rate_hz, self._on_tick, "the references' clock")
 
     @until_shutdown
-    def _on_tick(self, _event):
+    def _on_tick(self):
         with self.wiring.lock:
             now = rospy.Time.now()
             reference = self.wiring.sample(now.to_sec())
