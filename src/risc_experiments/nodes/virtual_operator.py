@@ -13,13 +13,15 @@ from std_srvs.srv import Trigger, TriggerResponse
 from ardrone_autonomy.msg import Navdata
 from risc_control.lab.fleet import fleet_from_dict
 from risc_control.ros.diagnostics import make_updater
+from risc_control.ros.direct_connection import send_directly
+from risc_control.ros.fleet_messages import CortexArrays
 from risc_control.ros.paced import PacedSubscriber
+from risc_control.ros.ticker import Ticker
 from risc_experiments.operator import Operator, OperatorParams
-from risc_msgs.msg import Cortex
 
-JOY_RATE_HZ = 20.0
+JOY_RATE_HZ = 10.0
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
-LOOK_RATE_HZ = 20.0  # of looks at /cortex_raw
+LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
 SERVICE_TIMEOUT_S = 5.0
 
 
@@ -63,22 +65,20 @@ class VirtualOperator:
             for topic, message, callback in (
                 ("ardrone/navdata", Navdata, self._on_navdata),
                 ("controller_status", Bool, self._on_status),
-                ("safety", String, self._on_safety),
             ):
-                rospy.Subscriber(
-                    "/%s/%s" % (name, topic), message, callback, callback_args=name, queue_size=10, tcp_nodelay=True
-                )
+                PacedSubscriber("/%s/%s" % (name, topic), message, callback, LOOK_RATE_HZ, (name,))
+            rospy.Subscriber("/%s/safety" % name, String, self._on_safety, name, queue_size=10, tcp_nodelay=True)
         rospy.Subscriber("/trajectory_phase", String, self._on_trajectory_phase, queue_size=10, tcp_nodelay=True)
-        self._states = PacedSubscriber("/cortex_raw", Cortex, self._on_states, LOOK_RATE_HZ)
-        self._timer = rospy.Timer(rospy.Duration(1.0 / JOY_RATE_HZ), self._on_tick, reset=True)
-        rospy.on_shutdown(self._timer.shutdown)
+        PacedSubscriber("/cortex_raw", CortexArrays, self._on_states, LOOK_RATE_HZ)
+        Ticker(1.0 / JOY_RATE_HZ, self._on_tick, "the operator's clock")
+        Ticker(1.0, self._diagnostics.update, "the diagnostics")
 
     def _on_states(self, message):
         now_s = time.monotonic()
         with self._lock:
-            for entry in message.Obj:
-                if entry.visible and entry.name in self._namespaces:
-                    self._operator.on_seen(self._namespaces[entry.name], now_s)
+            for name, visible in zip(message.names, message.visible.tolist()):
+                if visible and name in self._namespaces:
+                    self._operator.on_seen(self._namespaces[name], now_s)
 
     def _on_navdata(self, message, name):
         with self._lock:
@@ -105,7 +105,7 @@ class VirtualOperator:
             self._operator.request_landing("landing was requested", time.monotonic())
         return TriggerResponse(True, "landing all vehicles")
 
-    def _on_tick(self, _event):
+    def _on_tick(self):
         with self._lock:
             now_s = time.monotonic()
             self._operator.step(now_s)
@@ -128,7 +128,6 @@ class VirtualOperator:
             threading.Thread(target=self._call_home, daemon=True).start()
         for name in landings:
             threading.Thread(target=self._call_land, args=(name,), daemon=True).start()
-        self._diagnostics.update()
 
     def _call_home(self):
         problem = ""
@@ -166,6 +165,7 @@ class VirtualOperator:
 
 
 def main():
+    send_directly()
     rospy.init_node("operator")
     try:
         VirtualOperator()

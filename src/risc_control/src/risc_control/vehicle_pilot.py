@@ -59,6 +59,7 @@ class PilotParams:
     delay: float = 0.3  # [s] delta of eq. 5.4; equal to the climb loop's time constant it inverts that loop exactly
     command_delay: float = -1.0  # [s] of the link to the vehicle; negative: that of the vehicle type
     command_rate_hz: float = 30.0  # [Hz] what the vehicle takes
+    status_rate_hz: float = 30.0  # [Hz] how often the mode is told; a change is told at once
     land_repeat_s: float = 0.2  # [s] how often a landing of the ladder is ordered
     takeoff_grace_s: float = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
     stick_timeout: float = 0.5  # [s] a joystick silent: its sticks centred; 0 = off: the last message stays
@@ -66,7 +67,14 @@ class PilotParams:
     hold_auto_hover: bool = True  # HOLD: True the vehicle's own position hold, False level without position hold
 
     def __post_init__(self):
-        for name in ("euler_angle_max", "delay", "command_rate_hz", "land_repeat_s", "joystick_late_s"):
+        for name in (
+            "euler_angle_max",
+            "delay",
+            "command_rate_hz",
+            "status_rate_hz",
+            "land_repeat_s",
+            "joystick_late_s",
+        ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0:
                 raise ValueError("parameter %s must be a number > 0, found %r" % (name, value))
@@ -266,7 +274,7 @@ class VehiclePilot:
         self._ended = False
         self._land_s = -math.inf
         self._slots = SlotClock(self._params.command_rate_hz)
-        self._status_slots = SlotClock(30.0)
+        self._status_slots = SlotClock(self._params.status_rate_hz)
         half_period_s = 0.5 / self._params.command_rate_hz  # a command waits for the vehicle's next slot
         delay_s = self._params.command_delay if self._params.command_delay >= 0.0 else vehicle_type.command_delay_s
         self._climb = ClimbPredictor(vehicle_type.climb_time_constant_s, delay_s + half_period_s)
@@ -485,7 +493,7 @@ class VehiclePilot:
         return "state %d, %s" % (self.flight_state, name)
 
     def _set_mode(self, autonomous, orders, why):
-        self.autonomous = orders.mode = autonomous
+        self.autonomous = orders.mode = orders.status = autonomous
         orders.say("info", "%s mode (%s)" % ("autonomous" if autonomous else "manual", why))
 
     def _judge(self, orders, now_s, land=False):
