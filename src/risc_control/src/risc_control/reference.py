@@ -71,7 +71,7 @@ class ReferenceBuffer:
         Returns False, and changes nothing, for a stamp that is not newer or a number that is not finite. A stamp that
         falls back by more than NEW_CLOCK_S is newer: a bag was started again, or the clock was set.
         """
-        stamp_s, sample = float(stamp_s), np.ascontiguousarray(sample, dtype=float)
+        stamp_s, sample = float(stamp_s), np.array(sample, dtype=float, order="C")  # as it was compiled for
         if not _is_news(stamp_s, sample, self.newest_s):
             return False
         if sample.shape != self._samples.shape[1:]:
@@ -87,7 +87,7 @@ class ReferenceBuffer:
         """
         if self.newest_s == -np.inf:
             raise ValueError("no reference has arrived")
-        times_s = np.ascontiguousarray(times_s, dtype=float)
+        times_s = np.array(times_s, dtype=float)
         result = np.empty((len(times_s), ORDERS) + self._samples.shape[2:])
         _at(times_s, self._stamps_s, self._samples, self._ends, result)
         return result
