@@ -545,7 +545,7 @@ def _output(is_finite, fractions, saturated):
     # raised here: an exception out of compiled code leaves its arrays in memory for ever
     if not is_finite:
         raise ValueError("refusing to command: a state or a reference is not finite")
-    return Output(Fractions(*fractions), saturated)
+    return Output(Fractions(fractions[0], fractions[1], fractions[2], fractions[3]), saturated)
 
 
 @compiled
