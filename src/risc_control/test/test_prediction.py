@@ -53,8 +53,8 @@ def random_motion(rng):
 
 def ahead(motion, time_s, horizon_s, history, delay_s, i=0):
     """Motion of vehicle i after horizon_s; a command acts delay_s after it was sent."""
-    rows_in_force(time_s - delay_s, steps_of(horizon_s), history.sent_s, history.ends, history.rows)
-    return predicted(motion, PLANTS[MODEL.kind[i]], horizon_s, history.commands, history.rows, i)
+    rows = rows_in_force(time_s - delay_s, steps_of(horizon_s), history.sent_s, history.ends)
+    return predicted(motion, PLANTS[MODEL.kind[i]], horizon_s, history.commands, rows, i)
 
 
 def random_history(rng, start_s, end_s, n=2, step_s=1.0 / 30.0):

@@ -29,7 +29,7 @@ POSITION_NOISE_M, VELOCITY_NOISE_M_S = 0.001, 0.01
 def controller_table(fleet_sizes, frames, seed=1):
     """Microseconds per frame: list of dict with vehicles, delay_s, construction_ms and p50_us of each step."""
     ardrone = load_vehicle_type("ardrone")
-    FlatnessController([ardrone])  # what is compiled is loaded once
+    controller_row(1, ardrone, frames, seed)  # loads what is compiled, and wakes the processor up
     return [
         controller_row(count, replace(ardrone, command_delay_s=delay_s), frames, seed)
         for count in fleet_sizes

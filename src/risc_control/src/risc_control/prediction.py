@@ -21,7 +21,6 @@ from risc_control.frames import GRAVITY_M_S2
 
 STEP_S = 0.005  # grid of the prediction; one frame of motion capture
 MAX_HORIZON_S = 1.0
-_MAX_STEPS = round(MAX_HORIZON_S / STEP_S)
 _HISTORY_ROWS = 2048  # > MAX_HORIZON_S of commands at 1 kHz
 _MAX_GAP_S = 0.1  # a longer gap between measurements restarts the tilt observer
 _OBSERVER_TABLE_S = 0.0005  # resolution of the observer's step
@@ -139,7 +138,6 @@ class CommandHistory:
         self.sent_s = np.empty(_HISTORY_ROWS)  # a ring: command k is in row k % _HISTORY_ROWS
         self.commands = np.zeros((_HISTORY_ROWS, vehicles, len(Channel)))
         self.ends = np.zeros(2, dtype=np.int64)  # k of the oldest and of the newest
-        self.rows = np.zeros(_MAX_STEPS + 1, dtype=np.int64)  # for `rows_in_force`
         self.clear()
 
     def clear(self):
@@ -179,15 +177,17 @@ def last_sent(time_s, k, sent_s, ends):
 
 
 @compiled
-def rows_in_force(from_s, steps, sent_s, ends, rows):
-    """Fill rows[0 .. steps]: of the command in force in the step of STEP_S before from_s, and in each after it.
+def rows_in_force(from_s, steps, sent_s, ends):
+    """(1 + steps,) rows of the commands in force in the step of STEP_S before from_s, and in each after it.
 
     A step has the command that is in force in its middle.
     """
+    rows = np.empty(1 + steps, dtype=np.int64)
     k = ends[1]
     for step in range(steps, -1, -1):
         k = last_sent(STEP_S * (step - 0.5) + from_s, k, sent_s, ends)
         rows[step] = k % _HISTORY_ROWS
+    return rows
 
 
 # --- roll and pitch with their rates -----------------------------------------------------------------------------

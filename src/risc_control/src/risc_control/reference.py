@@ -71,14 +71,15 @@ class ReferenceBuffer:
         Returns False, and changes nothing, for a stamp that is not newer or a number that is not finite. A stamp that
         falls back by more than NEW_CLOCK_S is newer: a bag was started again, or the clock was set.
         """
-        stamp_s, sample = float(stamp_s), np.ascontiguousarray(sample, dtype=float)
-        if not _is_news(stamp_s, sample, self.newest_s):
-            return False
+        stamp_s, sample = float(stamp_s), np.array(sample, dtype=float, order="C")  # as it was compiled for
         if sample.shape != self._samples.shape[1:]:
+            if not _is_news(stamp_s, sample, self.newest_s):
+                return False
             self._resize(sample.shape)
-        _push(stamp_s, sample, self._stamps_s, self._samples, self._ends)
-        self.newest_s = stamp_s
-        return True
+        is_news = _push(stamp_s, sample, self.newest_s, self._stamps_s, self._samples, self._ends)
+        if is_news:
+            self.newest_s = stamp_s
+        return is_news
 
     def at(self, times_s):
         """(k, ORDERS, n, 4) value and derivatives at times (k,); jerk and snap are 0 where only one sample is known.
@@ -87,7 +88,7 @@ class ReferenceBuffer:
         """
         if self.newest_s == -np.inf:
             raise ValueError("no reference has arrived")
-        times_s = np.ascontiguousarray(times_s, dtype=float)
+        times_s = np.array(times_s, dtype=float)
         result = np.empty((len(times_s), ORDERS) + self._samples.shape[2:])
         _at(times_s, self._stamps_s, self._samples, self._ends, result)
         return result
@@ -100,11 +101,13 @@ def _is_news(stamp_s, sample, newest_s):
 
 
 @compiled
-def _push(stamp_s, sample, stamps_s, samples, ends):
-    """Add a sample that is news; see `ReferenceBuffer.push`."""
+def _push(stamp_s, sample, newest_s, stamps_s, samples, ends):
+    """Add a sample when it is news. Returns whether it is; see `ReferenceBuffer.push`."""
+    if not _is_news(stamp_s, sample, newest_s):
+        return False
     last, k = ends[1] % _ROWS, ends[1] + 1
     row = k % _ROWS
-    known = ends[0] <= ends[1] and stamps_s[last] < stamp_s
+    known = newest_s < stamp_s and ends[0] <= ends[1]
     stamps_s[row] = stamp_s
     for i in range(sample.shape[1]):
         for order in range(sample.shape[0]):
@@ -117,6 +120,7 @@ def _push(stamp_s, sample, stamps_s, samples, ends):
     while stamp_s - stamps_s[oldest % _ROWS] > _KEEP_S or k - oldest >= _ROWS:
         oldest += 1
     ends[0], ends[1] = oldest, k
+    return True
 
 
 @compiled

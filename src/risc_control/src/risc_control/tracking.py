@@ -205,7 +205,6 @@ class FlatnessController(_Tracker):
         self._history = CommandHistory(len(vehicle_types))
         self._observer = TiltObserver(self.model, self.params.angle_noise_rad, self.params.tilt_disturbance_rad_s2)
         self._integrals = np.zeros(len(vehicle_types), _INTEGRALS)
-        self._applied = np.zeros((len(vehicle_types), len(Channel)))  # what the vehicles settle at, at our commands
         self._stamp_s = -np.inf
         self._load()
 
@@ -232,7 +231,7 @@ class FlatnessController(_Tracker):
         fractions, saturated = np.empty((len(Fractions._fields), n)), np.empty(n, dtype=bool)
         step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
         history, observer = self._history, self._observer
-        _update(
+        is_finite = _update(
             float(stamp_s),
             float(now_s),
             self.horizon_s(stamp_s, now_s),
@@ -249,29 +248,30 @@ class FlatnessController(_Tracker):
             history.sent_s,
             history.commands,
             history.ends,
-            history.rows,
-            self._applied,
-            _floats(states.x),
+            _copied(states.x),
             states.visible & usable,
-            np.ascontiguousarray(autonomous),
+            np.array(autonomous, dtype=bool),
             _floats(present),
             _floats(ahead),
             fractions,
             saturated,
         )
-        return Output(Fractions(*fractions), saturated)
+        return _output(is_finite, fractions, saturated)
 
 
 @compiled
 def _update(
     stamp_s, now_s, horizon_s, delay_s, step_s, kind, plants, limits, gains, observer_steps, observer_gains, tilts,
-    integrals, sent_s, commands, ends, rows, applied, x, usable, autonomous, present, ahead, fractions, saturated
+    integrals, sent_s, commands, ends, x, usable, autonomous, present, ahead, fractions, saturated
 ):  # fmt: skip
-    """See `FlatnessController.update`: fills fractions (4, n) and saturated (n,). step_s: since the last state."""
-    rows_in_force(stamp_s - delay_s, steps_of(horizon_s), sent_s, ends, rows)
+    """See `FlatnessController.update`: fills fractions (4, n) and saturated (n,). step_s: since the last state.
+
+    Returns False, and counts nothing as sent, when a number of a vehicle is not finite.
+    """
+    rows = rows_in_force(stamp_s - delay_s, steps_of(horizon_s), sent_s, ends)
+    applied = np.zeros(commands.shape[1:])  # what the vehicles settle at, at our commands
     for i in range(len(kind)):
         plant, limit, gain, integral = plants[kind[i]], limits[kind[i]], gains[kind[i]], integrals[i]
-        applied[i] = 0.0
         if not autonomous[i]:
             # somebody else flies it: what was learnt of this vehicle's trim may not hold when we take over
             integral.north_m_s = integral.east_m_s = integral.up_m_s = 0.0
@@ -290,8 +290,11 @@ def _update(
         climb_m_s, climb_cut = _climb_rate(motion, ahead[:, i], plant, limit, gain, integral)
         forward, right = _horizontal(motion, ahead[:, i], plant, limit, gain, integral)
         up = GRAVITY_M_S2 + (climb_m_s - motion.up_m_s) / plant.climb_time_constant_s
+        yaw_rate = _yaw_rate(motion, ahead[:, i], plant, gain)
+        if not math.isfinite(forward + right + up + yaw_rate):
+            return False
         f, shortened = limit_tilt(Acceleration(forward, right, up), limit.tilt_max_rad)
-        inputs = flat_inputs(f, 0.0, _yaw_rate(motion, ahead[:, i], plant, gain), plant.mass_kg)
+        inputs = flat_inputs(f, 0.0, yaw_rate, plant.mass_kg)
         thrust_n = thrust_at_tilt(f.up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
         inputs = FlatInputs(thrust_n, inputs.phi_rad, inputs.theta_rad, inputs.yaw_rate_rad_s)
         command, tilt_cut, yaw_cut = to_fractions(inputs, limit.full_scale)
@@ -303,6 +306,7 @@ def _update(
             applied[i, Channel.PHI], applied[i, Channel.THETA] = reached.phi_rad, reached.theta_rad
             applied[i, Channel.CLIMB], applied[i, Channel.YAW_RATE] = climb_m_s, reached.yaw_rate_rad_s
     append_command(now_s, applied, sent_s, commands, ends)
+    return True
 
 
 @compiled
@@ -483,23 +487,23 @@ class DoubleIntegratorController(_Tracker):
         """As `FlatnessController.update`; `ahead`, the times and `autonomous` are not used."""
         n = len(self.model.kind)
         fractions, saturated = np.empty((len(Fractions._fields), n)), np.empty(n, dtype=bool)
-        _update_thesis(
+        is_finite = _update_thesis(
             self.model.kind,
             self._plants,
             self._limits,
             self._gains,
-            _floats(states.x),
+            _copied(states.x),
             states.visible & usable,
             _floats(present),
             fractions,
             saturated,
         )
-        return Output(Fractions(*fractions), saturated)
+        return _output(is_finite, fractions, saturated)
 
 
 @compiled
 def _update_thesis(kind, plants, limits, gains, x, usable, present, fractions, saturated):
-    """See `DoubleIntegratorController.update`: fills fractions (4, n) and saturated (n,)."""
+    """See `DoubleIntegratorController.update`: fills fractions (4, n) and saturated (n,). False as `_update`."""
     K = gains[0]
     for i in range(len(kind)):
         plant, limit = plants[kind[i]], limits[kind[i]]
@@ -519,17 +523,29 @@ def _update_thesis(kind, plants, limits, gains, x, usable, present, fractions, s
         f = Acceleration(
             u_x + acceleration[Axis.X], -(u_y + acceleration[Axis.Y]), u_z + acceleration[Axis.Z] + GRAVITY_M_S2
         )
-        f, shortened = limit_tilt(f, limit.tilt_max_rad)
         psi = x[i, S.PSI]
         yaw_rate = velocity[Axis.PSI] + K.yaw * _short_way(position[Axis.PSI] - psi)
+        if not math.isfinite(f.north + f.east + f.up + yaw_rate):
+            return False
+        f, shortened = limit_tilt(f, limit.tilt_max_rad)
         command, tilt_cut, yaw_cut = to_fractions(flat_inputs(f, psi, yaw_rate, plant.mass_kg), limit.full_scale)
         _fill(i, command, fractions)
         saturated[i] = shortened or tilt_cut or yaw_cut
+    return True
 
 
 # --- parts of both -----------------------------------------------------------------------------------------------
 
-_floats = partial(np.ascontiguousarray, dtype=float)  # what compiled code was compiled for
+# What compiled code was compiled for, so that nothing is compiled in flight. States are copied: they may be a view of a
+# message.
+_floats, _copied = partial(np.ascontiguousarray, dtype=float), partial(np.array, dtype=float, order="C")
+
+
+def _output(is_finite, fractions, saturated):
+    # raised here: an exception out of compiled code leaves its arrays in memory for ever
+    if not is_finite:
+        raise ValueError("refusing to command: a state or a reference is not finite")
+    return Output(Fractions(fractions[0], fractions[1], fractions[2], fractions[3]), saturated)
 
 
 @compiled

@@ -243,6 +243,7 @@ def main(argv=None):
     args = parser.parse_args(argv)
     if args.compile:
         fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
+        DoubleIntegratorController([load_vehicle_type("ardrone")])
         return 0
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
           "worst", "closest", "speed"))  # fmt: skip
