@@ -27,11 +27,13 @@ BENCHMARKS = {
                 "--pictures", str(DOCS / "images" / "vision")]),
     "long_bag": ("report of a long bag with pictures: time and peak memory (needs 9 GB of disk meanwhile)",
                  [PYTHON, str(HERE / "long_bag.py"), "--json", "{json}"]),
+    "profile": ("where the processor time of a flight goes, program by program",
+                [PYTHON, str(HERE / "profile_nodes.py"), "--json", "{json}"]),
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),
 }  # fmt: skip
 # the first take half an hour and a big disk, the last rewrites its tables in docs/vision.md
-BY_NAME_ONLY = {"flights", "long_bag", "vision"}
+BY_NAME_ONLY = {"flights", "long_bag", "profile", "vision"}
 
 
 def run(name):

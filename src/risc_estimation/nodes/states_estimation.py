@@ -13,11 +13,11 @@ from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_control.ros.params import fleet_vehicles, load_params
-from risc_control.ros.ticker import Ticker
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_estimation.ros.conversions import EstimateMessages
 from risc_estimation.ros.params import NodeParams
 from risc_estimation.states import EstimatorParams, StatesEstimator
+from risc_lab.ros.ticker import Ticker
 
 _BUFFER_BYTES = 2**20  # holds the frames that wait while the node is held up, of a large fleet as well
 

@@ -35,7 +35,7 @@ class ProcessorUse:
             with contextlib.suppress(psutil.Error):
                 key = process.pid, process.create_time()
                 if key not in self._names:
-                    self._names[key] = self._name(process)
+                    self._names[key] = program_name(process), self._is_ours(process)
                 times = process.cpu_times()
                 programs[key] = (*self._names[key], times.user + times.system)
         self._last = _Look(time.monotonic(), psutil.cpu_times(), programs)
@@ -71,21 +71,23 @@ class ProcessorUse:
             },
         }
 
-    def _name(self, process):
-        """(name, of the flight?): of a node that of its node, else that of its program."""
-        words = process.cmdline()
-        of_the_flight = process.pid == os.getpid()
-        space = ""
-        with contextlib.suppress(psutil.AccessDenied):
-            environment = process.environ()
-            of_the_flight = of_the_flight or environment.get(MARK) == self._identity
-            space = environment.get("ROS_NAMESPACE", "").strip("/")
+    def _is_ours(self, process):
         if process.pid == os.getpid():
-            return "maap fly", True
-        node = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "")
-        if of_the_flight and node:
-            return "/".join(part for part in (space, node) if part), True
-        return _program(words) or process.name(), of_the_flight
+            return True
+        with contextlib.suppress(psutil.AccessDenied):
+            return process.environ().get(MARK) == self._identity
+        return False
+
+
+def program_name(process):
+    """Of a node its name with its namespace, else what the program is called. Raises psutil.Error when it has ended."""
+    words = process.cmdline()
+    node = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "")
+    if node:
+        with contextlib.suppress(psutil.AccessDenied):
+            node = "/".join(filter(None, (process.environ().get("ROS_NAMESPACE", "").strip("/"), node)))
+        return node
+    return _program(words) or process.name()
 
 
 def _program(words):

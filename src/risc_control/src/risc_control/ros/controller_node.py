@@ -17,9 +17,9 @@ from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
-from risc_control.ros.ticker import Ticker
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.tracking import LqrWeights, TrackingParams
+from risc_lab.ros.ticker import Ticker
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 _OBJECTS_WITHOUT_COMMANDS = frozenset(("Pendulum_tip",))

@@ -6,7 +6,7 @@ import sys
 import rospy
 
 from risc_control.priority import FLIGHT, raise_priority
-from risc_control.ros.direct_connection import send_directly
+from risc_lab.ros.direct_connection import send_directly
 
 _SWITCH_INTERVAL_S = 0.0005  # the default of 5 ms is how long a timer's thread could hold up a frame
 _OMIT_TOPICS = "/rosout_disable_topics_generation"  # of every log message

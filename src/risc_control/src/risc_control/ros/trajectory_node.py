@@ -17,7 +17,6 @@ from risc_control.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_control.ros.joystick_buttons import ButtonSubscriber
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import dataclass_from_params, has_private, number, private, vehicles
-from risc_control.ros.ticker import Ticker
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.trajectories import (
     COURSES,
@@ -28,6 +27,7 @@ from risc_control.trajectories import (
     peak_yaw_rate_rad_s,
 )
 from risc_control.trajectory_manager import TrajectoryManager, WayLimits, make_manager, phase_text
+from risc_lab.ros.ticker import Ticker
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 

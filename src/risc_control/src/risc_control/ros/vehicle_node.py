@@ -24,7 +24,6 @@ from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays
 from risc_control.ros.joystick_buttons import origin
 from risc_control.ros.paced import PacedSubscriber
-from risc_control.ros.ticker import Ticker
 from risc_control.safety import Rung
 from risc_control.vehicle_pilot import (
     OwnControl,
@@ -34,6 +33,7 @@ from risc_control.vehicle_pilot import (
     choose_vehicle,
     params_from_dict,
 )
+from risc_lab.ros.ticker import Ticker
 
 _RAD_PER_DEG = 0.017453292519943295
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate

@@ -28,7 +28,7 @@ class VirtualLabNode(object):
         self._message.header.frame_id = "cortex"
         self._vehicles = list(lab.world.vehicles.values())
         self._message.Obj = [States(name=vehicle.name, visible=True) for vehicle in self._vehicles]
-        # sent without waiting (risc_control.ros.direct_connection): the lab never waits for a subscriber
+        # sent without waiting (risc_lab.ros.direct_connection): the lab never waits for a subscriber
         self._publisher = rospy.Publisher("/ground_truth", Cortex, queue_size=50, tcp_nodelay=True)
 
         self._updater = make_updater("virtual lab %s" % lab.fleet.name)

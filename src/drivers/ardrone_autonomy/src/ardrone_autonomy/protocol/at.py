@@ -116,6 +116,12 @@ FLIGHT_ANIMATIONS = (
 _INT32 = struct.Struct("<i")
 _UINT32 = struct.Struct("<I")
 _FLOAT32 = struct.Struct("<f")
+_STICKS, _PATTERNS = struct.Struct("<6f"), struct.Struct("<6i")  # the same bytes as floats and as integers
+_REF = {
+    (start, select): int(Ref.PADDING | (Ref.START if start else 0) | (Ref.SELECT if select else 0))
+    for start in (False, True)
+    for select in (False, True)
+}
 _NAME = re.compile(r"[A-Z][A-Z0-9_]*\Z")
 
 
@@ -174,7 +180,7 @@ def encode(name, sequence, *arguments):
 
 def ref(sequence, start=False, select=False):
     """Take off / keep flying (start), land (not start); a rising edge of select toggles the emergency state."""
-    return encode("REF", sequence, Ref.PADDING | (Ref.START if start else 0) | (Ref.SELECT if select else 0))
+    return b"AT*REF=%d,%d\r" % (sequence, _REF[bool(start), bool(select)])
 
 
 def pcmd_mag(sequence, flags=0, roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, psi=0.0, psi_accuracy=0.0):
@@ -182,7 +188,8 @@ def pcmd_mag(sequence, flags=0, roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, psi=0.0, 
 
     psi, psi_accuracy: the pilot's magnetic heading and its error as fractions of 180 degrees.
     """
-    return encode("PCMD_MAG", sequence, flags, *[_stick(v) for v in (roll, pitch, gaz, yaw, psi, psi_accuracy)])
+    sticks = [_stick(value) for value in (roll, pitch, gaz, yaw, psi, psi_accuracy)]
+    return b"AT*PCMD_MAG=%d,%d,%d,%d,%d,%d,%d,%d\r" % (sequence, flags, *_PATTERNS.unpack(_STICKS.pack(*sticks)))
 
 
 def ftrim(sequence):
@@ -218,7 +225,7 @@ def led(sequence, animation, frequency_hz, duration_s):
 def _stick(value):
     if not math.isfinite(value):
         raise ValueError("a stick must be a finite number in [-1, 1], got %r" % (value,))
-    return min(1.0, max(-1.0, value))
+    return min(1.0, max(-1.0, value)) + 0.0  # which turns -0.0 into 0.0
 
 
 class SequenceCounter(object):

@@ -7,7 +7,7 @@ import pytest
 
 rospy_topics = pytest.importorskip("rospy.topics")
 
-from risc_control.ros.direct_connection import DirectConnection, send_directly  # noqa: E402
+from risc_lab.ros.direct_connection import DirectConnection, send_directly  # noqa: E402
 
 LENGTH = 30000
 

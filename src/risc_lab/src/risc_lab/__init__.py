@@ -1,0 +1,1 @@
+"""What drivers, flying and looking packages share: the ground floor."""
