@@ -42,7 +42,8 @@ def install_space(tmp_path_factory):
 def test_a_vehicle_flies_from_the_install_space(install_space, tmp_path):
     # setup.bash reads the arguments of the script that sources it
     script = """arguments=("$@"); set --; . "$0/setup.bash"
-        which python3 && rospack find risc_control && exec python3 "${arguments[@]}" """
+        which python3 && rospack find risc_control && python3 -m risc_experiments.offline --compile &&
+        exec python3 "${arguments[@]}" """
     code, output, _, folder = fly(
         tmp_path / "flight",
         *("--vehicles", "1", "--duration", "5"),
