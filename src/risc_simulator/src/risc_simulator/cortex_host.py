@@ -115,7 +115,8 @@ class _EncodedFrame:
 class CortexHost:
     """The host.
 
-    world: has time_s [s] and bodies() -> [(name, (n, 3) exact markers [m]), ...].
+    world: has time_s [s], layout ((body name, number of markers), ...) and markers_m() -> (m, 3) exact markers [m] of
+        all bodies in this order.
     endpoint: has host, command_port, stream_group, stream_port, rate_hz, reported_delay_s. Command port 0 takes a free
         one (see `address`); an empty stream_group sends no multicast. Its interface is the client's, not used here.
     cameras: MocapCameras; None = good ones, seed 0.
@@ -167,16 +168,14 @@ class CortexHost:
         self._lateness = LatenessHistogram()
         self._clients = {}  # (address, port) of those who asked something: an ordered set
 
-        bodies = world.bodies()
+        layout, markers_m = world.layout, world.markers_m()
         self._encoder, self._encoder_layout = None, None
-        self._body_names = [name for name, _ in bodies]
-        self._body_defs = self._encode_body_defs(bodies, templates or {})
-        layout = tuple((name, len(markers)) for name, markers in bodies)
-        all_markers_m = np.concatenate([markers for _, markers in bodies]) if bodies else np.empty((0, 3))
-        exact = Observation(world.time_s, layout, all_markers_m, np.empty((0, 3)))
+        self._body_names = [name for name, _ in layout]
+        self._body_defs = self._encode_body_defs(layout, templates or {})
+        exact = Observation(world.time_s, layout, markers_m, np.empty((0, 3)))
         self._base_positions = self._encode(0, exact)
         # what the operator's screen shows before anything was live
-        self._shown = self._encode(0, self._cameras.observe(world.time_s, bodies))
+        self._shown = self._encode(0, self._cameras.observe(world.time_s, layout, markers_m))
         self._shown.date(world.time_s + endpoint.reported_delay_s)
 
         self._request_handlers = {
@@ -444,22 +443,22 @@ class CortexHost:
 
     # --- frames ---------------------------------------------------------------------------------------------------
 
-    def _encode_body_defs(self, bodies, templates):
+    def _encode_body_defs(self, layout, templates):
         definitions = []
-        for name, markers in bodies:
+        for name, count in layout:
             template = templates.get(name)
-            names = ["M%d" % (k + 1) for k in range(len(markers))] if template is None else list(template.marker_names)
-            if len(names) != len(markers):
-                raise ValueError("body %r has %d markers, its template names %d" % (name, len(markers), len(names)))
+            names = ["M%d" % (k + 1) for k in range(count)] if template is None else list(template.marker_names)
+            if len(names) != count:
+                raise ValueError("body %r has %d markers, its template names %d" % (name, count, len(names)))
             definitions.append(wire.BodyDef(name, names))
         return wire.encode_body_defs(wire.BodyDefs(definitions))
 
     def _encode(self, number, observation):
-        if observation.layout != self._encoder_layout:
-            self._encoder = wire.FrameEncoder(observation.layout)
-            self._encoder_layout = observation.layout
+        layout = observation.layout
+        if layout is not self._encoder_layout and layout != self._encoder_layout:
+            self._encoder, self._encoder_layout = wire.FrameEncoder(layout, MM_PER_M), layout
         packet, delay_offset = self._encoder.encode(
-            number, observation.markers_m * MM_PER_M, observation.unidentified_m * MM_PER_M, recording=self._recording
+            number, observation.markers_m, observation.unidentified_m, recording=self._recording
         )
         return _EncodedFrame(number, observation.time_s, packet, delay_offset)
 
@@ -473,7 +472,7 @@ class CortexHost:
         return index - last
 
     def _expose_and_send(self):
-        observation = self._cameras.observe(self._world.time_s, self._world.bodies())
+        observation = self._cameras.observe(self._world.time_s, self._world.layout, self._world.markers_m())
         if self._faults.dropped_bodies or self._faults.hidden_bodies:
             observation = self._with_body_faults(observation)
         self._number = (self._number + 1) & FRAME_NUMBER_MASK

@@ -1,16 +1,19 @@
 """What a motion-capture system sees of exact markers: noise, occlusion and markers that belong to nothing.
 
-All lengths in metres, all positions in the mocap frame (x forward, y left, z up). Every marker is handled at once.
+All lengths in metres, all positions in the mocap frame (x forward, y left, z up).
 
 Seeded: the same seed and the same calls give the same output. Noise, occlusion and ghosts have generators of their own,
 and each draws as many numbers for a hidden marker as for a visible one, so that hiding one marker, or switching one
 effect off, changes nothing about the others.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
+
+from risc_control.compiled import compiled
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,16 @@ class Observation(NamedTuple):
 
     def bodies(self):
         """[(name, (n, 3) markers), ...]: views of markers_m."""
-        out, start = [], 0
-        for name, count in self.layout:
-            out.append((name, self.markers_m[start : start + count]))
-            start += count
-        return out
+        return split_bodies(self.layout, self.markers_m)
+
+
+def split_bodies(layout, markers_m):
+    """[(name, (n, 3) markers), ...] of ((name, n), ...) and the markers of all: views."""
+    out, start = [], 0
+    for name, count in layout:
+        out.append((name, markers_m[start : start + count]))
+        start += count
+    return out
 
 
 class MocapCameras:
@@ -95,7 +103,10 @@ class MocapCameras:
         self._hidden_until_s = np.empty(0)
         self._ghosts_m = np.empty((0, 3))
         self._ghosts_until_s = np.empty(0)
+        self._next_end_s = math.inf  # of a ghost's life
         self._last_time_s = -np.inf
+        _hide(0.0, 0.0, 0.0, np.empty((2, 0)), np.empty(0), np.empty((0, 3)))  # loads it
+        _spoil(0.0, np.empty((0, 3)), np.empty((0, 3)))
 
     def add_window(self, window):
         """Script one more loss. Raises ValueError when it names a body or marker that the last frame did not have."""
@@ -107,26 +118,31 @@ class MocapCameras:
         else:
             self._windows.append(window)
 
-    def observe(self, time_s, bodies):
-        """Observation at time_s [s] of bodies [(name, (n, 3) exact markers [m]), ...].
+    def observe(self, time_s, layout, exact_m):
+        """Observation at time_s [s] of bodies with exact markers.
 
-        Times must not decrease. A change of the bodies starts their occlusions anew. Raises ValueError when a scripted
+        layout: ((body name, number of markers), ...). exact_m: (n, 3) markers of all bodies in this order [m].
+        Times must not decrease. A change of the layout starts the occlusions anew. Raises ValueError when a scripted
         window does not fit the bodies.
         """
-        layout = tuple((name, len(markers)) for name, markers in bodies)
-        if layout != self._layout:
+        if layout is not self._layout and layout != self._layout:
             self._start_layout(layout)
-        exact_m = np.concatenate([markers for _, markers in bodies]) if bodies else np.empty((0, 3))
-        step_s = max(time_s - self._last_time_s, 0.0) if np.isfinite(self._last_time_s) else 0.0
+        step_s = max(time_s - self._last_time_s, 0.0) if self._last_time_s > -math.inf else 0.0
         self._last_time_s = time_s
 
         params = self.params
-        markers_m = self._noise.standard_normal(exact_m.shape)
-        markers_m *= params.noise_std_m
-        markers_m += exact_m
-        hidden = self._hidden(time_s, step_s)
-        if hidden.any():
-            markers_m[hidden] = np.nan
+        markers_m = self._noise.standard_normal((len(self._hidden_until_s), 3))
+        if markers_m.shape != exact_m.shape:
+            raise ValueError("the layout has %d markers, got an array %r" % (len(markers_m), exact_m.shape))
+        _spoil(params.noise_std_m, exact_m, markers_m)
+        if params.occlusions_per_marker_hz > 0.0:
+            draws = self._occlusion.random((2, len(markers_m)))
+            # a Poisson process per visible marker; how long the loss lasts is exponential
+            starts = -math.expm1(-params.occlusions_per_marker_hz * step_s)
+            _hide(time_s, starts, params.occlusion_mean_s, draws, self._hidden_until_s, markers_m)
+        for window, rows in zip(self._windows, self._window_rows):
+            if window.start_s <= time_s < window.end_s:
+                markers_m[rows] = math.nan
         return Observation(time_s, self._layout, markers_m, self._unidentified(time_s, step_s))
 
     def _start_layout(self, layout):
@@ -155,32 +171,40 @@ class MocapCameras:
             % (window.body, ", ".join(name for name, _ in self._layout) or "none")
         )
 
-    def _hidden(self, time_s, step_s):
-        """(n,) bool: lost by chance or by script."""
-        params = self.params
-        if params.occlusions_per_marker_hz > 0.0:
-            chance, length = self._occlusion.random((2, self._hidden_until_s.size))
-            # a Poisson process per visible marker; how long the loss lasts is exponential
-            starts = (chance < -np.expm1(-params.occlusions_per_marker_hz * step_s)) & (time_s >= self._hidden_until_s)
-            if starts.any():
-                self._hidden_until_s[starts] = time_s - params.occlusion_mean_s * np.log1p(-length[starts])
-        hidden = time_s < self._hidden_until_s
-        for window, rows in zip(self._windows, self._window_rows):
-            if window.start_s <= time_s < window.end_s:
-                hidden[rows] = True
-        return hidden
-
     def _unidentified(self, time_s, step_s):
         """(u, 3) ghosts: each stays where it appeared and trembles like any marker."""
         params = self.params
         if params.ghosts_hz > 0.0:
             born = self._ghost.poisson(params.ghosts_hz * step_s)
-            alive = time_s < self._ghosts_until_s
-            if born or not alive.all():
+            if born or time_s >= self._next_end_s:
+                alive = time_s < self._ghosts_until_s
                 new_m = self._ghost.uniform(params.volume_min_m, params.volume_max_m, (born, 3))
                 new_until_s = time_s + self._ghost.exponential(params.ghost_mean_s, born)
                 self._ghosts_m = np.concatenate((self._ghosts_m[alive], new_m))
                 self._ghosts_until_s = np.concatenate((self._ghosts_until_s[alive], new_until_s))
+                self._next_end_s = self._ghosts_until_s.min(initial=math.inf)
         if not len(self._ghosts_m):
             return self._ghosts_m
         return self._ghosts_m + params.noise_std_m * self._ghost.standard_normal(self._ghosts_m.shape)
+
+
+@compiled
+def _spoil(noise_std_m, exact_m, markers_m):
+    """Standard normal numbers in markers_m become exact markers with noise."""
+    for k in range(markers_m.shape[0]):
+        for axis in range(3):
+            markers_m[k, axis] = noise_std_m * markers_m[k, axis] + exact_m[k, axis]
+
+
+@compiled
+def _hide(time_s, starts, mean_s, draws, hidden_until_s, markers_m):
+    """Lose markers by chance. starts: probability that a visible one gets lost now; mean_s: for how long.
+
+    draws: (2, n) uniform random numbers. hidden_until_s: (n,), kept from call to call.
+    """
+    for k in range(len(hidden_until_s)):
+        if draws[0, k] < starts and time_s >= hidden_until_s[k]:
+            hidden_until_s[k] = time_s - mean_s * math.log1p(-draws[1, k])
+        if time_s < hidden_until_s[k]:
+            for axis in range(3):
+                markers_m[k, axis] = math.nan
