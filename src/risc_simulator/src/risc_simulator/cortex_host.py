@@ -1,7 +1,7 @@
 """A Motion Analysis Cortex host on the wire: what a client of the laboratory's mocap system talks to. No ROS.
 
-The host shows a world through a camera model. It belongs into a loop of one thread: wait for its sockets, call
-on_readable() when one can be read, and tick() once the world has moved on. One frame is exposed for every period of the
+The host shows a world through a camera model. It belongs into a loop of one thread: wait for its fileno(), call
+serve() when it can be read, and tick() once the world has moved on. One frame is exposed for every period of the
 frame rate that the world's time enters, and sent at once, so the caller's schedule is the schedule of the stream.
 
 Units: seconds of lab time (the clock of `now_s`; the world's time runs behind it by the reported delay) and metres in
@@ -22,6 +22,7 @@ import numpy as np
 from risc_simulator import cortex_wire as wire
 from risc_simulator.cortex_wire import Command
 from risc_simulator.models.mocap_cameras import MocapCameras, Observation
+from risc_simulator.socket_host import SocketHost
 
 IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))  # program id 1 says: this is Cortex
 UP_AXIS_Z = 2
@@ -112,7 +113,7 @@ class _EncodedFrame:
         return packet
 
 
-class CortexHost:
+class CortexHost(SocketHost):
     """The host.
 
     world: has time_s [s], layout ((body name, number of markers), ...) and markers_m() -> (m, 3) exact markers [m] of
@@ -143,6 +144,7 @@ class CortexHost:
         discovery=True,
         interface="",
     ):
+        super().__init__()
         if not 0.0 < endpoint.rate_hz < math.inf:
             raise ValueError("frame rate is %r Hz: give a positive one" % (endpoint.rate_hz,))
         self._world = world
@@ -199,7 +201,7 @@ class CortexHost:
         self._requests_with_argument = {"GetFrameOfData", "SetOutputName", "ResetIDs"}
 
         self._buffer = bytearray(65536)
-        self._sockets, self._stream_socket = [], None
+        self._stream_socket = None
         self._broadcast_addresses = []
         try:
             self._open_sockets(unicast_stream, discovery, interface)
@@ -209,10 +211,6 @@ class CortexHost:
         self._announce()
 
     # --- the host interface of the virtual lab --------------------------------------------------------------------
-
-    def sockets(self):
-        """Sockets to wait on; when one can be read call on_readable(). Empty after close()."""
-        return list(self._sockets)
 
     def on_readable(self, sock, now_s):
         """Answer what has come in on one of sockets() at lab time now_s."""
@@ -244,9 +242,9 @@ class CortexHost:
 
     def close(self):
         """Close the sockets. May be called twice."""
-        for sock in self._sockets:
+        for sock in self._waiting:
             sock.close()
-        self._sockets = []
+        self._waiting.close()
         if self._stream_socket is not None:
             self._stream_socket.close()
 
@@ -349,7 +347,7 @@ class CortexHost:
     def _open_sockets(self, unicast_stream, discovery, interface):
         endpoint = self._endpoint
         self._command_socket = _udp_socket(endpoint.host, endpoint.command_port, "command port")
-        self._sockets.append(self._command_socket)
+        self._waiting.add(self._command_socket)
         self._address = self._command_socket.getsockname()
         try:
             self._command_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, COMMAND_RECEIVE_BUFFER_BYTES)
@@ -388,7 +386,7 @@ class CortexHost:
             except OSError as error:
                 _LOG.warning("%s: clients that broadcast their hello will not find this host", error)
                 continue
-            self._sockets.append(sock)
+            self._waiting.add(sock)
             self._broadcast_addresses.append("%s:%d" % (address, port))
 
     def _announce(self):

@@ -14,14 +14,14 @@ from collections import deque
 
 import numpy as np
 
-from risc_control.compiled import compiled
+from risc_control.compiled import compiled, record
 from risc_control.frames import GRAVITY_M_S2, rotation_body_to_cortex
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_simulator.models.ardrone_firmware import ArdroneFirmware
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
-from risc_simulator.models.on_board import ON_BOARD, hold, level_motion, trim_climb
+from risc_simulator.models.on_board import ON_BOARD_FIELDS, hold, level_motion, trim_climb
 from risc_simulator.models.plant import draw_plant, stack_plants
-from risc_simulator.models.quadrotor import U, X, differentiate, runge_kutta
+from risc_simulator.models.quadrotor import QUADROTOR_FIELDS, U, X, differentiate, runge_kutta
 
 __all__ = ["Crash", "FlightAction", "FlightPhase", "Setpoint", "Vehicle", "VehicleState", "World"]
 
@@ -32,9 +32,13 @@ COLLISION_DISTANCE_M = 0.5  # between centres, in any direction: indoor hulls ar
 GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehicles' downwash
 GUST_TIME_CONSTANT_S = 1.5  # first-order (Dryden-like) correlation
 _GUST_BLOCK = 1024  # steps drawn at once
+_COLLISION_M2 = COLLISION_DISTANCE_M**2
 _TOUCH_M2 = 1e-12  # what rounding may do to the square of a distance
 
 _FIRMWARE = {"ardrone": ArdroneFirmware}  # on-board logic by the name of the vehicle type
+
+# What a vehicle is, what its on-board logic has decided, and whether it is beyond the floor or the net.
+_VEHICLE = record(*QUADROTOR_FIELDS, *ON_BOARD_FIELDS, ("touches", bool))
 
 # What each random stream of a vehicle is for; the numbers are part of what a seed means.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
@@ -143,13 +147,14 @@ class World(object):
         )
         self._markers_m = np.concatenate([self._body_markers_m] + landmarks_m)
 
-        self._bodies = stack_plants([vehicle.plant for vehicle in vehicles])
-        self._boards = np.zeros(n, dtype=ON_BOARD)
-        for vehicle, board in zip(vehicles, self._boards):
-            vehicle.firmware.configure(board)
-        self._lifted, self._holds = self._boards["lifted"], self._boards["holds"]
-        self._hold_values = [self._boards[name] for name in ("height_m", "climb_min_m_s", "climb_max_m_s")]
-        self._touched = np.zeros(n, dtype=bool)
+        self._records = np.zeros(n, dtype=_VEHICLE)
+        bodies = stack_plants([vehicle.plant for vehicle in vehicles])
+        for name in bodies.dtype.names:
+            self._records[name] = bodies[name]
+        for vehicle, one in zip(vehicles, self._records):
+            vehicle.firmware.configure(one)
+        self._lifted, self._holds = self._records["lifted"], self._records["holds"]
+        self._hold_values = [self._records[name] for name in ("height_m", "climb_min_m_s", "climb_max_m_s")]
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
         self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
         self._wake_s = math.inf  # and the first of them
@@ -158,9 +163,8 @@ class World(object):
         self._slope_at = -1  # step whose slopes and thrusts these are
 
         self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n)]
-        self._gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
-        self._gust_scale = np.array(GUST_STD_M_S) * math.sqrt(1.0 - self._gust_keep**2)
-        self._gust_block = np.zeros((1, 3, n))  # before the first is drawn
+        self._gust_scale = np.array(GUST_STD_M_S) * math.sqrt(1.0 - math.exp(-step_s / GUST_TIME_CONSTANT_S) ** 2)
+        self._gust_block = np.empty((0, 3, n))
         self._load_compiled()
 
     # ------------------------------------------------------------------ time
@@ -192,7 +196,7 @@ class World(object):
             self._check_batteries(time_s)
         if self._wake_s <= time_s:
             self._wake(time_s)
-        if self.gusts and (self._steps % _GUST_BLOCK == 0 or len(self._gust_block) < _GUST_BLOCK):
+        if self.gusts and (self._steps % _GUST_BLOCK == 0 or not len(self._gust_block)):
             self._gust_block = np.stack(
                 [rng.standard_normal((_GUST_BLOCK, 3)) * self._gust_scale for rng in self._gust_rngs], axis=-1
             )
@@ -209,29 +213,19 @@ class World(object):
 
     def _advance(self, steps):
         """Advance by so many steps, or fewer if something happens."""
+        gust_at = self._steps % _GUST_BLOCK if self.gusts else -1
         steps, least_m2, anyone_touched = _advance(
-            self._x,
-            self._u,
-            self._bodies,
-            self._boards,
-            self.step_s,
-            steps,
-            self.gusts,
-            self._gust_keep,
-            self._gust_block,
-            self._steps % _GUST_BLOCK,
-            self._collisions,
-            self._touched,
+            self._x, self._u, self._records, self.step_s, steps, self._gust_block, gust_at, self._collisions
         )
         self._steps += steps
         if anyone_touched:
-            for i in np.flatnonzero(self._touched).tolist():
+            for i in np.flatnonzero(self._records["touches"]).tolist():
                 self._meet_wall_or_floor(i)
             if self._collisions:
-                least_m2 = min(least_m2, _closest(self._x, self._boards))
+                least_m2 = min(least_m2, _closest(self._x, self._records))
         if least_m2 < self._least_squared_m2:
             self._least_squared_m2 = least_m2
-        if least_m2 < COLLISION_DISTANCE_M**2:
+        if least_m2 < _COLLISION_M2:
             self._meet_each_other()
 
     def _load_compiled(self):
@@ -239,7 +233,7 @@ class World(object):
         self._advance(0)
         self.truth()
         self.markers_m()
-        _closest(self._x, self._boards)
+        _closest(self._x, self._records)
         level_motion(self._x[:, 0])
 
     # ------------------------------------------------------------------ what vehicles are told
@@ -324,7 +318,7 @@ class World(object):
         in_air = np.flatnonzero(self._lifted)
         first, second = (in_air[chosen] for chosen in np.triu_indices(len(in_air), 1))
         apart_m = self._x[: X.H + 1, first] - self._x[: X.H + 1, second]
-        near = (apart_m**2).sum(axis=0) < COLLISION_DISTANCE_M**2
+        near = (apart_m**2).sum(axis=0) < _COLLISION_M2
         for i, j in zip(first[near].tolist(), second[near].tolist()):
             self._collide(i, j)
 
@@ -373,13 +367,13 @@ class World(object):
         """
         self._differentiate()
         rows = np.empty((self._x.shape[1], 12))
-        _tell_truth(self._x, self._slope, self._boards, rows)
+        _tell_truth(self._x, self._slope, self._records, rows)
         return rows
 
     def _differentiate(self):
         """Slopes and thrusts at world time, once."""
         if self._slope_at != self._steps:
-            differentiate(self._x, self._u, self._bodies, self._slope, self._thrust_n)
+            differentiate(self._x, self._u, self._records, self._slope, self._thrust_n)
             self._slope_at = self._steps
 
     def _state(self, i):
@@ -414,38 +408,38 @@ class World(object):
 
 
 @compiled
-def _advance(x, u, bodies, boards, step_s, steps, gusts, gust_keep, gust_block, gust_at, collisions, touched):
+def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, collisions):
     """Up to so many steps of all vehicles; ends with a step in which something has happened.
 
-    x (12, n), u (9, n); bodies, boards: (n,) records QUADROTOR, ON_BOARD. gust_block: (k, 3, n) innovations of the
-    wind, from row gust_at on. touched: (n,), set for those that are beyond the floor or the net.
-    Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf if it was not looked at),
-    and whether anyone has touched: then the distances after the last step are still to be looked at.
+    x (12, n), u (9, n), vehicles (n,) records. gust_block: (k, 3, n) innovations of the wind, from row gust_at on;
+    -1: no gusts. Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf if it was
+    not looked at), and whether any vehicle touches: then the distances after the last step are still to be looked at.
     """
     work = np.empty((5, 12))
+    gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
     least_m2 = math.inf
     for k in range(steps):
-        anyone_touched = False
+        anyone_touches = False
         for i in range(x.shape[1]):
-            inputs, board = u[:, i], boards[i]
-            if gusts:
+            inputs, vehicle = u[:, i], vehicles[i]
+            if gust_at >= 0:
                 for axis in range(3):
                     inputs[U.WIND_N + axis] = gust_keep * inputs[U.WIND_N + axis] + gust_block[gust_at + k, axis, i]
-            touched[i] = False
-            if board.lifted:
+            vehicle.touches = False
+            if vehicle.lifted:
                 state = x[:, i]
-                if board.holds:
-                    hold(state, inputs, board)
-                climb_m_s = runge_kutta(state, inputs, bodies[i], step_s, work)
+                if vehicle.holds:
+                    hold(state, inputs, vehicle)
+                climb_m_s = runge_kutta(state, inputs, vehicle, step_s, work)
                 if inputs[U.MOTORS] != 0.0:
-                    trim_climb(inputs, climb_m_s, board, step_s)
-                touched[i] = _is_beyond(state)
-                anyone_touched |= touched[i]
-        if anyone_touched:
+                    trim_climb(inputs, climb_m_s, vehicle, step_s)
+                vehicle.touches = _is_beyond(state)
+                anyone_touches |= vehicle.touches
+        if anyone_touches:
             return k + 1, least_m2, True
         if collisions:
-            least_m2 = min(least_m2, _closest(x, boards))
-            if least_m2 < COLLISION_DISTANCE_M**2:
+            least_m2 = min(least_m2, _closest(x, vehicles))
+            if least_m2 < _COLLISION_M2:
                 return k + 1, least_m2, False
     return steps, least_m2, False
 
@@ -462,13 +456,13 @@ def _is_beyond(x):
 
 
 @compiled
-def _closest(x, boards):
+def _closest(x, vehicles):
     """Least squared distance of two vehicles in the air [m^2], inf when there are no two."""
     least_m2 = math.inf
     for i in range(x.shape[1]):
-        if boards[i].lifted:
+        if vehicles[i].lifted:
             for j in range(i):
-                if boards[j].lifted:
+                if vehicles[j].lifted:
                     north, east, up = x[X.P_N, i] - x[X.P_N, j], x[X.P_E, i] - x[X.P_E, j], x[X.H, i] - x[X.H, j]
                     least_m2 = min(least_m2, north * north + east * east + up * up)
     return least_m2
@@ -492,10 +486,10 @@ def _place_markers(x, first_marker, body_markers_m, markers_m):
 
 
 @compiled
-def _tell_truth(x, slope, boards, rows):
+def _tell_truth(x, slope, vehicles, rows):
     """See World.truth. East is right, the cortex frame's y points left."""
     for i in range(x.shape[1]):
-        moves = 1.0 if boards[i].lifted else 0.0
+        moves = 1.0 if vehicles[i].lifted else 0.0
         for j in range(3):
             sign = -1.0 if j == 1 else 1.0
             rows[i, j] = sign * x[X.P_N + j, i]

@@ -76,12 +76,12 @@ class ArdroneFirmware(object):
             FLOW_BIAS_SPREAD_M_S * bias_right,
         )
 
-    def configure(self, board):
-        """Write the constants of this vehicle into its ON_BOARD record."""
-        board.height_gain_1_s = HEIGHT_GAIN_1_S
-        board.flow_gain_rad_per_m_s, board.flow_tilt_max_rad = FLOW_GAIN_RAD_PER_M_S, FLOW_TILT_MAX_RAD
-        board.flow_scale, board.flow_bias_forward_m_s, board.flow_bias_right_m_s = self._flow
-        board.climb_integral_1_s2, board.climb_trim_limit_m_s2 = CLIMB_INTEGRAL_1_S2, CLIMB_TRIM_LIMIT_M_S2
+    def configure(self, vehicle):
+        """Write the constants of this vehicle into its record (ON_BOARD_FIELDS)."""
+        vehicle.height_gain_1_s = HEIGHT_GAIN_1_S
+        vehicle.flow_gain_rad_per_m_s, vehicle.flow_tilt_max_rad = FLOW_GAIN_RAD_PER_M_S, FLOW_TILT_MAX_RAD
+        vehicle.flow_scale, vehicle.flow_bias_forward_m_s, vehicle.flow_bias_right_m_s = self._flow
+        vehicle.climb_integral_1_s2, vehicle.climb_trim_limit_m_s2 = CLIMB_INTEGRAL_1_S2, CLIMB_TRIM_LIMIT_M_S2
 
     # ------------------------------------------------------------------ battery
 

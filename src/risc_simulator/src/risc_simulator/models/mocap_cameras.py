@@ -87,6 +87,28 @@ def split_bodies(layout, markers_m):
     return out
 
 
+class _DrawnAhead:
+    """Random numbers of one kind in the order in which a Generator gives them, drawn many at once."""
+
+    BLOCK = 4096
+
+    def __init__(self, draw):
+        """draw: of a Generator, takes a count."""
+        self._draw = draw
+        self._next = 0
+        self.numbers = np.empty(0)
+
+    def take(self, count):
+        """Index in `numbers` of the next so many."""
+        start = self._next
+        if start + count > len(self.numbers):
+            rest = self.numbers[start:]
+            self.numbers = np.concatenate((rest, self._draw(max(self.BLOCK, count))))
+            start = 0
+        self._next = start + count
+        return start
+
+
 class MocapCameras:
     """Turns exact markers into observed ones, frame by frame.
 
@@ -96,7 +118,8 @@ class MocapCameras:
     def __init__(self, params=None, seed=0, windows=()):
         self.params = CameraParams() if params is None else params
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        self._noise, self._occlusion, self._ghost = (np.random.default_rng(s) for s in sequence.spawn(3))
+        noise, occlusion, self._ghost = (np.random.default_rng(s) for s in sequence.spawn(3))
+        self._noise, self._occlusion = _DrawnAhead(noise.standard_normal), _DrawnAhead(occlusion.random)
         self._windows = list(windows)
         self._layout = ()
         self._window_rows = []  # for each window: rows of the marker array that it hides
@@ -105,8 +128,7 @@ class MocapCameras:
         self._ghosts_until_s = np.empty(0)
         self._next_end_s = math.inf  # of a ghost's life
         self._last_time_s = -np.inf
-        _hide(0.0, 0.0, 0.0, np.empty((2, 0)), np.empty(0), np.empty((0, 3)))  # loads it
-        _spoil(0.0, np.empty((0, 3)), np.empty((0, 3)))
+        _see(0.0, 0.0, 0.0, np.empty((0, 3)), 0.0, np.empty(0), 0, np.empty(0), 0, np.empty(0))  # loads it
 
     def add_window(self, window):
         """Script one more loss. Raises ValueError when it names a body or marker that the last frame did not have."""
@@ -130,16 +152,26 @@ class MocapCameras:
         step_s = max(time_s - self._last_time_s, 0.0) if self._last_time_s > -math.inf else 0.0
         self._last_time_s = time_s
 
-        params = self.params
-        markers_m = self._noise.standard_normal((len(self._hidden_until_s), 3))
-        if markers_m.shape != exact_m.shape:
-            raise ValueError("the layout has %d markers, got an array %r" % (len(markers_m), exact_m.shape))
-        _spoil(params.noise_std_m, exact_m, markers_m)
-        if params.occlusions_per_marker_hz > 0.0:
-            draws = self._occlusion.random((2, len(markers_m)))
-            # a Poisson process per visible marker; how long the loss lasts is exponential
+        hidden_until_s, params = self._hidden_until_s, self.params
+        count = len(hidden_until_s)
+        if exact_m.shape != (count, 3):
+            raise ValueError("the layout has %d markers, got an array %r" % (count, exact_m.shape))
+        first_noise, starts, first_chance = self._noise.take(3 * count), 0.0, 0
+        if params.occlusions_per_marker_hz > 0.0:  # a Poisson process per visible marker
             starts = -math.expm1(-params.occlusions_per_marker_hz * step_s)
-            _hide(time_s, starts, params.occlusion_mean_s, draws, self._hidden_until_s, markers_m)
+            first_chance = self._occlusion.take(2 * count)
+        markers_m = _see(
+            time_s,
+            starts,
+            params.occlusion_mean_s,
+            exact_m,
+            params.noise_std_m,
+            self._noise.numbers,
+            first_noise,
+            self._occlusion.numbers,
+            first_chance,
+            hidden_until_s,
+        )
         for window, rows in zip(self._windows, self._window_rows):
             if window.start_s <= time_s < window.end_s:
                 markers_m[rows] = math.nan
@@ -189,22 +221,23 @@ class MocapCameras:
 
 
 @compiled
-def _spoil(noise_std_m, exact_m, markers_m):
-    """Standard normal numbers in markers_m become exact markers with noise."""
-    for k in range(markers_m.shape[0]):
-        for axis in range(3):
-            markers_m[k, axis] = noise_std_m * markers_m[k, axis] + exact_m[k, axis]
+def _see(
+    time_s, starts, occlusion_mean_s, exact_m, noise_std_m, noise, first_noise, chances, first_chance, hidden_until_s
+):
+    """(n, 3) markers with noise; those that are hidden, or get lost by chance now, are NaN.
 
-
-@compiled
-def _hide(time_s, starts, mean_s, draws, hidden_until_s, markers_m):
-    """Lose markers by chance. starts: probability that a visible one gets lost now; mean_s: for how long.
-
-    draws: (2, n) uniform random numbers. hidden_until_s: (n,), kept from call to call.
+    starts: probability that a visible marker gets lost. hidden_until_s: (n,), kept from call to call. From first_noise
+    on come 3 n standard normal numbers, from first_chance on n uniform ones that decide whether, and n for how long.
     """
-    for k in range(len(hidden_until_s)):
-        if draws[0, k] < starts and time_s >= hidden_until_s[k]:
-            hidden_until_s[k] = time_s - mean_s * math.log1p(-draws[1, k])
+    n = len(hidden_until_s)
+    markers_m = np.empty((n, 3))
+    for k in range(n):
+        for axis in range(3):
+            markers_m[k, axis] = noise_std_m * noise[first_noise + 3 * k + axis] + exact_m[k, axis]
+        if starts > 0.0 and chances[first_chance + k] < starts and time_s >= hidden_until_s[k]:
+            duration_s = -occlusion_mean_s * math.log1p(-chances[first_chance + n + k])  # exponentially distributed
+            hidden_until_s[k] = time_s + duration_s
         if time_s < hidden_until_s[k]:
             for axis in range(3):
                 markers_m[k, axis] = math.nan
+    return markers_m

@@ -5,10 +5,10 @@ When it runs, and with which numbers, is decided by the on-board logic of the ve
 
 import math
 
-from risc_control.compiled import compiled, record
+from risc_control.compiled import compiled
 from risc_simulator.models.quadrotor import U, X
 
-ON_BOARD = record(
+ON_BOARD_FIELDS = (
     ("lifted", bool),  # the rotors carry the vehicle; False: it stands
     ("holds", bool),  # it brakes and keeps its height by itself; False: the commands stay as they are
     ("height_m", float),  # to be held, with a climb rate within these limits
@@ -29,7 +29,7 @@ ON_BOARD = record(
 def level_motion(x):
     """Climb rate, and velocity forward and to the right along the heading, level [m/s], of a state (12,)."""
     u, v, w, phi, theta = x[X.U], x[X.V], x[X.W], x[X.PHI], x[X.THETA]
-    down2 = math.sin(phi) * v + math.cos(phi) * w  # nose level sideways, not lengthwise: frame vehicle-2
+    down2 = math.sin(phi) * v + math.cos(phi) * w  # along the down axis of frame vehicle-2
     climb = math.sin(theta) * u - math.cos(theta) * down2
     forward = math.cos(theta) * u + math.sin(theta) * down2
     right = math.cos(phi) * v - math.sin(phi) * w
@@ -37,24 +37,24 @@ def level_motion(x):
 
 
 @compiled
-def hold(x, inputs, board):
+def hold(x, inputs, vehicle):
     """Commands of a vehicle that holds by itself, for the step that starts in state x (12,), to inputs (9,)."""
     _, forward_m_s, right_m_s = level_motion(x)
-    up_m_s = board.height_gain_1_s * (board.height_m - x[X.H])
-    inputs[U.ROLL] = -_brake(right_m_s, board.flow_bias_right_m_s, board)
-    inputs[U.PITCH] = _brake(forward_m_s, board.flow_bias_forward_m_s, board)
+    up_m_s = vehicle.height_gain_1_s * (vehicle.height_m - x[X.H])
+    inputs[U.ROLL] = -_brake(right_m_s, vehicle.flow_bias_right_m_s, vehicle)
+    inputs[U.PITCH] = _brake(forward_m_s, vehicle.flow_bias_forward_m_s, vehicle)
     inputs[U.YAW_RATE] = 0.0
-    inputs[U.CLIMB] = min(board.climb_max_m_s, max(board.climb_min_m_s, up_m_s))
+    inputs[U.CLIMB] = min(vehicle.climb_max_m_s, max(vehicle.climb_min_m_s, up_m_s))
 
 
 @compiled
-def _brake(velocity_m_s, bias_m_s, board):
-    tilt_rad = board.flow_gain_rad_per_m_s * (board.flow_scale * velocity_m_s + bias_m_s)
-    return min(board.flow_tilt_max_rad, max(-board.flow_tilt_max_rad, tilt_rad))
+def _brake(velocity_m_s, bias_m_s, vehicle):
+    tilt_rad = vehicle.flow_gain_rad_per_m_s * (vehicle.flow_scale * velocity_m_s + bias_m_s)
+    return min(vehicle.flow_tilt_max_rad, max(-vehicle.flow_tilt_max_rad, tilt_rad))
 
 
 @compiled
-def trim_climb(inputs, climb_m_s, board, step_s):
+def trim_climb(inputs, climb_m_s, vehicle, step_s):
     """The slow integral on the climb error; climb_m_s: climb rate at the start of the step."""
-    trim = inputs[U.CLIMB_TRIM] + board.climb_integral_1_s2 * step_s * (inputs[U.CLIMB] - climb_m_s)
-    inputs[U.CLIMB_TRIM] = max(-board.climb_trim_limit_m_s2, min(board.climb_trim_limit_m_s2, trim))
+    trim = inputs[U.CLIMB_TRIM] + vehicle.climb_integral_1_s2 * step_s * (inputs[U.CLIMB] - climb_m_s)
+    inputs[U.CLIMB_TRIM] = max(-vehicle.climb_trim_limit_m_s2, min(vehicle.climb_trim_limit_m_s2, trim))

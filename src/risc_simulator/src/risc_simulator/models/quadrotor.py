@@ -2,7 +2,8 @@
 
 State (12, n): one row per quantity (enum X), one column per vehicle. Position is North, East, Up; velocity is in body
 axes (forward, right, down); angles are NED Euler angles (roll + right wing down, pitch + nose up, yaw + clockwise from
-above). Input (9, n): enum U. What a vehicle is: a record QUADROTOR.
+above). Input (9, n): enum U. What a vehicle is: a record
+QUADROTOR, or one that has these fields among others.
 
 The loops: commanded angle c gives angle'' = wn^2 (gain c - angle) - 2 zeta wn angle'; yaw rate and vertical speed
 follow their commands as first-order lags.
@@ -48,7 +49,7 @@ class U(IntEnum):
     WIND_UP = 8
 
 
-QUADROTOR = record(
+QUADROTOR_FIELDS = (
     ("mass_kg", float),  # true mass
     ("nominal_mass_kg", float),  # mass that the on-board climb loop believes in
     ("thrust_scale", float),  # true thrust / demanded thrust
@@ -68,6 +69,7 @@ QUADROTOR = record(
     ("thrust_max_n", float),
     ("tumble_damping_1_s", float),  # air damping of the body rates while the motors stand
 )
+QUADROTOR = record(*QUADROTOR_FIELDS)
 
 
 @compiled
