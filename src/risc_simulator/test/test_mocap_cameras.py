@@ -5,6 +5,7 @@ import pathlib
 import numpy as np
 import pytest
 
+from risc_simulator.models import mocap_cameras
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
 
 RATE_HZ = 200.0
@@ -134,6 +135,18 @@ def test_window_added_on_the_way():
 def test_window_for_an_unknown_body_stops_the_first_frame():
     with pytest.raises(ValueError, match="'Crow'.*Raven, Landmark_A"):
         MocapCameras(windows=[OcclusionWindow("Crow", 0.0, 1.0)]).observe(0.0, LAYOUT, EXACT)
+
+
+def test_ghosts_do_not_depend_on_what_was_drawn_ahead(monkeypatch):
+    """Frames that are left out, too: each draws for the time since the one before."""
+    times_s = np.delete(np.arange(3000), np.r_[40:45, 700:900:7]) / RATE_HZ
+    seen = []
+    for ahead in (1, 64):
+        monkeypatch.setattr(mocap_cameras, "_FRAMES_AHEAD", ahead)
+        cameras = MocapCameras(CameraParams(ghosts_hz=3.0), seed=6)
+        seen.append([cameras.observe(t, LAYOUT, EXACT).unidentified_m for t in times_s])
+    assert sum(map(len, seen[0])) > 500
+    assert all(np.array_equal(one, other) for one, other in zip(*seen))
 
 
 def test_ghosts_appear_inside_the_volume_live_and_vanish():

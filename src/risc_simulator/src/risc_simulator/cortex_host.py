@@ -215,7 +215,8 @@ class CortexHost(SocketHost):
     def on_readable(self, sock, now_s):
         """Answer what has come in on one of sockets() at lab time now_s."""
         self._last_now_s = now_s
-        self._expire(now_s)
+        if now_s >= self._faults_until_s:
+            self.clear_faults()
         for _ in range(DATAGRAMS_PER_CALL):
             try:
                 size, sender = sock.recvfrom_into(self._buffer)
@@ -226,19 +227,22 @@ class CortexHost(SocketHost):
                 break
             if not self._faults.silent:
                 self._on_datagram(bytes(self._buffer[:size]), sender)
-        self._send_late_replies(now_s)
+        if self._late_replies:
+            self._send_late_replies(now_s)
 
     def tick(self, now_s):
         """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
         self._last_now_s = now_s
-        self._expire(now_s)
+        if now_s >= self._faults_until_s:
+            self.clear_faults()
         periods = self._periods_entered()
         if periods and self._live:
             self._counts["exposures_skipped"] += periods - 1
             self._expose_and_send()
         elif periods and self._play_mode:
             self._step_playback(periods)
-        self._send_late_replies(now_s)
+        if self._late_replies:
+            self._send_late_replies(now_s)
 
     def close(self):
         """Close the sockets. May be called twice."""
@@ -425,16 +429,10 @@ class CortexHost(SocketHost):
                 self._counts["replies"] += self._send(self._command_socket, datagram, address)
 
     def _send_late_replies(self, now_s):
-        if not self._late_replies:
-            return
         due = [reply for reply in self._late_replies if reply[0] <= now_s]
         self._late_replies = [reply for reply in self._late_replies if reply[0] > now_s]
         for _, datagram, address in due:
             self._counts["replies"] += self._send(self._command_socket, datagram, address)
-
-    def _expire(self, now_s):
-        if now_s >= self._faults_until_s:
-            self.clear_faults()
 
     def _now_s(self):
         return self._last_now_s if self._clock is None else self._clock()

@@ -151,6 +151,7 @@ class Packet(NamedTuple):
     content: Content
 
 
+_FRAME_OF_DATA = int(Command.FRAME_OF_DATA)  # struct is slow with enumerations
 _HEADER = struct.Struct("<HH")
 _FRAME_HEAD = struct.Struct("<HHii")
 _I32 = struct.Struct("<i")
@@ -277,8 +278,9 @@ class FrameEncoder:
         self._wire_mm = np.empty((len(starts), 3), "<f4")  # the markers as they go into the packet,
         self._wire_bytes = self._wire_mm.view(np.uint8)  # and their bytes
         self._end = _end_of_frame(b"")  # of a frame without unidentified markers and recording
-        self._packet = np.frombuffer(bytearray(b"".join(parts) + self._end), np.uint8)
-        self._check_size(len(self._packet), 0)
+        self._frame = bytearray(b"".join(parts) + self._end)
+        self._packet = np.frombuffer(self._frame, np.uint8)
+        self._check_size(len(self._frame), 0)
         _put_markers(np.empty((0, 3)), 1.0, self._starts, self._wire_mm, self._wire_bytes, self._packet)  # loads it
 
     def encode(self, number, markers, unidentified=None, delay_s=0.0, recording=None):
@@ -292,7 +294,7 @@ class FrameEncoder:
         if markers.shape != self._wire_mm.shape:
             raise ValueError("the layout has %d markers, got %d" % (self.marker_count, len(markers)))
         _put_markers(markers, self._mm_per_unit, self._starts, self._wire_mm, self._wire_bytes, self._packet)
-        packet = bytearray(self._packet)
+        packet = self._frame[:]
         tail = b""
         if recording is not None:
             data = _recording(recording)
@@ -300,11 +302,11 @@ class FrameEncoder:
         if unidentified is not None and len(unidentified):
             loose = (unidentified * self._mm_per_unit).astype("<f4").tobytes()
             packet[-len(self._end) :] = _end_of_frame(loose)
+            self._check_size(len(packet) + len(tail), len(unidentified))
         packet += tail
-        self._check_size(len(packet), 0 if unidentified is None else len(unidentified))
-        _FRAME_HEAD.pack_into(packet, 0, Command.FRAME_OF_DATA, len(packet) - 4, number, self._body_count)
+        _FRAME_HEAD.pack_into(packet, 0, _FRAME_OF_DATA, len(packet) - 4, number, self._body_count)
         delay_offset = len(packet) - len(tail) - 4
-        set_delay(packet, delay_offset, delay_s)
+        _F32.pack_into(packet, delay_offset, delay_s)
         return packet, delay_offset
 
     def _check_size(self, packet_bytes, loose_count):

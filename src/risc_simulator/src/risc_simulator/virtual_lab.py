@@ -55,12 +55,14 @@ class VirtualLab(object):
         vehicle_types=None,
         radio_loss=0.0,
         interface="",
+        collisions=True,
     ):
         """fleet: Fleet. honest: vehicles differ from their nominal type. gusts: moving air.
         command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
         live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
         radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
         interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
+        collisions: see World.
         (The fleet's mocap.interface is the client's card, which may be one of another computer.)
         """
         self.fleet = fleet
@@ -89,6 +91,7 @@ class VirtualLab(object):
             honest=honest,
             gusts=gusts,
             step_s=self._period_s / self._cycles_per_frame,
+            collisions=collisions,
         )
         self.frame = 0  # of the newest exposure
         self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S

@@ -8,6 +8,7 @@ One compiled call moves all vehicles, over as many steps as nothing happens; wha
 the ends of a take-off's parts, touching the floor, the net or another vehicle) is decided here.
 """
 
+import functools
 import heapq
 import math
 from collections import deque
@@ -104,12 +105,13 @@ class World(object):
         if not 0.0 < step_s <= 0.02:
             raise ValueError("step_s must be in (0, 0.02], got %r" % (step_s,))
         self.step_s = step_s
-        self.gusts = bool(gusts)
+        self._gusts = gusts
         self.crashes = deque(maxlen=1000)  # Crash, newest last
         self._collisions = bool(collisions)
         self._least_squared_m2 = math.inf
         self._steps = 0
         self._agenda, self._agenda_count = [], 0
+        self._event_step = 0  # until this step nothing happens but motion
 
         n = len(fleet.vehicles)
         self._x = np.zeros((len(X), n))
@@ -156,6 +158,7 @@ class World(object):
         self._lifted, self._holds = self._records["lifted"], self._records["holds"]
         self._hold_values = [self._records[name] for name in ("height_m", "climb_min_m_s", "climb_max_m_s")]
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
+        self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
         self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
         self._wake_s = math.inf  # and the first of them
         self._steps_per_second = max(1, int(round(1.0 / step_s)))
@@ -183,39 +186,40 @@ class World(object):
         """Advance to the last grid time that is not after time_s. Never goes back."""
         target = int(math.floor(time_s / self.step_s + 1e-6))
         while self._steps < target:
-            self._prepare_step()
-            steps = target - self._steps
-            self._advance(steps if steps == 1 else min(steps, self._quiet_steps()))
+            if self._steps >= self._event_step:
+                self._let_happen()
+            self._advance(min(target, self._event_step) - self._steps)
 
-    def _prepare_step(self):
-        """Let happen what is due at world time."""
-        time_s = self._steps * self.step_s
+    def _let_happen(self):
+        """What is due at world time; then find the step before which nothing will be."""
+        steps, time_s = self._steps, self._steps * self.step_s
         if self._agenda and self._agenda[0][0] <= time_s:
             self._run_agenda(time_s)
-        if self._steps % self._steps_per_second == 0:
+        if steps % self._steps_per_second == 0:
             self._check_batteries(time_s)
         if self._wake_s <= time_s:
             self._wake(time_s)
-        if self.gusts and (self._steps % _GUST_BLOCK == 0 or not len(self._gust_block)):
+        if self._gusts and (steps % _GUST_BLOCK == 0 or not len(self._gust_block)):
             self._gust_block = np.stack(
                 [rng.standard_normal((_GUST_BLOCK, 3)) * self._gust_scale for rng in self._gust_rngs], axis=-1
             )
-
-    def _quiet_steps(self):
-        """A number of steps, at least 1, before whose ends nothing becomes due."""
-        steps = self._steps_per_second - self._steps % self._steps_per_second
-        if self.gusts:
-            steps = min(steps, _GUST_BLOCK - self._steps % _GUST_BLOCK)
+        next_step = min(steps - steps % period + period for period in (self._steps_per_second, _GUST_BLOCK))
         event_s = min(self._wake_s, self._agenda[0][0] if self._agenda else math.inf)
-        if event_s < math.inf:
-            steps = min(steps, max(1, int(event_s / self.step_s) - self._steps))
-        return steps
+        if event_s < next_step * self.step_s:
+            next_step = max(steps + 1, int(event_s / self.step_s))  # rather one too early
+        self._event_step = next_step
 
     def _advance(self, steps):
         """Advance by so many steps, or fewer if something happens."""
-        gust_at = self._steps % _GUST_BLOCK if self.gusts else -1
         steps, least_m2, anyone_touched = _advance(
-            self._x, self._u, self._records, self.step_s, steps, self._gust_block, gust_at, self._collisions
+            self._x,
+            self._u,
+            self._records,
+            self.step_s,
+            steps,
+            self._gust_block,
+            self._steps % _GUST_BLOCK,
+            self._collisions,
         )
         self._steps += steps
         if anyone_touched:
@@ -243,12 +247,18 @@ class World(object):
             raise ValueError("an action needs a finite time, got %r" % (time_s,))
         self._agenda_count += 1  # equal times keep the order of scheduling
         heapq.heappush(self._agenda, (time_s, self._agenda_count, index, action))
+        self._event_step = min(self._event_step, max(self._steps, int(time_s / self.step_s)))
 
     def _run_agenda(self, time_s):
         while self._agenda and self._agenda[0][0] <= time_s:
             _, _, i, action = heapq.heappop(self._agenda)
-            self._vehicles[i].firmware.apply(action, time_s, self._x.item(X.H, i), self._climb_m_s(i))
-            self._take_over(i)
+            firmware = self._vehicles[i].firmware
+            phase = firmware.phase
+            firmware.apply(action, time_s, self._motions[i])
+            if firmware.phase is phase and firmware.hold is None:
+                self._commands[i] = firmware.command
+            else:
+                self._take_over(i)
 
     def _check_batteries(self, time_s):
         for i, vehicle in enumerate(self._vehicles):
@@ -260,7 +270,7 @@ class World(object):
     def _wake(self, time_s):
         for i, vehicle in enumerate(self._vehicles):
             if vehicle.firmware.wake_s <= time_s:
-                vehicle.firmware.wake(time_s, self._x.item(X.H, i), self._climb_m_s(i))
+                vehicle.firmware.wake(time_s, self._motions[i])
                 self._take_over(i)
 
     def _take_over(self, i):
@@ -280,16 +290,18 @@ class World(object):
         if firmware.wake_s != self._wakes_s[i]:
             self._wakes_s[i] = firmware.wake_s
             self._wake_s = min(self._wakes_s)
+            self._event_step = self._steps
 
-    def _climb_m_s(self, i):
-        return level_motion(self._x[:, i])[0]
+    def _vertical_motion(self, i):
+        """Height [m] and climb rate [m/s]."""
+        return self._x.item(X.H, i), level_motion(self._x[:, i])[0]
 
     # ------------------------------------------------------------------ floor, net and each other
 
     def _meet_wall_or_floor(self, i):
         firmware = self._vehicles[i].firmware
         north, east, height = self._x[: X.H + 1, i].tolist()
-        climb_m_s = self._climb_m_s(i)
+        _, climb_m_s = self._motions[i]()
         if height < REST_HEIGHT_M:
             reason = firmware.touch_down(self.time_s, -climb_m_s)
             # it stands: level, at rest, heading kept; what still pushes lifts it off again in the next step
@@ -412,8 +424,8 @@ def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, collisions):
     """Up to so many steps of all vehicles; ends with a step in which something has happened.
 
     x (12, n), u (9, n), vehicles (n,) records. gust_block: (k, 3, n) innovations of the wind, from row gust_at on;
-    -1: no gusts. Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf if it was
-    not looked at), and whether any vehicle touches: then the distances after the last step are still to be looked at.
+    (0, 3, n): no gusts. Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf if it
+    was not looked at), and whether any touches: then the distances after the last step are still to be looked at.
     """
     work = np.empty((5, 12))
     gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
@@ -422,7 +434,7 @@ def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, collisions):
         anyone_touches = False
         for i in range(x.shape[1]):
             inputs, vehicle = u[:, i], vehicles[i]
-            if gust_at >= 0:
+            if len(gust_block):
                 for axis in range(3):
                     inputs[U.WIND_N + axis] = gust_keep * inputs[U.WIND_N + axis] + gust_block[gust_at + k, axis, i]
             vehicle.touches = False

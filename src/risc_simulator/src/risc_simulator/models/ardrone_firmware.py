@@ -96,12 +96,15 @@ class ArdroneFirmware(object):
 
     # ------------------------------------------------------------------ events
 
-    def apply(self, action, time_s, height_m, climb_m_s):
-        """Obey a Setpoint or a FlightAction, as far as the phase allows it; the rest is ignored, as on the vehicle."""
+    def apply(self, action, time_s, vertical_motion):
+        """Obey a Setpoint or a FlightAction, as far as the phase allows it; the rest is ignored, as on the vehicle.
+
+        vertical_motion: function that gives height [m] and climb rate [m/s] at time_s.
+        """
         if isinstance(action, Setpoint):
             self._setpoint = action
             if self.phase in (FlightPhase.HOVERING, FlightPhase.FLYING):
-                self._follow_setpoint(time_s, height_m, climb_m_s)
+                self._follow_setpoint(time_s, vertical_motion)
         elif action is FlightAction.TAKE_OFF:
             if self.phase is FlightPhase.LANDED and self.battery_pct(time_s) > LOW_BATTERY_PCT:
                 self._setpoint = Setpoint(hover=True)
@@ -145,11 +148,11 @@ class ArdroneFirmware(object):
     def check_battery(self, time_s):
         """Called about once a second: an empty battery lands the vehicle."""
         if self.battery_pct(time_s) <= EMPTY_BATTERY_PCT:
-            self.apply(FlightAction.LAND, time_s, 0.0, 0.0)
+            self.apply(FlightAction.LAND, time_s, None)
 
     # ------------------------------------------------------------------ motion
 
-    def wake(self, time_s, height_m, climb_m_s):
+    def wake(self, time_s, vertical_motion):
         """Go on with the take-off: the rotors are fast enough to lift the vehicle, or it is up."""
         elapsed_s = time_s - self._phase_start_s
         if elapsed_s < SPIN_UP_S:
@@ -161,12 +164,13 @@ class ArdroneFirmware(object):
         if elapsed_s >= TAKE_OFF_TIME_S:
             self._hover(time_s, self._take_off_height_m)
             if not self._setpoint.hover:
-                self._follow_setpoint(time_s, height_m, climb_m_s)
+                self._follow_setpoint(time_s, vertical_motion)
 
-    def _follow_setpoint(self, time_s, height_m, climb_m_s):
+    def _follow_setpoint(self, time_s, vertical_motion):
         wanted = self._setpoint
         if wanted.hover:
             if self.phase is not FlightPhase.HOVERING:
+                height_m, climb_m_s = vertical_motion()
                 self._hover(time_s, height_m + STOPPING_TIME_S * climb_m_s)
             return
         if self.phase is not FlightPhase.FLYING:

@@ -15,6 +15,8 @@ import numpy as np
 
 from risc_control.compiled import compiled
 
+_FRAMES_AHEAD = 64
+
 
 @dataclass(frozen=True)
 class CameraParams:
@@ -127,6 +129,8 @@ class MocapCameras:
         self._ghosts_m = np.empty((0, 3))
         self._ghosts_until_s = np.empty(0)
         self._next_end_s = math.inf  # of a ghost's life
+        self._quiet_count = self._quiet_left = 0  # frames that were drawn ahead, and those of them still to come
+        self._quiet_state, self._quiet_expected = None, 0.0  # of the generator before, and births expected in each
         self._last_time_s = -np.inf
         _see(0.0, 0.0, 0.0, np.empty((0, 3)), 0.0, np.empty(0), 0, np.empty(0), 0, np.empty(0))  # loads it
 
@@ -154,15 +158,13 @@ class MocapCameras:
 
         hidden_until_s, params = self._hidden_until_s, self.params
         count = len(hidden_until_s)
-        if exact_m.shape != (count, 3):
-            raise ValueError("the layout has %d markers, got an array %r" % (count, exact_m.shape))
-        first_noise, starts, first_chance = self._noise.take(3 * count), 0.0, 0
-        if params.occlusions_per_marker_hz > 0.0:  # a Poisson process per visible marker
-            starts = -math.expm1(-params.occlusions_per_marker_hz * step_s)
-            first_chance = self._occlusion.take(2 * count)
+        if len(exact_m) != count:
+            raise ValueError("the layout has %d markers, got %d" % (count, len(exact_m)))
+        first_noise = self._noise.take(3 * count)
+        first_chance = self._occlusion.take(2 * count) if params.occlusions_per_marker_hz > 0.0 else 0
         markers_m = _see(
             time_s,
-            starts,
+            params.occlusions_per_marker_hz * step_s,
             params.occlusion_mean_s,
             exact_m,
             params.noise_std_m,
@@ -207,7 +209,7 @@ class MocapCameras:
         """(u, 3) ghosts: each stays where it appeared and trembles like any marker."""
         params = self.params
         if params.ghosts_hz > 0.0:
-            born = self._ghost.poisson(params.ghosts_hz * step_s)
+            born = self._births(params.ghosts_hz * step_s)
             if born or time_s >= self._next_end_s:
                 alive = time_s < self._ghosts_until_s
                 new_m = self._ghost.uniform(params.volume_min_m, params.volume_max_m, (born, 3))
@@ -219,23 +221,43 @@ class MocapCameras:
             return self._ghosts_m
         return self._ghosts_m + params.noise_std_m * self._ghost.standard_normal(self._ghosts_m.shape)
 
+    def _births(self, expected):
+        """How many ghosts appear in this frame. While there are none, frames without a birth are drawn many at once."""
+        ghost = self._ghost
+        if self._quiet_left and abs(expected - self._quiet_expected) > 1e-9:
+            # another time has passed than was foreseen: back to before what has not been used
+            ghost.bit_generator.state = self._quiet_state
+            ghost.poisson(self._quiet_expected, self._quiet_count - self._quiet_left)
+            self._quiet_left = 0
+        elif not self._quiet_left and not len(self._ghosts_m):
+            self._quiet_state, self._quiet_expected = ghost.bit_generator.state, expected
+            count = np.flatnonzero(np.append(ghost.poisson(expected, _FRAMES_AHEAD), 1))[0].item()
+            if count < _FRAMES_AHEAD:
+                ghost.bit_generator.state = self._quiet_state
+                ghost.poisson(expected, count)
+            self._quiet_count = self._quiet_left = count
+        if self._quiet_left:
+            self._quiet_left -= 1
+            return 0
+        return ghost.poisson(expected)
+
 
 @compiled
-def _see(
-    time_s, starts, occlusion_mean_s, exact_m, noise_std_m, noise, first_noise, chances, first_chance, hidden_until_s
-):
+def _see(time_s, losses, loss_mean_s, exact_m, noise_std_m, noise, first_noise, chances, first_chance, hidden_until_s):
     """(n, 3) markers with noise; those that are hidden, or get lost by chance now, are NaN.
 
-    starts: probability that a visible marker gets lost. hidden_until_s: (n,), kept from call to call. From first_noise
-    on come 3 n standard normal numbers, from first_chance on n uniform ones that decide whether, and n for how long.
+    losses: expected number of times that a marker gets lost in this frame. hidden_until_s: (n,), kept from call to
+    call. From first_noise on come 3 n standard normal numbers, from first_chance on n uniform ones that decide whether
+    a marker gets lost, and n that decide for how long.
     """
     n = len(hidden_until_s)
     markers_m = np.empty((n, 3))
+    starts = -math.expm1(-losses)  # probability, as of a Poisson process
     for k in range(n):
         for axis in range(3):
             markers_m[k, axis] = noise_std_m * noise[first_noise + 3 * k + axis] + exact_m[k, axis]
         if starts > 0.0 and chances[first_chance + k] < starts and time_s >= hidden_until_s[k]:
-            duration_s = -occlusion_mean_s * math.log1p(-chances[first_chance + n + k])  # exponentially distributed
+            duration_s = -loss_mean_s * math.log1p(-chances[first_chance + n + k])  # exponentially distributed
             hidden_until_s[k] = time_s + duration_s
         if time_s < hidden_until_s[k]:
             for axis in range(3):
