@@ -202,8 +202,10 @@ class HandWorld:
         self._matrix = np.asarray(matrix, dtype=float)
         self._markers_m = load_templates()["fluffy_II"].markers_m * (1.0, -1.0, -1.0)
 
-    def bodies(self):
-        return [("fluffy_II", (self._markers_m + self.at_m) @ self._matrix.T)]
+        self.layout = (("fluffy_II", len(self._markers_m)),)
+
+    def markers_m(self):
+        return (self._markers_m + self.at_m) @ self._matrix.T
 
 
 @contextlib.contextmanager

@@ -44,7 +44,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         time_s = frame * offline.FRAME_S
         now_s = time_s + offline.LATENCY_S
         world.step_to(time_s)
-        seen = cameras.observe(time_s, world.bodies())
+        seen = cameras.observe(time_s, world.layout, world.markers_m())
         estimate = estimator.update(time_s, seen.layout, seen.markers_m)
         state = estimate.states[0]
         target.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])

@@ -216,6 +216,14 @@ class FakeVehicle(object):
         self.state = VehicleState(**values)
         self.told = []
 
+    @property
+    def height_m(self):
+        return self.state.position_m.item(2)
+
+    @property
+    def battery_pct(self):
+        return self.state.battery_pct
+
     def schedule(self, time_s, action):
         self.told.append((time_s, action))
 

@@ -38,14 +38,16 @@ class World:
 
     def __init__(self, vehicles=2):
         self.time_s = 0.0
-        self._still = [("Landmark_A", np.array([[1.0, 1.0, 0.0], [1.1, 1.0, 0.0], [1.0, 1.2, 0.0]]))]
-        self._vehicles = [
-            ("vehicle_%d" % k, np.array([[0.0, k, 1.0], [0.1, k, 1.0], [0.0, k, 1.125]])) for k in range(vehicles)
-        ]
+        self.layout = tuple(("vehicle_%d" % k, 3) for k in range(vehicles)) + (("Landmark_A", 3),)
+        self._start_m = np.array(
+            [[[0.0, k, 1.0], [0.1, k, 1.0], [0.0, k, 1.125]] for k in range(vehicles)]
+            + [[[1.0, 1.0, 0.0], [1.1, 1.0, 0.0], [1.0, 1.2, 0.0]]]
+        ).reshape(-1, 3)
 
-    def bodies(self):
-        name, markers = self._vehicles[0]
-        return [(name, markers + [self.time_s, 0.0, 0.0])] + self._vehicles[1:] + self._still
+    def markers_m(self):
+        markers_m = self._start_m.copy()
+        markers_m[:3, 0] += self.time_s
+        return markers_m
 
 
 class Lab:
@@ -564,8 +566,8 @@ def test_fifty_bodies(make_lab):
 class CrowdedCameras(MocapCameras):
     """Sees more loose markers than a datagram holds, from the second frame on."""
 
-    def observe(self, time_s, bodies):
-        seen = super().observe(time_s, bodies)
+    def observe(self, time_s, layout, exact_m):
+        seen = super().observe(time_s, layout, exact_m)
         return seen._replace(unidentified_m=np.zeros((5500, 3))) if time_s > 0.0 else seen
 
 
@@ -581,10 +583,10 @@ def test_a_frame_too_large_for_a_datagram_is_counted_and_not_sent(make_lab, capl
 
 def test_a_world_that_never_fits_a_datagram_is_refused_at_once():
     world = World()
-    world.bodies = lambda: [("cloud", np.zeros((5500, 3)))]
+    world.layout, world.markers_m = (("cloud", 5500),), lambda: np.zeros((5500, 3))
     with pytest.raises(wire.PacketTooLargeError, match="5500 markers.*use fewer"):
         Lab(world=world)
-    world.bodies = lambda: [("body%d" % k, np.zeros((1, 3))) for k in range(101)]
+    world.layout, world.markers_m = tuple(("body%d" % k, 1) for k in range(101)), lambda: np.zeros((101, 3))
     with pytest.raises(ValueError, match="101 bodies"):
         Lab(world=world)
 

@@ -185,8 +185,16 @@ def test_fast_encoder_equals_the_general_one(bodies, number, loose, delay_s, rec
 
 
 def test_missing_markers_are_the_sentinel_in_all_coordinates():
-    packet, _ = wire.FrameEncoder([("a", 2)]).encode(1, [[1.0, np.nan, 3.0], [4.0, 5.0, 6.0]])
+    packet, _ = wire.FrameEncoder([("a", 2)]).encode(1, np.array([[1.0, np.nan, 3.0], [4.0, 5.0, 6.0]]))
     assert packet[18:42] == bytes.fromhex("7f96184b" * 3) + struct.pack("<3f", 4.0, 5.0, 6.0)
+
+
+def test_fast_encoder_converts_units():
+    encoder = wire.FrameEncoder([("a", 2)], mm_per_unit=1000.0)
+    packet, _ = encoder.encode(1, np.array([[0.001, 0.002, 0.003], [np.inf, 5.0, 6.0]]), np.array([[0.25, 0.5, 1.0]]))
+    frame = wire.decode_packet(packet).content
+    assert frame.bodies[0].markers_mm[0].tolist() == [1.0, 2.0, 3.0] and np.isnan(frame.bodies[0].markers_mm[1]).all()
+    assert frame.unidentified_mm.tolist() == [[250.0, 500.0, 1000.0]]
 
 
 def test_fast_encoder_refuses_what_does_not_fit():

@@ -1,8 +1,11 @@
 """Camera model: statistics of noise and occlusion, reproducibility, independence, scripted windows, ghosts."""
 
+import pathlib
+
 import numpy as np
 import pytest
 
+from risc_simulator.models import mocap_cameras
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
 
 RATE_HZ = 200.0
@@ -10,12 +13,14 @@ BODIES = [
     ("Raven", np.array([[0.1, 0.0, 1.0], [0.0, 0.1, 1.0], [-0.1, 0.0, 1.0], [0.0, -0.1, 1.1]])),
     ("Landmark_A", np.array([[1.0, 1.0, 0.0], [1.1, 1.0, 0.0], [1.0, 1.2, 0.0]])),
 ]
+GOLDEN = pathlib.Path(__file__).parent / "golden"
+LAYOUT = tuple((name, len(markers)) for name, markers in BODIES)
 EXACT = np.concatenate([markers for _, markers in BODIES])
 
 
-def run(cameras, frames, bodies=BODIES):
+def run(cameras, frames):
     """Observations of `frames` frames at RATE_HZ."""
-    return [cameras.observe(k / RATE_HZ, bodies) for k in range(frames)]
+    return [cameras.observe(k / RATE_HZ, LAYOUT, EXACT) for k in range(frames)]
 
 
 def markers_of(observations):
@@ -23,7 +28,7 @@ def markers_of(observations):
 
 
 def test_ideal_cameras_report_the_exact_markers():
-    seen = MocapCameras(CameraParams.ideal()).observe(0.0, BODIES)
+    seen = MocapCameras(CameraParams.ideal()).observe(0.0, LAYOUT, EXACT)
     assert np.array_equal(seen.markers_m, EXACT)
     assert seen.unidentified_m.shape == (0, 3)
     assert seen.layout == (("Raven", 4), ("Landmark_A", 3))
@@ -34,7 +39,19 @@ def test_input_is_not_changed():
     before = EXACT.copy()
     cameras = MocapCameras(windows=[OcclusionWindow("Raven", 0.0, 1.0)])
     run(cameras, 10)
-    assert np.array_equal(np.concatenate([markers for _, markers in BODIES]), before)
+    assert np.array_equal(EXACT, before)
+
+
+def test_the_same_numbers_as_ever():
+    """Bit for bit: noise, occlusions and ghosts of a seed."""
+    golden = np.load(GOLDEN / "mocap_cameras.npz")
+    params = CameraParams(occlusions_per_marker_hz=2.0, ghosts_hz=20.0)
+    cameras = MocapCameras(params, seed=5, windows=[OcclusionWindow("Raven", 0.1, 0.2, (1, 2))])
+    seen = run(cameras, 150)
+    assert np.array_equal(markers_of(seen), golden["markers_m"], equal_nan=True)
+    assert np.isnan(golden["markers_m"]).any(axis=(1, 2)).mean() > 0.2
+    assert np.array_equal(np.concatenate([o.unidentified_m for o in seen]), golden["unidentified_m"])
+    assert [len(o.unidentified_m) for o in seen] == golden["unidentified_count"].tolist()
 
 
 def test_noise_is_white_with_the_given_deviation():
@@ -100,22 +117,36 @@ def test_window_added_on_the_way():
     cameras = MocapCameras(CameraParams.ideal())
     run(cameras, 10)
     cameras.add_window(OcclusionWindow("Raven", 0.05, 0.06, (0,)))
-    seen = cameras.observe(0.05, BODIES)
+    seen = cameras.observe(0.05, LAYOUT, EXACT)
     assert np.isnan(seen.markers_m[0]).all() and not np.isnan(seen.markers_m[1:]).any()
     with pytest.raises(ValueError, match="no such body.*Raven"):
         cameras.add_window(OcclusionWindow("Crow", 0.0, 1.0))
     with pytest.raises(ValueError, match="which has 4"):
         cameras.add_window(OcclusionWindow("Raven", 0.0, 1.0, (4,)))
-    assert not np.isnan(cameras.observe(0.06, BODIES).markers_m).any()
+    assert not np.isnan(cameras.observe(0.06, LAYOUT, EXACT).markers_m).any()
     cameras.add_window(OcclusionWindow("Raven", 0.07, 0.09, (1,)))  # forgets the first one, keeps the next
     cameras.add_window(OcclusionWindow("Raven", 0.08, 0.09, (2,)))
-    hidden = [np.flatnonzero(np.isnan(cameras.observe(t, BODIES).markers_m[:, 0])).tolist() for t in (0.07, 0.08, 0.09)]
+    hidden = [
+        np.flatnonzero(np.isnan(cameras.observe(t, LAYOUT, EXACT).markers_m[:, 0])).tolist() for t in (0.07, 0.08, 0.09)
+    ]
     assert hidden == [[1], [1, 2], []]
 
 
 def test_window_for_an_unknown_body_stops_the_first_frame():
     with pytest.raises(ValueError, match="'Crow'.*Raven, Landmark_A"):
-        MocapCameras(windows=[OcclusionWindow("Crow", 0.0, 1.0)]).observe(0.0, BODIES)
+        MocapCameras(windows=[OcclusionWindow("Crow", 0.0, 1.0)]).observe(0.0, LAYOUT, EXACT)
+
+
+def test_ghosts_do_not_depend_on_what_was_drawn_ahead(monkeypatch):
+    """Frames that are left out, too: each draws for the time since the one before."""
+    times_s = np.delete(np.arange(3000), np.r_[40:45, 700:900:7]) / RATE_HZ
+    seen = []
+    for ahead in (1, 64):
+        monkeypatch.setattr(mocap_cameras, "_FRAMES_AHEAD", ahead)
+        cameras = MocapCameras(CameraParams(ghosts_hz=3.0), seed=6)
+        seen.append([cameras.observe(t, LAYOUT, EXACT).unidentified_m for t in times_s])
+    assert sum(map(len, seen[0])) > 500
+    assert all(np.array_equal(one, other) for one, other in zip(*seen))
 
 
 def test_ghosts_appear_inside_the_volume_live_and_vanish():
@@ -132,11 +163,13 @@ def test_ghosts_appear_inside_the_volume_live_and_vanish():
 
 def test_changed_bodies_give_a_new_layout():
     cameras = MocapCameras(CameraParams.ideal())
-    first, again = cameras.observe(0.0, BODIES), cameras.observe(0.005, BODIES)
+    first, again = cameras.observe(0.0, LAYOUT, EXACT), cameras.observe(0.005, LAYOUT, EXACT)
     assert first.layout is again.layout
-    fewer = cameras.observe(0.01, BODIES[1:])
+    fewer = cameras.observe(0.01, LAYOUT[1:], EXACT[4:])
     assert fewer.layout == (("Landmark_A", 3),)
-    assert cameras.observe(0.015, []).markers_m.shape == (0, 3)
+    assert cameras.observe(0.015, (), np.empty((0, 3))).markers_m.shape == (0, 3)
+    with pytest.raises(ValueError, match="7 markers"):
+        cameras.observe(0.02, LAYOUT, EXACT[1:])
 
 
 @pytest.mark.parametrize(

@@ -86,5 +86,5 @@ def test_what_the_vehicle_believes_stays_nominal():
 def test_stack_keeps_order():
     plants = draws(3)
     stacked = stack_plants(plants)
-    np.testing.assert_array_equal(stacked.mass_kg, [plant.mass_kg for plant in plants])
-    np.testing.assert_array_equal(stacked.inertia_y_kg_m2, [ARDRONE.inertia_kg_m2[1]] * 3)
+    np.testing.assert_array_equal(stacked["mass_kg"], [plant.mass_kg for plant in plants])
+    np.testing.assert_array_equal(stacked["inertia_y_kg_m2"], [ARDRONE.inertia_kg_m2[1]] * 3)

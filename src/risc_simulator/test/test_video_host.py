@@ -152,7 +152,7 @@ def test_a_second_watcher_joins_in_the_middle(lab, client):
 def test_switching_the_camera_changes_stream_and_picture(lab, client):
     header, _ = client.picture()
     lab.vehicle_hosts["risc1"].configuration.write("video:video_channel", "1", None)
-    lab.vehicle_hosts["risc1"]._configure_video()
+    lab.vehicle_hosts["risc1"]._obey_configuration()
     deadline_s = time.monotonic() + PATIENCE_S
     while True:
         now, picture = client.picture()

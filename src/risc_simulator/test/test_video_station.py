@@ -167,6 +167,7 @@ def test_another_session_brings_its_own_values(host):
 def test_a_closed_host_has_no_sockets_while_cameras_run(host, monkeypatch):
     host, _ = host
     monkeypatch.setattr(VideoLauncher, "may_start", False)  # as while the camera process runs
+    host.watch_streams()
     assert host.video_listener not in host.sockets()
     host.close()
     assert host.sockets() == []

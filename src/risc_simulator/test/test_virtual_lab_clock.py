@@ -72,6 +72,33 @@ def test_commands_that_waited_through_a_stall_do_not_lie_in_the_future(clock, st
         lab.close()
 
 
+def test_a_short_stall_is_made_up_for_frame_by_frame(clock):
+    """100 ms: the frames that are late follow at once, each of its own time, and the next one is on time again."""
+    fleet = make_fleet()
+    lab, pilot = VirtualLab(fleet, live_on_start=True), Pilot(fleet)
+    host, exposed_s, told_s, late_s = lab.vehicle_hosts["risc1"], [], [], []
+    observe, tick, on_readable = lab.cameras.observe, host.tick, host.on_readable
+    lab.cameras.observe = lambda time_s, *rest: (exposed_s.append(time_s), observe(time_s, *rest))[1]
+    host.tick = lambda now_s: (told_s.append((now_s, lab.world.time_s)), tick(now_s))
+    host.on_readable = lambda sock, now_s: (told_s.append((now_s, lab.world.time_s)), on_readable(sock, now_s))
+    try:
+        for k in range(200):
+            if k == 100:
+                clock.now_s += 0.1
+            pilot.send()
+            lab.step()
+            late_s.append(lab.now_s() - lab.exposure_s - fleet.mocap.reported_delay_s)
+        assert exposed_s == pytest.approx([k / 200.0 for k in range(1, 201)])
+        assert lab.cortex_host.statistics()["frames_sent"] == 200 and lab.stalls == 0
+        assert late_s[100:119] == pytest.approx([0.095 - 0.005 * k for k in range(19)], abs=1e-4)
+        assert max(late_s[:100] + late_s[119:]) < 1e-4
+        assert len(told_s) >= 400 and told_s == sorted(told_s), "time went back"
+        assert all(world_s <= now_s for now_s, world_s in told_s), "the world was ahead of its hosts"
+    finally:
+        pilot.close()
+        lab.close()
+
+
 @pytest.mark.parametrize("rate_hz, frames", [(10.0, 5), (60.0, 30), (200.0, 100), (400.0, 200)])
 def test_vehicles_are_served_at_200_hz_whatever_the_cameras_do(clock, rate_hz, frames):
     fleet = make_fleet(rate_hz)

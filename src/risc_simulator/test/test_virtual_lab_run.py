@@ -18,6 +18,7 @@ import pytest
 from risc_control.lab import FleetLandmark, FleetVehicle, load_templates
 from risc_control.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
+from risc_simulator.models.mocap_cameras import split_bodies
 from risc_simulator.virtual_lab import VirtualLab, configure_fleet, summary
 from risc_simulator.world import FlightPhase
 
@@ -111,7 +112,7 @@ def test_stream_reaches_a_raw_client_complete_and_on_time(running, net):
     seen[np.abs(seen) > 1000] = np.nan  # lost markers
     noise = np.nanstd(seen, axis=0)
     assert np.all((noise > 0.0015) & (noise < 0.0025))  # 400 samples of 2 mm
-    exact = dict(running.world.bodies())["fluffy_II"]
+    exact = dict(split_bodies(running.world.layout, running.world.markers_m()))["fluffy_II"]
     np.testing.assert_allclose(np.nanmean(seen, axis=0), exact, atol=0.0006)
     # The schedule is kept whatever else this computer does: after stalls there are frames on time again.
     late_s = np.array(arrivals) - np.arange(400) / 200.0
@@ -222,8 +223,8 @@ def test_options_reach_the_lab(net):
         assert lab.world.vehicles["risc2"].plant.command_delay_s == 0.3
         assert lab.world.vehicles["risc2"].plant.mass_kg == 0.45
         assert lab.frame == 12 and lab.world.time_s == pytest.approx(0.1)  # frames stand on the physics' grid
-        exact = dict(lab.world.bodies())["Raven"]
-        np.testing.assert_array_equal(dict(lab.cameras.observe(1.0, lab.world.bodies()).bodies())["Raven"], exact)
+        exact_m = lab.world.markers_m()
+        np.testing.assert_array_equal(lab.cameras.observe(1.0, lab.world.layout, exact_m).markers_m, exact_m)
     finally:
         lab.close()
 

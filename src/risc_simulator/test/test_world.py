@@ -1,6 +1,7 @@
 """The world: phases, floor, net, battery, signs, reproducibility."""
 
 import dataclasses
+import pathlib
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from risc_simulator import world as world_module
 from risc_simulator.models import ardrone_firmware as firmware
 from risc_simulator.world import REST_HEIGHT_M, FlightAction, FlightPhase, Setpoint, World
 
+GOLDEN = pathlib.Path(__file__).parent / "golden"
 TYPES = {"ardrone": load_vehicle_type("ardrone")}
 MARKERS = np.array([[0.2, 0.2, 0.0], [0.2, -0.2, 0.0], [-0.2, 0.2, 0.0], [-0.1, -0.2, -0.08]])
 NAMES = ["fluffy_II", "albatross", "Raven", "Condor", "Kahn"]
@@ -338,18 +340,18 @@ def test_bodies_are_exact_rigid_markers_in_fleet_order_then_landmarks():
     vehicle = world.vehicles["risc1"]
     vehicle.fly_at((0.3, -0.2, 1.2), np.pi / 2)
     vehicle.schedule(0.0, Setpoint(roll_rad=0.2, pitch_rad=0.1, yaw_rate_rad_s=0.3))
-    names = [name for name, _ in world.bodies()]
-    assert names == ["fluffy_II", "albatross", "Green_pink"]
-    markers_m = world.bodies()[0][1]
+    assert world.layout == (("fluffy_II", 4), ("albatross", 4), ("Green_pink", 2))
+    markers_m = world.markers_m()
+    assert markers_m.shape == (10, 3)
     # nose to -y: front right marker (0.2, 0.2) lies at -y (front) and -x (right)
     np.testing.assert_allclose(markers_m[0], [0.1, -0.4, 1.2], atol=1e-12)
     world.step_to(0.5)
-    markers_m = world.bodies()[0][1]
+    markers_m = world.markers_m()
     np.testing.assert_allclose(np.linalg.norm(markers_m[0] - markers_m[2]), 0.4)
     right_wing, left_wing = markers_m[0], markers_m[1]
     assert right_wing[2] < left_wing[2]  # roll + is right wing down
     assert markers_m[0][2] > markers_m[2][2]  # pitch + is nose up
-    np.testing.assert_allclose(world.bodies()[2][1], [[2, 1, 1.1], [2, 1.1, 1.0]])
+    np.testing.assert_allclose(world.markers_m()[8:], [[2, 1, 1.1], [2, 1.1, 1.0]])
 
 
 # ------------------------------------------------------------------ time and reproducibility
@@ -371,6 +373,50 @@ def fly_a_tour(world):
             ]
         )
     return np.array(history)
+
+
+def fly_the_golden_flight():
+    """Everything that can happen to a vehicle: see golden/README.md."""
+    world = make_world(3, seed=5, honest=True, gusts=True)
+    first, second, third = world.vehicles.values()
+    rng = np.random.default_rng(8)
+    for k, vehicle in enumerate((first, second, third)):
+        vehicle.schedule(0.013 + 0.3 * k, FlightAction.TAKE_OFF)
+        for j in range(90 if vehicle is not third else 0):  # the sticks of a radio, off the grid of the world
+            vehicle.schedule(4.0 + j / 30.0, Setpoint(*(0.06 * rng.standard_normal(2)), 0.3, 0.4, hover=j % 40 > 34))
+    first.schedule(7.2, Setpoint(hover=True))
+    first.schedule(9.0, FlightAction.LAND)
+    second.schedule(7.1, Setpoint(roll_rad=-0.3))  # into the net
+    second.schedule(12.0, FlightAction.CLEAR_EMERGENCY)
+    second.schedule(12.1, FlightAction.TAKE_OFF)
+    third.schedule(7.1, Setpoint(climb_m_s=-0.5))  # along the floor
+    third.schedule(11.0, Setpoint(climb_m_s=0.5, yaw_rate_rad_s=-0.3))
+    third.schedule(13.0, Setpoint(climb_m_s=0.1))
+    rows, phases = [], []
+    for k in range(1, 86):
+        if k == 70:
+            third.set_battery_pct(firmware.EMPTY_BATTERY_PCT + 0.2)  # it lands by itself
+        world.step_to(0.2 * k)
+        rows.append(world.truth())
+        phases.append([list(FlightPhase).index(vehicle.phase) for vehicle in world.vehicles.values()])
+    forces = [vehicle.state.specific_force_m_s2 for vehicle in world.vehicles.values()]
+    crashes = [[crash.time_s, *crash.position_m] for crash in world.crashes]
+    return {
+        "truth": np.array(rows),
+        "phases": np.array(phases),
+        "forces": np.array(forces),
+        "crashes": np.array(crashes),
+        "least_separation_m": world.least_separation_m,
+    }
+
+
+def test_the_golden_flight_is_flown_as_ever():
+    golden = np.load(GOLDEN / "world_flight.npz")
+    flown = fly_the_golden_flight()
+    assert set(flown) == set(golden)
+    assert len(np.unique(golden["phases"])) == len(FlightPhase)
+    for key, expected in golden.items():
+        np.testing.assert_allclose(flown[key], expected, rtol=0, atol=1e-9, err_msg=key)
 
 
 def test_same_seed_same_bits_other_seed_other_flight():
@@ -398,7 +444,7 @@ def test_looking_changes_nothing_and_the_size_of_the_strides_neither():
     quiet.step_to(6.5)
     for k in range(1, 2167):
         watched.step_to(k * 0.003)
-        watched.bodies()
+        watched.markers_m()
         assert watched.vehicles["risc2"].state.battery_pct > 0
     watched.step_to(6.5)
     np.testing.assert_array_equal(quiet.vehicles["risc1"].state.position_m, watched.vehicles["risc1"].state.position_m)

@@ -11,11 +11,13 @@ from risc_simulator.models.flight import FlightPhase, Setpoint
 def test_row_and_file(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, "COUNTS", (1, 3))
     monkeypatch.setattr(bench, "REPEATS", 1)
+    monkeypatch.setattr(bench, "LAB_TAKE_OFF_S", 0.2)
+    monkeypatch.setattr(bench, "LAB_MEASURED_S", 0.3)
     monkeypatch.setattr(bench, "REQUIRED_TIMES_REAL_TIME", {})
     assert bench.main(["--json", str(tmp_path / "b.json")]) == 0
     rows = json.loads((tmp_path / "b.json").read_text())["offline_world"]
     assert [row["vehicles"] for row in rows] == [1, 3]
-    assert all(row["times_real_time"] > 1 for row in rows)
+    assert all(row["times_real_time"] > 1 and 0.0 < row["lab_cores"] < 1.0 for row in rows)
     assert "times real time" in capsys.readouterr().out
     monkeypatch.setattr(bench, "REQUIRED_TIMES_REAL_TIME", {1: 1e9})
     assert bench.main([]) == 1

@@ -27,6 +27,7 @@ from risc_control.trajectories import COURSES, YawProgram, make_course
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehicleNodeParams, VehiclePilot
 from risc_estimation.states import S, StatesEstimator
+from risc_simulator.cortex_wire import FrameEncoder
 from risc_simulator.models.flight import FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.models.radio_link import RadioLink
@@ -107,7 +108,7 @@ def fly(flight):
         time_s = frame * FRAME_S
         now_s = time_s + LATENCY_S
         world.step_to(time_s)
-        seen = cameras.observe(time_s, world.bodies())
+        seen = cameras.observe(time_s, world.layout, world.markers_m())
         estimate = estimator.update(time_s, seen.layout, seen.markers_m)
         states = States(estimate.visible, estimate.states)
         if time_s >= WARM_UP_S and not chains[0].pilot.autonomous:
@@ -244,6 +245,10 @@ def main(argv=None):
     if args.compile:
         fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
         DoubleIntegratorController([load_vehicle_type("ardrone")])
+        FrameEncoder((("body", 1),))  # the virtual lab's
+        from risc_control.ros.conversions import StatesReader  # the nodes', with ROS only
+
+        StatesReader(())
         return 0
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
           "worst", "closest", "speed"))  # fmt: skip

@@ -36,6 +36,7 @@ from risc_simulator.models.ardrone_firmware import LOW_BATTERY_PCT
 from risc_simulator.models.ardrone_sensors import ArdroneSensors
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
+from risc_simulator.socket_host import SocketHost
 
 _LOG = logging.getLogger(__name__)
 
@@ -48,6 +49,8 @@ LOOK_AHEAD_S = 0.010  # decisions are taken this long before they take effect: t
 ORDER_REST_S = 0.1  # after an order, until the vehicle's phase is believed again
 ALTITUDE_GAIN_1_S = 0.8  # climb rate allowed per metre below altitude_max; below 1/(4 * 0.3 s): no overshoot
 CLIMB_STEP_M_S = 0.005  # smaller changes by the altitude limit are not worth a command
+FOREVER_S = 1e9  # for a client that writes whatever number
+EARLY_S = 1e-6  # what rounding may make of the time at which something is due
 
 DATAGRAMS_PER_CALL = 64
 MAX_TCP_CLIENTS = 8
@@ -125,10 +128,11 @@ _COUNTS = (
 )
 
 
-class ArdroneHost(object):
+class ArdroneHost(SocketHost):
     """One aircraft.
 
-    vehicle: world.Vehicle (namespace, name, plant.command_delay_s, type.command_rate_hz, phase, state, schedule).
+    vehicle: world.Vehicle (namespace, name, plant.command_delay_s, type.command_rate_hz, phase, state, height_m,
+        battery_pct, schedule).
     address: IPv4 address of this machine to listen on, e.g. 127.0.1.1.
     ports: Ports; a 0 takes a free one, see `ports`.
     seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
@@ -142,8 +146,8 @@ class ArdroneHost(object):
     def __init__(
         self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, rest_height_m=None
     ):
+        super().__init__()
         self._vehicle = vehicle
-        self._known_state = None  # VehicleState of this cycle, once somebody has asked for it
         self.address = address
         rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
         rate_hz = vehicle.type.command_rate_hz
@@ -151,7 +155,7 @@ class ArdroneHost(object):
             vehicle.plant.command_delay_s, rate_hz, radio_loss, rng, phase_s=rng.uniform(0.0, 1.0 / rate_hz)
         )
         if rest_height_m is None:
-            rest_height_m = float(self._state.position_m[2]) if vehicle.phase is FlightPhase.LANDED else 0.0
+            rest_height_m = vehicle.height_m if vehicle.phase is FlightPhase.LANDED else 0.0
         self._rest_height_m = rest_height_m
         self.sensors = ArdroneSensors(rng, sensor_noise, rest_height_m)
         serial = "PS721%09d" % (crc32(address.encode("ascii")) % 10**9)
@@ -166,8 +170,9 @@ class ArdroneHost(object):
         self._last_at_s = None  # of the last accepted command; None before the first and after a loss
         self._com_watchdog = True  # state bit 30
         self._com_lost_s = None  # since when state bit 13 is set
-        self._lost_until_s = -math.inf  # injected
+        self._lost_until_s, self._link_up = -math.inf, True  # injected
         self._now_s = 0.0
+        self._due_s = -math.inf  # before this time tick() has nothing to do, while the phase stays the same
 
         # piloting
         self._arriving = deque()  # (time, item) from the radio that is not yet due
@@ -183,6 +188,7 @@ class ArdroneHost(object):
         self._sticks = _NO_STICKS
         self._wanted = Setpoint(hover=True)  # before the altitude limit
         self._scheduled = self._wanted
+        self._free_m = -math.inf, math.inf  # heights between which nothing limits its climb
         self._ref_sequence = 0
         self._ref_time_s = None
         self._ref_gap_ms = 0.0
@@ -210,7 +216,7 @@ class ArdroneHost(object):
             self.close()
             raise
         self.ports = Ports(*[self._sockets[name].getsockname()[1] for name in Ports._fields])
-        self._rebuild_writer()
+        self._obey_configuration()
 
     # --- the host interface of the virtual lab ------------------------------------------------------------------
 
@@ -222,26 +228,34 @@ class ArdroneHost(object):
     def attach_video(self, video):
         """Let a camera process serve the video clients.  video: video.launcher.VehicleVideo."""
         self._video = video
-        self._configure_video()
+        self._obey_configuration()
+        self.watch_streams()
 
-    def sockets(self):
-        """Sockets to wait on; when one can be read call on_readable(). Empty after close()."""
-        udp_and_listeners = list(self._sockets.values())
-        if udp_and_listeners and self._video is not None and not self._video.wants_clients:
-            udp_and_listeners.remove(self.video_listener)  # the camera process accepts
-        if self.link_lost:  # streams stall; they would be readable for ever if they were waited on
-            return [s for s in udp_and_listeners if s.type == socket.SOCK_DGRAM]
-        return udp_and_listeners + list(self._control_clients) + self._video_clients
+    def watch_streams(self):
+        """Wait for those listeners and streams that are to be served now."""
+        served = []
+        if self._sockets and not self.link_lost:  # stalled streams would be readable for ever
+            served = [self._sockets["control"], *self._control_clients, *self._video_clients]
+            if self._video is None or self._video.wants_clients:  # else the camera process accepts
+                served.append(self.video_listener)
+        for sock in self._waiting:
+            if sock.type == socket.SOCK_STREAM and sock not in served:
+                self._waiting.discard(sock)
+        for sock in served:
+            self._waiting.add(sock)
 
     def on_readable(self, sock, now_s):
         """Take what has come in on one of sockets() at lab time now_s."""
         self._now_s = now_s
+        self._due_s = -math.inf
         if sock is self._sockets.get("at"):
             for data, _ in self._receive(sock):
                 self._on_at_datagram(data, now_s)
         elif sock is self._sockets.get("navdata"):
             for data, sender in self._receive(sock):
                 self._on_wake_up(data, sender, now_s)
+        elif self.link_lost:
+            self.watch_streams()  # a loss that has just begun: streams stall
         elif sock is self._sockets.get("control"):
             client = self._accept(sock)
             if client is not None:
@@ -249,6 +263,7 @@ class ArdroneHost(object):
         elif sock is self._sockets.get("video"):
             if self._video is not None:
                 self._video.start()  # accepts as soon as it is up
+                self.watch_streams()
                 return
             client = self._accept(sock)
             if client is not None:
@@ -260,21 +275,46 @@ class ArdroneHost(object):
         """To be called once per cycle of the lab, after the world has moved."""
         self._now_s = now_s
         phase = self._vehicle.phase
-        self._known_state = None
+        link_up = now_s >= self._lost_until_s
+        if now_s < self._due_s and phase is self._last_phase and link_up is self._link_up:
+            if phase is FlightPhase.FLYING:
+                self._limit_altitude(now_s)
+            return
+        if link_up is not self._link_up:
+            self._switch_link(link_up)
         self._watch_phase(phase)
         self._watch_link(now_s, phase)
         self._pilot(now_s, phase)
-        if self._video is not None:
-            self._video.set_link(not self.link_lost)
-        if self._control_clients and not self.link_lost:
+        if self._control_clients and link_up:
             self._flush_control_clients()
         if self._client is not None and now_s >= self._next_packet_s - 0.1 * FULL_PERIOD_S:
             self._send_navdata(now_s, phase)
+        self._due_s = self._next_due_s(now_s, phase) - EARLY_S
+
+    def _next_due_s(self, now_s, phase):
+        """When tick() has something to do again, unless the phase changes or something comes in first."""
+        due_s = self._radio.due_s
+        if self._arriving:
+            due_s = min(due_s, self._arriving[0][0] - LOOK_AHEAD_S)
+        if self._client is not None:
+            due_s = min(due_s, self._next_packet_s - 0.1 * FULL_PERIOD_S)
+        if self._com_lost_s is not None:
+            if phase in _CAN_LAND:
+                due_s = min(due_s, max(self._com_lost_s + LOST_HOVER_S, self._rest_until_s))
+        elif self._last_at_s is not None:
+            due_s = min(due_s, self._last_at_s + (self._patience_s if self._com_watchdog else WATCHDOG_S))
+        if self._start is not None:
+            if (phase is FlightPhase.LANDED and self._armed) if self._start else phase in _CAN_LAND:
+                due_s = min(due_s, self._rest_until_s)
+        if self._link_up and any(self._control_clients.values()):
+            due_s = now_s
+        return due_s
 
     def close(self):
         """Close all sockets. May be called twice."""
         for sock in list(self._sockets.values()) + list(self._control_clients) + self._video_clients:
             sock.close()
+        self._waiting.close()
         self._sockets, self._control_clients, self._video_clients = {}, {}, []
 
     def describe(self):
@@ -306,6 +346,12 @@ class ArdroneHost(object):
         """An injected loss is in force."""
         return self._now_s < self._lost_until_s
 
+    def _switch_link(self, link_up):
+        self._link_up = link_up
+        self.watch_streams()
+        if self._video is not None:
+            self._video.set_link(self._link_up)
+
     @property
     def state_bits(self):
         """State bits as the next packet would carry them, an int of navdata.State."""
@@ -322,12 +368,6 @@ class ArdroneHost(object):
         result["sticks_superseded"] = self._radio.items_superseded
         return result
 
-    @property
-    def _state(self):
-        if self._known_state is None:
-            self._known_state = self._vehicle.state
-        return self._known_state
-
     # --- sockets --------------------------------------------------------------------------------------------------
 
     def _open(self, ports):
@@ -341,6 +381,7 @@ class ArdroneHost(object):
             sock = socket.socket(socket.AF_INET, kind)
             self._sockets[name] = sock
             sock.setblocking(False)
+            self._waiting.add(sock)
             if kind == socket.SOCK_STREAM:  # listen again at once although old connections linger
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
@@ -376,6 +417,7 @@ class ArdroneHost(object):
             self._counts["tcp_clients_refused"] += 1
             client.close()
             return None
+        self._waiting.add(client)
         return client
 
     def _drain(self, sock):
@@ -390,6 +432,7 @@ class ArdroneHost(object):
             self._hang_up(sock)
 
     def _hang_up(self, sock):
+        self._waiting.discard(sock)
         sock.close()
         self._control_clients.pop(sock, None)
         if sock in self._video_clients:
@@ -463,17 +506,25 @@ class ArdroneHost(object):
             self._next_packet_s = min(self._next_packet_s, self._now_s + FULL_PERIOD_S)
         if key in ("control:flight_anim", "leds:leds_anim", "userbox:userbox_cmd"):
             self.notes[key] = value
-        if self._video is not None:  # whatever the key: another session's or user's profile changes values of the video
-            self._configure_video()
-        self._rebuild_writer()
+        self._obey_configuration()  # whatever the key: another session's or user's profile brings its own values
 
-    def _configure_video(self):
-        self._video.configure(
-            channel=self.get("video:video_channel"),
-            rate_hz=self.get("video:codec_fps"),
-            bitrate_kbit_s=self.get("video:max_bitrate"),
-            enabled=self.get("general:video_enable"),
-        )
+    def _obey_configuration(self):
+        get = self.configuration.get
+        self._patience_s = min(max(1, get("general:com_watchdog")), FOREVER_S)
+        self._packet_period_s = DEMO_PERIOD_S if get("general:navdata_demo") else FULL_PERIOD_S
+        self._tilt_max_rad, self._yaw_rate_max_rad_s = get("control:euler_angle_max"), get("control:control_yaw")
+        self._climb_max_m_s = 1e-3 * get("control:control_vz_max")
+        self._lowest_m, highest_mm = 1e-3 * get("control:altitude_min"), get("control:altitude_max")
+        self._highest_m = 1e-3 * highest_mm if highest_mm < NO_LIMIT_MM else math.inf
+        self._find_free_heights()
+        self._rebuild_writer()
+        if self._video is not None:
+            self._video.configure(
+                channel=get("video:video_channel"),
+                rate_hz=get("video:codec_fps"),
+                bitrate_kbit_s=get("video:max_bitrate"),
+                enabled=get("general:video_enable"),
+            )
 
     def _on_ctrl(self, command, _):
         mode = command.arguments[0]
@@ -537,7 +588,7 @@ class ArdroneHost(object):
         silence_s = now_s - self._last_at_s
         if silence_s > WATCHDOG_S:
             self._bark()
-        if silence_s > max(1, self.get("general:com_watchdog")):
+        if silence_s > self._patience_s:
             self._lose_client(now_s)
 
     def _lose_client(self, now_s):
@@ -564,7 +615,7 @@ class ArdroneHost(object):
             else:
                 self._obey_ref(time_s, item, phase)
         self._obey_start_level(now_s, phase)
-        if phase is FlightPhase.FLYING and not self._wanted.hover:
+        if phase is FlightPhase.FLYING:
             self._limit_altitude(now_s)
 
     def _obey_ref(self, time_s, bits, phase):
@@ -591,7 +642,7 @@ class ArdroneHost(object):
             return
         if self._start:
             if phase is FlightPhase.LANDED and self._armed:
-                if self._state.battery_pct > LOW_BATTERY_PCT:
+                if self._vehicle.battery_pct > LOW_BATTERY_PCT:
                     self._order(now_s, FlightAction.TAKE_OFF)
                 elif not self._refused:
                     self._refused = True
@@ -605,6 +656,7 @@ class ArdroneHost(object):
         self._landing_ordered = action is FlightAction.LAND
         if action is FlightAction.TAKE_OFF:
             self._wanted = self._scheduled = Setpoint(hover=True)
+            self._find_free_heights()
             self._counts["take_offs"] += 1
         elif action is FlightAction.LAND:
             self._counts["landings"] += 1
@@ -626,12 +678,11 @@ class ArdroneHost(object):
             roll, pitch = sticks.roll, sticks.pitch
             if sticks.flags & at.PcmdFlag.ABSOLUTE:
                 roll, pitch = self._from_pilots_heading(roll, pitch, math.pi * sticks.psi)
-            tilt_rad = self.get("control:euler_angle_max")
             self._wanted = Setpoint(
-                roll_rad=tilt_rad * roll,
-                pitch_rad=tilt_rad * pitch,
-                climb_m_s=1e-3 * self.get("control:control_vz_max") * sticks.gaz,
-                yaw_rate_rad_s=self.get("control:control_yaw") * sticks.yaw,
+                roll_rad=self._tilt_max_rad * roll,
+                pitch_rad=self._tilt_max_rad * pitch,
+                climb_m_s=self._climb_max_m_s * sticks.gaz,
+                yaw_rate_rad_s=self._yaw_rate_max_rad_s * sticks.yaw,
             )
         else:
             self._wanted = Setpoint(hover=True)
@@ -639,7 +690,7 @@ class ArdroneHost(object):
 
     def _from_pilots_heading(self, roll, pitch, pilot_psi_rad):
         """Roll and pitch sticks of a pilot who looks along another heading, in the aircraft's own."""
-        turn = self._state.psi - pilot_psi_rad
+        turn = self._vehicle.state.psi - pilot_psi_rad
         forward, right = -pitch, roll
         c, s = math.cos(turn), math.sin(turn)
         return -s * forward + c * right, -(c * forward + s * right)
@@ -647,20 +698,31 @@ class ArdroneHost(object):
     def _within_altitude_limits(self, setpoint):
         if setpoint.hover or self._vehicle.phase is not FlightPhase.FLYING:
             return setpoint
-        altitude_m = float(self._state.position_m[2]) - self._rest_height_m
-        climb = max(setpoint.climb_m_s, ALTITUDE_GAIN_1_S * (1e-3 * self.get("control:altitude_min") - altitude_m))
-        highest_mm = self.get("control:altitude_max")
-        if highest_mm < NO_LIMIT_MM:
-            climb = min(climb, ALTITUDE_GAIN_1_S * (1e-3 * highest_mm - altitude_m))
+        altitude_m = self._vehicle.height_m - self._rest_height_m
+        climb = max(setpoint.climb_m_s, ALTITUDE_GAIN_1_S * (self._lowest_m - altitude_m))
+        climb = min(climb, ALTITUDE_GAIN_1_S * (self._highest_m - altitude_m))
         return setpoint if climb == setpoint.climb_m_s else replace(setpoint, climb_m_s=climb)
 
+    def _find_free_heights(self):
+        """Where _limit_altitude() has nothing to do; nowhere while the climb is limited."""
+        if self._wanted.hover:
+            self._free_m = -math.inf, math.inf
+        elif self._scheduled.climb_m_s != self._wanted.climb_m_s:
+            self._free_m = math.inf, -math.inf
+        else:
+            shift_m = self._rest_height_m - self._wanted.climb_m_s / ALTITUDE_GAIN_1_S
+            self._free_m = self._lowest_m + shift_m, self._highest_m + shift_m
+
     def _limit_altitude(self, now_s):
+        if self._free_m[0] <= self._vehicle.height_m <= self._free_m[1]:
+            return
         limited = self._within_altitude_limits(self._wanted)
         if abs(limited.climb_m_s - self._scheduled.climb_m_s) > CLIMB_STEP_M_S:
             self._schedule(now_s, limited)
 
     def _schedule(self, time_s, setpoint):
         self._scheduled = setpoint
+        self._find_free_heights()
         self._vehicle.schedule(time_s, setpoint)
 
     # --- navdata ----------------------------------------------------------------------------------------------------
@@ -688,13 +750,10 @@ class ArdroneHost(object):
 
     def _send_navdata(self, now_s, phase):
         last_s = self._last_wake_up_s if self._last_at_s is None else max(self._last_at_s, self._last_wake_up_s)
-        if now_s - last_s > max(1, self.get("general:com_watchdog")):
+        if now_s - last_s > self._patience_s:
             self._client = None  # until the next wake-up
             return
-        if self._bootstrap:
-            period_s = BOOTSTRAP_PERIOD_S
-        else:
-            period_s = DEMO_PERIOD_S if self.get("general:navdata_demo") else FULL_PERIOD_S
+        period_s = BOOTSTRAP_PERIOD_S if self._bootstrap else self._packet_period_s
         self._next_packet_s += period_s
         if self._next_packet_s < now_s:  # a late cycle: packets that were missed are not made up for
             self._next_packet_s = now_s + 0.5 * period_s
@@ -712,7 +771,7 @@ class ArdroneHost(object):
             self._counts["send_errors"] += 1
 
     def _frame(self, now_s, phase):
-        state = self._state
+        state = self._vehicle.state
         airborne = phase in _IN_FLIGHT
         if phase is FlightPhase.EMERGENCY:
             airborne = float(state.position_m[2]) - self._rest_height_m > 0.05
@@ -750,7 +809,7 @@ class ArdroneHost(object):
                 bits |= _DEMO
         if self._com_lost_s is not None:
             bits |= _COM_LOST
-        if self._state.battery_pct <= LOW_BATTERY_PCT:
+        if self._vehicle.battery_pct <= LOW_BATTERY_PCT:
             bits |= _BATTERY_LOW
         if self._com_watchdog:
             bits |= _COM_WATCHDOG

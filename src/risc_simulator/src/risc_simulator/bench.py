@@ -1,71 +1,115 @@
-"""How fast the offline world is: `python3 -m risc_simulator.bench [--json FILE]`.
+"""How fast the virtual lab is: `python3 -m risc_simulator.bench [--json FILE]`.
 
-Every vehicle is in the air and gets a new setpoint at the rate of its radio, as in a flight; plants are honest.
+World and cameras offline, as fast as they go, on one core: every vehicle is in the air and gets a new setpoint at the
+rate of its radio, as in a flight; plants are honest. Then the whole lab in real time, with a client for each vehicle
+in another process: what part of a core it takes.
 """
 
 import argparse
+import contextlib
 import json
 import math
+import multiprocessing
+import random
+import socket
 import statistics
 import sys
 import time
 
-from risc_control.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from ardrone_autonomy import protocol
+from ardrone_autonomy.protocol import at, navdata
+from risc_control.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_templates, load_vehicle_type
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
-from risc_simulator.world import Setpoint, World
+from risc_simulator.models.mocap_cameras import MocapCameras
+from risc_simulator.virtual_lab import VirtualLab
+from risc_simulator.world import FlightPhase, Setpoint, World
 
-COUNTS = (1, 10, 50)
+COUNTS = (1, 3, 10, 50)
 REPEATS = 5
 WARM_UP_S = 0.5
-REQUIRED_TIMES_REAL_TIME = {1: 50.0}
+LAB_TAKE_OFF_S, LAB_MEASURED_S = 6.0, 5.0
+REQUIRED_TIMES_REAL_TIME = {1: 200.0}
+_COMMANDS_HZ = 30.0
+
+
+def make_fleet(count):
+    """(Fleet of `count` AR.Drones on a grid across the arena, their mocap templates)."""
+    columns = int(math.ceil(math.sqrt(count)))
+    names = ["vehicle%d" % (i + 1) for i in range(count)]
+    net = "127.%d" % random.SystemRandom().randint(210, 249)  # another run may be under way
+    fleet = Fleet(
+        "bench",
+        MocapEndpoint(net + ".0.1", stream_port=21010),
+        tuple(
+            FleetVehicle(
+                name,
+                name,
+                "ardrone",
+                "%s.1.%d" % (net, i + 1),
+                "",
+                (
+                    1.6 * NET_HALF_X_M * ((i % columns + 0.5) / columns - 0.5),
+                    1.6 * NET_HALF_Y_M * ((i // columns + 0.5) / columns - 0.5),
+                    0.0,
+                ),
+                0.0,
+            )
+            for i, name in enumerate(names)
+        ),
+    )
+    markers = load_templates()["fluffy_II"]
+    return fleet, {name: Template(name, "vehicle", markers.marker_names, markers.markers_m) for name in names}
 
 
 def make_world(count, seed=0):
-    """World with `count` AR.Drones, and their places on a grid across the arena [m]."""
-    columns = int(math.ceil(math.sqrt(count)))
-    places_m = [
-        (
-            1.6 * NET_HALF_X_M * ((i % columns + 0.5) / columns - 0.5),
-            1.6 * NET_HALF_Y_M * ((i // columns + 0.5) / columns - 0.5),
-            1.5,
-        )
-        for i in range(count)
-    ]
-    names = ["vehicle%d" % (i + 1) for i in range(count)]
-    fleet = Fleet(
-        "bench",
-        MocapEndpoint("127.0.0.1"),
-        tuple(
-            FleetVehicle(name, name, "ardrone", "127.0.1.%d" % (i + 1), "", place, 0.0)
-            for i, (name, place) in enumerate(zip(names, places_m))
-        ),
-    )
-    templates = {name: Template(name, "vehicle", (), ()) for name in names}
+    """World of make_fleet(), and where its vehicles are to fly [m]."""
+    fleet, templates = make_fleet(count)
     # 50 vehicles stand closer on their grid than two may come in flight: they fly through each other
     world = World(fleet, {"ardrone": load_vehicle_type("ardrone")}, templates, seed=seed, collisions=False)
-    return world, places_m
+    return world, [vehicle.start_position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
 
 
-def fly(world, places_m, duration_s):
-    """Fly to and fro around the places for duration_s [s] of world time. Returns the computing time [s]."""
-    start_s = world.time_s
+def start_flight(world, places_m, duration_s):
+    """Let them fly to and fro around the places for duration_s [s] of world time, from now on."""
     for index, (vehicle, place_m) in enumerate(zip(world.vehicles.values(), places_m)):
         vehicle.fly_at(place_m)
         rate_hz = vehicle.type.command_rate_hz
         for k in range(int(duration_s * rate_hz)):
             swing = 2.0 * math.pi * (k / rate_hz + 0.1 * index)
             vehicle.schedule(
-                start_s + k / rate_hz,
+                world.time_s + k / rate_hz,
                 Setpoint(0.05 * math.cos(swing), 0.05 * math.sin(swing), 0.05 * math.sin(swing), 0.2),
             )
+
+
+def fly(world, places_m, duration_s):
+    """Fly as start_flight() says. Returns the computing time [s]."""
+    start_flight(world, places_m, duration_s)
     clock_s = time.perf_counter()
-    world.step_to(start_s + duration_s)
+    world.step_to(world.time_s + duration_s)
     return time.perf_counter() - clock_s
 
 
-def measure(count, repeats=REPEATS, duration_s=None):
-    """{"vehicles", "times_real_time", "us_per_step", "repeats"}: medians of several repeats.
+def watch(world, places_m, duration_s):
+    """The same, seen by cameras in every step. Returns the median times [us] of a step and of a frame."""
+    cameras = MocapCameras(seed=0)
+    start_flight(world, places_m, duration_s)
+    start_s, step_s, frame_s = world.time_s, [], []
+    for k in range(1, int(duration_s / world.step_s) + 1):
+        clock_s = time.perf_counter()
+        world.step_to(start_s + k * world.step_s)
+        stepped_s = time.perf_counter()
+        cameras.observe(world.time_s, world.layout, world.markers_m())
+        step_s.append(stepped_s - clock_s)
+        frame_s.append(time.perf_counter() - stepped_s)
+    return 1e6 * statistics.median(step_s), 1e6 * statistics.median(frame_s)
 
+
+def measure(count, repeats=REPEATS, duration_s=None):
+    """{"vehicles", "times_real_time", "us_per_step", "repeats", "step_us", "frame_us"}: medians.
+
+    times_real_time, us_per_step: of the world alone, in long strides; step_us and frame_us: of single steps, and of the
+    cameras' frame after each.
     Raises RuntimeError when a vehicle crashed, for then the figure would mean nothing.
     """
     if duration_s is None:
@@ -73,6 +117,7 @@ def measure(count, repeats=REPEATS, duration_s=None):
     world, places_m = make_world(count)
     fly(world, places_m, WARM_UP_S)
     took_s = statistics.median(fly(world, places_m, duration_s) for _ in range(repeats))
+    step_us, frame_us = watch(world, places_m, duration_s)
     if world.crashes:
         raise RuntimeError("bench: %s %s" % (world.crashes[0].namespace, world.crashes[0].reason))
     return {
@@ -80,23 +125,89 @@ def measure(count, repeats=REPEATS, duration_s=None):
         "times_real_time": duration_s / took_s,
         "us_per_step": 1e6 * took_s / (duration_s / world.step_s),
         "repeats": repeats,
+        "step_us": step_us,
+        "frame_us": frame_us,
     }
+
+
+def measure_lab(count, take_off_s=LAB_TAKE_OFF_S, measured_s=LAB_MEASURED_S):
+    """{"lab_cores", "lab_late_ms", "lab_flying"}: what the lab takes, the 99th percentile of its lateness, and how many
+    vehicles fly at the end."""
+    fleet, templates = make_fleet(count)
+    lab = VirtualLab(fleet, templates=templates, live_on_start=True, collisions=False)
+    pilots = multiprocessing.get_context("fork").Process(target=_pilot, args=(fleet,), daemon=True)
+    pilots.start()
+    try:
+        lab.run(duration_s=take_off_s)
+        start_s, clock_s = lab.exposure_s, time.process_time()
+        lab.run(duration_s=take_off_s + measured_s)
+        cores = (time.process_time() - clock_s) / (lab.exposure_s - start_s)
+        return {
+            "lab_cores": cores,
+            "lab_late_ms": 1e3 * lab.lateness.percentile_s(99.0),
+            "lab_flying": sum(vehicle.phase is FlightPhase.FLYING for vehicle in lab.world.vehicles.values()),
+        }
+    finally:
+        pilots.terminate()
+        pilots.join()
+        lab.close()
+
+
+def _pilot(fleet):
+    """A client of each vehicle: commands at the rate of a driver, and what it sends back is read. Until terminated."""
+    with contextlib.ExitStack() as stack:
+        clients = []
+        for vehicle in fleet.vehicles:
+            client = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            client.setblocking(False)
+            clients.append((client, vehicle.address))
+        start_s, k = time.monotonic(), 0
+        while True:
+            for client, address in clients:
+                swing = 2.0 * math.pi * k / _COMMANDS_HZ  # once a second: they stay where they are
+                commands = at.ref(3 * k + 1, start=True) + at.pcmd_mag(
+                    3 * k + 2, at.PcmdFlag.PROGRESSIVE, 0.2 * math.cos(swing), 0.2 * math.sin(swing)
+                )
+                if k < 10:
+                    commands += at.config(3 * k + 3, "general:navdata_demo", "TRUE")
+                    client.sendto(navdata.WAKE_UP, (address, protocol.NAVDATA_PORT))
+                client.sendto(commands, (address, protocol.AT_PORT))
+                with contextlib.suppress(BlockingIOError):
+                    while True:
+                        client.recv(65536)
+            k += 1
+            time.sleep(max(0.0, start_s + k / _COMMANDS_HZ - time.monotonic()))
 
 
 def main(arguments=None):
     """Command line. Returns 1 when a required speed is missed."""
-    parser = argparse.ArgumentParser(prog="bench", description="Speed of the offline world on one core.")
+    parser = argparse.ArgumentParser(prog="bench", description="Speed of the virtual lab, offline and in real time.")
     parser.add_argument("--json", metavar="FILE", help="write the table there too")
     options = parser.parse_args(arguments)
-    rows = [measure(count, REPEATS) for count in COUNTS]
-    print("offline world, one core, step 5 ms (median of %d):" % REPEATS)
-    print("  vehicles   times real time   us per step   required")
-    for row in rows:
-        required = REQUIRED_TIMES_REAL_TIME.get(row["vehicles"])
+    print(
+        "offline on one core, step 5 ms (median of %d); the whole lab at 200 Hz, a client for each vehicle:" % REPEATS
+    )
+    print("                             world alone  |  world   cameras  |  whole lab   late p99")
+    print("  vehicles   times real time   us / step  |  us / step, frame  |      cores         ms   required")
+    rows = []
+    for count in COUNTS:
+        row = {**measure(count, REPEATS), **measure_lab(count, LAB_TAKE_OFF_S, LAB_MEASURED_S)}
+        required = REQUIRED_TIMES_REAL_TIME.get(count)
         print(
-            "  %8d   %15.0f   %11.0f   %s"
-            % (row["vehicles"], row["times_real_time"], row["us_per_step"], ">= %g" % required if required else "-")
+            "  %8d   %15.0f   %9.1f  |  %5.1f  %8.1f  |  %9.3f  %9.2f   %s"
+            % (
+                count,
+                row["times_real_time"],
+                row["us_per_step"],
+                row["step_us"],
+                row["frame_us"],
+                row["lab_cores"],
+                row["lab_late_ms"],
+                ">= %g times real time" % required if required else "-",
+            ),
+            flush=True,
         )
+        rows.append(row)
     if options.json:
         with open(options.json, "w", encoding="utf-8") as stream:
             json.dump({"offline_world": rows}, stream, indent=2)

@@ -1,7 +1,7 @@
 """A Motion Analysis Cortex host on the wire: what a client of the laboratory's mocap system talks to. No ROS.
 
-The host shows a world through a camera model. It belongs into a loop of one thread: wait for its sockets, call
-on_readable() when one can be read, and tick() once the world has moved on. One frame is exposed for every period of the
+The host shows a world through a camera model. It belongs into a loop of one thread: wait for its fileno(), call
+serve() when it can be read, and tick() once the world has moved on. One frame is exposed for every period of the
 frame rate that the world's time enters, and sent at once, so the caller's schedule is the schedule of the stream.
 
 Units: seconds of lab time (the clock of `now_s`; the world's time runs behind it by the reported delay) and metres in
@@ -22,6 +22,7 @@ import numpy as np
 from risc_simulator import cortex_wire as wire
 from risc_simulator.cortex_wire import Command
 from risc_simulator.models.mocap_cameras import MocapCameras, Observation
+from risc_simulator.socket_host import SocketHost
 
 IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))  # program id 1 says: this is Cortex
 UP_AXIS_Z = 2
@@ -112,10 +113,11 @@ class _EncodedFrame:
         return packet
 
 
-class CortexHost:
+class CortexHost(SocketHost):
     """The host.
 
-    world: has time_s [s] and bodies() -> [(name, (n, 3) exact markers [m]), ...].
+    world: has time_s [s], layout ((body name, number of markers), ...) and markers_m() -> (m, 3) exact markers [m] of
+        all bodies in this order.
     endpoint: has host, command_port, stream_group, stream_port, rate_hz, reported_delay_s. Command port 0 takes a free
         one (see `address`); an empty stream_group sends no multicast. Its interface is the client's, not used here.
     cameras: MocapCameras; None = good ones, seed 0.
@@ -142,6 +144,7 @@ class CortexHost:
         discovery=True,
         interface="",
     ):
+        super().__init__()
         if not 0.0 < endpoint.rate_hz < math.inf:
             raise ValueError("frame rate is %r Hz: give a positive one" % (endpoint.rate_hz,))
         self._world = world
@@ -167,16 +170,14 @@ class CortexHost:
         self._lateness = LatenessHistogram()
         self._clients = {}  # (address, port) of those who asked something: an ordered set
 
-        bodies = world.bodies()
+        layout, markers_m = world.layout, world.markers_m()
         self._encoder, self._encoder_layout = None, None
-        self._body_names = [name for name, _ in bodies]
-        self._body_defs = self._encode_body_defs(bodies, templates or {})
-        layout = tuple((name, len(markers)) for name, markers in bodies)
-        all_markers_m = np.concatenate([markers for _, markers in bodies]) if bodies else np.empty((0, 3))
-        exact = Observation(world.time_s, layout, all_markers_m, np.empty((0, 3)))
+        self._body_names = [name for name, _ in layout]
+        self._body_defs = self._encode_body_defs(layout, templates or {})
+        exact = Observation(world.time_s, layout, markers_m, np.empty((0, 3)))
         self._base_positions = self._encode(0, exact)
         # what the operator's screen shows before anything was live
-        self._shown = self._encode(0, self._cameras.observe(world.time_s, bodies))
+        self._shown = self._encode(0, self._cameras.observe(world.time_s, layout, markers_m))
         self._shown.date(world.time_s + endpoint.reported_delay_s)
 
         self._request_handlers = {
@@ -200,7 +201,7 @@ class CortexHost:
         self._requests_with_argument = {"GetFrameOfData", "SetOutputName", "ResetIDs"}
 
         self._buffer = bytearray(65536)
-        self._sockets, self._stream_socket = [], None
+        self._stream_socket = None
         self._broadcast_addresses = []
         try:
             self._open_sockets(unicast_stream, discovery, interface)
@@ -211,14 +212,11 @@ class CortexHost:
 
     # --- the host interface of the virtual lab --------------------------------------------------------------------
 
-    def sockets(self):
-        """Sockets to wait on; when one can be read call on_readable(). Empty after close()."""
-        return list(self._sockets)
-
     def on_readable(self, sock, now_s):
         """Answer what has come in on one of sockets() at lab time now_s."""
         self._last_now_s = now_s
-        self._expire(now_s)
+        if now_s >= self._faults_until_s:
+            self.clear_faults()
         for _ in range(DATAGRAMS_PER_CALL):
             try:
                 size, sender = sock.recvfrom_into(self._buffer)
@@ -229,25 +227,28 @@ class CortexHost:
                 break
             if not self._faults.silent:
                 self._on_datagram(bytes(self._buffer[:size]), sender)
-        self._send_late_replies(now_s)
+        if self._late_replies:
+            self._send_late_replies(now_s)
 
     def tick(self, now_s):
         """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
         self._last_now_s = now_s
-        self._expire(now_s)
+        if now_s >= self._faults_until_s:
+            self.clear_faults()
         periods = self._periods_entered()
         if periods and self._live:
             self._counts["exposures_skipped"] += periods - 1
             self._expose_and_send()
         elif periods and self._play_mode:
             self._step_playback(periods)
-        self._send_late_replies(now_s)
+        if self._late_replies:
+            self._send_late_replies(now_s)
 
     def close(self):
         """Close the sockets. May be called twice."""
-        for sock in self._sockets:
+        for sock in self._waiting:
             sock.close()
-        self._sockets = []
+        self._waiting.close()
         if self._stream_socket is not None:
             self._stream_socket.close()
 
@@ -350,7 +351,7 @@ class CortexHost:
     def _open_sockets(self, unicast_stream, discovery, interface):
         endpoint = self._endpoint
         self._command_socket = _udp_socket(endpoint.host, endpoint.command_port, "command port")
-        self._sockets.append(self._command_socket)
+        self._waiting.add(self._command_socket)
         self._address = self._command_socket.getsockname()
         try:
             self._command_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, COMMAND_RECEIVE_BUFFER_BYTES)
@@ -389,7 +390,7 @@ class CortexHost:
             except OSError as error:
                 _LOG.warning("%s: clients that broadcast their hello will not find this host", error)
                 continue
-            self._sockets.append(sock)
+            self._waiting.add(sock)
             self._broadcast_addresses.append("%s:%d" % (address, port))
 
     def _announce(self):
@@ -428,38 +429,32 @@ class CortexHost:
                 self._counts["replies"] += self._send(self._command_socket, datagram, address)
 
     def _send_late_replies(self, now_s):
-        if not self._late_replies:
-            return
         due = [reply for reply in self._late_replies if reply[0] <= now_s]
         self._late_replies = [reply for reply in self._late_replies if reply[0] > now_s]
         for _, datagram, address in due:
             self._counts["replies"] += self._send(self._command_socket, datagram, address)
-
-    def _expire(self, now_s):
-        if now_s >= self._faults_until_s:
-            self.clear_faults()
 
     def _now_s(self):
         return self._last_now_s if self._clock is None else self._clock()
 
     # --- frames ---------------------------------------------------------------------------------------------------
 
-    def _encode_body_defs(self, bodies, templates):
+    def _encode_body_defs(self, layout, templates):
         definitions = []
-        for name, markers in bodies:
+        for name, count in layout:
             template = templates.get(name)
-            names = ["M%d" % (k + 1) for k in range(len(markers))] if template is None else list(template.marker_names)
-            if len(names) != len(markers):
-                raise ValueError("body %r has %d markers, its template names %d" % (name, len(markers), len(names)))
+            names = ["M%d" % (k + 1) for k in range(count)] if template is None else list(template.marker_names)
+            if len(names) != count:
+                raise ValueError("body %r has %d markers, its template names %d" % (name, count, len(names)))
             definitions.append(wire.BodyDef(name, names))
         return wire.encode_body_defs(wire.BodyDefs(definitions))
 
     def _encode(self, number, observation):
-        if observation.layout != self._encoder_layout:
-            self._encoder = wire.FrameEncoder(observation.layout)
-            self._encoder_layout = observation.layout
+        layout = observation.layout
+        if layout is not self._encoder_layout and layout != self._encoder_layout:
+            self._encoder, self._encoder_layout = wire.FrameEncoder(layout, MM_PER_M), layout
         packet, delay_offset = self._encoder.encode(
-            number, observation.markers_m * MM_PER_M, observation.unidentified_m * MM_PER_M, recording=self._recording
+            number, observation.markers_m, observation.unidentified_m, recording=self._recording
         )
         return _EncodedFrame(number, observation.time_s, packet, delay_offset)
 
@@ -473,7 +468,7 @@ class CortexHost:
         return index - last
 
     def _expose_and_send(self):
-        observation = self._cameras.observe(self._world.time_s, self._world.bodies())
+        observation = self._cameras.observe(self._world.time_s, self._world.layout, self._world.markers_m())
         if self._faults.dropped_bodies or self._faults.hidden_bodies:
             observation = self._with_body_faults(observation)
         self._number = (self._number + 1) & FRAME_NUMBER_MASK

@@ -9,11 +9,14 @@ length differs from its real one is refused. Refusals raise MalformedPacketError
 they become str as UTF-8 with surrogate escapes, so that any name survives the way in and out.
 """
 
+import math
 import struct
 from enum import IntEnum
 from typing import NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
+
+from risc_control.compiled import compiled
 
 MISSING_MM = 9999999.0  # exact in single precision; the SDK tests x only, hosts fill all three
 MAX_DATAGRAM_BYTES = 65507  # what UDP over IPv4 can carry
@@ -148,6 +151,7 @@ class Packet(NamedTuple):
     content: Content
 
 
+_FRAME_OF_DATA = int(Command.FRAME_OF_DATA)  # struct is slow with enumerations
 _HEADER = struct.Struct("<HH")
 _FRAME_HEAD = struct.Struct("<HHii")
 _I32 = struct.Struct("<i")
@@ -254,67 +258,84 @@ def encode_base_position(base):
 class FrameEncoder:
     """Fast encoder for frames of one layout: the names and counts are laid out once, a frame only adds numbers.
 
-    layout: sequence of (body name, number of markers). Raises ValueError (too many bodies, bad name) and
-    PacketTooLargeError when not even a frame without unidentified markers fits.
+    layout: sequence of (body name, number of markers). mm_per_unit: of the coordinates that are given to encode().
+    Raises ValueError (too many bodies, bad name) and PacketTooLargeError when not even a frame without unidentified
+    markers fits.
     """
 
-    def __init__(self, layout):
+    def __init__(self, layout, mm_per_unit=1.0):
         _check_body_count(len(layout))
-        self.marker_count = sum(count for _, count in layout)
         self._body_count = len(layout)
-        self._fixed = []  # bytes between the marker blocks: the end of a body, then name and count of the next
-        self._slices = []  # where each body's markers lie in the bytes of all markers
-        tail_of_previous, start = b"", 0
+        self._mm_per_unit = mm_per_unit
+        parts, starts, size = [_FRAME_HEAD.pack(Command.FRAME_OF_DATA, 0, 0, len(layout))], [], _FRAME_HEAD.size
         for name, count in layout:
-            self._fixed.append(tail_of_previous + _text(name) + _I32.pack(count))
-            self._slices.append(slice(start, start + 12 * count))
-            tail_of_previous, start = _NO_SEGMENTS_NO_DOFS, start + 12 * count
-        self._last_tail = tail_of_previous
-        size = 8 + sum(map(len, self._fixed)) + len(self._last_tail) + start + 4 + len(_NO_ANALOG_NO_FORCES) + 8
-        self._smallest_payload = size
-        if size > MAX_PAYLOAD_BYTES:
-            raise PacketTooLargeError(
-                "a frame of %d bodies with %d markers needs %d payload bytes, one datagram holds %d: use fewer bodies"
-                " or markers" % (len(layout), self.marker_count, size, MAX_PAYLOAD_BYTES)
-            )
+            head = _text(name) + _I32.pack(count)
+            starts += range(size + len(head), size + len(head) + 12 * count, 12)
+            parts += [head, bytes(12 * count), _NO_SEGMENTS_NO_DOFS]
+            size += len(head) + 12 * count + len(_NO_SEGMENTS_NO_DOFS)
+        self.marker_count = len(starts)
+        self._starts = np.array(starts, dtype=np.int64)  # where each marker lies in the packet
+        self._wire_mm = np.empty((len(starts), 3), "<f4")  # the markers as they go into the packet,
+        self._wire_bytes = self._wire_mm.view(np.uint8)  # and their bytes
+        self._end = _end_of_frame(b"")  # of a frame without unidentified markers and recording
+        self._frame = bytearray(b"".join(parts) + self._end)
+        self._packet = np.frombuffer(self._frame, np.uint8)
+        self._check_size(len(self._frame), 0)
+        _put_markers(np.empty((0, 3)), 1.0, self._starts, self._wire_mm, self._wire_bytes, self._packet)  # loads it
 
-    def encode(self, number, markers_mm, unidentified_mm=None, delay_s=0.0, recording=None):
+    def encode(self, number, markers, unidentified=None, delay_s=0.0, recording=None):
         """One FRAME_OF_DATA packet.
 
-        markers_mm: (marker_count, 3), bodies in layout order, rows that are not finite are missing.
-        unidentified_mm: (u, 3) or None.   recording: Recording or None.
+        markers: (marker_count, 3) floats, bodies in layout order, rows that are not finite are missing.
+        unidentified: (u, 3) or None.   recording: Recording or None.
         Returns (bytearray packet, offset of its delay), so that set_delay() can enter the delay when it is sent.
         Raises PacketTooLargeError.
         """
-        markers = _wire_markers(markers_mm)
-        if len(markers) != self.marker_count:
+        if markers.shape != self._wire_mm.shape:
             raise ValueError("the layout has %d markers, got %d" % (self.marker_count, len(markers)))
-        loose = b"" if unidentified_mm is None else np.asarray(unidentified_mm, "<f4").tobytes()
+        _put_markers(markers, self._mm_per_unit, self._starts, self._wire_mm, self._wire_bytes, self._packet)
+        packet = self._frame[:]
         tail = b""
         if recording is not None:
             data = _recording(recording)
             tail = _TWO_I32.pack(TAG_RECORDING, len(data)) + data
-        payload_bytes = self._smallest_payload + len(loose) + len(tail)
-        if payload_bytes > MAX_PAYLOAD_BYTES:
+        if unidentified is not None and len(unidentified):
+            loose = (unidentified * self._mm_per_unit).astype("<f4").tobytes()
+            packet[-len(self._end) :] = _end_of_frame(loose)
+            self._check_size(len(packet) + len(tail), len(unidentified))
+        packet += tail
+        _FRAME_HEAD.pack_into(packet, 0, _FRAME_OF_DATA, len(packet) - 4, number, self._body_count)
+        delay_offset = len(packet) - len(tail) - 4
+        _F32.pack_into(packet, delay_offset, delay_s)
+        return packet, delay_offset
+
+    def _check_size(self, packet_bytes, loose_count):
+        if packet_bytes > MAX_DATAGRAM_BYTES:
             raise PacketTooLargeError(
                 "a frame of %d bodies, %d markers and %d unidentified markers needs %d payload bytes, one datagram"
                 " holds %d: use fewer"
-                % (self._body_count, self.marker_count, len(loose) // 12, payload_bytes, MAX_PAYLOAD_BYTES)
+                % (self._body_count, self.marker_count, loose_count, packet_bytes - 4, MAX_PAYLOAD_BYTES)
             )
-        marker_bytes = markers.tobytes()
-        parts = [_FRAME_HEAD.pack(Command.FRAME_OF_DATA, payload_bytes, number, self._body_count)]
-        for fixed, where in zip(self._fixed, self._slices):
-            parts.append(fixed)
-            parts.append(marker_bytes[where])
-        parts += (
-            self._last_tail,
-            _I32.pack(len(loose) // 12),
-            loose,
-            _NO_ANALOG_NO_FORCES,
-            _I32_F32.pack(0, delay_s),
-            tail,
-        )
-        return bytearray().join(parts), 4 + payload_bytes - len(tail) - 4
+
+
+def _end_of_frame(loose):
+    """End of a frame behind its bodies: unidentified markers, no analog samples, no forces, a delay of 0."""
+    return _I32.pack(len(loose) // 12) + loose + _NO_ANALOG_NO_FORCES + _I32_F32.pack(0, 0.0)
+
+
+@compiled
+def _put_markers(markers, mm_per_unit, starts, wire_mm, wire_bytes, packet):
+    """Write markers into a packet at starts, missing ones with the sentinel in every coordinate.
+
+    wire_mm (m, 3) single precision and wire_bytes (m, 12) are the same memory.
+    """
+    for k in range(len(markers)):
+        for axis in range(3):
+            wire_mm[k, axis] = mm_per_unit * markers[k, axis]
+        if not (math.isfinite(wire_mm[k, 0]) and math.isfinite(wire_mm[k, 1]) and math.isfinite(wire_mm[k, 2])):
+            wire_mm[k, 0] = wire_mm[k, 1] = wire_mm[k, 2] = MISSING_MM
+        for byte in range(12):
+            packet[starts[k] + byte] = wire_bytes[k, byte]
 
 
 def set_delay(packet, offset, delay_s):

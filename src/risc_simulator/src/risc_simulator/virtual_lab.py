@@ -27,6 +27,7 @@ from risc_control.priority import VIRTUAL_LAB, raise_priority
 from risc_simulator.ardrone_host import ArdroneHost
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
+from risc_simulator.socket_host import SocketSet
 from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
 from risc_simulator.world import World
 
@@ -54,12 +55,14 @@ class VirtualLab(object):
         vehicle_types=None,
         radio_loss=0.0,
         interface="",
+        collisions=True,
     ):
         """fleet: Fleet. honest: vehicles differ from their nominal type. gusts: moving air.
         command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
         live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
         radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
         interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
+        collisions: see World.
         (The fleet's mocap.interface is the client's card, which may be one of another computer.)
         """
         self.fleet = fleet
@@ -88,6 +91,7 @@ class VirtualLab(object):
             honest=honest,
             gusts=gusts,
             step_s=self._period_s / self._cycles_per_frame,
+            collisions=collisions,
         )
         self.frame = 0  # of the newest exposure
         self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
@@ -99,7 +103,9 @@ class VirtualLab(object):
         self._start_s = time.monotonic()
         self._served_s = 0.0  # lab time that hosts were last told
         self._hosts = []
+        self._waiting = SocketSet()
         self._video = None
+        self._video_clients_wanted = True
         self._board_until_s = {}  # {namespace: lab time} of the checkerboards that are waved
         try:
             self.cortex_host = CortexHost(
@@ -122,6 +128,8 @@ class VirtualLab(object):
             self._video = VideoLauncher(fleet, seed, [host.video_listener for host in self.vehicle_hosts.values()])
             for index, host in enumerate(self.vehicle_hosts.values()):
                 host.attach_video(VehicleVideo(self._video, index))
+            for host in self._hosts:
+                self._waiting.add(host)
         except (OSError, ValueError):
             self.close()
             raise
@@ -159,6 +167,7 @@ class VirtualLab(object):
                 self.cortex_host.tick(now_s)
                 if self._video.running:
                     self._tend_video(now_s)
+                self._watch_video_clients()
             for host in self.vehicle_hosts.values():
                 host.tick(now_s)
 
@@ -170,6 +179,13 @@ class VirtualLab(object):
             if now_s > until_s:
                 self._video.put_board_away(namespace)
                 del self._board_until_s[namespace]
+
+    def _watch_video_clients(self):
+        """Wait for clients of the video exactly while nobody else does."""
+        if self._video.may_start is not self._video_clients_wanted:
+            self._video_clients_wanted = self._video.may_start
+            for host in self.vehicle_hosts.values():
+                host.watch_streams()
 
     def _forgive(self, due_s):
         """Lab time. If the computer slept for long after due_s, the clock is set back to what was served last."""
@@ -185,11 +201,12 @@ class VirtualLab(object):
     def _serve_until(self, due_s):
         while True:
             wait_s = due_s - self._forgive(due_s)
-            owners = {sock: host for host in self._hosts for sock in host.sockets()}
-            readable, _, _ = select.select(owners, (), (), max(wait_s, 0.0))
-            for sock in readable:
-                if sock.fileno() >= 0:  # an earlier one of this round may have closed it
-                    owners[sock].on_readable(sock, self._forgive(due_s))
+            # select, because a timeout of epoll's own counts in whole milliseconds
+            if not select.select((self._waiting,), (), (), max(wait_s, 0.0))[0]:
+                return
+            for host in self._waiting.readable():
+                host.serve(self._forgive(due_s))
+            self._watch_video_clients()
             if wait_s <= 0.0:
                 return
 
@@ -297,6 +314,7 @@ class VirtualLab(object):
             self._video.close()
         for host in self._hosts:
             host.close()
+        self._waiting.close()
         self._hosts = []
 
 

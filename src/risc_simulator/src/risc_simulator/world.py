@@ -3,20 +3,26 @@
 Time is world time in seconds from 0, on a fixed grid. Actions are applied at the first grid time that is not before
 theirs. Everything outside (positions, velocities) is in the cortex frame; inside it is the state of
 models/quadrotor.py.
+
+One compiled call moves all vehicles, over as many steps as nothing happens; what happens (actions, an empty battery,
+the ends of a take-off's parts, touching the floor, the net or another vehicle) is decided here.
 """
 
+import functools
 import heapq
 import math
 from collections import deque
 
 import numpy as np
 
-from risc_control.frames import GRAVITY_M_S2, rotation_body_to_cortex, wrap_angle
+from risc_control.compiled import compiled, record
+from risc_control.frames import GRAVITY_M_S2, rotation_body_to_cortex
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_simulator.models.ardrone_firmware import ArdroneFirmware
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
+from risc_simulator.models.on_board import ON_BOARD_FIELDS, hold, level_motion, trim_climb
 from risc_simulator.models.plant import draw_plant, stack_plants
-from risc_simulator.models.quadrotor import Quadrotors, U, X
+from risc_simulator.models.quadrotor import QUADROTOR_FIELDS, U, X, differentiate, runge_kutta
 
 __all__ = ["Crash", "FlightAction", "FlightPhase", "Setpoint", "Vehicle", "VehicleState", "World"]
 
@@ -27,8 +33,13 @@ COLLISION_DISTANCE_M = 0.5  # between centres, in any direction: indoor hulls ar
 GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehicles' downwash
 GUST_TIME_CONSTANT_S = 1.5  # first-order (Dryden-like) correlation
 _GUST_BLOCK = 1024  # steps drawn at once
+_COLLISION_M2 = COLLISION_DISTANCE_M**2
+_TOUCH_M2 = 1e-12  # what rounding may do to the square of a distance
 
 _FIRMWARE = {"ardrone": ArdroneFirmware}  # on-board logic by the name of the vehicle type
+
+# What a vehicle is, what its on-board logic has decided, and whether it is beyond the floor or the net.
+_VEHICLE = record(*QUADROTOR_FIELDS, *ON_BOARD_FIELDS, ("touches", bool))
 
 # What each random stream of a vehicle is for; the numbers are part of what a seed means.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
@@ -60,6 +71,16 @@ class Vehicle(object):
         """VehicleState at world time."""
         return self._world._state(self._index)
 
+    @property
+    def height_m(self):
+        """Height of its centre above the floor at world time."""
+        return self._world._x.item(X.H, self._index)
+
+    @property
+    def battery_pct(self):
+        """Charge at world time."""
+        return self.firmware.battery_pct(self._world.time_s)
+
     def set_battery_pct(self, pct):
         """Change the battery's charge now."""
         self.firmware.set_battery_pct(pct, self._world.time_s)
@@ -84,13 +105,13 @@ class World(object):
         if not 0.0 < step_s <= 0.02:
             raise ValueError("step_s must be in (0, 0.02], got %r" % (step_s,))
         self.step_s = step_s
-        self.gusts = gusts
+        self._gusts = gusts
         self.crashes = deque(maxlen=1000)  # Crash, newest last
-        self._collisions = collisions
-        self._pairs = None  # (indices, indices) of the vehicles in the air, two by two; None when there are no two
+        self._collisions = bool(collisions)
         self._least_squared_m2 = math.inf
         self._steps = 0
         self._agenda, self._agenda_count = [], 0
+        self._event_step = 0  # until this step nothing happens but motion
 
         n = len(fleet.vehicles)
         self._x = np.zeros((len(X), n))
@@ -113,39 +134,41 @@ class World(object):
             self._x[X.PSI, i] = fleet_vehicle.start_yaw_rad
         self.vehicles = {vehicle.namespace: vehicle for vehicle in vehicles}
         self._vehicles = vehicles
-        self._landmark_bodies = [
-            (
-                mark.name,
-                _look_up(templates, mark.name, "mocap template").markers_m @ _turned(mark.facing_rad).T
-                + np.array(mark.position_m),
-            )
+        landmarks_m = [
+            _look_up(templates, mark.name, "mocap template").markers_m @ _turned(mark.facing_rad).T
+            + np.array(mark.position_m)
             for mark in fleet.landmarks
         ]
+        #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, then landmarks
+        self.layout = tuple((vehicle.template, len(vehicle.markers_m)) for vehicle in vehicles) + tuple(
+            (mark.name, len(markers_m)) for mark, markers_m in zip(fleet.landmarks, landmarks_m)
+        )
+        self._first_marker = np.cumsum([0] + [len(vehicle.markers_m) for vehicle in vehicles])
+        self._body_markers_m = np.concatenate(
+            [np.reshape(vehicle.markers_m, (-1, 3)) for vehicle in vehicles] + [np.empty((0, 3))]
+        )
+        self._markers_m = np.concatenate([self._body_markers_m] + landmarks_m)
 
-        self._quadrotors = Quadrotors(stack_plants([vehicle.plant for vehicle in vehicles]))
-        self._inputs_changed = True
-        self._needing_step = []
-        self._standing = np.ones((len(X), n), dtype=bool)
-        self._any_standing = True
-        self._rest = self._x.copy()
-        self._trim_step = np.zeros(n)  # [1/s] integral gain times step; 0 while not lifted
-        self._trim_gain = np.array([vehicle.firmware.climb_integral_1_s2 for vehicle in vehicles]) * step_s
-        self._trim_limit = np.array([vehicle.firmware.climb_trim_limit_m_s2 for vehicle in vehicles])
-        self._trim_low = -self._trim_limit
-        self._trim_error = np.empty(n)
-        self._low = np.repeat([[-NET_HALF_X_M], [-NET_HALF_Y_M], [REST_HEIGHT_M]], n, axis=1)
-        self._high = np.repeat([[NET_HALF_X_M], [NET_HALF_Y_M], [NET_HEIGHT_M]], n, axis=1)
-        self._middle = 0.5 * (self._low + self._high)
-        self._reach_squared = (0.5 * (self._high - self._low)) ** 2
-        self._excess = np.empty((3, n))
-        self._place = self._x[: X.H + 1]
+        self._records = np.zeros(n, dtype=_VEHICLE)
+        bodies = stack_plants([vehicle.plant for vehicle in vehicles])
+        for name in bodies.dtype.names:
+            self._records[name] = bodies[name]
+        for vehicle, one in zip(vehicles, self._records):
+            vehicle.firmware.configure(one)
+        self._lifted, self._holds = self._records["lifted"], self._records["holds"]
+        self._hold_values = [self._records[name] for name in ("height_m", "climb_min_m_s", "climb_max_m_s")]
+        self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
+        self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
+        self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
+        self._wake_s = math.inf  # and the first of them
         self._steps_per_second = max(1, int(round(1.0 / step_s)))
-        self._derivative_at, self._derivative = -1, None
+        self._slope, self._thrust_n = np.empty((len(X), n)), np.empty(n)
+        self._slope_at = -1  # step whose slopes and thrusts these are
 
         self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n)]
-        self._gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
-        self._gust_scale = np.array(GUST_STD_M_S) * math.sqrt(1.0 - self._gust_keep**2)
-        self._gust_block = None
+        self._gust_scale = np.array(GUST_STD_M_S) * math.sqrt(1.0 - math.exp(-step_s / GUST_TIME_CONSTANT_S) ** 2)
+        self._gust_block = np.empty((0, 3, n))
+        self._load_compiled()
 
     # ------------------------------------------------------------------ time
 
@@ -163,36 +186,59 @@ class World(object):
         """Advance to the last grid time that is not after time_s. Never goes back."""
         target = int(math.floor(time_s / self.step_s + 1e-6))
         while self._steps < target:
-            self._step()
+            if self._steps >= self._event_step:
+                self._let_happen()
+            self._advance(min(target, self._event_step) - self._steps)
 
-    def _step(self):
-        time_s = self._steps * self.step_s
+    def _let_happen(self):
+        """What is due at world time; then find the step before which nothing will be."""
+        steps, time_s = self._steps, self._steps * self.step_s
         if self._agenda and self._agenda[0][0] <= time_s:
             self._run_agenda(time_s)
-        if self._steps % self._steps_per_second == 0:
+        if steps % self._steps_per_second == 0:
             self._check_batteries(time_s)
-        for i in self._needing_step:
-            self._step_firmware(i, time_s)
-        if self.gusts:
-            self._blow()
-        if self._inputs_changed:
-            self._quadrotors.load_inputs(self._u)
-            self._inputs_changed = False
-        x = self._x
-        self._quadrotors.advance(x, self.step_s)
-        self._trim_climb()
-        if self._any_standing:
-            np.copyto(x, self._rest, where=self._standing)
-        self._steps += 1
-        excess = self._excess  # of the squared distance from the middle of the net
-        np.subtract(self._place, self._middle, out=excess)
-        np.multiply(excess, excess, out=excess)
-        np.subtract(excess, self._reach_squared, out=excess)
-        if np.maximum.reduce(excess, axis=None) > 1e-12:
-            for i in np.flatnonzero((excess > 1e-12).any(axis=0)).tolist():
+        if self._wake_s <= time_s:
+            self._wake(time_s)
+        if self._gusts and (steps % _GUST_BLOCK == 0 or not len(self._gust_block)):
+            self._gust_block = np.stack(
+                [rng.standard_normal((_GUST_BLOCK, 3)) * self._gust_scale for rng in self._gust_rngs], axis=-1
+            )
+        next_step = min(steps - steps % period + period for period in (self._steps_per_second, _GUST_BLOCK))
+        event_s = min(self._wake_s, self._agenda[0][0] if self._agenda else math.inf)
+        if event_s < next_step * self.step_s:
+            next_step = max(steps + 1, int(event_s / self.step_s))  # rather one too early
+        self._event_step = next_step
+
+    def _advance(self, steps):
+        """Advance by so many steps, or fewer if something happens."""
+        steps, least_m2, anyone_touched = _advance(
+            self._x,
+            self._u,
+            self._records,
+            self.step_s,
+            steps,
+            self._gust_block,
+            self._steps % _GUST_BLOCK,
+            self._collisions,
+        )
+        self._steps += steps
+        if anyone_touched:
+            for i in np.flatnonzero(self._records["touches"]).tolist():
                 self._meet_wall_or_floor(i)
-        if self._pairs is not None:
+            if self._collisions:
+                least_m2 = min(least_m2, _closest(self._x, self._records))
+        if least_m2 < self._least_squared_m2:
+            self._least_squared_m2 = least_m2
+        if least_m2 < _COLLISION_M2:
             self._meet_each_other()
+
+    def _load_compiled(self):
+        """Call once what is compiled: nothing is loaded in flight."""
+        self._advance(0)
+        self.truth()
+        self.markers_m()
+        _closest(self._x, self._records)
+        level_motion(self._x[:, 0])
 
     # ------------------------------------------------------------------ what vehicles are told
 
@@ -201,13 +247,18 @@ class World(object):
             raise ValueError("an action needs a finite time, got %r" % (time_s,))
         self._agenda_count += 1  # equal times keep the order of scheduling
         heapq.heappush(self._agenda, (time_s, self._agenda_count, index, action))
+        self._event_step = min(self._event_step, max(self._steps, int(time_s / self.step_s)))
 
     def _run_agenda(self, time_s):
         while self._agenda and self._agenda[0][0] <= time_s:
             _, _, i, action = heapq.heappop(self._agenda)
-            height_m, climb_m_s, _, _ = self._level_motion(i)
-            self._vehicles[i].firmware.apply(action, time_s, height_m, climb_m_s)
-            self._take_over(i)
+            firmware = self._vehicles[i].firmware
+            phase = firmware.phase
+            firmware.apply(action, time_s, self._motions[i])
+            if firmware.phase is phase and firmware.hold is None:
+                self._commands[i] = firmware.command
+            else:
+                self._take_over(i)
 
     def _check_batteries(self, time_s):
         for i, vehicle in enumerate(self._vehicles):
@@ -216,68 +267,41 @@ class World(object):
             if vehicle.firmware.phase is not phase:
                 self._take_over(i)
 
-    def _step_firmware(self, i, time_s):
-        firmware = self._vehicles[i].firmware
-        phase, lifted = firmware.phase, firmware.lifted
-        firmware.step(time_s, *self._level_motion(i))
-        if firmware.phase is phase and firmware.lifted is lifted:
-            self._u[: U.CLIMB + 1, i] = firmware.command
-            self._inputs_changed = True
-        else:
-            self._take_over(i)
+    def _wake(self, time_s):
+        for i, vehicle in enumerate(self._vehicles):
+            if vehicle.firmware.wake_s <= time_s:
+                vehicle.firmware.wake(time_s, self._motions[i])
+                self._take_over(i)
 
     def _take_over(self, i):
         """Bring what the firmware decided into the arrays."""
         firmware = self._vehicles[i].firmware
-        self._u[: U.CLIMB + 1, i] = firmware.command
-        self._u[U.MOTORS, i] = 1.0 if firmware.motors_on and firmware.lifted else 0.0
+        if firmware.hold is None:
+            self._commands[i] = firmware.command
+            self._holds[i] = False
+        else:
+            self._holds[i] = True
+            for values, value in zip(self._hold_values, firmware.hold):
+                values[i] = value
+        self._motors[i] = firmware.motors_on and firmware.lifted
         if not firmware.motors_on:
             self._u[U.CLIMB_TRIM, i] = 0.0
-        self._trim_step[i] = self._trim_gain[i] if self._u[U.MOTORS, i] else 0.0
-        if self._standing[0, i] == firmware.lifted:
-            self._standing[:, i] = not firmware.lifted
-            self._any_standing = bool(self._standing.any())
-            self._pair_up()
-        if not firmware.lifted:
-            self._rest[:, i] = self._x[:, i]
-        self._needing_step = [j for j, vehicle in enumerate(self._vehicles) if vehicle.firmware.needs_step]
-        self._inputs_changed = True
+        self._lifted[i] = firmware.lifted
+        if firmware.wake_s != self._wakes_s[i]:
+            self._wakes_s[i] = firmware.wake_s
+            self._wake_s = min(self._wakes_s)
+            self._event_step = self._steps
 
-    def _level_motion(self, i):
-        """Height [m], climb rate [m/s], and velocity [m/s] forward and to the right along the heading, level."""
-        _, _, h, u, v, w, phi, theta, _, _, _, _ = self._x[:, i].tolist()
-        sin_theta, cos_theta = math.sin(theta), math.cos(theta)
-        right = math.cos(phi) * v - math.sin(phi) * w
-        down2 = math.sin(phi) * v + math.cos(phi) * w
-        return h, sin_theta * u - cos_theta * down2, cos_theta * u + sin_theta * down2, right
-
-    def _trim_climb(self):
-        """The slow on-board integral on the climb error, with the climb rate at the start of the step."""
-        trim, error = self._u[U.CLIMB_TRIM], self._trim_error
-        np.subtract(self._u[U.CLIMB], self._quadrotors.climb_rate_m_s, out=error)
-        error *= self._trim_step
-        trim += error
-        np.minimum(trim, self._trim_limit, out=trim)
-        np.maximum(trim, self._trim_low, out=trim)
-        self._quadrotors.load_climb_trim(trim)
-
-    def _blow(self):
-        k = self._steps % _GUST_BLOCK
-        if k == 0 or self._gust_block is None:
-            self._gust_block = np.stack(
-                [rng.standard_normal((_GUST_BLOCK, 3)) * self._gust_scale for rng in self._gust_rngs], axis=-1
-            )
-        wind = self._u[U.WIND_N : U.WIND_UP + 1]
-        wind *= self._gust_keep
-        wind += self._gust_block[k]
-        self._inputs_changed = True
+    def _vertical_motion(self, i):
+        """Height [m] and climb rate [m/s]."""
+        return self._x.item(X.H, i), level_motion(self._x[:, i])[0]
 
     # ------------------------------------------------------------------ floor, net and each other
 
     def _meet_wall_or_floor(self, i):
         firmware = self._vehicles[i].firmware
-        north, east, height = self._place[:, i].tolist()
-        _, climb_m_s, _, _ = self._level_motion(i)
+        north, east, height = self._x[: X.H + 1, i].tolist()
+        _, climb_m_s = self._motions[i]()
         if height < REST_HEIGHT_M:
             reason = firmware.touch_down(self.time_s, -climb_m_s)
             # it stands: level, at rest, heading kept; what still pushes lifts it off again in the next step
@@ -291,7 +315,9 @@ class World(object):
                 reason = "flew into the net"
                 firmware.crash(self.time_s)
             # the net holds it and throws it back a little: it comes down clear of the net
-            np.clip(self._place[:, i], self._low[:, i], self._high[:, i], out=self._place[:, i])
+            self._x[X.P_N, i] = min(NET_HALF_X_M, max(-NET_HALF_X_M, north))
+            self._x[X.P_E, i] = min(NET_HALF_Y_M, max(-NET_HALF_Y_M, east))
+            self._x[X.H, i] = min(NET_HEIGHT_M, max(REST_HEIGHT_M, height))
             back_north = math.copysign(NET_REBOUND_M_S, -north) if abs(north) > NET_HALF_X_M else 0.0
             back_east = math.copysign(NET_REBOUND_M_S, -east) if abs(east) > NET_HALF_Y_M else 0.0
             if firmware.lifted:
@@ -300,23 +326,13 @@ class World(object):
             self._report_crash(i, (north, -east, height), reason)
         self._take_over(i)
 
-    def _pair_up(self):
-        in_air = np.flatnonzero(~self._standing[0])
-        if self._collisions and len(in_air) > 1:
-            first, second = np.triu_indices(len(in_air), 1)
-            self._pairs = in_air[first], in_air[second]
-        else:
-            self._pairs = None
-
     def _meet_each_other(self):
-        first, second = self._pairs
-        apart_m = self._place[:, first] - self._place[:, second]
-        squared_m2 = np.einsum("ij,ij->j", apart_m, apart_m)
-        least_m2 = float(np.minimum.reduce(squared_m2))
-        self._least_squared_m2 = min(self._least_squared_m2, least_m2)
-        if least_m2 < COLLISION_DISTANCE_M**2:
-            for k in np.flatnonzero(squared_m2 < COLLISION_DISTANCE_M**2).tolist():
-                self._collide(int(first[k]), int(second[k]))
+        in_air = np.flatnonzero(self._lifted)
+        first, second = (in_air[chosen] for chosen in np.triu_indices(len(in_air), 1))
+        apart_m = self._x[: X.H + 1, first] - self._x[: X.H + 1, second]
+        near = (apart_m**2).sum(axis=0) < _COLLISION_M2
+        for i, j in zip(first[near].tolist(), second[near].tolist()):
+            self._collide(i, j)
 
     def _collide(self, i, j):
         for this, other in ((i, j), (j, i)):
@@ -324,7 +340,7 @@ class World(object):
             if firmware.phase is FlightPhase.EMERGENCY:
                 continue  # it falls already, for this reason or another
             firmware.crash(self.time_s)
-            north, east, height = self._place[:, this].tolist()
+            north, east, height = self._x[: X.H + 1, this].tolist()
             self._report_crash(this, (north, -east, height), "collided with %s" % self._vehicles[other].namespace)
             self._take_over(this)
 
@@ -343,21 +359,17 @@ class World(object):
         self._x[:, i] = 0.0
         self._x[: X.H + 1, i] = x, -y, z
         self._x[X.PSI, i] = yaw_rad
+        self._commands[i] = 0.0
         self._vehicles[i].firmware.fly_at(self.time_s, z)
         self._take_over(i)
-        self._derivative_at = -1
+        self._slope_at = -1
 
     # ------------------------------------------------------------------ what is seen
 
-    def bodies(self):
-        """List of (name, markers_m (n, 3) exact, cortex frame): vehicles in fleet order, then landmarks."""
-        x = self._x
-        rotations = rotation_body_to_cortex(x[X.PHI], x[X.THETA], x[X.PSI])
-        places = x[: X.H + 1].T * (1.0, -1.0, 1.0)
-        return [
-            (vehicle.template, vehicle.markers_m @ rotation.T + place)
-            for vehicle, rotation, place in zip(self._vehicles, rotations, places)
-        ] + self._landmark_bodies
+    def markers_m(self):
+        """(m, 3) exact markers of all bodies in the order of `layout`, cortex frame. The next call overwrites them."""
+        _place_markers(self._x, self._first_marker, self._body_markers_m, self._markers_m)
+        return self._markers_m
 
     def truth(self):
         """(n, 12) what perfect motion capture would say of the vehicles, in fleet order.
@@ -366,28 +378,21 @@ class World(object):
         of change [rad/s].
         """
         self._differentiate()
-        x, slope = self._x, self._derivative
-        rows = np.concatenate((x[: X.H + 1], slope[: X.H + 1], x[X.PHI : X.PSI + 1], slope[X.PHI : X.PSI + 1]))
-        rows[[1, 4]] *= -1.0  # east is right, cortex' y points left
-        if self._any_standing:
-            standing = self._standing[0]
-            rows[3:6, standing] = rows[9:12, standing] = 0.0
-        return rows.T
+        rows = np.empty((self._x.shape[1], 12))
+        _tell_truth(self._x, self._slope, self._records, rows)
+        return rows
 
     def _differentiate(self):
-        """Slopes and thrust at world time, once."""
-        if self._derivative_at != self._steps:
-            if self._inputs_changed:
-                self._quadrotors.load_inputs(self._u)
-                self._inputs_changed = False
-            self._derivative, self._thrust = self._quadrotors.derivative(self._x), self._quadrotors.demanded_thrust_n
-            self._derivative_at = self._steps
+        """Slopes and thrusts at world time, once."""
+        if self._slope_at != self._steps:
+            differentiate(self._x, self._u, self._records, self._slope, self._thrust_n)
+            self._slope_at = self._steps
 
     def _state(self, i):
         x = self._x[:, i]
         self._differentiate()
         p_n, p_e, h, u, v, w, phi, theta, psi, p, q, r = x.tolist()
-        slope = self._derivative[:, i].tolist()
+        slope = self._slope[:, i].tolist()
         firmware, plant = self._vehicles[i].firmware, self._vehicles[i].plant
         sin_phi, cos_phi, sin_theta, cos_theta = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
         felt_g = GRAVITY_M_S2 * np.array([-sin_theta, cos_theta * sin_phi, cos_theta * cos_phi])
@@ -404,14 +409,105 @@ class World(object):
             velocity_m_s=velocity,
             phi=phi,
             theta=theta,
-            psi=float(wrap_angle(psi)),
+            psi=math.pi - (math.pi - psi) % (2.0 * math.pi),  # in (-pi, pi]
             p=p,
             q=q,
             r=r,
             specific_force_m_s2=force,
-            motor_pwm=_motor_pwm(firmware, self._thrust[i] / plant.thrust_max_n),
+            motor_pwm=_motor_pwm(firmware, self._thrust_n.item(i) / plant.thrust_max_n),
             battery_pct=firmware.battery_pct(self.time_s),
         )
+
+
+@compiled
+def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, collisions):
+    """Up to so many steps of all vehicles; ends with a step in which something has happened.
+
+    x (12, n), u (9, n), vehicles (n,) records. gust_block: (k, 3, n) innovations of the wind, from row gust_at on;
+    (0, 3, n): no gusts. Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf if it
+    was not looked at), and whether any touches: then the distances after the last step are still to be looked at.
+    """
+    work = np.empty((5, 12))
+    gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
+    least_m2 = math.inf
+    for k in range(steps):
+        anyone_touches = False
+        for i in range(x.shape[1]):
+            inputs, vehicle = u[:, i], vehicles[i]
+            if len(gust_block):
+                for axis in range(3):
+                    inputs[U.WIND_N + axis] = gust_keep * inputs[U.WIND_N + axis] + gust_block[gust_at + k, axis, i]
+            vehicle.touches = False
+            if vehicle.lifted:
+                state = x[:, i]
+                if vehicle.holds:
+                    hold(state, inputs, vehicle)
+                climb_m_s = runge_kutta(state, inputs, vehicle, step_s, work)
+                if inputs[U.MOTORS] != 0.0:
+                    trim_climb(inputs, climb_m_s, vehicle, step_s)
+                vehicle.touches = _is_beyond(state)
+                anyone_touches |= vehicle.touches
+        if anyone_touches:
+            return k + 1, least_m2, True
+        if collisions:
+            least_m2 = min(least_m2, _closest(x, vehicles))
+            if least_m2 < _COLLISION_M2:
+                return k + 1, least_m2, False
+    return steps, least_m2, False
+
+
+@compiled
+def _is_beyond(x):
+    """Whether a vehicle is below the height at which it stands, or beyond the net."""
+    height_m = x[X.H] - 0.5 * (REST_HEIGHT_M + NET_HEIGHT_M)
+    return (
+        x[X.P_N] ** 2 - NET_HALF_X_M**2 > _TOUCH_M2
+        or x[X.P_E] ** 2 - NET_HALF_Y_M**2 > _TOUCH_M2
+        or height_m**2 - (0.5 * (NET_HEIGHT_M - REST_HEIGHT_M)) ** 2 > _TOUCH_M2
+    )
+
+
+@compiled
+def _closest(x, vehicles):
+    """Least squared distance of two vehicles in the air [m^2], inf when there are no two."""
+    least_m2 = math.inf
+    for i in range(x.shape[1]):
+        if vehicles[i].lifted:
+            for j in range(i):
+                if vehicles[j].lifted:
+                    north, east, up = x[X.P_N, i] - x[X.P_N, j], x[X.P_E, i] - x[X.P_E, j], x[X.H, i] - x[X.H, j]
+                    least_m2 = min(least_m2, north * north + east * east + up * up)
+    return least_m2
+
+
+@compiled
+def _place_markers(x, first_marker, body_markers_m, markers_m):
+    """Markers of the vehicles, cortex frame. body_markers_m: (m, 3) body axes; vehicle i's begin at first_marker[i]."""
+    for i in range(x.shape[1]):
+        sf, cf = math.sin(x[X.PHI, i]), math.cos(x[X.PHI, i])
+        st, ct = math.sin(x[X.THETA, i]), math.cos(x[X.THETA, i])
+        sp, cp = math.sin(x[X.PSI, i]), math.cos(x[X.PSI, i])
+        for k in range(first_marker[i], first_marker[i + 1]):
+            nose, right, down = body_markers_m[k, 0], body_markers_m[k, 1], body_markers_m[k, 2]
+            north = nose * ct * cp + right * (sf * st * cp - cf * sp) + down * (cf * st * cp + sf * sp)
+            east = nose * ct * sp + right * (sf * st * sp + cf * cp) + down * (cf * st * sp - sf * cp)
+            up = nose * st - right * sf * ct - down * cf * ct
+            markers_m[k, 0] = x[X.P_N, i] + north
+            markers_m[k, 1] = -x[X.P_E, i] - east
+            markers_m[k, 2] = x[X.H, i] + up
+
+
+@compiled
+def _tell_truth(x, slope, vehicles, rows):
+    """See World.truth. East is right, the cortex frame's y points left."""
+    for i in range(x.shape[1]):
+        moves = 1.0 if vehicles[i].lifted else 0.0
+        for j in range(3):
+            sign = -1.0 if j == 1 else 1.0
+            rows[i, j] = sign * x[X.P_N + j, i]
+            rows[i, 3 + j] = moves * sign * slope[X.P_N + j, i]
+            rows[i, 6 + j] = x[X.PHI + j, i]
+            rows[i, 9 + j] = moves * slope[X.PHI + j, i]
 
 
 def _motor_pwm(firmware, thrust_fraction):

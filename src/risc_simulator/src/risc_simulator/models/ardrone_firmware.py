@@ -1,9 +1,12 @@
 """On-board logic of an AR.Drone 2.0: flight phases, hover by optical flow, height hold, battery.
 
-One object per vehicle, called by the world on its step grid. It turns actions and setpoints into the commands of the
-on-board loops (attitude, yaw rate, climb), whose dynamics are part of models/quadrotor.py. Another type of vehicle is
-another class with the same methods.
+One object per vehicle, called by the world when something happens. It turns actions and setpoints into the commands of
+the on-board loops (attitude, yaw rate, climb), whose dynamics are part of models/quadrotor.py, or lets the vehicle hold
+by itself (models/on_board.py). Another type of vehicle is another class with the same methods.
 """
+
+import math
+from collections import namedtuple
 
 import numpy as np
 
@@ -36,19 +39,22 @@ LOW_BATTERY_PCT = 15.0  # refuses to take off
 EMPTY_BATTERY_PCT = 3.0  # lands by itself
 GROUND_DRAIN_RATIO = 0.1  # computer and radio alone, of what flying takes
 
+# Brake by optical flow, and go to a height with a climb rate within these limits; see models/on_board.py.
+Hold = namedtuple("Hold", "height_m climb_min_m_s climb_max_m_s")
+_DESCEND = Hold(0.0, -LANDING_DESCENT_M_S, -LANDING_DESCENT_M_S)
+_WAKE_EARLY_S = 1e-6  # what rounding may make of a time on the grid of steps
+
 _IN_FLIGHT = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING, FlightPhase.LANDING)
 
 
 class ArdroneFirmware(object):
     """One AR.Drone's on-board logic.
 
-    command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told now.
+    command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told, when hold is None.
+    hold: Hold while the vehicle brakes and keeps its height by itself, else None.
     motors_on: rotors turn. lifted: they carry the vehicle (False while it stands, also during spin-up).
-    needs_step: the commands depend on the motion, so step() must be called on every step.
+    wake_s: from this time on wake() must be called at the start of every step.
     """
-
-    climb_integral_1_s2 = CLIMB_INTEGRAL_1_S2
-    climb_trim_limit_m_s2 = CLIMB_TRIM_LIMIT_M_S2
 
     def __init__(self, vehicle_type, rng, honest, rest_height_m):
         """vehicle_type: VehicleType. rng: Generator of this vehicle alone. rest_height_m: of its centre, standing."""
@@ -56,16 +62,26 @@ class ArdroneFirmware(object):
         self.command = (0.0, 0.0, 0.0, 0.0)
         self.motors_on = False
         self.lifted = False
-        self.needs_step = False
+        self.hold = None
+        self.wake_s = math.inf
         self._take_off_height_m = max(TAKE_OFF_HEIGHT_M, rest_height_m + 0.5)
         self._battery_life_s = vehicle_type.battery_life_s
         self._battery_pct, self._battery_time_s = 100.0, 0.0
         self._setpoint = Setpoint(hover=True)
         self._phase_start_s = 0.0
-        self._height_m = self._take_off_height_m
         scale, bias_forward, bias_right = np.clip(rng.standard_normal(3), -2.0, 2.0).tolist() if honest else (0, 0, 0)
-        self._flow_scale = 1.0 + FLOW_SCALE_SPREAD * scale
-        self._flow_bias_m_s = FLOW_BIAS_SPREAD_M_S * bias_forward, FLOW_BIAS_SPREAD_M_S * bias_right
+        self._flow = (
+            1.0 + FLOW_SCALE_SPREAD * scale,
+            FLOW_BIAS_SPREAD_M_S * bias_forward,
+            FLOW_BIAS_SPREAD_M_S * bias_right,
+        )
+
+    def configure(self, vehicle):
+        """Write the constants of this vehicle into its record (ON_BOARD_FIELDS)."""
+        vehicle.height_gain_1_s = HEIGHT_GAIN_1_S
+        vehicle.flow_gain_rad_per_m_s, vehicle.flow_tilt_max_rad = FLOW_GAIN_RAD_PER_M_S, FLOW_TILT_MAX_RAD
+        vehicle.flow_scale, vehicle.flow_bias_forward_m_s, vehicle.flow_bias_right_m_s = self._flow
+        vehicle.climb_integral_1_s2, vehicle.climb_trim_limit_m_s2 = CLIMB_INTEGRAL_1_S2, CLIMB_TRIM_LIMIT_M_S2
 
     # ------------------------------------------------------------------ battery
 
@@ -80,12 +96,15 @@ class ArdroneFirmware(object):
 
     # ------------------------------------------------------------------ events
 
-    def apply(self, action, time_s, height_m, climb_m_s):
-        """Obey a Setpoint or a FlightAction, as far as the phase allows it; the rest is ignored, as on the vehicle."""
+    def apply(self, action, time_s, vertical_motion):
+        """Obey a Setpoint or a FlightAction, as far as the phase allows it; the rest is ignored, as on the vehicle.
+
+        vertical_motion: function that gives height [m] and climb rate [m/s] at time_s.
+        """
         if isinstance(action, Setpoint):
             self._setpoint = action
             if self.phase in (FlightPhase.HOVERING, FlightPhase.FLYING):
-                self._follow_setpoint(time_s, height_m, climb_m_s)
+                self._follow_setpoint(time_s, vertical_motion)
         elif action is FlightAction.TAKE_OFF:
             if self.phase is FlightPhase.LANDED and self.battery_pct(time_s) > LOW_BATTERY_PCT:
                 self._setpoint = Setpoint(hover=True)
@@ -124,50 +143,35 @@ class ArdroneFirmware(object):
         """Start in the air, hovering (offline studies)."""
         self.lifted = True
         self._setpoint = Setpoint(hover=True)
-        self._enter(FlightPhase.HOVERING, time_s)
-        self._height_m = height_m
+        self._hover(time_s, height_m)
 
     def check_battery(self, time_s):
         """Called about once a second: an empty battery lands the vehicle."""
         if self.battery_pct(time_s) <= EMPTY_BATTERY_PCT:
-            self.apply(FlightAction.LAND, time_s, 0.0, 0.0)
+            self.apply(FlightAction.LAND, time_s, None)
 
     # ------------------------------------------------------------------ motion
 
-    def step(self, time_s, height_m, climb_m_s, forward_m_s, right_m_s):
-        """Commands for the step that starts at time_s, from the motion at that time (level, along the heading)."""
-        phase, elapsed_s = self.phase, time_s - self._phase_start_s
-        if phase is FlightPhase.TAKING_OFF:
-            if elapsed_s < SPIN_UP_S:
-                return
+    def wake(self, time_s, vertical_motion):
+        """Go on with the take-off: the rotors are fast enough to lift the vehicle, or it is up."""
+        elapsed_s = time_s - self._phase_start_s
+        if elapsed_s < SPIN_UP_S:
+            return
+        if not self.lifted:
             self.lifted = True
-            up = HEIGHT_GAIN_1_S * (self._take_off_height_m - height_m)
-            climb = min(TAKE_OFF_CLIMB_M_S, max(-HEIGHT_HOLD_CLIMB_M_S, up))
-            if elapsed_s >= TAKE_OFF_TIME_S:
-                self._enter(FlightPhase.HOVERING, time_s)
-                self._height_m = self._take_off_height_m
-                if not self._setpoint.hover:
-                    self._follow_setpoint(time_s, height_m, climb_m_s)
-                    return
-        elif phase is FlightPhase.LANDING:
-            climb = -LANDING_DESCENT_M_S
-        else:
-            up = HEIGHT_GAIN_1_S * (self._height_m - height_m)
-            climb = min(HEIGHT_HOLD_CLIMB_M_S, max(-HEIGHT_HOLD_CLIMB_M_S, up))
-        roll = -self._brake(right_m_s, self._flow_bias_m_s[1])
-        pitch = self._brake(forward_m_s, self._flow_bias_m_s[0])
-        self.command = (roll, pitch, 0.0, climb)
+            self.hold = Hold(self._take_off_height_m, -HEIGHT_HOLD_CLIMB_M_S, TAKE_OFF_CLIMB_M_S)
+            self.wake_s = self._phase_start_s + TAKE_OFF_TIME_S - _WAKE_EARLY_S
+        if elapsed_s >= TAKE_OFF_TIME_S:
+            self._hover(time_s, self._take_off_height_m)
+            if not self._setpoint.hover:
+                self._follow_setpoint(time_s, vertical_motion)
 
-    def _brake(self, velocity_m_s, bias_m_s):
-        tilt = FLOW_GAIN_RAD_PER_M_S * (self._flow_scale * velocity_m_s + bias_m_s)
-        return min(FLOW_TILT_MAX_RAD, max(-FLOW_TILT_MAX_RAD, tilt))
-
-    def _follow_setpoint(self, time_s, height_m, climb_m_s):
+    def _follow_setpoint(self, time_s, vertical_motion):
         wanted = self._setpoint
         if wanted.hover:
             if self.phase is not FlightPhase.HOVERING:
-                self._enter(FlightPhase.HOVERING, time_s)
-                self._height_m = height_m + STOPPING_TIME_S * climb_m_s
+                height_m, climb_m_s = vertical_motion()
+                self._hover(time_s, height_m + STOPPING_TIME_S * climb_m_s)
             return
         if self.phase is not FlightPhase.FLYING:
             self._enter(FlightPhase.FLYING, time_s)
@@ -178,11 +182,16 @@ class ArdroneFirmware(object):
             min(CLIMB_LIMIT_M_S, max(-CLIMB_LIMIT_M_S, wanted.climb_m_s)),
         )
 
+    def _hover(self, time_s, height_m):
+        self._enter(FlightPhase.HOVERING, time_s)
+        self.hold = Hold(height_m, -HEIGHT_HOLD_CLIMB_M_S, HEIGHT_HOLD_CLIMB_M_S)
+
     def _enter(self, phase, time_s):
         self._battery_pct, self._battery_time_s = self.battery_pct(time_s), time_s  # the drain changes here
         self.phase, self._phase_start_s = phase, time_s
         self.motors_on = phase in _IN_FLIGHT
-        self.needs_step = phase in (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.LANDING)
+        self.hold = _DESCEND if phase is FlightPhase.LANDING else None
+        self.wake_s = time_s + SPIN_UP_S - _WAKE_EARLY_S if phase is FlightPhase.TAKING_OFF else math.inf
         self.command = (0.0, 0.0, 0.0, 0.0)
         if phase is FlightPhase.LANDED:
             self.lifted = False

@@ -1,16 +1,21 @@
 """What a motion-capture system sees of exact markers: noise, occlusion and markers that belong to nothing.
 
-All lengths in metres, all positions in the mocap frame (x forward, y left, z up). Every marker is handled at once.
+All lengths in metres, all positions in the mocap frame (x forward, y left, z up).
 
 Seeded: the same seed and the same calls give the same output. Noise, occlusion and ghosts have generators of their own,
 and each draws as many numbers for a hidden marker as for a visible one, so that hiding one marker, or switching one
 effect off, changes nothing about the others.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
+
+from risc_control.compiled import compiled
+
+_FRAMES_AHEAD = 64
 
 
 @dataclass(frozen=True)
@@ -72,11 +77,38 @@ class Observation(NamedTuple):
 
     def bodies(self):
         """[(name, (n, 3) markers), ...]: views of markers_m."""
-        out, start = [], 0
-        for name, count in self.layout:
-            out.append((name, self.markers_m[start : start + count]))
-            start += count
-        return out
+        return split_bodies(self.layout, self.markers_m)
+
+
+def split_bodies(layout, markers_m):
+    """[(name, (n, 3) markers), ...] of ((name, n), ...) and the markers of all: views."""
+    out, start = [], 0
+    for name, count in layout:
+        out.append((name, markers_m[start : start + count]))
+        start += count
+    return out
+
+
+class _DrawnAhead:
+    """Random numbers of one kind in the order in which a Generator gives them, drawn many at once."""
+
+    BLOCK = 4096
+
+    def __init__(self, draw):
+        """draw: of a Generator, takes a count."""
+        self._draw = draw
+        self._next = 0
+        self.numbers = np.empty(0)
+
+    def take(self, count):
+        """Index in `numbers` of the next so many."""
+        start = self._next
+        if start + count > len(self.numbers):
+            rest = self.numbers[start:]
+            self.numbers = np.concatenate((rest, self._draw(max(self.BLOCK, count))))
+            start = 0
+        self._next = start + count
+        return start
 
 
 class MocapCameras:
@@ -88,14 +120,19 @@ class MocapCameras:
     def __init__(self, params=None, seed=0, windows=()):
         self.params = CameraParams() if params is None else params
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        self._noise, self._occlusion, self._ghost = (np.random.default_rng(s) for s in sequence.spawn(3))
+        noise, occlusion, self._ghost = (np.random.default_rng(s) for s in sequence.spawn(3))
+        self._noise, self._occlusion = _DrawnAhead(noise.standard_normal), _DrawnAhead(occlusion.random)
         self._windows = list(windows)
         self._layout = ()
         self._window_rows = []  # for each window: rows of the marker array that it hides
         self._hidden_until_s = np.empty(0)
         self._ghosts_m = np.empty((0, 3))
         self._ghosts_until_s = np.empty(0)
+        self._next_end_s = math.inf  # of a ghost's life
+        self._quiet_count = self._quiet_left = 0  # frames that were drawn ahead, and those of them still to come
+        self._quiet_state, self._quiet_expected = None, 0.0  # of the generator before, and births expected in each
         self._last_time_s = -np.inf
+        _see(0.0, 0.0, 0.0, np.empty((0, 3)), 0.0, np.empty(0), 0, np.empty(0), 0, np.empty(0))  # loads it
 
     def add_window(self, window):
         """Script one more loss. Raises ValueError when it names a body or marker that the last frame did not have."""
@@ -107,26 +144,39 @@ class MocapCameras:
         else:
             self._windows.append(window)
 
-    def observe(self, time_s, bodies):
-        """Observation at time_s [s] of bodies [(name, (n, 3) exact markers [m]), ...].
+    def observe(self, time_s, layout, exact_m):
+        """Observation at time_s [s] of bodies with exact markers.
 
-        Times must not decrease. A change of the bodies starts their occlusions anew. Raises ValueError when a scripted
+        layout: ((body name, number of markers), ...). exact_m: (n, 3) markers of all bodies in this order [m].
+        Times must not decrease. A change of the layout starts the occlusions anew. Raises ValueError when a scripted
         window does not fit the bodies.
         """
-        layout = tuple((name, len(markers)) for name, markers in bodies)
-        if layout != self._layout:
+        if layout is not self._layout and layout != self._layout:
             self._start_layout(layout)
-        exact_m = np.concatenate([markers for _, markers in bodies]) if bodies else np.empty((0, 3))
-        step_s = max(time_s - self._last_time_s, 0.0) if np.isfinite(self._last_time_s) else 0.0
+        step_s = max(time_s - self._last_time_s, 0.0) if self._last_time_s > -math.inf else 0.0
         self._last_time_s = time_s
 
-        params = self.params
-        markers_m = self._noise.standard_normal(exact_m.shape)
-        markers_m *= params.noise_std_m
-        markers_m += exact_m
-        hidden = self._hidden(time_s, step_s)
-        if hidden.any():
-            markers_m[hidden] = np.nan
+        hidden_until_s, params = self._hidden_until_s, self.params
+        count = len(hidden_until_s)
+        if len(exact_m) != count:
+            raise ValueError("the layout has %d markers, got %d" % (count, len(exact_m)))
+        first_noise = self._noise.take(3 * count)
+        first_chance = self._occlusion.take(2 * count) if params.occlusions_per_marker_hz > 0.0 else 0
+        markers_m = _see(
+            time_s,
+            params.occlusions_per_marker_hz * step_s,
+            params.occlusion_mean_s,
+            exact_m,
+            params.noise_std_m,
+            self._noise.numbers,
+            first_noise,
+            self._occlusion.numbers,
+            first_chance,
+            hidden_until_s,
+        )
+        for window, rows in zip(self._windows, self._window_rows):
+            if window.start_s <= time_s < window.end_s:
+                markers_m[rows] = math.nan
         return Observation(time_s, self._layout, markers_m, self._unidentified(time_s, step_s))
 
     def _start_layout(self, layout):
@@ -155,32 +205,61 @@ class MocapCameras:
             % (window.body, ", ".join(name for name, _ in self._layout) or "none")
         )
 
-    def _hidden(self, time_s, step_s):
-        """(n,) bool: lost by chance or by script."""
-        params = self.params
-        if params.occlusions_per_marker_hz > 0.0:
-            chance, length = self._occlusion.random((2, self._hidden_until_s.size))
-            # a Poisson process per visible marker; how long the loss lasts is exponential
-            starts = (chance < -np.expm1(-params.occlusions_per_marker_hz * step_s)) & (time_s >= self._hidden_until_s)
-            if starts.any():
-                self._hidden_until_s[starts] = time_s - params.occlusion_mean_s * np.log1p(-length[starts])
-        hidden = time_s < self._hidden_until_s
-        for window, rows in zip(self._windows, self._window_rows):
-            if window.start_s <= time_s < window.end_s:
-                hidden[rows] = True
-        return hidden
-
     def _unidentified(self, time_s, step_s):
         """(u, 3) ghosts: each stays where it appeared and trembles like any marker."""
         params = self.params
         if params.ghosts_hz > 0.0:
-            born = self._ghost.poisson(params.ghosts_hz * step_s)
-            alive = time_s < self._ghosts_until_s
-            if born or not alive.all():
+            born = self._births(params.ghosts_hz * step_s)
+            if born or time_s >= self._next_end_s:
+                alive = time_s < self._ghosts_until_s
                 new_m = self._ghost.uniform(params.volume_min_m, params.volume_max_m, (born, 3))
                 new_until_s = time_s + self._ghost.exponential(params.ghost_mean_s, born)
                 self._ghosts_m = np.concatenate((self._ghosts_m[alive], new_m))
                 self._ghosts_until_s = np.concatenate((self._ghosts_until_s[alive], new_until_s))
+                self._next_end_s = self._ghosts_until_s.min(initial=math.inf)
         if not len(self._ghosts_m):
             return self._ghosts_m
         return self._ghosts_m + params.noise_std_m * self._ghost.standard_normal(self._ghosts_m.shape)
+
+    def _births(self, expected):
+        """How many ghosts appear in this frame. While there are none, frames without a birth are drawn many at once."""
+        ghost = self._ghost
+        if self._quiet_left and abs(expected - self._quiet_expected) > 1e-9:
+            # another time has passed than was foreseen: back to before what has not been used
+            ghost.bit_generator.state = self._quiet_state
+            ghost.poisson(self._quiet_expected, self._quiet_count - self._quiet_left)
+            self._quiet_left = 0
+        elif not self._quiet_left and not len(self._ghosts_m):
+            self._quiet_state, self._quiet_expected = ghost.bit_generator.state, expected
+            count = np.flatnonzero(np.append(ghost.poisson(expected, _FRAMES_AHEAD), 1))[0].item()
+            if count < _FRAMES_AHEAD:
+                ghost.bit_generator.state = self._quiet_state
+                ghost.poisson(expected, count)
+            self._quiet_count = self._quiet_left = count
+        if self._quiet_left:
+            self._quiet_left -= 1
+            return 0
+        return ghost.poisson(expected)
+
+
+@compiled
+def _see(time_s, losses, loss_mean_s, exact_m, noise_std_m, noise, first_noise, chances, first_chance, hidden_until_s):
+    """(n, 3) markers with noise; those that are hidden, or get lost by chance now, are NaN.
+
+    losses: expected number of times that a marker gets lost in this frame. hidden_until_s: (n,), kept from call to
+    call. From first_noise on come 3 n standard normal numbers, from first_chance on n uniform ones that decide whether
+    a marker gets lost, and n that decide for how long.
+    """
+    n = len(hidden_until_s)
+    markers_m = np.empty((n, 3))
+    starts = -math.expm1(-losses)  # probability, as of a Poisson process
+    for k in range(n):
+        for axis in range(3):
+            markers_m[k, axis] = noise_std_m * noise[first_noise + 3 * k + axis] + exact_m[k, axis]
+        if starts > 0.0 and chances[first_chance + k] < starts and time_s >= hidden_until_s[k]:
+            duration_s = -loss_mean_s * math.log1p(-chances[first_chance + n + k])  # exponentially distributed
+            hidden_until_s[k] = time_s + duration_s
+        if time_s < hidden_until_s[k]:
+            for axis in range(3):
+                markers_m[k, axis] = math.nan
+    return markers_m

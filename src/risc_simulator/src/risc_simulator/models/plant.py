@@ -11,7 +11,7 @@ import numpy as np
 
 from risc_control.frames import GRAVITY_M_S2
 from risc_control.lab import AttitudeLoop
-from risc_simulator.models.quadrotor import QuadrotorParams
+from risc_simulator.models.quadrotor import QUADROTOR
 
 # One standard deviation of each property; draws are cut at two of them.
 MASS_SPREAD = 0.03  # battery, hull and markers
@@ -89,29 +89,38 @@ def _scaled(loop, bandwidth_scale):
     return replace(loop, natural_frequency_rad_s=loop.natural_frequency_rad_s * bandwidth_scale)
 
 
+_POSITIVE = (
+    "mass_kg",
+    "nominal_mass_kg",
+    "inertia_x_kg_m2",
+    "inertia_y_kg_m2",
+    "inertia_z_kg_m2",
+    "yaw_rate_time_constant_s",
+    "climb_time_constant_s",
+)
+
+
 def stack_plants(plants):
-    """QuadrotorParams of a sequence of PlantParams: one column per vehicle, in this order."""
-
-    def column(value):
-        return np.array([value(plant) for plant in plants], dtype=float)
-
-    return QuadrotorParams(
-        mass_kg=column(lambda p: p.mass_kg),
-        nominal_mass_kg=column(lambda p: p.nominal_mass_kg),
-        thrust_scale=column(lambda p: p.thrust_scale),
-        inertia_x_kg_m2=column(lambda p: p.inertia_kg_m2[0]),
-        inertia_y_kg_m2=column(lambda p: p.inertia_kg_m2[1]),
-        inertia_z_kg_m2=column(lambda p: p.inertia_kg_m2[2]),
-        roll_natural_frequency_rad_s=column(lambda p: p.roll.natural_frequency_rad_s),
-        roll_damping_ratio=column(lambda p: p.roll.damping_ratio),
-        roll_gain=column(lambda p: p.roll.gain),
-        pitch_natural_frequency_rad_s=column(lambda p: p.pitch.natural_frequency_rad_s),
-        pitch_damping_ratio=column(lambda p: p.pitch.damping_ratio),
-        pitch_gain=column(lambda p: p.pitch.gain),
-        yaw_rate_time_constant_s=column(lambda p: p.yaw_rate_time_constant_s),
-        climb_time_constant_s=column(lambda p: p.climb_time_constant_s),
-        drag_n_s_m=column(lambda p: p.drag_n_s_m),
-        thrust_min_n=column(lambda p: p.thrust_min_n),
-        thrust_max_n=column(lambda p: p.thrust_max_n),
-        tumble_damping_1_s=np.full(len(plants), TUMBLE_DAMPING_1_S),
-    )
+    """QUADROTOR records of a sequence of PlantParams, in this order. Raises ValueError."""
+    bodies = np.zeros(len(plants), dtype=QUADROTOR)
+    for body, plant in zip(bodies, plants):
+        body.mass_kg = plant.mass_kg
+        body.nominal_mass_kg = plant.nominal_mass_kg
+        body.thrust_scale = plant.thrust_scale
+        body.inertia_x_kg_m2, body.inertia_y_kg_m2, body.inertia_z_kg_m2 = plant.inertia_kg_m2
+        body.roll_natural_frequency_rad_s = plant.roll.natural_frequency_rad_s
+        body.roll_damping_ratio = plant.roll.damping_ratio
+        body.roll_gain = plant.roll.gain
+        body.pitch_natural_frequency_rad_s = plant.pitch.natural_frequency_rad_s
+        body.pitch_damping_ratio = plant.pitch.damping_ratio
+        body.pitch_gain = plant.pitch.gain
+        body.yaw_rate_time_constant_s = plant.yaw_rate_time_constant_s
+        body.climb_time_constant_s = plant.climb_time_constant_s
+        body.drag_n_s_m = plant.drag_n_s_m
+        body.thrust_min_n = plant.thrust_min_n
+        body.thrust_max_n = plant.thrust_max_n
+        body.tumble_damping_1_s = TUMBLE_DAMPING_1_S
+    for name in _POSITIVE:
+        if not np.all(bodies[name] > 0.0):
+            raise ValueError("%s must be positive, got %r" % (name, bodies[name].tolist()))
+    return bodies

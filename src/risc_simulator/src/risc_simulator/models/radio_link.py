@@ -9,6 +9,8 @@ order, and a lost slot only makes them late, as it does for commands that the cl
 import math
 from collections import namedtuple
 
+_EARLY_S = 1e-6  # what rounding may make of the end of a slot
+
 _Entry = namedtuple("_Entry", "slot item must_arrive")
 
 
@@ -37,23 +39,28 @@ class RadioLink(object):
         self._rng = rng
         self._phase_s = phase_s
         self._pending = []  # entries in order of submission
-        self._next_slot = None  # index of the first slot that is not closed
+        self._collected_s = -math.inf  # what has ended by then is closed
+        self.due_s = math.inf  # collect() has nothing to give before this time
 
     def submit(self, time_s, item, must_arrive=False):
         """Hand an item over at time_s (not decreasing from call to call)."""
         slot = self._slot_at(time_s)
-        if self._next_slot is not None:
-            slot = max(slot, self._next_slot)
+        if self._collected_s > -math.inf:
+            slot = max(slot, self._slots_ended(self._collected_s))
         self._pending.append(_Entry(slot, item, must_arrive))
+        self._find_due()
 
     def collect(self, time_s):
         """Items of all slots that ended at or before time_s: list of (arrival time [s], item), in order.
 
         The arrival may lie in the future; each item is returned once.
         """
-        closed = math.floor((time_s - self._phase_s) * self.rate_hz + 1e-9) + 1  # slots below this have ended
-        self._next_slot = closed if self._next_slot is None else max(closed, self._next_slot)
+        if time_s > self._collected_s:
+            self._collected_s = time_s
         delivered = []
+        if time_s < self.due_s:
+            return delivered
+        closed = self._slots_ended(time_s)
         while self._pending and self._pending[0].slot < closed:
             slot = self._pending[0].slot
             count = sum(1 for entry in self._pending if entry.slot == slot)
@@ -71,7 +78,15 @@ class RadioLink(object):
                     delivered.append((arrival_s, entry.item))
                 else:
                     self.items_superseded += 1
+        self._find_due()
         return delivered
+
+    def _find_due(self):
+        self.due_s = self._slot_end(self._pending[0].slot) - _EARLY_S if self._pending else math.inf
+
+    def _slots_ended(self, time_s):
+        """Slots below this index have ended at time_s."""
+        return math.floor((time_s - self._phase_s) * self.rate_hz + 1e-9) + 1
 
     def _slot_at(self, time_s):
         """Index of the slot that a submission at time_s falls in: the first that ends at or after time_s."""

@@ -1,0 +1,65 @@
+"""Compiled code: it runs as plain Python, too, with the same results, and nothing is compiled or loaded in flight."""
+
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+HERE = pathlib.Path(__file__).parent
+
+IN_FLIGHT = """
+import sys
+import test_world
+from risc_simulator.cortex_wire import FrameEncoder
+from risc_simulator.models.mocap_cameras import MocapCameras
+
+def compiled():
+    modules = [module for name, module in sys.modules.items() if name.startswith("risc_simulator")]
+    return {id(f): len(f.signatures) for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
+
+make = test_world.make_world
+
+def make_world(*arguments, **options):
+    global world, cameras, encoder, at_start
+    world = make(*arguments, **options)
+    cameras, encoder = MocapCameras(seed=1), FrameEncoder(world.layout, 1000.0)
+    at_start = compiled()
+    return world
+
+test_world.make_world = make_world
+test_world.fly_the_golden_flight()
+for k in range(500):
+    seen = cameras.observe(0.005 * k, world.layout, world.markers_m())
+    encoder.encode(k, seen.markers_m, seen.unidentified_m)
+assert sum(at_start.values()) > 5
+assert compiled() == at_start
+"""
+
+
+def run(*arguments, **environment):
+    path = os.pathsep.join([str(HERE), *sys.path])
+    return subprocess.run(
+        [sys.executable, *arguments],
+        env=dict(os.environ, PYTHONPATH=path, **environment),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=300,
+    )
+
+
+@pytest.mark.parametrize(
+    "file, pattern",
+    [("test_world.py", "golden"), ("test_mocap_cameras.py", "as_ever"), ("test_cortex_wire.py", "fast_encoder")],
+)
+def test_the_same_source_uncompiled(file, pattern):
+    arguments = ("-m", "pytest", "-q", "-p", "no:cacheprovider", str(HERE / file), "-k", pattern)
+    ended = run(*arguments, NUMBA_DISABLE_JIT="1")
+    assert ended.returncode == 0, ended.stdout
+
+
+def test_nothing_is_compiled_or_loaded_in_flight():
+    ended = run("-c", IN_FLIGHT)
+    assert ended.returncode == 0, ended.stdout
