@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from risc_control.frames import rotation_body_to_cortex
 from risc_control.lab.templates import load_templates
+from risc_control.states import S
 from risc_estimation import states
-from risc_estimation.states import EstimatorParams, S, StatesEstimator, pack_bodies
+from risc_estimation.states import EstimatorParams, StatesEstimator, pack_bodies
 
 DT_S = 0.005
 TEMPLATES = load_templates()

@@ -8,10 +8,10 @@ import pytest
 from risc_control.guidance import GuidanceController, GuidanceParams
 from risc_control.lab import load_templates
 from risc_control.reference import ReferenceBuffer
-from risc_control.states import States
+from risc_control.states import S, States
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.virtual_target import TargetParams, VirtualTarget
-from risc_estimation.states import S, StatesEstimator
+from risc_estimation.states import StatesEstimator
 from risc_experiments import offline
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.world import World

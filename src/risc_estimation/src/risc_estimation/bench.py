@@ -13,7 +13,8 @@ import numpy as np
 
 from risc_control.frames import rotation_body_to_cortex
 from risc_control.lab.templates import Template, load_templates
-from risc_estimation.states import EstimatorParams, S, StatesEstimator, pack_bodies
+from risc_control.states import S
+from risc_estimation.states import EstimatorParams, StatesEstimator, pack_bodies
 
 RATE_HZ = 200.0
 MARKER_NOISE_M = 0.002

@@ -6,7 +6,6 @@ Bodies are keyed by name; their order in a frame means nothing. Time comes from 
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 from typing import NamedTuple, Tuple
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from risc_control.compiled import compiled, record
 from risc_control.frames import euler_of_body_in_cortex, wrap_one_angle
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
+from risc_control.states import S
 from risc_estimation.gates import REFUSALS, believe_pose, is_inside, is_settled, limits_of, see_markers
 from risc_estimation.landmarks import LANDMARK, locate_landmark
 from risc_estimation.least_squares import SlidingFit, Window, estimate_newest, push_samples
@@ -22,12 +22,6 @@ from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pos
 _LAYOUTS = 64  # that are remembered
 
 LEGACY_WINDOW_S = 0.25  # the original release: a line through 50 samples at 200 Hz
-
-
-class S(IntEnum):
-    """Columns of a state: position [m], velocity [m/s], roll pitch yaw [rad], their rates [rad/s]."""
-
-    X, Y, Z, U, V, W, PHI, THETA, PSI, P, Q, R = range(12)
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,12 @@ import numpy as np
 from risc_control.lab import load_fleet, load_templates, load_vehicle_type
 from risc_control.lab.yaml_reader import package_file
 from risc_control.reference import ReferenceBuffer
-from risc_control.states import States
+from risc_control.states import S, States
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
 from risc_control.trajectories import COURSES, YawProgram, make_course
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehicleNodeParams, VehiclePilot
-from risc_estimation.states import S, StatesEstimator
+from risc_estimation.states import StatesEstimator
 from risc_simulator.cortex_wire import FrameEncoder
 from risc_simulator.models.flight import FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras

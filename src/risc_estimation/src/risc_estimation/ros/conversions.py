@@ -4,7 +4,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
-from risc_estimation.states import S
+from risc_control.states import S
 
 FRAME_ID = "cortex"
 

@@ -10,7 +10,8 @@ from std_msgs.msg import Float64, String
 
 from risc_control.frames import wrap_angle
 from risc_control.ros.diagnostics import make_updater
-from risc_msgs.msg import Cortex, States
+from risc_control.ros.fleet_messages import CortexArrays
+from risc_lab.ros.ticker import Ticker
 
 _DEG_PER_RAD = math.degrees(1.0)
 
@@ -24,24 +25,29 @@ class VirtualLabNode(object):
         self._last_crash = None
         self._diagnosed = (0, lab.now_s())  # frame, lab time of the last report
 
-        self._message = Cortex()
-        self._message.header.frame_id = "cortex"
         self._vehicles = list(lab.world.vehicles.values())
-        self._message.Obj = [States(name=vehicle.name, visible=True) for vehicle in self._vehicles]
+        self._message = CortexArrays([vehicle.name for vehicle in self._vehicles])
+        self._message.header.frame_id = "cortex"
+        self._message.visible[:] = True
         # sent without waiting (risc_lab.ros.direct_connection): the lab never waits for a subscriber
-        self._publisher = rospy.Publisher("/ground_truth", Cortex, queue_size=50, tcp_nodelay=True)
+        self._publisher = rospy.Publisher("/ground_truth", CortexArrays, queue_size=50, tcp_nodelay=True)
 
         self._updater = make_updater("virtual lab %s" % lab.fleet.name)
         self._updater.add("virtual lab", self._diagnose)
-        self._timer = rospy.Timer(rospy.Duration(1.0), lambda _: self._updater.force_update(), reset=True)
-        rospy.on_shutdown(self._timer.shutdown)
+        Ticker(1.0, self._updater.force_update, "the diagnostics")
 
-        rospy.Subscriber("~mocap_silence", Float64, self._on_mocap_silence, queue_size=10)
-        rospy.Subscriber("~light", Float64, self._on_light, queue_size=10)
-        rospy.Subscriber("~hide", String, lambda msg: self._on_fault(msg, lab.hide), queue_size=10)
-        rospy.Subscriber("~link_loss", String, lambda msg: self._on_fault(msg, lab.lose_link), queue_size=10)
-        rospy.Subscriber("~battery", String, lambda msg: self._on_fault(msg, lab.set_battery_pct), queue_size=10)
-        rospy.Subscriber("~board", String, lambda msg: self._on_fault(msg, lab.wave_board), queue_size=10)
+        rospy.Subscriber("~mocap_silence", Float64, self._on_mocap_silence, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber("~light", Float64, self._on_light, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber("~hide", String, lambda msg: self._on_fault(msg, lab.hide), queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber(
+            "~link_loss", String, lambda msg: self._on_fault(msg, lab.lose_link), queue_size=10, tcp_nodelay=True
+        )
+        rospy.Subscriber(
+            "~battery", String, lambda msg: self._on_fault(msg, lab.set_battery_pct), queue_size=10, tcp_nodelay=True
+        )
+        rospy.Subscriber(
+            "~board", String, lambda msg: self._on_fault(msg, lab.wave_board), queue_size=10, tcp_nodelay=True
+        )
 
     def after_frame(self):
         """Carry out orders, then tell the truth about the frame that has just gone out."""
@@ -66,8 +72,7 @@ class VirtualLabNode(object):
         rows = self._lab.world.truth()
         rows[:, 8] = wrap_angle(rows[:, 8])
         rows[:, 6:] *= _DEG_PER_RAD
-        for out, row in zip(self._message.Obj, rows.tolist()):
-            out.x, out.y, out.z, out.u, out.v, out.w, out.phi, out.theta, out.psi, out.p, out.q, out.r = row
+        self._message.states[:] = rows
         try:
             self._publisher.publish(self._message)
         except rospy.ROSException:
