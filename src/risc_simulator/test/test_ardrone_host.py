@@ -745,6 +745,69 @@ def test_two_vehicles_have_different_radio_slots(fake_lab):
     assert first.vehicle.told[0][0] != pytest.approx(second.vehicle.told[0][0], abs=1e-6)
 
 
+# ------------------------------------------------------------------ cycles in which nothing is due
+
+
+def random_traffic(lab, seed):
+    """What a client and the lab's operator may do to a flight, in an order that the seed gives."""
+    rng = np.random.default_rng(seed)
+    packets = []
+    if seed % 3:  # else without navdata
+        lab.connect(demo=seed % 3 == 1)
+    for _ in range(12):
+        if lab.vehicle.phase is FlightPhase.EMERGENCY:
+            packets += lab.run(0.3, SELECT)
+        if lab.vehicle.phase is FlightPhase.LANDED:
+            lab.vehicle.set_battery_pct(90.0)
+            packets += lab.run(0.3, IDLE) + lab.run(5.5, START, every=100)
+        what = rng.integers(0, 12)
+        if what < 3:
+            lab.client.config("control:altitude_max", str(rng.integers(700, 1500)))
+        elif what == 3:
+            lab.client.config("general:com_watchdog", str(rng.integers(0, 4)))
+        elif what == 4:
+            lab.client.at("COMWDG")
+            lab.client.wake_up()
+        elif what == 5:
+            lab.host.lose_link(rng.uniform(0.0, 1.0))
+        elif what == 6:
+            lab.vehicle.set_battery_pct(rng.choice([2.5, 10.0]))
+        ref = rng.choice([START] * 8 + [IDLE, START | SELECT])
+        pcmd = (int(rng.random() < 0.8), *rng.uniform(-0.1, 0.1, 2), rng.uniform(-0.7, 0.9), 0.1)
+        every = rng.choice([1, 6, 30, 100])
+        silent = rng.random() < 0.15
+        packets += lab.run(rng.uniform(0.05, 2.5), None if silent else ref, None if silent else pcmd, every)
+    packets += lab.run(6.0)  # the client has gone
+    return [packet[3] for packet in packets]
+
+
+@pytest.mark.parametrize("seed", range(9))
+def test_no_cycle_that_is_left_out_would_have_done_anything(seed):
+    """The same traffic to a host that does nothing until something is due, and to one that looks at all every cycle."""
+    seen = []
+    for is_eager in (False, True):
+        world = make_world()
+        vehicle, told = world.vehicles["risc1"], []
+        schedule = vehicle.schedule
+        vehicle.schedule = lambda time_s, action, told=told, do=schedule: (
+            told.append((time_s, action)),
+            do(time_s, action),
+        )
+        lab = Lab(vehicle, world, radio_loss=0.1)
+        if is_eager:
+            tick = lab.host.tick
+            lab.host.tick = lambda now_s, host=lab.host, do=tick: (setattr(host, "_due_s", -math.inf), do(now_s))
+        try:
+            packets = random_traffic(lab, seed)
+            seen.append((packets, told, lab.host.statistics(), vehicle.state.position_m.tolist()))
+        finally:
+            lab.close()
+    lean, eager = seen
+    assert len(lean[1]) > 100
+    for mine, all_of_it in zip(lean, eager):
+        assert mine == all_of_it
+
+
 # ------------------------------------------------------------------ injected link loss
 
 

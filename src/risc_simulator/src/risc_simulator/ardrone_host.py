@@ -56,7 +56,7 @@ DATAGRAMS_PER_CALL = 64
 MAX_TCP_CLIENTS = 8
 MAX_TCP_BACKLOG_BYTES = 256 * 1024
 
-# State bits as plain integers: IntFlag arithmetic would cost more than the rest of a packet.
+# Bits as plain integers: IntFlag arithmetic would cost more than the rest of a packet.
 _BASE_STATE = int(
     State.ALTITUDE_CONTROL
     | State.PIC_VERSION_OK
@@ -82,6 +82,8 @@ _FLYING, _VIDEO, _USER_START, _ACK, _CAMERA_READY, _DEMO, _COM_LOST, _BATTERY_LO
 _COM_WATCHDOG, _EMERGENCY, _USER_EMERGENCY, _CUTOUT = map(
     int, (State.COM_WATCHDOG, State.EMERGENCY, State.USER_EMERGENCY_LANDING, State.CUTOUT)
 )
+_SELECT, _START = int(at.Ref.SELECT), int(at.Ref.START)
+_PROGRESSIVE, _ABSOLUTE = int(at.PcmdFlag.PROGRESSIVE), int(at.PcmdFlag.ABSOLUTE)
 
 _CAN_LAND = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING)
 _IN_FLIGHT = _CAN_LAND + (FlightPhase.LANDING,)
@@ -247,7 +249,6 @@ class ArdroneHost(SocketHost):
     def on_readable(self, sock, now_s):
         """Take what has come in on one of sockets() at lab time now_s."""
         self._now_s = now_s
-        self._due_s = -math.inf
         if sock is self._sockets.get("at"):
             for data, _ in self._receive(sock):
                 self._on_at_datagram(data, now_s)
@@ -264,12 +265,13 @@ class ArdroneHost(SocketHost):
             if self._video is not None:
                 self._video.start()  # accepts as soon as it is up
                 self.watch_streams()
-                return
-            client = self._accept(sock)
-            if client is not None:
-                self._video_clients.append(client)
+            else:
+                client = self._accept(sock)
+                if client is not None:
+                    self._video_clients.append(client)
         elif sock in self._control_clients or sock in self._video_clients:
             self._drain(sock)
+        self._find_due(self._vehicle.phase)
 
     def tick(self, now_s):
         """To be called once per cycle of the lab, after the world has moved."""
@@ -289,9 +291,9 @@ class ArdroneHost(SocketHost):
             self._flush_control_clients()
         if self._client is not None and now_s >= self._next_packet_s - 0.1 * FULL_PERIOD_S:
             self._send_navdata(now_s, phase)
-        self._due_s = self._next_due_s(now_s, phase) - EARLY_S
+        self._find_due(phase)
 
-    def _next_due_s(self, now_s, phase):
+    def _find_due(self, phase):
         """When tick() has something to do again, unless the phase changes or something comes in first."""
         due_s = self._radio.due_s
         if self._arriving:
@@ -307,8 +309,8 @@ class ArdroneHost(SocketHost):
             if (phase is FlightPhase.LANDED and self._armed) if self._start else phase in _CAN_LAND:
                 due_s = min(due_s, self._rest_until_s)
         if self._link_up and any(self._control_clients.values()):
-            due_s = now_s
-        return due_s
+            due_s = -math.inf
+        self._due_s = due_s - EARLY_S
 
     def close(self):
         """Close all sockets. May be called twice."""
@@ -619,11 +621,11 @@ class ArdroneHost(SocketHost):
             self._limit_altitude(now_s)
 
     def _obey_ref(self, time_s, bits, phase):
-        select = bool(bits & at.Ref.SELECT)
+        select = bool(bits & _SELECT)
         if select and not self._select:
             self._toggle_emergency(time_s, phase)
         self._select = select
-        start = bool(bits & at.Ref.START)
+        start = bool(bits & _START)
         if not start:
             self._armed, self._refused = True, False
         self._start = start
@@ -674,9 +676,9 @@ class ArdroneHost(SocketHost):
 
     def _obey_sticks(self, time_s, sticks):
         self._sticks = sticks
-        if sticks.flags & at.PcmdFlag.PROGRESSIVE:
+        if sticks.flags & _PROGRESSIVE:
             roll, pitch = sticks.roll, sticks.pitch
-            if sticks.flags & at.PcmdFlag.ABSOLUTE:
+            if sticks.flags & _ABSOLUTE:
                 roll, pitch = self._from_pilots_heading(roll, pitch, math.pi * sticks.psi)
             self._wanted = Setpoint(
                 roll_rad=self._tilt_max_rad * roll,
