@@ -16,6 +16,8 @@ BENCHMARKS = {
     "world": ("speed of the offline world", [PYTHON, "-m", "risc_simulator.bench", "--json", "{json}"]),
     "offline": ("offline closed loop: accuracy and speed", [PYTHON, "-m", "risc_experiments.offline", "--seeds", "3",
                                                             "--delay", "0.1", "0.3", "--json", "{json}"]),
+    "planning": ("ways of 1 to 50 vehicles: time to plan and to sample, gaps in the references",
+                 [PYTHON, str(HERE / "planning.py"), "--json", "{json}"]),
     "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
     "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),
     "drawing": ("markers for rviz: time per drawing, up to 50 vehicles", [PYTHON, str(HERE / "drawing.py"),
