@@ -16,6 +16,8 @@ BENCHMARKS = {
     "world": ("speed of the offline world", [PYTHON, "-m", "risc_simulator.bench", "--json", "{json}"]),
     "offline": ("offline closed loop: accuracy and speed", [PYTHON, "-m", "risc_experiments.offline", "--seeds", "3",
                                                             "--delay", "0.1", "0.3", "--json", "{json}"]),
+    "planning": ("ways of 1 to 50 vehicles: time to plan and to sample, gaps in the references",
+                 [PYTHON, str(HERE / "planning.py"), "--json", "{json}"]),
     "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
     "control": ("time per frame of controller and vehicle pilot", [PYTHON, "-m", "risc_control.bench",
                                                                    "--json", "{json}"]),

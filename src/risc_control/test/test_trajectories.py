@@ -1,25 +1,23 @@
 """Courses: exact derivatives, the numbers of chapter 6, separation, the arena; transitions and yaw."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_control.motions import Blend, coasting, standing
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
-    Blend,
     YawProgram,
-    coasting,
     course_separation,
     make_course,
     minimum_separation,
     on_course,
     peak_yaw_rate_rad_s,
     quadrant,
-    smooth_step,
-    standing,
 )
 
 MARGIN_M = 0.4
@@ -130,7 +128,7 @@ def test_spin_stands_and_turns_once_in_30_s():
 
 def test_half_a_period_apart_two_vehicles_would_meet_on_an_eight():
     course = make_course("flat8", 2)
-    crossing = course._replace(shifts_s=np.array([0.0, 10.0]))
+    crossing = replace(course, shifts_s=np.array([0.0, 10.0]))
     assert course_separation(crossing) < 0.01 < course_separation(course)
 
 
@@ -231,16 +229,17 @@ def test_blend_stays_between_its_motions():
 def test_blend_turns_the_short_way():
     place = np.zeros(3)
     way = Blend(standing(place, 3.0), standing(place, -3.0), 0.0, 4.0)
-    assert way(np.array([4.0]))[1][0, 0] == pytest.approx(2.0 * math.pi - 3.0)
-    assert way(np.array([9.0]))[1][0, 0] == pytest.approx(2.0 * math.pi - 3.0), "and stays there"
+    assert way(np.array([1.0, 3.0, 3.9999]))[1][0] == pytest.approx([3.03, 3.25, 2.0 * math.pi - 3.0], abs=0.01)
+    assert way(np.array([4.0, 9.0]))[1][0] == pytest.approx([-3.0, -3.0]), "from its end on it is the end"
     with pytest.raises(ValueError, match="needs a time > 0"):
         Blend(standing(place, 0.0), standing(place, 0.0), 0.0, 0.0)
 
 
-def test_smooth_step_is_the_minimum_snap_way():
-    step = smooth_step(np.array([-1.0, 0.0, 0.5, 1.0, 2.0]))
+def test_a_blend_between_two_places_is_the_minimum_snap_way():
+    way = Blend(standing(np.zeros(3), 0.0), standing(np.ones(3), 0.0), 0.0, 1.0)
+    step = way(np.array([-1.0, 0.0, 0.5, 1.0, 2.0]))[0][:, :, 0]
     assert step[0] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
     assert step[1:, [0, 1, 3, 4]] == pytest.approx(np.zeros((4, 4)), abs=1e-9)
     s = 0.3  # 126 s^5 - 420 s^6 + 540 s^7 - 315 s^8 + 70 s^9
     expected = 126 * s**5 - 420 * s**6 + 540 * s**7 - 315 * s**8 + 70 * s**9
-    assert smooth_step(np.array([s]))[0, 0] == pytest.approx(expected)
+    assert way(np.array([s]))[0][0, 0, 2] == pytest.approx(expected)

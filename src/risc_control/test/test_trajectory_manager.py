@@ -1,13 +1,15 @@
 """TrajectoryManager: hold, approach, course, home; continuous to snap; vehicles keep apart on their ways."""
 
 import itertools
+import threading
 
 import numpy as np
 import pytest
 
 from risc_control.lab.fleet import FleetVehicle
 from risc_control.trajectories import COURSES, SAFE_SEPARATION_M, make_course, minimum_separation
-from risc_control.trajectory_manager import Home, Phase, TrajectoryManager, WayLimits, make_manager, phase_text
+from risc_control.trajectory_manager import Home, Phase, TrajectoryManager, make_manager, phase_text
+from risc_control.ways import WayLimits, plan_ways
 
 STARTS = {"fluffy_II": (0.9, 0.0, 0.0), "albatross": (-0.45, 0.78, 0.0), "Raven": (-0.45, -0.78, 0.0)}
 NAMES = tuple(STARTS)
@@ -44,8 +46,9 @@ def assert_smooth(times, derivatives):
     step_s = times[1] - times[0]
     middle = 0.5 * (derivatives[1:] + derivatives[:-1])
     # The fifth derivative of a least-snap step jumps at its ends, by up to 40 m/s^5 for ways of 1.5 m in 4 s: the
-    # trapezoidal rule for the snap is off by an eighth of that times the step.
-    for order, largest in ((0, 1e-4), (1, 1e-3), (2, 5e-3), (3, 40.0 * step_s / 8.0)):
+    # trapezoidal rule for the snap is off by an eighth of that times the step; for the position by a twelfth of the
+    # jerk, up to 5 m/s^3, times its square.
+    for order, largest in ((0, 5.0 * step_s**2 / 12.0), (1, 1e-3), (2, 5e-3), (3, 40.0 * step_s / 8.0)):
         slope = (derivatives[1:, order, :, :3] - derivatives[:-1, order, :, :3]) / step_s
         assert np.abs(slope - middle[:, order + 1, :, :3]).max() < largest, order
     assert np.abs(np.diff(derivatives[:, 4, :, :3], axis=0)).max() < 3.0, "snap has no steps"
@@ -232,10 +235,163 @@ def test_another_course_in_flight():
         manager.set_course(make_course("circle", 2), begin_s)
 
 
+# ------------------------------------------------------------------------------- planned while the vehicles fly on
+
+LEAD_S = 0.5
+
+
+def fly_with_a_planner(manager, begin_s, end_s, takes_s, events=()):
+    """As `record`, by a planner that takes so long. events: (time, what happens)."""
+    rows, phases, events = [], [], list(events)
+    task, ready_s = None, np.inf
+    times = np.arange(begin_s, end_s, 0.02)
+    for time_s in times:
+        while events and time_s >= events[0][0]:
+            events.pop(0)[1](time_s)
+        reference = manager.sample(time_s)
+        rows.append(reference.derivatives)
+        phases.append(reference.phases)
+        if task is None and manager.task is not None:
+            task, ready_s = manager.task, time_s + takes_s
+        elif task is not None and time_s >= ready_s:
+            manager.accept(task, plan_ways(task), time_s)
+            task = None
+    return times, np.array(rows), phases
+
+
+def all_of_it(manager):
+    """Events from the course to another one, home and out again."""
+    return [
+        (30.0, lambda now_s: manager.set_course(make_course("circle", 3), now_s)),
+        (33.0, manager.go_home),
+        (55.0, manager.start),
+        (57.0, lambda now_s: manager.set_course(make_course("knot", 3), now_s)),
+        (75.0, manager.go_home),
+    ]
+
+
+def test_planned_in_another_thread_the_references_are_the_same():
+    """Only that somebody else planned them: a manager that plans at once, for the same times, has them bit for bit."""
+    planned, at_once = flying_manager("flat8", lead_s=LEAD_S), flying_manager("flat8", lead_s=LEAD_S)
+    at_once._inline = True
+    times, references, phases = fly_with_a_planner(planned, 10.0, 95.0, 0.3, all_of_it(planned))
+    _, expected, _ = fly_with_a_planner(at_once, 10.0, 95.0, 0.0, all_of_it(at_once))
+    assert (references == expected).all()
+    assert phases[-1] == (Phase.HOMED,) * 3
+    assert_smooth(times[times > 10.4], references[times > 10.4])
+    assert minimum_separation(references[:, 0, :, :3]) >= SAFE_SEPARATION_M
+
+
+def test_until_their_ways_begin_they_go_on_as_before():
+    manager = flying_manager("flat8", lead_s=LEAD_S)
+    times, references, phases = fly_with_a_planner(manager, 10.0, 40.0, 0.3)
+    assert not references[times < 10.3, 1].any() and phases[int(0.7 / 0.02)] == (Phase.HOLD,) * 3
+    assert phases[int(0.9 / 0.02)] == (Phase.APPROACH,) * 3
+    manager.go_home(40.0)
+    before = manager.course.at(40.4 - manager._epoch_s)[0]
+    assert manager.sample(40.4).derivatives[..., :3] == pytest.approx(before)
+    assert manager.sample(70.0).phases == (Phase.COURSE,) * 3, "nobody has planned"
+
+
+def test_sampling_never_waits_for_the_planner():
+    """Nor does anything else that happens: the planner is a thread that hangs."""
+    manager, lock, goes_on = flying_manager(lead_s=LEAD_S), threading.Lock(), threading.Event()
+    manager.sample(10.4)
+    task = manager.task
+
+    def plan():
+        goes_on.wait(60.0)
+        made = plan_ways(task)
+        with lock:
+            manager.accept(task, made, 10.7)
+
+    planner = threading.Thread(target=plan)
+    planner.start()
+    for time_s in np.arange(10.4, 10.7, DT_S):
+        assert lock.acquire(blocking=False)
+        assert manager.sample(time_s).phases == (Phase.HOLD,) * 3
+        lock.release()
+    assert planner.is_alive()
+    goes_on.set()
+    planner.join()
+    assert manager.sample(10.95).phases == (Phase.APPROACH,) * 3
+
+
+def test_who_changes_his_mind_meanwhile_is_planned_anew():
+    """Whatever happens changes the task, and the plan of the old one is not accepted."""
+    changes = {
+        "left": lambda manager: manager.set_autonomous("Raven", False, 10.5),
+        "home": lambda manager: manager.go_home(10.5),
+        "course": lambda manager: manager.set_course(make_course("origin", 3), 10.5),
+    }
+    for name, change in changes.items():
+        manager = flying_manager(lead_s=LEAD_S)
+        manager.sample(10.4)
+        task = manager.task
+        plan = plan_ways(task)
+        change(manager)
+        if name == "course":  # they hold, so the new course is that of those who are about to join
+            assert manager.task.course.name == "origin"
+        assert not manager.accept(task, plan, 10.55)
+        if name == "left":
+            assert manager.waiting_for(10.55) == ("Raven",) and manager.task is None
+            manager.see("Raven", (-0.45, -0.78, 0.05), np.zeros(3), 0.0)  # it has landed
+        _, references, phases = fly_with_a_planner(manager, 10.55, 50.0, 0.1)
+        others = Phase.HOMED if name == "home" else Phase.COURSE
+        assert phases[-1] == (others, others, Phase.HOLD if name == "left" else others), name
+        assert minimum_separation(references[:, 0, :, :3]) >= 0.7
+        assert manager.task is None
+
+
+def test_nobody_is_left_to_be_planned():
+    manager = flying_manager(vehicles=1, lead_s=LEAD_S)
+    manager.sample(10.4)
+    task = manager.task
+    manager.set_autonomous("fluffy_II", False, 10.5)
+    assert manager.task is None and not manager.accept(task, plan_ways(task), 10.6)
+    assert manager.sample(30.0).phases == (Phase.HOLD,)
+
+
+def test_a_start_that_is_taken_back():
+    manager = flying_manager(lead_s=LEAD_S)
+    fly_with_a_planner(manager, 10.0, 60.0, 0.1, [(30.0, manager.go_home)])
+    assert manager.start(60.0) == list(NAMES) and manager.task is not None
+    assert manager.go_home(60.1) == list(NAMES) and manager.task is None
+    assert manager.sample(80.0).phases == (Phase.HOMED,) * 3
+
+
+def test_one_goes_home_while_another_starts():
+    """Two orders at once: one is planned after the other."""
+    manager = flying_manager(lead_s=LEAD_S)
+    fly_with_a_planner(manager, 10.0, 60.0, 0.1, [(30.0, manager.go_home)])
+    manager.set_autonomous("Raven", False, 60.0)
+    manager.set_autonomous("Raven", True, 60.0)
+    manager.sample(60.4)  # Raven is to fly to the course, and then to go home again
+    assert manager.go_home(60.45) == ["Raven"]
+    assert manager.start(60.5) == ["fluffy_II", "albatross"]
+    _, _, phases = fly_with_a_planner(manager, 60.5, 100.0, 0.1)
+    assert phases[-1] == (Phase.COURSE, Phase.COURSE, Phase.HOMED)
+
+
+def test_a_plan_that_comes_too_late_is_made_again_for_later():
+    manager = flying_manager(lead_s=LEAD_S)
+    manager.sample(10.4)
+    task = manager.task
+    assert not manager.accept(task, plan_ways(task), 11.5)
+    assert manager.sample(11.5).phases == (Phase.HOLD,) * 3
+    assert manager.task.begin_s > 11.5 + 2.0 * (11.5 - task.begin_s), "as long again is not too short"
+    times, references, phases = fly_with_a_planner(manager, 11.5, 40.0, 1.0)
+    assert phases[-1] == (Phase.COURSE,) * 3
+    assert_smooth(times, references)
+
+
 def test_without_smooth_start_it_is_on_the_course_at_once():
     manager = TrajectoryManager(["a"], [Home((0, 0, 1), 0.0)], make_course("circle", 1), smooth=False)
     assert manager.sample(100.0).phases == (Phase.COURSE,)
     assert manager.sample(102.0).derivatives[0, 0, :3] == pytest.approx([0.0, 0.8, 1.0])
+    manager.set_autonomous("a", True, 102.0)
+    assert manager.go_home(102.0) == manager.start(102.0) == []
+    assert manager.sample(104.0).derivatives[0, 0, :3] == pytest.approx([-0.8, 0.0, 1.0])
 
 
 def test_phase_text_is_what_the_evaluation_reads():

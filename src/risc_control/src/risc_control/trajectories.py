@@ -11,91 +11,79 @@ as their first axis.
 
 import inspect
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import BPoly
 
-ORDERS = 5  # position, velocity, acceleration, jerk, snap
-YAW_ORDERS = 3  # yaw, its rate, its acceleration
+from risc_control.compiled import compiled
+from risc_control.motions import (
+    BY_FUNCTION,
+    HARMONIC,
+    NO_PATHS,
+    NO_TABLE,
+    ORDERS,
+    TABLE_WIDTH,
+    TOUR,
+    YAW_ORDERS,
+    Motion,
+    new_links,
+    sample_paths,
+)
 
 # Courses of chapter 6 and of the original release.
 COURSE_HEIGHT_M = 1.0
 SAFE_SEPARATION_M = 0.75  # between centres: AR.Drones are 0.55 m wide with their hull
-_SLOWEST_ALONG_PATH_M_S = 0.05  # below this speed a path has no direction worth turning the nose to
-
-# Derivatives of cos(w t + p) by order: w^k times one of cos, -sin, -cos, sin, cos.
-_COS_SIGN = np.array([1.0, 0.0, -1.0, 0.0, 1.0]).reshape(ORDERS, 1, 1, 1)
-_SIN_SIGN = np.array([0.0, -1.0, 0.0, 1.0, 0.0]).reshape(ORDERS, 1, 1, 1)
 
 
-class HarmonicPaths:
-    """Paths of n vehicles: centre + sum of amplitude cos(frequency t + phase) in every axis."""
+class _TablePaths:
+    """Paths of n vehicles that compiled code knows."""
 
-    def __init__(self, centre_m, amplitude_m, frequency_rad_s, phase_rad, period_s):
-        """centre: (n, 3).  amplitude, frequency, phase: broadcast to (n, 3, terms).  period_s: of the whole course."""
-        self.centre_m = np.array(centre_m, dtype=float)
-        shape = self.centre_m.shape + (np.shape(amplitude_m)[-1],)
-        amplitude, frequency, phase = (
-            np.broadcast_to(np.asarray(part, dtype=float), shape) for part in (amplitude_m, frequency_rad_s, phase_rad)
-        )
-        self._frequency, self._phase = frequency.copy(), phase.copy()
-        scaled = amplitude * frequency ** np.arange(ORDERS).reshape(ORDERS, 1, 1, 1)
-        self._of_cos, self._of_sin = scaled * _COS_SIGN, scaled * _SIN_SIGN
-        self.period_s = period_s
+    def __init__(self, links, table, period_s):
+        """links: (n,) LINK, one a vehicle.  table: (rows, TABLE_WIDTH).  period_s: after it every path repeats."""
+        self.links, self.table, self.period_s = links, np.ascontiguousarray(table, dtype=float), period_s
 
     def __len__(self):
-        return len(self.centre_m)
+        return len(self.links)
 
     def at(self, times_s):
         """(5, n, 3) position to snap, every vehicle at its own time (n,) or all at one (scalar).
 
         Paths of a single vehicle take any number of times (k,) and return (5, k, 3).
         """
-        phase = self._frequency * np.reshape(times_s, (-1, 1, 1)) + self._phase
-        result = (self._of_cos * np.cos(phase) + self._of_sin * np.sin(phase)).sum(axis=3)
-        result[0] += self.centre_m
-        return result
+        times = np.full(len(self), times_s) if np.ndim(times_s) == 0 else np.asarray(times_s, dtype=float)
+        path, yaw = np.empty((ORDERS, len(times), 3)), np.empty((YAW_ORDERS, len(times)))
+        sample_paths(self.links, self.table, NO_PATHS, times, path, yaw)
+        return path
 
     def reordered(self, order):
         """The same paths in another order of the vehicles."""
-        other = object.__new__(HarmonicPaths)
-        order = np.asarray(order)
-        other.centre_m, other.period_s = self.centre_m[order], self.period_s
-        other._frequency, other._phase = self._frequency[order], self._phase[order]
-        other._of_cos, other._of_sin = self._of_cos[:, order], self._of_sin[:, order]
-        return other
+        return _TablePaths(self.links[np.asarray(order)], self.table, self.period_s)
 
 
-class WaypointTour:
+class HarmonicPaths(_TablePaths):
+    """Paths of n vehicles: centre + sum of amplitude cos(frequency t + phase) in every axis."""
+
+    def __init__(self, centre_m, amplitude_m, frequency_rad_s, phase_rad, period_s):
+        """centre: (n, 3).  amplitude, frequency, phase: broadcast to (n, 3, terms).  period_s: of the whole course."""
+        n, terms = len(centre_m), np.shape(amplitude_m)[-1]
+        table = np.stack(
+            [np.broadcast_to(part, (n, 3, terms)) for part in (amplitude_m, frequency_rad_s, phase_rad)], axis=1
+        )
+        links = new_links(n, HARMONIC, first=terms * np.arange(n), rows=terms, position_m=centre_m)
+        super().__init__(links, table.transpose(0, 3, 1, 2).reshape(n * terms, TABLE_WIDTH), period_s)
+
+
+class WaypointTour(_TablePaths):
     """Paths of n vehicles through points in turn: rest at each, then a smooth move to the next, for ever."""
 
     def __init__(self, points_m, rest_s, move_s):
         """points_m: (n, stops, 3), the stops of every vehicle."""
-        self.points_m = np.array(points_m, dtype=float)
-        self._rest_s, self._move_s = rest_s, move_s
-        self.period_s = (rest_s + move_s) * self.points_m.shape[1]
-
-    def __len__(self):
-        return len(self.points_m)
-
-    def at(self, times_s):
-        """As `HarmonicPaths.at`."""
-        n, stops = self.points_m.shape[:2]
-        times, rows = np.broadcast_arrays(np.asarray(times_s, dtype=float), np.arange(n))
-        leg, within_s = np.divmod(times, self._rest_s + self._move_s)
-        leg = leg.astype(int) % stops
-        start, end = self.points_m[rows, leg], self.points_m[rows, (leg + 1) % stops]
-        blend = smooth_step((within_s - self._rest_s) / self._move_s)
-        blend /= self._move_s ** np.arange(ORDERS)[:, None]
-        result = blend[:, :, None] * (end - start)
-        result[0] += start
-        return result
-
-    def reordered(self, order):
-        """The same paths in another order of the vehicles."""
-        return WaypointTour(self.points_m[np.asarray(order)], self._rest_s, self._move_s)
+        n, stops = np.shape(points_m)[:2]
+        links = new_links(n, TOUR, first=stops * np.arange(n), rows=stops, rest_s=rest_s, move_s=move_s)
+        table = np.zeros((n * stops, TABLE_WIDTH))
+        table[:, :3] = np.reshape(points_m, (-1, 3))
+        super().__init__(links, table, (rest_s + move_s) * stops)
 
 
 # ---------------------------------------------------------------------------------------------------------- yaw
@@ -109,22 +97,6 @@ class YawProgram:
     rate_rad_s: float = 0.0
     along_path: bool = False  # the nose leads; offsets are added
 
-    def at(self, times_s, derivatives_m):
-        """(3, n) yaw, rate, acceleration at times (n,) on paths with derivatives (5, n, 3). Not wrapped."""
-        n = derivatives_m.shape[1]
-        offsets = np.broadcast_to(np.asarray(self.offsets_rad), n)
-        result = np.zeros((YAW_ORDERS, n))
-        result[0] = offsets + self.rate_rad_s * times_s
-        result[1] = self.rate_rad_s
-        if self.along_path:
-            (vx, vy), (ax, ay), (jx, jy) = (derivatives_m[k, :, :2].T for k in (1, 2, 3))
-            square = np.maximum(vx * vx + vy * vy, _SLOWEST_ALONG_PATH_M_S**2)
-            cross, dot = vx * ay - vy * ax, vx * ax + vy * ay
-            result[0] -= np.arctan2(vy, vx)
-            result[1] -= cross / square
-            result[2] -= (vx * jy - vy * jx) / square - 2.0 * cross * dot / square**2
-        return result
-
     def reordered(self, order):
         """The same program for another order of the vehicles."""
         if len(self.offsets_rad) == 1:
@@ -135,19 +107,55 @@ class YawProgram:
 # ------------------------------------------------------------------------------------------------------ courses
 
 
-class Course(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Course:
     """What n vehicles fly: their paths, when each is where (phase shifts), and where their noses point."""
 
     name: str
-    paths: object  # HarmonicPaths or WaypointTour
+    # HarmonicPaths, WaypointTour, or anything with their at, reordered, len and period_s: then Python works it out
+    paths: object
     shifts_s: np.ndarray  # (n,) the vehicle is so far ahead on its path
     yaw: YawProgram
 
+    def __len__(self):
+        return len(self.paths)
+
+    @property
+    def by_function(self):
+        """Whether the paths are a Python function."""
+        return not isinstance(self.paths, _TablePaths)
+
+    @cached_property
+    def links(self):
+        """(n,) LINK of the vehicles, from time 0 on."""
+        links = new_links(len(self), BY_FUNCTION) if self.by_function else self.paths.links.copy()
+        links["ahead_s"] = self.shifts_s
+        links["yaw_rad"], links["yaw_rate_rad_s"] = self.yaw.offsets_rad, self.yaw.rate_rad_s
+        links["along_path"] = self.yaw.along_path
+        return links
+
     def at(self, time_s):
         """((5, n, 3) position to snap, (3, n) yaw to its acceleration) at a time on the course."""
-        times = time_s + self.shifts_s
-        derivatives = self.paths.at(times)
-        return derivatives, self.yaw.at(times, derivatives)
+        path, yaw = np.empty((ORDERS, len(self), 3)), np.empty((YAW_ORDERS, len(self)))
+        table, given = NO_TABLE, NO_PATHS
+        if self.by_function:
+            given = np.ascontiguousarray(self.path_at(time_s).transpose(1, 0, 2)[:, None])
+        else:
+            table = self.paths.table
+        sample_paths(self.links, table, given, np.full(len(self), float(time_s)), path, yaw)
+        return path, yaw
+
+    @cached_property
+    def _newest(self):
+        return [(None, None)]
+
+    def path_at(self, time_s):
+        """(5, n, 3) position to snap at a time on the course; for the same time again the same array."""
+        newest_s, path = self._newest[0]
+        if newest_s != time_s:
+            path = self.paths.at(time_s + self.shifts_s)
+            self._newest[0] = time_s, path
+        return path
 
     def reordered(self, order):
         """The same course with vehicle i flying what was the path of vehicle order[i]."""
@@ -156,7 +164,7 @@ class Course(NamedTuple):
 
     def with_yaw(self, yaw):
         """The same course with another YawProgram."""
-        return self._replace(yaw=yaw)
+        return replace(self, yaw=yaw)
 
     @property
     def period_s(self):
@@ -236,23 +244,28 @@ def knot(vehicles, radius_m=0.65, tube_m=0.25, period_s=10.0, loops=3, turns=2, 
 
 def quadrant(number, vehicles, reach_m=0.75, height_m=COURSE_HEIGHT_M):
     """Course that stands in a quadrant, 1 to 4; further vehicles stand in the next ones. Raises ValueError for > 4."""
-    return points("quadrant %d" % number, quadrants(vehicles, reach_m, height_m).paths.points_m[:, (number - 1) % 4])
+    return points("quadrant %d" % number, _quadrant_stops(vehicles, reach_m, height_m)[:, (number - 1) % 4])
 
 
 def quadrants(vehicles, reach_m=0.75, height_m=COURSE_HEIGHT_M, rest_s=3.0, move_s=4.0):
     """From quadrant to quadrant, I to IV, with a rest in each; every vehicle starts in another one."""
+    stops = _quadrant_stops(vehicles, reach_m, height_m)
+    return Course("quadrants", WaypointTour(stops, rest_s, move_s), np.zeros(vehicles), YawProgram())
+
+
+def _quadrant_stops(vehicles, reach_m, height_m):
+    """(n, 4, 3) quadrants I to IV, beginning with another one for every vehicle."""
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * reach_m
     if vehicles > len(corners):
         raise ValueError("quadrants is for at most %d vehicles, got %d" % (len(corners), vehicles))
     stops = np.column_stack([corners, np.full(len(corners), height_m)])
-    points = np.stack([np.roll(stops, -k, axis=0) for k in range(vehicles)])
-    return Course("quadrants", WaypointTour(points, rest_s, move_s), np.zeros(vehicles), YawProgram())
+    return np.stack([np.roll(stops, -k, axis=0) for k in range(vehicles)])
 
 
 def spin(vehicles, turn_s=30.0, height_m=COURSE_HEIGHT_M, spacing_m=0.95):
     """Stand as on `origin` and turn, once in turn_s (the original's coop_traj1, which forgot the time)."""
     course = origin(vehicles, height_m, spacing_m)
-    return course._replace(name="spin", yaw=YawProgram(rate_rad_s=2.0 * math.pi / turn_s))
+    return replace(course, name="spin", yaw=YawProgram(rate_rad_s=2.0 * math.pi / turn_s))
 
 
 COURSES = {course.__name__: course for course in (circle, circles3, flat8, knot, origin, quadrants, slanted8, spin)}
@@ -284,13 +297,22 @@ def peak_yaw_rate_rad_s(course, samples=400):
     return max(float(np.abs(course.at(time_s)[1][1]).max()) for time_s in times)
 
 
+@compiled
+def _smallest_distance(positions_m):
+    least = np.inf
+    for k in range(positions_m.shape[0]):
+        for i in range(1, positions_m.shape[1]):
+            for j in range(i):
+                dx = positions_m[k, i, 0] - positions_m[k, j, 0]
+                dy = positions_m[k, i, 1] - positions_m[k, j, 1]
+                dz = positions_m[k, i, 2] - positions_m[k, j, 2]
+                least = min(least, dx * dx + dy * dy + dz * dz)
+    return math.sqrt(least)
+
+
 def minimum_separation(positions_m):
     """Smallest distance [m] between any two of n vehicles over positions (k, n, 3); inf for one vehicle."""
-    n = positions_m.shape[1]
-    if n < 2:
-        return math.inf
-    first, second = np.triu_indices(n, 1)
-    return float(np.sqrt(((positions_m[:, first] - positions_m[:, second]) ** 2).sum(axis=2).min()))
+    return _smallest_distance(np.ascontiguousarray(positions_m, dtype=float))
 
 
 def course_separation(course, samples=2000):
@@ -336,109 +358,30 @@ def _ring(vehicles, radius_m, height_m):
     return np.stack([radius_m * np.cos(angles), radius_m * np.sin(angles), np.full(vehicles, height_m)], axis=1)
 
 
-# ------------------------------------------------------------------------------------------- motions and blends
-#
-# A motion is a function of times (k,) that returns ((5, k, 3) position to snap, (3, k) yaw to its acceleration).
-
-_STOP_S = 1.0  # time constant with which a vehicle that drifts is brought to rest
+# ------------------------------------------------------------------------------------------- motions on a course
 
 
-def standing(position_m, yaw_rad):
-    """Motion of a vehicle that stands still at a position (3,)."""
-    return coasting(position_m, np.zeros(3), yaw_rad, 0.0)
+class _OwnPath:
+    """The path of one vehicle of a course that is a Python function."""
 
+    def __init__(self, course, vehicle, epoch_s):
+        self._course, self._vehicle, self._epoch_s = course, vehicle, epoch_s
+        self._own = course.paths.reordered([vehicle])
 
-def coasting(position_m, velocity_m_s, yaw_rad, begin_s):
-    """Motion of a vehicle that is at a position (3,) with a velocity (3,) at begin_s, and comes to rest."""
-    position_m, velocity_m_s = np.array(position_m, dtype=float), np.array(velocity_m_s, dtype=float)  # may be views
+    def __call__(self, times_s):
+        return self._own.at(times_s - self._epoch_s + self._course.shifts_s[self._vehicle])
 
-    def motion(times_s):
-        derivatives, yaw = np.zeros((ORDERS, len(times_s), 3)), np.zeros((YAW_ORDERS, len(times_s)))
-        decay = np.exp(-np.maximum(times_s - begin_s, 0.0) / _STOP_S)[:, None]
-        derivatives[0] = position_m + velocity_m_s * _STOP_S * (1.0 - decay)
-        for order in range(1, ORDERS):
-            derivatives[order] = velocity_m_s * decay * (-1.0 / _STOP_S) ** (order - 1)
-        yaw[0] = yaw_rad
-        return derivatives, yaw
-
-    return motion
+    def at(self, time_s):
+        """(5, 3) at one time; all vehicles of the course are asked for at once, by whoever is first."""
+        return self._course.path_at(time_s - self._epoch_s)[:, self._vehicle]
 
 
 def on_course(course, vehicle, epoch_s):
     """Motion of one vehicle of a course that began at epoch_s."""
-
-    own = course.reordered([vehicle])
-
-    def motion(times_s):
-        times = times_s - epoch_s + own.shifts_s
-        derivatives = own.paths.at(times)
-        return derivatives, own.yaw.at(times, derivatives)
-
-    return motion
-
-
-class Blend:
-    """Motion from one motion into another: start + s (end - start), s the least-snap step from 0 to 1.
-
-    It has the derivatives of `start` up to snap at the beginning and those of `end` at the end, and every position in
-    between lies on the line between the two: where both are inside the (convex) arena, so is the way. A polynomial
-    between two states of motion has no such bound; for the yaw, which needs none, it is the better way, because a
-    vehicle need not chase a nose that turns.
-    """
-
-    def __init__(self, start, end, begin_s, duration_s):
-        """start, end: motions, asked at the same times.  The end's yaw is turned by whole revolutions to be nearest."""
-        if not duration_s > 0.0:
-            raise ValueError("a blend needs a time > 0, got %r" % (duration_s,))
-        self.start, self.end, self.begin_s, self.duration_s = start, end, begin_s, duration_s
-        self._scale = duration_s ** -np.arange(ORDERS, dtype=float)[:, None]
-        first = start(np.array([begin_s]))[1][:, 0]
-        last = end(np.array([self.end_s]))[1][:, 0]
-        # the nose turns on meanwhile: what must be nearest is the end less that turn
-        carried = 0.5 * (first[1] + last[1]) * duration_s
-        self._revolutions_rad = 2.0 * math.pi * round((last[0] - carried - first[0]) / (2.0 * math.pi))
-        last = last - (self._revolutions_rad, 0.0, 0.0)
-        polynomial = BPoly.from_derivatives([begin_s, self.end_s], [first, last])
-        self._yaw = [polynomial, polynomial.derivative(), polynomial.derivative(2)]
-
-    @property
-    def end_s(self):
-        """Time at which `end` is reached."""
-        return self.begin_s + self.duration_s
-
-    def __call__(self, times_s):
-        """The motion; before its beginning that of `start`, after its end that of `end`."""
-        (start, start_yaw), (end, end_yaw) = self.start(times_s), self.end(times_s)
-        step = smooth_step((times_s - self.begin_s) / self.duration_s) * self._scale
-        # Leibniz' rule: the derivatives of s (end - start)
-        leibniz = _BINOMIAL[:, :, None] * step[_ORDER_LEFT]
-        path = start + np.einsum("opk,pkx->okx", leibniz, end - start)
-        yaw = np.stack([polynomial(times_s) for polynomial in self._yaw])
-        before, after = times_s < self.begin_s, times_s > self.end_s
-        if before.any() or after.any():
-            yaw = np.where(before, start_yaw, np.where(after, end_yaw - _turned(self._revolutions_rad), yaw))
-        return path, yaw
-
-
-def _turned(angle_rad):
-    return np.array([[angle_rad], [0.0], [0.0]])
-
-
-# _BINOMIAL[o, p] = o over p; _ORDER_LEFT[o, p] = o - p where that is not negative
-_BINOMIAL = np.array([[math.comb(order, part) for part in range(ORDERS)] for order in range(ORDERS)], dtype=float)
-_ORDER_LEFT = np.maximum(np.subtract.outer(np.arange(ORDERS), np.arange(ORDERS)), 0)
-
-# Coefficients of t^5 to t^9 of the least-snap step: value 1 and no derivatives at t = 1, nothing at t = 0.
-_POWERS = np.arange(2 * ORDERS)
-_DERIVATIVE = np.array([[np.prod(np.arange(p, p - d, -1.0)) for p in _POWERS] for d in range(ORDERS)])
-_STEP = np.concatenate([np.zeros(ORDERS), np.linalg.solve(_DERIVATIVE[:, ORDERS:], np.eye(ORDERS)[0])])
-# (5, 10): row d holds the coefficients of the d-th derivative
-_STEP_DERIVATIVES = np.array([np.roll(_DERIVATIVE[d] * _STEP, -d) for d in range(ORDERS)])
-
-
-def smooth_step(fraction):
-    """(5, n) value and derivatives of the least-snap way from 0 (before 0) to 1 (after 1) over fractions (n,)."""
-    inside = np.clip(fraction, 0.0, 1.0)
-    result = _STEP_DERIVATIVES @ inside ** _POWERS[:, None]
-    result[1:, inside != fraction] = 0.0
-    return result
+    link = course.links[vehicle : vehicle + 1].copy()
+    link["epoch_s"] = epoch_s
+    if course.by_function:
+        return Motion(link, functions={0: _OwnPath(course, vehicle, epoch_s)})
+    first, rows = int(link["first"][0]), int(link["rows"][0])
+    link["first"] = 0
+    return Motion(link, course.paths.table[first : first + rows])

@@ -6,11 +6,12 @@ from there begins where the vehicle is seen, not at the reference.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from risc_control.trajectories import YawProgram, coasting, make_course, points
+from risc_control.motions import coasting
+from risc_control.trajectories import YawProgram, make_course, points
 from risc_control.trajectory_manager import Phase, TrajectoryManager
 
 # The target's speed is told so long before it runs, and after it has stopped: it has a topic of its own, and no order
@@ -48,7 +49,7 @@ class TargetParams:
         course = make_course(
             "circle", 1, self._yaw(), radius_m=self.radius_m, period_s=period_s, height_m=self.height_m
         )
-        return course._replace(name="NGC", shifts_s=np.array([self.phase_deg / 360.0 * period_s]))
+        return replace(course, name="NGC", shifts_s=np.array([self.phase_deg / 360.0 * period_s]))
 
     def _yaw(self):
         return YawProgram((math.radians(self.psi_deg),))
@@ -119,5 +120,4 @@ class VirtualTarget(TrajectoryManager):
         self._wanted = False
         if self.chasing:
             self._epoch_of_target_s, self._told_until_s = None, now_s + _LEAD_S
-            place_m, yaw_rad = self._seen[0]
-            self._hold(0, coasting(place_m, self._velocity[0], yaw_rad, now_s))
+            self._hold(0, coasting(self._seen_m[0], self._velocity[0], self._seen_yaw_rad[0], now_s))

@@ -26,14 +26,21 @@ from risc_control.trajectories import (
     make_course,
     peak_yaw_rate_rad_s,
 )
-from risc_control.trajectory_manager import TrajectoryManager, WayLimits, make_manager, phase_text
+from risc_control.trajectory_manager import TrajectoryManager, make_manager, phase_text
+from risc_control.ways import WayLimits, plan_ways
 from risc_lab.ros.ticker import Ticker
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 
+_LEAD_S = 0.1  # ways begin so long after what calls for them, and so much longer for each vehicle: planning takes
+_LEAD_PER_VEHICLE_S = 0.01  # 10 ms for three, some 300 ms for fifty, and the references go on meanwhile
+
 
 class ManagerWiring:
-    """A TrajectoryManager with the topics and services around it, for nodes that publish what it samples."""
+    """A TrajectoryManager with the topics and services around it, for nodes that publish what it samples.
+
+    Ways are planned in a thread of their own.
+    """
 
     def __init__(self, fleet_vehicles, course, kind=TrajectoryManager, listens=True):
         """kind: TrajectoryManager or a subclass.  listens: to the states; a node that does it itself calls `look`."""
@@ -47,8 +54,11 @@ class ManagerWiring:
             kind,
             smooth=smooth,
             wait_for_all=parse_bool(private("wait_for_all", True), "~wait_for_all"),
+            lead_s=_LEAD_S + _LEAD_PER_VEHICLE_S * len(fleet_vehicles),
         )
         self.lock = threading.Lock()
+        self._to_plan = threading.Event()
+        threading.Thread(target=self._plan, name="planner", daemon=True).start()
         self._reader = StatesReader(self.manager.names)
         self._phase = rospy.Publisher("trajectory_phase", String, queue_size=10, latch=True)
         self._course = rospy.Publisher("trajectory_course", String, queue_size=10, latch=True)
@@ -69,6 +79,8 @@ class ManagerWiring:
     def sample(self, time_s):
         """Reference at a time; the caller holds the lock. Announces a change of phase."""
         reference = self.manager.sample(time_s)
+        if self.manager.task is not None:
+            self._to_plan.set()
         waiting_for = self.manager.waiting_for(time_s)
         if waiting_for:
             rospy.logwarn_throttle(
@@ -87,7 +99,6 @@ class ManagerWiring:
         with self.lock:
             self.manager.set_course(course, rospy.get_time())
         self.announce(course)
-        self._report()
 
     def announce(self, course):
         """Tell the name of the course that is flown."""
@@ -123,18 +134,29 @@ class ManagerWiring:
     def _on_go_home(self, _request):
         with self.lock:
             names = self.manager.go_home(rospy.get_time())
-        self._report()
         return TriggerResponse(bool(names), "going home: %s" % ", ".join(names) if names else "nobody is flying")
 
     def _on_start(self, _request):
         with self.lock:
             names = self.manager.start(rospy.get_time())
-        self._report()
         message = "starting: %s" % ", ".join(names) if names else "nobody is home and flown automatically"
         return TriggerResponse(bool(names), message)
 
-    def _report(self):
-        closest_m = self.manager.closest_m
+    def _plan(self):
+        while True:
+            self._to_plan.wait()
+            self._to_plan.clear()
+            task = self.manager.task
+            while task is not None:
+                plan = plan_ways(task)
+                with self.lock:
+                    accepted = self.manager.accept(task, plan, rospy.get_time())
+                    task = self.manager.task
+                if accepted:
+                    self._report(plan.closest_m)
+
+    @staticmethod
+    def _report(closest_m):
         if closest_m < SAFE_SEPARATION_M:
             rospy.logwarn("on their ways vehicles come within %.2f m of each other", closest_m)
 
