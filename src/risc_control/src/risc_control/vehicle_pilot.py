@@ -348,13 +348,19 @@ class VehiclePilot:
         self._state = own
         self._state_s = now_s - max(age_s, 0.0)
 
+    def hear_controls(self, own, age_s, now_s):
+        """Take a command for a sign of life of the controller only. Returns False for one that is not finite."""
+        is_finite = all(map(math.isfinite, own))
+        if is_finite:
+            self.ladder.note_controls(age_s, now_s)
+        return is_finite
+
     def on_controls(self, own, stamp_s, age_s, now_s):
         """A command of the controller (`OwnControl`) with the stamp of the state it answers."""
         orders = Orders()
-        if not all(map(math.isfinite, own)):
+        if not self.hear_controls(own, age_s, now_s):
             orders.say("warn", "the controller sent a command that is not finite: ignored")
             return orders
-        self.ladder.note_controls(age_s, now_s)
         if not self.autonomous or self._ended:
             return orders
         self._judge(orders, now_s)

@@ -82,7 +82,7 @@ class _Raw(genpy.Message):
 class FleetMessage(genpy.Message):
     """What the kinds have in common. Numbers are views of `data`, an array of bytes: write into them, or read."""
 
-    __slots__ = ("header", "layout", "data", "_body")
+    __slots__ = ("header", "layout", "data", "_body", "_views")
     _has_header = True
     _layouts = {}  # key -> Layout; each kind has its own
     _newest = None  # Layout of the newest message: nearly always that of the next one as well
@@ -99,7 +99,7 @@ class FleetMessage(genpy.Message):
     def __init__(self, key=None):
         """key: names of the entries (of Mocap_data (name, number of markers) pairs); None for one to deserialise."""
         self.header = Header()
-        self.layout = self._body = None
+        self.layout = self._body = self._views = None
         if key is not None:
             self._adopt(self._layout_of(tuple(key)))
             self.data[:] = 0
@@ -144,7 +144,7 @@ class FleetMessage(genpy.Message):
         type(self)._newest = layout
 
     def _adopt(self, layout):
-        self.layout, self._body = layout, None
+        self.layout, self._body, self._views = layout, None, None
         self.data = np.empty(layout.size, np.uint8)
 
     @classmethod
@@ -210,8 +210,14 @@ class _Rows(FleetMessage, of=Controls):
 
     def _table(self):
         """(n, numbers) float64."""
-        count = len(self.layout.key)
-        return self.data[: 8 * self._numbers * count].view("<f8").reshape(count, self._numbers)
+        return self._both()[0]
+
+    def _both(self):
+        """Views of the numbers (n, numbers) float64 and of the flags (n,) bool."""
+        if self._views is None:
+            count, end = len(self.layout.key), 8 * self._numbers * len(self.layout.key)
+            self._views = self.data[:end].view("<f8").reshape(count, self._numbers), self.data[end:].view(bool)
+        return self._views
 
 
 class ControlsArrays(_Rows, of=Controls):
@@ -249,7 +255,7 @@ class CortexArrays(_Rows, of=Cortex):
 
     @property
     def visible(self):
-        return self.data[8 * self._numbers * len(self.layout.key) :].view(bool)
+        return self._both()[1]
 
 
 class MocapArrays(FleetMessage, of=Mocap_data):
@@ -265,12 +271,17 @@ class MocapArrays(FleetMessage, of=Mocap_data):
 
     @property
     def markers_m(self):
-        bodies = len(self.layout.key)
-        return self.data[: self.data.size - 8 * bodies].view("<f8").reshape(-1, 3)
+        return self._both()[0]
 
     @property
     def residuals(self):
-        return self.data[self.data.size - 8 * len(self.layout.key) :].view("<f8")
+        return self._both()[1]
+
+    def _both(self):
+        if self._views is None:
+            end = self.data.size - 8 * len(self.layout.key)
+            self._views = self.data[:end].view("<f8").reshape(-1, 3), self.data[end:].view("<f8")
+        return self._views
 
     @classmethod
     def _make_layout(cls, key):

@@ -69,6 +69,7 @@ class VehicleNode:
         self._newest = None
         self._complete = {}  # {topic: names of its messages}, where all vehicles were found
         self._answering = threading.Lock()
+        self._hear = self._guarded(self._answer)
         self._diagnostics = make_updater(", ".join(self._by_name))
         for vehicle in self._vehicles:
             self._diagnostics.add("vehicle " + vehicle.name, vehicle.diagnose)
@@ -103,15 +104,18 @@ class VehicleNode:
         return run
 
     def _on_controls(self, message):
-        """Commands leave here when a vehicle takes one; what comes in between is looked at once a tick."""
+        """Commands leave here, with the next message when a vehicle takes one; what comes in between is heard once a
+        tick, as a sign of life.
+        """
         self._newest = message
         now_s = time.monotonic()
         for vehicle in self._vehicles:
             if now_s >= vehicle.next_command_s:
-                self._answer()
+                self._answer(True)
                 break
 
-    def _answer(self):
+    def _answer(self, sends):
+        """Take the newest /controls. sends: a command may follow; it would be old news once a tick."""
         with self._answering:
             message = self._newest
             if message is self._answered:
@@ -119,12 +123,12 @@ class VehicleNode:
             self._answered = message
             controls = self._controls.deserialize(message.buff)
             stamp = controls.header.stamp
-            stamp_s, rows = stamp.to_sec(), controls.controls.tolist()
+            stamp_s = stamp.to_sec()
             age_s = rospy.get_time() - stamp_s
-            for name, row in zip(controls.names, rows):
+            for name, row in zip(controls.names, controls.controls.tolist()):
                 vehicle = self._by_name.get(name)
                 if vehicle is not None:
-                    vehicle.on_controls(OwnControl(*row), stamp, stamp_s, age_s)
+                    vehicle.on_controls(OwnControl(*row), stamp if sends else None, stamp_s, age_s)
             self._tell_missing(
                 "/controls", controls.names, "is it in the controller's and the trajectory's list of vehicles?"
             )
@@ -154,7 +158,7 @@ class VehicleNode:
 
     def _on_tick(self):
         if self._newest is not None:
-            self._guarded(lambda _: self._answer())(None)
+            self._hear(False)
         for vehicle in self._vehicles:
             vehicle.on_tick()
 
@@ -288,10 +292,13 @@ class _Vehicle:
             self.on_error(error)
 
     def on_controls(self, own, stamp, stamp_s, age_s):
-        """Its entry of /controls, an OwnControl, with the stamp of the message."""
+        """Its entry of /controls, an OwnControl, with the stamp of the message; None: no command may follow."""
         try:
             with self._lock:
                 self._counts["controls"] += 1
+                if stamp is None:
+                    self._pilot.hear_controls(own, age_s, time.monotonic())
+                    return
                 orders = self._pilot.on_controls(own, stamp_s, age_s, time.monotonic())
                 self._carry_out(orders, stamp)
             self._report(orders)
