@@ -345,7 +345,7 @@ class VehicleNodeTest(unittest.TestCase):
         del landings[:]
         wait_for(lambda: len(statuses) >= 35, "the timer goes on")
         self.assertEqual((landings, vehicle._counts["errors"]), ([], errors))
-        pilot.on_controls = lambda *_: 1 / 0
+        pilot.on_controls = pilot.hear_controls = lambda *_: 1 / 0
         wait_for(lambda: landings, "landing when commands cannot be worked out")
         pilot.autonomous = False
 
