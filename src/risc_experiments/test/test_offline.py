@@ -45,6 +45,17 @@ def test_a_seed_reproduces_a_flight_bit_for_bit():
     assert not np.array_equal(first.actual_m[:100], other.actual_m[:100])
 
 
+def test_many_flights_at_once_are_the_same_flights():
+    flights = [Flight("circle", vehicles=2, seed=seed, duration_s=0.5) for seed in (7, 8, 9)]
+    over = []
+    alone, together = list(offline.fly_all(flights, 1)), list(offline.fly_all(flights, 2, over.append))
+    for first, second in zip(alone, together):
+        assert np.array_equal(first.actual_m, second.actual_m)
+    assert over == [1, 2, 3]
+    with pytest.raises(ValueError, match="unknown trajectory"):
+        list(offline.fly_all([Flight("loop"), Flight("loop")], 2))
+
+
 def test_gusts_and_an_ideal_plant_without_noise():
     ideal = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, honest=False, noise=False))
     assert ideal.rmse_m[0] < 0.006

@@ -68,7 +68,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         if frame % LOST_EVERY == 0:  # as states_from_msg gives what is not seen
             states = States(~NOW, np.zeros_like(states.x))
         output = controller.update(time_s, now_s, states, present, ahead, NOW, NOW & chain.pilot.autonomous)
-        chain.step(states.visible[0], state, output.fractions, 0, time_s, now_s, frame)
+        offline.step_chains([chain], frame, time_s, now_s, states, output.fractions)
         assert not world.crashes
         truth = vehicle.state.position_m
         if let_go_s + CHASED_S <= time_s < home_s:

@@ -3,13 +3,17 @@ logic as in the nodes, around the virtual lab's physics, cameras and radio.
 
     python3 -m risc_experiments.offline --trajectory circle --vehicles 3 --seeds 5 --delay 0.1
 
-A seed reproduces a flight bit for bit. What is not here: processes, sockets and the scheduler's jitter; the time from
-exposure to the controller's answer is a constant.
+A seed reproduces a flight bit for bit, and `fly_all` flies as many at once as there are cores. What is not here:
+processes, sockets and the scheduler's jitter; the time from exposure to the controller's answer is a constant.
 """
 
 import argparse
+import concurrent.futures
+import itertools
 import json
 import math
+import multiprocessing
+import os
 import pathlib
 import sys
 import time
@@ -18,6 +22,7 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
+from data_extraction.progress import Progress, bar
 from risc_control.lab import load_fleet, load_templates, load_vehicle_type
 from risc_control.lab.yaml_reader import package_file
 from risc_control.reference import ReferenceBuffer
@@ -38,7 +43,8 @@ LATENCY_S = 0.006  # exposure to the controller's answer: 3 ms in the mocap host
 WARM_UP_S = 1.0  # hovering, before the operator presses the button
 SETTLE_S = 4.0  # on the course, before errors count
 JUDGE_EVERY = 4  # frames
-NAVDATA_EVERY = 13  # frames: about 15 Hz
+TICK_EVERY = 3  # frames: the clock of the vehicle nodes, twice the command rate
+NAVDATA_EVERY = 12  # frames, a multiple of the above: about 15 Hz
 YAW_BY_SEED_DEG = 70.0  # the table flies another yaw with every seed
 
 CONTROLLERS = {"full": FlatnessController, "thesis": DoubleIntegratorController}
@@ -123,8 +129,7 @@ def fly(flight):
         ahead_s = controller.horizon_s(time_s, now_s)
         present, ahead = buffer.at(np.array([time_s, time_s + ahead_s]))
         output = controller.update(time_s, now_s, states, present, ahead, everyone, everyone & flying)
-        for i, chain in enumerate(chains):
-            chain.step(estimate.visible[i], estimate.states[i], output.fractions, i, time_s, now_s, frame)
+        step_chains(chains, frame, time_s, now_s, states, output.fractions)
         if flying:
             saturated += int(output.saturated.sum())
             if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
@@ -132,7 +137,7 @@ def fly(flight):
             if frame % JUDGE_EVERY == 0:
                 times.append(time_s)
                 references.append(reference.derivatives[0, :, :3])
-                truths.append([vehicle.state.position_m for vehicle in world.vehicles.values()])
+                truths.append(world.truth()[:, :3])
                 judged.append(time_s >= settled_s)
         if world.crashes:
             crash = world.crashes[0]
@@ -160,6 +165,38 @@ def fly(flight):
     )
 
 
+def fly_all(flights, workers=None, on_progress=None):
+    """Fly many Flights, each on a core. Yields their Results in their order; a RuntimeError for one that crashed.
+
+    workers: processes; None: as many as this process may use cores.  on_progress: called with the number of flights
+    that are over, as they end. Results do not depend on the workers. Raises ValueError as `fly`.
+    """
+    flights = list(flights)
+    workers = min(workers or len(os.sched_getaffinity(0)), len(flights))
+    if workers <= 1:
+        for k, flight in enumerate(flights):
+            result = _outcome(flight)
+            if on_progress:
+                on_progress(k + 1)
+            yield result
+        return
+    over = itertools.count(1)
+    with concurrent.futures.ProcessPoolExecutor(workers, multiprocessing.get_context("fork")) as pool:
+        futures = [pool.submit(_outcome, flight) for flight in flights]
+        if on_progress:
+            for future in futures:
+                future.add_done_callback(lambda _: on_progress(next(over)))
+        for future in futures:
+            yield future.result()
+
+
+def _outcome(flight):
+    try:
+        return fly(flight)
+    except RuntimeError as error:
+        return error
+
+
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
 
@@ -177,29 +214,26 @@ class _Chain:
         buttons[VehicleNodeParams().joystick.JoytoWay] = 1
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
 
-    def step(self, visible, state, fractions, i, stamp_s, now_s, frame):
-        """One frame: its state and the answer to it."""
+    def see(self, visible, state, stamp_s, now_s, frame):
+        """What the vehicle node looks at once a tick. state: list of 12, columns `S`."""
         pilot = self.pilot
         if frame % NAVDATA_EVERY == 0:
             hovering = self._vehicle.phase is FlightPhase.HOVERING
             pilot.on_navdata(FlightState.HOVERING if hovering else FlightState.FLYING, 90.0, now_s)
         if visible:
-            pilot.on_state(
-                OwnState(
-                    tuple(state[: S.U].tolist()),
-                    tuple(state[S.U : S.PHI].tolist()),
-                    float(state[S.PHI]),
-                    float(state[S.THETA]),
-                ),
-                now_s - stamp_s,
-                now_s,
-            )
-        own = OwnControl(*(float(part[i]) for part in fractions))
-        for orders in (pilot.on_controls(own, stamp_s, now_s - stamp_s, now_s), pilot.tick(now_s)):
-            if orders.command is not None:
-                self._radio.submit(now_s, self._setpoint(orders.command[0]))
-        for arrival_s, setpoint in self._radio.collect(now_s):
-            self._vehicle.schedule(arrival_s, setpoint)
+            own = OwnState(state[: S.U], state[S.U : S.PHI], state[S.PHI], state[S.THETA])
+            pilot.on_state(own, now_s - stamp_s, now_s)
+
+    def send(self, orders, now_s):
+        """Hand the command among the orders to the radio."""
+        if orders.command is not None:
+            self._radio.submit(now_s, self._setpoint(orders.command[0]))
+
+    def deliver(self, now_s):
+        """Give the vehicle what the radio brings."""
+        if now_s >= self._radio.due_s:
+            for arrival_s, setpoint in self._radio.collect(now_s):
+                self._vehicle.schedule(arrival_s, setpoint)
 
     def _setpoint(self, sticks):
         """What the vehicle makes of the fractions of cmd_vel, in NED senses."""
@@ -210,6 +244,33 @@ class _Chain:
             yaw_rate_rad_s=-sticks.turn_left * self._type.yaw_rate_max_rad_s,
             hover=not any(sticks),
         )
+
+
+def step_chains(chains, frame, stamp_s, now_s, states, fractions):
+    """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
+
+    states: States at stamp_s.  fractions: the controller's answer.
+    """
+    ticks = frame % TICK_EVERY == 0
+    commands = None
+    if ticks:
+        visible, x = states.visible.tolist(), states.x.tolist()
+    for i, chain in enumerate(chains):
+        pilot = chain.pilot
+        if ticks:
+            chain.see(visible[i], x[i], stamp_s, now_s, frame)
+        sends = now_s >= pilot.next_command_s
+        if sends or ticks:
+            if commands is None:
+                commands = np.transpose(fractions).tolist()
+            own = OwnControl(*commands[i])
+            if sends:
+                chain.send(pilot.on_controls(own, stamp_s, now_s - stamp_s, now_s), now_s)
+            else:
+                pilot.hear_controls(own, now_s - stamp_s, now_s)
+        if ticks:
+            chain.send(pilot.tick(now_s), now_s)
+        chain.deliver(now_s)
 
 
 def _lab(flight):
@@ -240,6 +301,7 @@ def main(argv=None):
     parser.add_argument("--ideal", action="store_true", help="the plant is exactly the nominal model")
     parser.add_argument("--gusts", action="store_true")
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
+    parser.add_argument("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
     parser.add_argument("--compile", action="store_true", help="only compile what flies (see risc_control.compiled)")
     args = parser.parse_args(argv)
     if args.compile:
@@ -250,36 +312,40 @@ def main(argv=None):
 
         StatesReader(())
         return 0
+    settings = [
+        (trajectory, delay_s, seed)
+        for trajectory in args.trajectory
+        for delay_s in args.delay or [None]
+        for seed in range(1, args.seeds + 1)
+    ]
+    flights = [
+        Flight(
+            trajectory=trajectory,
+            vehicles=args.vehicles,
+            seed=seed,
+            duration_s=args.duration,
+            delay_s=delay_s,
+            psi_rad=math.radians(YAW_BY_SEED_DEG * seed if args.psi is None else args.psi),
+            honest=not args.ideal,
+            gusts=args.gusts,
+            controller=args.controller,
+        )
+        for trajectory, delay_s, seed in settings
+    ]
+    progress = Progress()
+    outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
           "worst", "closest", "speed"))  # fmt: skip
-    failed, rows = False, []
-    for trajectory in args.trajectory:
-        for delay_s in args.delay or [None]:
-            everyone = []
-            for seed in range(1, args.seeds + 1):
-                psi_deg = YAW_BY_SEED_DEG * seed if args.psi is None else args.psi
-                flight = Flight(
-                    trajectory=trajectory,
-                    vehicles=args.vehicles,
-                    seed=seed,
-                    duration_s=args.duration,
-                    delay_s=delay_s,
-                    psi_rad=math.radians(psi_deg),
-                    honest=not args.ideal,
-                    gusts=args.gusts,
-                    controller=args.controller,
-                )
-                label = "%-9s %6s %5d" % (trajectory, "type" if delay_s is None else "%.2f" % delay_s, seed)
-                try:
-                    result = fly(flight)
-                except ValueError as error:
-                    parser.error(str(error))
-                except RuntimeError as error:
-                    print("%s  %s" % (label, error))
-                    failed = True
-                    continue
+    failed, rows, everyone = False, [], {}
+    try:
+        for (trajectory, delay_s, seed), result in zip(settings, outcomes):
+            group = "%-9s %6s" % (trajectory, "type" if delay_s is None else "%.2f" % delay_s)
+            if isinstance(result, RuntimeError):
+                print("%s %5d  %s" % (group, seed, result))
+                failed = True
+            else:
                 rmse_mm = 1e3 * result.rmse_m
-                everyone.extend(rmse_mm)
+                everyone.setdefault(group, []).extend(rmse_mm)
                 rows.append(
                     {
                         "course": trajectory,
@@ -290,12 +356,14 @@ def main(argv=None):
                         "times_real_time": result.flown_s / result.took_s,
                     }
                 )
-                print("%s  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (
-                    label, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm), rmse_mm.max(),
+                print("%s %5d  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (
+                    group, seed, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm), rmse_mm.max(),
                     result.closest_m, result.flown_s / result.took_s), flush=True)  # fmt: skip
-            if everyone:
-                label = "%-9s %6s %5s" % (trajectory, "type" if delay_s is None else "%.2f" % delay_s, "all")
-                print("%s  %-28s %6.1f %6.1f" % (label, "", np.median(everyone), max(everyone)))
+            if seed == args.seeds and group in everyone:
+                print("%s %5s  %-28s %6.1f %6.1f" % (
+                    group, "all", "", np.median(everyone[group]), max(everyone[group])))  # fmt: skip
+    except ValueError as error:
+        parser.error(str(error))
     if args.json:
         figures = {"simulated": True, "controller": args.controller, "honest": not args.ideal, "flights": rows}
         args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
