@@ -42,11 +42,15 @@ class ParamReader {
  public:
   explicit ParamReader(const ros::NodeHandle& node) : node_(node) {}
 
+  // A parameter by itself, or as one of those that a launch file sets together: ~mocap/KEY.
   template <typename Value>
   void read(const std::string& key, Value& value) {
+    const std::string together = "mocap/" + key;
     known_.insert(node_.resolveName(key));
-    if (node_.hasParam(key) && !node_.getParam(key, value)) {
-      throw std::invalid_argument("parameter " + node_.resolveName(key) + " has the wrong type");
+    known_.insert(node_.resolveName(together));
+    const std::string& found = node_.hasParam(key) ? key : together;
+    if (node_.hasParam(found) && !node_.getParam(found, value)) {
+      throw std::invalid_argument("parameter " + node_.resolveName(found) + " has the wrong type");
     }
   }
 

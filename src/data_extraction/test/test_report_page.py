@@ -44,7 +44,7 @@ T0_S = 1000.0
 NAN = float("nan")
 NAMES = ("fluffy_II", "albatross")
 SECTIONS = (
-    "flown", "result", "map", "tracking", "latency", "mocap", "gates", "ladder", "fence", "battery", "cameras",
+    "flown", "result", "map", "tracking", "latency", "processors", "mocap", "gates", "ladder", "fence", "battery", "cameras",
     "bearings", "events", "contents",
 )  # fmt: skip
 VOID = {"meta", "img", "link", "br", "hr", "input"}
@@ -182,6 +182,11 @@ SUMMARY = {
     "reasons": ["Raven: was still 0.90 m up at the end"],
 }
 PARAMETERS = {"controller": {"q_yaw": 4.0}}
+PROCESSORS = {
+    "cpu_cores": {"controller": 0.25, "virtual_lab": 0.125},
+    "computer": {"cores": 2, "idle": 0.5, "steal": 0.01, "others": 0.4, "busiest_other": "browser",
+                 "busiest_other_cores": 0.3},
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -192,6 +197,7 @@ def full(tmp_path_factory):
     (folder / "fleet.yaml").write_text(yaml.safe_dump(FLEET))
     (folder / "summary.json").write_text(json.dumps(SUMMARY))
     (folder / "parameters.yaml").write_text(yaml.safe_dump(PARAMETERS))
+    (folder / "processors.json").write_text(json.dumps(PROCESSORS))
     (folder / "flight.yaml").write_text(
         yaml.safe_dump({"seed": 7, "revision": "abc123", "versions": {"Python": "3.11"}, "arguments": {"delay": 0.1}})
     )
@@ -216,6 +222,12 @@ def test_it_says_what_was_flown_and_how_it_ended(page):
     for word in ("abc123", "Python 3.11", "seed 7", "delay 0.1", "1970-01-01"):
         assert word in page.text, word
     assert ["risc1", "fluffy_II", "ardrone", "none", "(0.90, 0.00, 0.00) m, 90°"] in page.rows
+
+
+def test_what_the_programs_took_of_the_computer(page):
+    assert ["controller", "0.250"] in page.rows
+    for text in ("0.38 cores", "0.40 cores, most by browser (0.30)", "1.0\u202f%"):
+        assert text in page.text, text
 
 
 def test_its_figures_are_those_of_the_bag(page):

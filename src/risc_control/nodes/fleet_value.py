@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Print what a fleet file says as parameters of a node, in YAML, for launch files:
 
-    <param name="ardrone_driver" type="yaml" command="$(find risc_control)/fleet_value.py FLEET driver NAMESPACE"/>
+    <param name="ardrone_driver/vehicles" type="yaml" command="fleet_value.py FLEET drivers risc1"/>
 
-Usage: fleet_value.py FLEET mocap | FLEET driver NAMESPACE | FLEET drivers NAMESPACE... | FLEET NAMESPACE KEY
-mocap: of stream_markers.  driver: of one vehicle's ardrone_driver.  drivers: of one for several, {namespace: {...}}.
+Usage: fleet_value.py FLEET mocap | FLEET drivers NAMESPACE... | FLEET NAMESPACE KEY
+mocap: ~mocap of stream_markers.  drivers: ~vehicles of ardrone_driver, {namespace: {...}}.
 A vehicle's KEY is one of its own, one of its type's (video_latency_s ...), or camera_info_url.
 """
 
@@ -29,8 +29,6 @@ def fleet_value(fleet, what, *names):
         }
     if what == "drivers":
         return {name: _driver(_values(fleet, name)) for name in names}
-    if what == "driver":
-        return _driver(_values(fleet, *names))
     values = _values(fleet, what)
     (key,) = names
     if key not in values:

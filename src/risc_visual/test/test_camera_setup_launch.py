@@ -21,13 +21,10 @@ def load(file_name, *arguments):
     path = str(PACKAGE / "launch" / file_name)  # an absolute one stays what it is
     roslaunch.xmlloader.XmlLoader().load(path, config, argv=list(arguments), verbose=False)
     nodes = {node.namespace + node.name: node for node in config.nodes}
-    params = {}
-    for name, param in config.params.items():
-        params.update(
-            {"%s/%s" % (name, key): value for key, value in param.value.items()}
-            if isinstance(param.value, dict)
-            else {name: param.value}
-        )
+    params = {name: param.value for name, param in config.params.items()}
+    for name, value in list(params.items()):
+        if name.endswith("/ardrone_driver/vehicles"):
+            params.update({name.replace("vehicles", key): own for key, own in next(iter(value.values())).items()})
     return nodes, params
 
 

@@ -11,6 +11,7 @@ import socket
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import yaml
 
@@ -20,6 +21,7 @@ from risc_control.lab import load_fleet
 from risc_control.lab.calibration import load_calibration
 from risc_control.trajectories import COURSES
 from risc_experiments.flight_record import write_flight, write_parameters
+from risc_experiments.headroom import READY_S, Headroom, next_rate_hz
 from risc_experiments.operator import OperatorParams, time_limit_s
 from risc_experiments.processes import Launch, PortReservation, free_tcp_port
 from risc_experiments.processor_use import ProcessorUse
@@ -31,6 +33,7 @@ STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 BROWSER_PORT = 8080  # of the web page, unless somebody else has it
 IN_THE_AIR = ("takeoff", "settle", "fly", "home", "land")  # phases of the operator
+TRIED_RATES = "RISC_MAAP_TRIED_RATES"  # for the process that begins again at a lower rate
 USE_PERIOD_S = 2.0  # how often the processors' use is noted
 START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
 EXPERIMENTS = {
@@ -58,6 +61,7 @@ def arguments(argv):
     add("--duration", type=float, metavar="S", help="time on each course (default: 30 s, df_demo: 20 s)")
     add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
     add("--delay", type=float, metavar="S", help="command delay (default: that of the type, 0.1 s)")
+    add("--mocap-rate", type=float, metavar="HZ", help="of motion capture (default: 200, less if it must be)")
     add("--ideal", action="store_true", help="plant exactly as the controllers believe it to be")
     add("--gusts", action="store_true", help="with gusts of wind")
     add("--rviz", action="store_true", help="open rviz")
@@ -82,6 +86,8 @@ def arguments(argv):
         parser.error("--fps is for coop: the other experiments use no cameras")
     if args.fps is not None and not 1.0 <= args.fps <= 30.0:
         parser.error("--fps must be from 1 to 30")
+    if args.mocap_rate is not None and not 20.0 <= args.mocap_rate <= 500.0:
+        parser.error("--mocap-rate must be from 20 to 500 Hz")
     if args.psi is not None and not math.isfinite(args.psi):
         parser.error("--psi must be a number of degrees")
     return args
@@ -112,6 +118,8 @@ def prepare_fleet(args, subnet, folder):
     """
     path = args.fleet or ROOT / "launch" / "fleets" / ("ardrones3.yaml" if args.vehicles <= 3 else "ardrones5.yaml")
     fleet = load_fleet(path).with_vehicles(args.vehicles).in_subnet(subnet)
+    if args.mocap_rate is not None:
+        fleet = replace(fleet, mocap=replace(fleet.mocap, rate_hz=args.mocap_rate))
     if args.experiment in WITH_CAMERAS:
         for vehicle in fleet.vehicles:
             if not vehicle.calibration:
@@ -139,16 +147,22 @@ def launch_arguments(args, fleet, folder):
         "rviz": str(args.rviz).lower(),
         "browser": str(args.browser).lower(),
         "psi_deg": "" if args.psi is None else args.psi,
+        "ready": READY_S,
     }
     if args.experiment != "df_demo":
         result["trajectory"] = args.trajectory or "circles3"
+        result["rate"] = fleet.mocap.rate_hz
     if args.fps is not None:
         result["video_fps"] = args.fps
     return result
 
 
+class TooSlow(str):
+    """Why the computer does not keep up with motion capture: found on the ground, nothing has flown."""
+
+
 def fly(args, folder, progress, interrupted):
-    """Carry out the flight. Returns the operator's result. Raises FlightError when it could not be carried out."""
+    """Carry out the flight. Returns the operator's result, or TooSlow. Raises FlightError when it could not be done."""
     reservation = PortReservation()
     launch = page = None
     try:
@@ -177,6 +191,29 @@ def fly(args, folder, progress, interrupted):
             if killed:
                 progress.say("these had to be killed: " + "; ".join(killed))
         reservation.close()
+
+
+def fly_slower(argv, folder, reason, progress):
+    """Begin again in a new process (rospy knows one master in its life), at the next lower rate of motion capture.
+
+    argv: the command line so far.  Raises FlightError when there is no lower rate. Does not return.
+    """
+    rate_hz = load_fleet(folder / "fleet.yaml").mocap.rate_hz
+    lower_hz = next_rate_hz(rate_hz)
+    if lower_hz is None:
+        raise FlightError("this computer is too slow to fly here: %s" % reason)
+    progress.say("%s: too little time for motion capture at %g Hz, flying at %g Hz" % (reason, rate_hz, lower_hz))
+    tried = [*tried_rates(), {"rate_hz": rate_hz, "reason": reason}]
+    for name in ("flight.bag", "virtual_lab.json", "processors.json"):
+        (folder / name).unlink(missing_ok=True)
+    os.environ[TRIED_RATES] = json.dumps(tried)
+    command = [sys.executable, "-m", "risc_experiments.fly", *argv, "--out", folder, "--mocap-rate", "%g" % lower_hz]
+    os.execv(command[0], [str(word) for word in command])
+
+
+def tried_rates():
+    """[{"rate_hz", "reason"}] of the rates at which this flight was begun and given up."""
+    return json.loads(os.environ.get(TRIED_RATES, "[]"))
 
 
 class WebPage:
@@ -232,6 +269,8 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
     deadline = time.monotonic() + limit_s + START_MARGIN_S
     landing = recorded = False
     use, use_s = ProcessorUse(launch.identity), 0.0
+    headroom = Headroom(launch.identity)
+    may_be_slower = args.mocap_rate is None or tried_rates()
     while not watch.result:
         if not recorded and watch.operator_heard:  # by then roslaunch has set everything, and nothing flies yet
             recorded = True
@@ -242,6 +281,10 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
         if page is not None:
             page.look()
         phase, _, detail = watch.phase.partition(": ")
+        if phase == "waiting" and not detail and may_be_slower:
+            problem = headroom.look(watch)
+            if problem:
+                return TooSlow(problem)
         if phase in IN_THE_AIR and time.monotonic() >= use_s:
             use_s = time.monotonic() + USE_PERIOD_S
             use.look()
@@ -276,8 +319,10 @@ def main(argv=None):
         folder = prepare_folder(args)
         progress.say("flight %s, seed %d, results in %s" % (args.experiment, args.seed, folder))
         result = fly(args, folder, progress, interrupted)
+        if isinstance(result, TooSlow):
+            fly_slower(sys.argv[1:] if argv is None else argv, folder, result, progress)
         progress.say("all vehicles have landed" if result == "ok" else result)
-        return make_report(args, folder, result, progress, interrupted)
+        return make_report(args, folder, result, progress, interrupted, tried_rates())
     except (FlightError, ValueError, OSError, RuntimeError) as error:
         progress.say("maap fly: %s" % error)
         return 1

@@ -18,10 +18,11 @@ LATE_LIMIT_MS = 10.0  # two frames at 200 Hz: a lab that is later than this (p99
 VIDEO_LATE_LIMIT_MS = 5.0  # of the pictures that came soonest: stamps rest on them, and a nose turns 0.1 deg meanwhile
 
 
-def make_report(args, folder, operator_result, progress, interrupted):
+def make_report(args, folder, operator_result, progress, interrupted, tried=()):
     """Evaluate the flight in `folder` and print what came out. Returns the exit code, 0 when it passed.
 
     args: of `fly.arguments`; operator_result: text of /operator/result; interrupted: threading.Event that stops it.
+    tried: [{"rate_hz", "reason"}] of the rates of motion capture for which the computer was too slow.
     Raises ValueError for a useless bag, and when it is interrupted.
     """
     interrupted.clear()
@@ -48,6 +49,8 @@ def make_report(args, folder, operator_result, progress, interrupted):
     result["video_late_ms"] = max(v["video"]["late_ms"] for v in lab["vehicles"].values()) if lab else None
     result["on_schedule"] = on_schedule(result) if lab else None
     result.update(read_beside(folder / "flight.bag").processors)
+    result["mocap"]["wanted_hz"] = (tried or [{"rate_hz": result["mocap"]["rate_hz"]}])[0]["rate_hz"]
+    result["mocap"]["given_up"] = list(tried)
     reasons = judge(flight, operator_result, with_cameras=args.experiment in WITH_CAMERAS)
     result["passed"] = not reasons
     result["reasons"] = reasons
@@ -59,6 +62,8 @@ def make_report(args, folder, operator_result, progress, interrupted):
     print("simulated: %s" % ", ".join("%s %s" % item for item in result["simulated"].items()))
     if result["least_separation_m"] is not None:
         print("vehicles came no closer than %.2f m to each other" % result["least_separation_m"])
+    for rate in tried:
+        print("motion capture at %g Hz was given up before take-off: %s" % (rate["rate_hz"], rate["reason"]))
     if result["on_schedule"] is False:
         print(
             "this computer had too little time: the virtual lab's frames were late (p99 %.0f ms; more than %.0f ms is "

@@ -231,7 +231,7 @@ def latency(material, _summary):
     return section
 
 
-def processors(material, _summary):
+def processors(material, summary):
     """What the programs took of the computer that flew."""
     used = material.origin.processors
     if not used:
@@ -248,6 +248,9 @@ def processors(material, _summary):
             ("taken by the host of the virtual machine (steal)", _unit(computer["steal"], 100.0, "%", 1)),
         ],
     )
+    for rate in summary.get("mocap", {}).get("given_up", ()):
+        text = "Motion capture at %g Hz was given up before take-off: %s."
+        section.texts.append(text % (rate["rate_hz"], rate["reason"]))
     rows = [[name, "%.3f" % value] for name, value in cores.items() if value >= _LEAST_CORES]
     caption = "Programs of the flight, mean from take-off to landing."
     section.tables.append(Table(caption, ["program", "cores"], rows))

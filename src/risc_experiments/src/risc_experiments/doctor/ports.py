@@ -137,8 +137,8 @@ def _driven_addresses(process):
         own = call(uri, "getParam", "/" + place)
     except MasterError:
         return [None]
-    vehicles = own.get("vehicles", {"": own}).values()
-    return [str(values["drone_ip"]) if "drone_ip" in values else None for values in vehicles]
+    addresses = [own.get("drone_ip", values.get("drone_ip")) for values in own.get("vehicles", {"": {}}).values()]
+    return [address and str(address) for address in addresses]
 
 
 def _names(found):

@@ -161,19 +161,17 @@ def _value(config, node, name):
 
 
 def _parameters(config, node):
-    """{name: value} of a node's own parameters."""
-    own = node.namespace + node.name
-    values = dict(config.params[own].value) if own in config.params else {}  # several at once, as a dictionary
-    prefix = own + "/"
-    values.update((key[len(prefix) :], param.value) for key, param in config.params.items() if key.startswith(prefix))
-    return values
+    """{name: value} of a node's own parameters; those of ~mocap count as its own."""
+    prefix = node.namespace + node.name + "/"
+    values = {key[len(prefix) :]: param.value for key, param in config.params.items() if key.startswith(prefix)}
+    return {**values.get("mocap", {}), **values}
 
 
 def _vehicle_addresses(config, driver):
     """Addresses of the vehicles that a driver node is for."""
     own = _parameters(config, driver)
-    each = own["vehicles"].values() if "vehicles" in own else [own]
-    return [str(values.get("drone_ip") or DEFAULT_ADDRESS) for values in each]
+    each = own["vehicles"].values() if "vehicles" in own else [{}]
+    return [str(own.get("drone_ip") or values.get("drone_ip") or DEFAULT_ADDRESS) for values in each]
 
 
 def _bag_folder(arguments):

@@ -1,5 +1,6 @@
 """What the nodes of a flight say, heard by the program that started them."""
 
+import collections
 import math
 import re
 import threading
@@ -22,6 +23,8 @@ class Watch:
         self.result = ""
         self.errors_mm = {}
         self.rate_hz = None
+        self.oldest_ms = collections.deque(maxlen=100)  # of the controller's reports
+        self.passed_over = collections.deque(maxlen=100)  # of the estimator's reports: frames
         self._operator_s = None  # when the operator's diagnostics last came
         rospy.init_node("maap_fly", disable_signals=True, disable_rostime=True)
         rospy.Subscriber(
@@ -40,8 +43,18 @@ class Watch:
                 error_of = re.fullmatch(r"position error of (\S+) \(mm\)", pair.key)
                 if error_of:
                     self.errors_mm[error_of.group(1)] = _number(pair.value)
+                elif pair.key == "oldest state answered (ms)":
+                    self._keep(self.oldest_ms, pair.value)
+                elif pair.key == "frames passed over":
+                    self._keep(self.passed_over, pair.value)
                 elif pair.key == "rate [Hz]" and status.name.endswith("mocap stream"):
                     self.rate_hz = _number(pair.value)
+
+    @staticmethod
+    def _keep(reports, text):
+        value = _number(text)
+        if value is not None:
+            reports.append(value)
 
     @property
     def operator_heard(self):

@@ -69,7 +69,7 @@ _LOG = {"info": rospy.loginfo, "warn": rospy.logwarn, "error": rospy.logerr}
 def make_drivers(arguments=()):
     """The ArdroneDrivers of the node: one in its namespace, or those of ~vehicles, {namespace: its own parameters}.
 
-    Parameters beside ~vehicles are for all of them. Raises ValueError naming what is wrong and the cure.
+    Parameters beside ~vehicles are for all of them, and count first. Raises ValueError that names what is wrong.
     """
     tree = rospy.get_param("~", {})
     tree = tree if isinstance(tree, dict) else {}
@@ -80,10 +80,10 @@ def make_drivers(arguments=()):
         raise ValueError(
             "parameter ~vehicles must be {namespace: {drone_ip: ADDRESS, ...}, ...}, found %r" % (vehicles,)
         )
-    if len(vehicles) > 1 and arguments:
-        raise ValueError("-ip is for a driver of one vehicle: give each vehicle its drone_ip in ~vehicles")
+    if len(vehicles) > 1 and (arguments or "drone_ip" in tree):
+        raise ValueError("-ip and ~drone_ip are for one vehicle: give each of several its drone_ip in ~vehicles")
     return [
-        ArdroneDriver(dict(tree, **own), "/%s/" % namespace.strip("/"), len(vehicles) == 1, arguments)
+        ArdroneDriver(dict(own, **tree), "/%s/" % namespace.strip("/"), len(vehicles) == 1, arguments)
         for namespace, own in vehicles.items()
     ]
 
