@@ -19,7 +19,12 @@ def origin(message):
     """
     stamp_s = message.header.stamp.to_sec()
     age_s = rospy.get_time() - stamp_s if stamp_s else 0.0
-    return age_s, message._connection_header.get("callerid", "")  # rospy has no public name for it
+    return age_s, sender(message)
+
+
+def sender(message):
+    """Name of the node that sent it."""
+    return message._connection_header.get("callerid", "")  # rospy has no public name for it
 
 
 class ButtonSubscriber:

@@ -22,7 +22,7 @@ from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays
-from risc_control.ros.joystick_buttons import origin
+from risc_control.ros.joystick_buttons import origin, sender
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.safety import Rung
 from risc_control.vehicle_pilot import (
@@ -65,11 +65,10 @@ class VehicleNode:
         self._vehicles = [_Vehicle(*names, params, self._parameters) for names in _chosen(values, namespace, fleet)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
         self._controls, self._states = ControlsArrays(), CortexArrays()
-        self._answered = None  # the newest /controls that was looked at
-        self._newest = None
+        self._unheard = {}  # {controller: its newest message that nothing was done about}
         self._complete = {}  # {topic: names of its messages}, where all vehicles were found
         self._answering = threading.Lock()
-        self._hear = self._guarded(self._answer)
+        self._hear = self._guarded(lambda message: self._answer(message, False))
         self._diagnostics = make_updater(", ".join(self._by_name))
         for vehicle in self._vehicles:
             self._diagnostics.add("vehicle " + vehicle.name, vehicle.diagnose)
@@ -107,20 +106,16 @@ class VehicleNode:
         """Commands leave here, with the next message when a vehicle takes one; what comes in between is heard once a
         tick, as a sign of life.
         """
-        self._newest = message
         now_s = time.monotonic()
-        for vehicle in self._vehicles:
-            if now_s >= vehicle.next_command_s:
-                self._answer(True)
-                break
+        if any(now_s >= vehicle.next_command_s for vehicle in self._vehicles):
+            self._answer(message, True)
+        else:
+            self._unheard[sender(message)] = message
 
-    def _answer(self, sends):
-        """Take the newest /controls. sends: a command may follow; it would be old news once a tick."""
+    def _answer(self, message, sends):
+        """Take a message of /controls. sends: a command may follow; it would be old news once a tick."""
         with self._answering:
-            message = self._newest
-            if message is self._answered:
-                return
-            self._answered = message
+            self._unheard.pop(sender(message), None)
             controls = self._controls.deserialize(message.buff)
             stamp = controls.header.stamp
             stamp_s = stamp.to_sec()
@@ -157,8 +152,8 @@ class VehicleNode:
             self._complete[topic] = names
 
     def _on_tick(self):
-        if self._newest is not None:
-            self._hear(False)
+        for message in list(self._unheard.values()):
+            self._hear(message)
         for vehicle in self._vehicles:
             vehicle.on_tick()
 

@@ -18,11 +18,13 @@ from risc_experiments.machines.check import needs_login
 _COMMAND_S = 20.0
 _NO_ANSWER_S = 20  # of the network, then rsync gives up; what arrived is kept for the next time
 _BACKUPS = ".deploy_backup"
-# First match wins. Not sent, and never removed there: what belongs to one computer.
+# What runs in every frame, compiled here: of use to a computer with the same processor, another one compiles it again.
+_COMPILED = "__pycache__/", "__pycache__/*.nbi", "__pycache__/*.nbc"
+# First match wins, after those above. Not sent, and never removed there: what belongs to one computer.
 _NOT_SENT = (
     "/.git", "/build", "/build_tools", "/devel_tools", "/install_tools", "/.catkin_tools", "/.catkin_workspace",
     "/logs", "/flights", "/fuzz_findings", "/.maap.lock", "/%s" % workspace.DEPLOYED, "/%s" % _BACKUPS,
-    ".rsync-partial", "__pycache__", "*.pyc", "*~", ".pytest_cache", ".ruff_cache", ".hypothesis",
+    ".rsync-partial", "__pycache__/*", "*.pyc", "*~", ".pytest_cache", ".ruff_cache", ".hypothesis",
 )  # fmt: skip
 # A file that is gone here goes there, too (into the backup); everywhere else nothing goes.
 _MIRRORED = "/src", "/launch", "/devel", "/install", "/.venv"
@@ -125,6 +127,7 @@ def _send(session, root):
     command += ["--backup", "--backup-dir=" + backup, "--delete", "--rsh", _remote_shell(computer)]
     if sys.stderr.isatty():
         command += ["--info=progress2", "--human-readable"]
+    command += ["--include=" + pattern for pattern in _COMPILED]
     command += ["--exclude=" + pattern for pattern in _NOT_SENT]
     command += ["--filter=protect %s" % pattern for pattern in workspace.KEPT_THERE]
     mirrored = [folder for folder in _MIRRORED if os.path.isdir(str(root) + folder)]
