@@ -504,8 +504,8 @@ def chase(folder):
                 said.append((stamp.to_sec(), message.data))
             elif topic == "/trajectory_course" and message.data == "NGC":
                 let_go_s = stamp.to_sec()
-            elif topic == "/trajectory_phase" and message.data.endswith(": home"):
-                home_s = min(home_s, stamp.to_sec())
+            elif topic == "/trajectory_phase" and stamp.to_sec() > let_go_s and not message.data.endswith(": course"):
+                home_s = min(home_s, stamp.to_sec())  # it chases no more, and a way home is planned
     target, truth = np.array(target), np.array(truth)
     settled = truth[(truth[:, 0] > let_go_s + 11.0) & (truth[:, 0] < home_s - 0.1)]
     places = np.column_stack([np.interp(settled[:, 0], target[:, 0], target[:, axis]) for axis in (1, 2)])
