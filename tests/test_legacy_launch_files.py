@@ -77,6 +77,16 @@ def flight(joystick=JOYSTICK, vehicle="risc1", node="risc_controller.py", mocap=
     return nodes, values
 
 
+def on_one_computer(*vehicles):
+    """The same of several: their driver and their joystick node are one each."""
+    both = {}, {}
+    for vehicle in vehicles:
+        for found, part in zip(both, flight(vehicle=vehicle)):
+            for name, value in part.items():
+                found[re.sub("^/%s/(ardrone_driver|joystick_controller)" % vehicle, r"/\1", name)] = value
+    return both
+
+
 def image_proc(vehicle="risc1"):
     return {"/%s/ardrone/image_proc" % vehicle: "image_proc/image_proc"}
 
@@ -159,7 +169,7 @@ FILES = {
     "risc_viz": file(NOTHING, VIZ),
     "bag_visual": file(NOTHING, DRAWING, RVIZ, {"/player": "rosbag/play"}),
     "demonstration": file(
-        tuple({**a, **b, **c} for a, b, c in zip(flight(), flight(vehicle="risc2"), flight(vehicle="risc3"))),
+        on_one_computer("risc1", "risc2", "risc3"),
         VIZ, {"/trajectory_node": "risc_control/circles3_traj.py",
               "/controller": "risc_control/generic_DF_controller.py"},
         risc2__joy_node__dev="/dev/input/js1", risc3__joy_node__dev="/dev/input/js2",
@@ -444,7 +454,7 @@ def starts(name, folder):
         nodes = {node.namespace + node.name for node in config.nodes}
     # a virtual lab of one vehicle is started sooner
     fleet = load_fleet(ROOT / "launch/fleets/ardrones3.yaml").with_vehicles(3 if name == "demonstration" else 1)
-    if "/risc1/ardrone_driver" not in nodes:
+    if not nodes & {"/ardrone_driver", "/risc1/ardrone_driver"}:
         fleet = load_fleet(FOLDER / "fleets/virtual.yaml")
     graph = Graph(path, folder, fleet, *argv)
     try:
