@@ -231,21 +231,21 @@ class _Timetable:
     def _choose(self, i, option):
         _fly(self._starts[i], self._ends[i], self._steps[option], self._tracks[i])
 
+    def _all_choose(self, choice):
+        for i, option in enumerate(choice):
+            self._choose(i, option)
+        for i in range(len(choice)):
+            _update_distances(self._tracks, i, self._near_m)
+
     def _jointly(self, option):
         """(smallest distance, choice) with the same option for all."""
-        for i in range(len(self._pairs)):
-            self._choose(i, option)
-        for i in range(len(self._pairs)):
-            _update_distances(self._tracks, i, self._near_m)
+        self._all_choose([option] * len(self._pairs))
         return float(self._near_m.min()), [option] * len(self._pairs)
 
     def _staggered(self, choice):
         """(smallest distance, choice): some options changed, one after the other, so that all come less near."""
         choice, movers = list(choice), len(choice)
-        for i in range(movers):
-            self._choose(i, choice[i])
-        for i in range(movers):
-            _update_distances(self._tracks, i, self._near_m)
+        self._all_choose(choice)
         best = float(self._near_m.min()), list(choice)
         weights = np.ones(self._near_m.shape)  # who gets stuck with whom counts more from then on
         tries = _TRIES * movers + _MORE_TRIES
@@ -263,12 +263,31 @@ class _Timetable:
                 best = float(self._near_m.min()), list(choice)
             if not changed:
                 weights[self._near_m < self._enough_m] += 1.0
-        return best
+        return self._hastened(best[1]) if best[0] >= self._enough_m else best
+
+    def _hastened(self, choice):
+        """(smallest distance, choice): who arrives last comes sooner, if that is apart as well."""
+        self._all_choose(choice)
+        choice, weights = list(choice), np.ones(self._near_m.shape)
+        for i in sorted(range(len(choice)), key=lambda i: -self.options[choice[i]].arrival_s):
+            lacking_m, present = self._lacking(i, weights), self.options[choice[i]]
+            for k, option in enumerate(self.options):
+                sooner = option.rise_m <= present.rise_m and option.arrival_s < present.arrival_s - 1e-6
+                if sooner and lacking_m[k] == 0.0 and self._fits(i, k):
+                    choice[i] = k
+                    self._choose(i, k)
+                    break
+        self._all_choose(choice)
+        return float(self._near_m.min()), choice
+
+    def _lacking(self, i, weights):
+        lacking_m = np.empty(len(self.options))
+        _lacking(self._starts[i], self._ends[i], self._steps, self._tracks, i, self._enough_m, weights, lacking_m)
+        return lacking_m
 
     def _better(self, i, present, weights):
         """An option of a vehicle with which it comes less near to the others than now; None = there is none."""
-        lacking_m = np.empty(len(self.options))
-        _lacking(self._starts[i], self._ends[i], self._steps, self._tracks, i, self._enough_m, weights, lacking_m)
+        lacking_m = self._lacking(i, weights)
         for option in np.argsort(lacking_m, kind="stable"):
             if lacking_m[option] > lacking_m[present] - 1e-6:
                 return None
