@@ -349,19 +349,36 @@ def _update_distances(tracks_m, i, near_m):
 
 
 @compiled
+def _extent(track_m, axis):
+    """(least, largest) coordinate of a track (t, 3)."""
+    low_m = high_m = track_m[0, axis]
+    for k in range(1, len(track_m)):
+        low_m, high_m = min(low_m, track_m[k, axis]), max(high_m, track_m[k, axis])
+    return low_m, high_m
+
+
+@compiled
 def _lacking(start_m, end_m, steps, tracks_m, i, enough_m, weights, lacking_m):
     """lacking_m (options,): how much distance to all others together vehicle i lacks with each option.
 
     steps: (options, 2, t) as of `_fly`.  weights: (n, n) how much each pair counts.
     """
     track_m = np.empty(start_m.shape)
+    highest_m = 0.0  # of the rises
+    for option in range(len(steps)):
+        for k in range(len(track_m)):
+            highest_m = max(highest_m, steps[option, 1, k])
     around = np.ones(len(tracks_m), np.bool_)  # vehicles that can be met at all
     around[i] = False
     for axis in range(3):
-        low_m = min(start_m[:, axis].min(), end_m[:, axis].min()) - enough_m
-        high_m = max(start_m[:, axis].max(), end_m[:, axis].max()) + enough_m + (axis == 2) * steps[:, 1].max()
+        low_m, high_m = _extent(start_m, axis)
+        end_low_m, end_high_m = _extent(end_m, axis)
+        low_m, high_m = min(low_m, end_low_m) - enough_m, max(high_m, end_high_m) + enough_m
+        if axis == 2:
+            high_m += highest_m
         for j in range(len(tracks_m)):
-            if tracks_m[j, :, axis].max() < low_m or tracks_m[j, :, axis].min() > high_m:
+            other_low_m, other_high_m = _extent(tracks_m[j], axis)
+            if other_high_m < low_m or other_low_m > high_m:
                 around[j] = False
     for option in range(len(steps)):
         _fly(start_m, end_m, steps[option], track_m)
