@@ -70,10 +70,10 @@ def _path_of(link, table, given, time_s, step, path):
     Returns the link's own time [s].
     """
     t = time_s - link.epoch_s + link.ahead_s
-    path[:] = 0.0
     if link.kind == HARMONIC:
         for axis in range(3):
             path[0, axis] = link.position_m[axis]
+            path[1, axis] = path[2, axis] = path[3, axis] = path[4, axis] = 0.0
             for row in range(link.first, link.first + link.rows):
                 amplitude, w = table[row, axis], table[row, 3 + axis]
                 if amplitude != 0.0:
@@ -102,7 +102,9 @@ def _path_of(link, table, given, time_s, step, path):
             for order in range(1, ORDERS):
                 path[order, axis] = velocity * decay * (-1.0 / _STOP_S) ** (order - 1)
     else:
-        path[:] = given
+        for axis in range(3):
+            for order in range(ORDERS):
+                path[order, axis] = given[order, axis]
     return t
 
 
@@ -204,13 +206,22 @@ def _motion(links, count, table, given, time_s, scratch, path, yaw):
 
 
 @compiled
+def _keep(own_path, own_yaw, k, path, yaw):
+    """One path (5, 3) and yaw (3,) become the k-th of path (5, k, 3) and yaw (3, k)."""
+    for order in range(ORDERS):
+        for axis in range(3):
+            path[order, k, axis] = own_path[order, axis]
+    for order in range(YAW_ORDERS):
+        yaw[order, k] = own_yaw[order]
+
+
+@compiled
 def _sample_motion(links, table, given, times_s, path, yaw):
     """One chain at times (k,): path (5, k, 3), yaw (3, k); given: (k, links, 5, 3) or NO_PATHS."""
     scratch, own_path, own_yaw = np.empty((6, 5)), np.empty((ORDERS, 3)), np.empty(YAW_ORDERS)
     for k in range(len(times_s)):
         _motion(links, len(links), table, given[k if len(given) > 1 else 0], times_s[k], scratch, own_path, own_yaw)
-        path[:, k] = own_path
-        yaw[:, k] = own_yaw
+        _keep(own_path, own_yaw, k, path, yaw)
 
 
 @compiled
@@ -245,8 +256,7 @@ def sample_paths(links, table, given, times_s, path, yaw):
         link = links[k if len(links) > 1 else 0]
         own_s = _path_of(link, table, given[k if len(given) > 1 else 0, 0], times_s[k], step, own_path)
         _yaw_of(link, own_s, own_path, own_yaw)
-        path[:, k] = own_path
-        yaw[:, k] = own_yaw
+        _keep(own_path, own_yaw, k, path, yaw)
 
 
 # ------------------------------------------------------------------------------------------------------ motions

@@ -231,21 +231,21 @@ class _Timetable:
     def _choose(self, i, option):
         _fly(self._starts[i], self._ends[i], self._steps[option], self._tracks[i])
 
+    def _all_choose(self, choice):
+        for i, option in enumerate(choice):
+            self._choose(i, option)
+        for i in range(len(choice)):
+            _update_distances(self._tracks, i, self._near_m)
+
     def _jointly(self, option):
         """(smallest distance, choice) with the same option for all."""
-        for i in range(len(self._pairs)):
-            self._choose(i, option)
-        for i in range(len(self._pairs)):
-            _update_distances(self._tracks, i, self._near_m)
+        self._all_choose([option] * len(self._pairs))
         return float(self._near_m.min()), [option] * len(self._pairs)
 
     def _staggered(self, choice):
         """(smallest distance, choice): some options changed, one after the other, so that all come less near."""
         choice, movers = list(choice), len(choice)
-        for i in range(movers):
-            self._choose(i, choice[i])
-        for i in range(movers):
-            _update_distances(self._tracks, i, self._near_m)
+        self._all_choose(choice)
         best = float(self._near_m.min()), list(choice)
         weights = np.ones(self._near_m.shape)  # who gets stuck with whom counts more from then on
         tries = _TRIES * movers + _MORE_TRIES
@@ -263,12 +263,31 @@ class _Timetable:
                 best = float(self._near_m.min()), list(choice)
             if not changed:
                 weights[self._near_m < self._enough_m] += 1.0
-        return best
+        return self._hastened(best[1]) if best[0] >= self._enough_m else best
+
+    def _hastened(self, choice):
+        """(smallest distance, choice): who arrives last comes sooner, if that is apart as well."""
+        self._all_choose(choice)
+        choice, weights = list(choice), np.ones(self._near_m.shape)
+        for i in sorted(range(len(choice)), key=lambda i: -self.options[choice[i]].arrival_s):
+            lacking_m, present = self._lacking(i, weights), self.options[choice[i]]
+            for k, option in enumerate(self.options):
+                sooner = option.rise_m <= present.rise_m and option.arrival_s < present.arrival_s - 1e-6
+                if sooner and lacking_m[k] == 0.0 and self._fits(i, k):
+                    choice[i] = k
+                    self._choose(i, k)
+                    break
+        self._all_choose(choice)
+        return float(self._near_m.min()), choice
+
+    def _lacking(self, i, weights):
+        lacking_m = np.empty(len(self.options))
+        _lacking(self._starts[i], self._ends[i], self._steps, self._tracks, i, self._enough_m, weights, lacking_m)
+        return lacking_m
 
     def _better(self, i, present, weights):
         """An option of a vehicle with which it comes less near to the others than now; None = there is none."""
-        lacking_m = np.empty(len(self.options))
-        _lacking(self._starts[i], self._ends[i], self._steps, self._tracks, i, self._enough_m, weights, lacking_m)
+        lacking_m = self._lacking(i, weights)
         for option in np.argsort(lacking_m, kind="stable"):
             if lacking_m[option] > lacking_m[present] - 1e-6:
                 return None
@@ -330,19 +349,36 @@ def _update_distances(tracks_m, i, near_m):
 
 
 @compiled
+def _extent(track_m, axis):
+    """(least, largest) coordinate of a track (t, 3)."""
+    low_m = high_m = track_m[0, axis]
+    for k in range(1, len(track_m)):
+        low_m, high_m = min(low_m, track_m[k, axis]), max(high_m, track_m[k, axis])
+    return low_m, high_m
+
+
+@compiled
 def _lacking(start_m, end_m, steps, tracks_m, i, enough_m, weights, lacking_m):
     """lacking_m (options,): how much distance to all others together vehicle i lacks with each option.
 
     steps: (options, 2, t) as of `_fly`.  weights: (n, n) how much each pair counts.
     """
     track_m = np.empty(start_m.shape)
+    highest_m = 0.0  # of the rises
+    for option in range(len(steps)):
+        for k in range(len(track_m)):
+            highest_m = max(highest_m, steps[option, 1, k])
     around = np.ones(len(tracks_m), np.bool_)  # vehicles that can be met at all
     around[i] = False
     for axis in range(3):
-        low_m = min(start_m[:, axis].min(), end_m[:, axis].min()) - enough_m
-        high_m = max(start_m[:, axis].max(), end_m[:, axis].max()) + enough_m + (axis == 2) * steps[:, 1].max()
+        low_m, high_m = _extent(start_m, axis)
+        end_low_m, end_high_m = _extent(end_m, axis)
+        low_m, high_m = min(low_m, end_low_m) - enough_m, max(high_m, end_high_m) + enough_m
+        if axis == 2:
+            high_m += highest_m
         for j in range(len(tracks_m)):
-            if tracks_m[j, :, axis].max() < low_m or tracks_m[j, :, axis].min() > high_m:
+            other_low_m, other_high_m = _extent(tracks_m[j], axis)
+            if other_high_m < low_m or other_low_m > high_m:
                 around[j] = False
     for option in range(len(steps)):
         _fly(start_m, end_m, steps[option], track_m)
