@@ -20,7 +20,7 @@ LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch")) + sorted((ROOT / "src"
 GTESTS = sorted(path for path in (ROOT / "devel" / "lib").glob("*/test_*") if os.access(str(path), os.X_OK))
 # Arguments for launch files that cannot do without.
 REQUIRED_ARGUMENTS = {"fleet": str(ROOT / "launch/fleets/ardrones3.yaml"), "name": "risc1", "names": "risc1 risc2",
-                      "bag": "/tmp/x.bag", "camera": "front"}  # fmt: skip
+                      "bag": "/tmp/x.bag", "camera": "front", "devices": "/dev/input/js0"}  # fmt: skip
 
 
 def package_of(path):
