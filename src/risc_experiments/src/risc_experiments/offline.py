@@ -273,10 +273,16 @@ def step_chains(chains, frame, stamp_s, now_s, states, fractions):
         chain.deliver(now_s)
 
 
+def _fleet_file(name):
+    """A shipped fleet file: in the workspace that ./maap names, or around this package's sources."""
+    root = os.environ.get("RISC_MAAP_ROOT")
+    return pathlib.Path(root, "launch/fleets", name) if root else package_file("..", "launch/fleets/" + name)
+
+
 def _lab(flight):
     """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
     file = "ardrones3.yaml" if flight.vehicles <= 3 else "ardrones5.yaml"
-    fleet = load_fleet(package_file("..", "launch/fleets/" + file)).with_vehicles(flight.vehicles)
+    fleet = load_fleet(_fleet_file(file)).with_vehicles(flight.vehicles)
     if flight.psi_rad is not None:
         fleet = replace(fleet, vehicles=tuple(replace(v, start_yaw_rad=flight.psi_rad) for v in fleet.vehicles))
     types = {name: load_vehicle_type(name) for name in {vehicle.type for vehicle in fleet.vehicles}}
