@@ -28,7 +28,7 @@ from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.origin import Origin, parameter_hash, read_beside
 from data_extraction.report.snapshots import SnapshotCollector, picture_topics
 from data_extraction.samples import Arrivals, Samples
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_control.lab.fleet import fleet_from_dict
 from risc_control.safety import Rung, SafetyLimits
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_rois, Risc_roi, Risc_rois, States
@@ -75,7 +75,7 @@ def test_markers_are_lost_where_their_object_was(play):
     raven = drops.markers["Raven"]
     assert (raven.markers, raven.lost, raven.frames, raven.blind_frames) == (8, 3, 4, 1)
     assert drops.markers_lost == 4 and drops.unplaced == 1, "nobody knows where Kahn was"
-    edges_x, edges_y = cell_edges()
+    edges_x, edges_y = cell_edges(Arena())
     cell = (np.searchsorted(edges_x, 1.1) - 1, np.searchsorted(edges_y, 0.6) - 1)
     assert (drops.lost_map[cell], drops.seen_map[cell]) == (3, 3)
     assert drops.lost_map.sum() == 3 and drops.seen_map.sum() == 5
@@ -84,9 +84,10 @@ def test_markers_are_lost_where_their_object_was(play):
 
 
 def test_the_maps_cells_cover_the_net():
-    edges_x, edges_y = cell_edges()
-    for edges, half in ((edges_x, NET_HALF_X_M), (edges_y, NET_HALF_Y_M)):
-        assert edges[0] == -edges[-1] and half <= edges[-1] < half + CELL_M
+    for arena in (Arena(), Arena(5.0, 4.4)):
+        for edges, half in zip(cell_edges(arena), (arena.half_x_m, arena.half_y_m)):
+            assert edges[0] == -edges[-1] and half <= edges[-1] < half + CELL_M
+        assert DropCollector(arena)._seen.shape == tuple(len(edges) - 1 for edges in cell_edges(arena))
 
 
 def test_a_vehicle_counts_as_lost_only_after_it_was_seen(play):

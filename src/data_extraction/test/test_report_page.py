@@ -184,6 +184,7 @@ SUMMARY = {
 PARAMETERS = {"controller": {"q_yaw": 4.0}}
 PROCESSORS = {
     "cpu_cores": {"controller": 0.25, "virtual_lab": 0.125},
+    "memory_mb": {"controller": 81.5, "virtual_lab": 95.0},
     "computer": {"cores": 2, "idle": 0.5, "steal": 0.01, "others": 0.4, "busiest_other": "browser",
                  "busiest_other_cores": 0.3},
 }  # fmt: skip
@@ -225,8 +226,8 @@ def test_it_says_what_was_flown_and_how_it_ended(page):
 
 
 def test_what_the_programs_took_of_the_computer(page):
-    assert ["controller", "0.250"] in page.rows
-    for text in ("0.38 cores", "0.40 cores, most by browser (0.30)", "1.0 %"):
+    assert ["controller", "0.250", "82\u202fMB"] in page.rows
+    for text in ("0.38 cores", "176\u202fMB", "0.40 cores, most by browser (0.30)", "1.0 %"):
         assert text in page.text, text
 
 

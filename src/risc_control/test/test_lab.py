@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
-from risc_control.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
-from risc_control.lab.templates import templates_from_dict
+from risc_control.lab import Arena, fleet_from_dict, generated_fleet, load_fleet, load_templates, load_vehicle_type
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_control.lab.generated import MOST_VEHICLES, rows
+from risc_control.lab.templates import templates_from_dict, templates_to_dict
 from risc_control.lab.vehicle_types import vehicle_type_from_dict
 
 FLEETS = pathlib.Path(__file__).resolve().parents[3] / "launch" / "fleets"
@@ -93,6 +95,13 @@ def set_in(content, path, value):
         (["mocap", "stream_group"], "10.0.0.1", "no multicast"),
         (["mocap", "rate_hz"], "fast", "must be a number"),
         (["mocap"], 5, "must be a mapping"),
+        (["arena"], {"half_x_m": -1.0}, "fleet, arena: 'half_x_m' must be in"),
+        (["arena"], {"half_x_m": "wide"}, "'half_x_m' must be a number"),
+        (["arena"], {"radius_m": 3.0}, "fleet, arena: unknown key.* radius_m"),
+        (["arena"], [5, 4], "must be a mapping"),
+        (["templates"], {"templates": {}}, "fleet, templates: key 'geometries' is missing"),
+        (["templates"], {"geometries": {}, "templates": {"x": {"kind": "vehicle", "geometry": "y"}}}, "geometry 'y'"),
+        (["templates"], ["fluffy_II"], "fleet, templates must be a mapping"),
     ],
 )
 def test_mistakes_in_a_fleet_are_named(fleet_dict, path, value, message):
@@ -100,6 +109,70 @@ def test_mistakes_in_a_fleet_are_named(fleet_dict, path, value, message):
     set_in(broken, path, value)
     with pytest.raises(ValueError, match=message):
         fleet_from_dict(broken)
+
+
+def test_one_file_describes_the_whole_lab(fleet_dict):
+    assert fleet_from_dict(fleet_dict).arena == Arena() == Arena(NET_HALF_X_M, NET_HALF_Y_M, 3.0)
+    hull = {"a": [0.1, 0.2, 0.0], "b": [-0.2, 0.0, -0.05], "c": [0.1, -0.2, 0.03]}
+    own = {"geometries": {"wide": hull}, "templates": {"albatross": {"kind": "vehicle", "geometry": "wide"}}}
+    fleet = fleet_from_dict(dict(fleet_dict, arena={"half_x_m": 6, "height_m": 4.0}, templates=own))
+    assert fleet.arena == Arena(6.0, NET_HALF_Y_M, 4.0)
+    assert fleet_from_dict(yaml.safe_load(yaml.safe_dump(fleet.to_dict()))) == fleet
+    assert fleet != fleet_from_dict(dict(fleet_dict, arena={"half_x_m": 6, "height_m": 4.0}))
+    templates = load_templates(fleet=fleet)
+    assert templates["albatross"].markers_m.tolist() == list(hull.values()), "its own before the laboratory's"
+    assert set(templates) == set(load_templates()) and len(templates["Raven"].markers_m) == 4
+
+
+@pytest.mark.parametrize("vehicles", [1, 3, 6, 14, 50])
+def test_a_generated_lab_is_whole(vehicles):
+    fleet = generated_fleet(vehicles)
+    assert fleet_from_dict(yaml.safe_load(yaml.safe_dump(fleet.to_dict()))) == fleet == generated_fleet(vehicles)
+    assert [v.namespace for v in fleet.vehicles] == ["risc%d" % k for k in range(1, vehicles + 1)]
+    templates, places = load_templates(fleet=fleet), np.array([v.start_position_m for v in fleet.vehicles])
+    assert all(templates[v.template].kind == "vehicle" for v in fleet.vehicles)
+    assert all(templates[m.name].kind == "landmark" for m in fleet.landmarks)
+    apart_m = np.linalg.norm(places[:, None] - places, axis=2) + 9.0 * np.eye(vehicles)
+    assert apart_m.min() >= 0.95
+    half_m = np.array([fleet.arena.half_x_m, fleet.arena.half_y_m])
+    assert (half_m - np.abs(places[:, :2]).max(axis=0) >= 1.5 - 1e-9).all()
+    assert (half_m >= (NET_HALF_X_M, NET_HALF_Y_M)).all()
+    assert np.array([m.position_m for m in fleet.landmarks])[:, 0].max() < fleet.arena.half_x_m
+    assert fleet.in_subnet("127.99").vehicles[-1].address == "127.99.1.%d" % vehicles
+
+
+def test_nobody_can_take_one_generated_hull_for_another():
+    fleet = generated_fleet(50)
+    hulls = [t.markers_m for t in fleet.templates.values()]
+    assert len(hulls) == 45 and {len(markers) for markers in hulls} == {5}
+    distances = []
+    for markers in hulls:
+        assert np.linalg.svd(markers - markers.mean(axis=0), compute_uv=False)[2] > 0.05, "not in one plane"
+        apart_m = np.linalg.norm(markers[:, None] - markers, axis=2)[np.triu_indices(5, 1)]
+        assert apart_m.min() > 0.08 and np.abs(markers).max() < 0.25
+        distances.append(np.sort(apart_m))
+    differences = np.abs(np.array(distances)[:, None] - distances).max(axis=2) + np.eye(45)
+    assert differences.min() >= 0.03
+
+
+def test_a_larger_generated_lab_begins_with_the_same_hulls():
+    small, large = generated_fleet(8).templates, generated_fleet(20).templates
+    assert all(large[name] == template for name, template in small.items())
+    assert templates_from_dict(templates_to_dict(large)) == large
+
+
+@pytest.mark.parametrize("vehicles", [0, MOST_VEHICLES + 1])
+def test_no_lab_for_so_many(vehicles):
+    with pytest.raises(ValueError, match="1 to 250 vehicles, %d were asked for" % vehicles):
+        generated_fleet(vehicles)
+
+
+def test_rows_are_around_the_origin():
+    for count in (1, 2, 7, 12):
+        places = rows(count, 2.0)
+        assert len({tuple(place) for place in places}) == count
+        assert places.min(axis=0) == pytest.approx(-places.max(axis=0))
+        assert np.ptp(places, axis=0)[0] >= np.ptp(places, axis=0)[1]
 
 
 def test_unreadable_files_are_named(tmp_path):

@@ -6,12 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_control.lab import generated_fleet
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_control.motions import Blend, coasting, standing
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
+    Course,
     YawProgram,
+    course_for_fleet,
     course_separation,
     make_course,
     minimum_separation,
@@ -101,6 +104,83 @@ def test_vehicles_keep_apart_inside_the_net(name, vehicles):
     furthest = np.abs(path[:, 0]).max(axis=(0, 1))
     assert furthest[0] < NET_HALF_X_M - MARGIN_M and furthest[1] < NET_HALF_Y_M - MARGIN_M
     assert path[:, 0, :, 2].min() > 0.4 and path[:, 0, :, 2].max() < 2.0
+
+
+def extent(course):
+    _, path = sampled(course, 200)
+    return path[:, 0].min(axis=(0, 1)), path[:, 0].max(axis=(0, 1))
+
+
+@pytest.mark.parametrize("vehicles", [6, 8, 14, 30, 50])
+@pytest.mark.parametrize("name", ["circle", "circles3", "origin", "quadrants", "spin"])
+def test_more_vehicles_fly_copies_of_the_figure_or_rows(name, vehicles):
+    arena = generated_fleet(vehicles).arena
+    course = course_for_fleet(name, vehicles, arena)
+    assert len(course) == vehicles and course.name == name and course.period_s == make_course(name, 1).period_s
+    assert course_separation(course, 400) >= SAFE_SEPARATION_M
+    low, high = extent(course)
+    assert np.abs([low, high]).max(axis=0)[0] <= arena.half_x_m - 0.7
+    assert np.abs([low, high]).max(axis=0)[1] <= arena.half_y_m - 0.7
+    assert low[2] >= 0.5 and high[2] <= 2.5
+
+
+@pytest.mark.parametrize("name", ["flat8", "knot", "slanted8"])
+def test_large_figures_need_a_larger_net_or_say_so(name):
+    with pytest.raises(ValueError, match="'%s' has no room for 50 vehicles, 0.75 m apart, in a net of .*" % name):
+        course_for_fleet(name, 50, generated_fleet(14).arena)
+    course = course_for_fleet(name, 50, Arena(10.0, 9.0))
+    assert course_separation(course, 400) >= SAFE_SEPARATION_M
+
+
+def test_copies_are_side_by_side_and_then_above_each_other():
+    flat, high = (course_for_fleet("flat8", 10, arena) for arena in (Arena(4.0, 4.0), Arena(3.0, 2.0, 4.0)))
+    assert np.ptp([corner[2] for corner in extent(flat)]) == 0.0
+    assert extent(high)[1][0] == pytest.approx(1.5) and np.ptp([corner[2] for corner in extent(high)]) == 1.2
+    yaw = course_for_fleet("flat8", 10, Arena(4.0, 4.0), YawProgram((0.4,), along_path=True)).yaw
+    assert yaw == YawProgram((0.4,), along_path=True)
+    for time_s in np.linspace(0.0, 20.0, 7):
+        path = flat.at(time_s)[0]
+        assert path[1:, :5] == pytest.approx(path[1:, 5:]), "five and five, the same figure"
+
+
+def test_up_to_five_fly_one_figure_whatever_the_net():
+    for vehicles in (1, 3, 5):
+        mine, plain = course_for_fleet("knot", vehicles, Arena(1.0, 1.0)), make_course("knot", vehicles)
+        assert np.array_equal(mine.at(3.3)[0], plain.at(3.3)[0])
+    with pytest.raises(ValueError, match="at most 4 vehicles"):
+        course_for_fleet("quadrants", 5, Arena())
+    with pytest.raises(ValueError, match="has no radius; it has"):
+        course_for_fleet("circle", 8, Arena(), radius=1.0)
+
+
+def test_a_function_of_a_student_is_not_copied(monkeypatch):
+    """Nobody knows how to move it; it flies where it keeps its vehicles apart by itself."""
+
+    class Line:
+        period_s = 8.0
+
+        def __init__(self, places):
+            self._places = np.asarray(places, dtype=float)
+
+        def __len__(self):
+            return len(self._places)
+
+        def at(self, times_s):
+            path = np.zeros((5, max(np.size(times_s), len(self)), 3))
+            path[0] = self._places
+            return path
+
+        def reordered(self, order):
+            return Line(self._places[np.asarray(order)])
+
+    def line(vehicles, spacing_m=0.8):
+        places = [(spacing_m * (k - 0.5 * (vehicles - 1)), 0.0, 1.0) for k in range(vehicles)]
+        return Course("line", Line(places), np.zeros(vehicles), YawProgram())
+
+    monkeypatch.setitem(COURSES, "line", line)
+    assert len(course_for_fleet("line", 6, Arena(5.0, 2.0))) == 6
+    with pytest.raises(ValueError, match="'line' has no room for 20 vehicles.* at most 11"):
+        course_for_fleet("line", 20, Arena(5.0, 2.0))
 
 
 def test_separation_of_three_is_what_it_is():

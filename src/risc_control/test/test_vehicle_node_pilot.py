@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from risc_control.frames import GRAVITY_M_S2
 from risc_control.joystick import Sticks
+from risc_control.lab.arena import Arena
 from risc_control.lab.fleet import fleet_from_dict
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.safety import Rung
@@ -503,7 +504,7 @@ def test_thrust_is_mapped_with_the_tilt_and_the_climb_rate():
     desk = Desk().fly(autonomous=True)
     desk.state = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, -0.2), 0.2, -0.1)
     _, sticks, _ = desk.run(0.05)[0]
-    lag = math.exp(-(0.004 + ARDRONE.command_delay_s + 0.5 / 30) / ARDRONE.climb_time_constant_s)
+    lag = math.exp(-(0.004 + ARDRONE.command_delay_s + 0.5 / 29.5) / ARDRONE.climb_time_constant_s)
     expected = -0.2 * lag + 0.3 * (GRAVITY_M_S2 * math.cos(0.2) * math.cos(0.1) - GRAVITY_M_S2)
     assert sticks.up == pytest.approx(expected, abs=2e-3)
 
@@ -511,7 +512,7 @@ def test_thrust_is_mapped_with_the_tilt_and_the_climb_rate():
 def test_autonomous_commands_answer_a_controls_message_and_keep_the_rate():
     desk = Desk().fly(autonomous=True)
     sent = desk.run(4.0)
-    assert len(sent) == pytest.approx(120, abs=1)
+    assert len(sent) == pytest.approx(4 * 29.5, abs=1)
     for time_s, _, stamp_s in sent:
         assert stamp_s == pytest.approx(1e9 + time_s, abs=1e-6), "sent on the cycle of the state it answers"
     gaps = np.diff([time_s for time_s, _, _ in sent[1:]])  # the first slot is still that of the watchdog
@@ -794,10 +795,19 @@ def test_config_file_holds_every_parameter_with_the_values_of_appendix_c():
     params, unknown = params_from_dict(values)
     assert unknown == []
     default, _ = params_from_dict({})
-    assert set(values) == set(vars(default.pilot)) | set(vars(default.joystick)) | set(vars(default.limits))
+    known = set(vars(default.pilot)) | set(vars(default.joystick)) | set(vars(default.limits))
+    assert set(values) == known - {"fence_min_m", "fence_max_m"}, "the fence is the net of the fleet file"
     assert (params.pilot, params.limits) == (default.pilot, default.limits), "the file only remaps the joystick"
     assert (params.joystick.JoytoWay, params.joystick.ButtonEmergency, params.joystick.TakeoffLand) == (0, 2, 6)
     assert (params.joystick.ScaleRoll, params.joystick.ScalePitch, params.joystick.ScaleYaw) == (3, 3, 1)
+
+
+def test_the_fence_is_the_net_unless_it_is_set():
+    limits = params_from_dict({}, Arena(6.0, 5.0, 4.0))[0].limits
+    assert (limits.fence_min_m, limits.fence_max_m) == ((-6.0, -5.0, -1.0), (6.0, 5.0, 4.0))
+    limits = params_from_dict({"fence_max_m": [1.0, 2.0, 3.0]}, Arena(6.0, 5.0, 4.0))[0].limits
+    assert (limits.fence_min_m, limits.fence_max_m) == ((-6.0, -5.0, -1.0), (1.0, 2.0, 3.0))
+    assert params_from_dict({})[0].limits == params_from_dict({}, Arena())[0].limits
 
 
 def test_unknown_and_bad_parameters():

@@ -12,11 +12,11 @@ from risc_control.lab.templates import load_templates
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
-from risc_control.ros.params import fleet_vehicles, load_params
+from risc_control.ros.params import has_private, known_fleet, load_params
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_estimation.ros.conversions import EstimateMessages
 from risc_estimation.ros.params import NodeParams
-from risc_estimation.states import EstimatorParams, StatesEstimator
+from risc_estimation.states import ARENA_KEYS, EstimatorParams, StatesEstimator
 from risc_lab.ros.ticker import Ticker
 
 _BUFFER_BYTES = 2**20  # holds the frames that wait while the node is held up, of a large fleet as well
@@ -27,10 +27,13 @@ class StatesEstimationNode(object):
 
     def __init__(self):
         params, estimator_params = load_params(NodeParams, EstimatorParams)
+        fleet = known_fleet()
+        if fleet is not None:
+            estimator_params = estimator_params.within(fleet.arena, keep=tuple(filter(has_private, ARENA_KEYS)))
         self._estimator = StatesEstimator(
-            load_templates(params.templates_file or None),
+            load_templates(params.templates_file or None, fleet),
             estimator_params,
-            params.vehicles or [v.template for v in fleet_vehicles()],
+            params.vehicles or [v.template for v in (fleet.vehicles if fleet else ())],
         )
         self._silence_s = params.silence_s
         self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each

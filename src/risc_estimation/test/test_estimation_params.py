@@ -7,9 +7,10 @@ import yaml
 
 pytest.importorskip("rospy")
 
+from risc_control.lab.arena import Arena  # noqa: E402
 from risc_control.ros.params import params_from_dict  # noqa: E402
 from risc_estimation.ros.params import AngleParams, NodeParams, SyntheticNodeParams  # noqa: E402
-from risc_estimation.states import EstimatorParams  # noqa: E402
+from risc_estimation.states import ARENA_KEYS, EstimatorParams  # noqa: E402
 from risc_estimation.synthetic import SyntheticParams  # noqa: E402
 
 CONFIG = pathlib.Path(__file__).resolve().parents[1] / "config"
@@ -70,4 +71,13 @@ def test_config_files_hold_every_setting_at_its_default(name):
     instances, unknown = params_from_dict(FILES[name], values)
     assert unknown == []
     assert instances == [params() for params in FILES[name]]
-    assert set(values) == {key for params in instances for key in vars(params)}
+    known = {key for params in instances for key in vars(params)}
+    assert set(values) == known - set(ARENA_KEYS), "the arena is the net of the fleet file"
+
+
+def test_the_arena_is_the_net_unless_it_is_set():
+    params = EstimatorParams(arena_y_m=1.0, max_gap_s=0.2).within(Arena(6.0, 5.0, 4.0))
+    assert (params.arena_x_m, params.arena_y_m, params.arena_z_max_m, params.max_gap_s) == (6.0, 5.0, 4.0, 0.2)
+    params = EstimatorParams(arena_y_m=1.0).within(Arena(6.0, 5.0, 4.0), keep=("arena_y_m",))
+    assert (params.arena_x_m, params.arena_y_m) == (6.0, 1.0)
+    assert EstimatorParams().within(Arena()) == EstimatorParams()

@@ -23,6 +23,14 @@ def test_three_vehicles_on_honest_plants(trajectory, seed, psi_deg):
     assert result.crashes == ()
 
 
+def test_more_vehicles_than_any_fleet_file_holds():
+    """In a generated lab: its net is that of world, estimator and pilots."""
+    result = fly(Flight("circles3", vehicles=14, seed=1, duration_s=2.0))
+    assert len(result.names) == 14 and result.crashes == ()
+    assert result.closest_m >= 0.7 and result.rmse_m.max() < 0.03
+    assert np.abs(result.actual_m[..., 1]).max() > 1.5, "beyond where the laboratory's net lets fly"
+
+
 def test_turning_noses():
     result = fly(Flight("circles3", seed=4, duration_s=12.0))
     assert result.rmse_m.max() < 0.02
@@ -79,7 +87,7 @@ def test_the_table(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--vehicles", "9"], "has 5 vehicles, 9 were asked for"),
+        (["--vehicles", "300"], "has 1 to 250 vehicles, 300 were asked for"),
         (["--delay", "2"], "command delay must be from 0"),
         (["--trajectory", "loop"], "invalid choice"),
     ],

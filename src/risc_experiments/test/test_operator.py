@@ -142,6 +142,11 @@ def test_a_whole_flight():
         assert vehicle.state == FlightState.LANDED
 
 
+def test_fifty_vehicles():
+    flight = Flight(50).finish()
+    assert flight.operator.result == "ok" and len(flight.vehicles) == 50
+
+
 def test_duration_counts_from_when_all_are_on_course():
     flight = Flight(duration=10.0).on_course()
     assert all(vehicle.course == "course" for vehicle in flight.vehicles.values())

@@ -9,10 +9,12 @@ import sys
 
 import numpy as np
 import pytest
+import yaml
 
 from data_extraction.flight import Flight, Mocap, VehicleFlight
 from data_extraction.progress import Progress
-from risc_experiments.fly import FlightError, WebPage, arguments, prepare_fleet
+from risc_control.lab import Arena, generated_fleet, load_fleet
+from risc_experiments.fly import FlightError, WebPage, arguments, launch_arguments, prepare_fleet
 from risc_experiments.judge import judge
 from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes
 from risc_experiments.progress import flight_detail
@@ -139,6 +141,14 @@ def test_progress_into_a_file_is_lines_without_control_characters():
     assert "\033" not in stream.getvalue()
 
 
+def test_progress_of_many_vehicles_is_one_line():
+    errors_mm = {"v%d" % k: float(k) for k in range(20)}
+    assert flight_detail(errors_mm, 200.0) == "20 vehicles  median  10  v19   19 mm  mocap 200 Hz"
+    errors_mm["v3"] = None
+    assert flight_detail(errors_mm, None).startswith("20 vehicles, 1 unknown  median")
+    assert flight_detail(dict.fromkeys(errors_mm), None) == "20 vehicles    - mm  mocap -"
+
+
 def test_the_page_is_told_when_it_is_there_and_not_before():
     stream, port = io.StringIO(), free_tcp_port()
     page = WebPage(port, Progress(stream))
@@ -167,6 +177,25 @@ def test_defaults_of_the_command_line():
     assert (args.experiment, args.vehicles, args.duration, args.seed, args.delay) == ("circles3", 3, 30.0, 1, None)
     demo = arguments(["df_demo"])
     assert (demo.vehicles, demo.duration) == (1, 20.0)
+
+
+def test_as_many_vehicles_as_asked_for(tmp_path):
+    fleet = prepare_fleet(arguments(["--vehicles", "8", "--trajectory", "flat8"]), "127.99", tmp_path)
+    assert [v.namespace for v in fleet.vehicles] == ["risc%d" % k for k in range(1, 9)]
+    assert fleet == load_fleet(tmp_path / "fleet.yaml") and fleet.vehicles[7].address == "127.99.1.8"
+    assert fleet.arena.half_x_m > 2.5 and "ardrone8" in fleet.templates, "the file describes the whole lab"
+    assert launch_arguments(arguments(["--vehicles", "8"]), fleet, tmp_path)["vehicles"].split()[7] == "risc8"
+    few = prepare_fleet(arguments(["--vehicles", "5"]), "127.99", tmp_path)
+    assert few.name == "ardrones5" and few.arena == Arena()
+
+
+def test_a_course_that_cannot_keep_them_apart_is_refused_before_anything_flies(tmp_path):
+    small = tmp_path / "small.yaml"
+    small.write_text(yaml.safe_dump(dict(generated_fleet(8).to_dict(), arena={"half_x_m": 2.6, "half_y_m": 2.6})))
+    with pytest.raises(ValueError, match="'knot' has no room for 8 vehicles"):
+        prepare_fleet(arguments(["--fleet", str(small), "--vehicles", "8", "--trajectory", "knot"]), "127.99", tmp_path)
+    with pytest.raises(ValueError, match="1 to 250 vehicles"):
+        prepare_fleet(arguments(["--vehicles", "300"]), "127.99", tmp_path)
 
 
 def test_bearings_need_a_calibrated_camera_on_every_vehicle(tmp_path):

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from risc_control.lab import load_fleet
+from risc_control.lab import Arena, load_fleet
 from risc_control.lab.yaml_reader import load_yaml, package_file
 from risc_simulator.video.scene import (
     Board,
@@ -197,6 +197,15 @@ def test_room_encloses_the_net():
     cords = room.cords.reshape(-1, 3)
     assert (cords >= low).all() and (cords <= high).all()
     assert np.linalg.norm(np.diff(room.cords, axis=1), axis=2).max() <= 0.5 + 1e-9
+
+
+def test_a_larger_net_has_a_larger_room_around_it():
+    fleet = load_fleet(package_file("risc_simulator", "test/two_ardrones.yaml"))
+    room, larger = (load_scene(f)[0].room for f in (fleet, replace(fleet, arena=Arena(6.0, 5.0))))
+    assert room == load_style().scene.room
+    assert larger.half_x_m - 6.0 == pytest.approx(room.half_x_m - Arena().half_x_m)
+    cords = room_geometry(larger).cords.reshape(-1, 3)
+    assert np.abs(cords).max(axis=0)[:2] == pytest.approx([6.0, 5.0])
 
 
 def test_scene_of_a_fleet():

@@ -8,7 +8,7 @@ import pytest
 
 from risc_control.frames import GRAVITY_M_S2, euler_rates_from_body_rates
 from risc_control.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_simulator import world as world_module
 from risc_simulator.models import ardrone_firmware as firmware
 from risc_simulator.world import REST_HEIGHT_M, FlightAction, FlightPhase, Setpoint, World
@@ -201,6 +201,17 @@ def test_net_stops_the_flight_and_tells(setpoint, yaw, axis, limit):
     assert vehicle.phase is FlightPhase.HOVERING and len(world.crashes) == 1
 
 
+def test_another_net_is_another_limit():
+    fleet = dataclasses.replace(make_fleet(), arena=Arena(4.0, 3.0, 5.0))
+    world = World(fleet, TYPES, TEMPLATES, honest=False)
+    vehicle = world.vehicles["risc1"]
+    vehicle.fly_at((0.0, 0.0, 4.0), 0.0)
+    vehicle.schedule(0.0, Setpoint(pitch_rad=-0.3))
+    world.step_to(6.0)
+    (crash,) = world.crashes
+    assert crash.position_m[0] == pytest.approx(4.0, abs=0.02)
+
+
 def test_ceiling_is_the_top_of_the_net():
     world, vehicle = flying((0, 0, 2.5))
     vehicle.schedule(0.0, Setpoint(climb_m_s=1.0))
@@ -295,17 +306,6 @@ def test_only_vehicles_in_the_air_collide_or_count_for_the_separation():
     first.fly_at((-0.5, 0.5, 1.0))
     world.step_to(11.0)
     assert world.least_separation_m == pytest.approx(1.0, abs=0.02) and not world.crashes
-
-
-def test_collisions_can_be_left_out():
-    world = make_world(2, collisions=False)
-    for vehicle in world.vehicles.values():
-        vehicle.fly_at((0.0, 0.0, 1.0))
-    world.step_to(0.5)
-    assert not world.crashes and world.least_separation_m is None
-
-
-# ------------------------------------------------------------------ signs and what is seen
 
 
 @pytest.mark.parametrize("yaw, forward", [(0.0, (1, 0)), (np.pi / 2, (0, -1)), (np.pi, (-1, 0)), (-np.pi / 2, (0, 1))])

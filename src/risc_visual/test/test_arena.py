@@ -5,6 +5,7 @@ import pytest
 import yaml
 
 from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
+from risc_control.lab.arena import Arena as LabArena
 from risc_control.lab.yaml_reader import package_file
 from risc_visual.arena import arena_from_dict, load_arena
 
@@ -28,6 +29,16 @@ def test_walls_are_those_of_the_original(arena):
 
 def test_the_net_that_is_drawn_is_the_one_that_is_flown_in(arena):
     assert (arena.net.half_x_m, arena.net.half_y_m, arena.net.height_m) == (NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M)
+
+
+def test_around_another_net_everything_is_further_out(arena):
+    assert arena.around(LabArena()) == arena
+    larger = arena.around(LabArena(5.0, 4.5, 4.0))
+    assert (larger.net.half_x_m, larger.net.half_y_m, larger.net.height_m) == (5.0, 4.5, 4.0)
+    for camera, before in zip(larger.cameras, arena.cameras):
+        assert np.abs(camera.position_m)[:2] - np.abs(before.position_m)[:2] == pytest.approx([2.507046, 2.44822])
+    assert (larger.grid.from_m, larger.grid.to_m, larger.grid.edge_m) == (-5.0, 5.0, 5.5)
+    assert larger.grid.labels()[0] == ("5.0", (5.0, 5.5, 0.0))
 
 
 def test_edges_join_the_eight_corners(arena):

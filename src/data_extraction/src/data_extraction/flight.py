@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 from data_extraction.bearings import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
 from data_extraction.samples import Arrivals, Samples
+from risc_control.lab.arena import Arena
 
 SETTLED_ERROR_M = 0.05  # settled: the position error stays below this ...
 SETTLED_HOLD_S = 1.0  # ... for this long
@@ -94,6 +95,7 @@ class Flight:
     paths: Dict[str, Series] = field(default_factory=dict)  # x, y, z [m], yaw [rad] of all that was seen, to be drawn
     landmarks: Dict[str, np.ndarray] = field(default_factory=dict)  # (3,) [m] cortex frame
     command_latency_s: Dict[str, np.ndarray] = field(default_factory=dict)  # {topic of commands: (n,) [s]}
+    arena: Arena = Arena()
     notes: List[str] = field(default_factory=list)  # what could not be evaluated, and why
 
 
@@ -106,6 +108,7 @@ class FlightCollector:
         bearing_delay_s: how much later than their exposure pictures are stamped. with_bearings: False saves the memory
         for every pose when the bag is known to hold no bearings.
         """
+        self._arena = fleet.arena if fleet else Arena()
         self._bearings = BearingCollector(fleet)
         self._bearing_delay_s = bearing_delay_s
         self._with_bearings = with_bearings
@@ -208,6 +211,7 @@ class FlightCollector:
             bearings=self._bearings.statistics(self._bearing_delay_s),
             paths=paths,
             landmarks=self._bearings.landmarks(),
+            arena=self._arena,
             notes=notes,
         )
 

@@ -1,6 +1,7 @@
 """Plots of a flight that a person would put into a report. Writes PNG files or SVG texts; needs no display."""
 
 import io
+import math
 import pathlib
 
 import matplotlib
@@ -10,12 +11,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first)
 import numpy as np  # noqa: E402
 
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M  # noqa: E402
 from risc_control.safety import Rung  # noqa: E402
 
 _HEIGHT_M = 2.5  # of the arena, as far as it is shown
 _MOST_POINTS = 2500  # of one line: more cannot be told apart on paper
 _MARGIN_M = 0.15  # outside the net, that a plan shows
+_FEW = 6  # vehicles that have a colour and a line in a legend each; of more,
+_WORST = 3  # so many
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 RUNG_COLOURS = {Rung.OK: "#cfe3d4", Rung.HOLD: "#e0a526", Rung.LAND: "#b3261e"}
 STYLE = {
@@ -40,21 +42,25 @@ def draw_all(flight, folder, title):
     """Draw every plot of a flight into a folder. Returns the list of the files' paths."""
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    files = []
     with style():
-        figures = {"paths": paths(flight, title)}
-        for name, vehicle in flight.vehicles.items():
-            figures["axes_" + name] = axes_over_time(name, vehicle, title)
-        figures["errors"] = errors(flight, title)
-        if any(len(values) for values in flight.latency_s.values()):
-            figures["latency"] = latency(flight, title)
-        if flight.bearings is not None and flight.bearings.has_judged:
-            figures["bearings"] = bearings(flight.bearings, title)
-        files = []
-        for name, figure in figures.items():
+        for name, figure in _figures(flight, title):
             files.append(folder / (name + ".png"))
             figure.savefig(files[-1])
             plt.close(figure)
     return files
+
+
+def _figures(flight, title):
+    """(name, figure) of every plot, each drawn when it is asked for."""
+    yield "paths", paths(flight, title)
+    for name, vehicle in flight.vehicles.items():
+        yield "axes_" + name, axes_over_time(name, vehicle, title)
+    yield "errors", errors(flight, title)
+    if any(len(values) for values in flight.latency_s.values()):
+        yield "latency", latency(flight, title)
+    if flight.bearings is not None and flight.bearings.has_judged:
+        yield "bearings", bearings(flight.bearings, title)
 
 
 def as_svg(figure):
@@ -71,18 +77,31 @@ def paths(flight, title):
     figure = plt.figure(figsize=(10.5, 5.2))
     figure.suptitle(title)
     space = figure.add_axes((0.0, 0.0, 0.58, 0.95), projection="3d")
-    plan = figure.add_axes((0.62, 0.17, 0.36, 0.72))
+    plan = figure.add_axes((0.65, 0.17, 0.33, 0.72))
     for colour, (name, vehicle) in zip(_colours(), flight.vehicles.items()):
         for axes, columns in ((space, 3), (plan, 2)):
             _draw_path(axes, vehicle, columns, colour, name)
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    space.set(xlim=(-NET_HALF_X_M, NET_HALF_X_M), ylim=(-NET_HALF_Y_M, NET_HALF_Y_M), zlim=(0.0, _HEIGHT_M))
-    space.set_box_aspect((2 * NET_HALF_X_M, 2 * NET_HALF_Y_M, _HEIGHT_M), zoom=1.05)
-    _draw_net(plan)
+    x, y = flight.arena.half_x_m, flight.arena.half_y_m
+    space.set(xlim=(-x, x), ylim=(-y, y), zlim=(0.0, _HEIGHT_M))
+    space.set_box_aspect((2 * x, 2 * y, _HEIGHT_M), zoom=1.05)
+    _draw_net(plan, flight.arena)
     plan.set_title("from above (frame: net)")
-    plan.plot([], [], color="#777777", lw=0.8, ls="--", label="desired")
-    plan.legend(loc="upper center", bbox_to_anchor=(0.45, -0.12), ncol=4)
+    if len(flight.vehicles) > _FEW:
+        _name_in_place(plan, flight.vehicles)
+    else:
+        plan.plot([], [], color="#777777", lw=0.8, ls="--", label="desired")
+        plan.legend(loc="upper center", bbox_to_anchor=(0.45, -0.12), ncol=4)
     return figure
+
+
+def _name_in_place(plan, vehicles):
+    """Write the name of each vehicle where it was judged, seen from above; there are too many for a legend."""
+    size = max(3.0, 20.0 / math.sqrt(len(vehicles)))
+    for name, vehicle in vehicles.items():
+        where = vehicle.judged if vehicle.judged.any() else slice(None)
+        x_m, y_m = np.nanmean(vehicle.actual_m[where, :2], axis=0)
+        plan.text(y_m, x_m, name, ha="center", va="center", fontsize=size)
 
 
 def axes_over_time(name, vehicle, title):
@@ -107,7 +126,11 @@ def axes_over_time(name, vehicle, title):
 def errors(flight, title):
     """Position error of each vehicle over time, and its figures."""
     figure, axes = plt.subplots(figsize=(9.0, 3.6), layout="constrained")
-    for colour, (name, vehicle) in zip(_colours(), flight.vehicles.items()):
+    vehicles = flight.vehicles
+    if len(vehicles) > _FEW:
+        _draw_spread(axes, vehicles)
+        vehicles = dict(sorted(vehicles.items(), key=lambda item: -(item[1].position_rmse_m or 0.0))[:_WORST])
+    for colour, (name, vehicle) in zip(_colours(), vehicles.items()):
         label = name
         if vehicle.position_rmse_m is not None:
             label = "%s: RMSE %.1f mm, max %.1f mm" % (
@@ -124,8 +147,20 @@ def errors(flight, title):
     axes.set_ylim(0.0, 1e3 * top)
     _shade(axes, next(iter(flight.vehicles.values())))
     axes.set(title=_joined(title, "distance from the desired position") or "", xlabel="time [s]", ylabel="error [mm]")
-    axes.legend(loc="upper right")
+    axes.legend(loc="upper right", frameon=True, framealpha=0.85, edgecolor="none")
     return figure
+
+
+def _draw_spread(axes, vehicles):
+    """All errors in grey, and between which of them the middle half of the vehicles is."""
+    t_s = next(iter(vehicles.values())).t_s
+    t_s = t_s[_some(len(t_s))]
+    rows = [1e3 * np.interp(t_s, v.t_s, v.error_m, left=np.nan, right=np.nan) for v in vehicles.values()]
+    for row in rows:
+        axes.plot(t_s, row, color="#bbbbbb", lw=0.4)
+    low, middle, high = np.percentile(rows, [25, 50, 75], axis=0)
+    axes.fill_between(t_s, low, high, color="#777777", alpha=0.5, lw=0.0, label="half of the %d vehicles" % len(rows))
+    axes.plot(t_s, middle, color="#333333", lw=1.0, label="median")
 
 
 def latency(flight, title):
@@ -198,7 +233,7 @@ def bearings(statistics, title):
 def arena_map(flight):
     """The arena from above: net, landmarks, desired and actual paths, also of vehicles without a reference."""
     figure, plan = plt.subplots(figsize=(6.6, 7.6), layout="constrained")
-    _draw_net(plan)
+    _draw_net(plan, flight.arena)
     for name, place_m in sorted(flight.landmarks.items()):
         plan.plot(place_m[1], place_m[0], "s", color="#555555", ms=6)
         towards = -1.0 if place_m[0] > 0.0 else 1.0
@@ -220,14 +255,14 @@ def arena_map(flight):
     return figure
 
 
-def drop_map(drops, edges_x_m, edges_y_m):
+def drop_map(drops, edges_x_m, edges_y_m, arena):
     """Where in the arena markers were lost [%], and where vehicles became invisible. drops: report.drops.Drops."""
     figure, plan = plt.subplots(figsize=(6.6, 6.6), layout="constrained")
     total = drops.seen_map + drops.lost_map
     share = np.ma.masked_where(total < drops.least_markers, 100.0 * drops.lost_map / np.maximum(total, 1))
     top = max(1.0, float(share.max())) if share.count() else 1.0
     mesh = plan.pcolormesh(edges_y_m, edges_x_m, share, cmap="YlOrRd", vmin=0.0, vmax=top, edgecolors="white", lw=0.5)
-    _draw_net(plan)
+    _draw_net(plan, arena)
     plan.grid(visible=False)
     figure.colorbar(mesh, ax=plan, label="markers lost [%]", shrink=0.75)
     places_m = drops.lost_places_m
@@ -313,14 +348,13 @@ def _draw_path(axes, vehicle, columns, colour, name):
     axes.plot(*_drawn(judged_m, columns), color=colour, lw=1.4, label=name)
 
 
-def _draw_net(plan):
+def _draw_net(plan, arena):
     """The net seen from above with x up and y to the left, as one stands in the arena looking forward."""
-    plan.add_patch(
-        plt.Rectangle((-NET_HALF_Y_M, -NET_HALF_X_M), 2 * NET_HALF_Y_M, 2 * NET_HALF_X_M, fill=False, color="#999999")
-    )
+    x, y = arena.half_x_m, arena.half_y_m
+    plan.add_patch(plt.Rectangle((-y, -x), 2 * y, 2 * x, fill=False, color="#999999"))
     plan.set(xlabel="y [m]", ylabel="x [m]", aspect="equal")
-    plan.set(xlim=(NET_HALF_Y_M + _MARGIN_M, -NET_HALF_Y_M - _MARGIN_M))
-    plan.set(ylim=(-NET_HALF_X_M - _MARGIN_M, NET_HALF_X_M + _MARGIN_M))
+    plan.set(xlim=(y + _MARGIN_M, -y - _MARGIN_M))
+    plan.set(ylim=(-x - _MARGIN_M, x + _MARGIN_M))
 
 
 def _drawn(position_m, columns):

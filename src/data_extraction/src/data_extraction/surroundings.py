@@ -36,7 +36,7 @@ class Surroundings:
         self._template = {vehicle.namespace: vehicle.template for vehicle in vehicles} or dict(LEGACY_VEHICLES)
         self._fleet_calibrations = {vehicle.namespace: fleet_calibration(vehicle) for vehicle in vehicles}
         self._mounts = {vehicle.namespace: fleet_mount(vehicle) for vehicle in vehicles}
-        self._templates = load_templates()
+        self._templates = load_templates(fleet=fleet)
         self.catalogue = load_landmark_catalogue()
         self.tracks = {topic: defaultdict(PoseTrack) for topic in states_topics}
         self._landmarks = defaultdict(lambda: Samples(3, _LANDMARK_ROWS))

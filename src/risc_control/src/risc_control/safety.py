@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 from typing import Tuple
 
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
+from risc_control.lab.arena import Arena
 from risc_control.message_age import MessageAges
 
 
@@ -33,6 +33,14 @@ class Rung(enum.IntEnum):
 
 _OK, _HOLD, _LAND = Rung  # the members of an enumeration are slow to look up, and this is asked in every frame
 _FINE = (_OK, "", "", None)  # what `SafetyLadder._judge` says of a flight without trouble
+
+
+def fence_of(arena):
+    """The fence of `SafetyLimits` that is the net of an Arena; the floor is no fence."""
+    return {
+        "fence_min_m": (-arena.half_x_m, -arena.half_y_m, -1.0),
+        "fence_max_m": (arena.half_x_m, arena.half_y_m, arena.height_m),
+    }
 
 
 @dataclass(frozen=True)
@@ -49,8 +57,8 @@ class SafetyLimits:
     clock_tolerance_s: float = 0.1  # [s] a stamp that far in the future means that clocks differ
     battery_min_pct: float = 10.0  # [%] at or below: LAND; 0 = off
     battery_delay_s: float = 0.5  # [s] reported low for so long: LAND (one false report is no reason)
-    fence_min_m: Tuple[float, float, float] = (-NET_HALF_X_M, -NET_HALF_Y_M, -1.0)  # [m] the net; the floor is no fence
-    fence_max_m: Tuple[float, float, float] = (NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M)  # [m] cortex frame
+    fence_min_m: Tuple[float, float, float] = fence_of(Arena())["fence_min_m"]  # [m] the net, cortex frame
+    fence_max_m: Tuple[float, float, float] = fence_of(Arena())["fence_max_m"]  # [m]
     fence_margin_m: float = 0.2  # [m] the vehicle's centre must stay this far inside
     fence_lookahead_s: float = 0.5  # [s] ... and so must the place that it reaches this much later at its velocity
     fence_delay_s: float = 0.05  # [s] outside for so long: LAND (one false measurement is no reason)

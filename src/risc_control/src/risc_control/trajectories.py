@@ -2,7 +2,7 @@
 
 A course is a set of paths, one a vehicle, that keep the vehicles apart. `COURSES` holds them by name: each entry makes
 the course for a number of vehicles, `make_course("flat8", 3)`. Add a function to `COURSES` and it is a name for every
-node and for `--trajectory`.
+node and for `--trajectory`. `course_for_fleet` makes copies of a figure when there are too many vehicles for one.
 
 Frame: cortex (x forward, y left, z up), metres, seconds. Yaw psi is + clockwise seen from above (NED sense), radians;
 at yaw psi the nose points along (cos psi, -sin psi). Arrays of derivatives have the order (0 = position ... 4 = snap)
@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from risc_control.compiled import compiled
+from risc_control.lab.generated import SPACING_M, rows
 from risc_control.motions import (
     BY_FUNCTION,
     HARMONIC,
@@ -34,6 +35,11 @@ from risc_control.motions import (
 # Courses of chapter 6 and of the original release.
 COURSE_HEIGHT_M = 1.0
 SAFE_SEPARATION_M = 0.75  # between centres: AR.Drones are 0.55 m wide with their hull
+FEW_VEHICLES = 5  # so many fly one figure in the laboratory's net, however near each other it brings them
+_FROM_NET_M = 0.7  # a course keeps so far inside the net: the fence is 0.2 m inside and looks half a second ahead
+_FROM_TOP_M = 0.5
+_BETWEEN_COPIES_M = 1.2  # of a figure,
+_WITHIN_COPIES_M = 0.85  # and between the vehicles of each: there is room for the ways of others
 
 
 class _TablePaths:
@@ -59,6 +65,20 @@ class _TablePaths:
     def reordered(self, order):
         """The same paths in another order of the vehicles."""
         return _TablePaths(self.links[np.asarray(order)], self.table, self.period_s)
+
+    def moved(self, offset_m):
+        """The same paths somewhere else."""
+        links, table = self.links.copy(), self.table.copy()
+        links["position_m"] += offset_m
+        for link in links[links["kind"] == TOUR]:
+            table[link["first"] : link["first"] + link["rows"], :3] += offset_m
+        return _TablePaths(links, table, self.period_s)
+
+    def beside(self, other):
+        """These paths and others of the same period."""
+        links = np.concatenate([self.links, other.links])
+        links["first"][len(self) :] += len(self.table)
+        return _TablePaths(links, np.concatenate([self.table, other.table]), self.period_s)
 
 
 class HarmonicPaths(_TablePaths):
@@ -198,7 +218,9 @@ def slanted8(vehicles, length_m=1.5, width_m=0.75, slant_m=0.5, period_s=10.0, h
 
 
 def origin(vehicles, height_m=COURSE_HEIGHT_M, spacing_m=0.95):
-    """Above the origin; several vehicles stand on a circle around it, spacing_m apart."""
+    """Above the origin; several vehicles stand on a circle around it, spacing_m apart, more than five in rows."""
+    if vehicles > FEW_VEHICLES:
+        return points("origin", _rows(vehicles, height_m, spacing_m))
     radius_m = 0.0 if vehicles == 1 else 0.5 * spacing_m / math.sin(math.pi / vehicles)
     return points("origin", _ring(vehicles, radius_m, height_m))
 
@@ -214,18 +236,21 @@ def circles3(vehicles, radius_m=0.35, period_s=8.0, height_m=COURSE_HEIGHT_M, ce
     """A circle for each vehicle, centres around the origin, noses turning.
 
     All are at the same phase, so their distance is that of the centres at all times: 0.866 m for three with centres
-    0.5 m from the origin. With more vehicles the centres move out to keep it. One turn of the nose takes turn_s: the
-    original's 8 s is more than twice the yaw rate that an AR.Drone is given.
+    0.5 m from the origin. With more vehicles the centres move out to keep it; those of more than five are in rows, as
+    the starts of a generated fleet, and the noses turn together. One turn of the nose takes turn_s: the original's 8 s
+    is more than twice the yaw rate that an AR.Drone is given.
     """
     closest_m = 2.0 * centre_m * math.sin(math.pi / 3.0)
-    if vehicles > 3:
-        centre_m = 0.5 * closest_m / math.sin(math.pi / vehicles)
+    offsets = tuple(2.0 * math.pi * k / vehicles for k in range(vehicles))
+    if vehicles > FEW_VEHICLES:
+        centres, offsets = _rows(vehicles, height_m, max(SPACING_M, closest_m)), (0.0,)
+    elif vehicles > 3:
+        centres = _ring(vehicles, 0.5 * closest_m / math.sin(math.pi / vehicles), height_m)
+    else:
+        centres = _ring(vehicles, centre_m, height_m)
     amplitude = np.array([radius_m, radius_m, 0.0]).reshape(1, 3, 1)
     phase = np.array([0.0, -0.5 * math.pi, 0.0]).reshape(1, 3, 1)
-    paths = HarmonicPaths(
-        _ring(vehicles, centre_m, height_m), amplitude, 2.0 * math.pi / period_s, phase, period_s=period_s
-    )
-    offsets = tuple(2.0 * math.pi * k / vehicles for k in range(vehicles))
+    paths = HarmonicPaths(centres, amplitude, 2.0 * math.pi / period_s, phase, period_s=period_s)
     return Course("circles3", paths, np.zeros(vehicles), YawProgram(offsets, 2.0 * math.pi / turn_s))
 
 
@@ -291,6 +316,85 @@ def make_course(name, vehicles, yaw=None, **options):
     return course if yaw is None else course.with_yaw(yaw)
 
 
+def course_for_fleet(name, vehicles, arena, yaw=None, **options):
+    """As `make_course`; where one figure cannot keep so many apart inside an Arena, they fly copies of it.
+
+    Copies are side by side first, then above each other. Raises ValueError when there is no room. Up to FEW_VEHICLES
+    fly one figure in any case.
+    """
+    if vehicles <= FEW_VEHICLES:
+        return make_course(name, vehicles, yaw, **options)
+    figure = make_course(name, 1, yaw, **options)  # whatever else is wrong is said here
+    whole = _if_for(name, vehicles, yaw, options)
+    if whole and _room(whole, arena):
+        return whole
+    most, course, apart_m = 0, figure, SAFE_SEPARATION_M if figure.by_function else _WITHIN_COPIES_M
+    while course and course_separation(course, 400) >= apart_m:
+        if _room(course, arena):
+            most, figure = len(course), course
+        course = _if_for(name, len(course) + 1, yaw, options) if len(course) < vehicles else None
+    offsets = [] if figure.by_function or not most else _places_for_copies(figure, arena)
+    if most * len(offsets) < vehicles:
+        raise ValueError(
+            "'%s' has no room for %d vehicles, %g m apart, in a net of %.1f x %.1f x %.1f m: at most %d"
+            % (name, vehicles, SAFE_SEPARATION_M, 2.0 * arena.half_x_m, 2.0 * arena.half_y_m, arena.height_m,
+               most * max(1, len(offsets)))
+        )  # fmt: skip
+    copies = math.ceil(vehicles / most)
+    sizes = [vehicles // copies + (k < vehicles % copies) for k in range(copies)]
+    return _copied([make_course(name, size, yaw, **options) for size in sizes], offsets)
+
+
+def _if_for(name, vehicles, yaw, options):
+    """The course, None when it is not for so many vehicles."""
+    try:
+        return make_course(name, vehicles, yaw, **options)
+    except ValueError:
+        return None
+
+
+def _extent(course, samples=400):
+    """(least, largest) corner (3,) [m] of all paths."""
+    times = np.linspace(0.0, course.period_s, samples, endpoint=False)
+    positions = np.array([course.at(time_s)[0][0] for time_s in times])
+    return positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
+
+
+def _limits(arena):
+    half = np.array([arena.half_x_m, arena.half_y_m]) - _FROM_NET_M
+    return np.array([*-half, 0.0]), np.array([*half, arena.height_m - _FROM_TOP_M])
+
+
+def _room(course, arena):
+    """Whether a course keeps its vehicles apart and inside an arena."""
+    (low, high), (least, largest) = _limits(arena), _extent(course)
+    inside = (least >= low - 1e-9).all() and (largest <= high + 1e-9).all()
+    return inside and course_separation(course, 400) >= SAFE_SEPARATION_M
+
+
+def _places_for_copies(figure, arena):
+    """(k, 3) offsets at which copies of a course fit into an arena, those of the lowest layer first."""
+    (low, high), (least, largest) = _limits(arena), _extent(figure)
+    pitch = largest - least + _BETWEEN_COPIES_M
+    counts = np.floor((high - low - (largest - least)) / pitch + 1e-9).astype(int)[:2] + 1
+    layers = 1 + int((high[2] - largest[2]) / pitch[2] + 1e-9)
+    along_x, along_y = (pitch[k] * (np.arange(counts[k]) - 0.5 * (counts[k] - 1)) for k in range(2))
+    middle = 0.5 * (least + largest)
+    flat = sorted(((x, y) for x in along_x for y in along_y), key=lambda place: (math.hypot(*place), place))
+    return [(x - middle[0], y - middle[1], pitch[2] * layer) for layer in range(layers) for x, y in flat]
+
+
+def _copied(courses, offsets):
+    """One Course of several, each somewhere else."""
+    paths = courses[0].paths.moved(offsets[0])
+    for course, offset in zip(courses[1:], offsets[1:]):
+        paths = paths.beside(course.paths.moved(offset))
+    yaw = courses[0].yaw
+    if len(yaw.offsets_rad) > 1:
+        yaw = replace(yaw, offsets_rad=tuple(angle for course in courses for angle in course.yaw.offsets_rad))
+    return Course(courses[0].name, paths, np.concatenate([course.shifts_s for course in courses]), yaw)
+
+
 def peak_yaw_rate_rad_s(course, samples=400):
     """Largest yaw rate [rad/s] that a course asks for."""
     times = np.linspace(0.0, course.period_s, samples, endpoint=False)
@@ -351,6 +455,10 @@ def _spread(name, paths, vehicles):
     if separation(int(round(step))) < SAFE_SEPARATION_M:
         step = max(range(1, grid), key=separation)
     return Course(name, paths, paths.period_s * np.arange(vehicles) * step / grid, YawProgram())
+
+
+def _rows(vehicles, height_m, spacing_m):
+    return np.column_stack([rows(vehicles, spacing_m), np.full(vehicles, height_m)])
 
 
 def _ring(vehicles, radius_m, height_m):

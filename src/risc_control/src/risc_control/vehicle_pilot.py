@@ -22,7 +22,7 @@ from risc_control.joystick import (
 )
 from risc_control.mappings.climb_rate import climb_rate_command
 from risc_control.message_age import MessageAges
-from risc_control.safety import Rung, SafetyLadder, SafetyLimits
+from risc_control.safety import Rung, SafetyLadder, SafetyLimits, fence_of
 
 LEGACY_VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"}  # of the lab, when no fleet is loaded
 
@@ -58,7 +58,7 @@ class PilotParams:
     euler_angle_max: float = 0.349066  # [rad] full scale of the tilt commands, as the driver has it: check_full_scale
     delay: float = 0.3  # [s] delta of eq. 5.4; equal to the climb loop's time constant it inverts that loop exactly
     command_delay: float = -1.0  # [s] of the link to the vehicle; negative: that of the vehicle type
-    command_rate_hz: float = 30.0  # [Hz] what the vehicle takes
+    command_rate_hz: float = 29.5  # [Hz] a little slower than the vehicle takes them, see config/vehicle_node.yaml
     status_rate_hz: float = 30.0  # [Hz] how often the mode is told; a change is told at once
     land_repeat_s: float = 0.2  # [s] how often a landing of the ladder is ordered
     takeoff_grace_s: float = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
@@ -103,12 +103,13 @@ class VehicleNodeParams:
     limits: SafetyLimits = field(default_factory=SafetyLimits)
 
 
-def params_from_dict(values):
+def params_from_dict(values, arena=None):
     """Parameters by their names on the parameter server -> (`VehicleNodeParams`, names that mean nothing).
 
-    Raises ValueError that names the parameter.
+    arena: Arena whose net is the fence unless the parameters say else; None = the laboratory's. Raises ValueError that
+    names the parameter.
     """
-    values = dict(values)
+    values = dict(fence_of(arena) if arena else {}, **values)
     for name in ("Simulation", "hold_auto_hover"):
         if name in values:
             values[name] = parse_bool(values[name], name)
@@ -199,16 +200,16 @@ class Orders:
 class SlotClock:
     """Lets one of many ticks through per slot, so that the average rate is exact whatever the ticks' rate."""
 
-    def __init__(self, rate_hz):
+    def __init__(self, rate_hz, begin_s=0.0):
+        """begin_s: when a slot begins; clocks with the same one let the same tick through."""
         self._period_s = 1.0 / rate_hz
-        self._next_s = -math.inf
+        self._next_s = begin_s
 
     def due(self, now_s):
         """True when a slot has begun that was not used; uses it."""
         if now_s < self._next_s:
             return False
-        late_s = now_s - self._next_s
-        self._next_s = now_s + self._period_s if late_s > self._period_s else self._next_s + self._period_s
+        self._next_s += self._period_s * (1 + (now_s - self._next_s) // self._period_s)
         return True
 
     @property
@@ -217,8 +218,8 @@ class SlotClock:
         return self._next_s
 
     def restart(self, now_s):
-        """A slot was used out of turn: the next one is a full period away."""
-        self._next_s = now_s + self._period_s
+        """A slot was used out of turn: the next one is half a period away or more."""
+        self._next_s += self._period_s * math.ceil((now_s - self._next_s) / self._period_s + 0.5)
 
 
 class ClimbPredictor:
@@ -256,7 +257,8 @@ class ClimbPredictor:
 class VehiclePilot:
     """Joystick state machine, input mapping and loss ladder of one vehicle."""
 
-    def __init__(self, params, vehicle_type, now_s):
+    def __init__(self, params, vehicle_type, now_s, slot_s=0.0):
+        """slot_s: when a slot for commands begins, see `SlotClock`."""
         self._params = params.pilot
         self._type = vehicle_type
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
@@ -273,8 +275,8 @@ class VehiclePilot:
         self._simulator_reset = False
         self._ended = False
         self._land_s = -math.inf
-        self._slots = SlotClock(self._params.command_rate_hz)
-        self._status_slots = SlotClock(self._params.status_rate_hz)
+        self._slots = SlotClock(self._params.command_rate_hz, slot_s)
+        self._status_slots = SlotClock(self._params.status_rate_hz, slot_s)
         half_period_s = 0.5 / self._params.command_rate_hz  # a command waits for the vehicle's next slot
         delay_s = self._params.command_delay if self._params.command_delay >= 0.0 else vehicle_type.command_delay_s
         self._climb = ClimbPredictor(vehicle_type.climb_time_constant_s, delay_s + half_period_s)

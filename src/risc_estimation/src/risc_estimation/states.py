@@ -24,6 +24,9 @@ _LAYOUTS = 64  # that are remembered
 LEGACY_WINDOW_S = 0.25  # the original release: a line through 50 samples at 200 Hz
 
 
+ARENA_KEYS = ("arena_x_m", "arena_y_m", "arena_z_max_m")  # settings that are those of the net, unless set
+
+
 @dataclass(frozen=True)
 class EstimatorParams:
     """Settings of `StatesEstimator`; config/states_estimation.yaml explains and holds the same values."""
@@ -49,6 +52,11 @@ class EstimatorParams:
     arena_z_min_m: float = -0.1  # [m] floor; a landed vehicle must stay visible
     arena_z_max_m: float = NET_HEIGHT_M  # [m] top of the net
     arena_margin_m: float = 0.05  # [m] how far outside a vehicle still counts as inside
+
+    def within(self, arena, keep=()):
+        """The same settings for another Arena, but for the fields named in `keep`."""
+        net = zip(ARENA_KEYS, (arena.half_x_m, arena.half_y_m, arena.height_m))
+        return replace(self, **{name: value for name, value in net if name not in keep})
 
     def __post_init__(self):
         for name in (

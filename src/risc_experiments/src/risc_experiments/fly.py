@@ -19,7 +19,8 @@ from data_extraction.progress import Progress
 from data_extraction.report.origin import PROCESSORS
 from risc_control.lab import load_fleet
 from risc_control.lab.calibration import load_calibration
-from risc_control.trajectories import COURSES
+from risc_control.trajectories import COURSES, course_for_fleet
+from risc_experiments.fleets import default_fleet
 from risc_experiments.flight_record import write_flight, write_parameters
 from risc_experiments.headroom import READY_S, Headroom, next_rate_hz
 from risc_experiments.operator import OperatorParams, time_limit_s
@@ -67,7 +68,7 @@ def arguments(argv):
     add("--rviz", action="store_true", help="open rviz")
     add("--browser", action="store_true", help="show the flight as a web page, whose address is printed")
     add("--fps", type=float, metavar="HZ", help="pictures a second of each camera (coop; default: 15)")
-    add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/)")
+    add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/, from 6 on generated)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
     args = parser.parse_args(argv)
     if args.vehicles is None:
@@ -114,18 +115,24 @@ def prepare_folder(args):
 def prepare_fleet(args, subnet, folder):
     """The fleet of this flight, moved to its own loopback subnet and written beside the results.
 
-    Raises ValueError for a bad file, FlightError when a vehicle has no calibration and the experiment needs one.
+    Raises ValueError for a bad file or a course that is not for so many, FlightError when a vehicle has no calibration
+    and the experiment needs one.
     """
-    path = args.fleet or ROOT / "launch" / "fleets" / ("ardrones3.yaml" if args.vehicles <= 3 else "ardrones5.yaml")
-    fleet = load_fleet(path).with_vehicles(args.vehicles).in_subnet(subnet)
+    trajectory = args.trajectory or "circles3"
+    if args.fleet is None:
+        fleet = default_fleet(args.vehicles, trajectory, ROOT / "launch" / "fleets")
+    else:
+        fleet = load_fleet(args.fleet).with_vehicles(args.vehicles)
+    course_for_fleet(trajectory, args.vehicles, fleet.arena)  # better now than in the air
+    fleet = fleet.in_subnet(subnet)
     if args.mocap_rate is not None:
         fleet = replace(fleet, mocap=replace(fleet.mocap, rate_hz=args.mocap_rate))
     if args.experiment in WITH_CAMERAS:
         for vehicle in fleet.vehicles:
             if not vehicle.calibration:
                 raise FlightError(
-                    "%s measures bearings, but %s has no camera calibration: give it one in %s, or fly fewer vehicles"
-                    % (args.experiment, vehicle.namespace, path)
+                    "%s measures bearings, but %s has no camera calibration: give it one in the fleet file%s, or fly "
+                    "fewer vehicles" % (args.experiment, vehicle.namespace, " %s" % args.fleet if args.fleet else "")
                 )
             load_calibration(vehicle.calibration)  # the driver would fly without it, and no bearing would come
     (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False), encoding="utf-8")

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
-
 
 @dataclass(frozen=True)
 class Limits:
@@ -30,7 +28,7 @@ def judge(flight, operator_result, limits=None, with_cameras=False):
     if operator_result != "ok":
         reasons.append(operator_result or "the operator never finished")
     for name, vehicle in flight.vehicles.items():
-        reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits)]
+        reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena)]
         if with_cameras:
             reasons += ["%s: %s" % (name, reason) for reason in _judge_bearings(name, flight.bearings, limits)]
     return reasons
@@ -51,7 +49,7 @@ def _judge_bearings(name, bearings, limits):
             )
 
 
-def _judge_vehicle(vehicle, limits):
+def _judge_vehicle(vehicle, limits, arena):
     if not vehicle.course.any():
         yield "never reached its course"
         return
@@ -65,7 +63,7 @@ def _judge_vehicle(vehicle, limits):
         if vehicle.yaw_rmse_rad > limits.yaw_rmse_rad:
             yield "yaw RMSE %.1f deg is over %.1f deg" % tuple(np.degrees([vehicle.yaw_rmse_rad, limits.yaw_rmse_rad]))
     reach = abs(vehicle.actual_m[:, :2]).max(axis=0)
-    if reach[0] > NET_HALF_X_M - limits.net_margin_m or reach[1] > NET_HALF_Y_M - limits.net_margin_m:
+    if reach[0] > arena.half_x_m - limits.net_margin_m or reach[1] > arena.half_y_m - limits.net_margin_m:
         yield "came closer than %.0f mm to the net" % (1e3 * limits.net_margin_m)
     if vehicle.actual_m[-1, 2] > limits.landed_height_m:
         yield "was still %.2f m up at the end" % vehicle.actual_m[-1, 2]

@@ -23,15 +23,23 @@ from typing import NamedTuple, Optional
 import numpy as np
 
 from data_extraction.progress import Progress, bar
-from risc_control.lab import load_fleet, load_templates, load_vehicle_type
+from risc_control.lab import load_templates, load_vehicle_type
 from risc_control.lab.yaml_reader import package_file
 from risc_control.reference import ReferenceBuffer
 from risc_control.states import S, States
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
-from risc_control.trajectories import COURSES, YawProgram, make_course
+from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
-from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehicleNodeParams, VehiclePilot
-from risc_estimation.states import StatesEstimator
+from risc_control.vehicle_pilot import (
+    FlightState,
+    OwnControl,
+    OwnState,
+    VehicleNodeParams,
+    VehiclePilot,
+    params_from_dict,
+)
+from risc_estimation.states import EstimatorParams, StatesEstimator
+from risc_experiments.fleets import default_fleet
 from risc_simulator.cortex_wire import FrameEncoder
 from risc_simulator.models.flight import FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
@@ -89,25 +97,25 @@ def fly(flight):
     """Fly a Flight. Returns its Result. Raises ValueError when it cannot be flown, and RuntimeError when it crashes."""
     started = time.perf_counter()
     fleet, types, vehicle_types = _lab(flight)
-    templates = load_templates()
+    templates = load_templates(fleet=fleet)
     world = World(fleet, types, templates, seed=flight.seed, honest=flight.honest, gusts=flight.gusts, step_s=FRAME_S)
     cameras = MocapCameras(
-        CameraParams() if flight.noise else CameraParams.ideal(),
+        CameraParams.of_arena(fleet.arena) if flight.noise else CameraParams.ideal(),
         seed=np.random.SeedSequence(flight.seed, spawn_key=(_CAMERA_STREAM,)),
     )
     names = [vehicle.template for vehicle in fleet.vehicles]
-    estimator = StatesEstimator(templates, vehicles=names)
+    estimator = StatesEstimator(templates, EstimatorParams().within(fleet.arena), vehicles=names)
     yaw = None if flight.psi_rad is None else YawProgram((flight.psi_rad,))
-    manager = make_manager(fleet.vehicles, make_course(flight.trajectory, len(names), yaw))
+    manager = make_manager(fleet.vehicles, course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw))
     buffer = ReferenceBuffer()
     controller = CONTROLLERS[flight.controller](vehicle_types, flight.weights, flight.params)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
     chains = []
     for vehicle, fleet_vehicle, phase in zip(world.vehicles.values(), fleet.vehicles, phases):
         vehicle.fly_at(fleet_vehicle.start_position_m[:2] + (1.0,), fleet_vehicle.start_yaw_rad)
-        chains.append(_Chain(vehicle, phase))
+        chains.append(_Chain(vehicle, phase, fleet.arena))
 
-    everyone = np.ones(len(names), dtype=bool)
+    everyone, nobody = np.ones(len(names), dtype=bool), np.zeros(len(names), dtype=bool)
     judged, times, references, truths = [], [], [], []
     saturated, settled_s, frame = 0, math.inf, 0
     while True:
@@ -127,11 +135,11 @@ def fly(flight):
         buffer.push(time_s, reference.derivatives[:3])
         flying = time_s >= WARM_UP_S
         ahead_s = controller.horizon_s(time_s, now_s)
-        present, ahead = buffer.at(np.array([time_s, time_s + ahead_s]))
-        output = controller.update(time_s, now_s, states, present, ahead, everyone, everyone & flying)
+        present, ahead = buffer.at([time_s, time_s + ahead_s])
+        output = controller.update(time_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
         step_chains(chains, frame, time_s, now_s, states, output.fractions)
         if flying:
-            saturated += int(output.saturated.sum())
+            saturated += np.count_nonzero(output.saturated)
             if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
                 settled_s = time_s + SETTLE_S
             if frame % JUDGE_EVERY == 0:
@@ -200,10 +208,11 @@ def _outcome(flight):
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
 
-    def __init__(self, vehicle, phase):
+    def __init__(self, vehicle, phase, arena=None):
+        """phase: of the radio's clock, a fraction.  arena: None = the laboratory's."""
         self._vehicle = vehicle
         self._type = vehicle.type
-        self.pilot = VehiclePilot(VehicleNodeParams(), vehicle.type, 0.0)
+        self.pilot = VehiclePilot(params_from_dict({}, arena)[0], vehicle.type, 0.0)
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
 
@@ -273,16 +282,15 @@ def step_chains(chains, frame, stamp_s, now_s, states, fractions):
         chain.deliver(now_s)
 
 
-def _fleet_file(name):
-    """A shipped fleet file: in the workspace that ./maap names, or around this package's sources."""
+def _fleet_files():
+    """Folder of the shipped fleet files: in the workspace that ./maap names, or around this package's sources."""
     root = os.environ.get("RISC_MAAP_ROOT")
-    return pathlib.Path(root, "launch/fleets", name) if root else package_file("..", "launch/fleets/" + name)
+    return pathlib.Path(root, "launch/fleets") if root else package_file("..", "launch/fleets")
 
 
 def _lab(flight):
     """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
-    file = "ardrones3.yaml" if flight.vehicles <= 3 else "ardrones5.yaml"
-    fleet = load_fleet(_fleet_file(file)).with_vehicles(flight.vehicles)
+    fleet = default_fleet(flight.vehicles, flight.trajectory, _fleet_files())
     if flight.psi_rad is not None:
         fleet = replace(fleet, vehicles=tuple(replace(v, start_yaw_rad=flight.psi_rad) for v in fleet.vehicles))
     types = {name: load_vehicle_type(name) for name in {vehicle.type for vehicle in fleet.vehicles}}

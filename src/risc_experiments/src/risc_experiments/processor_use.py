@@ -1,4 +1,4 @@
-"""What the programs of a flight take of the processors, and what others leave them."""
+"""What the programs of a flight take of processors and memory, and what others leave them."""
 
 import contextlib
 import os
@@ -20,17 +20,19 @@ class _Look(NamedTuple):
 
 
 class ProcessorUse:
-    """Processor time of every program from the first to the last call of `look`."""
+    """Processor time of every program from the first to the last call of `look`, and its memory at the second."""
 
     def __init__(self, identity):
         """identity: of the flight's processes, as in `processes.Launch`."""
         self._identity = identity
         self._names = {}  # {(process id, time of its start): (name, of the flight?)}
         self._first = self._last = None
+        self._memory_mb = Counter()
 
     def look(self):
         """Note what has been used so far. Costs some milliseconds."""
         programs = {}
+        weighs = self._first is not None and not self._memory_mb
         for process in psutil.process_iter():
             with contextlib.suppress(psutil.Error):
                 key = process.pid, process.create_time()
@@ -38,14 +40,17 @@ class ProcessorUse:
                     self._names[key] = program_name(process), self._is_ours(process)
                 times = process.cpu_times()
                 programs[key] = (*self._names[key], times.user + times.system)
+                if weighs and self._names[key][1]:
+                    self._memory_mb[self._names[key][0]] += process.memory_full_info().pss / 1e6
         self._last = _Look(time.monotonic(), psutil.cpu_times(), programs)
         if self._first is None:
             self._first = self._last
 
     def figures(self):
-        """{"cpu_cores": {program of the flight: mean}, "computer": {...}}; {} when too little time was looked at.
+        """{"cpu_cores": {program of the flight: mean}, "memory_mb": {program of the flight: MB}, "computer": {...}}.
 
-        cores: of the computer.  steal: fraction of its time that the host of a virtual machine gave to others.
+        {} when too little time was looked at. memory_mb: what programs share (code, numba) is shared out among them.
+        cores: that the flight may use.  steal: fraction of its time that the host of a virtual machine gave to others.
         others: mean of all programs that are not of the flight; busiest_other, busiest_other_cores: the largest.
         """
         first, last = self._first, self._last
@@ -61,8 +66,9 @@ class ProcessorUse:
         busiest, cores = max(others.items(), key=lambda item: item[1], default=("", 0.0))
         return {
             "cpu_cores": {name: round(value, 4) for name, value in ours.most_common()},
+            "memory_mb": {name: round(value, 1) for name, value in self._memory_mb.most_common()},
             "computer": {
-                "cores": psutil.cpu_count(),
+                "cores": len(os.sched_getaffinity(0)),
                 "idle": round((machine["idle"] + machine.get("iowait", 0.0)) / total_s, 4),
                 "steal": round(machine.get("steal", 0.0) / total_s, 4),
                 "others": round(sum(others.values()), 4),

@@ -15,11 +15,11 @@ import socket
 import statistics
 import sys
 import time
+from dataclasses import replace
 
 from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
-from risc_control.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_templates, load_vehicle_type
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_control.lab import generated_fleet, load_templates, load_vehicle_type
 from risc_simulator.models.mocap_cameras import MocapCameras
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import FlightPhase, Setpoint, World
@@ -33,39 +33,15 @@ _COMMANDS_HZ = 30.0
 
 
 def make_fleet(count):
-    """(Fleet of `count` AR.Drones on a grid across the arena, their mocap templates)."""
-    columns = int(math.ceil(math.sqrt(count)))
-    names = ["vehicle%d" % (i + 1) for i in range(count)]
+    """Fleet of `count` AR.Drones in a net that is large enough, and nothing else."""
     net = "127.%d" % random.SystemRandom().randint(210, 249)  # another run may be under way
-    fleet = Fleet(
-        "bench",
-        MocapEndpoint(net + ".0.1", stream_port=21010),
-        tuple(
-            FleetVehicle(
-                name,
-                name,
-                "ardrone",
-                "%s.1.%d" % (net, i + 1),
-                "",
-                (
-                    1.6 * NET_HALF_X_M * ((i % columns + 0.5) / columns - 0.5),
-                    1.6 * NET_HALF_Y_M * ((i // columns + 0.5) / columns - 0.5),
-                    0.0,
-                ),
-                0.0,
-            )
-            for i, name in enumerate(names)
-        ),
-    )
-    markers = load_templates()["fluffy_II"]
-    return fleet, {name: Template(name, "vehicle", markers.marker_names, markers.markers_m) for name in names}
+    return replace(generated_fleet(count), landmarks=()).in_subnet(net)
 
 
 def make_world(count, seed=0):
     """World of make_fleet(), and where its vehicles are to fly [m]."""
-    fleet, templates = make_fleet(count)
-    # 50 vehicles stand closer on their grid than two may come in flight: they fly through each other
-    world = World(fleet, {"ardrone": load_vehicle_type("ardrone")}, templates, seed=seed, collisions=False)
+    fleet = make_fleet(count)
+    world = World(fleet, {"ardrone": load_vehicle_type("ardrone")}, load_templates(fleet=fleet), seed=seed)
     return world, [vehicle.start_position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
 
 
@@ -133,8 +109,8 @@ def measure(count, repeats=REPEATS, duration_s=None):
 def measure_lab(count, take_off_s=LAB_TAKE_OFF_S, measured_s=LAB_MEASURED_S):
     """{"lab_cores", "lab_late_ms", "lab_flying"}: what the lab takes, the 99th percentile of its lateness, and how many
     vehicles fly at the end."""
-    fleet, templates = make_fleet(count)
-    lab = VirtualLab(fleet, templates=templates, live_on_start=True, collisions=False)
+    fleet = make_fleet(count)
+    lab = VirtualLab(fleet, live_on_start=True)
     pilots = multiprocessing.get_context("fork").Process(target=_pilot, args=(fleet,), daemon=True)
     pilots.start()
     try:

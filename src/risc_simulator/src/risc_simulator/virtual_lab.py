@@ -59,14 +59,12 @@ class VirtualLab(object):
         vehicle_types=None,
         radio_loss=0.0,
         interface="",
-        collisions=True,
     ):
         """fleet: Fleet. honest: vehicles differ from their nominal type. gusts: moving air.
         command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
         live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
         radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
         interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
-        collisions: see World.
         (The fleet's mocap.interface is the client's card, which may be one of another computer.)
         """
         self.fleet = fleet
@@ -78,7 +76,7 @@ class VirtualLab(object):
         if command_delay_s is not None and not (math.isfinite(command_delay_s) and command_delay_s >= 0.0):
             raise ValueError("the command delay must be 0 s or more, got %r" % (command_delay_s,))
         if templates is None:
-            templates = load_templates()
+            templates = load_templates(fleet=fleet)
         if vehicle_types is None:
             vehicle_types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
         if command_delay_s is not None:
@@ -95,13 +93,12 @@ class VirtualLab(object):
             honest=honest,
             gusts=gusts,
             step_s=self._period_s / self._cycles_per_frame,
-            collisions=collisions,
         )
         self.frame = 0  # of the newest exposure
         self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
         self.lateness = LatenessHistogram()  # of frames against the absolute schedule
         self.cameras = MocapCameras(
-            CameraParams.ideal() if exact_markers else CameraParams(),
+            CameraParams.ideal() if exact_markers else CameraParams.of_arena(fleet.arena),
             seed=np.random.SeedSequence(seed, spawn_key=_CAMERA_STREAM),
         )
         self._start_s = time.monotonic()

@@ -17,7 +17,6 @@ import numpy as np
 
 from risc_control.compiled import compiled, record
 from risc_control.frames import GRAVITY_M_S2, rotation_body_to_cortex
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_simulator.models.ardrone_firmware import ArdroneFirmware
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.models.on_board import ON_BOARD_FIELDS, hold, level_motion, trim_climb
@@ -93,26 +92,24 @@ class Vehicle(object):
 class World(object):
     """All vehicles and landmarks. One thread at a time."""
 
-    def __init__(
-        self, fleet, vehicle_types, templates, seed=0, honest=True, gusts=False, step_s=0.005, collisions=True
-    ):
+    def __init__(self, fleet, vehicle_types, templates, seed=0, honest=True, gusts=False, step_s=0.005):
         """fleet: Fleet. vehicle_types: VehicleType by the name used in the fleet. templates: Template by name.
 
         honest: true plants are drawn around the nominal ones. gusts: moving air. step_s: grid (see test_quadrotor.py
-        for what it costs in accuracy). collisions: vehicles in the air cannot pass through each other, and
-        least_separation_m is measured. Raises ValueError when fleet, types and templates do not fit each other.
+        for what it costs in accuracy). Raises ValueError when fleet, types and templates do not fit each other.
         """
         if not 0.0 < step_s <= 0.02:
             raise ValueError("step_s must be in (0, 0.02], got %r" % (step_s,))
         self.step_s = step_s
         self._gusts = gusts
         self.crashes = deque(maxlen=1000)  # Crash, newest last
-        self._collisions = bool(collisions)
         self._least_squared_m2 = math.inf
         self._steps = 0
         self._agenda, self._agenda_count = [], 0
         self._event_step = 0  # until this step nothing happens but motion
 
+        net = self._net = fleet.arena
+        self._net_m = net.half_x_m, net.half_y_m, net.height_m
         n = len(fleet.vehicles)
         self._x = np.zeros((len(X), n))
         self._u = np.zeros((len(U), n))
@@ -125,10 +122,10 @@ class World(object):
             firmware = firmware_class(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), honest, REST_HEIGHT_M)
             vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, markers_m, plant, firmware))
             x, y, _ = fleet_vehicle.start_position_m  # height is the floor's: it stands
-            if abs(x) > NET_HALF_X_M or abs(y) > NET_HALF_Y_M:
+            if abs(x) > net.half_x_m or abs(y) > net.half_y_m:
                 raise ValueError(
                     "%s starts outside the net (|x| <= %.2f m, |y| <= %.2f m): change its start in the "
-                    "fleet file" % (fleet_vehicle.namespace, NET_HALF_X_M, NET_HALF_Y_M)
+                    "fleet file" % (fleet_vehicle.namespace, net.half_x_m, net.half_y_m)
                 )
             self._x[: X.H + 1, i] = x, -y, REST_HEIGHT_M
             self._x[X.PSI, i] = fleet_vehicle.start_yaw_rad
@@ -219,14 +216,13 @@ class World(object):
             steps,
             self._gust_block,
             self._steps % _GUST_BLOCK,
-            self._collisions,
+            self._net_m,
         )
         self._steps += steps
         if anyone_touched:
             for i in np.flatnonzero(self._records["touches"]).tolist():
                 self._meet_wall_or_floor(i)
-            if self._collisions:
-                least_m2 = min(least_m2, _closest(self._x, self._records))
+            least_m2 = min(least_m2, _closest(self._x, self._records))
         if least_m2 < self._least_squared_m2:
             self._least_squared_m2 = least_m2
         if least_m2 < _COLLISION_M2:
@@ -299,7 +295,7 @@ class World(object):
     # ------------------------------------------------------------------ floor, net and each other
 
     def _meet_wall_or_floor(self, i):
-        firmware = self._vehicles[i].firmware
+        firmware, net = self._vehicles[i].firmware, self._net
         north, east, height = self._x[: X.H + 1, i].tolist()
         _, climb_m_s = self._motions[i]()
         if height < REST_HEIGHT_M:
@@ -310,16 +306,16 @@ class World(object):
             self._x[X.H, i] = REST_HEIGHT_M
         else:
             reason = ""
-        if abs(north) > NET_HALF_X_M or abs(east) > NET_HALF_Y_M or height > NET_HEIGHT_M:
+        if abs(north) > net.half_x_m or abs(east) > net.half_y_m or height > net.height_m:
             if firmware.phase is not FlightPhase.EMERGENCY:
                 reason = "flew into the net"
                 firmware.crash(self.time_s)
             # the net holds it and throws it back a little: it comes down clear of the net
-            self._x[X.P_N, i] = min(NET_HALF_X_M, max(-NET_HALF_X_M, north))
-            self._x[X.P_E, i] = min(NET_HALF_Y_M, max(-NET_HALF_Y_M, east))
-            self._x[X.H, i] = min(NET_HEIGHT_M, max(REST_HEIGHT_M, height))
-            back_north = math.copysign(NET_REBOUND_M_S, -north) if abs(north) > NET_HALF_X_M else 0.0
-            back_east = math.copysign(NET_REBOUND_M_S, -east) if abs(east) > NET_HALF_Y_M else 0.0
+            self._x[X.P_N, i] = min(net.half_x_m, max(-net.half_x_m, north))
+            self._x[X.P_E, i] = min(net.half_y_m, max(-net.half_y_m, east))
+            self._x[X.H, i] = min(net.height_m, max(REST_HEIGHT_M, height))
+            back_north = math.copysign(NET_REBOUND_M_S, -north) if abs(north) > net.half_x_m else 0.0
+            back_east = math.copysign(NET_REBOUND_M_S, -east) if abs(east) > net.half_y_m else 0.0
             if firmware.lifted:
                 self._set_velocity_neu(i, back_north, back_east, min(0.0, climb_m_s))
         if reason:
@@ -353,8 +349,8 @@ class World(object):
         self._x[X.U : X.W + 1, i] = rotation_body_to_cortex(phi, theta, psi).T @ velocity_cortex
 
     def _place_in_flight(self, i, position_m, yaw_rad):
-        x, y, z = (float(value) for value in position_m)
-        if not (abs(x) < NET_HALF_X_M and abs(y) < NET_HALF_Y_M and REST_HEIGHT_M < z < NET_HEIGHT_M):
+        (x, y, z), net = (float(value) for value in position_m), self._net
+        if not (abs(x) < net.half_x_m and abs(y) < net.half_y_m and REST_HEIGHT_M < z < net.height_m):
             raise ValueError("cannot fly at %r: outside the net" % (tuple(position_m),))
         self._x[:, i] = 0.0
         self._x[: X.H + 1, i] = x, -y, z
@@ -420,12 +416,13 @@ class World(object):
 
 
 @compiled
-def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, collisions):
+def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, net_m):
     """Up to so many steps of all vehicles; ends with a step in which something has happened.
 
-    x (12, n), u (9, n), vehicles (n,) records. gust_block: (k, 3, n) innovations of the wind, from row gust_at on;
-    (0, 3, n): no gusts. Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf if it
-    was not looked at), and whether any touches: then the distances after the last step are still to be looked at.
+    x (12, n), u (9, n), vehicles (n,) records.  gust_block: (k, 3, n) innovations of the wind, from row gust_at on;
+    (0, 3, n): no gusts.  net_m: half its extent in x and in y, and its height.
+    Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf when there are no two),
+    and whether any touches: then the distances after the last step are still to be looked at.
     """
     work = np.empty((5, 12))
     gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
@@ -445,25 +442,25 @@ def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, collisions):
                 climb_m_s = runge_kutta(state, inputs, vehicle, step_s, work)
                 if inputs[U.MOTORS] != 0.0:
                     trim_climb(inputs, climb_m_s, vehicle, step_s)
-                vehicle.touches = _is_beyond(state)
+                vehicle.touches = _is_beyond(state, net_m)
                 anyone_touches |= vehicle.touches
         if anyone_touches:
             return k + 1, least_m2, True
-        if collisions:
-            least_m2 = min(least_m2, _closest(x, vehicles))
-            if least_m2 < _COLLISION_M2:
-                return k + 1, least_m2, False
+        least_m2 = min(least_m2, _closest(x, vehicles))
+        if least_m2 < _COLLISION_M2:
+            return k + 1, least_m2, False
     return steps, least_m2, False
 
 
 @compiled
-def _is_beyond(x):
-    """Whether a vehicle is below the height at which it stands, or beyond the net."""
-    height_m = x[X.H] - 0.5 * (REST_HEIGHT_M + NET_HEIGHT_M)
+def _is_beyond(x, net_m):
+    """Whether a vehicle is below the height at which it stands, or beyond the net (half x, half y, height)."""
+    half_x_m, half_y_m, top_m = net_m
+    height_m = x[X.H] - 0.5 * (REST_HEIGHT_M + top_m)
     return (
-        x[X.P_N] ** 2 - NET_HALF_X_M**2 > _TOUCH_M2
-        or x[X.P_E] ** 2 - NET_HALF_Y_M**2 > _TOUCH_M2
-        or height_m**2 - (0.5 * (NET_HEIGHT_M - REST_HEIGHT_M)) ** 2 > _TOUCH_M2
+        x[X.P_N] ** 2 - half_x_m**2 > _TOUCH_M2
+        or x[X.P_E] ** 2 - half_y_m**2 > _TOUCH_M2
+        or height_m**2 - (0.5 * (top_m - REST_HEIGHT_M)) ** 2 > _TOUCH_M2
     )
 
 

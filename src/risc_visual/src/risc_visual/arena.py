@@ -1,6 +1,7 @@
 """The arena as data: net, floor numbers, motion capture cameras. Frame: cortex. Needs no ROS."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Tuple
 
 import numpy as np
@@ -86,6 +87,21 @@ class Arena:
     net: Net
     grid: Grid
     cameras: Tuple[Camera, ...]
+
+    def around(self, net):
+        """The same laboratory as far around another net (risc_control.lab.arena.Arena)."""
+        further = np.array([net.half_x_m - self.net.half_x_m, net.half_y_m - self.net.half_y_m, 0.0])
+        out_m = self.grid.step_m * math.ceil(max(further) / self.grid.step_m - 1e-9)
+        cameras = [
+            replace(camera, position_m=tuple((camera.position_m + np.sign(camera.position_m) * further).tolist()))
+            for camera in self.cameras
+        ]
+        grid = {key: getattr(self.grid, key) + out_m for key in ("to_m", "edge_m", "caption_m")}
+        return Arena(
+            replace(self.net, half_x_m=net.half_x_m, half_y_m=net.half_y_m, height_m=net.height_m),
+            replace(self.grid, from_m=self.grid.from_m - out_m, **grid),
+            tuple(cameras),
+        )
 
 
 def load_arena(path=None):

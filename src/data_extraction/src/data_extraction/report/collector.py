@@ -16,6 +16,8 @@ from data_extraction.report.kinds import fits
 from data_extraction.report.ladder import LadderCollector, Span
 from data_extraction.report.origin import Origin
 from data_extraction.report.snapshots import Snapshot, SnapshotCollector
+from risc_control.lab.arena import Arena
+from risc_control.safety import SafetyLimits, fence_of
 
 
 @dataclass
@@ -63,12 +65,13 @@ class ReportCollector:
         self._start_s, self._duration_s = bag.start_s, bag.duration_s
         self._origin = origin
         self.flight = FlightCollector(origin.fleet, with_bearings=bool(self._topics.get(ANGLES)))
-        self._drops = DropCollector()
+        arena = origin.fleet.arena if origin.fleet else Arena()
+        self._drops = DropCollector(arena)
         self._gates = GateCollector()
         self._computers = ComputerCollector()
         self._ladder = LadderCollector()
         self._batteries = BatteryCollector()
-        self._fence = FenceCollector(origin.fence_limits())
+        self._fence = FenceCollector(origin.fence_limits(), SafetyLimits(**fence_of(arena)))
         self._events = EventCollector()
         self._snapshots = SnapshotCollector(self._types, self._start_s, self._duration_s)
         parts = (

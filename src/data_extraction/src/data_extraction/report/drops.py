@@ -8,7 +8,7 @@ from typing import Dict, Optional
 import numpy as np
 
 from data_extraction.flatten import seconds
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
+from risc_control.lab.arena import Arena
 
 MOCAP, STATES = "/mocap_data", "/cortex_raw"
 CELL_M = 0.25  # side of a cell of the map
@@ -16,8 +16,6 @@ MARKER_LIMIT_M = 100.0  # larger coordinates mean "lost" (9999.999 m in bags of 
 LEAST_MARKERS = 400  # a cell with fewer says nothing: half a second of one vehicle at 200 Hz
 GAP_S = 0.1  # a longer time between two frames is a gap of the stream
 _MOST_PLACES = 2000  # of one vehicle, that are drawn
-_CELLS_X = 2 * math.ceil(NET_HALF_X_M / CELL_M)
-_CELLS_Y = 2 * math.ceil(NET_HALF_Y_M / CELL_M)
 
 
 @dataclass
@@ -81,18 +79,21 @@ class _Watched:
         return replace(self.totals, longest_s=max(self.totals.longest_s, end_s - self.lost_since_s))
 
 
-def cell_edges():
+def cell_edges(arena):
     """Edges [m] of the maps' cells along x (n + 1,) and y (m + 1,)."""
-    return tuple(CELL_M * (np.arange(count + 1) - count / 2) for count in (_CELLS_X, _CELLS_Y))
+    halves = (math.ceil(half_m / CELL_M) for half_m in (arena.half_x_m, arena.half_y_m))
+    return tuple(CELL_M * np.arange(-half, half + 1) for half in halves)
 
 
 class DropCollector:
     """Takes the messages of a bag one by one; its memory does not grow."""
 
-    def __init__(self):
+    def __init__(self, arena=None):
+        """arena: whose map is made; None = the laboratory's."""
         self._markers = {}
         self._vehicles = {}
-        self._seen = np.zeros((_CELLS_X, _CELLS_Y), dtype=np.int64)
+        edges_m = cell_edges(arena or Arena())
+        self._seen = np.zeros([len(edges) - 1 for edges in edges_m], dtype=np.int64)
         self._lost = np.zeros_like(self._seen)
         self._places = {}  # object -> (x, y) [m] where it was last
         self._lost_places = array("d")
@@ -169,7 +170,7 @@ class DropCollector:
         elif body.name not in self._places:
             self._unplaced += lost
             return
-        cell = _cell(*self._places[body.name])
+        cell = self._cell(*self._places[body.name])
         self._seen[cell] += seen
         self._lost[cell] += lost
 
@@ -192,9 +193,7 @@ class DropCollector:
                     self._lost_places.extend((state.x, state.y))
             totals.longest_s = max(totals.longest_s, stamp_s - watched.lost_since_s)
 
-
-def _cell(x_m, y_m):
-    """Indices of the cell; what is outside counts at the border."""
-    column = min(max(int(x_m // CELL_M) + _CELLS_X // 2, 0), _CELLS_X - 1)
-    row = min(max(int(y_m // CELL_M) + _CELLS_Y // 2, 0), _CELLS_Y - 1)
-    return column, row
+    def _cell(self, *place_m):
+        """Indices of the cell; what is outside counts at the border."""
+        counts = self._seen.shape
+        return tuple(min(max(int(m // CELL_M) + n // 2, 0), n - 1) for m, n in zip(place_m, counts))

@@ -40,9 +40,9 @@ class _Vehicle:
 class FenceCollector:
     """Takes the messages of a bag one by one; its memory does not grow."""
 
-    def __init__(self, limits=None):
-        """limits: {vehicle's template: SafetyLimits}; the others have the defaults."""
-        self._limits = limits or {}
+    def __init__(self, limits=None, default=None):
+        """limits: {vehicle's template: SafetyLimits}.  default: of the others, None = that of SafetyLimits."""
+        self._limits, self._default = limits or {}, default or SafetyLimits()
         self._vehicles = {}
 
     def wants(self, topic):
@@ -57,7 +57,7 @@ class FenceCollector:
         for state in message.Obj:
             if state.visible:
                 if state.name not in self._vehicles:
-                    self._vehicles[state.name] = _Vehicle(self._limits.get(state.name, SafetyLimits()))
+                    self._vehicles[state.name] = _Vehicle(self._limits.get(state.name, self._default))
                 _note(self._vehicles[state.name], stamp_s, state)
 
     def margins(self):

@@ -52,7 +52,7 @@ class Origin:
             for node in self._nodes_of(vehicle.namespace):
                 if "fence_margin_m" in node:
                     names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
-                    result[vehicle.template] = params_from_dict(names)[0].limits
+                    result[vehicle.template] = params_from_dict(names, self.fleet.arena)[0].limits
         return result
 
     def _nodes_of(self, namespace):

@@ -236,13 +236,14 @@ def processors(material, summary):
     used = material.origin.processors
     if not used:
         return Missing("Processors", "what the programs took of the computer was not recorded (processors.json)")
-    cores, computer = used["cpu_cores"], used["computer"]
+    cores, computer, memory_mb = used["cpu_cores"], used["computer"], used.get("memory_mb", {})
     section = Section(
         "processors",
         "Processors",
         facts=[
             ("cores of the computer", "%d" % computer["cores"]),
             ("used by the flight", "%.2f cores" % sum(cores.values())),
+            ("memory of the flight", _unit(sum(memory_mb.values()) or None, 1.0, "MB", 0)),
             ("used by other programs", "%.2f cores%s" % (computer["others"], _busiest(computer))),
             ("idle", _unit(computer["idle"], 100.0, "%", 0)),
             ("taken by the host of the virtual machine (steal)", _unit(computer["steal"], 100.0, "%", 1)),
@@ -251,9 +252,16 @@ def processors(material, summary):
     for rate in summary.get("mocap", {}).get("given_up", ()):
         text = "Motion capture at %g Hz was given up before take-off: %s."
         section.texts.append(text % (rate["rate_hz"], rate["reason"]))
-    rows = [[name, "%.3f" % value] for name, value in cores.items() if value >= _LEAST_CORES]
-    caption = "Programs of the flight, mean from take-off to landing."
-    section.tables.append(Table(caption, ["program", "cores"], rows))
+    rows = [
+        [name, "%.3f" % value, _unit(memory_mb.get(name), 1.0, "MB", 0)]
+        for name, value in cores.items()
+        if value >= _LEAST_CORES
+    ]
+    caption = (
+        "Programs of the flight: processor time, mean from take-off to landing; memory, each with its share of what "
+        "several have in common."
+    )
+    section.tables.append(Table(caption, ["program", "cores", "memory"], rows))
     return section
 
 
@@ -313,13 +321,14 @@ def motion_capture(material, _summary):
         columns = ["vehicle", "states invisible", "of all since first seen", "times lost", "longest"]
         section.tables.append(Table("Vehicles that the estimator did not see.", columns, rows))
     if drops.markers_lost or len(drops.lost_places_m):
+        arena = material.flight.arena
         caption = (
             "Where markers were lost, in percent of those there (cells of %g m; white: fewer than %d markers)."
             % (CELL_M, max(1, drops.least_markers))
         )
         if drops.unplaced:
             caption += " %d lost markers of objects never seen before are not in it." % drops.unplaced
-        section.figures.append(_figure(plots.drop_map(drops, *cell_edges()), caption, plan=True))
+        section.figures.append(_figure(plots.drop_map(drops, *cell_edges(arena), arena), caption, plan=True))
     else:
         section.notes.append("Nothing was lost, so there is no map of losses.")
     return section

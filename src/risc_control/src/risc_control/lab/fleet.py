@@ -1,12 +1,18 @@
-"""The fleet file: which vehicles fly, where they stand, and at which addresses everything is reached."""
+"""The fleet file: which vehicles fly, where they stand, and at which addresses everything is reached.
+
+Two sections may be left out: `arena` (the net, where it is not that of the laboratory) and `templates` (of objects that
+templates.yaml does not know, in its syntax).
+"""
 
 import ipaddress
 import math
 import re
-from dataclasses import dataclass, replace
-from typing import Tuple
+from dataclasses import dataclass, field, replace
+from typing import Dict, Tuple
 
+from risc_control.lab.arena import Arena
 from risc_control.lab.checks import check_different
+from risc_control.lab.templates import Template, templates_from_dict, templates_to_dict
 from risc_control.lab.yaml_reader import Section, errors_of, load_yaml
 
 
@@ -55,6 +61,8 @@ class Fleet:
     vehicles: Tuple[FleetVehicle, ...]
     landmarks: Tuple[FleetLandmark, ...] = ()
     own_networks: bool = False  # every vehicle is an access point of its own, joined by the computer that flies it
+    arena: Arena = Arena()
+    templates: Dict[str, Template] = field(default_factory=dict)  # by name, beside those of templates.yaml
 
     def with_vehicles(self, count):
         """The same fleet with its first `count` vehicles. Raises ValueError when there are not so many."""
@@ -80,9 +88,10 @@ class Fleet:
 
     def to_dict(self):
         """The fleet as the plain dict that its YAML file would hold."""
-        return {
+        content = {
             "name": self.name,
             "own_networks": self.own_networks,
+            "arena": dict(vars(self.arena)),
             "mocap": dict(vars(self.mocap)),
             "vehicles": [
                 {
@@ -101,6 +110,9 @@ class Fleet:
                 for m in self.landmarks
             ],
         }
+        if self.templates:
+            content["templates"] = templates_to_dict(self.templates)
+        return content
 
 
 def load_fleet(path):
@@ -117,6 +129,8 @@ def fleet_from_dict(content, where="fleet"):
         vehicles=tuple(_vehicle(section) for section in root.sections("vehicles")),
         landmarks=tuple(_landmark(section) for section in root.sections("landmarks", ())),
         own_networks=root.flag("own_networks", False),
+        arena=root.section("arena", {}).settings(Arena),
+        templates=_templates(root.content("templates", {}), "%s, templates" % where),
     )
     root.done()
     if not fleet.vehicles:
@@ -127,6 +141,10 @@ def fleet_from_dict(content, where="fleet"):
             check_different(fleet.vehicles, key, "vehicles")
         check_different(fleet.landmarks, "name", "landmarks")
     return fleet
+
+
+def _templates(content, where):
+    return templates_from_dict(content, where) if content else {}
 
 
 def _mocap(section):

@@ -10,7 +10,7 @@ from risc_control.lab.yaml_reader import Section, load_yaml, package_file
 KINDS = ("vehicle", "landmark", "pendulum_tip")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Template:
     """Marker geometry of one identified object."""
 
@@ -21,12 +21,21 @@ class Template:
     # vehicle: body axes (x nose, y right, z down); landmark, pendulum_tip: cortex axes as mounted.
     markers_m: np.ndarray
 
+    def __eq__(self, other):
+        if not isinstance(other, Template):
+            return NotImplemented
+        mine, others = ((t.name, t.kind, t.marker_names, t.markers_m.tolist()) for t in (self, other))
+        return mine == others
 
-def load_templates(path=None):
-    """Templates by name, from `path` or from risc_estimation/config/templates.yaml. Raises ValueError."""
+
+def load_templates(path=None, fleet=None):
+    """Templates by name, from `path` or from risc_estimation/config/templates.yaml. Raises ValueError.
+
+    fleet: a Fleet, whose own templates are added.
+    """
     if path is None:
         path = package_file("risc_estimation", "config/templates.yaml")
-    return templates_from_dict(load_yaml(path), str(path))
+    return dict(templates_from_dict(load_yaml(path), str(path)), **(fleet.templates if fleet else {}))
 
 
 def templates_from_dict(content, where="templates"):
@@ -37,6 +46,16 @@ def templates_from_dict(content, where="templates"):
     objects = root.section("templates")
     root.done()
     return {name: _template(name, objects.section(name), shapes, where) for name in objects.keys()}
+
+
+def templates_to_dict(templates):
+    """The plain dict that their YAML file would hold, each with a geometry of its own name."""
+    return {
+        "geometries": {
+            name: dict(zip(template.marker_names, template.markers_m.tolist())) for name, template in templates.items()
+        },
+        "templates": {name: {"kind": template.kind, "geometry": name} for name, template in templates.items()},
+    }
 
 
 def _template(name, section, shapes, where):

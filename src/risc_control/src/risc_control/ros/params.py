@@ -9,6 +9,7 @@ from dataclasses import fields
 
 import rospy
 
+from risc_control.lab.arena import Arena
 from risc_control.lab.fleet import FleetVehicle, fleet_from_dict
 from risc_control.vehicle_pilot import LEGACY_VEHICLES
 
@@ -58,10 +59,22 @@ def params_from_dict(classes, values):
     return instances, sorted(set(values) - known)
 
 
+def known_fleet():
+    """Fleet of the parameter /fleet, None if there is none. Raises ValueError if it is malformed."""
+    content = rospy.get_param("/fleet", None)
+    return None if content is None else fleet_from_dict(content, "parameter /fleet")
+
+
 def fleet_vehicles():
     """FleetVehicles of the parameter /fleet, () if there is none. Raises ValueError if it is malformed."""
-    content = rospy.get_param("/fleet", None)
-    return () if content is None else fleet_from_dict(content, "parameter /fleet").vehicles
+    fleet = known_fleet()
+    return () if fleet is None else fleet.vehicles
+
+
+def known_arena():
+    """Arena of the parameter /fleet, the laboratory's if there is none. Raises ValueError if it is malformed."""
+    fleet = known_fleet()
+    return Arena() if fleet is None else fleet.arena
 
 
 def _warn(unknown):

@@ -16,14 +16,14 @@ from risc_control.ros.conversions import StatesReader, TrajectoriesMessage
 from risc_control.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_control.ros.joystick_buttons import ButtonSubscriber
 from risc_control.ros.paced import PacedSubscriber
-from risc_control.ros.params import dataclass_from_params, has_private, number, private, vehicles
+from risc_control.ros.params import dataclass_from_params, has_private, known_arena, number, private, vehicles
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
     YawProgram,
+    course_for_fleet,
     course_separation,
-    make_course,
     peak_yaw_rate_rad_s,
 )
 from risc_control.trajectory_manager import TrajectoryManager, make_manager, phase_text
@@ -230,7 +230,7 @@ def course_from_params(fleet_vehicles, default_course, default_options):
         for option in list(inspect.signature(COURSES[name]).parameters)[1:]:
             if has_private(option):
                 options[option] = number("~" + option, None)
-    course = make_course(name, len(fleet_vehicles), yaw_from_params(), **options)
+    course = course_for_fleet(name, len(fleet_vehicles), known_arena(), yaw_from_params(), **options)
     check_course(course, fleet_vehicles)
     return course
 

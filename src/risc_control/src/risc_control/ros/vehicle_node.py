@@ -3,6 +3,7 @@
 Wiring only: what is decided is decided in `vehicle_pilot`, `joystick` and `safety`.
 """
 
+import math
 import queue
 import socket
 import threading
@@ -17,13 +18,13 @@ from std_msgs.msg import Bool, Empty, String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
-from risc_control.lab.fleet import fleet_from_dict
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays
-from risc_control.ros.joystick_buttons import origin, sender
+from risc_control.ros.joystick_buttons import origin
 from risc_control.ros.paced import PacedSubscriber
+from risc_control.ros.params import known_fleet
 from risc_control.safety import Rung
 from risc_control.vehicle_pilot import (
     OwnControl,
@@ -35,13 +36,16 @@ from risc_control.vehicle_pilot import (
 )
 from risc_lab.ros.ticker import Ticker
 
-_RAD_PER_DEG = 0.017453292519943295
+_RAD_PER_DEG = math.radians(1.0)
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
 _LAND_ROUNDS = 60  # at shutdown in flight: how often the last orders are repeated, at most
 _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
+_VEHICLES_A_TURN = 5  # that get their commands with the same message,
+_MOST_GROUPS = 6  # unless there are so many that every message of a 200 Hz controller is for some
+_LAY_S = 0.001  # a message so much older than the one answered before has lain about
 _OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
 
 
@@ -55,20 +59,23 @@ class VehicleNode:
 
     def __init__(self, namespace=""):
         values = rospy.get_param("~", {})
-        params, unknown = params_from_dict({name: value for name, value in values.items() if name not in _OWN_KEYS})
+        fleet = known_fleet()
+        params, unknown = params_from_dict(
+            {name: value for name, value in values.items() if name not in _OWN_KEYS}, fleet and fleet.arena
+        )
         for name in unknown:
             rospy.logwarn("parameter ~%s means nothing to this node: is it misspelt?", name)
-        fleet = rospy.get_param("/fleet", None)
-        fleet = fleet and fleet_from_dict(fleet, "parameter /fleet")
         self._parameters = queue.Queue()  # (name, value): writing to the master must not hold up a callback
         threading.Thread(target=self._write_parameters, daemon=True).start()
-        self._vehicles = [_Vehicle(*names, params, self._parameters) for names in _chosen(values, namespace, fleet)]
+        chosen = _chosen(values, namespace, fleet)
+        turns_s = _turns_s(len(chosen), 1.0 / params.pilot.command_rate_hz)
+        self._vehicles = [_Vehicle(*who, params, turn_s, self._parameters) for who, turn_s in zip(chosen, turns_s)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
         self._controls, self._states = ControlsArrays(), CortexArrays()
-        self._unheard = {}  # {controller: its newest message that nothing was done about}
+        self._answered_age_s = 0.0  # of the newest message of /controls that commands were made of
+        self._is_passed_over = False  # the message before: it was older than it should be
         self._complete = {}  # {topic: names of its messages}, where all vehicles were found
         self._answering = threading.Lock()
-        self._hear = self._guarded(lambda message: self._answer(message, False))
         self._diagnostics = make_updater(", ".join(self._by_name))
         for vehicle in self._vehicles:
             self._diagnostics.add("vehicle " + vehicle.name, vehicle.diagnose)
@@ -76,15 +83,13 @@ class VehicleNode:
         rospy.on_shutdown(self._on_shutdown)
         for vehicle in self._vehicles:
             vehicle.listen()
-        # Only the newest counts, and a backlog must not be worked off message by message.
-        rospy.Subscriber(
-            "/controls", ControlsArrays.Raw, self._guarded(self._on_controls), queue_size=1, tcp_nodelay=True
-        )
+        tick_hz = _TICKS_PER_COMMAND * params.pilot.command_rate_hz
+        self._tick_s = 1.0 / tick_hz
+        PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
-        period_s = 1.0 / (_TICKS_PER_COMMAND * params.pilot.command_rate_hz)
-        PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), 1.0 / period_s)
+        PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), tick_hz)
         self._tickers = (
-            Ticker(period_s, self._on_tick, "the vehicles' clock"),
+            Ticker(self._tick_s, self._on_tick, "the vehicles' clock"),
             Ticker(0.5, self._diagnostics.update, "the diagnostics"),
         )
 
@@ -93,40 +98,43 @@ class VehicleNode:
 
         def run(message):
             try:
-                work(message)
+                return work(message)
             except genpy.DeserializationError as error:  # silence is what the ladder knows how to deal with
                 rospy.logwarn_throttle(_ERROR_LOG_S, "a message is not understood: %s" % error)
             except Exception as error:  # whatever it is, the next message must come
                 for vehicle in self._vehicles:
                     vehicle.on_error(error)
+            return None
 
         return run
 
     def _on_controls(self, message):
-        """Commands leave here, with the next message when a vehicle takes one; what comes in between is heard once a
-        tick, as a sign of life.
-        """
-        now_s = time.monotonic()
-        if any(now_s >= vehicle.next_command_s for vehicle in self._vehicles):
-            self._answer(message, True)
-        else:
-            self._unheard[sender(message)] = message
+        """Commands leave here, with the next message when vehicles take one; what comes in between is not even read.
 
-    def _answer(self, message, sends):
-        """Take a message of /controls. sends: a command may follow; it would be old news once a tick."""
+        Returns when to read on [s]. The newest of what has come until then may have waited for a period of the
+        controller: it is a sign of life, and the next one is on its way.
+        """
         with self._answering:
-            self._unheard.pop(sender(message), None)
             controls = self._controls.deserialize(message.buff)
             stamp = controls.header.stamp
             stamp_s = stamp.to_sec()
             age_s = rospy.get_time() - stamp_s
+            is_due = time.monotonic() >= self._next_command_s()
+            lay = is_due and not self._is_passed_over and age_s > self._answered_age_s + _LAY_S
+            self._is_passed_over = lay
+            if is_due and not lay:
+                self._answered_age_s = age_s
             for name, row in zip(controls.names, controls.controls.tolist()):
                 vehicle = self._by_name.get(name)
                 if vehicle is not None:
-                    vehicle.on_controls(OwnControl(*row), stamp if sends else None, stamp_s, age_s)
+                    vehicle.on_controls(OwnControl(*row), stamp if is_due and not lay else None, stamp_s, age_s)
             self._tell_missing(
                 "/controls", controls.names, "is it in the controller's and the trajectory's list of vehicles?"
             )
+            return 0.0 if lay else min(self._next_command_s(), time.monotonic() + self._tick_s)
+
+    def _next_command_s(self):
+        return min(vehicle.next_command_s for vehicle in self._vehicles)
 
     def _on_states(self, message):
         states = self._states.deserialize(message.buff)
@@ -152,8 +160,6 @@ class VehicleNode:
             self._complete[topic] = names
 
     def _on_tick(self):
-        for message in list(self._unheard.values()):
-            self._hear(message)
         for vehicle in self._vehicles:
             vehicle.on_tick()
 
@@ -185,17 +191,19 @@ def land(vehicles):
 class _Vehicle:
     """One vehicle of the node. Its trouble is its own: what fails here, fails for no other vehicle."""
 
-    def __init__(self, name, kind, prefix, is_alone, params, parameters):
-        """prefix: of its topics.  is_alone: its shut-down button ends the node.  parameters: queue of (name, value)."""
+    def __init__(self, name, kind, prefix, is_alone, params, turn_s, parameters):
+        """prefix: of its topics.  is_alone: its shut-down button ends the node.  turn_s: when one of its turns to take
+        commands begins.  parameters: queue of (name, value).
+        """
         if kind == "iris":
             raise ValueError("%s is an IRIS+, which takes no cmd_vel: start its own node instead" % name)
         self.name = name
         self._params, self._type = params, load_vehicle_type(kind)
-        self._prefix, self._is_alone, self._parameters = prefix, is_alone, parameters
+        self._prefix, self._is_alone, self._turn_s, self._parameters = prefix, is_alone, turn_s, parameters
         warning = check_full_scale(params, self._type)
         if warning:
             rospy.logwarn("%s: %s", name, warning)
-        self._pilot = VehiclePilot(params, self._type, time.monotonic())
+        self._pilot = VehiclePilot(params, self._type, time.monotonic(), turn_s)
         self._lock = threading.Lock()
         self._counts = dict.fromkeys(("states", "controls", "commands", "unseen", "errors"), 0)
         self._reported = dict(self._counts)
@@ -372,7 +380,7 @@ class _Vehicle:
         """What the shut-down button means beside other vehicles: land, then be as a node that has just started."""
         land([self])
         with self._lock:
-            self._pilot = VehiclePilot(self._params, self._type, time.monotonic())
+            self._pilot = VehiclePilot(self._params, self._type, time.monotonic(), self._turn_s)
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):
@@ -396,7 +404,7 @@ class _Vehicle:
         for what, label in (
             ("states", "visible states looked at"),
             ("unseen", "states while not visible"),
-            ("controls", "controls"),
+            ("controls", "controls looked at"),
             ("commands", "commands sent"),
             ("errors", "errors of the node"),
         ):
@@ -410,6 +418,13 @@ class _Vehicle:
             status.add(label + "age when it was ordered (ms)", "%.0f" % (1e3 * reaction.age_s))
             status.add(label + "reaction after the limit (ms)", "%.1f" % (1e3 * reaction.beyond_s))
         return status
+
+
+def _turns_s(count, period_s):
+    """When a turn of each of so many vehicles begins: a few together, which costs less than one after the other."""
+    begin_s = time.monotonic()
+    groups = min(_MOST_GROUPS, math.ceil(count / _VEHICLES_A_TURN))
+    return [begin_s + period_s * (k * groups // count) / groups for k in range(count)]
 
 
 def _chosen(values, namespace, fleet):

@@ -9,7 +9,6 @@ import itertools
 import numpy as np
 
 from risc_control.frames import frd_to_flu
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_estimation.rigid_fit import fit_rigid
 from risc_experiments.findings import green, red, yellow
 
@@ -36,7 +35,8 @@ def judge_poses(fleet, templates, marker_sets):
     for vehicle in fleet.vehicles:
         if vehicle.template not in marker_sets or vehicle.template not in templates:
             continue  # `templates` says so
-        problem = _pose_problem(vehicle.template, templates[vehicle.template].markers_m, marker_sets[vehicle.template])
+        markers_m, seen = templates[vehicle.template].markers_m, marker_sets[vehicle.template]
+        problem = _pose_problem(vehicle.template, markers_m, seen, fleet.arena)
         if problem is None:
             good.append(vehicle.template)
         else:
@@ -50,7 +50,7 @@ def judge_poses(fleet, templates, marker_sets):
     return findings
 
 
-def _pose_problem(name, template_m, frames):
+def _pose_problem(name, template_m, frames, arena):
     """The first thing that is wrong with a body, or None."""
     say = "axes"
     frames = [markers for markers in frames if markers.shape == template_m.shape]
@@ -93,8 +93,8 @@ def _pose_problem(name, template_m, frames):
     if lowest < _FLOOR_M:
         text = "'%s' has markers %.2f m below the floor" % (name, -lowest)
         return red(say, text, "the origin is not on the floor: " + _LEVEL)
-    half = np.array([NET_HALF_X_M, NET_HALF_Y_M]) + _MARGIN_M
-    if (np.abs(centre[:2]) > half).any() or centre[2] > NET_HEIGHT_M + _MARGIN_M:
+    half = np.array([arena.half_x_m, arena.half_y_m]) + _MARGIN_M
+    if (np.abs(centre[:2]) > half).any() or centre[2] > arena.height_m + _MARGIN_M:
         return red(
             say,
             "'%s' is seen at (%.2f, %.2f, %.2f) m, outside of the net" % (name, *centre),

@@ -58,7 +58,7 @@ class Situation:
     graph: Once = field(init=False)
 
     def __post_init__(self):
-        self.templates = Once(load_templates)
+        self.templates = Once(load_templates, None, self.fleet)
         self.interfaces = Once(interfaces.read_interfaces)
         self.cortex = Once(cortex_probe.probe, self.fleet.mocap, self.live)
         self.graph = Once(ros_graph.listen, self.master, self.fleet, self.environment)

@@ -14,6 +14,7 @@ from typing import NamedTuple, Optional, Tuple
 import numpy as np
 
 from risc_control.compiled import compiled
+from risc_control.lab.arena import Arena
 
 _FRAMES_AHEAD = 64
 
@@ -45,6 +46,14 @@ class CameraParams:
     def ideal(cls):
         """Exact markers, nothing hidden, no ghosts."""
         return cls(noise_std_m=0.0, occlusions_per_marker_hz=0.0, ghosts_hz=0.0)
+
+    @classmethod
+    def of_arena(cls, arena):
+        """The defaults, with a capture volume that fills an Arena as the laboratory's does its own."""
+        known = Arena()
+        size = (arena.half_x_m / known.half_x_m, arena.half_y_m / known.half_y_m, arena.height_m / known.height_m)
+        corners = (tuple(k * m for k, m in zip(size, corner_m)) for corner_m in (cls.volume_min_m, cls.volume_max_m))
+        return cls(**dict(zip(("volume_min_m", "volume_max_m"), corners)))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Dict, NamedTuple, Optional, Tuple, Union
 import cv2
 import numpy as np
 
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
+from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_control.lab.yaml_reader import Section, load_yaml, package_file
 
 CIRCLE_POINTS = 64  # corners of a disc's outline: area and diameter 0.16 % and 0.08 % small, which is mended below
@@ -206,6 +206,17 @@ class RoomParams:
     post_bgr: Bgr = (62.0, 62.0, 62.0)
     post_m: float = 0.05
     panels: Tuple[Panel, ...] = ()
+    net: Arena = Arena()
+
+    def around(self, net):
+        """The same room as far around another net."""
+        return replace(
+            self,
+            net=net,
+            half_x_m=self.half_x_m + (net.half_x_m - self.net.half_x_m),
+            half_y_m=self.half_y_m + (net.half_y_m - self.net.half_y_m),
+            height_m=self.height_m + (net.height_m - self.net.height_m),
+        )
 
 
 class Room(NamedTuple):
@@ -340,7 +351,8 @@ def load_scene(fleet, path=None):
     colours = {}
     for index, vehicle in enumerate(fleet.vehicles):  # whichever of its names the caller uses
         colours[vehicle.namespace] = colours[vehicle.template] = index
-    return replace(style.scene, discs=discs, colour_of_vehicle=colours), style.imaging
+    room = style.scene.room.around(fleet.arena)
+    return replace(style.scene, discs=discs, colour_of_vehicle=colours, room=room), style.imaging
 
 
 def load_style(path=None):
@@ -443,7 +455,7 @@ def board_layers(board, scene):
 def _marks(room):
     """Outlines of the wear marks: always the same, at random places of the arena."""
     rng = np.random.default_rng(0)
-    half_m = (NET_HALF_X_M, NET_HALF_Y_M)
+    half_m = (room.net.half_x_m, room.net.half_y_m)
     marks = []
     for _ in range(room.marks):
         (x, y), length_m, angle = (
@@ -460,7 +472,7 @@ def _marks(room):
 
 def _net(room):
     """Cords (k, 2, 3) [m] of the net, cut into pieces, and its corner posts as outlines."""
-    half_x, half_y, top = NET_HALF_X_M, NET_HALF_Y_M, min(NET_HEIGHT_M, room.height_m)
+    half_x, half_y, top = room.net.half_x_m, room.net.half_y_m, min(room.net.height_m, room.height_m)
     ends = []
     for half, side, axis in ((half_y, half_x, 0), (half_x, half_y, 1)):
         across = np.linspace(-half, half, max(2, int(round(2.0 * half / room.net_mesh_m)) + 1))

@@ -17,7 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ardrone_autonomy.msg import Navdata
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PacedSubscriber
-from risc_control.ros.params import fleet_vehicles, number, private, vehicles, warn_of_unknown
+from risc_control.ros.params import fleet_vehicles, known_arena, number, private, vehicles, warn_of_unknown
 from risc_msgs.msg import Trajectories
 from risc_visual.arena import load_arena
 from risc_visual.browser import SHAPES, BrowserPanel, BrowserScene, open_server
@@ -60,7 +60,7 @@ class LiveView:
         colours = {vehicle.template: index for index, vehicle in enumerate(fleet_vehicles() or vehicles())}
         self._vehicles = [Vehicle(v.namespace, v.template, colours[v.template]) for v in vehicles()]
         warn_of_unknown()
-        net = load_arena(arena_file or None).net
+        net = load_arena(arena_file).net if arena_file else known_arena()
         self._markers = MarkerScene()
         self._frames = Frames()
         self._status = LiveStatus(self._vehicles)

@@ -1,0 +1,27 @@
+"""Which fleet flies when none is named: one of launch/fleets, or a generated one where they hold too few vehicles."""
+
+from dataclasses import replace
+
+from risc_control.lab import generated_fleet, load_fleet
+from risc_control.trajectories import FEW_VEHICLES, course_for_fleet
+
+_FILES = ((3, "ardrones3.yaml"), (FEW_VEHICLES, "ardrones5.yaml"))
+_ROOMS_M = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)  # from the outermost start to a generated net: the first that will do
+_ONE_LAYER_M = 2.0  # in a net no higher than this: nobody has to fly above others
+
+
+def default_fleet(vehicles, trajectory, folder):
+    """Fleet of so many vehicles with room for a course. folder: pathlib.Path of the fleet files. Raises ValueError."""
+    for most, name in _FILES:
+        if vehicles <= most:
+            return load_fleet(folder / name).with_vehicles(vehicles)
+    problem = None
+    for room_m in _ROOMS_M:
+        fleet = generated_fleet(vehicles, room_m)
+        try:
+            course_for_fleet(trajectory, vehicles, replace(fleet.arena, height_m=_ONE_LAYER_M))
+        except ValueError as error:
+            problem = error
+        else:
+            return fleet
+    raise problem
