@@ -33,8 +33,8 @@ def group_niceness_after(*command):
     return int(text.rpartition("nice")[2])
 
 
-def niceness_after(values, started_with=0):
-    command = ["nice", "-n", str(started_with), sys.executable, "-c", PROGRAM % (values,)]
+def niceness_after(values, started_with=0, under=()):
+    command = [*under, "nice", "-n", str(started_with), sys.executable, "-c", PROGRAM % (values,)]
     return [int(word) for word in subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout.split()]
 
 
@@ -43,6 +43,16 @@ def test_root_goes_first_with_all_threads():
     assert niceness_after([FLIGHT]) == [FLIGHT, FLIGHT]
     assert niceness_after([FLIGHT, VIRTUAL_LAB]) == [VIRTUAL_LAB, VIRTUAL_LAB]
     assert niceness_after([VIRTUAL_LAB, FLIGHT]) == [VIRTUAL_LAB, VIRTUAL_LAB], "never lowered"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can stop being root")
+def test_others_go_first_where_their_limit_allows():
+    without_root = ["setpriv", "--inh-caps=-sys_nice", "--bounding-set=-sys_nice"]
+    assert niceness_after([FLIGHT], under=without_root) == [0, 0]
+    limited = ["prlimit", "--nice=30:30"]  # 20 - niceness
+    if subprocess.run([*limited, "true"], stderr=subprocess.DEVNULL, check=False).returncode != 0:
+        pytest.skip("this root may not raise limits")
+    assert niceness_after([FLIGHT], under=(*limited, *without_root)) == [FLIGHT, FLIGHT]
 
 
 def test_what_was_started_with_nice_stays_so():

@@ -1,4 +1,6 @@
-"""Who goes first when the computer is busy. Only root may go before others; elsewhere nothing changes.
+"""Who goes first when the computer is busy: root, and whose limit allows it (RLIMIT_NICE; `./maap setup` says how).
+
+For all others nothing changes.
 
 Linux divides the processor among sessions first and among their threads then (autogroup, on by default), and roslaunch
 gives every node a session of its own: a niceness alone says nothing to the other nodes. So the leader of a session sets
