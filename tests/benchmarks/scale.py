@@ -1,0 +1,324 @@
+"""What more vehicles cost: the whole graph, motion capture to states alone, and the closed loop offline.
+
+graph        `maap fly` with so many vehicles (simulated); latency from the datagram to cmd_vel
+estimation   virtual cameras -> stream_markers -> states_estimation -> a subscriber, so many bodies of five markers
+             that stand in the net; latency from the datagram to /cortex_raw
+offline      the closed loop without ROS, on one core, as fast as it goes
+
+Loaded: a program that never waits takes what it can of one core meanwhile. A row is a process of its own, or a flight.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import pathlib
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+
+import numpy as np
+import psutil
+import yaml
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+COUNTS = {"graph": (1, 3, 5, 10, 20, 50), "estimation": (1, 3, 10, 20, 50, 100), "offline": (1, 3, 10, 20, 50)}
+FIGURES = ("p50_ms", "p99_ms", "frames_lost", "cpu_cores", "memory_mb", "times_real_time")
+SETTLE_S = 5.0  # from the first state of a node to the measurement
+START_S = 60.0  # that a launch may take until states come
+RATE_HZ = 200.0
+_MOST_WORDS = 120  # of why a flight failed, in the table
+COURSE, SEED = "circles3", 1
+ESTIMATION_LAUNCH = """<launch>
+  <arg name="fleet"/>
+  <rosparam command="load" file="$(arg fleet)" ns="fleet"/>
+  <include file="{launch}/lab.launch">
+    <arg name="fleet" value="$(arg fleet)"/>
+    <arg name="statistics" value="$(dirname)/virtual_lab.json"/>
+  </include>
+  <include file="{launch}/mocap.launch"><arg name="fleet" value="$(arg fleet)"/></include>
+</launch>
+"""
+PEERS = {  # {what pip installs: program; it prints the version, the simulation's rate [Hz] and times real time}
+    "rotorpy": """
+import importlib.metadata, time
+import numpy
+from rotorpy.controllers.quadrotor_control import SE3Control
+from rotorpy.environments import Environment
+from rotorpy.trajectories.circular_traj import ThreeDCircularTraj
+from rotorpy.vehicles.crazyflie_params import quad_params
+from rotorpy.vehicles.multirotor import Multirotor
+for rate_hz in (100, 200):
+    for duration_s in (1.0, 20.0):  # the first loads what is needed
+        course = ThreeDCircularTraj(numpy.zeros(3), numpy.array([0.35, 0.35, 0.0]), numpy.array([0.12, 0.12, 0.0]))
+        loop = Environment(Multirotor(quad_params), SE3Control(quad_params), course, sim_rate=rate_hz)
+        begin = time.perf_counter()
+        loop.run(t_final=duration_s, use_mocap=True, terminate=False, plot=False, animate_bool=False, verbose=False)
+        times = duration_s / (time.perf_counter() - begin)
+    print("RotorPy", importlib.metadata.version("rotorpy"), rate_hz, times)
+""",
+}
+
+
+@contextlib.contextmanager
+def busy_loop(wanted):
+    """A program that never waits, while the block runs."""
+    program = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if wanted else None
+    try:
+        yield
+    finally:
+        if program is not None:
+            program.kill()
+            program.wait()
+
+
+def graph(vehicles, seconds, folder):
+    """Figures of a flight."""
+    command = [sys.executable, "-m", "risc_experiments.fly", "--vehicles", str(vehicles), "--seed", str(SEED)]
+    command += ["--trajectory", COURSE, "--duration", "%g" % seconds, "--out", str(folder / "flight")]
+    with (folder / "fly.txt").open("w") as log:
+        subprocess.call(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
+    path = folder / "flight" / "summary.json"
+    if not path.exists():
+        return {"passed": False, "reasons": [(folder / "fly.txt").read_text(encoding="utf-8")[-300:]]}
+    summary = json.loads(path.read_text(encoding="utf-8"))
+    mocap, latency_ms = summary["mocap"], summary["latency_ms"]["datagram_to_cmd_vel"]
+    rmse_m = [vehicle["position_rmse_m"] for vehicle in summary["vehicles"].values()]
+    return {
+        "p50_ms": latency_ms["p50"],
+        "p99_ms": latency_ms["p99"],
+        "frames_lost": mocap["frames_sent"] - mocap["frames_estimated"],
+        "cpu_cores": sum(summary["cpu_cores"].values()),
+        "memory_mb": sum(summary["memory_mb"].values()),
+        "mocap_hz": mocap["rate_hz"],
+        "rmse_mm": None if None in rmse_m or not rmse_m else 1e3 * max(rmse_m),
+        "passed": summary["passed"],
+        "reasons": summary["reasons"],
+    }
+
+
+def estimation(bodies, seconds, folder):
+    """Figures of motion capture and estimation alone."""
+    import rospy
+    from sensor_msgs.msg import TimeReference
+
+    from risc_control.lab import generated_fleet
+    from risc_control.ros import low_latency
+    from risc_control.ros.fleet_messages import CortexArrays
+    from risc_experiments.processes import Launch, PortReservation, free_tcp_port
+    from risc_experiments.processor_use import ProcessorUse
+
+    reservation, port = PortReservation(), free_tcp_port()
+    fleet = _of_five_markers(replace(generated_fleet(bodies), landmarks=())).in_subnet(reservation.subnet)
+    (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict()), encoding="utf-8")
+    (folder / "estimation.launch").write_text(ESTIMATION_LAUNCH.format(launch=ROOT / "launch"), encoding="utf-8")
+    os.environ.update(ROS_MASTER_URI="http://127.0.0.1:%d" % port, ROS_IP="127.0.0.1")
+    launch = Launch(folder / "estimation.launch", {"fleet": folder / "fleet.yaml"}, folder, port)
+    try:
+        _wait(lambda: _master_answers(port), launch)
+        low_latency.start("scale")
+        sent, states, seen = [], [], CortexArrays()  # of (stamp, receipt) [ns]
+
+        def on_time(message):
+            sent.append((message.header.stamp.to_nsec(), message.time_ref.to_nsec()))
+
+        def on_states(message):
+            now_ns = time.time_ns()
+            estimate = seen.deserialize(message.buff)
+            states.append((estimate.header.stamp.to_nsec(), now_ns, int(estimate.visible.sum())))
+
+        rospy.Subscriber("/mocap_time", TimeReference, on_time, tcp_nodelay=True)
+        rospy.Subscriber("/cortex_raw", CortexArrays.Raw, on_states, buff_size=2**22, tcp_nodelay=True)
+        _wait(lambda: len(states) > RATE_HZ, launch)
+        time.sleep(SETTLE_S)
+        use = ProcessorUse(launch.identity)
+        use.look()
+        first = len(states)
+        time.sleep(seconds)
+        last = len(states)
+        use.look()
+        time.sleep(0.5)
+    finally:
+        launch.stop()
+        reservation.close()
+    times = np.array(states[first:last], dtype=np.int64)
+    datagrams = dict(sent)
+    latency_ms = [1e-6 * (receipt - datagrams[stamp]) for stamp, receipt, _ in times.tolist() if stamp in datagrams]
+    expected = 1 + round((times[-1, 0] - times[0, 0]) * 1e-9 * RATE_HZ)
+    figures = use.figures()
+    own = pathlib.Path(__file__).name
+    return {
+        "p50_ms": float(np.percentile(latency_ms, 50.0)),
+        "p99_ms": float(np.percentile(latency_ms, 99.0)),
+        "max_ms": float(np.max(latency_ms)),
+        "frames": expected,
+        "frames_lost": expected - len(np.unique(times[:, 0])),
+        "not_visible": int(bodies * len(times) - times[:, 2].sum()),
+        "cpu_cores": sum(cores for name, cores in figures["cpu_cores"].items() if own not in name),
+        "memory_mb": sum(mb for name, mb in figures["memory_mb"].items() if own not in name),
+    }
+
+
+def _of_five_markers(fleet):
+    """The fleet, all of its bodies of generated hulls: those of the laboratory have four or five markers."""
+    from risc_control.lab import generated_fleet
+
+    many = generated_fleet(len(fleet.vehicles) + 5)
+    hulls = [vehicle.template for vehicle in many.vehicles[5:]]
+    vehicles = tuple(replace(vehicle, template=hull) for vehicle, hull in zip(fleet.vehicles, hulls))
+    return replace(fleet, vehicles=vehicles, templates={hull: many.templates[hull] for hull in hulls})
+
+
+def _wait(done, launch):
+    deadline = time.monotonic() + START_S
+    while not done():
+        if not launch.running() or time.monotonic() > deadline:
+            raise RuntimeError("no states came:\n" + launch.log_tail())
+        time.sleep(0.1)
+
+
+def _master_answers(port):
+    import xmlrpc.client
+
+    try:
+        return xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % port).getPid("/scale")[0] == 1
+    except OSError:
+        return False
+
+
+def offline(vehicles, seconds, _folder):
+    """Figures of the closed loop on one core."""
+    from risc_experiments.offline import Flight, fly
+
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    fly(Flight(trajectory=COURSE, vehicles=1, seed=SEED, duration_s=1.0))  # loads what is compiled
+    used_s = sum(os.times()[:2])
+    result = fly(Flight(trajectory=COURSE, vehicles=vehicles, seed=SEED, duration_s=seconds))
+    return {
+        "cpu_cores": (sum(os.times()[:2]) - used_s) / result.took_s,
+        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+        "times_real_time": result.flown_s / result.took_s,
+        "rmse_mm": 1e3 * float(result.rmse_m.max()),
+    }
+
+
+def row_of(kind, vehicles, loaded, seconds):
+    """One row, measured in a process of its own."""
+    row = dict({"kind": kind, "vehicles": vehicles, "loaded": loaded}, **dict.fromkeys(FIGURES))
+    with tempfile.TemporaryDirectory() as folder, busy_loop(loaded):
+        command = [sys.executable, __file__, "--row", kind, str(vehicles), "%g" % seconds, "--folder", folder]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode != 0:
+        return dict(row, passed=False)
+    return dict(row, **json.loads(done.stdout.splitlines()[-1]))
+
+
+def slopes(rows):
+    """Lines through the rows of one kind, load by load: [(kind, loaded, figure, at 0 vehicles, for each more)]."""
+    found = []
+    for kind in COUNTS:
+        for loaded in (False, True):
+            for figure in ("p99_ms", "cpu_cores", "memory_mb") if kind != "offline" else ("seconds_per_second",):
+                points = [
+                    (row["vehicles"], 1.0 / row["times_real_time"] if kind == "offline" else row[figure])
+                    for row in rows
+                    if row["kind"] == kind and row["loaded"] == loaded
+                    and row["times_real_time" if kind == "offline" else figure] is not None
+                ]  # fmt: skip
+                if len(points) > 2:
+                    each, none = np.polyfit(*np.transpose(points), 1).tolist()
+                    found.append((kind, loaded, figure, none, each))
+    return found
+
+
+def peers(rows):
+    """[{name, rate_hz, times_real_time, ratio}] of simulators from PyPI, one vehicle on a circle, offline.
+
+    ratio: how many times as fast we are, in the same run of this program. One that cannot be installed is told.
+    """
+    ours = next((r["times_real_time"] for r in rows if r["kind"] == "offline" and r["vehicles"] == 1), None)
+    found = []
+    for package, program in PEERS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            python = folder + "/bin/python"
+            try:
+                subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+                subprocess.run([python, "-m", "pip", "install", "-q", package], check=True, stderr=subprocess.DEVNULL)
+                told = subprocess.run([python, "-c", program], check=True, stdout=subprocess.PIPE, text=True).stdout
+            except (OSError, subprocess.CalledProcessError) as error:
+                print("%s does not run here: %s" % (package, error))
+                continue
+        for line in told.splitlines():
+            name, version, rate_hz, times = line.split()
+            ratio = ours and ours / float(times)
+            found.append({"name": "%s %s" % (name, version), "rate_hz": float(rate_hz),
+                          "times_real_time": float(times), "ratio": ratio})  # fmt: skip
+            print("offline, one vehicle: %s %s at %s Hz flies %.1f times real time" % (name, version, rate_hz,
+                  float(times)) + ("" if ratio is None else ", we %.0f times as fast" % ratio))  # fmt: skip
+    return found
+
+
+def computer():
+    """One line that says on what was measured."""
+    with open("/proc/cpuinfo", encoding="utf-8") as info:
+        model = next((line.partition(":")[2].strip() for line in info if line.startswith("model name")), "unknown")
+    return "%s, %d cores, %.0f GB" % (model, psutil.cpu_count(), psutil.virtual_memory().total / 1e9)
+
+
+def main():
+    """Command line. Returns the exit code: 1 when a row could not be measured."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--json", type=pathlib.Path, metavar="FILE", help="write the rows here, after each one")
+    add("--kinds", nargs="+", choices=list(COUNTS), default=list(COUNTS))
+    add("--vehicles", nargs="+", type=int, metavar="N", help="default: 1 to 50, of estimation to 100")
+    add("--seconds", type=float, default=20.0, help="that are measured (default: 20)")
+    add("--load", choices=("quiet", "loaded", "both"), default="both")
+    add("--peers", action="store_true", help="install simulators of others from PyPI, and compare (offline)")
+    add("--row", nargs=3, help=argparse.SUPPRESS)
+    add("--folder", type=pathlib.Path, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.row:
+        kind, vehicles, seconds = args.row
+        measure = {"graph": graph, "estimation": estimation, "offline": offline}[kind]
+        print(json.dumps(measure(int(vehicles), float(seconds), args.folder)))
+        return 0
+    print("%s (simulated)" % computer())
+    columns = "%-10s %8s %-6s %9s %9s %6s %6s %8s %8s"
+    heading = ("kind", "vehicles", "load", "p50", "p99", "lost", "cores", "memory", "speed")
+    print(columns % heading, flush=True)
+    rows, found = [], []
+    figures = {"computer": computer(), "rows": rows, "peers": found}
+    for kind in args.kinds:
+        for loaded in {"quiet": (False,), "loaded": (True,), "both": (False, True)}[args.load]:
+            for vehicles in args.vehicles or COUNTS[kind]:
+                row = row_of(kind, vehicles, loaded, args.seconds)
+                rows.append(row)
+                problem = "" if row.get("passed", True) else "  failed: " + "; ".join(row.get("reasons", ()))
+                cells = columns % (kind, vehicles, "loaded" if loaded else "quiet", *_cells(row))
+                print(cells + problem[:_MOST_WORDS], flush=True)
+                _write(args.json, figures)
+    for kind, loaded, figure, none, each in slopes(rows):
+        name = "%s, %s: %s" % (kind, "loaded" if loaded else "quiet", figure.replace("_", " "))
+        print("%-36s %8.3f + %.4f for each vehicle" % (name, none, each))
+    if args.peers:
+        found += peers(rows)
+        _write(args.json, figures)
+    return 0 if all(any(row[name] is not None for name in FIGURES) for row in rows) else 1
+
+
+def _cells(row):
+    formats = ("%.1f ms", "%.1f ms", "%d", "%.2f", "%.0f MB", "%.1fx")
+    return ["-" if row[name] is None else form % row[name] for name, form in zip(FIGURES, formats)]
+
+
+def _write(path, figures):
+    if path is not None:
+        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
