@@ -37,6 +37,7 @@ _SHORT_SPAN_S = 0.1  # less than this is too short for three samples and a degre
 _MIN_SPAN_S = 0.02  # and less than this even for that: the newest sample alone
 # A step between two samples of one smooth path obeys the trapezoidal rule to the sixth decimal. A jump, a stamp that
 # is not the time the sample was computed for, or an acceleration that is not the velocity's derivative does not.
+_SAME_S = 1e-12  # [s] spacing of samples and times that differ by less are the same: their weights are known
 _TOLERANCE_1_S = 0.02  # [m/s, m/s^2] error of position and of velocity per second of step
 # [d, p]: factor of t^(p - d) in the d-th derivative of t^p
 _DERIVATIVE = np.array([[np.prod(np.arange(p, p - d, -1.0)) for p in range(max(_DEGREES) + 1)] for d in range(ORDERS)])
@@ -51,6 +52,7 @@ class ReferenceBuffer:
     def __init__(self):
         self._stamps_s = np.empty(_ROWS)  # a ring: sample k is in row k % _ROWS
         self._ends = np.empty(2, dtype=np.int64)  # k of the oldest and of the newest
+        self._expect(1)
         self._resize((_SAMPLE_ORDERS, 0, len(Axis)))
         self.push(0.0, self._samples[0])  # loads what is compiled
         self.at(np.zeros(1))
@@ -59,6 +61,12 @@ class ReferenceBuffer:
     def _resize(self, shape):
         self._samples = np.zeros((_ROWS,) + shape)
         self.clear()
+
+    def _expect(self, times):
+        self._spacing_s = np.full(
+            _NODES + times, np.nan
+        )  # of samples and times to the newest, of which the weights are
+        self._weights = np.empty((times * ORDERS, _NODES * _SAMPLE_ORDERS))
 
     def clear(self):
         """Forget all samples."""
@@ -89,8 +97,10 @@ class ReferenceBuffer:
         if self.newest_s == -np.inf:
             raise ValueError("no reference has arrived")
         times_s = np.array(times_s, dtype=float)
+        if len(times_s) != len(self._spacing_s) - _NODES:
+            self._expect(len(times_s))
         result = np.empty((len(times_s), ORDERS) + self._samples.shape[2:])
-        _at(times_s, self._stamps_s, self._samples, self._ends, result)
+        _at(times_s, self._stamps_s, self._samples, self._ends, self._spacing_s, self._weights, result)
         return result
 
 
@@ -141,20 +151,16 @@ def _continues(step_s, before, sample):
 
 
 @compiled
-def _at(times_s, stamps_s, samples, ends, result):
+def _at(times_s, stamps_s, samples, ends, spacing_s, weights, result):
     """Fill the result (k, ORDERS, n, 4); see `ReferenceBuffer.at`."""
     nodes = np.empty(_NODES, dtype=np.int64)
     count = _find_nodes(stamps_s, ends, nodes)
     newest_s = stamps_s[nodes[0]]
-    result[:] = 0.0
-    # Conditions C c = data on the coefficients c, wanted values W c: W (C'C)^-1 C' are the weights of the data. Times
-    # are from -1/2 to 1/2 on the nodes, which conditions C well, and with them the d-th derivatives count scale^d.
     span_s = newest_s - stamps_s[nodes[count - 1]]
-    middle_s, scale_s = newest_s - 0.5 * span_s, span_s if count > 1 else 1.0
-    size = _DEGREES[count] + 1
-    C = _basis((stamps_s[nodes[:count]] - middle_s) / scale_s, _SAMPLE_ORDERS, size)
-    W = _basis((times_s - middle_s) / scale_s, ORDERS, size)
-    weights = W @ np.linalg.solve(C.T @ C, C.T)
+    scale_s = span_s if count > 1 else 1.0
+    if not _is_known(times_s, stamps_s, nodes, count, spacing_s):
+        _weigh(times_s, stamps_s, nodes[:count], newest_s - 0.5 * span_s, scale_s, weights)
+    result[:] = 0.0
     for k in range(len(times_s)):
         for d in range(ORDERS):
             for node in range(count):
@@ -164,6 +170,36 @@ def _at(times_s, stamps_s, samples, ends, result):
                     for i in range(sample.shape[0]):
                         for axis in range(sample.shape[1]):
                             result[k, d, i, axis] += weight * sample[i, axis]
+
+
+@compiled
+def _is_known(times_s, stamps_s, nodes, count, spacing_s):
+    """Whether samples and times lie as those that are noted; notes them."""
+    newest_s, is_known = stamps_s[nodes[0]], True
+    for k in range(_NODES + len(times_s)):
+        if k >= _NODES:
+            new_s = times_s[k - _NODES] - newest_s
+        else:
+            new_s = stamps_s[nodes[k]] - newest_s if k < count else -np.inf
+        is_known &= abs(new_s - spacing_s[k]) < _SAME_S or new_s == spacing_s[k]
+        spacing_s[k] = new_s
+    return is_known
+
+
+@compiled
+def _weigh(times_s, stamps_s, nodes, middle_s, scale_s, weights):
+    """Fill the weights (k ORDERS, samples _SAMPLE_ORDERS) of the samples' values and derivatives in the results'.
+
+    Conditions C c = data on the coefficients c, wanted values W c: W (C'C)^-1 C' are the weights of the data. Times are
+    from -1/2 to 1/2 on the nodes, which conditions C well, and with them the d-th derivatives count scale^d.
+    """
+    size = _DEGREES[len(nodes)] + 1
+    C = _basis((stamps_s[nodes] - middle_s) / scale_s, _SAMPLE_ORDERS, size)
+    W = _basis((times_s - middle_s) / scale_s, ORDERS, size)
+    found = W @ np.linalg.solve(C.T @ C, C.T)
+    for row in range(found.shape[0]):
+        for column in range(found.shape[1]):
+            weights[row, column] = found[row, column]
 
 
 @compiled
