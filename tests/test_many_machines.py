@@ -54,7 +54,9 @@ LANDING_S = 4.0  # from a metre
 FLOOR_M = 0.15  # a vehicle's centre that is lower stands
 END_S = 90.0  # for Ctrl-C; a computer that is gone costs roslaunch 20 to 40 s
 GONE_S = 8.0  # from the end of roslaunch to that of the last process; after that the guards of the sessions would kill
-APART = "course:=origin"  # a place for each: the circles of circles3 come within 0.17 m, and one may have stopped
+# A place for each, as the circles of circles3 come within 0.17 m and one may have stopped. An aircraft that hears nothing
+# any more keeps its last tilt for two seconds, and drifts by up to a metre.
+APART = ("course:=origin", "course_options:={spacing_m: 1.6}")
 LAPTOPS = tuple(VEHICLE_OF)
 LAPTOP_OF = {vehicle: laptop for laptop, vehicle in VEHICLE_OF.items()}
 SECOND_SET = {"joystick_controller", "joy_node"}  # on each laptop
@@ -279,7 +281,7 @@ def outages(namespaces, tmp_path_factory):
     """
 
     def scenario(hosts):
-        hosts.launch("duration:=60", APART)
+        hosts.launch("duration:=60", *APART)
         hosts.wait_for("on course for")
         hosts.cuts = {"risc1": hosts.cut("risc2", 0.2)}
         time.sleep(1.5)
@@ -411,7 +413,7 @@ def accidents(namespaces, tmp_path_factory):
     """Two laptops' clocks are wrong by 50 ms; one laptop's sshd dies in flight, another laptop loses its power."""
 
     def scenario(hosts):
-        hosts.launch("duration:=20", APART)
+        hosts.launch("duration:=20", *APART)
         hosts.wait_for("on course for")
         hosts.course_s = time.time()
         time.sleep(5.0)

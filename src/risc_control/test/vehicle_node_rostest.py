@@ -9,193 +9,42 @@ import itertools
 import os
 import re
 import signal
-import threading
 import time
 import unittest
 
 import rosgraph
 import rospy
 import rostest
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Twist, TwistStamped
-from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Empty, String
+from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Trigger
+from vehicle_world import (
+    EMERGENCY,
+    FLYING,
+    HOVER_N,
+    LANDED,
+    MOST_HZ,
+    PUBLISHED,
+    SHUT_DOWN,
+    TAKEOFF_LAND,
+    World,
+    is_flown,
+    is_zero,
+    same,
+    wait_for,
+)
 
-from ardrone_autonomy.msg import Navdata
 from risc_control.ros.vehicle_node import VehicleNode
-from risc_msgs.msg import Control, Controls, Cortex, States
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
-JOY_TO_WAY, EMERGENCY, SHUT_DOWN, TAKEOFF_LAND = 0, 2, 7, 6
-LANDED, FLYING = 2, 3
-HOVER_N = 0.45 * 9.80665
-MOST_HZ = 31.0  # commands: 30 Hz is command_rate_hz
 LIMIT_S = {"hold": 0.5, "land": 2.0}  # of states and controls, as in vehicle_node.test
 LOSS = re.compile(r"(hold|land): (?:state|controls) (\d+) ms old")
 RECEIPT_JITTER_S = 1.0  # a stall of this computer between sending and noting the time of receipt
-TIMEOUT_S = 60.0
-PUBLISHED = {
-    "cmd_vel": Twist,
-    "cmd_vel_stamped": TwistStamped,
-    "ardrone/takeoff": Empty,
-    "ardrone/land": Empty,
-    "ardrone/reset": Empty,
-    "controller_status": Bool,
-    "safety": String,
-}
-
-
-def within(condition, seconds):
-    """Whether the condition came true in that time."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.005)
-    return True
-
-
-def wait_for(condition, what):
-    assert within(condition, TIMEOUT_S), "not within %g s: %s" % (TIMEOUT_S, what)
-
-
-class World:
-    """Everything around the nodes: states and controls at 200 Hz, navdata at 50 Hz; records what the nodes publish."""
-
-    def __init__(self):
-        self.flight_state = dict.fromkeys(TEMPLATES, LANDED)
-        self.controls = dict.fromkeys(TEMPLATES, (0.0, 0.0, 0.0, HOVER_N))
-        self.visible = dict.fromkeys(TEMPLATES, True)
-        self.running = True
-        self.sent = set()  # stamps of states and controls
-        self.sent_s = 0.0  # [s] monotonic, of the newest ones
-        self._ended = False
-        self.received = {(v, t): [] for v in TEMPLATES for t in PUBLISHED}  # [(monotonic time, message)]
-        self._reports = {}  # template: {key: value} of its node's diagnostics
-        self._subscribers = [rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)]
-        for vehicle in TEMPLATES:
-            for topic, kind in PUBLISHED.items():
-                key = (vehicle, topic)
-                self._subscribers.append(
-                    rospy.Subscriber(
-                        "/%s/%s" % key, kind, lambda m, key=key: self.received[key].append((time.monotonic(), m))
-                    )
-                )
-        self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
-        self._controls = rospy.Publisher("/controls", Controls, queue_size=1)
-        self._navdata = {v: rospy.Publisher("/%s/ardrone/navdata" % v, Navdata, queue_size=1) for v in TEMPLATES}
-        self._joy = {v: rospy.Publisher("/%s/joy" % v, Joy, queue_size=10) for v in TEMPLATES}
-        wait_for(lambda: all(s.get_num_connections() for s in self._subscribers), "all topics of the nodes")
-        wait_for(lambda: all(p.get_num_connections() for p in (*self._navdata.values(), *self._joy.values())), "inputs")
-        wait_for(lambda: self._states.get_num_connections() == 3 == self._controls.get_num_connections(), "inputs")
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self):
-        rate = rospy.Rate(200)
-        step = 0
-        while not self._ended:
-            if self.running:
-                self.sent_s = time.monotonic()  # before the stamp: no age is reckoned from an earlier moment
-                stamp = rospy.Time.now()
-                self.sent.add(stamp)
-                states, controls = Cortex(), Controls()
-                states.header.stamp = controls.header.stamp = stamp
-                for vehicle, template in reversed(list(TEMPLATES.items())):  # by name, not by index (D-27)
-                    states.Obj.append(States(name=template, visible=self.visible[vehicle], z=1.0))
-                    controls.Obj.append(Control(template, *self.controls[vehicle]))
-                self._states.publish(states)
-                self._controls.publish(controls)
-            if step % 4 == 0:
-                for vehicle, publisher in self._navdata.items():
-                    publisher.publish(Navdata(state=self.flight_state[vehicle], batteryPercent=80.0))
-            step += 1
-            rate.sleep()
-
-    def _on_diagnostics(self, message):
-        for status in message.status:
-            values = {item.key: item.value for item in status.values}
-            self._reports[values.get("vehicle")] = values
-
-    def end(self):
-        self._ended = True
-        self._thread.join()
-
-    def press(self, vehicle, button, late_s=0.0):
-        """Press a button and let go. late_s: for so long the messages were on their way."""
-        for down in (button, None):
-            joy = Joy(axes=[0.0] * 8, buttons=[1 if k == down else 0 for k in range(11)])
-            joy.header.stamp = rospy.Time.now() - rospy.Duration(late_s)
-            self._joy[vehicle].publish(joy)
-
-    def messages(self, vehicle, topic):
-        return [message for _, message in self.received[vehicle, topic]]
-
-    def forget(self):
-        for received in self.received.values():
-            del received[:]
-
-    def wait(self, vehicle, topic, fits=lambda message: True):
-        wait_for(lambda: any(map(fits, self.messages(vehicle, topic))), "%s of %s" % (topic, vehicle))
-
-    def wait_for_state(self, vehicle, state):
-        """Until the vehicle's node knows by navdata that the vehicle is in this state."""
-        reports, template = self._reports, TEMPLATES[vehicle]
-        wait_for(lambda: reports.get(template, {}).get("flight state (navdata)") == str(state), "state of %s" % vehicle)
-
-    def let_pass(self, vehicle, statuses=15):
-        """Half a second of the node's own time: it reports its mode 30 times a second at most."""
-        self.forget()
-        wait_for(lambda: len(self.received[vehicle, "controller_status"]) >= statuses, "status of %s" % vehicle)
-
-    def fly(self):
-        """From the ground into the air and into autonomous mode; what comes after the take-off is kept."""
-        self.flight_state = dict.fromkeys(TEMPLATES, LANDED)
-        self.forget()
-        for vehicle in TEMPLATES:  # on the ground the mode becomes manual, and the ladder begins anew
-            self.wait(vehicle, "controller_status", lambda m: not m.data)
-        self.flight_state = dict.fromkeys(TEMPLATES, FLYING)
-        self.forget()
-        for vehicle in TEMPLATES:
-            self.wait(vehicle, "cmd_vel")  # commands are for vehicles that fly: the node knows it
-            wait_for(lambda v=vehicle: self._switches_to_autonomous(v), "autonomous mode of %s" % vehicle)
-
-    def fly_by_controls(self):
-        """`fly`, until every vehicle is commanded as the controls of tests 4 to 9 say."""
-        self.controls = dict.fromkeys(TEMPLATES, (0.2, 0.2, 0.2, HOVER_N))
-        self.fly()
-        for vehicle in TEMPLATES:
-            self.wait(vehicle, "cmd_vel", is_flown)
-
-    def _switches_to_autonomous(self, vehicle):
-        """Press the button. A node refuses while this computer stalls: its state is too old then."""
-
-        def is_autonomous():
-            return [m.data for m in self.messages(vehicle, "controller_status")[-1:]] == [True]
-
-        self.press(vehicle, JOY_TO_WAY)
-        return within(is_autonomous, 3.0)
-
-
-def same(twist, x, y, z, yaw):
-    wanted, found = (x, y, z, yaw), (twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z)
-    return all(abs(a - b) < 0.01 for a, b in zip(wanted, found))
-
-
-def is_zero(twist):
-    return same(twist, 0.0, 0.0, 0.0, 0.0)
-
-
-def is_flown(twist):
-    """The command of `World.fly_by_controls`; its climb contains the predicted climb rate."""
-    return same(twist, 0.2, 0.2, twist.linear.z, 0.2)
 
 
 class VehicleNodeTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.world = World()
+        cls.world = World(TEMPLATES, nodes=3)
 
     @classmethod
     def tearDownClass(cls):
@@ -254,8 +103,8 @@ class VehicleNodeTest(unittest.TestCase):
         ):
             # From rest each climb command is 0.3 s x acceleration; later ones contain the predicted climb rate.
             world.wait(vehicle, "cmd_vel", lambda m, wanted=(x, y, z, yaw): same(m, *wanted))
-            wait_for(lambda v=vehicle: len(self.answers(v)) >= 90, "answers of %s" % vehicle)
-            answers = self.answers(vehicle)
+            wait_for(lambda v=vehicle: len(world.answers(v)) >= 90, "answers of %s" % vehicle)
+            answers = world.answers(vehicle)
             self.assertTrue(all(same(m.twist, x, y, m.twist.linear.z, yaw) for m in answers))
             stamps = [m.header.stamp for m in answers]
             self.assertEqual([stamp for stamp in stamps if stamp not in world.sent], [], "stamps of no command")
@@ -267,10 +116,6 @@ class VehicleNodeTest(unittest.TestCase):
             stamped = [m.twist for m in world.messages(vehicle, "cmd_vel_stamped") if not is_zero(m.twist)]
             self.assertTrue(all(one == other for one, other in zip(twists, stamped)))
         wait_for(lambda: rospy.get_param("/controller_status", None) is True, "the parameter controller_status")
-
-    def answers(self, vehicle):
-        """Stamped commands that answer /controls; the node's own ones, manual or held, have no stamp."""
-        return [m for m in self.world.messages(vehicle, "cmd_vel_stamped") if not m.header.stamp.is_zero()]
 
     def test_4_loss_of_states_holds_then_lands(self):
         world = self.world

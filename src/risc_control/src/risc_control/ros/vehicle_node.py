@@ -18,11 +18,12 @@ from std_msgs.msg import Bool, Empty, String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
+from risc_control.controller_stream import ControllerStream
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays
-from risc_control.ros.joystick_buttons import origin
+from risc_control.ros.joystick_buttons import origin, sender
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import known_fleet
 from risc_control.safety import Rung
@@ -45,7 +46,6 @@ _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
 _VEHICLES_A_TURN = 5  # that get their commands with the same message,
 _MOST_GROUPS = 6  # unless there are so many that every message of a 200 Hz controller is for some
-_LAY_S = 0.001  # a message so much older than the one answered before has lain about
 _OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
 
 
@@ -72,10 +72,12 @@ class VehicleNode:
         self._vehicles = [_Vehicle(*who, params, turn_s, self._parameters) for who, turn_s in zip(chosen, turns_s)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
         self._controls, self._states = ControlsArrays(), CortexArrays()
-        self._answered_age_s = 0.0  # of the newest message of /controls that commands were made of
-        self._is_passed_over = False  # the message before: it was older than it should be
-        self._complete = {}  # {topic: names of its messages}, where all vehicles were found
-        self._answering = threading.Lock()
+        tick_hz = _TICKS_PER_COMMAND * params.pilot.command_rate_hz
+        self._tick_s = 1.0 / tick_hz
+        self._streams = {}  # {sender of /controls: ControllerStream}
+        self._heard = {}  # {topic: {sender: names of its messages}}
+        self._complete = set()  # topics that have all vehicles
+        self._answering, self._looking = threading.Lock(), threading.Lock()  # senders have threads of their own
         self._diagnostics = make_updater(", ".join(self._by_name))
         for vehicle in self._vehicles:
             self._diagnostics.add("vehicle " + vehicle.name, vehicle.diagnose)
@@ -83,8 +85,6 @@ class VehicleNode:
         rospy.on_shutdown(self._on_shutdown)
         for vehicle in self._vehicles:
             vehicle.listen()
-        tick_hz = _TICKS_PER_COMMAND * params.pilot.command_rate_hz
-        self._tick_s = 1.0 / tick_hz
         PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
         PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), tick_hz)
@@ -111,53 +111,58 @@ class VehicleNode:
     def _on_controls(self, message):
         """Commands leave here, with the next message when vehicles take one; what comes in between is not even read.
 
-        Returns when to read on [s]. The newest of what has come until then may have waited for a period of the
-        controller: it is a sign of life, and the next one is on its way.
+        Returns when to read on [s]. Every sender has a thread, and vehicles of its own.
         """
         with self._answering:
             controls = self._controls.deserialize(message.buff)
-            stamp = controls.header.stamp
+            stamp, who = controls.header.stamp, sender(message)
             stamp_s = stamp.to_sec()
             age_s = rospy.get_time() - stamp_s
-            is_due = time.monotonic() >= self._next_command_s()
-            lay = is_due and not self._is_passed_over and age_s > self._answered_age_s + _LAY_S
-            self._is_passed_over = lay
-            if is_due and not lay:
-                self._answered_age_s = age_s
-            for name, row in zip(controls.names, controls.controls.tolist()):
-                vehicle = self._by_name.get(name)
-                if vehicle is not None:
-                    vehicle.on_controls(OwnControl(*row), stamp if is_due and not lay else None, stamp_s, age_s)
             self._tell_missing(
-                "/controls", controls.names, "is it in the controller's and the trajectory's list of vehicles?"
+                "/controls", who, controls.names, "is it in the controller's and the trajectory's list of vehicles?"
             )
-            return 0.0 if lay else min(self._next_command_s(), time.monotonic() + self._tick_s)
-
-    def _next_command_s(self):
-        return min(vehicle.next_command_s for vehicle in self._vehicles)
+            rows = zip(map(self._by_name.get, controls.names), controls.controls.tolist())
+            flown = [(vehicle, row) for vehicle, row in rows if vehicle is not None]
+            stream = self._streams.get(who)
+            if stream is None:
+                stream = self._streams[who] = ControllerStream(self._tick_s)
+            is_due = time.monotonic() >= _next_command_s(flown)
+            answers = stream.answers(stamp_s, age_s, is_due)
+            for vehicle, row in flown:
+                vehicle.on_controls(OwnControl(*row), stamp if answers else None, stamp_s, age_s)
+            return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
     def _on_states(self, message):
-        states = self._states.deserialize(message.buff)
-        age_s = rospy.get_time() - states.header.stamp.to_sec()
-        for name, visible, row in zip(states.names, states.visible.tolist(), states.states.tolist()):
-            vehicle = self._by_name.get(name)
-            if vehicle is not None:
-                vehicle.on_state(visible, row, age_s)
-        self._tell_missing(
-            "/cortex_raw", states.names, "does the estimator know the template, and is the vehicle's name right?"
-        )
+        with self._looking:
+            states = self._states.deserialize(message.buff)
+            age_s = rospy.get_time() - states.header.stamp.to_sec()
+            for name, visible, row in zip(states.names, states.visible.tolist(), states.states.tolist()):
+                vehicle = self._by_name.get(name)
+                if vehicle is not None:
+                    vehicle.on_state(visible, row, age_s)
+            self._tell_missing(
+                "/cortex_raw",
+                sender(message),
+                states.names,
+                "does the estimator know the template, and is the vehicle's name right?",
+            )
 
-    def _tell_missing(self, topic, names, cure):
-        """Vehicles are found by name (D-27); names: those of the message."""
-        if names is self._complete.get(topic):
+    def _tell_missing(self, topic, who, names, cure):
+        """Vehicles are found by name (D-27), each in the messages of some sender. names: those of the message."""
+        heard = self._heard.setdefault(topic, {})
+        if heard.get(who) is not names:
+            heard[who] = names
+            self._complete.discard(topic)
+        if topic in self._complete:
             return
-        missing = [name for name in self._by_name if name not in names]
+        found = set().union(*heard.values())
+        missing = [name for name in self._by_name if name not in found]
         if missing:
             text = "%s has no '%s' (it has %s): %s"
-            found = ", ".join(names) or "nobody"
-            rospy.logwarn_throttle_identical(5.0, text % (topic, "', '".join(missing), found, cure))
+            there = ", ".join(sorted(found)) or "nobody"
+            rospy.logwarn_throttle_identical(5.0, text % (topic, "', '".join(missing), there, cure))
         else:
-            self._complete[topic] = names
+            self._complete.add(topic)
 
     def _on_tick(self):
         for vehicle in self._vehicles:
@@ -269,9 +274,9 @@ class _Vehicle:
             rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.name, error))
 
     def _on_joy(self, message):
-        age_s, sender = origin(message)
+        age_s, who = origin(message)
         with self._lock:
-            orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic(), age_s, sender)
+            orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic(), age_s, who)
             self._carry_out(orders)
         self._report(orders)
 
@@ -418,6 +423,11 @@ class _Vehicle:
             status.add(label + "age when it was ordered (ms)", "%.0f" % (1e3 * reaction.age_s))
             status.add(label + "reaction after the limit (ms)", "%.1f" % (1e3 * reaction.beyond_s))
         return status
+
+
+def _next_command_s(flown):
+    """When the first of [(_Vehicle, its control)] takes a command [s]; infinite when none does."""
+    return min((vehicle.next_command_s for vehicle, _ in flown), default=math.inf)
 
 
 def _turns_s(count, period_s):

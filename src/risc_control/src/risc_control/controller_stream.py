@@ -1,0 +1,38 @@
+"""What a vehicle node that does not read every message makes of one sender's `/controls`. No ROS."""
+
+import math
+
+_LAY_S = 0.001  # a message so much older than a fresh one has lain in the socket
+
+
+class ControllerStream:
+    """Messages of one sender, read when a command is due: the newest has lain about for up to a period of the sender.
+
+    A fast sender's is passed over then: the next one is on its way, and fresh. Of a sender that is slower than the node
+    looks (a student's controller at 30 Hz) every message is read as it comes, and answered.
+    """
+
+    def __init__(self, look_s):
+        """look_s: how often the node looks [s]; a sender with a longer period is slow."""
+        self._look_s = look_s
+        self._period_s = math.inf
+        self._stamp_s = -math.inf
+        self._fresh_s = math.inf  # age of a message that has not lain
+        self._follows = False  # the next message is waited for, since none was left unread: it is fresh
+
+    def answers(self, stamp_s, age_s, is_due):
+        """Whether commands are to be made of a message. is_due: a vehicle takes one now."""
+        if self._follows:
+            self._period_s = stamp_s - self._stamp_s
+            self._fresh_s = age_s
+        self._stamp_s = stamp_s
+        self._fresh_s = min(self._fresh_s, age_s)
+        is_fast = self._period_s < self._look_s
+        lay = is_due and is_fast and age_s > self._fresh_s + _LAY_S
+        self._follows = lay or not is_fast
+        return is_due and not lay
+
+    @property
+    def reads_on(self):
+        """Whether the next message is wanted at once, not only when a command is due again."""
+        return self._follows

@@ -1,0 +1,115 @@
+#!/usr/bin/env python3
+"""One vehicle node for several vehicles: each has its own trouble, its own commands, perhaps its own controller."""
+
+import math
+import os
+import signal
+import unittest
+import xmlrpc.client
+
+import rosgraph
+import rospy
+import rostest
+from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import Joy
+from vehicle_world import FLYING, HOVER_N, LANDED, SHUT_DOWN, World, is_flown, is_zero, same, wait_for
+
+TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
+NAME = "/vehicle_fleet_test"
+OTHERS = ("risc1", "risc3")  # of the vehicle that is in trouble
+
+
+class VehicleFleetTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.logs = []
+        cls.rosout = rospy.Subscriber("/rosout", Log, lambda message: cls.logs.append(message.msg))
+        cls.world = World(TEMPLATES, nodes=1, flown=("risc1", "risc2"))
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.world.end()
+
+    def tearDown(self):
+        rospy.set_param("/second_controller/torn", False)
+        self.world.controls = dict.fromkeys(TEMPLATES, (0.0, 0.0, 0.0, HOVER_N))
+        self.world.visible = dict.fromkeys(TEMPLATES, True)
+        self.world.flight_state = dict.fromkeys(TEMPLATES, LANDED)
+
+    def check_that_others_fly_on(self, count=60):
+        """Both, the quick controller's vehicle and the slow one's, are commanded as often as before."""
+        world = self.world
+        world.forget()
+        wait_for(lambda: all(len(world.answers(vehicle)) >= count for vehicle in OTHERS), "commands of the others")
+        quick, slow = (len(world.answers(vehicle)) for vehicle in OTHERS)
+        self.assertLess(quick, 1.5 * count, "the slow controller's vehicle is commanded as often")
+        self.assertLess(slow, 1.5 * count)
+        for vehicle in OTHERS:
+            self.assertTrue(all(is_flown(m.twist) for m in world.answers(vehicle)), vehicle)
+            self.assertEqual(world.messages(vehicle, "ardrone/land"), [])
+
+    def test_1_two_controllers_each_fly_their_own(self):
+        world = self.world
+        world.fly_by_controls()
+        del self.logs[:]
+        self.check_that_others_fly_on()
+        for vehicle in TEMPLATES:
+            stamps = [m.header.stamp for m in world.answers(vehicle)]
+            self.assertEqual(stamps, sorted(set(stamps)), "each answer is to a newer command")
+        self.assertEqual([text for text in self.logs if "has no" in text], [])
+
+    def test_2_a_vehicle_that_is_not_seen(self):
+        world = self.world
+        world.fly_by_controls()
+        world.visible["risc2"] = False
+        world.wait("risc2", "safety", lambda m: m.data.startswith("land: state"))
+        self.check_that_others_fly_on()
+        self.assertTrue(all(map(is_zero, world.messages("risc2", "cmd_vel"))))
+
+    def test_3_a_vehicle_that_is_fed_garbage(self):
+        """Commands, sticks and telemetry that are no numbers."""
+        world = self.world
+        world.fly_by_controls()
+        world.controls["risc2"] = (math.nan, math.inf, -math.inf, math.nan)
+        world.flight_state["risc2"] = 4000000000
+        for buttons, axes in (([], []), ([1] * 200, [math.nan] * 200), ([-1, 7], [1e30])):
+            world.send_joy("risc2", Joy(buttons=buttons, axes=axes))
+        self.check_that_others_fly_on()
+        self.assertFalse(any(map(is_flown, world.messages("risc2", "cmd_vel"))))
+
+    def test_4_messages_that_are_cut_off(self):
+        rospy.set_param("/second_controller/torn", True)
+        rospy.sleep(0.1)
+        self.world.fly_by_controls()
+        self.check_that_others_fly_on()
+
+    def test_5_the_shut_down_button_of_one(self):
+        """It lands, and its vehicle is as at the start; the node is that of the others as well."""
+        world = self.world
+        world.fly_by_controls()
+        world.forget()
+        world.press("risc2", SHUT_DOWN)
+        world.wait("risc2", "ardrone/land")
+        world.flight_state["risc2"] = LANDED
+        world.wait("risc2", "controller_status", lambda m: not m.data)
+        self.check_that_others_fly_on()
+        world.fly()
+        world.controls["risc2"] = (0.3, 0.1, 0.0, HOVER_N)
+        world.wait("risc2", "cmd_vel", lambda m: same(m, 0.1, 0.3, m.linear.z, 0.0))
+
+    def test_6_the_end_of_the_node_lands_all(self):
+        world = self.world
+        world.fly_by_controls()
+        world.forget()
+        uri = rosgraph.Master(NAME).lookupNode("/vehicles")
+        _, _, pid = xmlrpc.client.ServerProxy(uri).getPid(NAME)
+        os.kill(pid, signal.SIGINT)
+        for vehicle in TEMPLATES:
+            world.wait(vehicle, "ardrone/land")
+            wait_for(lambda v=vehicle: any(map(is_zero, world.messages(v, "cmd_vel")[-1:])), "a last command of zero")
+        self.assertEqual({world.flight_state[vehicle] for vehicle in TEMPLATES}, {FLYING})
+
+
+if __name__ == "__main__":
+    rospy.init_node(NAME[1:])
+    rostest.rosrun("risc_control", "vehicle_fleet_test", VehicleFleetTest)
