@@ -35,18 +35,25 @@ def wait_for(condition, what):
 class Driver(object):
     """A driver node in its own process and namespace, with publishers and subscribers on its topics.
 
+    drone: a ScriptedDrone, or {name: ScriptedDrone} for one driver of several, whose topics begin with their names.
     params: private parameters besides PARAMS.  environment: variables besides our own.
     group: parameters of the namespace `ardrone` beside the driver.
     """
 
     def __init__(self, drone, params=None, arguments=(), environment=None, group=None):
         self.namespace = next(_namespaces)
-        rospy.set_param(self.namespace + "/ardrone_driver", dict(PARAMS, **(params or {})))
+        params = dict(PARAMS, **(params or {}))
+        if isinstance(drone, dict):
+            own = {self.namespace + "/" + name: {"drone_ip": one.address} for name, one in drone.items()}
+            params.update(vehicles={name.strip("/"): value for name, value in own.items()})
+        else:
+            arguments = ("-ip", drone.address, *arguments)
+        rospy.set_param(self.namespace + "/ardrone_driver", params)
         if group:
             rospy.set_param(self.namespace + "/ardrone", group)
         executable = roslib.packages.find_node("ardrone_autonomy", "ardrone_driver")[0]
         self._process = subprocess.Popen(
-            [executable, "-ip", drone.address, *arguments],
+            [executable, *arguments],
             env=dict(os.environ, ROS_NAMESPACE=self.namespace, **(environment or {})),
         )
         self._publishers = {}

@@ -2,6 +2,8 @@
 """The driver node against a scripted aircraft: topics, services, tf, emergency, reconnection, shutdown."""
 
 import contextlib
+import random
+import statistics
 import sys
 import time
 import unittest
@@ -38,12 +40,61 @@ def flying_lab(**params):
             driver.end()
 
 
-def take_off(drone, driver):
-    driver.publish("ardrone/takeoff", Empty())
+def take_off(drone, driver, prefix=""):
+    driver.publish(prefix + "ardrone/takeoff", Empty())
     wait_for(lambda: drone.phase is ControlState.HOVERING, "hovering")
 
 
+def answer_times_s(drone, driver, prefix, count=20):
+    """How long the first `count` different commands take to the vehicle [s]."""
+    times_s = []
+    for k in range(1, count + 1):
+        begin_s = time.monotonic()
+        driver.publish(prefix + "cmd_vel", Twist(linear=Vector3(0.01 * k, 0, 0)))
+        wait_for(lambda k=k: abs(drone.sticks()[2] + 0.01 * k) < 1e-6, "command %d" % k)
+        times_s.append(time.monotonic() - begin_s)
+        time.sleep(0.1)
+    return times_s
+
+
 class DriverTest(unittest.TestCase):
+    def test_one_vehicles_trouble_never_delays_another(self):
+        """One driver for three: of one link nothing comes back, one brings 1000 datagrams of garbage a second."""
+        noise = random.Random(1)
+        with contextlib.ExitStack() as stack:
+            drones = {name: stack.enter_context(ScriptedDrone()) for name in ("good", "gone", "noisy")}
+            driver = Driver(drones)
+            stack.callback(driver.end)
+            telemetry = {name: driver.subscribe(name + "/ardrone/navdata", Navdata) for name in drones}
+            for name, drone in drones.items():
+                wait_for(lambda name=name: telemetry[name], "navdata of " + name)
+                take_off(drone, driver, name + "/")
+            good = drones["good"]
+            before, sent, quiet_s = len(telemetry["good"]), good.packets, answer_times_s(good, driver, "good/")
+            published = (len(telemetry["good"]) - before) / (good.packets - sent)
+            drones["gone"].silent = True
+            whole = drones["noisy"].packet()
+            drones["noisy"].garbage = (
+                noise.randbytes(500),
+                whole[: len(whole) // 2],
+                whole[:-1] + bytes([whole[-1] ^ 1]),  # the checksum is wrong
+                b"",
+                noise.randbytes(60000),
+            )
+            before, sent, beside_s = len(telemetry["good"]), good.packets, answer_times_s(good, driver, "good/", 60)
+            rate = (len(telemetry["good"]) - before) / (good.packets - sent) / published
+            self.assertGreater(rate, 0.5, "navdata of the good vehicle is published as before")
+            self.assertLess(statistics.median(beside_s), 2.0 * statistics.median(quiet_s) + 0.02)
+            self.assertLess(statistics.quantiles(beside_s)[2], 0.2, "no command waits for another vehicle's time-out")
+            self.assertTrue(driver.alive())
+            wait_for(lambda: len(good.named("PCMD_MAG")) > 100, "commands of the good vehicle")
+            self.assertIs(good.phase, ControlState.FLYING)
+            self.assertTrue(drones["noisy"].named("PCMD_MAG"), "its commands go on as well")
+            drones["gone"].silent, drones["noisy"].garbage = False, ()
+            for name in ("gone", "noisy"):  # and both come back
+                count = len(telemetry[name])
+                wait_for(lambda name=name, count=count: len(telemetry[name]) > count + 20, "navdata of " + name)
+
     def test_flight(self):
         with flying_lab() as (drone, driver):
             take_off(drone, driver)

@@ -39,6 +39,7 @@ class ScriptedDrone(object):
         self.address = address or free_address()
         self.options = {}  # tag -> fields of the next packets besides those that follow from the state
         self.silent = False  # True: neither hears nor speaks
+        self.garbage = ()  # datagrams that are sent beside every packet of navdata
         self.reboots = 0
         self.packets = 0  # of navdata that were sent
         self._stop = threading.Event()
@@ -111,7 +112,8 @@ class ScriptedDrone(object):
                 next_s += PERIOD_S
                 self._advance()
                 if self._client is not None and not self.silent:
-                    self._sockets[0].sendto(self._packet(), self._client)
+                    for datagram in (self.packet(), *self.garbage):
+                        self._sockets[0].sendto(datagram, self._client)
                     self.packets += 1
 
     def _obey(self, command):
@@ -159,7 +161,8 @@ class ScriptedDrone(object):
             sticks = self.sticks()
             self._enter(ControlState.FLYING if sticks and sticks[0] else ControlState.HOVERING)
 
-    def _packet(self):
+    def packet(self):
+        """The next one of navdata."""
         self._sequence += 1
         state = State.ALTITUDE_CONTROL
         if self._ack:
