@@ -184,7 +184,10 @@ def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
     ("arguments", "message"),
     [
         (["--vehicles", "0"], "at least 1"),
-        (["--fleet", str(ROOT / "launch/fleets/ardrones5.yaml"), "--vehicles", "9"], "has 5 vehicles, 9 were asked for"),
+        (
+            ["--fleet", str(ROOT / "launch/fleets/ardrones5.yaml"), "--vehicles", "9"],
+            "has 5 vehicles, 9 were asked for",
+        ),
         (["--fleet", "nowhere.yaml"], "cannot read nowhere.yaml"),
         (["df_demo", "--vehicles", "2"], "df_demo is for one vehicle"),
         (["--duration", "1"], "from 5 to 600"),
