@@ -1,4 +1,4 @@
-// Node recorder: topics into a bag, as `rosbag record` does, at half its cost.
+// Node recorder: topics into a bag, as `rosbag record` does.
 //
 // rosbag hands every message from the thread that received it to one that spins, to one that writes: three
 // threads are woken a thousand times a second for a flight. Here messages are dated and kept by the thread
