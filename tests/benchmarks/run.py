@@ -29,7 +29,7 @@ BENCHMARKS = {
                 "--pictures", str(DOCS / "images" / "vision")]),
     "long_bag": ("report of a long bag with pictures: time and peak memory (needs 9 GB of disk meanwhile)",
                  [PYTHON, str(HERE / "long_bag.py"), "--json", "{json}"]),
-    "startup": ("start-up time of the nodes of a flight, up to 50 vehicles",
+    "startup": ("start-up time of estimator, controller, trajectory, vehicle node, driver; up to 50 vehicles",
                 [PYTHON, str(HERE / "startup.py"), "--json", "{json}"]),
     "profile": ("where the processor time of a flight goes, program by program",
                 [PYTHON, str(HERE / "profile_nodes.py"), "--json", "{json}"]),

@@ -1,11 +1,13 @@
-"""How long the nodes of a flight take to start: from the command until what they listen to is registered.
+"""How long the nodes of a flight take to start: from the command until the last registration with the master.
 
-Each node alone, on a master of its own, with the parameters of the launch files and a generated fleet.
+One node after the other, with nothing to listen to: estimator, controller, trajectory, vehicle node and driver, with
+the parameters of their configuration files and a generated fleet.
 """
 
 import argparse
 import contextlib
 import json
+import math
 import os
 import pathlib
 import statistics
@@ -23,7 +25,7 @@ from risc_experiments.processes import free_tcp_port
 
 COUNTS = (1, 3, 50)
 REPETITIONS = 3
-NODES = {  # name: (package, program, its configuration, the topics that it listens to in the end)
+NODES = {  # name: (package, program, its configuration, topics that it listens to before it is of use)
     "states_estimation": ("risc_estimation", "states_estimation.py", "states_estimation.yaml", ("/mocap_data",)),
     "controller": ("risc_control", "generic_DF_controller.py", "generic_DF_controller.yaml",
                    ("/cortex_raw", "/trajectory")),
@@ -33,6 +35,7 @@ NODES = {  # name: (package, program, its configuration, the topics that it list
 }  # fmt: skip
 POLL_S = 0.01
 MOST_S = 60.0
+QUIET_S = 0.5  # without another registration: that one was the last
 
 
 @contextlib.contextmanager
@@ -66,12 +69,15 @@ def start_s(name, repetition, vehicles, master, environment):
         ["catkin_find", "--first-only", "--libexec", package, executable], capture_output=True, text=True, check=True
     ).stdout.strip()
     topics = {topic.format(last=vehicles[-1].namespace) for topic in topics}
-    begin_s = time.monotonic()
+    begin_s, known, changed_s = time.monotonic(), None, math.inf
     with program([path, "__name:=" + node[1:]], environment) as process:
         while time.monotonic() < begin_s + MOST_S:
-            _, _, (_, subscribed, _) = master.getSystemState(node)
-            if topics <= {topic for topic, nodes in subscribed if node in nodes}:
-                return time.monotonic() - begin_s
+            _, _, registered = master.getSystemState(node)  # of topics published, topics subscribed to, services
+            own = [{name for name, nodes in kind if node in nodes} for kind in registered]
+            if own != known:
+                known, changed_s = own, time.monotonic()
+            if topics <= own[1] and time.monotonic() > changed_s + QUIET_S:
+                return changed_s - begin_s
             if process.poll() is not None:
                 raise RuntimeError("%s ended while it started (exit code %d)" % (name, process.returncode))
             time.sleep(POLL_S)

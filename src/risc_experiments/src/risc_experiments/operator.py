@@ -20,7 +20,7 @@ from risc_control.vehicle_pilot import FlightState
 _HOVERS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # packets without a state read 0, an emergency too
-_PRESS_S = 0.15  # a button is down for so long, one or two messages at 10 Hz, and up at least as long
+_PRESS_S = 0.15  # a button is down for so long, two messages at 10 Hz (one of a late clock), and up at least as long
 _LAND_AGAIN_S = 2.0
 _SURE_S = 0.5  # a vehicle whose newest report is older may have landed meanwhile: the button could be a take-off
 _TAKEOFF_AGAIN_S = 2.0
