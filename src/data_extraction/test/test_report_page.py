@@ -227,7 +227,7 @@ def test_it_says_what_was_flown_and_how_it_ended(page):
 
 def test_what_the_programs_took_of_the_computer(page):
     assert ["controller", "0.250", "82\u202fMB"] in page.rows
-    for text in ("0.38 cores", "176\u202fMB", "0.40 cores, most by browser (0.30)", "1.0 %"):
+    for text in ("0.38 cores", "176 MB", "0.40 cores, most by browser (0.30)", "1.0 %"):
         assert text in page.text, text
 
 
