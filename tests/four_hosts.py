@@ -47,6 +47,7 @@ COLOURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\]2;[^\x07]*\x07")
 NODE_NAME = re.compile(r" __name:=(\S+)")
 # Two cores do what five computers would: half the frames, few pictures, and everything starts before the take-off.
 RATE_HZ = 100.0
+ARENA = {"half_x_m": 4.0, "half_y_m": 4.0}  # so wide that nothing that drifts for two seconds reaches the net
 LIGHT = ("rviz:=false", "operator:=true", "video_fps:=3", "record_hz:=0", "ready:=4")
 
 Command = collections.namedtuple("Command", "time_s vehicle name arguments")
@@ -125,6 +126,7 @@ class FourHosts:
         self.fleet = self.net.folder / "fleet.yaml"
         fleet = yaml.safe_load((ROOT / "launch/fleets/lab3.yaml").read_text())
         fleet["mocap"]["rate_hz"] = RATE_HZ
+        fleet["arena"] = ARENA
         for number, vehicle in enumerate(fleet["vehicles"], 1):
             vehicle["address"] = "192.168.%d.1" % number
         self.fleet.write_text(yaml.safe_dump(fleet))

@@ -55,8 +55,9 @@ FLOOR_M = 0.15  # a vehicle's centre that is lower stands
 END_S = 90.0  # for Ctrl-C; a computer that is gone costs roslaunch 20 to 40 s
 GONE_S = 8.0  # from the end of roslaunch to that of the last process; after that the guards of the sessions would kill
 # A place for each, as the circles of circles3 come within 0.17 m of each other and one vehicle may have stopped. An
-# aircraft that hears nothing any more keeps its last tilt for two seconds, and drifts by up to a metre.
-APART = ("course:=origin", "course_options:={spacing_m: 1.6}")
+# aircraft that hears nothing any more keeps its last tilt for two seconds, 1 to 4 degrees, and drifts by 0.3 to
+# 1.5 m: the net is wider than that.
+APART = ("course:=origin", "course_options:={spacing_m: 3.0}")
 LAPTOPS = tuple(VEHICLE_OF)
 LAPTOP_OF = {vehicle: laptop for laptop, vehicle in VEHICLE_OF.items()}
 SECOND_SET = {"joystick_controller", "joy_node"}  # on each laptop
