@@ -15,11 +15,10 @@ from risc_control.lab.fleet import fleet_from_dict
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import CortexArrays
 from risc_control.ros.paced import PacedSubscriber
-from risc_experiments.operator import Operator, OperatorParams
+from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
 from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.ticker import Ticker
 
-JOY_RATE_HZ = 10.0
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
 LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
 SERVICE_TIMEOUT_S = 5.0
@@ -109,7 +108,7 @@ class VirtualOperator:
         with self._lock:
             now_s = time.monotonic()
             self._operator.step(now_s)
-            pressed = {name: watched.pad.buttons(now_s, BUTTONS) for name, watched in self._operator.vehicles.items()}
+            pressed = {name: watched.pad.next_buttons(BUTTONS) for name, watched in self._operator.vehicles.items()}
             texts = {"phase": self._operator.phase_text, "result": self._operator.result}
             call, self._calling = self._operator.call_home and not self._calling, self._operator.call_home
             landings = [name for name in self._operator.landings() if name not in self._landing]

@@ -3,10 +3,10 @@
 import pytest
 
 from risc_control.vehicle_pilot import FlightState
-from risc_experiments.operator import Joypad, Operator, OperatorParams, Phase, time_limit_s
+from risc_experiments.operator import JOY_RATE_HZ, Joypad, Operator, OperatorParams, Phase, time_limit_s
 
 TOGGLE, TAKEOFF_LAND, BUMPER = 0, 6, 5
-STEP_S = 0.05
+STEP_S = 1.0 / JOY_RATE_HZ
 
 
 class ModelVehicle:
@@ -111,7 +111,7 @@ class Flight:
                     vehicle.home(self.now_s)
         landings = self.operator.landings()
         for name, vehicle in self.vehicles.items():
-            buttons = self.operator.vehicles[name].pad.buttons(self.now_s, 11)
+            buttons = self.operator.vehicles[name].pad.next_buttons(11)
             vehicle.receive(buttons, name in landings, self.now_s)
         if not self.phases or self.phases[-1] != self.operator.phase:
             self.phases.append(self.operator.phase)
@@ -464,7 +464,7 @@ def test_time_limit_is_the_sum_of_all_phases():
     longer = time_limit_s(OperatorParams(autonomous_timeout=50.0, duration=30.0))
     assert longer == time_limit_s(OperatorParams(duration=30.0)) + 10.0
     figures = OperatorParams(duration=20.0, rest=8.0, bumper_steps=5)
-    stays_s = 3 * 8.0 + 3 * 20.0 + 5 * 0.3
+    stays_s = 3 * 8.0 + 3 * 20.0 + 5 * 0.4
     assert time_limit_s(figures) == pytest.approx(time_limit_s(OperatorParams(duration=0.0)) + stays_s)
 
 
@@ -507,13 +507,29 @@ def test_bumpers_step_through_the_figures():
     assert flight.home_calls == 1
 
 
+def test_a_bumper_is_pressed_on_all_joysticks_or_on_none():
+    """One that is pressed alone would be pressed again with the others: a figure further."""
+    flight = Flight(count=2, bumper_steps=1, duration=10.0, rest=4.0).run(Phase.FLY)
+    flight.run(lambda: flight.operator.text == "at the origin")
+    pads = [flight.operator.vehicles[name].pad for name in flight.vehicles]
+    down_s = flight.now_s + 3.9
+    while flight.now_s < down_s:
+        flight.step()
+    assert pads[1].press(11)  # a button without meaning, when the bumper's time comes
+    flight.finish()
+    assert flight.operator.result == "ok"
+    presses = [[t for t, button in vehicle.presses if button == BUMPER] for vehicle in flight.vehicles.values()]
+    assert len(presses[0]) == 1 and presses[0] == presses[1]
+
+
 def test_presses_do_not_run_into_each_other():
     pad = Joypad()
-    assert pad.press(3, 10.0)
-    assert pad.buttons(10.1, 5) == [0, 0, 0, 1, 0]
-    assert not pad.press(4, 10.2)
-    assert pad.buttons(10.2, 5) == [0] * 5
-    assert pad.press(4, 10.31)
+    assert pad.press(3)
+    assert [pad.next_buttons(5) for _ in range(2)] == [[0, 0, 0, 1, 0]] * 2
+    assert not pad.press(4)
+    assert [pad.next_buttons(5) for _ in range(2)] == [[0] * 5] * 2
+    assert pad.press(4)
+    assert pad.next_buttons(5) == [0, 0, 0, 0, 1]
 
 
 @pytest.mark.parametrize("bad", [{"duration": -1.0}, {"bumper_steps": 1.5}, {"settle": "2"}, {"bumper": 6}])

@@ -20,7 +20,8 @@ from risc_control.vehicle_pilot import FlightState
 _HOVERS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # packets without a state read 0, an emergency too
-_PRESS_S = 0.15  # a button is down for so long, two messages at 10 Hz (one of a late clock), and up at least as long
+JOY_RATE_HZ = 10.0  # of its joysticks; once a message it looks, decides and presses
+_PRESS_MESSAGES = 2  # a button is down in so many messages, and up in at least as many: no late clock loses an edge
 _LAND_AGAIN_S = 2.0
 _SURE_S = 0.5  # a vehicle whose newest report is older may have landed meanwhile: the button could be a take-off
 _TAKEOFF_AGAIN_S = 2.0
@@ -81,7 +82,11 @@ def time_limit_s(params):
     course_s = max(params.autonomous_timeout, params.course_timeout)
     if steps:  # figures are every other stay, the origin is the first
         figures = (steps + 1) // 2
-        course_s += figures * params.duration + (steps + 1 - figures) * params.rest + steps * 2.0 * _PRESS_S
+        course_s += (
+            figures * params.duration
+            + (steps + 1 - figures) * params.rest
+            + steps * 2.0 * _PRESS_MESSAGES / JOY_RATE_HZ
+        )
     else:
         course_s += params.duration
     return (
@@ -96,22 +101,27 @@ def time_limit_s(params):
 
 
 class Joypad:
-    """One virtual joystick: a press lasts a while, and presses do not run into each other."""
+    """One virtual joystick: a press lasts some messages, and presses do not run into each other."""
 
     def __init__(self):
         self._button = None
-        self._down_s = -math.inf
+        self._messages = 2 * _PRESS_MESSAGES  # since it went down
 
-    def press(self, button, now_s):
-        """Press a button; True when it went down, False while the last press is not over."""
-        if now_s - self._down_s < 2.0 * _PRESS_S:
+    def press(self, button):
+        """Press a button; True when it goes down, False while the last press is not over."""
+        if not self.is_free:
             return False
-        self._button, self._down_s = button, now_s
+        self._button, self._messages = button, 0
         return True
 
-    def buttons(self, now_s, count):
-        """The buttons of a Joy message: list of `count` zeros and ones."""
-        down = self._button if now_s - self._down_s < _PRESS_S else None
+    @property
+    def is_free(self):
+        return self._messages >= 2 * _PRESS_MESSAGES
+
+    def next_buttons(self, count):
+        """The buttons of the next Joy message: list of `count` zeros and ones."""
+        down = self._button if self._messages < _PRESS_MESSAGES else None
+        self._messages += 1
         return [1 if index == down else 0 for index in range(count)]
 
 
@@ -275,7 +285,7 @@ class Operator:
         self.text = ", ".join(waiting)
         for _, w in self._taking_part():
             if w.flight_state == FlightState.LANDED and now_s - w.takeoff_s > _TAKEOFF_AGAIN_S:
-                if w.pad.press(self._params.TakeoffLand, now_s):
+                if w.pad.press(self._params.TakeoffLand):
                     w.takeoff_s = now_s
         if self._overdue(self._params.takeoff_timeout, now_s):
             self._fail("no hover within %g s: %s" % (self._params.takeoff_timeout, self.text), now_s)
@@ -300,7 +310,7 @@ class Operator:
             self.text = "switching %s to autonomous" % ", ".join(manual)
             for name in manual:
                 w = self.vehicles[name]
-                if now_s - w.toggle_s > _TOGGLE_AGAIN_S and w.pad.press(params.JoytoWay, now_s):
+                if now_s - w.toggle_s > _TOGGLE_AGAIN_S and w.pad.press(params.JoytoWay):
                     w.toggle_s = now_s
             if self._overdue(params.autonomous_timeout, now_s):
                 self._fail("no autonomous mode within %g s: %s" % (params.autonomous_timeout, ", ".join(manual)), now_s)
@@ -325,7 +335,10 @@ class Operator:
         if not self._steps_left:
             self._enter(Phase.HOME, now_s)
             return
-        if all(w.pad.press(params.bumper, now_s) for _, w in self._taking_part()):
+        pads = [w.pad for _, w in self._taking_part()]
+        if all(pad.is_free for pad in pads):
+            for pad in pads:
+                pad.press(params.bumper)
             self._steps_left -= 1
             self._step_since_s = now_s
             self.text = "figure %d" % (done // 2 + 1) if not on_figure else "at the origin"
@@ -371,7 +384,7 @@ class Operator:
             return
         if not heard or w.failure or w.land_s > -math.inf:
             w.call_land, w.land_s = True, now_s
-        elif w.pad.press(self._params.TakeoffLand, now_s):
+        elif w.pad.press(self._params.TakeoffLand):
             w.land_s = now_s
 
     def _note_failures(self, now_s):
