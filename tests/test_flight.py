@@ -44,7 +44,16 @@ def frames_passed_over(path):
 @pytest.fixture(scope="module")
 def circles(tmp_path_factory):
     """The default experiment, shorter: (exit code, output, summary, folder)."""
-    return fly(tmp_path_factory.mktemp("flight"), "--duration", "15")
+    before = compiled_files()
+    flown = fly(tmp_path_factory.mktemp("flight"), "--duration", "15")
+    assert before, "no caches there"
+    assert compiled_files() == before, "compiled in flight"
+    return flown
+
+
+def compiled_files():
+    """{file of numba's caches in the sources: when it was written}."""
+    return {path: path.stat().st_mtime for path in ROOT.glob("src/**/__pycache__/*.nb[ic]")}
 
 
 def test_three_vehicles_fly_their_circles_and_land(circles):
