@@ -37,7 +37,7 @@ _SHORT_SPAN_S = 0.1  # less than this is too short for three samples and a degre
 _MIN_SPAN_S = 0.02  # and less than this even for that: the newest sample alone
 # A step between two samples of one smooth path obeys the trapezoidal rule to the sixth decimal. A jump, a stamp that
 # is not the time the sample was computed for, or an acceleration that is not the velocity's derivative does not.
-_SAME_S = 1e-12  # [s] spacing of samples and times that differ by less are the same: their weights are known
+_SAME_S = 1e-12  # [s] spacings of samples that differ by less are the same: their fit is known
 _TOLERANCE_1_S = 0.02  # [m/s, m/s^2] error of position and of velocity per second of step
 # [d, p]: factor of t^(p - d) in the d-th derivative of t^p
 _DERIVATIVE = np.array([[np.prod(np.arange(p, p - d, -1.0)) for p in range(max(_DEGREES) + 1)] for d in range(ORDERS)])
@@ -52,7 +52,8 @@ class ReferenceBuffer:
     def __init__(self):
         self._stamps_s = np.empty(_ROWS)  # a ring: sample k is in row k % _ROWS
         self._ends = np.empty(2, dtype=np.int64)  # k of the oldest and of the newest
-        self._expect(1)
+        self._spacing_s = np.full(_NODES, np.nan)  # of samples to the newest, of which the fit is
+        self._fit = np.empty((max(_DEGREES) + 1, _NODES * _SAMPLE_ORDERS))
         self._resize((_SAMPLE_ORDERS, 0, len(Axis)))
         self.push(0.0, self._samples[0])  # loads what is compiled
         self.at(np.zeros(1))
@@ -61,12 +62,6 @@ class ReferenceBuffer:
     def _resize(self, shape):
         self._samples = np.zeros((_ROWS,) + shape)
         self.clear()
-
-    def _expect(self, times):
-        self._spacing_s = np.full(
-            _NODES + times, np.nan
-        )  # of samples and times to the newest, of which the weights are
-        self._weights = np.empty((times * ORDERS, _NODES * _SAMPLE_ORDERS))
 
     def clear(self):
         """Forget all samples."""
@@ -96,11 +91,9 @@ class ReferenceBuffer:
         """
         if self.newest_s == -np.inf:
             raise ValueError("no reference has arrived")
-        times_s = np.array(times_s, dtype=float)
-        if len(times_s) != len(self._spacing_s) - _NODES:
-            self._expect(len(times_s))
+        times_s = np.asarray(times_s, dtype=float)
         result = np.empty((len(times_s), ORDERS) + self._samples.shape[2:])
-        _at(times_s, self._stamps_s, self._samples, self._ends, self._spacing_s, self._weights, result)
+        _at(times_s, self._stamps_s, self._samples, self._ends, self._spacing_s, self._fit, result)
         return result
 
 
@@ -151,21 +144,30 @@ def _continues(step_s, before, sample):
 
 
 @compiled
-def _at(times_s, stamps_s, samples, ends, spacing_s, weights, result):
-    """Fill the result (k, ORDERS, n, 4); see `ReferenceBuffer.at`."""
+def _at(times_s, stamps_s, samples, ends, spacing_s, fit, result):
+    """Fill the result (k, ORDERS, n, 4); see `ReferenceBuffer.at`.
+
+    Times are from -1/2 to 1/2 on the nodes, which conditions the fit well, and with them the d-th derivatives count
+    scale^d.
+    """
     nodes = np.empty(_NODES, dtype=np.int64)
     count = _find_nodes(stamps_s, ends, nodes)
+    size = _DEGREES[count] + 1
     newest_s = stamps_s[nodes[0]]
     span_s = newest_s - stamps_s[nodes[count - 1]]
-    scale_s = span_s if count > 1 else 1.0
-    if not _is_known(times_s, stamps_s, nodes, count, spacing_s):
-        _weigh(times_s, stamps_s, nodes[:count], newest_s - 0.5 * span_s, scale_s, weights)
+    middle_s, scale_s = newest_s - 0.5 * span_s, span_s if count > 1 else 1.0
+    if not _is_known(stamps_s, nodes, count, spacing_s):
+        _fit_nodes((stamps_s[nodes[:count]] - middle_s) / scale_s, size, fit)
+    wanted = _basis((times_s - middle_s) / scale_s, ORDERS, size)
     result[:] = 0.0
     for k in range(len(times_s)):
         for d in range(ORDERS):
             for node in range(count):
                 for order in range(_SAMPLE_ORDERS):
-                    weight = weights[k * ORDERS + d, node * _SAMPLE_ORDERS + order] * scale_s ** (order - d)
+                    weight = 0.0
+                    for p in range(d, size):
+                        weight += wanted[k * ORDERS + d, p] * fit[p, node * _SAMPLE_ORDERS + order]
+                    weight *= scale_s ** (order - d)
                     sample = samples[nodes[node], order]
                     for i in range(sample.shape[0]):
                         for axis in range(sample.shape[1]):
@@ -173,33 +175,27 @@ def _at(times_s, stamps_s, samples, ends, spacing_s, weights, result):
 
 
 @compiled
-def _is_known(times_s, stamps_s, nodes, count, spacing_s):
-    """Whether samples and times lie as those that are noted; notes them."""
-    newest_s, is_known = stamps_s[nodes[0]], True
-    for k in range(_NODES + len(times_s)):
-        if k >= _NODES:
-            new_s = times_s[k - _NODES] - newest_s
-        else:
-            new_s = stamps_s[nodes[k]] - newest_s if k < count else -np.inf
-        is_known &= abs(new_s - spacing_s[k]) < _SAME_S or new_s == spacing_s[k]
+def _is_known(stamps_s, nodes, count, spacing_s):
+    """Whether the nodes lie as those that are noted; notes them."""
+    is_known = True
+    for k in range(_NODES):
+        new_s = stamps_s[nodes[k]] - stamps_s[nodes[0]] if k < count else -np.inf
+        is_known &= new_s == spacing_s[k] or abs(new_s - spacing_s[k]) < _SAME_S
         spacing_s[k] = new_s
     return is_known
 
 
 @compiled
-def _weigh(times_s, stamps_s, nodes, middle_s, scale_s, weights):
-    """Fill the weights (k ORDERS, samples _SAMPLE_ORDERS) of the samples' values and derivatives in the results'.
+def _fit_nodes(times, size, fit):
+    """Fill the fit (size, samples _SAMPLE_ORDERS): coefficients of the polynomial by values and derivatives at times.
 
-    Conditions C c = data on the coefficients c, wanted values W c: W (C'C)^-1 C' are the weights of the data. Times are
-    from -1/2 to 1/2 on the nodes, which conditions C well, and with them the d-th derivatives count scale^d.
+    Conditions C c = data on the coefficients c: they are (C'C)^-1 C' data.
     """
-    size = _DEGREES[len(nodes)] + 1
-    C = _basis((stamps_s[nodes] - middle_s) / scale_s, _SAMPLE_ORDERS, size)
-    W = _basis((times_s - middle_s) / scale_s, ORDERS, size)
-    found = W @ np.linalg.solve(C.T @ C, C.T)
+    C = _basis(times, _SAMPLE_ORDERS, size)
+    found = np.linalg.solve(C.T @ C, C.T)
     for row in range(found.shape[0]):
         for column in range(found.shape[1]):
-            weights[row, column] = found[row, column]
+            fit[row, column] = found[row, column]
 
 
 @compiled

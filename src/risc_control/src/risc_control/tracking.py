@@ -248,7 +248,7 @@ class FlatnessController(_Tracker):
             history.sent_s,
             history.commands,
             history.ends,
-            _copied(states.x),
+            _floats(states.x),
             states.visible & usable,
             np.array(autonomous, dtype=bool),
             _floats(present),
@@ -492,7 +492,7 @@ class DoubleIntegratorController(_Tracker):
             self._plants,
             self._limits,
             self._gains,
-            _copied(states.x),
+            _floats(states.x),
             states.visible & usable,
             _floats(present),
             fractions,
@@ -538,7 +538,7 @@ def _update_thesis(kind, plants, limits, gains, x, usable, present, fractions, s
 
 # What compiled code was compiled for, so that nothing is compiled in flight. States are copied: they may be a view of a
 # message.
-_floats, _copied = partial(np.ascontiguousarray, dtype=float), partial(np.array, dtype=float, order="C")
+_floats = partial(np.ascontiguousarray, dtype=float)
 
 
 def _output(is_finite, fractions, saturated):

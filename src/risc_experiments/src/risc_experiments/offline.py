@@ -322,9 +322,10 @@ def main(argv=None):
         fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
         DoubleIntegratorController([load_vehicle_type("ardrone")])
         FrameEncoder((("body", 1),))  # the virtual lab's
-        from risc_control.ros.conversions import StatesReader  # the nodes', with ROS only
+        from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
 
         StatesReader(())
+        ControlsMessage(())
         return 0
     settings = [
         (trajectory, delay_s, seed)

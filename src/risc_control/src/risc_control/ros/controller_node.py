@@ -19,6 +19,7 @@ from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.tracking import LqrWeights, TrackingParams
+from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.ticker import Ticker
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
@@ -56,6 +57,7 @@ class ControllerNode:
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
         self._everyone = list(range(len(self.names)))
+        self._all = np.ones(len(self.names), dtype=bool)
         self._reader, self._message = StatesReader(self.names), ControlsMessage(self.names)
         self._trajectories = TrajectoriesArrays()
         self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
@@ -131,7 +133,7 @@ class ControllerNode:
         started_s = time.perf_counter()
         with self._lock:
             header, states = self._reader.read(message.buff)
-            stamp_s, now_s = header.stamp.to_sec(), rospy.get_time()
+            stamp_s, now_s = header.stamp.to_sec(), ros_time_s()
             if stamp_s <= self._last_stamp_s <= stamp_s + NEW_CLOCK_S:
                 return  # an older state than the last; one from long before is of a new clock or bag
             self._last_stamp_s = stamp_s
@@ -154,8 +156,8 @@ class ControllerNode:
             self._answered = present, states, known
             counts = self._counts
             counts["states"] += 1
-            counts["saturated"] += bool(output.saturated.any())
-            counts["without command"] += not known.all()
+            counts["saturated"] += np.count_nonzero(output.saturated) > 0
+            counts["without command"] += np.count_nonzero(known) < len(known)
             self._age_max_s = max(self._age_max_s, age_s)
             self._cycle_max_s = max(self._cycle_max_s, time.perf_counter() - started_s)
             unknown = self._reader.unknown
@@ -167,12 +169,12 @@ class ControllerNode:
 
     def _references(self, stamp_s, ahead_s, now_s):
         """(reference at stamp_s (5, n, 4), reference at ahead_s, (n,) bool: there is a fresh one)."""
-        n = len(self.names)
         fresh = [e for e in self._buffers.values() if abs(now_s - e[0].newest_s) <= self._reference_timeout_s and e[1]]
         times = np.array([stamp_s, ahead_s])
         if len(fresh) == 1 and fresh[0][1] == self._everyone == fresh[0][2]:
             both = fresh[0][0].at(times)
-            return both[0], both[1], np.ones(n, dtype=bool)
+            return both[0], both[1], self._all
+        n = len(self.names)
         both, usable = np.zeros((2, ORDERS, n, 4)), np.zeros(n, dtype=bool)
         for buffer, rows, columns in sorted(fresh, key=lambda entry: entry[0].newest_s):
             both[:, :, rows] = buffer.at(times)[:, :, columns]

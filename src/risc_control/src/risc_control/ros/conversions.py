@@ -66,6 +66,8 @@ class ControlsMessage:
     def __init__(self, names, frame_id="cortex"):
         self._names, self._frame_id = tuple(names), frame_id
         self._message = self._of(self._names)
+        nothing, everyone = np.zeros(len(self._names)), np.ones(len(self._names), dtype=bool)
+        self.fill(self._message.header.stamp, [nothing] * 4, everyone)  # loads what is compiled
 
     def _of(self, names):
         message = ControlsArrays(names)
@@ -74,16 +76,24 @@ class ControlsMessage:
 
     def fill(self, stamp, fractions, known):
         """The message with these Fractions (arrays (n,)) of the vehicles that are known (n,) bool."""
-        if known.all():
-            names, rows = self._names, np.array(fractions).T
-        else:
-            names = tuple(name for name, is_known in zip(self._names, known) if is_known)
-            rows = np.array(fractions).T[known]
+        names = self._names
+        if np.count_nonzero(known) < len(known):
+            names = tuple(name for name, is_known in zip(names, known) if is_known)
         if self._message.names != names:
             self._message = self._of(names)
         self._message.header.stamp = stamp
-        self._message.controls[:] = rows
+        _fill_rows(*fractions, known, self._message.controls)
         return self._message
+
+
+@compiled
+def _fill_rows(phi, theta, psi, thrust, known, rows):
+    """Fill rows (known, 4) of a message from arrays (n,), where known (n,) bool."""
+    row = 0
+    for i in range(len(known)):
+        if known[i]:
+            rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3] = phi[i], theta[i], psi[i], thrust[i]
+            row += 1
 
 
 class TrajectoriesMessage:

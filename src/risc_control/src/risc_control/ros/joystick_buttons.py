@@ -10,6 +10,7 @@ from sensor_msgs.msg import Joy
 
 from risc_control.joystick import LATE_S, ButtonPresses
 from risc_control.ros.params import number
+from risc_lab.ros.clock import ros_time_s
 
 
 def origin(message):
@@ -18,7 +19,7 @@ def origin(message):
     The age is by the clocks of two computers: `message_age.MessageAges` corrects it.
     """
     stamp_s = message.header.stamp.to_sec()
-    age_s = rospy.get_time() - stamp_s if stamp_s else 0.0
+    age_s = ros_time_s() - stamp_s if stamp_s else 0.0
     return age_s, sender(message)
 
 

@@ -35,6 +35,7 @@ from risc_control.vehicle_pilot import (
     choose_vehicle,
     params_from_dict,
 )
+from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.ticker import Ticker
 
 _RAD_PER_DEG = math.radians(1.0)
@@ -117,7 +118,7 @@ class VehicleNode:
             controls = self._controls.deserialize(message.buff)
             stamp, who = controls.header.stamp, sender(message)
             stamp_s = stamp.to_sec()
-            age_s = rospy.get_time() - stamp_s
+            age_s = ros_time_s() - stamp_s
             self._tell_missing(
                 "/controls", who, controls.names, "is it in the controller's and the trajectory's list of vehicles?"
             )
@@ -135,7 +136,7 @@ class VehicleNode:
     def _on_states(self, message):
         with self._looking:
             states = self._states.deserialize(message.buff)
-            age_s = rospy.get_time() - states.header.stamp.to_sec()
+            age_s = ros_time_s() - states.header.stamp.to_sec()
             for name, visible, row in zip(states.names, states.visible.tolist(), states.states.tolist()):
                 vehicle = self._by_name.get(name)
                 if vehicle is not None:
@@ -353,7 +354,7 @@ class _Vehicle:
             self._cmd_vel.publish(twist)
             if stamp_s and stamp is not None:
                 stamped.header.stamp = stamp
-                self._answer_max_s = max(self._answer_max_s, rospy.get_time() - stamp_s)
+                self._answer_max_s = max(self._answer_max_s, ros_time_s() - stamp_s)
             else:
                 stamped.header.stamp = rospy.Time()
             self._cmd_vel_stamped.publish(stamped)
