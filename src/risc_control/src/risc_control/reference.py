@@ -165,7 +165,7 @@ def _at(times_s, stamps_s, samples, ends, spacing_s, weights, result):
         for d in range(ORDERS):
             for node in range(count):
                 for order in range(_SAMPLE_ORDERS):
-                    weight = weights[k * ORDERS + d, node * _SAMPLE_ORDERS + order] * scale_s ** (order - d)
+                    weight = weights[k * ORDERS + d, node * _SAMPLE_ORDERS + order]
                     sample = samples[nodes[node], order]
                     for i in range(sample.shape[0]):
                         for axis in range(sample.shape[1]):
@@ -199,7 +199,8 @@ def _weigh(times_s, stamps_s, nodes, middle_s, scale_s, weights):
     found = W @ np.linalg.solve(C.T @ C, C.T)
     for row in range(found.shape[0]):
         for column in range(found.shape[1]):
-            weights[row, column] = found[row, column]
+            power = column % _SAMPLE_ORDERS - row % ORDERS
+            weights[row, column] = found[row, column] * scale_s**power
 
 
 @compiled
