@@ -30,7 +30,7 @@ FIGURES = ("p50_ms", "p99_ms", "frames_lost", "cpu_cores", "memory_mb", "times_r
 SETTLE_S = 5.0  # from the first state of a node to the measurement
 START_S = 60.0  # that a launch may take until states come
 RATE_HZ = 200.0
-_MOST_WORDS = 120  # of why a flight failed, in the table
+_MOST_WORDS = 120  # characters of why a row failed, in the table
 COURSE, SEED = "circles3", 1
 ESTIMATION_LAUNCH = """<launch>
   <arg name="fleet"/>
@@ -60,7 +60,9 @@ for rate_hz in (100, 200):
         times = duration_s / (time.perf_counter() - begin)
     print("RotorPy", importlib.metadata.version("rotorpy"), rate_hz, times)
 """,
+    "gym-pybullet-drones": "raise SystemExit('it can be had now, and no flight of it is written here')",
 }
+PEER_S = 600.0  # that its installation may take, and its flight
 
 
 @contextlib.contextmanager
@@ -76,9 +78,10 @@ def busy_loop(wanted):
 
 
 def graph(vehicles, seconds, folder):
-    """Figures of a flight."""
+    """Figures of a flight. It is told its rate, and so does not go on at less on a computer that is too slow."""
     command = [sys.executable, "-m", "risc_experiments.fly", "--vehicles", str(vehicles), "--seed", str(SEED)]
-    command += ["--trajectory", COURSE, "--duration", "%g" % seconds, "--out", str(folder / "flight")]
+    command += ["--trajectory", COURSE, "--duration", "%g" % seconds, "--mocap-rate", "%g" % RATE_HZ]
+    command += ["--out", str(folder / "flight")]
     with (folder / "fly.txt").open("w") as log:
         subprocess.call(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
     path = folder / "flight" / "summary.json"
@@ -208,12 +211,16 @@ def offline(vehicles, seconds, _folder):
 def row_of(kind, vehicles, loaded, seconds):
     """One row, measured in a process of its own."""
     row = dict({"kind": kind, "vehicles": vehicles, "loaded": loaded}, **dict.fromkeys(FIGURES))
+    begin_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder, busy_loop(loaded):
         command = [sys.executable, __file__, "--row", kind, str(vehicles), "%g" % seconds, "--folder", folder]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-    if done.returncode != 0:
-        return dict(row, passed=False)
-    return dict(row, **json.loads(done.stdout.splitlines()[-1]))
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode == 0:
+        row.update(json.loads(done.stdout.splitlines()[-1]))
+    else:
+        sys.stderr.write(done.stderr)
+        row.update(passed=False, reasons=done.stderr.splitlines()[-1:])
+    return dict(row, took_s=time.monotonic() - begin_s)
 
 
 def slopes(rows):
@@ -243,13 +250,10 @@ def peers(rows):
     found = []
     for package, program in PEERS.items():
         with tempfile.TemporaryDirectory() as folder:
-            python = folder + "/bin/python"
             try:
-                subprocess.run([sys.executable, "-m", "venv", folder], check=True)
-                subprocess.run([python, "-m", "pip", "install", "-q", package], check=True, stderr=subprocess.DEVNULL)
-                told = subprocess.run([python, "-c", program], check=True, stdout=subprocess.PIPE, text=True).stdout
-            except (OSError, subprocess.CalledProcessError) as error:
-                print("%s does not run here: %s" % (package, error))
+                told = _run_peer(pathlib.Path(folder), package, program)
+            except (RuntimeError, subprocess.TimeoutExpired) as error:
+                print("offline, one vehicle: no %s: %s" % (package, error))
                 continue
         for line in told.splitlines():
             name, version, rate_hz, times = line.split()
@@ -259,6 +263,20 @@ def peers(rows):
             print("offline, one vehicle: %s %s at %s Hz flies %.1f times real time" % (name, version, rate_hz,
                   float(times)) + ("" if ratio is None else ", we %.0f times as fast" % ratio))  # fmt: skip
     return found
+
+
+def _run_peer(folder, package, program):
+    """What the program prints in an environment with only the package. Raises RuntimeError, TimeoutExpired."""
+    python = str(folder / "bin" / "python")
+    for command in (
+        [sys.executable, "-m", "venv", str(folder)],
+        [python, "-m", "pip", "install", "-q", package],
+        [python, "-c", program],
+    ):
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PEER_S, check=False)
+        if done.returncode != 0:
+            raise RuntimeError((done.stderr.strip().splitlines() or ["exit code %d" % done.returncode])[-1])
+    return done.stdout
 
 
 def computer():
@@ -297,13 +315,14 @@ def main():
             for vehicles in args.vehicles or COUNTS[kind]:
                 row = row_of(kind, vehicles, loaded, args.seconds)
                 rows.append(row)
-                problem = "" if row.get("passed", True) else "  failed: " + "; ".join(row.get("reasons", ()))
-                cells = columns % (kind, vehicles, "loaded" if loaded else "quiet", *_cells(row))
-                print(cells + problem[:_MOST_WORDS], flush=True)
+                reasons = " ".join("; ".join(row.get("reasons", ())).split())
+                problem = "" if row.get("passed", True) else "  failed: " + reasons[:_MOST_WORDS]
+                print(columns % (kind, vehicles, "loaded" if loaded else "quiet", *_cells(row)) + problem, flush=True)
                 _write(args.json, figures)
     for kind, loaded, figure, none, each in slopes(rows):
         name = "%s, %s: %s" % (kind, "loaded" if loaded else "quiet", figure.replace("_", " "))
         print("%-36s %8.3f + %.4f for each vehicle" % (name, none, each))
+    print("%d rows in %.1f minutes" % (len(rows), sum(row["took_s"] for row in rows) / 60.0), flush=True)
     if args.peers:
         found += peers(rows)
         _write(args.json, figures)

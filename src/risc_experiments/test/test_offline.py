@@ -53,6 +53,26 @@ def test_a_seed_reproduces_a_flight_bit_for_bit():
     assert not np.array_equal(first.actual_m[:100], other.actual_m[:100])
 
 
+def test_a_vehicle_that_does_not_become_autonomous_at_once_is_asked_again(monkeypatch):
+    presses, press = [], offline._Chain.press_autonomous
+
+    def refused_once(chain, now_s):
+        presses.append(chain)
+        if len(presses) != 2:
+            press(chain, now_s)
+
+    monkeypatch.setattr(offline._Chain, "press_autonomous", refused_once)
+    assert fly(Flight("circle", vehicles=2, seed=7, duration_s=1.0)).rmse_m.max() < 0.02
+    assert len(presses) == 3 and presses[1] is presses[2], "the other is not pressed again: that would end it"
+
+
+def test_a_flight_that_never_reaches_its_course_ends(monkeypatch):
+    monkeypatch.setattr(offline._Chain, "press_autonomous", lambda chain, now_s: None)
+    monkeypatch.setattr(offline, "LONGEST_WAY_S", 5.0)
+    with pytest.raises(RuntimeError, match=r"not on the course after 5 s \(fluffy_II: hold; not autonomous: fluffy_II"):
+        fly(Flight("circle", vehicles=1))
+
+
 def test_many_flights_at_once_are_the_same_flights():
     flights = [Flight("circle", vehicles=2, seed=seed, duration_s=0.5) for seed in (7, 8, 9)]
     over = []
@@ -69,6 +89,13 @@ def test_gusts_and_an_ideal_plant_without_noise():
     assert ideal.rmse_m[0] < 0.006
     gusty = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, gusts=True))
     assert ideal.rmse_m[0] < gusty.rmse_m[0] < 0.1
+
+
+def test_the_nearest_two_of_all_pairs():
+    result = fly(Flight("circle", vehicles=3, seed=7, duration_s=0.5))
+    apart = np.linalg.norm(result.actual_m[:, [0, 0, 1]] - result.actual_m[:, [1, 2, 2]], axis=2)
+    assert result.closest_m == pytest.approx(apart.min(), abs=1e-12)
+    assert fly(Flight("circle", vehicles=1, seed=7, duration_s=0.5)).closest_m == math.inf
 
 
 def test_the_table(capsys):
@@ -90,6 +117,7 @@ def test_the_table(capsys):
         (["--vehicles", "300"], "has 1 to 250 vehicles, 300 were asked for"),
         (["--delay", "2"], "command delay must be from 0"),
         (["--trajectory", "loop"], "invalid choice"),
+        (["--workers", "0"], "at least one worker, got 0"),
     ],
 )
 def test_wrong_use_is_one_clear_line(arguments, message, capsys):

@@ -32,8 +32,15 @@ class Progress:
 
     def say(self, text):
         """Print a line of its own that stays."""
-        self._stream.write(("\r\033[K" if self._live else "") + text + "\n")
+        self.clear()
+        self._stream.write(text + "\n")
         self._stream.flush()
+
+    def clear(self):
+        """Wipe the line that is renewed, before something else is printed in its place."""
+        if self._live:
+            self._stream.write("\r\033[K")
+            self._stream.flush()
 
 
 def bar(fraction):

@@ -157,21 +157,23 @@ def _at(times_s, stamps_s, samples, ends, spacing_s, fit, result):
     span_s = newest_s - stamps_s[nodes[count - 1]]
     middle_s, scale_s = newest_s - 0.5 * span_s, span_s if count > 1 else 1.0
     if not _is_known(stamps_s, nodes, count, spacing_s):
-        _fit_nodes((stamps_s[nodes[:count]] - middle_s) / scale_s, size, fit)
+        _fit_nodes((stamps_s[nodes[:count]] - middle_s) / scale_s, scale_s, size, fit)
     wanted = _basis((times_s - middle_s) / scale_s, ORDERS, size)
     result[:] = 0.0
     for k in range(len(times_s)):
+        per_order = 1.0
         for d in range(ORDERS):
             for node in range(count):
                 for order in range(_SAMPLE_ORDERS):
                     weight = 0.0
                     for p in range(d, size):
                         weight += wanted[k * ORDERS + d, p] * fit[p, node * _SAMPLE_ORDERS + order]
-                    weight *= scale_s ** (order - d)
+                    weight *= per_order
                     sample = samples[nodes[node], order]
                     for i in range(sample.shape[0]):
                         for axis in range(sample.shape[1]):
                             result[k, d, i, axis] += weight * sample[i, axis]
+            per_order /= scale_s
 
 
 @compiled
@@ -186,16 +188,16 @@ def _is_known(stamps_s, nodes, count, spacing_s):
 
 
 @compiled
-def _fit_nodes(times, size, fit):
+def _fit_nodes(times, scale_s, size, fit):
     """Fill the fit (size, samples _SAMPLE_ORDERS): coefficients of the polynomial by values and derivatives at times.
 
-    Conditions C c = data on the coefficients c: they are (C'C)^-1 C' data.
+    Conditions C c = data on the coefficients c: they are (C'C)^-1 C' data. Times count in units of scale_s.
     """
     C = _basis(times, _SAMPLE_ORDERS, size)
     found = np.linalg.solve(C.T @ C, C.T)
     for row in range(found.shape[0]):
         for column in range(found.shape[1]):
-            fit[row, column] = found[row, column]
+            fit[row, column] = found[row, column] * scale_s ** (column % _SAMPLE_ORDERS)
 
 
 @compiled

@@ -344,7 +344,7 @@ class VehiclePilot:
     def on_state(self, own, age_s, now_s):
         """The vehicle was seen (`OwnState`); do not call for entries that are not visible."""
         position_m, velocity_m_s, phi_rad, theta_rad = own
-        if not all(map(math.isfinite, (*position_m, *velocity_m_s, phi_rad, theta_rad))):
+        if not math.isfinite(sum(position_m) + sum(velocity_m_s) + phi_rad + theta_rad):
             return
         self.ladder.note_state(position_m, velocity_m_s, age_s, now_s)
         self._state = own
@@ -352,7 +352,7 @@ class VehiclePilot:
 
     def hear_controls(self, own, age_s, now_s):
         """Take a command for a sign of life of the controller only. Returns False for one that is not finite."""
-        is_finite = all(map(math.isfinite, own))
+        is_finite = math.isfinite(sum(own))
         if is_finite:
             self.ladder.note_controls(age_s, now_s)
         return is_finite

@@ -8,11 +8,8 @@ processes, sockets and the scheduler's jitter; the time from exposure to the con
 """
 
 import argparse
-import concurrent.futures
-import itertools
 import json
 import math
-import multiprocessing
 import os
 import pathlib
 import sys
@@ -29,7 +26,7 @@ from risc_control.reference import ReferenceBuffer
 from risc_control.states import S, States
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
-from risc_control.trajectory_manager import Phase, make_manager
+from risc_control.trajectory_manager import Phase, make_manager, phase_text
 from risc_control.vehicle_pilot import (
     FlightState,
     OwnControl,
@@ -40,6 +37,7 @@ from risc_control.vehicle_pilot import (
 )
 from risc_estimation.states import EstimatorParams, StatesEstimator
 from risc_experiments.fleets import default_fleet
+from risc_experiments.workers import in_order
 from risc_simulator.cortex_wire import FrameEncoder
 from risc_simulator.models.flight import FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
@@ -49,6 +47,7 @@ from risc_simulator.world import World
 FRAME_S = 0.005
 LATENCY_S = 0.006  # exposure to the controller's answer: 3 ms in the mocap host, 3 ms in the nodes
 WARM_UP_S = 1.0  # hovering, before the operator presses the button
+LONGEST_WAY_S = 120.0  # until all are on the course; 250 vehicles need XX s
 SETTLE_S = 4.0  # on the course, before errors count
 JUDGE_EVERY = 4  # frames
 TICK_EVERY = 3  # frames: the clock of the vehicle nodes, twice the command rate
@@ -94,7 +93,9 @@ class Result(NamedTuple):
 
 
 def fly(flight):
-    """Fly a Flight. Returns its Result. Raises ValueError when it cannot be flown, and RuntimeError when it crashes."""
+    """Fly a Flight. Returns its Result. Raises ValueError when it cannot be flown, and RuntimeError when it
+    crashes or does not reach its course.
+    """
     started = time.perf_counter()
     fleet, types, vehicle_types = _lab(flight)
     templates = load_templates(fleet=fleet)
@@ -125,11 +126,12 @@ def fly(flight):
         seen = cameras.observe(time_s, world.layout, world.markers_m())
         estimate = estimator.update(time_s, seen.layout, seen.markers_m)
         states = States(estimate.visible, estimate.states)
-        if time_s >= WARM_UP_S and not chains[0].pilot.autonomous:
+        if time_s >= WARM_UP_S and manager.watching:
             for name, chain, state in zip(names, chains, estimate.states):
-                manager.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])
-                chain.press_autonomous(now_s)
-                manager.set_autonomous(name, chain.pilot.autonomous, now_s)
+                if not chain.pilot.autonomous:
+                    manager.see(name, state[: S.U], state[S.U : S.PHI], state[S.PSI])
+                    chain.press_autonomous(now_s)
+                    manager.set_autonomous(name, chain.pilot.autonomous, now_s)
         reference = manager.sample(time_s)
         # what /trajectory carries: no jerk, no snap
         buffer.push(time_s, reference.derivatives[:3])
@@ -150,19 +152,27 @@ def fly(flight):
         if world.crashes:
             crash = world.crashes[0]
             raise RuntimeError("%s %s after %.1f s (%r)" % (crash.namespace, crash.reason, crash.time_s, flight))
+        if settled_s == math.inf and time_s >= LONGEST_WAY_S:
+            manual = ", ".join(name for name, chain in zip(names, chains) if not chain.pilot.autonomous) or "none"
+            phases = phase_text(names, reference.phases)
+            raise RuntimeError(
+                "not on the course after %g s (%s; not autonomous: %s; %r)" % (time_s, phases, manual, flight)
+            )
         if time_s >= settled_s + flight.duration_s:
             break
         frame += 1
 
     references, truths, judged = np.array(references), np.array(truths), np.array(judged)
     errors = np.sqrt(((references - truths) ** 2).sum(axis=2))[judged]
-    first, second = np.triu_indices(len(names), 1)
-    between = np.sqrt(((truths[:, first] - truths[:, second]) ** 2).sum(axis=2))
+    # one vehicle after the other: all pairs at once of fifty vehicles would be a gigabyte a minute
+    between = [
+        np.sqrt(((truths[:, i + 1 :] - truths[:, i : i + 1]) ** 2).sum(axis=2)).min() for i in range(len(names) - 1)
+    ]
     return Result(
         names=tuple(names),
         rmse_m=np.sqrt((errors**2).mean(axis=0)),
         max_m=errors.max(axis=0),
-        closest_m=float(between.min(initial=math.inf)),
+        closest_m=float(min(between, default=math.inf)),
         crashes=tuple(world.crashes),
         saturated=saturated / (len(names) * (frame + 1)),
         flown_s=time_s,
@@ -176,26 +186,10 @@ def fly(flight):
 def fly_all(flights, workers=None, on_progress=None):
     """Fly many Flights, each on a core. Yields their Results in their order; a RuntimeError for one that crashed.
 
-    workers: processes; None: as many as this process may use cores.  on_progress: called with the number of flights
-    that are over, as they end. Results do not depend on the workers. Raises ValueError as `fly`.
+    workers and on_progress as in `workers.in_order`. Results do not depend on the workers. Raises ValueError as `fly`
+    and for no workers, and ChildProcessError when a worker dies.
     """
-    flights = list(flights)
-    workers = min(workers or len(os.sched_getaffinity(0)), len(flights))
-    if workers <= 1:
-        for k, flight in enumerate(flights):
-            result = _outcome(flight)
-            if on_progress:
-                on_progress(k + 1)
-            yield result
-        return
-    over = itertools.count(1)
-    with concurrent.futures.ProcessPoolExecutor(workers, multiprocessing.get_context("fork")) as pool:
-        futures = [pool.submit(_outcome, flight) for flight in flights]
-        if on_progress:
-            for future in futures:
-                future.add_done_callback(lambda _: on_progress(next(over)))
-        for future in futures:
-            yield future.result()
+    return in_order(_outcome, flights, workers, on_progress)
 
 
 def _outcome(flight):
@@ -271,7 +265,7 @@ def step_chains(chains, frame, stamp_s, now_s, states, fractions):
         sends = now_s >= pilot.next_command_s
         if sends or ticks:
             if commands is None:
-                commands = np.transpose(fractions).tolist()
+                commands = list(zip(*[part.tolist() for part in fractions]))
             own = OwnControl(*commands[i])
             if sends:
                 chain.send(pilot.on_controls(own, stamp_s, now_s - stamp_s, now_s), now_s)
@@ -348,13 +342,14 @@ def main(argv=None):
         for trajectory, delay_s, seed in settings
     ]
     progress = Progress()
-    outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
           "worst", "closest", "speed"))  # fmt: skip
     failed, rows, everyone = False, [], {}
     try:
+        outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
         for (trajectory, delay_s, seed), result in zip(settings, outcomes):
             group = "%-9s %6s" % (trajectory, "type" if delay_s is None else "%.2f" % delay_s)
+            progress.clear()
             if isinstance(result, RuntimeError):
                 print("%s %5d  %s" % (group, seed, result))
                 failed = True
@@ -379,6 +374,9 @@ def main(argv=None):
                     group, "all", "", np.median(everyone[group]), max(everyone[group])))  # fmt: skip
     except ValueError as error:
         parser.error(str(error))
+    except (ChildProcessError, KeyboardInterrupt) as error:
+        progress.say("offline: %s" % (error if str(error) else "interrupted"))
+        return 130 if isinstance(error, KeyboardInterrupt) else 1
     if args.json:
         figures = {"simulated": True, "controller": args.controller, "honest": not args.ideal, "flights": rows}
         args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,127 @@
+"""One function on many items, several at the same time, each in a process: the results in order, as from a loop.
+
+Processes are forked by a server that has one thread and has imported what they need. A fork of the caller would be
+quicker by a second, but may inherit locks that threads of the caller hold (OpenBLAS, rospy, tests) and keeps the pipes
+of the other workers open, so that they outlive a caller that is killed.
+"""
+
+import contextlib
+import multiprocessing
+import multiprocessing.connection
+import os
+import signal
+import traceback
+from multiprocessing import resource_tracker
+
+AHEAD = 4  # results for each worker that wait for one before them: thousands must not be held
+
+
+def in_order(function, items, workers=None, on_progress=None):
+    """Yields function(item) for each item. function: of a module; it, items and results are pickled.
+
+    workers: processes; None: as many as this process may use cores; with one it all happens here.  on_progress: called
+    with the number of items that are over, as they end.
+    Raises what the function raises, when it is its item's turn; ValueError for no workers; ChildProcessError when a
+    worker dies. However it ends (closed, Ctrl-C, an error), the workers are gone then.
+    """
+    items = list(items)
+    if workers is None:
+        workers = len(os.sched_getaffinity(0))
+    if workers < 1:
+        raise ValueError("there must be at least one worker, got %d" % workers)
+    on_progress = on_progress or (lambda over: None)
+    workers = min(workers, len(items))
+    return _together(function, items, workers, on_progress) if workers > 1 else _alone(function, items, on_progress)
+
+
+def _alone(function, items, on_progress):
+    for over, item in enumerate(items, 1):
+        result = function(item)
+        on_progress(over)
+        yield result
+
+
+def _together(function, items, count, on_progress):
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([function.__module__])
+    workers, idle, done = [], [], {}  # {index of an item: how it ended}
+    given = 0
+    try:
+        with _interrupt_later():
+            workers.extend(_Worker(context, function) for _ in range(count))
+        idle += workers
+        for turn in range(len(items)):
+            while turn not in done:
+                while idle and given < min(len(items), turn + AHEAD * count):
+                    idle.pop().give(given, items[given])
+                    given += 1
+                for worker in multiprocessing.connection.wait([worker for worker in workers if worker not in idle]):
+                    done[worker.index] = worker.outcome()
+                    idle.append(worker)
+                    on_progress(turn + len(done))
+            result, error = done.pop(turn)
+            if error is not None:
+                raise error
+            yield result
+    finally:
+        for worker in workers:
+            worker.process.kill()
+        for worker in workers:
+            worker.process.join()
+
+
+class _Worker:
+    """A process that does one item after the other."""
+
+    def __init__(self, context, function):
+        self._connection, theirs = context.Pipe()
+        self.process = context.Process(target=_work, args=(function, theirs), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.index = self._item = None
+
+    def fileno(self):
+        """What becomes readable when it has an outcome, or has died."""
+        return self._connection.fileno()
+
+    def give(self, index, item):
+        """Let it begin an item."""
+        self.index, self._item = index, item
+        with contextlib.suppress(BrokenPipeError):  # it is dead: outcome() says so
+            self._connection.send(item)
+
+    def outcome(self):
+        """(result, error): one of them None. Raises ChildProcessError when it has died."""
+        try:
+            return self._connection.recv()
+        except (EOFError, ConnectionResetError):
+            self.process.join()
+            why = "exit code %d" % self.process.exitcode
+            if self.process.exitcode < 0:
+                why = "killed by signal %d; is there enough memory?" % -self.process.exitcode
+            raise ChildProcessError("a worker has died (%s) at %r" % (why, self._item)) from None
+
+
+def _work(function, connection):
+    """What a worker does until its caller has gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal; the caller ends the workers
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            item = connection.recv()
+            try:
+                outcome = function(item), None
+            except Exception as error:
+                error.add_note("in a worker:\n" + traceback.format_exc())
+                outcome = None, error
+            connection.send(outcome)
+
+
+@contextlib.contextmanager
+def _interrupt_later():
+    """Ctrl-C waits until the end of the block; processes that begin in it never see one."""
+    resource_tracker.ensure_running()  # its start, which is part of that of the first process, would end the waiting
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
