@@ -8,6 +8,7 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from risc_control.lab.fleet import MocapEndpoint
 from risc_control.lab.templates import load_templates
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
@@ -23,11 +24,12 @@ _BUFFER_BYTES = 2**20  # holds the frames that wait while the node is held up, o
 
 
 class StatesEstimationNode(object):
-    """Estimates the frames in order; none is passed over unless the node was held up for longer than queue_frames."""
+    """Estimates the frames in order; none is passed over unless the node was held up for longer than queue_s."""
 
     def __init__(self):
         params, estimator_params = load_params(NodeParams, EstimatorParams)
         fleet = known_fleet()
+        rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
         if fleet is not None:
             estimator_params = estimator_params.within(fleet.arena, keep=tuple(filter(has_private, ARENA_KEYS)))
         self._estimator = StatesEstimator(
@@ -57,7 +59,7 @@ class StatesEstimationNode(object):
             "mocap_data",
             MocapArrays.Raw,
             self._on_frame,
-            queue_size=params.queue_frames,
+            queue_size=params.queue_frames(rate_hz),
             buff_size=_BUFFER_BYTES,
             tcp_nodelay=True,
         )
