@@ -52,7 +52,7 @@ class StatesEstimationNode(object):
         self._frame, self._messages = MocapArrays(), EstimateMessages()
         self._diagnostics = make_updater("mocap")
         self._diagnostics.add("states estimation", self._diagnose)
-        Ticker(1.0, self._diagnostics.update, "the diagnostics")
+        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
         rospy.Subscriber(

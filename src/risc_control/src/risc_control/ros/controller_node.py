@@ -61,7 +61,7 @@ class ControllerNode:
         self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
         self._diagnostics = make_updater(", ".join(self.names))
         self._diagnostics.add("controller", self._diagnose)
-        Ticker(1.0, self._diagnostics.update, "the diagnostics")
+        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
         self._server = Server(config_type, self._on_reconfigure)
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
