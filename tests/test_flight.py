@@ -201,6 +201,8 @@ def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
         (["df_demo", "--vehicles", "2"], "df_demo is for one vehicle"),
         (["--duration", "1"], "from 5 to 600"),
         (["--fps", "10"], "--fps is for coop"),
+        (["--mocap-rate", "40"], "from 50 to 500 Hz"),
+        (["--vehicles", "97"], "101 bodies, Cortex's clients hold 100"),
         (["--trajectory", "loop"], "invalid choice: 'loop'"),
     ],
 )
