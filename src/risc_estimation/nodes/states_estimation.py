@@ -13,14 +13,13 @@ from risc_control.lab.templates import load_templates
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
+from risc_control.ros.paced import BUFFER_BYTES
 from risc_control.ros.params import has_private, known_fleet, load_params
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_estimation.ros.conversions import EstimateMessages
 from risc_estimation.ros.params import NodeParams
 from risc_estimation.states import ARENA_KEYS, EstimatorParams, StatesEstimator
 from risc_lab.ros.ticker import Ticker
-
-_BUFFER_BYTES = 2**20  # holds the frames that wait while the node is held up, of a large fleet as well
 
 
 class StatesEstimationNode(object):
@@ -60,7 +59,7 @@ class StatesEstimationNode(object):
             MocapArrays.Raw,
             self._on_frame,
             queue_size=params.queue_frames(rate_hz),
-            buff_size=_BUFFER_BYTES,
+            buff_size=BUFFER_BYTES,
             tcp_nodelay=True,
         )
 

@@ -83,8 +83,8 @@ def table(summary):
     mocap = summary["mocap"]
     lines.append("")
     lines.append(
-        "mocap: %d frames sent, %d received, %d estimated, %.2f Hz"
-        % (mocap["frames_sent"], mocap["frames_received"], mocap["frames_estimated"], mocap["rate_hz"])
+        "mocap: %d frames sent, %d received, %d of them passed over, %.2f Hz"
+        % (mocap["frames_sent"], mocap["frames_received"], mocap["frames_passed_over"], mocap["rate_hz"])
     )
     cores = summary["cpu_cores"]
     if cores:
