@@ -15,17 +15,17 @@ from flying import ROOT, finish, fly, judged, left_behind, start, try_to_fly, wa
 from data_extraction.bags import Bag
 from data_extraction.flatten import seconds
 from data_extraction.report.origin import parameter_hash
+from risc_estimation.ros.params import NodeParams
 
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
-QUEUE_FRAMES = 10  # that may wait for the estimator: queue_frames of states_estimation.yaml
-HELD_UP_MS = 1e3 * (QUEUE_FRAMES - 1) / 200.0  # age of the first of them when the last comes
+HELD_UP_MS = 1e3 * (NodeParams().queue_s - 1.0 / 200.0)  # age of the first frame that waits when the last comes
 PAIR_RATE_HZ = 100.0  # of two flights at the same time: two cores have no time for two at 200 Hz and a busy neighbour
 
 
 def frames_passed_over(path):
     """{stamp [s] of a frame of the bag that has no states: age [ms] of the states that came next}.
 
-    An estimator passes over the oldest of more frames than may wait (queue_frames): what it estimates next is as old as
+    An estimator passes over the oldest of more frames than may wait (queue_s): what it estimates next is as old as
     the others that wait. From its first states to its last, for recorder and estimator do not start and end together.
     """
     frames_s, age_ms = set(), {}
@@ -201,6 +201,8 @@ def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
         (["df_demo", "--vehicles", "2"], "df_demo is for one vehicle"),
         (["--duration", "1"], "from 5 to 600"),
         (["--fps", "10"], "--fps is for coop"),
+        (["--mocap-rate", "40"], "from 50 to 500 Hz"),
+        (["--vehicles", "97"], "101 bodies, Cortex's clients hold 100"),
         (["--trajectory", "loop"], "invalid choice: 'loop'"),
     ],
 )

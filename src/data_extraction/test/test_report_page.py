@@ -304,6 +304,21 @@ def test_topics_of_other_types_are_named_and_left_out(tmp_path):
     assert "/joy was not read" in page.text and page.text.count("was not read") == 3
 
 
+@pytest.mark.parametrize("begin_s", [0.0, 10.0])
+@pytest.mark.parametrize("topic", ["/ground_truth", "/cortex_raw", "/trajectory"])
+def test_numbers_that_are_none_stop_no_report(tmp_path, topic, begin_s):
+    """From a time on, or ever, x of a vehicle is NaN though it is said to be visible."""
+    rows = list(full_rows())
+    for t_s, name, message in rows:
+        for item in message.Obj if name == topic and t_s >= begin_s else ():
+            item.x = item.x if item.name == NAMES[0] else NAN
+    write_bag(tmp_path / "flight.bag", rows)
+    (tmp_path / "fleet.yaml").write_text(yaml.safe_dump(FLEET))
+    make(tmp_path / "flight.bag")
+    page = read(tmp_path / "report.html")
+    assert {"result", "map", "tracking"} <= set(page.ids) and "nan" not in page.text.lower().split()
+
+
 def test_what_was_not_judged_is_not_said_to_be(tmp_path):
     """The only vehicle with a reference was never seen while it had one."""
     rows = [row for row in full_rows() if row[1] == "/cortex_raw" and row[0] < 5.0]

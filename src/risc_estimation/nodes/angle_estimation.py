@@ -33,7 +33,7 @@ class AngleEstimationNode(object):
         self._pub = rospy.Publisher("angles", Observed_angles, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("none")
         self._diagnostics.add("angle estimation", self._diagnose)
-        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.update(), reset=True)
+        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.force_update(), reset=True)
         rospy.on_shutdown(timer.shutdown)
         rospy.Subscriber("land_rois", Observed_rois, self._on_rois, queue_size=10, tcp_nodelay=True)
 

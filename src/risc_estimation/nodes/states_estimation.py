@@ -8,10 +8,12 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from risc_control.lab.fleet import MocapEndpoint
 from risc_control.lab.templates import load_templates
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
+from risc_control.ros.paced import BUFFER_BYTES
 from risc_control.ros.params import has_private, known_fleet, load_params
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_estimation.ros.conversions import EstimateMessages
@@ -19,15 +21,14 @@ from risc_estimation.ros.params import NodeParams
 from risc_estimation.states import ARENA_KEYS, EstimatorParams, StatesEstimator
 from risc_lab.ros.ticker import Ticker
 
-_BUFFER_BYTES = 2**20  # holds the frames that wait while the node is held up, of a large fleet as well
-
 
 class StatesEstimationNode(object):
-    """Estimates the frames in order; none is passed over unless the node was held up for longer than queue_frames."""
+    """Estimates the frames in order; none is passed over unless the node was held up for longer than queue_s."""
 
     def __init__(self):
         params, estimator_params = load_params(NodeParams, EstimatorParams)
         fleet = known_fleet()
+        rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
         if fleet is not None:
             estimator_params = estimator_params.within(fleet.arena, keep=tuple(filter(has_private, ARENA_KEYS)))
         self._estimator = StatesEstimator(
@@ -50,15 +51,15 @@ class StatesEstimationNode(object):
         self._frame, self._messages = MocapArrays(), EstimateMessages()
         self._diagnostics = make_updater("mocap")
         self._diagnostics.add("states estimation", self._diagnose)
-        Ticker(1.0, self._diagnostics.update, "the diagnostics")
+        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
         rospy.Subscriber(
             "mocap_data",
             MocapArrays.Raw,
             self._on_frame,
-            queue_size=params.queue_frames,
-            buff_size=_BUFFER_BYTES,
+            queue_size=params.queue_frames(rate_hz),
+            buff_size=BUFFER_BYTES,
             tcp_nodelay=True,
         )
 

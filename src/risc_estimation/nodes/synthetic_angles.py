@@ -46,7 +46,7 @@ class SyntheticAnglesNode(object):
         self._pub = rospy.Publisher("angles_synthetic", Observed_angles, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("none")
         self._diagnostics.add("synthetic angles", self._diagnose)
-        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.update(), reset=True)
+        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.force_update(), reset=True)
         rospy.on_shutdown(timer.shutdown)
         rospy.Subscriber("states3", Landmarks, self._on_landmarks, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("cortex_raw", Cortex, self._on_states, queue_size=100, tcp_nodelay=True)

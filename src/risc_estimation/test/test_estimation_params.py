@@ -56,13 +56,18 @@ def test_values_are_converted_and_unknown_keys_reported():
         ({"vehicles": "Raven"}, "'vehicles' must be a list of names"),
         ({"templates_file": 3}, "'templates_file' must be a text"),
         ({"silence_s": -1.0}, "silence_s must be"),
-        ({"queue_frames": 0}, "queue_frames must be"),
+        ({"queue_s": 0.0}, "queue_s must be"),
         ({"min_samples": 0}, "min_samples must be"),
     ],
 )
 def test_bad_values_name_their_key(values, message):
     with pytest.raises(ValueError, match=message):
         params_from_dict([NodeParams, EstimatorParams], values)
+
+
+@pytest.mark.parametrize(("rate_hz", "frames"), [(500.0, 25), (200.0, 10), (100.0, 5), (50.0, 2), (20.0, 1), (10.0, 1)])
+def test_frames_wait_for_no_longer_at_a_lower_rate(rate_hz, frames):
+    assert NodeParams().queue_frames(rate_hz) == frames
 
 
 @pytest.mark.parametrize("name", sorted(FILES))

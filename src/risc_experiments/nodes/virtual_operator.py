@@ -70,7 +70,7 @@ class VirtualOperator:
         rospy.Subscriber("/trajectory_phase", String, self._on_trajectory_phase, queue_size=10, tcp_nodelay=True)
         PacedSubscriber("/cortex_raw", CortexArrays, self._on_states, LOOK_RATE_HZ)
         Ticker(1.0 / JOY_RATE_HZ, self._on_tick, "the operator's clock")
-        Ticker(1.0, self._diagnostics.update, "the diagnostics")
+        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
 
     def _on_states(self, message):
         now_s = time.monotonic()

@@ -1,16 +1,17 @@
 """What is written beside a bag: with what it was flown; and the report of a flight that came to nothing."""
 
+import json
 import pathlib
 import subprocess
 import threading
 import xmlrpc.client
 
-import pytest
 import rosbag
 import rospy
 import yaml
 
 from data_extraction.progress import Progress
+from data_extraction.report.__main__ import make
 from data_extraction.report.origin import parameter_hash, read_beside
 from risc_control.lab import load_fleet
 from risc_experiments.flight_record import plain, revision, write_flight, write_parameters
@@ -68,8 +69,17 @@ def test_a_flight_without_a_reference_still_has_its_report(tmp_path):
             message.header.stamp = rospy.Time.from_sec(1000.0 + 0.1 * k)
             bag.write("/cortex_raw", message, message.header.stamp)
     args = arguments(["--out", str(tmp_path)])
-    with pytest.raises(ValueError, match="no /trajectory"):
-        make_report(args, tmp_path, "failed: nobody took off", Progress(), threading.Event())
-    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    tried = [{"rate_hz": 250.0, "reason": "too busy"}]
+    assert make_report(args, tmp_path, "failed: nobody took off", Progress(), threading.Event(), tried) == 1
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["passed"] is False and len(summary["reasons"]) == 2
+    assert (summary["cpu_cores"], summary["memory_mb"], summary["computer"]) == ({}, {}, {}), "nothing was measured"
+    assert summary["mocap"]["frames_passed_over"] == 0
+    assert (summary["mocap"]["wanted_hz"], summary["mocap"]["given_up"]) == (250.0, tried)
+    read = (tmp_path / "report.html").read_text
+    text = read(encoding="utf-8")
     assert "FAILED" in text and "simulated" in text
+    assert "at 250 Hz was given up before take-off: too busy" in text
     assert "Failed: nobody took off." in text and "Failed: there is no /trajectory in the bag" in text
+    make(tmp_path / "flight.bag")
+    assert read(encoding="utf-8").count("was given up before take-off") == 1, "made again from the bag it says so, too"

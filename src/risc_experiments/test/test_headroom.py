@@ -2,41 +2,83 @@
 
 import collections
 import json
+import os
+import signal
+import subprocess
+import sys
+import threading
 import types
 
 import pytest
 
+from risc_control.safety import SafetyLimits
+from risc_estimation.states import EstimatorParams
 from risc_experiments import fly, headroom
-from risc_experiments.headroom import judge, next_rate_hz
+from risc_experiments.headroom import judge, next_rate_hz, want_of_time
 
 
-def figures(flight=0.6, other=0.0, steal=0.0, cores=2):
-    computer = {"cores": cores, "steal": steal, "busiest_other": "browser", "busiest_other_cores": other}
+def figures(flight=0.6, other=0.0, steal=0.0, cores=2, idle=0.5):
+    computer = {"cores": cores, "idle": idle, "steal": steal, "busiest_other": "browser", "busiest_other_cores": other}
     return {"cpu_cores": {"controller": 0.5 * flight, "virtual_lab": 0.5 * flight}, "computer": computer}
 
 
 def test_a_computer_that_keeps_up():
-    assert judge(figures(), [6.0, 7.0, 5.0], [0, 0, 0]) == ""
-    assert judge(figures(other=1.0), [6.0, 12.0, 8.0], [0, 0, 0]) == "", "who is busy beside us need not disturb us"
+    assert judge(figures(), [6.0, 7.0, 5.0], [0, 0, 0, 0]) == ""
+    assert judge(figures(other=1.0), [6.0, 12.0, 8.0], [0, 0, 0, 0]) == "", "who is busy beside us need not disturb us"
     assert judge({}, [], []) == "", "too little was seen"
 
 
 @pytest.mark.parametrize(
     ("seen", "reason"),
     [
-        ((figures(flight=1.8), [5.0] * 3, [0] * 3), "takes 1.80 of 2 cores"),
-        ((figures(flight=0.9, cores=1), [5.0] * 3, [0] * 3), "takes 0.90 of 1 cores"),
-        ((figures(), [9.0, 45.0, 52.0], [0] * 3), "up to 52 ms old"),
-        ((figures(other=1.3), [5.0] * 3, [10, 40, 70]), "70 passed over); browser takes 1.3 cores"),
-        ((figures(steal=0.2), [5.0] * 3, [10, 40, 70]), "the host of this virtual machine takes 20 %"),
+        ((figures(flight=1.8), [5.0] * 3, [0] * 4), "on the ground already the flight took 1.80 of 2 cores"),
+        ((figures(flight=0.9, cores=1), [5.0] * 3, [0] * 4), "the flight took 0.90 of 1 cores"),
+        ((figures(), [59.0, 45.0, 52.0], [0] * 4), "up to 59 ms old"),
+        ((figures(other=1.3), [5.0] * 3, [5, 10, 40, 70]), "(65 passed over); 'browser' took 1.3 cores"),
+        ((figures(steal=0.2), [5.0] * 3, [5, 10, 40, 70]), "the host of this virtual machine took 20 %"),
+        (({}, [5.0] * 3, [5, 10, 40, 70]), "(65 passed over)"),
     ],
 )
 def test_one_that_does_not_and_who_takes_its_time(seen, reason):
     assert reason in judge(*seen)
 
 
-def test_a_single_hiccup_is_no_reason():
-    assert judge(figures(), [5.0, 60.0, 6.0], [0, 30, 30]) == ""
+@pytest.mark.parametrize(
+    ("ages_ms", "passed_over"),
+    [([60.0, 55.0, 6.0], [0, 60, 99, 99]), ([6.0, 60.0, 55.0], [0, 0, 60, 99]), ([6.0, 60.0, 6.0], [7, 7, 90, 90])],
+)
+def test_a_second_of_something_else_costs_no_rate(ages_ms, passed_over):
+    """It touches two reports at most."""
+    assert judge(figures(), ages_ms, passed_over) == ""
+
+
+def flown(idle=0.4, other=0.0, passed_over=0, on_schedule=True, **others):
+    mocap = {"frames_received": 8000, "frames_passed_over": passed_over}
+    return {**figures(idle=idle, other=other, **others), "mocap": mocap, "on_schedule": on_schedule}
+
+
+def test_an_idle_computer_is_not_blamed():
+    assert want_of_time(flown()) == ""
+    assert want_of_time(flown(other=0.9)) == "", "there was time for both"
+    assert want_of_time(flown(passed_over=3)) == "", "a hiccup"
+    assert want_of_time(flown(on_schedule=None)) == "", "no virtual lab"
+    nothing_known = {"cpu_cores": {}, "computer": {}, "mocap": {"frames_received": 0, "frames_passed_over": 0}}
+    assert want_of_time(dict(nothing_known, on_schedule=None)) == ""
+
+
+@pytest.mark.parametrize(
+    ("result", "text"),
+    [
+        (flown(idle=0.04, other=0.9), "'browser' took 0.9 cores, the flight took 0.60 of 2 cores (4 % idle)"),
+        (flown(idle=0.02, flight=1.9), "the flight took 1.90 of 2 cores (2 % idle)"),
+        (flown(steal=0.3), "the host of this virtual machine took 30 %, the flight took 0.60 of 2 cores (40 % idle)"),
+        (flown(passed_over=200, other=0.5), "'browser' took 0.5 cores, the flight took 0.60 of 2 cores (200 frames "),
+        (flown(on_schedule=False, other=0.5), "'browser' took 0.5 cores, the flight took 0.60 of 2 cores (the virtual"),
+        (dict(flown(passed_over=200), computer={}), "unknown what took it (200 frames passed over)"),
+    ],
+)
+def test_a_busy_computer_is_named_and_who_kept_it_busy(result, text):
+    assert want_of_time(result).startswith("for want of processor time: " + text)
 
 
 def test_it_is_judged_once_and_not_while_programs_start(monkeypatch):
@@ -44,7 +86,7 @@ def test_it_is_judged_once_and_not_while_programs_start(monkeypatch):
     monkeypatch.setattr(headroom.time, "monotonic", lambda: clock[0])
     watch = types.SimpleNamespace(oldest_ms=collections.deque([900.0] * 5), passed_over=collections.deque([0, 50, 90]))
     room = headroom.Headroom("nobody")
-    assert room.look(watch) == "" and not watch.oldest_ms and not watch.passed_over
+    assert room.look(watch) == "" and not watch.oldest_ms and list(watch.passed_over) == [90]
     watch.oldest_ms.extend([80.0, 90.0, 85.0])
     clock[0] += 0.9 * headroom.JUDGED_S
     assert room.look(watch) == ""
@@ -63,17 +105,123 @@ def test_rates_go_down_to_the_lowest():
     assert next_rate_hz(120.0) == 100.0
 
 
-def test_a_slower_flight_begins_again_in_a_process_of_its_own(tmp_path, monkeypatch):
+def test_at_the_lowest_rate_that_is_offered_the_estimator_bears_lost_frames():
+    params = EstimatorParams()
+    frames_lost = 2
+    samples = int(min(params.position_window_s, params.angle_window_s) * headroom.RATES_HZ[-1]) + 1
+    assert samples - frames_lost >= params.min_samples
+    assert (frames_lost + 1) / headroom.RATES_HZ[-1] < SafetyLimits().state_hold_s
+
+
+@pytest.fixture
+def on_the_ground(tmp_path, monkeypatch):
+    """Folder of a flight that has not flown; what os.execv is given is appended to its `called`."""
     (tmp_path / "flight.bag").write_text("what lay on the ground")
-    fleet = fly.load_fleet(fly.ROOT / "launch/fleets/ardrones3.yaml")
-    (tmp_path / "fleet.yaml").write_text(json.dumps(fleet.to_dict()))
     monkeypatch.setenv(fly.TRIED_RATES, "[]")
     called = []
     monkeypatch.setattr(fly.os, "execv", lambda program, words: called.append(words))
-    said = types.SimpleNamespace(say=called.append)
-    fly.fly_slower(["--seed", "3"], tmp_path, fly.TooSlow("too busy"), said)
-    assert called[0] == "too busy: too little time for motion capture at 200 Hz, flying at 150 Hz"
-    assert called[1][1:] == ["-m", "risc_experiments.fly", "--seed", "3", "--out", str(tmp_path), "--mocap-rate", "150"]
+    yield types.SimpleNamespace(path=tmp_path, called=called)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, fly.SIGNALS)
+
+
+def write_fleet(folder, rate_hz):
+    fleet = fly.load_fleet(fly.ROOT / "launch/fleets/ardrones3.yaml").to_dict()
+    fleet["mocap"]["rate_hz"] = rate_hz
+    (folder / "fleet.yaml").write_text(json.dumps(fleet))
+
+
+def fly_slower(folder, interrupted=False):
+    said, event = [], threading.Event()
+    if interrupted:
+        event.set()
+    progress = types.SimpleNamespace(say=said.append)
+    arguments = ["--seed", "3", "--out", folder]
+    return fly.fly_slower("risc_experiments.fly", arguments, folder, fly.TooSlow("too busy"), progress, event), said
+
+
+def test_a_slower_flight_begins_again_in_a_process_of_its_own(on_the_ground):
+    write_fleet(on_the_ground.path, 200.0)
+    _, said = fly_slower(on_the_ground.path)
+    assert said == ["too busy: too little time for motion capture at 200 Hz, flying at 150 Hz"]
+    words = ["--seed", "3", "--out", str(on_the_ground.path), "--mocap-rate", "150"]
+    assert [called[1:] for called in on_the_ground.called] == [["-m", "risc_experiments.fly", *words]]
     assert fly.tried_rates() == [{"rate_hz": 200.0, "reason": "too busy"}]
-    assert not (tmp_path / "flight.bag").exists()
-    assert fly.arguments(called[1][3:]).mocap_rate == 150.0
+    assert not (on_the_ground.path / "flight.bag").exists()
+    assert fly.arguments(words).mocap_rate == 150.0
+
+
+def test_below_the_lowest_rate_the_flight_fails_and_says_why(on_the_ground):
+    write_fleet(on_the_ground.path, headroom.RATES_HZ[-1])
+    result, _ = fly_slower(on_the_ground.path)
+    assert result.startswith("failed: this computer is too slow") and "too busy at 50 Hz" in result
+    assert not on_the_ground.called and (on_the_ground.path / "flight.bag").exists(), "the report is made of it"
+    assert fly.tried_rates() == [{"rate_hz": 50.0, "reason": "too busy"}]
+
+
+def test_who_is_interrupted_does_not_begin_again(on_the_ground):
+    write_fleet(on_the_ground.path, 200.0)
+    with pytest.raises(fly.FlightError, match="interrupted before anything flew"):
+        fly_slower(on_the_ground.path, interrupted=True)
+    assert not on_the_ground.called
+
+
+def test_an_interrupt_between_two_processes_reaches_the_second(tmp_path):
+    """It comes before the second has a handler: it must neither be lost nor kill."""
+    write_fleet(tmp_path, 200.0)
+    (tmp_path / "second.py").write_text(
+        "import time; time.sleep(0.2)\n"
+        "from risc_experiments import fly\n"
+        "fly.handle_signals(lambda number, _: print('heard', number))\n"
+    )
+    first = (
+        "import os, pathlib, signal, threading, types\n"
+        "from risc_experiments import fly\n"
+        "event = threading.Event()\n"
+        "fly.handle_signals(lambda *_: event.set())\n"
+        "interrupt = lambda text: os.kill(os.getpid(), signal.SIGINT)\n"
+        "fly.fly_slower('second', [], pathlib.Path('.'), 'busy', types.SimpleNamespace(say=interrupt), event)\n"
+    )
+    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    done = subprocess.run(
+        [sys.executable, "-c", first],
+        cwd=tmp_path,
+        env=dict(os.environ, PYTHONPATH=path),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=120,
+    )
+    assert (done.returncode, done.stdout) == (0, "heard %d\n" % signal.SIGINT)
+
+
+def test_who_is_landing_is_not_told_to_begin_again(tmp_path, monkeypatch):
+    reasons = iter(["", *["too busy"] * 99])
+    monkeypatch.setattr(fly, "Headroom", lambda _: types.SimpleNamespace(look=lambda watch: next(reasons)))
+    monkeypatch.setenv(fly.TRIED_RATES, "[]")
+    watch = types.SimpleNamespace(
+        result="", phase="waiting", operator_heard=False, errors_mm={}, rate_hz=None, operator_silent=lambda: False
+    )
+    looks = []
+
+    def land():
+        looks.append("told")
+        return True
+
+    def show(*_):
+        if looks:
+            looks.append("seen")
+        if len(looks) > 3:
+            watch.result = "failed: told to land"
+
+    watch.land = land
+    interrupted = threading.Event()
+    interrupted.set()
+    result = fly._follow(
+        fly.arguments([]),
+        tmp_path,
+        types.SimpleNamespace(identity="nobody", running=lambda: True),
+        watch,
+        types.SimpleNamespace(show=show, say=lambda text: None),
+        interrupted,
+    )
+    assert result == "failed: told to land" and not isinstance(result, fly.TooSlow)

@@ -11,6 +11,8 @@ import rospy
 from std_msgs.msg import String
 
 from data_extraction.bags import Bag
+from data_extraction.progress import Progress
+from risc_experiments import screenshot
 from risc_experiments.orbit_view import has_display
 from risc_experiments.processes import any_busy
 from risc_experiments.screenshot import VIEWS, arguments, moment_of, standard_views, views_from
@@ -99,6 +101,18 @@ def test_options_of_fly_are_left_for_it():
     args, rest = arguments(["circles3", "--trajectory", "flat8", "--views", "top,oblique,top", "--size", "800x600"])
     assert rest == ["--trajectory", "flat8"]
     assert (args.what, args.views, args.size) == ("circles3", ["top", "oblique"], (800, 600))
+
+
+def test_on_a_slow_computer_the_flight_for_a_picture_begins_again(tmp_path, monkeypatch):
+    argv = ["circles3", "--views", "top", "--vehicles", "2"]
+    args, rest = screenshot.arguments(argv)
+    called = []
+    monkeypatch.setattr(screenshot.fly, "prepare_folder", lambda _: tmp_path)
+    monkeypatch.setattr(screenshot.fly, "fly", lambda *_: screenshot.fly.TooSlow("too busy"))
+    monkeypatch.setattr(screenshot.fly, "fly_slower", lambda *given: called.append(given[:4]) or "failed: too slow")
+    with pytest.raises(screenshot.fly.FlightError, match="no pictures of a flight that failed: too slow"):
+        screenshot.flown(args, rest, Progress(), argv)
+    assert called == [("risc_experiments.screenshot", argv, tmp_path, "too busy")]
 
 
 def becomes(condition):

@@ -132,7 +132,7 @@ class FlightCollector:
             stamp_s = _stamp_s(message, receipt_s)
             for index, reference in enumerate(message.Obj):
                 row = (stamp_s, receipt_s, reference.x, reference.y, reference.z, reference.psi)
-                _samples_of(self._desired, (index, reference.name)).append(row)
+                _keep(self._desired, (index, reference.name), row)
         elif topic in self._states:
             self._keep_states(topic, receipt_s, message)
             if topic in self._arrivals:
@@ -225,7 +225,7 @@ class FlightCollector:
         for state in message.Obj:
             if state.visible:
                 row = (stamp_s, receipt_s, state.x, state.y, state.z, math.radians(state.psi))
-                _samples_of(self._states[topic], state.name).append(row)
+                _keep(self._states[topic], state.name, row)
 
     def _references(self, states, notes):
         """{vehicle: [Samples of its reference, ...]}.
@@ -347,10 +347,13 @@ def _stamp_s(message, receipt_s):
     return seconds(message.header.stamp) or receipt_s
 
 
-def _samples_of(samples, key):
+def _keep(samples, key, row):
+    """Append a row to the Samples of a key, unless a number in it is none."""
+    if not math.isfinite(sum(row)):
+        return
     if key not in samples:
         samples[key] = Samples(6, MOST_ROWS)
-    return samples[key]
+    samples[key].append(row)
 
 
 def _since(stamps_ns, receipts_s, arrivals):

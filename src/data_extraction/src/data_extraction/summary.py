@@ -10,12 +10,12 @@ from data_extraction.flight import HOPS, percentiles_ms
 _MOST_PROGRAMS = 5  # that are named in the table
 
 
-def summarise(flight, experiment, simulated, artefacts):
-    """The summary of a flight as a dict ready for JSON.
+def summarise(flight, experiment, simulated, artefacts, processors=None):
+    """The summary of a flight as a dict ready for JSON; README of this package explains the keys.
 
     experiment: name; simulated: False, or a dict that says the noise and delay model;
-    artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths], 'report': path}. `passed` is None until somebody has
-    judged.
+    artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths], 'report': path}; processors: of report.origin.Origin.
+    `passed` is None until somebody has judged.
     """
     duration_s = max((float(vehicle.t_s[-1]) for vehicle in flight.vehicles.values()), default=0.0)
     return {
@@ -41,7 +41,13 @@ def summarise(flight, experiment, simulated, artefacts):
             "frames_estimated": flight.mocap.frames_estimated,
             "frames_passed_over": flight.mocap.frames_received - flight.mocap.frames_estimated,
             "rate_hz": round(flight.mocap.rate_hz, 3),
+            "wanted_hz": None,
+            "given_up": [],
         },
+        "cpu_cores": {},
+        "memory_mb": {},
+        "computer": {},
+        **(processors or {}),
         "bearings": flight.bearings.figures() if flight.bearings is not None else None,
         "artefacts": artefacts,
     }
@@ -77,11 +83,11 @@ def table(summary):
     mocap = summary["mocap"]
     lines.append("")
     lines.append(
-        "mocap: %d frames sent, %d received, %d estimated, %.2f Hz"
-        % (mocap["frames_sent"], mocap["frames_received"], mocap["frames_estimated"], mocap["rate_hz"])
+        "mocap: %d frames sent, %d received, %d of them passed over, %.2f Hz"
+        % (mocap["frames_sent"], mocap["frames_received"], mocap["frames_passed_over"], mocap["rate_hz"])
     )
-    if summary.get("cpu_cores"):
-        cores = summary["cpu_cores"]
+    cores = summary["cpu_cores"]
+    if cores:
         largest = ", ".join("%s %.2f" % item for item in list(cores.items())[:_MOST_PROGRAMS])
         lines.append("processor cores: %.2f in all; %s" % (sum(cores.values()), largest))
     lines.append("positions judged against %s" % summary["judged_against"])

@@ -22,18 +22,20 @@ from risc_control.lab.calibration import load_calibration
 from risc_control.trajectories import COURSES, course_for_fleet
 from risc_experiments.fleets import default_fleet
 from risc_experiments.flight_record import write_flight, write_parameters
-from risc_experiments.headroom import READY_S, Headroom, next_rate_hz
+from risc_experiments.headroom import RATES_HZ, READY_S, Headroom, next_rate_hz
 from risc_experiments.operator import OperatorParams, time_limit_s
 from risc_experiments.processes import Launch, PortReservation, free_tcp_port
 from risc_experiments.processor_use import ProcessorUse
 from risc_experiments.progress import flight_detail
 from risc_experiments.report import WITH_CAMERAS, make_report
+from risc_simulator.cortex_wire import MAX_BODIES
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 BROWSER_PORT = 8080  # of the web page, unless somebody else has it
 IN_THE_AIR = ("takeoff", "settle", "fly", "home", "land")  # phases of the operator
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # ask for the end
 TRIED_RATES = "RISC_MAAP_TRIED_RATES"  # for the process that begins again at a lower rate
 USE_PERIOD_S = 2.0  # how often the processors' use is noted
 START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
@@ -87,8 +89,8 @@ def arguments(argv):
         parser.error("--fps is for coop: the other experiments use no cameras")
     if args.fps is not None and not 1.0 <= args.fps <= 30.0:
         parser.error("--fps must be from 1 to 30")
-    if args.mocap_rate is not None and not 20.0 <= args.mocap_rate <= 500.0:
-        parser.error("--mocap-rate must be from 20 to 500 Hz")
+    if args.mocap_rate is not None and not RATES_HZ[-1] <= args.mocap_rate <= 500.0:
+        parser.error("--mocap-rate must be from %g to 500 Hz" % RATES_HZ[-1])
     if args.psi is not None and not math.isfinite(args.psi):
         parser.error("--psi must be a number of degrees")
     return args
@@ -115,14 +117,20 @@ def prepare_folder(args):
 def prepare_fleet(args, subnet, folder):
     """The fleet of this flight, moved to its own loopback subnet and written beside the results.
 
-    Raises ValueError for a bad file or a course that is not for so many, FlightError when a vehicle has no calibration
-    and the experiment needs one.
+    Raises ValueError for a bad file or a course that is not for so many, FlightError when there are more bodies than
+    motion capture shows, or a vehicle has no calibration and the experiment needs one.
     """
     trajectory = args.trajectory or "circles3"
     if args.fleet is None:
         fleet = default_fleet(args.vehicles, trajectory, ROOT / "launch" / "fleets")
     else:
         fleet = load_fleet(args.fleet).with_vehicles(args.vehicles)
+    bodies = len(fleet.vehicles) + len(fleet.landmarks)
+    if bodies > MAX_BODIES:
+        raise FlightError(
+            "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"
+            % (len(fleet.vehicles), len(fleet.landmarks), bodies, MAX_BODIES)
+        )
     course_for_fleet(trajectory, args.vehicles, fleet.arena)  # better now than in the air
     fleet = fleet.in_subnet(subnet)
     if args.mocap_rate is not None:
@@ -200,22 +208,35 @@ def fly(args, folder, progress, interrupted):
         reservation.close()
 
 
-def fly_slower(argv, folder, reason, progress):
+def fly_slower(module, argv, folder, reason, progress, interrupted):
     """Begin again in a new process (rospy knows one master in its life), at the next lower rate of motion capture.
 
-    argv: the command line so far.  Raises FlightError when there is no lower rate. Does not return.
+    module, argv: what runs now, and its command line.  folder: of the flight so far, whose bag is removed.
+    Returns only when there is no lower rate: the flight's result. Raises FlightError when it is interrupted.
     """
     rate_hz = load_fleet(folder / "fleet.yaml").mocap.rate_hz
+    os.environ[TRIED_RATES] = json.dumps([*tried_rates(), {"rate_hz": rate_hz, "reason": reason}])
     lower_hz = next_rate_hz(rate_hz)
     if lower_hz is None:
-        raise FlightError("this computer is too slow to fly here: %s" % reason)
+        return (
+            "failed: this computer is too slow to fly so many vehicles: %s at %g Hz, and below %g Hz a lost frame or "
+            "two would leave the vehicles without control" % (reason, rate_hz, RATES_HZ[-1])
+        )
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # they wait until the new process has its handlers
+    if interrupted.is_set():
+        raise FlightError("interrupted before anything flew")
     progress.say("%s: too little time for motion capture at %g Hz, flying at %g Hz" % (reason, rate_hz, lower_hz))
-    tried = [*tried_rates(), {"rate_hz": rate_hz, "reason": reason}]
-    for name in ("flight.bag", "virtual_lab.json", "processors.json"):
+    for name in ("flight.bag", "flight.bag.active", "virtual_lab.json"):
         (folder / name).unlink(missing_ok=True)
-    os.environ[TRIED_RATES] = json.dumps(tried)
-    command = [sys.executable, "-m", "risc_experiments.fly", *argv, "--out", folder, "--mocap-rate", "%g" % lower_hz]
-    os.execv(command[0], [str(word) for word in command])
+    command = [sys.executable, "-m", module, *argv, "--mocap-rate", "%g" % lower_hz]
+    return os.execv(command[0], [str(word) for word in command])  # never
+
+
+def handle_signals(handler):
+    """What to do when the end is asked for, from now on, also of what came while it was blocked."""
+    for number in SIGNALS:
+        signal.signal(number, handler)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 def tried_rates():
@@ -288,7 +309,7 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
         if page is not None:
             page.look()
         phase, _, detail = watch.phase.partition(": ")
-        if phase == "waiting" and not detail and may_be_slower:
+        if phase == "waiting" and not detail and may_be_slower and not landing:
             problem = headroom.look(watch)
             if problem:
                 return TooSlow(problem)
@@ -317,17 +338,18 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
 
 def main(argv=None):
     """Command line. Returns the exit code: 0 only when all vehicles flew and landed inside limits."""
+    argv = sys.argv[1:] if argv is None else argv
     args = arguments(argv)
     interrupted = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: interrupted.set())
+    handle_signals(lambda *_: interrupted.set())
     progress = Progress()
     try:
         folder = prepare_folder(args)
         progress.say("flight %s, seed %d, results in %s" % (args.experiment, args.seed, folder))
         result = fly(args, folder, progress, interrupted)
         if isinstance(result, TooSlow):
-            fly_slower(sys.argv[1:] if argv is None else argv, folder, result, progress)
+            words = [*argv, "--out", folder]
+            result = fly_slower("risc_experiments.fly", words, folder, result, progress, interrupted)
         progress.say("all vehicles have landed" if result == "ok" else result)
         return make_report(args, folder, result, progress, interrupted, tried_rates())
     except (FlightError, ValueError, OSError, RuntimeError) as error:

@@ -1,16 +1,19 @@
-"""Whether the computer keeps up with motion capture, found out on the ground: before take-off, not after a minute."""
+"""Whether the computer keeps up with motion capture: on the ground, before take-off, and after limits were missed."""
 
-import math
 import time
 
 from risc_experiments.processor_use import ProcessorUse
 
-READY_S = 3.5  # [s] that everything runs on the ground before take-off
-JUDGED_S = 2.7  # [s] of it that are judged, enough for three reports of a node
-RATES_HZ = (200.0, 150.0, 100.0, 75.0, 50.0)  # that are tried, one after the other
+READY_S = 4.2  # [s] that everything runs on the ground before take-off
+JUDGED_S = 3.3  # [s] of it that are judged, enough for the reports of a node that have to agree
+RATES_HZ = (200.0, 150.0, 100.0, 75.0, 50.0)  # tried one after the other; the last leaves room for two lost frames
 MOST_USE = 0.85  # of all cores by the flight: the rest is for take-off, video and the system
 MOST_AGE_MS = 30.0  # of the oldest state that the controller answers: beyond, frames wait for processors
-_REPORTS = 2  # of a node's diagnostics, once a second, that must say so one after the other
+LEAST_IDLE = 0.1  # of the processors' time: with less, who wakes has to wait
+MOST_PASSED_OVER = 0.005  # of the frames: one in 200 may be a hiccup
+_REPORTS = 3  # of a node's diagnostics, once a second, that must agree: a second of something else touches two
+_LEAST_CORES = 0.1  # that are worth a word
+_LEAST_STEAL = 0.05
 
 
 class Headroom:
@@ -32,8 +35,9 @@ class Headroom:
         if self._since_s is None:
             self._since_s = now_s
             self._use.look()
-            for reports in (watch.oldest_ms, watch.passed_over):
-                reports.clear()  # while programs start, they have little time
+            watch.oldest_ms.clear()  # while programs start, they have little time
+            while len(watch.passed_over) > 1:
+                watch.passed_over.popleft()
         if self._is_over or now_s - self._since_s < JUDGED_S:
             return ""
         self._is_over = True
@@ -45,26 +49,50 @@ def judge(figures, ages_ms, passed_over):
     """Why a computer does not keep up; "" when it does.
 
     figures: of ProcessorUse.  ages_ms: of the oldest state that the controller answered, in each of its reports.
-    passed_over: frames that the estimator has passed over, in each of its reports.
+    passed_over: frames that the estimator has passed over, in each of its reports, from the one before the first on.
     """
-    taken = ""
-    if figures:
-        computer, used = figures["computer"], sum(figures["cpu_cores"].values())
-        if computer["busiest_other_cores"] >= 0.1:
-            taken = "; %s takes %.1f cores" % (computer["busiest_other"], computer["busiest_other_cores"])
-        if computer["steal"] >= 0.05:
-            taken += "; the host of this virtual machine takes %.0f %%" % (100.0 * computer["steal"])
-        if used > MOST_USE * computer["cores"]:
-            return "on the ground already the flight takes %.2f of %d cores%s" % (used, computer["cores"], taken)
+    if figures and sum(figures["cpu_cores"].values()) > MOST_USE * figures["computer"]["cores"]:
+        return "; ".join(["on the ground already " + _flight(figures), *_others(figures)])
+    problem = ""
     latest = passed_over[-_REPORTS - 1 :]
     if len(latest) > _REPORTS and all(after > before for before, after in zip(latest, latest[1:])):
-        return "the estimator has no time for every frame (%d passed over)%s" % (latest[-1], taken)
+        problem = "the estimator had no time for every frame (%d passed over)" % (latest[-1] - latest[0])
     latest = ages_ms[-_REPORTS:]
-    if len(latest) == _REPORTS and min(latest) > MOST_AGE_MS:
-        return "the controller answers states that are up to %.0f ms old%s" % (max(latest), taken)
-    return ""
+    if not problem and len(latest) == _REPORTS and min(latest) > MOST_AGE_MS:
+        problem = "the controller answered states that were up to %.0f ms old" % max(latest)
+    return "; ".join([problem, *(_others(figures) if figures else ())]) if problem else ""
+
+
+def want_of_time(result):
+    """That a flight may have missed its limits for want of processor time, and who took it; "" when nothing says so.
+
+    result: summary of the flight.
+    """
+    computer, mocap, signs, who = result["computer"], result["mocap"], [], ["unknown what took it"]
+    if computer:
+        who = [*_others(result), _flight(result)]
+        if computer["idle"] < LEAST_IDLE or computer["steal"] >= _LEAST_STEAL:
+            signs.append("%.0f %% idle" % (100.0 * computer["idle"]))
+    if mocap["frames_passed_over"] > MOST_PASSED_OVER * mocap["frames_received"]:
+        signs.append("%d frames passed over" % mocap["frames_passed_over"])
+    if result["on_schedule"] is False:
+        signs.append("the virtual lab was late")
+    return "for want of processor time: %s (%s)" % (", ".join(who), ", ".join(signs)) if signs else ""
+
+
+def _flight(figures):
+    return "the flight took %.2f of %d cores" % (sum(figures["cpu_cores"].values()), figures["computer"]["cores"])
+
+
+def _others(figures):
+    """Who else took the computer's time, one text each."""
+    computer = figures["computer"]
+    if computer["busiest_other_cores"] >= _LEAST_CORES:
+        yield "'%s' took %.1f cores" % (computer["busiest_other"], computer["busiest_other_cores"])
+    if computer["steal"] >= _LEAST_STEAL:
+        yield "the host of this virtual machine took %.0f %%" % (100.0 * computer["steal"])
 
 
 def next_rate_hz(rate_hz):
     """The next lower rate to try [Hz]; None when there is none."""
-    return next((lower for lower in RATES_HZ if lower < rate_hz - 1.0 and math.isfinite(rate_hz)), None)
+    return next((lower for lower in RATES_HZ if lower < rate_hz - 1.0), None)

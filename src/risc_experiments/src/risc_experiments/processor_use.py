@@ -15,8 +15,8 @@ _LEAST_S = 1.0  # shorter spans say nothing
 
 class _Look(NamedTuple):
     time_s: float
-    machine: tuple  # psutil.cpu_times of the whole computer
-    programs: dict  # {(process id, time of its start): (name, of the flight?, processor seconds)}
+    machine: dict  # {as in psutil.cpu_times: seconds} of the cores that the flight may use
+    programs: dict  # {(process id, time of its start): (name, of the flight?, processor seconds)}; ended ones stay
 
 
 class ProcessorUse:
@@ -25,24 +25,23 @@ class ProcessorUse:
     def __init__(self, identity):
         """identity: of the flight's processes, as in `processes.Launch`."""
         self._identity = identity
-        self._names = {}  # {(process id, time of its start): (name, of the flight?)}
         self._first = self._last = None
         self._memory_mb = Counter()
 
     def look(self):
         """Note what has been used so far. Costs some milliseconds."""
-        programs = {}
+        known = self._last.programs if self._last else {}
+        programs = dict(known)
         weighs = self._first is not None and not self._memory_mb
         for process in psutil.process_iter():
             with contextlib.suppress(psutil.Error):
                 key = process.pid, process.create_time()
-                if key not in self._names:
-                    self._names[key] = program_name(process), self._is_ours(process)
+                name, is_ours = known[key][:2] if key in known else (program_name(process), self._is_ours(process))
                 times = process.cpu_times()
-                programs[key] = (*self._names[key], times.user + times.system)
-                if weighs and self._names[key][1]:
-                    self._memory_mb[self._names[key][0]] += process.memory_full_info().pss / 1e6
-        self._last = _Look(time.monotonic(), psutil.cpu_times(), programs)
+                programs[key] = name, is_ours, times.user + times.system
+                if weighs and is_ours:
+                    self._memory_mb[name] += process.memory_full_info().pss / 1e6
+        self._last = _Look(time.monotonic(), _machine_times(), programs)
         if self._first is None:
             self._first = self._last
 
@@ -50,7 +49,7 @@ class ProcessorUse:
         """{"cpu_cores": {program of the flight: mean}, "memory_mb": {program of the flight: MB}, "computer": {...}}.
 
         {} when too little time was looked at. memory_mb: what programs share (code, numba) is shared out among them.
-        cores: that the flight may use.  steal: fraction of its time that the host of a virtual machine gave to others.
+        cores: that the flight may use; idle, steal (what the host of a virtual machine gave to others): of their time.
         others: mean of all programs that are not of the flight; busiest_other, busiest_other_cores: the largest.
         """
         first, last = self._first, self._last
@@ -61,7 +60,7 @@ class ProcessorUse:
         for key, (name, of_the_flight, used_s) in last.programs.items():
             before_s = first.programs[key][2] if key in first.programs else 0.0
             (ours if of_the_flight else others)[name] += (used_s - before_s) / span_s
-        machine = {name: getattr(last.machine, name) - getattr(first.machine, name) for name in last.machine._fields}
+        machine = {name: last.machine[name] - first.machine[name] for name in last.machine}
         total_s = max(sum(machine.values()) - machine.get("guest", 0.0) - machine.get("guest_nice", 0.0), 1e-9)
         busiest, cores = max(others.items(), key=lambda item: item[1], default=("", 0.0))
         return {
@@ -85,6 +84,12 @@ class ProcessorUse:
         return False
 
 
+def _machine_times():
+    cores = psutil.cpu_times(percpu=True)
+    ours = [cores[k] for k in os.sched_getaffinity(0) if k < len(cores)] or cores
+    return {name: sum(getattr(core, name) for core in ours) for name in ours[0]._fields}
+
+
 def program_name(process):
     """Of a node its name with its namespace, else what the program is called. Raises psutil.Error when it has ended."""
     words = process.cmdline()
@@ -103,5 +108,5 @@ def _program(words):
         if "-m" in words[:-1]:
             return words[words.index("-m") + 1]
         scripts = [word for word in words[1:] if not word.startswith("-")]
-        words = scripts[:1] or words
+        words = scripts[:1] if scripts and words[1] != "-c" else words
     return os.path.basename(words[0]) if words else ""

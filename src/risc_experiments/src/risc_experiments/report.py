@@ -10,6 +10,7 @@ from data_extraction.report import page
 from data_extraction.report.collector import ReportCollector
 from data_extraction.report.origin import read_beside
 from risc_control.lab import load_fleet, load_vehicle_type
+from risc_experiments.headroom import want_of_time
 from risc_experiments.judge import Limits, judge
 from risc_simulator.models.mocap_cameras import CameraParams
 
@@ -27,38 +28,35 @@ def make_report(args, folder, operator_result, progress, interrupted, tried=()):
     """
     interrupted.clear()
     collector, files = _extract(folder, progress, interrupted)
-    try:
-        flight = collector.flight.flight()
-    except ValueError as error:
-        _report_failure(args, folder, collector, [operator_result, str(error)], progress)
-        raise
-    progress.show("drawing")
-    title = "%s, seed %d (simulated)" % (args.trajectory or args.experiment, args.seed)
-    pictures = plots.draw_all(flight, folder / "plots", title)
     bag, page_path = folder / "flight.bag", folder / "report.html"
-    artefacts = {
-        "bag": str(bag),
-        "csv_dir": str(folder / "csv"),
-        "plots": [str(picture) for picture in pictures],
-        "report": str(page_path),
-    }
-    result = summary.summarise(flight, args.experiment, simulation_model(args, folder), artefacts)
+    artefacts = {"bag": str(bag), "csv_dir": str(folder / "csv"), "plots": [], "report": str(page_path)}
+    try:
+        flight, reasons = collector.flight.flight(), None
+    except ValueError as error:  # no whole flight: summary and report say what there is
+        flight, reasons = collector.flight.overview(), [operator_result, str(error)]
+    material = collector.material(flight)
+    model, used = simulation_model(args, folder), material.origin.processors
+    result = summary.summarise(flight, args.experiment, model, artefacts, used)
     lab = lab_statistics(folder)
     result["least_separation_m"] = lab.get("least_separation_m")
     result["lab_late_ms"] = lab.get("late_ms")
     result["video_late_ms"] = max(v["video"]["late_ms"] for v in lab["vehicles"].values()) if lab else None
     result["on_schedule"] = on_schedule(result) if lab else None
-    result.update(read_beside(folder / "flight.bag").processors)
-    result["mocap"]["wanted_hz"] = (tried or [{"rate_hz": result["mocap"]["rate_hz"]}])[0]["rate_hz"]
+    result["mocap"]["wanted_hz"] = tried[0]["rate_hz"] if tried else material.origin.fleet.mocap.rate_hz
     result["mocap"]["given_up"] = list(tried)
-    reasons = judge(flight, operator_result, with_cameras=args.experiment in WITH_CAMERAS)
-    result["passed"] = not reasons
-    result["reasons"] = reasons
-    result["limits"] = dict(vars(Limits()))
+    if reasons is None:
+        progress.show("drawing")
+        title = "%s, seed %d (simulated)" % (args.trajectory or args.experiment, args.seed)
+        artefacts["plots"] = [str(picture) for picture in plots.draw_all(flight, folder / "plots", title)]
+        reasons = judge(flight, operator_result, with_cameras=args.experiment in WITH_CAMERAS)
+    reasons = [reason for reason in reasons if reason and reason != "ok"]
+    if reasons:
+        reasons += filter(None, [want_of_time(result)])
+    result.update(passed=not reasons, reasons=reasons, limits=dict(vars(Limits())))
     summary.write(result, folder / "summary.json")
+    page.write(page_path, material, result)
     progress.say("")
     print(summary.table(result))
-    page.write(page_path, collector.material(flight), result)
     print("simulated: %s" % ", ".join("%s %s" % item for item in result["simulated"].items()))
     if result["least_separation_m"] is not None:
         print("vehicles came no closer than %.2f m to each other" % result["least_separation_m"])
@@ -100,19 +98,6 @@ def _extract(folder, progress, interrupted):
             progress.show("extracting", bar(collector.fraction(receipt_s)))
 
         return collector, export_open(bag, folder / "csv", on_message=collect)
-
-
-def _report_failure(args, folder, collector, reasons, progress):
-    """Write the report of a bag that holds no whole flight: it shows what there is."""
-    material = collector.material()
-    result = page.summary_of(material)
-    result.update(
-        experiment=args.experiment,
-        simulated=simulation_model(args, folder),
-        passed=False,
-        reasons=[reason for reason in reasons if reason and reason != "ok"],
-    )
-    progress.say("report   %s" % page.write(folder / "report.html", material, result))
 
 
 def simulation_model(args, folder):

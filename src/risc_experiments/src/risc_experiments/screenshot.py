@@ -110,8 +110,11 @@ def _size(text):
     return size
 
 
-def flown(args, rest, progress):
-    """Fly the experiment. Returns the folder with its bag. Raises FlightError when there is none."""
+def flown(args, rest, progress, argv):
+    """Fly the experiment. Returns the folder with its bag. Raises FlightError when there is none.
+
+    argv: the whole command line, to begin again with on a computer that is too slow.
+    """
     fleet = ["--fleet", str(args.fleet)] if args.fleet else []
     flight = fly.arguments([args.what, "--duration", "%g" % FLIGHT_S, *fleet, *rest])  # the caller has the last word
     folder = fly.prepare_folder(flight)
@@ -119,6 +122,8 @@ def flown(args, rest, progress):
     interrupted = threading.Event()
     with _signals_set(interrupted):
         result = fly.fly(flight, folder, progress, interrupted)
+        if isinstance(result, fly.TooSlow):
+            result = fly.fly_slower("risc_experiments.screenshot", argv, folder, result, progress, interrupted)
     if result != "ok":
         raise fly.FlightError(
             "no pictures of a flight that failed: %s (./maap screenshot %s/flight.bag makes them all the same)"
@@ -130,12 +135,11 @@ def flown(args, rest, progress):
 @contextlib.contextmanager
 def _signals_set(event):
     """Ctrl-C and its kin only set the event; what they did before comes back at the end."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = [signal.signal(number, lambda *_: event.set()) for number in numbers]
+    before = [signal.signal(number, lambda *_: event.set()) for number in fly.SIGNALS]
     try:
         yield
     finally:
-        for number, handler in zip(numbers, before):
+        for number, handler in zip(fly.SIGNALS, before):
             signal.signal(number, handler)
 
 
@@ -352,11 +356,11 @@ def _play(bag_path, topics, start_s, stop_s, rate, folder, network):
 
 def main(argv=None):
     """Command line. Returns the exit code: 0 when every picture was taken."""
+    argv = sys.argv[1:] if argv is None else argv
     args, rest = arguments(argv)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
     progress = Progress()
     try:
+        fly.handle_signals(signal.default_int_handler)
         missing = missing_programs("rviz")
         if missing:
             raise ScreenError(
@@ -365,7 +369,7 @@ def main(argv=None):
         experiment = args.what if args.what in fly.EXPERIMENTS else ""
         if args.views:
             views_from(args.views, args.size)  # a mistake in their names is told before anything flies
-        bag_path = flown(args, rest, progress) / "flight.bag" if experiment else pathlib.Path(args.what)
+        bag_path = flown(args, rest, progress, argv) / "flight.bag" if experiment else pathlib.Path(args.what)
         fleet = bag_path.parent / "fleet.yaml"
         fleet = args.fleet if args.fleet and not experiment else fleet if fleet.exists() else None
         if fleet:

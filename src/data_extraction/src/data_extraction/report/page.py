@@ -15,14 +15,17 @@ JUDGED = (
     "experiment", "simulated", "passed", "reasons", "limits", "least_separation_m", "lab_late_ms", "video_late_ms",
     "on_schedule",
 )  # fmt: skip
+ASKED = ("wanted_hz", "given_up")  # of its motion capture, likewise
 
 
 def summary_of(material):
     """The summary of a bag that nobody judges now: its figures, and what the summary beside it says."""
     beside = material.origin.summary
     experiment = material.origin.flight.get("experiment")
-    result = summaries.summarise(material.flight, experiment, material.is_simulated and {}, {})
+    processors = material.origin.processors
+    result = summaries.summarise(material.flight, experiment, material.is_simulated and {}, {}, processors)
     result.update({key: beside[key] for key in JUDGED if key in beside})
+    result["mocap"].update({key: beside["mocap"][key] for key in ASKED if key in beside.get("mocap", {})})
     return result
 
 

@@ -132,6 +132,9 @@ def result(material, summary):
     section = Section("result", "Result")
     for reason in summary.get("reasons") or []:
         section.texts.append("Failed: %s." % (reason[len(_FAILED) :] if reason.startswith(_FAILED) else reason))
+    for rate in summary["mocap"]["given_up"]:
+        text = "Motion capture at %g Hz was given up before take-off: %s."
+        section.texts.append(text % (rate["rate_hz"], rate["reason"]))
     vehicles = summary["vehicles"]
     if not vehicles and not section.texts:
         return Missing("Result", "; ".join(material.flight.notes))
@@ -231,7 +234,7 @@ def latency(material, _summary):
     return section
 
 
-def processors(material, summary):
+def processors(material, _summary):
     """What the programs took of the computer that flew."""
     used = material.origin.processors
     if not used:
@@ -249,9 +252,6 @@ def processors(material, summary):
             ("taken by the host of the virtual machine (steal)", _unit(computer["steal"], 100.0, "%", 1)),
         ],
     )
-    for rate in summary.get("mocap", {}).get("given_up", ()):
-        text = "Motion capture at %g Hz was given up before take-off: %s."
-        section.texts.append(text % (rate["rate_hz"], rate["reason"]))
     rows = [
         [name, "%.3f" % value, _unit(memory_mb.get(name), 1.0, "MB", 0)]
         for name, value in cores.items()

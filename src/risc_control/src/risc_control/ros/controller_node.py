@@ -15,7 +15,7 @@ from risc_control.ros import low_latency
 from risc_control.ros.conversions import ControlsMessage, StatesReader
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
-from risc_control.ros.paced import PacedSubscriber
+from risc_control.ros.paced import BUFFER_BYTES, PacedSubscriber
 from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.tracking import LqrWeights, TrackingParams
@@ -63,7 +63,7 @@ class ControllerNode:
         self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
         self._diagnostics = make_updater(", ".join(self.names))
         self._diagnostics.add("controller", self._diagnose)
-        Ticker(1.0, self._diagnostics.update, "the diagnostics")
+        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
         self._server = Server(config_type, self._on_reconfigure)
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
@@ -80,7 +80,14 @@ class ControllerNode:
         self._references_in = PacedSubscriber(
             "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory, _REFERENCES_HZ
         )
-        rospy.Subscriber("/cortex_raw", CortexArrays.Raw, self._on_states, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber(  # of what has come meanwhile the newest is answered
+            "/cortex_raw",
+            CortexArrays.Raw,
+            self._on_states,
+            queue_size=1,
+            buff_size=BUFFER_BYTES,
+            tcp_nodelay=True,
+        )
 
     def _on_reconfigure(self, config, _level):
         """New weights in flight; impossible ones change nothing."""

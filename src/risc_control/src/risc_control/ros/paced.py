@@ -6,7 +6,7 @@ import weakref
 
 import rospy
 
-_BUFFER_BYTES = 2**20  # holds what arrives while a callback waits
+BUFFER_BYTES = 2**20  # holds what arrives while a callback waits
 PICTURES_BYTES = 2**24  # the same for pictures: what waits is read at one go, and all but the newest is thrown away
 _open = weakref.WeakSet()  # what those that exist wait on, to be ended with the process
 _open_lock = threading.RLock()  # a signal may end the process while its main thread is in here
@@ -44,7 +44,7 @@ class PacedSubscriber:
     time of the monotonic clock is called next with the newest message of then instead.
     """
 
-    def __init__(self, topic, message_class, callback, rate_hz, args=(), buffer_bytes=_BUFFER_BYTES):
+    def __init__(self, topic, message_class, callback, rate_hz, args=(), buffer_bytes=BUFFER_BYTES):
         self._callback = callback
         self._args = args
         self._period_s = 1.0 / rate_hz

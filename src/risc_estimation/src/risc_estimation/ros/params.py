@@ -11,13 +11,17 @@ class NodeParams:
     vehicles: Tuple[str, ...] = ()  # vehicles that are listed before they are seen; empty = those of /fleet
     templates_file: str = ""  # marker templates; empty = config/templates.yaml of this package
     silence_s: float = 0.1  # [s] without frames before everything is declared invisible; 0 = never
-    queue_frames: int = 10  # frames that may wait while the node is held up; older ones are passed over
+    queue_s: float = 0.05  # [s] of frames that may wait while the node is held up; older ones are passed over
 
     def __post_init__(self):
         if self.silence_s < 0.0:
             raise ValueError("silence_s must be 0 (off) or positive, got %r" % (self.silence_s,))
-        if self.queue_frames < 1:
-            raise ValueError("queue_frames must be at least 1, got %r" % (self.queue_frames,))
+        if self.queue_s <= 0.0:
+            raise ValueError("queue_s must be positive, got %r" % (self.queue_s,))
+
+    def queue_frames(self, rate_hz):
+        """How many frames may wait at a rate of motion capture [Hz]."""
+        return max(int(self.queue_s * rate_hz + 1e-6), 1)
 
 
 @dataclass(frozen=True)
