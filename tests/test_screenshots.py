@@ -24,9 +24,9 @@ from risc_experiments.screenshot import VIEWS, main
 from risc_experiments.virtual_screen import missing_programs
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States, Trajectories, Trajectory
 from risc_visual.airframes import vehicle_colour
-from risc_visual.arena import load_arena
 from risc_visual.landmark_config import load_landmarks
 from risc_visual.palette import ray_colours, sphere_colours
+from risc_visual.scenery import load_scenery
 
 pytestmark = pytest.mark.skipif(
     bool(missing_programs("rviz")), reason="no rviz or no Xvfb: './maap screenshot' installs what pictures need"
@@ -161,7 +161,7 @@ def along(ends_m, view, count=100):
 @pytest.mark.parametrize("name", ["oblique", "top"])
 def test_the_net_is_where_the_projection_says(pictures, name):
     picture, view = pictures[name]
-    ends_m = load_arena().net.edges().reshape(-1, 2, 3)
+    ends_m = load_scenery().net.edges().reshape(-1, 2, 3)
     checked = 0
     for edge in ends_m[np.any(ends_m[:, :, 2] > 0.0, axis=1)]:  # those on the floor are among the floor's lines
         pixels = along(edge, view)

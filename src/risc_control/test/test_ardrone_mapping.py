@@ -7,7 +7,7 @@ from risc_control.flatness import FlatInputs
 from risc_control.frames import GRAVITY_M_S2 as G
 from risc_control.lab import load_vehicle_type
 from risc_control.mappings.ardrone import full_scales, to_fractions, to_inputs
-from risc_control.mappings.climb_rate import climb_rate_command, thrust_for_climb_rate
+from risc_control.mappings.climb_rate import climb_rate_command
 
 ARDRONE = load_vehicle_type("ardrone")
 
@@ -77,11 +77,6 @@ def test_both_tilts_enter():
     level = climb_rate_command(4.6, 0.0, 0.0, 0.1, 0.3, 0.45)
     for phi, theta in ((0.3, 0.0), (0.0, 0.3)):
         assert climb_rate_command(4.6, phi, theta, 0.1, 0.3, 0.45) < level - 0.1
-
-
-def test_thrust_for_a_climb_rate_is_the_inverse():
-    thrust_n = thrust_for_climb_rate(0.4, 0.2, -0.1, 0.15, 0.3, 0.45)
-    assert climb_rate_command(thrust_n, 0.2, -0.1, 0.15, 0.3, 0.45) == pytest.approx(0.4)
 
 
 def test_it_inverts_the_climb_loop():

@@ -12,7 +12,7 @@ import rospy
 import rostest
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
-from vehicle_world import FLYING, HOVER_N, LANDED, SHUT_DOWN, World, is_flown, is_zero, same, wait_for
+from vehicle_world import EMERGENCY, FLYING, HOVER_N, LANDED, SHUT_DOWN, World, is_flown, is_zero, same, wait_for
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 NAME = "/vehicle_fleet_test"
@@ -88,10 +88,17 @@ class VehicleFleetTest(unittest.TestCase):
         world = self.world
         world.fly_by_controls()
         world.forget()
-        world.press("risc2", SHUT_DOWN)
+        world.hold("risc2", SHUT_DOWN)
         world.wait("risc2", "ardrone/land")
         world.flight_state["risc2"] = LANDED
-        world.wait("risc2", "controller_status", lambda m: not m.data)
+        world.let_pass("risc2")  # it has begun again: until then it reports no mode
+        world.forget()
+        for _ in range(3):  # joy_node repeats as long as the button is down
+            world.hold("risc2", SHUT_DOWN)
+        world.press("risc2", EMERGENCY)
+        world.wait("risc2", "ardrone/reset")
+        wait_for(lambda: len(world.messages("risc2", "controller_status")) >= 25, "status of risc2")
+        self.assertEqual(world.messages("risc2", "ardrone/land"), [], "the button was pressed once")
         self.check_that_others_fly_on()
         world.fly()
         world.controls["risc2"] = (0.3, 0.1, 0.0, HOVER_N)

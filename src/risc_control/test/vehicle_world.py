@@ -113,9 +113,12 @@ class World:
 
     def press(self, vehicle, button, late_s=0.0):
         """Press a button and let go. late_s: for so long the messages were on their way."""
-        for down in (button, None):
-            joy = Joy(axes=[0.0] * 8, buttons=[1 if k == down else 0 for k in range(11)])
-            self.send_joy(vehicle, joy, late_s)
+        self.hold(vehicle, button, late_s)
+        self.hold(vehicle, None, late_s)
+
+    def hold(self, vehicle, button, late_s=0.0):
+        """One message of a joystick with this button down; None: with none."""
+        self.send_joy(vehicle, Joy(axes=[0.0] * 8, buttons=[1 if k == button else 0 for k in range(11)]), late_s)
 
     def send_joy(self, vehicle, joy, late_s=0.0):
         """Send what a joystick says. late_s: for so long it was on its way."""

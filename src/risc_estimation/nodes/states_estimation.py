@@ -71,7 +71,7 @@ class StatesEstimationNode(object):
             if self._last_seq is not None:
                 self._passed_over += max(header.seq - self._last_seq - 1, 0)
             self._last_seq = header.seq
-            estimate = self._estimator.update(header.stamp.to_sec(), frame.layout.key, frame.markers_m)
+            estimate = self._estimator.update(header.stamp.to_sec(), frame.layout.entries, frame.markers_m)
             self._last_receipt_s = time.monotonic()
             if estimate is None:
                 return

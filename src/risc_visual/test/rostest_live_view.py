@@ -25,8 +25,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
 from risc_msgs.msg import Trajectories
-from risc_visual.arena import load_arena
 from risc_visual.ros import markers
+from risc_visual.scenery import load_scenery
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "live_view"
 RED = (1.0, 0.0, 0.0, 1.0)
@@ -72,7 +72,7 @@ class LiveViewTest(unittest.TestCase):
             topic: rospy.Publisher(topic, kind, queue_size=10, latch=topic in LATCHED)
             for topic, kind in OUTPUTS.items()
         }
-        cls.topics["net"].publish(markers.net_markers(load_arena().net, 0.0))
+        cls.topics["net"].publish(markers.net_markers(load_scenery().net, 0.0))
         for topic, text in (
             ("/risc1/safety", "hold: state 120 ms old"),
             ("/operator/phase", "fly: on course"),

@@ -10,11 +10,11 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from risc_visual.airframes import AIRFRAMES
-from risc_visual.arena import load_arena
 from risc_visual.browser import SHAPES
 from risc_visual.cast import View
 from risc_visual.marker_scene import Action, Look, Placement, Shape
 from risc_visual.ros import live_view, markers
+from risc_visual.scenery import load_scenery
 
 CONFIG = pathlib.Path(__file__).parents[1] / "config"
 HEAD = markers.header()
@@ -26,10 +26,10 @@ def converted(message):
 
 
 def everything_that_is_drawn():
-    arena = load_arena()
+    scenery = load_scenery()
     view = View("fluffy_II", 0, AT_M, (0.0, 0.0, 0.0, 1.0), AIRFRAMES["ardrone"], (0.3, 0.7, 1.0), False)
-    found = markers.net_markers(arena.net, 3.0) + markers.grid_markers(arena.grid, 3.0)
-    found += markers.camera_markers(arena.cameras, 3.0) + markers.body_markers(HEAD, [("fluffy_II", [AT_M])], 1.0)
+    found = markers.net_markers(scenery.net, 3.0) + markers.grid_markers(scenery.grid, 3.0)
+    found += markers.camera_markers(scenery.cameras, 3.0) + markers.body_markers(HEAD, [("fluffy_II", [AT_M])], 1.0)
     found += markers.vehicle_markers(HEAD, [view], 1.0) + markers.vehicle_labels(HEAD, [view], 0.8, 1.0)
     found += markers.pendulum_markers(HEAD, "Pendulum_tip", AT_M, AT_M, 1.0)
     found += markers.landmark_markers(HEAD, [("Green_pink", AT_M)], 1.0, {})
@@ -101,7 +101,7 @@ def test_an_orientation_that_nobody_has_set_is_no_turn():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_numbers_that_are_none_are_not_shown(bad):
-    message = markers.net_markers(load_arena().net, 1.0)[4]
+    message = markers.net_markers(load_scenery().net, 1.0)[4]
     assert converted(message) is not None
     message.points[3].y = bad
     assert converted(message) is None
@@ -114,7 +114,7 @@ def test_numbers_that_are_none_are_not_shown(bad):
     message = markers.title_marker(HEAD, "x", 1.0)
     message.color = ColorRGBA(1.0, bad, 0.0, 1.0)  # a new one: markers share theirs
     assert converted(message) is None
-    message = markers.net_markers(load_arena().net, 1.0)[4]
+    message = markers.net_markers(load_scenery().net, 1.0)[4]
     message.colors = [ColorRGBA(1.0, 0.0, bad, 1.0)]
     assert converted(message) is None
 

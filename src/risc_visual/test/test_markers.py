@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
-from risc_visual.arena import load_arena
 from risc_visual.cast import Cast, Index, Pose
 from risc_visual.rays import Ray
 from risc_visual.ros import markers
+from risc_visual.scenery import load_scenery
 from risc_visual.trails import MAX_PIECES
 from risc_visual.waypoints import Waypoint
 
@@ -36,7 +36,7 @@ def rays():
 
 
 def everything():
-    arena = load_arena()
+    scenery = load_scenery()
     waypoints = [Waypoint("Raven", 1, (1.0, 2.0, 1.0), 0.5), Waypoint("", 1, (0.0, 0.0, 1.0), 0.0)]
     numbers = Index()
     return {
@@ -45,9 +45,9 @@ def everything():
         "Way_Markers": markers.waypoint_markers(HEAD, numbers, waypoints, 0.4, 1.0),
         "Heading_Markers": markers.heading_markers(HEAD, numbers, waypoints, 0.4, 1.0),
         "Way_Labels": markers.waypoint_labels(HEAD, numbers, waypoints[:1], 0.8, 1.0),
-        "net": markers.net_markers(arena.net, 3.0),
-        "Grid": markers.grid_markers(arena.grid, 3.0),
-        "Cameras": markers.camera_markers(arena.cameras, 3.0),
+        "net": markers.net_markers(scenery.net, 3.0),
+        "Grid": markers.grid_markers(scenery.grid, 3.0),
+        "Cameras": markers.camera_markers(scenery.cameras, 3.0),
         "Cortex_Markers": markers.body_markers(HEAD, [("Raven", [(0, 0, 1), (0, 0.1, 1)])], 1.0),
         "Quad_Markers": markers.vehicle_markers(HEAD, views("Raven", "Kahn", lost=("Kahn",)), 1.0)
         + markers.pendulum_markers(HEAD, "Pendulum_tip", (0, 0, 2), (0, 0, 1), 1.0),

@@ -2,9 +2,9 @@
 
 A function under `@compiled` is plain Python on floats, arrays and records, in the words of the equations: a loop over
 vehicles with scalars inside. numba turns it into machine code, once: `./maap build` flies a second offline, which
-compiles everything, and the results are kept in __pycache__ beside the sources. Nothing is compiled in flight, since
-whatever uses such a function calls it once when it is made. With NUMBA_DISABLE_JIT=1 the same source runs as it stands:
-the tests compare the two.
+compiles everything, and the results are kept in __pycache__ beside the sources. Nothing is compiled or loaded in
+flight: every class that uses such a function calls it once in its constructor. With NUMBA_DISABLE_JIT=1 the same source
+runs as plain Python; the tests compare the two.
 
     VEHICLE = record(("phi_rad", float), ("theta_rad", float), ("velocity_m_s", float, (3,)))
 

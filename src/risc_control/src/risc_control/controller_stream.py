@@ -1,15 +1,15 @@
-"""What a vehicle node that does not read every message makes of one sender's `/controls`. No ROS."""
+"""Which messages on /controls of one sender a vehicle node answers, since it does not read every one. No ROS."""
 
 import math
 
-_LAY_S = 0.001  # a message so much older than a fresh one has lain in the socket
+_LAY_S = 0.001  # a message that is older than a fresh one by more than this has lain in the socket
 
 
 class ControllerStream:
-    """Messages of one sender, read when a command is due: the newest has lain about for up to a period of the sender.
+    """Messages of one sender. The node reads when a command is due, and finds one that has waited up to a period.
 
-    A fast sender's is passed over then: the next one is on its way, and fresh. Of a sender that is slower than the node
-    looks (a student's controller at 30 Hz) every message is read as it comes, and answered.
+    Of a fast sender a message that has waited is passed over: the next one is on its way, and fresh. Of a sender that
+    is slower than the node looks (a student's controller at 30 Hz) every message is read as it comes, and answered.
     """
 
     def __init__(self, look_s):
@@ -18,10 +18,13 @@ class ControllerStream:
         self._period_s = math.inf
         self._stamp_s = -math.inf
         self._fresh_s = math.inf  # age of a message that has not lain
-        self._follows = False  # the next message is waited for, since none was left unread: it is fresh
+        self._follows = False  # no message was left unread, so the next one is fresh when it is read
 
     def answers(self, stamp_s, age_s, is_due):
-        """Whether commands are to be made of a message. is_due: a vehicle takes one now."""
+        """Whether to make commands of a message.
+
+        stamp_s: of the message [s].  age_s: by its stamp, when it is read [s].  is_due: a vehicle takes a command now.
+        """
         if self._follows:
             self._period_s = stamp_s - self._stamp_s
             self._fresh_s = age_s

@@ -1,8 +1,9 @@
 """Motions of vehicles over time, with exact derivatives up to snap, and smooth ways from one into another.
 
-A motion is a chain of links: the first says where the vehicle is on its own (it stands, drifts to rest, flies a path of
-a course), and each further one is such a motion, too, and a blend into it from what was before. Links are records, so
-that compiled code evaluates a whole fleet in one call; a path that only a Python function knows is asked for it.
+A motion is a chain of links. The first link is a simple motion: the vehicle stands, coasts to rest, or flies a path of
+a course. Each further link is another simple motion and the blend into it from the links before. Links are records, so
+that compiled code evaluates a whole fleet in one call. Where a path is a Python function, the caller evaluates that
+function and passes the result in (`given`).
 
 Frame: cortex (x forward, y left, z up), metres, seconds. Yaw psi is + clockwise seen from above (NED sense), radians.
 Arrays of derivatives have the order (0 = position ... 4 = snap) as their first axis.
@@ -22,8 +23,8 @@ LINK = record(
     ("kind", int),
     ("first", int),  # row of the table, and how many: the terms of a sum of harmonics, or the stops of a tour
     ("rows", int),
-    ("epoch_s", float),  # its own time is that since its epoch,
-    ("ahead_s", float),  # and so much more
+    ("epoch_s", float),  # the link's own time is time - epoch_s + ahead_s
+    ("ahead_s", float),
     ("position_m", float, (3,)),  # of one that coasts, at its epoch; centre of harmonics
     ("velocity_m_s", float, (3,)),  # of one that coasts, at its epoch
     ("rest_s", float),  # of a tour: at each stop,
@@ -31,19 +32,19 @@ LINK = record(
     ("yaw_rad", float),
     ("yaw_rate_rad_s", float),
     ("along_path", int),  # the nose leads; the rest of the yaw is added
-    ("begin_s", float),  # of the blend into it, and its end; -inf: it was always so
-    ("end_s", float),
-    ("yaw_end_s", float),  # the nose may take longer than the path,
-    ("blend_yaw_rad", float, (6,)),  # by a polynomial over the fraction of its time
-    ("rise_m", float),  # so much higher it leads meanwhile
-    ("under_way", int),  # whatever the owner of the motion calls the blend,
-    ("arrived", int),  # and what comes after it
+    ("begin_s", float),  # of the blend into this link; -inf: no blend
+    ("end_s", float),  # of its path
+    ("yaw_end_s", float),  # of its yaw, which may take longer
+    ("blend_yaw_rad", float, (6,)),  # polynomial over (time - begin_s) / (yaw_end_s - begin_s), lowest power first
+    ("rise_m", float),  # how much higher the blend leads than the line between the two motions
+    ("under_way", int),  # number that `sample_fleet` reports during the blend,
+    ("arrived", int),  # and after it
 )
 TABLE_WIDTH = 9  # harmonics: amplitude, frequency and phase of x, y, z; stops: x, y, z
 NO_TABLE = np.zeros((0, TABLE_WIDTH))
 NO_PATHS = np.zeros((1, 1, ORDERS, 3))  # for `given`, where no path is a Python function
 
-RAMP = 0.4  # of a blend that leads higher: so much of it leads up, and as much down again
+RAMP = 0.4  # fraction of a rising blend that leads up; as much leads down again
 _STOP_S = 1.0  # time constant with which a vehicle that drifts is brought to rest
 _SLOWEST_ALONG_PATH_M_S = 0.05  # below this speed a path has no direction worth turning the nose to
 
@@ -170,7 +171,7 @@ def quintic(first, last, duration_s, revolutions):
 
 @compiled
 def _motion(links, count, table, given, time_s, scratch, path, yaw):
-    """State of a chain of `count` links at a time: path (5, 3), yaw (3,). Returns what its owner calls that.
+    """State of a chain of `count` links at a time: path (5, 3), yaw (3,). Returns its `under_way` or `arrived`.
 
     given: (links, 5, 3), paths that a Python function knows.  scratch: (6, 5) to work in.
     """
@@ -229,8 +230,8 @@ def sample_fleet(links, counts, table, given, time_s, derivatives, calls):
     """Every vehicle's chain at one time, in one call.
 
     links: (n, most).  counts: (n,).  given: (n, most, 5, 3) or NO_PATHS.
-    derivatives: (5, n, 4) x, y, z, psi, filled.  calls: (n,) what their owner calls that, filled. Returns whether
-    one of them is new.
+    derivatives: (5, n, 4) x, y, z, psi, filled.  calls: (n,) `under_way` or `arrived` of each, filled. Returns whether
+    one of these numbers has changed.
     """
     scratch, path, yaw = np.empty((6, 5)), np.empty((ORDERS, 3)), np.empty(YAW_ORDERS)
     is_new = False
@@ -344,9 +345,9 @@ class Blend(Motion):
     def __init__(self, start, end, begin_s, duration_s, rise_m=0.0, yaw_duration_s=None, revolutions=0, calls=(0, 0)):
         """start: a motion.  end: a motion of one link, whose yaw is turned by whole revolutions to be nearest.
 
-        rise_m: it leads so much higher, over what stands in between.
-        yaw_duration_s: the nose takes so long, not less than the path; None = as long.  revolutions: it turns more.
-        calls: what the owner of the motion calls it under way and arrived.
+        rise_m: how much higher it leads, over vehicles in between.
+        yaw_duration_s: of the yaw [s], at least duration_s; None = duration_s.  revolutions: further turns of the yaw.
+        calls: the link's numbers (under_way, arrived).
         """
         if not duration_s > 0.0:
             raise ValueError("a blend needs a time > 0, got %r" % (duration_s,))

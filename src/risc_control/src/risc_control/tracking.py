@@ -133,10 +133,10 @@ class _Tracker:
         return max(0.0, now_s - stamp_s) + self.delay_s
 
     def _load(self):
-        """Load what is compiled: nobody is seen."""
+        """Load what is compiled, by an update in which no vehicle is seen."""
         n = len(self.model.kind)
-        nobody, nowhere = np.zeros(n, dtype=bool), np.zeros((ORDERS, n, len(Axis)))
-        self.update(0.0, 0.0, States(nobody, np.zeros((n, len(S)))), nowhere, nowhere, nobody, nobody)
+        none, nowhere = np.zeros(n, dtype=bool), np.zeros((ORDERS, n, len(Axis)))
+        self.update(0.0, 0.0, States(none, np.zeros((n, len(S)))), nowhere, nowhere, none, none)
         self.reset()
 
 

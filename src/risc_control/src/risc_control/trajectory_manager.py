@@ -1,14 +1,14 @@
 """What every vehicle's reference is at any time: hold, approach, course, home (the brain of all trajectory nodes).
 
-A vehicle that nobody flies automatically has the reference "where it is". When its vehicle node says that it is
-autonomous it flies smoothly to its place on the course, meeting it in position to snap, and stays on the course until
-it is sent home. Ways are planned together (`ways.py`), so that vehicles keep apart on them too. Times are seconds of
-any one clock.
+The reference of a vehicle in manual mode is the place where it is seen. When its vehicle node reports autonomous mode
+it flies smoothly to its place on the course, meeting it in position to snap, and stays on the course until it is sent
+home. Ways are planned together (`ways.py`), so that vehicles keep apart on them too. Times are seconds of any one
+clock.
 
-Planning takes a while. Whoever has nothing else to do meanwhile lets the manager plan at once; a node that publishes
-references says how far ahead ways begin (`lead_s`), takes the `task`, plans it in another thread with `plan_ways`, and
-gives the plan to `accept`. Until its way begins a vehicle goes on as before. Whatever happens meanwhile changes the
-task, and the plan of the old one is not accepted.
+Planning takes up to some tenths of a second. Offline the manager plans at once. A node that publishes references says
+how long after the order ways begin (`lead_s`), takes the `task`, plans it in another thread with `plan_ways`, and gives
+the plan to `accept`. Until its way begins a vehicle goes on as before. An order or a change of mode meanwhile changes
+the task, and `accept` refuses the plan of the old one.
 """
 
 import math
@@ -23,7 +23,7 @@ from risc_control.ways import Home, Task, WayLimits, load, plan_ways
 
 _GATHER_S = 0.3  # vehicles that become autonomous within this time start together
 _AIRBORNE_M = 0.3  # higher than this a vehicle that is not flown automatically is in the way of the others
-_DEEPEST = 4  # blends of blends; somebody who changes his mind faster starts from a coasting vehicle
+_DEEPEST = 4  # blends of blends; with more orders in so short a time the next way begins at a coasting vehicle
 
 
 class Phase(Enum):
@@ -53,11 +53,10 @@ class TrajectoryManager:
     def __init__(self, names, homes, course, limits=None, smooth=True, wait_for_all=True, lead_s=None):
         """names: of the vehicles.  homes: a Home each.  course: Course for so many vehicles.
 
-        smooth=False: on the course from the first moment on, whatever anybody does (simulations, teaching).
+        smooth=False: on the course from the first moment on, in every mode (simulations, teaching).
         wait_for_all: nobody starts while another vehicle hovers there that is not flown automatically: courses lead
         through the places where the others wait.
-        lead_s: ways begin so long after what calls for them, and another thread plans them; None: they are planned at
-        once.
+        lead_s: ways begin this long after the order [s], and another thread plans them; None: they are planned at once.
         """
         if not len(names) == len(homes) == len(course.paths):
             raise ValueError("%d vehicles, %d homes and a course for %d" % (len(names), len(homes), len(course.paths)))
@@ -233,7 +232,7 @@ class TrajectoryManager:
     def _next_task(self, now_s):
         home, movers = self._orders[0]
         begin_s = now_s + self._lead_s
-        # those who fly to a course leave out of account who is flown by hand: he moves as he likes
+        # on the way to a course vehicles in manual mode are left out: nobody knows where their pilots will fly them
         others = [i for i in range(len(self.names)) if i not in movers and (home or self._autonomous[i])]
         return Task(
             begin_s,

@@ -257,12 +257,17 @@ class ClimbPredictor:
 class VehiclePilot:
     """Joystick state machine, input mapping and loss ladder of one vehicle."""
 
-    def __init__(self, params, vehicle_type, now_s, slot_s=0.0):
-        """slot_s: when a slot for commands begins, see `SlotClock`."""
+    def __init__(self, params, vehicle_type, now_s, slot_s=0.0, before=None):
+        """slot_s: when a slot for commands begins, see `SlotClock`.
+
+        before: VehiclePilot that this one follows, or None; a button that is still down is not pressed again.
+        """
         self._params = params.pilot
         self._type = vehicle_type
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
         self._joysticks = defaultdict(lambda: _Sender(Joystick(params.joystick), MessageAges(CLOCK_MEMORY_S)))
+        if before is not None:
+            self._joysticks = before._joysticks
         self._joystick_names = params.joystick
         self.ladder = SafetyLadder(params.limits, now_s)
         self.autonomous = False
@@ -420,7 +425,7 @@ class VehiclePilot:
 
     @property
     def next_command_s(self):
-        """When a command of the controller is needed next [s]; infinite while somebody else flies."""
+        """When a command of the controller is needed next [s]; infinite in manual mode and on the ground."""
         return self._slots.next_s if self.autonomous and not self._ended and self._takes_commands() else math.inf
 
     # --- what is decided ----------------------------------------------------------------------------------------

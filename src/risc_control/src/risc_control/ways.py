@@ -1,9 +1,9 @@
 """Ways of several vehicles to a course or home, planned together so that they keep apart.
 
-A way is a blend from what a vehicle does now into what it is to do, after a delay and over a duration. Who flies which
-path is an assignment. At first all leave and arrive together, which is soonest and, on the nearest paths, mostly keeps
-them apart. Where it does not, single vehicles leave later, take longer, or fly over what stands in between, until
-nobody is too near to anybody else. The nose may take longer than the path.
+A way is a blend from the present motion of a vehicle into the one that it is to fly, after a delay and over a
+duration. An assignment decides which vehicle flies which path. The first attempt lets all vehicles leave and arrive
+together: that is soonest and, on the nearest paths, mostly keeps them apart. Where it does not, single vehicles leave
+later, take longer, or fly over the others, until every pair is far enough apart. The yaw may take longer than the path.
 
 The cost grows with the square of the number of vehicles. The same task gives the same plan: nothing here knows a clock.
 """
@@ -20,17 +20,17 @@ from risc_control.compiled import compiled
 from risc_control.motions import RAMP, Blend, least_snap_step, lift, quintic, standing
 from risc_control.trajectories import SAFE_SEPARATION_M, Course, minimum_separation, on_course
 
-_STEP_S = 0.25  # ways are taken to be straight for so long,
-_ENOUGH_M = SAFE_SEPARATION_M + 0.01  # and may come so much closer in between
-_DELAYS = np.linspace(0.0, 1.0, 13)  # candidate times of leaving, spread over so long
-_DELAY_SPAN_S = 9.0  # or the time of the ways; half of them do
-_MANY = 20  # for more vehicles than this,
-_STRETCHES = (1.0, 1.3, 1.7, 2.2, 3.0)  # and durations of a way, times the shortest
-_RISES_M = (SAFE_SEPARATION_M + 0.1, SAFE_SEPARATION_M + 0.6)  # a way may lead higher, over what stands in between,
-_RISE_STRETCHES = (1.1, 1.5, 2.0)
-_WORTH_M = 0.02  # so much more distance is worth a later arrival
-_TRIES = 3  # of each vehicle, on average, to come less near to the others,
-_MORE_TRIES = 40  # and of all together
+_STEP_S = 0.25  # distances are those of ways that are straight for this long; the true ones are up to 0.01 m smaller
+_ENOUGH_M = SAFE_SEPARATION_M + 0.01
+_DELAY_SPAN_S = 9.0  # candidate delays span this time, or that of the ways if it is longer
+_DELAYS = np.linspace(0.0, 1.0, 13)  # as fractions of the span
+_MANY = 20  # with more vehicles than this every other delay is tried
+_STRETCHES = (1.0, 1.3, 1.7, 2.2, 3.0)  # candidate durations over the shortest duration
+_RISES_M = (SAFE_SEPARATION_M + 0.1, SAFE_SEPARATION_M + 0.6)  # candidate heights above the direct way, over others
+_RISE_STRETCHES = (1.1, 1.5, 2.0)  # candidate durations of a way that rises, over its shortest
+_WORTH_M = 0.02  # this much more distance is worth a later arrival
+_TRIES = 3  # changes of options that are tried: for each vehicle,
+_MORE_TRIES = 40  # and for all together
 _FRACTIONS = np.linspace(0.0, 1.0, 32)  # of a way, where its speed is looked at
 _DURATION_STEP = 1.15  # ratio of the durations that are tried
 
@@ -72,12 +72,12 @@ class Home(NamedTuple):
 class Task(NamedTuple):
     """What is to be planned, with all that it takes. None of it changes afterwards."""
 
-    begin_s: float  # nobody leaves sooner
-    starts: dict  # {vehicle: the motion that it is in} of those that are to leave, in order
-    others: tuple  # motions of those that stay on theirs and are in the way
-    places_m: np.ndarray  # (n, 3) where everybody was seen
+    begin_s: float  # the earliest departure
+    starts: dict  # {vehicle: its present motion} of the vehicles that are to leave, in order
+    others: tuple  # motions of the other vehicles, which keep to them and are to be avoided
+    places_m: np.ndarray  # (n, 3) where each vehicle was seen last
     course: Course
-    epoch_s: Optional[float]  # when the course began; None: it is to be chosen, and who flies which path, too
+    epoch_s: Optional[float]  # when the course began; None: the plan chooses it, and which vehicle flies which path
     homes: Optional[tuple]  # Home of each vehicle; None: they fly to the course
     limits: WayLimits
     calls: tuple  # what their motions call the way, and what comes after it
@@ -121,7 +121,7 @@ def plan_ways(task):
 
 
 def load():
-    """Load what is compiled here: nothing is to be loaded while vehicles fly."""
+    """Call each compiled function once, so that none is loaded while vehicles fly."""
     tracks_m, steps = np.zeros((2, 2, 3)), np.zeros((1, 2, 2))
     _step_tables(np.zeros(1), np.ones(1), np.zeros(1), np.zeros(2), steps)
     _fly(tracks_m[0], tracks_m[1], steps[0], tracks_m[0])
@@ -181,7 +181,7 @@ class _Timetable:
         _step_tables(delays_s, durations_s, rises_m, times, self._steps)
         self._starts = _positions([start for start, _ in pairs], begin_s + times)  # (movers, t, 3)
         self._ends = _positions([end for _, end in pairs], begin_s + times)
-        # where everybody is as chosen: those who leave, then the others
+        # tracks of all with the present choice: those who leave, then the others
         self._tracks = np.concatenate([self._starts, _positions(others, begin_s + times)])
         self._near_m = np.full((len(self._tracks), len(self._tracks)), math.inf)  # smallest distance of two
         apart_m = minimum_separation(self._ends.transpose(1, 0, 2))

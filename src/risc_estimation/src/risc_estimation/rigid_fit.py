@@ -4,7 +4,7 @@ The rotation R and translation p minimise  sum_i |m_i - (R t_i + p)|^2  over the
 template's marker and m_i the measured one (Kabsch's solution: singular value decomposition of the cross-covariance).
 No axis is singled out, so there is no attitude at which the fit degenerates.
 
-`fit_pose` is compiled: it is called for every body in every frame. `fit_rigid` is the same fit for everybody else.
+`fit_pose` is compiled: it is called for every body in every frame. `fit_rigid` is the same fit for other callers.
 """
 
 import math

@@ -229,7 +229,7 @@ class StatesEstimator(object):
             rows=np.zeros(0, dtype=int),
         )
         self._forget_layouts()
-        self._estimate(0.0, self._plan_for(()))  # of nobody: loads the compiled code
+        self._estimate(0.0, self._plan_for(()))  # without bodies: loads the compiled code
         for name in vehicles:
             template = self._templates.get(name)
             if template is None or template.kind == "landmark":
@@ -398,7 +398,11 @@ def _estimate_frame(
     a_fit, a_bodies, a_stamps_s, a_present, a_values, a_weights, a_estimates,
     l_known, l_offsets_m, l_positions_m, l_rows,
 ):  # fmt: skip
-    """One frame. Returns how many landmarks are seen."""
+    """One frame: fills visible (vehicles,) and updates all tables. Returns how many landmarks are seen.
+
+    stamp_s [s]; markers_m (markers, 3) [m]; vehicle_rows, landmark_rows: ROWS of each.  After them: `_fixed`, and the
+    fields of Vehicles, of the Window of the positions and of that of the angles, and of Landmarks.
+    """
     vehicles = Vehicles(known, templates_m, poses, present, positions_m, angles_rad, states)
     positions = Window(p_fit, p_bodies, p_stamps_s, p_present, p_values, p_weights, p_estimates)
     angles = Window(a_fit, a_bodies, a_stamps_s, a_present, a_values, a_weights, a_estimates)

@@ -49,7 +49,7 @@ LOOK_AHEAD_S = 0.010  # decisions are taken this long before they take effect: t
 ORDER_REST_S = 0.1  # after an order, until the vehicle's phase is believed again
 ALTITUDE_GAIN_1_S = 0.8  # climb rate allowed per metre below altitude_max; below 1/(4 * 0.3 s): no overshoot
 CLIMB_STEP_M_S = 0.005  # smaller changes by the altitude limit are not worth a command
-FOREVER_S = 1e9  # for a client that writes whatever number
+FOREVER_S = 1e9  # upper limit of the client's own time-out
 EARLY_S = 1e-6  # what rounding may make of the time at which something is due
 
 DATAGRAMS_PER_CALL = 64

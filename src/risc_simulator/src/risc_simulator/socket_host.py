@@ -4,7 +4,7 @@ import select
 
 
 class SocketSet(object):
-    """Waits for whatever has a fileno(), by epoll: a wake costs what can be read, not what is waited for.
+    """Waits for members that have a fileno(), by epoll: a wake costs what can be read, not what is waited for.
 
     A set has a fileno() itself, which can be read when a member can: sets nest.
     """

@@ -1,4 +1,4 @@
-"""A virtual laboratory for any number of vehicles: fleet, starts, net, mocap templates. The number says it all."""
+"""A virtual laboratory for any number of vehicles: fleet, starts, net, mocap templates. The number determines it."""
 
 import math
 
@@ -13,7 +13,7 @@ SPACING_M = 1.0  # between two starts: aircraft are 0.55 m wide
 ROOM_M = 1.5  # from the outermost start to the net: a circle of 0.35 m, the fence, and where it looks ahead
 
 _NAMES = ("fluffy_II", "albatross", "Raven", "Condor", "Kahn")  # of the laboratory; the others are ardrone6 and so on
-_WITH_CAMERA = 3  # so many of them have calibrations
+_WITH_CAMERA = 3  # how many of them have a calibration
 _LANDMARKS = (("Green_pink", 1, 0.8), ("Pink_blue", 1, -0.8), ("Orange_blue", -1, 0.8), ("Blue_green", -1, -0.8))
 _FROM_NET_M = 0.19  # how far inside the net a landmark hangs,
 _LANDMARK_HEIGHT_M = 1.5
@@ -70,7 +70,7 @@ def generated_fleet(vehicles, room_m=ROOM_M):
 
 
 def _templates(names):
-    """Hulls with five markers each, none in one plane, that nobody can take for each other."""
+    """Hulls with five markers each, not in one plane, and too different to be mistaken for each other."""
     rng = np.random.default_rng(_SEED)
     known, marker_names = [], tuple("m%d" % k for k in range(1, _MARKERS + 1))
     for name in names:

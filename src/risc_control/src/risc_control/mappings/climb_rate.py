@@ -1,4 +1,4 @@
-"""AR.Drone: thrust <-> the climb rate that its vertical command asks for (thesis 5.1, eqs 5.3-5.4)."""
+"""AR.Drone: thrust -> the climb rate that its vertical command asks for (thesis 5.1, eqs 5.3-5.4)."""
 
 import math
 
@@ -13,9 +13,3 @@ def climb_rate_command(thrust_n, phi_rad, theta_rad, climb_rate_m_s, delay_s, ma
     """
     a_up_m_s2 = thrust_n * math.cos(phi_rad) * math.cos(theta_rad) / mass_kg - GRAVITY_M_S2
     return climb_rate_m_s + delay_s * a_up_m_s2
-
-
-def thrust_for_climb_rate(climb_command_m_s, phi_rad, theta_rad, climb_rate_m_s, delay_s, mass_kg):
-    """Thrust [N] for which `climb_rate_command` gives this climb rate: its inverse (tilt below 90 degrees)."""
-    a_up_m_s2 = (climb_command_m_s - climb_rate_m_s) / delay_s
-    return mass_kg * (a_up_m_s2 + GRAVITY_M_S2) / (math.cos(phi_rad) * math.cos(theta_rad))

@@ -17,7 +17,6 @@ class StatesReader:
     def __init__(self, names):
         self._names = tuple(names)
         self._message = CortexArrays(())
-        self._layout = None
         self._adopt()
         self._states()
 
@@ -27,14 +26,14 @@ class StatesReader:
         A vehicle that the message lacks, or whose numbers are not finite, is not visible, and its numbers are 0.
         """
         message = self._message.deserialize(buff)
-        if message.layout is not self._layout:
+        if message.data is not self._data:
             self._adopt()
         return message.header, self._states()
 
     def _adopt(self):
-        """A message with other entries than the one before."""
+        """The message has other arrays than before: its entries have changed."""
         message = self._message
-        self._layout, self._degrees, self._seen = message.layout, message.states, message.visible
+        self._data, self._degrees, self._seen = message.data, message.states, message.visible
         at = {name: row for row, name in enumerate(message.names)}
         self._rows = np.array([at.get(name, -1) for name in self._names], dtype=np.intp)
         self.unknown = sorted(set(at) - set(self._names))  # names of the newest message that are not ours

@@ -10,10 +10,10 @@ hold their numbers as arrays, copied from and to the wire by one compiled call f
 Where the numbers stand between the names (a `Layout`) is worked out once for each set of names, and checked byte for
 byte at every message. A topic has one class in a process: rospy takes that of its first subscriber for all.
 
-Between two frames a computer that is not busy forgets: what takes 1 us in a loop takes 10 when it is done once in 5 ms,
-so it is the number of different things done that counts. Nodes that see every frame subscribe to `CortexArrays.Raw`
-(the bytes, nothing done) and let one CortexArrays of their own `deserialize` them, which overwrites its arrays in place
-as long as the names stay the same.
+Between two frames caches go cold: what takes 1 us in a loop takes 10 when it is done once in 5 ms, so it is the number
+of different things done that counts. Nodes that see every frame subscribe to `CortexArrays.Raw` (the bytes alone) and
+let one CortexArrays of their own `deserialize` them. It overwrites its arrays in place as long as the names stay the
+same, and makes new ones otherwise: whoever keeps views of them compares `data`.
 """
 
 import io
@@ -34,8 +34,8 @@ _MOST_LAYOUTS = 64  # remembered for each kind of message; more sets of names th
 class Layout:
     """Where the numbers of a message stand on the wire, and where in the message's `data`."""
 
-    def __init__(self, key, template, spans, size):
-        self.key = key  # names, or (name, number of markers) pairs
+    def __init__(self, entries, template, spans, size):
+        self.entries = entries  # names, or (name, number of markers) pairs
         self.template = np.frombuffer(template, np.uint8)  # the body with all numbers zero
         # first byte in the body, number of bytes, first in data; the last one ends the body
         self.spans = np.array([*spans, (len(template), 0, 0)], np.intp)
@@ -84,7 +84,7 @@ class FleetMessage(genpy.Message):
 
     __slots__ = ("header", "layout", "data", "_body", "_views")
     _has_header = True
-    _layouts = {}  # key -> Layout; each kind has its own
+    _layouts = {}  # {key: Layout}; a key is the entries with their names as bytes. Each kind has its own
     _newest = None  # Layout of the newest message: nearly always that of the next one as well
 
     def __init_subclass__(cls, of, **options):
@@ -96,18 +96,18 @@ class FleetMessage(genpy.Message):
         cls._layouts = {}
         cls(()).deserialize(_serialised(cls(())))  # loads what is compiled, now
 
-    def __init__(self, key=None):
-        """key: names of the entries (of Mocap_data (name, number of markers) pairs); None for one to deserialise."""
+    def __init__(self, entries=None):
+        """entries: their names (of Mocap_data (name, number of markers) pairs); None for one to deserialise."""
         self.header = Header()
         self.layout = self._body = self._views = None
-        if key is not None:
-            self._adopt(self._layout_of(tuple(key)))
+        if entries is not None:
+            self._adopt(self._layout_of(self._coded(entries, _encoded)))
             self.data[:] = 0
 
     @property
     def names(self):
         """Names of the entries, in their order."""
-        return self.layout.key
+        return self.layout.entries
 
     def serialize(self, buff):
         """As genpy's."""
@@ -153,8 +153,13 @@ class FleetMessage(genpy.Message):
         if layout is None:
             while len(cls._layouts) >= _MOST_LAYOUTS:
                 del cls._layouts[next(iter(cls._layouts))]
-            layout = cls._layouts[key] = cls._make_layout(key)
+            layout = cls._layouts[key] = Layout(cls._coded(key, _decoded), *cls._make_layout(key))
         return layout
+
+    @staticmethod
+    def _coded(entries, code):
+        """The entries, or their key, with each name encoded or decoded."""
+        return tuple([code(name) for name in entries])
 
 
 def _serialised(message):
@@ -163,18 +168,26 @@ def _serialised(message):
     return buff.getvalue()
 
 
+def _encoded(name):
+    return name.encode("utf-8")
+
+
+def _decoded(name):
+    # as genpy: a byte that is not UTF-8 is replaced, and logged once
+    return name.decode("utf-8", "rosmsg")
+
+
 def _text(name):
-    encoded = name.encode("utf-8")
-    return _LENGTH.pack(len(encoded)) + encoded
+    return _LENGTH.pack(len(name)) + name
 
 
 def _read_text(body, at):
-    """(text, next place) at a place of a body. Raises struct.error when it is cut short."""
+    """(bytes of a text, next place) at a place of a body. Raises struct.error when it is cut short."""
     (length,) = _LENGTH.unpack_from(body, at)
     end = at + _LENGTH.size + length
     if end > len(body):
         raise struct.error("a name is cut short")
-    return str(bytes(body[at + _LENGTH.size : end]), "utf-8", "rosmsg"), end
+    return bytes(body[at + _LENGTH.size : end]), end
 
 
 class _Rows(FleetMessage, of=Controls):
@@ -186,6 +199,7 @@ class _Rows(FleetMessage, of=Controls):
 
     @classmethod
     def _make_layout(cls, key):
+        """(template, spans, size) as `Layout` takes them."""
         body, spans = _LENGTH.pack(len(key)), []
         row = 8 * cls._numbers
         for i, name in enumerate(key):
@@ -194,7 +208,7 @@ class _Rows(FleetMessage, of=Controls):
                 spans.append((len(body), 1, len(key) * row + i))
             spans.append((len(body) + cls._flags, row, i * row))
             body += bytes(cls._flags + row)
-        return Layout(key, body, spans, len(key) * (row + cls._flags))
+        return body, spans, len(key) * (row + cls._flags)
 
     @classmethod
     def _key_of(cls, body):
@@ -215,7 +229,7 @@ class _Rows(FleetMessage, of=Controls):
     def _both(self):
         """Views of the numbers (n, numbers) float64 and of the flags (n,) bool."""
         if self._views is None:
-            count, end = len(self.layout.key), 8 * self._numbers * len(self.layout.key)
+            count, end = len(self.layout.entries), 8 * self._numbers * len(self.layout.entries)
             self._views = self.data[:end].view("<f8").reshape(count, self._numbers), self.data[end:].view(bool)
         return self._views
 
@@ -259,7 +273,7 @@ class CortexArrays(_Rows, of=Cortex):
 
 
 class MocapArrays(FleetMessage, of=Mocap_data):
-    """Mocap_data. `layout.key`: (name, number of markers) of each body; `markers_m` (markers of all, 3) [m] cortex
+    """Mocap_data. `layout.entries`: (name, number of markers) of each body; `markers_m` (markers of all, 3) [m] cortex
     frame; `residuals` (bodies,), 0 in what our client publishes.
     """
 
@@ -267,7 +281,11 @@ class MocapArrays(FleetMessage, of=Mocap_data):
 
     @property
     def names(self):
-        return tuple(name for name, _ in self.layout.key)
+        return tuple(name for name, _ in self.layout.entries)
+
+    @staticmethod
+    def _coded(entries, code):
+        return tuple([(code(name), count) for name, count in entries])
 
     @property
     def markers_m(self):
@@ -279,7 +297,7 @@ class MocapArrays(FleetMessage, of=Mocap_data):
 
     def _both(self):
         if self._views is None:
-            end = self.data.size - 8 * len(self.layout.key)
+            end = self.data.size - 8 * len(self.layout.entries)
             self._views = self.data[:end].view("<f8").reshape(-1, 3), self.data[end:].view("<f8")
         return self._views
 
@@ -294,7 +312,7 @@ class MocapArrays(FleetMessage, of=Mocap_data):
             spans.append((len(body), 24 * count, 24 * before))
             body += bytes(24 * count)
             before += count
-        return Layout(key, body, spans, 24 * markers + 8 * len(key))
+        return body, spans, 24 * markers + 8 * len(key)
 
     @classmethod
     def _key_of(cls, body):

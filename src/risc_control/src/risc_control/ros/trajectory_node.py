@@ -3,6 +3,8 @@
 import inspect
 import math
 import threading
+import time
+import traceback
 
 import numpy as np
 import rospy
@@ -32,8 +34,11 @@ from risc_lab.ros.ticker import Ticker
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 
-_LEAD_S = 0.1  # ways begin so long after what calls for them, and so much longer for each vehicle: planning takes
-_LEAD_PER_VEHICLE_S = 0.01  # 10 ms for three, some 300 ms for fifty, and the references go on meanwhile
+# Ways begin this long after the order: planning takes 10 ms for three vehicles, some 300 ms for fifty, and the
+# references go on meanwhile.
+_LEAD_S = 0.1
+_LEAD_PER_VEHICLE_S = 0.01
+_REST_S = 1.0  # after planning has failed
 
 
 class ManagerWiring:
@@ -146,14 +151,27 @@ class ManagerWiring:
         while True:
             self._to_plan.wait()
             self._to_plan.clear()
-            task = self.manager.task
-            while task is not None:
-                plan = plan_ways(task)
-                with self.lock:
-                    accepted = self.manager.accept(task, plan, rospy.get_time())
-                    task = self.manager.task
-                if accepted:
-                    self._report(plan.closest_m)
+            try:
+                self._plan_tasks()
+            except Exception as error:  # whatever it is, the next task must be planned; meanwhile all fly on as they do
+                rospy.logerr(
+                    "ways cannot be planned, please report it (%s: %s)\n%s",
+                    type(error).__name__,
+                    error,
+                    traceback.format_exc(),
+                )
+                time.sleep(_REST_S)
+
+    def _plan_tasks(self):
+        """Plan what is to be planned, until nothing is left."""
+        task = self.manager.task
+        while task is not None:
+            plan = plan_ways(task)
+            with self.lock:
+                accepted = self.manager.accept(task, plan, rospy.get_time())
+                task = self.manager.task
+            if accepted:
+                self._report(plan.closest_m)
 
     @staticmethod
     def _report(closest_m):

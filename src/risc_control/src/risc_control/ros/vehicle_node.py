@@ -45,8 +45,8 @@ _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
-_VEHICLES_A_TURN = 5  # that get their commands with the same message,
-_MOST_GROUPS = 6  # unless there are so many that every message of a 200 Hz controller is for some
+_VEHICLES_A_TURN = 5  # that one message of the controller commands;
+_MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
 _OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
 
 
@@ -160,7 +160,7 @@ class VehicleNode:
         missing = [name for name in self._by_name if name not in found]
         if missing:
             text = "%s has no '%s' (it has %s): %s"
-            there = ", ".join(sorted(found)) or "nobody"
+            there = ", ".join(sorted(found)) or "no entry"
             rospy.logwarn_throttle_identical(5.0, text % (topic, "', '".join(missing), there, cure))
         else:
             self._complete.add(topic)
@@ -386,7 +386,7 @@ class _Vehicle:
         """What the shut-down button means beside other vehicles: land, then be as a node that has just started."""
         land([self])
         with self._lock:
-            self._pilot = VehiclePilot(self._params, self._type, time.monotonic(), self._turn_s)
+            self._pilot = VehiclePilot(self._params, self._type, time.monotonic(), self._turn_s, before=self._pilot)
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):
@@ -456,7 +456,9 @@ def _chosen(values, namespace, fleet):
             "parameter ~vehicles must be namespaces of /fleet (%s), each once; found %s"
             % (", ".join(known) or "there is none: load a fleet file", ", ".join(map(str, names)))
         )
-    return [(known[name].template, known[name].type, "/%s/" % name, len(names) == 1) for name in names]
+    return [
+        (known[name].template, values.get("type", known[name].type), "/%s/" % name, len(names) == 1) for name in names
+    ]
 
 
 def main(namespace=""):

@@ -19,12 +19,12 @@ from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import fleet_vehicles, known_arena, number, private, vehicles, warn_of_unknown
 from risc_msgs.msg import Trajectories
-from risc_visual.arena import load_arena
 from risc_visual.browser import SHAPES, BrowserPanel, BrowserScene, open_server
 from risc_visual.cast import phases_from_text
 from risc_visual.landing import ask_all
 from risc_visual.live_status import LiveStatus, Mocap, Report, Vehicle
 from risc_visual.marker_scene import FIXED_FRAME, Action, Look, MarkerScene, MarkerValue, Placement, Shape
+from risc_visual.scenery import load_scenery
 
 # What the drawing nodes send. Of those drawn anew as a whole each time, what is too fast is skipped; of the others
 # every message counts.
@@ -60,7 +60,7 @@ class LiveView:
         colours = {vehicle.template: index for index, vehicle in enumerate(fleet_vehicles() or vehicles())}
         self._vehicles = [Vehicle(v.namespace, v.template, colours[v.template]) for v in vehicles()]
         warn_of_unknown()
-        net = load_arena(arena_file).net if arena_file else known_arena()
+        net = load_scenery(arena_file).net if arena_file else known_arena()
         self._markers = MarkerScene()
         self._frames = Frames()
         self._status = LiveStatus(self._vehicles)

@@ -119,6 +119,7 @@ class ArdroneDriver(object):
         self._period_s = 1.0 / params.looprate_hz
         self._realtime = queue.Queue(REALTIME_BACKLOG) if params.realtime_navdata else None
         self._arrived = threading.Event()  # a packet that was not published yet
+        self._replacing = threading.Lock()
         self._udp = self._make_udp()
         self._channel = params.video_channel
         self._channel_set_in = 0  # which configuration of the vehicle the channel was chosen in
@@ -297,32 +298,36 @@ class ArdroneDriver(object):
         _LOG[level]("%s", self._who + text)
 
     def _on_failure(self, error):
-        """Alone the node ends, and is started again; beside others only this vehicle's part is."""
+        if not self._ends_node(error):
+            threading.Thread(target=self._begin_again, args=(self._udp,), name="ardrone_restart", daemon=True).start()
+
+    def _ends_node(self, error):
+        """Report a failure. Alone the node ends, and is started again; beside others only this vehicle's part is."""
         if self._is_alone:
             rospy.logfatal("the driver failed, the node ends: %r", error)
             rospy.signal_shutdown("the driver failed: %r" % error)
-            return
-        rospy.logfatal("%sthe driver failed and begins again: %r", self._who, error)
-        threading.Thread(target=self._begin_again, args=(self._udp,), name="ardrone_restart", daemon=True).start()
+        else:
+            rospy.logfatal("%sthe driver failed and begins again: %r", self._who, error)
+        return self._is_alone
 
     def _begin_again(self, failed):
+        """Hover, land if flying, and replace the UdpThread that was in service when something failed."""
         failed.stop()
         time.sleep(RESTART_S)
-        if rospy.is_shutdown() or self._udp is not failed:
-            return
-        self._udp = self._make_udp()
-        self._udp.start()
+        with self._replacing:  # the UDP thread and the one that publishes may have failed together
+            if not rospy.is_shutdown() and self._udp is failed:
+                self._udp = self._make_udp()
+                self._udp.start()
 
     def _on_packet(self, packet):
         if self._telemetry is None:
             return
+        if self._realtime is not None:
+            try:
+                self._realtime.put_nowait(packet)
+            except queue.Full:
+                self._health.skipped_packets += 1
         self._arrived.set()
-        if self._realtime is None:
-            return
-        try:
-            self._realtime.put_nowait(packet)
-        except queue.Full:
-            self._health.skipped_packets += 1
 
     # --- publishing -------------------------------------------------------------------------------------------------
     def _publish_loop(self):
@@ -332,10 +337,11 @@ class ArdroneDriver(object):
                 self._telemetry = self._telemetry or _Telemetry(self._params, self._prefix)
                 self._publish_until_shutdown()
             except Exception as error:  # noqa: PERF203  whatever it is: without telemetry nobody must fly on in silence
-                if rospy.core.is_shutdown_requested():  # then topics close under our feet
+                # while ROS shuts down topics close under our feet
+                if rospy.core.is_shutdown_requested() or self._ends_node(error):
                     return
                 self._failing_since_s = None
-                self._on_failure(error)
+                self._begin_again(self._udp)
 
     def _wait_until_ready(self):
         while not rospy.is_shutdown() and self._link.phase is not Phase.READY:
@@ -355,15 +361,11 @@ class ArdroneDriver(object):
                 if packet is last or packet is None:
                     continue
                 last = packet
-                try:
-                    self._publish(packet)
-                except Exception as error:  # whatever it is: the values of one packet must not end a flight
-                    if not self._tolerable(error):
-                        raise
+                self._tolerate(self._publish, packet)
             now_s = time.monotonic()
             if now_s >= camera_s:
                 camera_s = max(camera_s + LOOPS_PER_CAMERA_FRAME * self._period_s, now_s)
-                self._telemetry.publish_camera_frames()
+                self._tolerate(self._telemetry.publish_camera_frames)
                 self._tick_video()
             elif not self._params.realtime_video:
                 self._tick_video()
@@ -392,6 +394,14 @@ class ArdroneDriver(object):
         except NavdataError as error:
             self._health.bad_packets += 1
             rospy.logwarn_throttle(REPEAT_WARNING_S, "packet dropped: %s" % error)
+
+    def _tolerate(self, work, *arguments):
+        """Do it; what one packet brings must not end a flight, unless nothing but failures has come for a while."""
+        try:
+            work(*arguments)
+        except Exception as error:  # whatever it is
+            if not self._tolerable(error):
+                raise
 
     def _tolerable(self, error):
         """Count a failure to publish; False when nothing else has happened for PUBLISH_PATIENCE_S."""

@@ -1,56 +1,59 @@
-"""The arena: numbers of the survey, and what follows from them."""
+"""The scenery: numbers of the survey, and what follows from them."""
 
 import numpy as np
 import pytest
 import yaml
 
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
-from risc_control.lab.arena import Arena as LabArena
+from risc_control.lab.arena import Arena
 from risc_control.lab.yaml_reader import package_file
-from risc_visual.arena import arena_from_dict, load_arena
+from risc_visual.scenery import load_scenery, scenery_from_dict
 
 
 @pytest.fixture(scope="module")
-def arena():
-    return load_arena()
+def scenery():
+    return load_scenery()
 
 
 def content():
     return yaml.safe_load(package_file("risc_visual", "config/arena.yaml").read_text())
 
 
-def test_walls_are_those_of_the_original(arena):
-    centres = {tuple(np.round(centre, 6)) for centre, _ in arena.net.walls()}
+def test_walls_are_those_of_the_original(scenery):
+    centres = {tuple(np.round(centre, 6)) for centre, _ in scenery.net.walls()}
     assert centres == {(2.492954, 0, 1.5), (-2.492954, 0, 1.5), (0, 2.05178, 1.5), (0, -2.05178, 1.5)}
-    sizes = [size for _, size in arena.net.walls()]
+    sizes = [size for _, size in scenery.net.walls()]
     np.testing.assert_allclose(sizes[:2], [(0.01, 4.1, 3)] * 2, atol=5e-3)
     np.testing.assert_allclose(sizes[2:], [(4.986, 0.01, 3)] * 2, atol=5e-3)
 
 
-def test_the_net_that_is_drawn_is_the_one_that_is_flown_in(arena):
-    assert (arena.net.half_x_m, arena.net.half_y_m, arena.net.height_m) == (NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M)
+def test_a_file_may_have_a_net_of_its_own():
+    assert set(content()["net"]) == {"thickness_m"}, "the laboratory's is that of risc_control.lab.arena"
+    changed = content()
+    changed["net"].update(half_x_m=4.0)
+    net = scenery_from_dict(changed).net
+    assert (net.half_x_m, net.half_y_m, net.thickness_m) == (4.0, Arena().half_y_m, 0.01)
 
 
-def test_around_another_net_everything_is_further_out(arena):
-    assert arena.around(LabArena()) == arena
-    larger = arena.around(LabArena(5.0, 4.5, 4.0))
+def test_around_another_net_everything_is_further_out(scenery):
+    assert scenery.around(Arena()) == scenery
+    larger = scenery.around(Arena(5.0, 4.5, 4.0))
     assert (larger.net.half_x_m, larger.net.half_y_m, larger.net.height_m) == (5.0, 4.5, 4.0)
-    for camera, before in zip(larger.cameras, arena.cameras):
+    for camera, before in zip(larger.cameras, scenery.cameras):
         assert np.abs(camera.position_m)[:2] - np.abs(before.position_m)[:2] == pytest.approx([2.507046, 2.44822])
     assert (larger.grid.from_m, larger.grid.to_m, larger.grid.edge_m) == (-5.0, 5.0, 5.5)
     assert larger.grid.labels()[0] == ("5.0", (5.0, 5.5, 0.0))
 
 
-def test_edges_join_the_eight_corners(arena):
-    edges = arena.net.edges().reshape(12, 2, 3)
+def test_edges_join_the_eight_corners(scenery):
+    edges = scenery.net.edges().reshape(12, 2, 3)
     assert len({tuple(end) for end in edges.reshape(-1, 3)}) == 8
     steps = edges[:, 1] - edges[:, 0]
     assert (np.count_nonzero(steps, axis=1) == 1).all()  # along one axis each
     assert np.linalg.norm(steps, axis=1).sum() == pytest.approx(4 * (2 * 2.492954 + 2 * 2.05178 + 3.0))
 
 
-def test_grid_has_nine_numbers_a_side_and_two_captions(arena):
-    labels = arena.grid.labels()
+def test_grid_has_nine_numbers_a_side_and_two_captions(scenery):
+    labels = scenery.grid.labels()
     assert len(labels) == 20
     assert labels[0] == ("2.0", (2.0, 2.5, 0.0))
     assert labels[8] == ("-2.0", (-2.0, 2.5, 0.0))
@@ -59,10 +62,10 @@ def test_grid_has_nine_numbers_a_side_and_two_captions(arena):
     assert labels[18:] == [("X (m)", (0.0, 3.0, 0.0)), ("Y (m)", (3.0, 0.0, 0.0))]
 
 
-def test_sixteen_cameras_look_down_into_the_arena(arena):
-    assert len(arena.cameras) == 16
-    np.testing.assert_allclose(arena.cameras[0].position_m, (-3.43574, 0.16033, 2.52688))
-    for camera in arena.cameras:
+def test_sixteen_cameras_look_down_into_the_arena(scenery):
+    assert len(scenery.cameras) == 16
+    np.testing.assert_allclose(scenery.cameras[0].position_m, (-3.43574, 0.16033, 2.52688))
+    for camera in scenery.cameras:
         R = camera.rotation_to_cortex()
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) == pytest.approx(1.0)
@@ -74,15 +77,16 @@ def test_sixteen_cameras_look_down_into_the_arena(arena):
         assert np.hypot(*at_m[:2]) < np.hypot(*camera.position_m[:2])
 
 
-def test_heading_is_a_compass_course_from_y(arena):
-    np.testing.assert_allclose(arena.cameras[4].rotation_to_cortex()[:2, 0], (0.0, np.cos(np.radians(30))), atol=1e-12)
-    np.testing.assert_allclose(arena.cameras[0].rotation_to_cortex()[:2, 0], (np.cos(np.radians(30)), 0.0), atol=1e-12)
+def test_heading_is_a_compass_course_from_y(scenery):
+    along_y, along_x = (scenery.cameras[k].rotation_to_cortex()[:2, 0] for k in (4, 0))
+    np.testing.assert_allclose(along_y, (0.0, np.cos(np.radians(30))), atol=1e-12)
+    np.testing.assert_allclose(along_x, (np.cos(np.radians(30)), 0.0), atol=1e-12)
 
 
 @pytest.mark.parametrize(
     "change, complaint",
     [
-        (lambda c: c["net"].pop("height_m"), "height_m"),
+        (lambda c: c["net"].update(height_m=0.0), "height_m"),
         (lambda c: c["grid"].update(step_m=0.0), "step_m"),
         (lambda c: c["cameras"]["poses"][3].update(heading_deg="north"), "heading_deg"),
         (lambda c: c["cameras"].update(lens="8 mm"), "lens"),
@@ -92,4 +96,4 @@ def test_bad_file_is_refused_by_name(change, complaint):
     bad = content()
     change(bad)
     with pytest.raises(ValueError, match=complaint):
-        arena_from_dict(bad)
+        scenery_from_dict(bad)

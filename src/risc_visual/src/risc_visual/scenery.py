@@ -1,4 +1,4 @@
-"""The arena as data: net, floor numbers, motion capture cameras. Frame: cortex. Needs no ROS."""
+"""What is drawn around the vehicles: net, floor numbers, motion capture cameras. Frame: cortex. Needs no ROS."""
 
 import math
 from dataclasses import dataclass, replace
@@ -6,17 +6,15 @@ from typing import Tuple
 
 import numpy as np
 
+from risc_control.lab.arena import Arena
 from risc_control.lab.yaml_reader import Section, load_yaml, package_file
 
 
 @dataclass(frozen=True)
-class Net:
-    """The net: a box that stands on the floor around the origin."""
+class Net(Arena):
+    """The net of an Arena, as it is drawn."""
 
-    half_x_m: float
-    half_y_m: float
-    height_m: float
-    thickness_m: float
+    thickness_m: float = 0.01  # of its panels
 
     def walls(self):
         """The four panels: list of (centre (3,) [m], size (3,) [m])."""
@@ -81,51 +79,51 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Arena:
+class Scenery:
     """Everything about the laboratory that never moves."""
 
     net: Net
     grid: Grid
     cameras: Tuple[Camera, ...]
 
-    def around(self, net):
-        """The same laboratory as far around another net (risc_control.lab.arena.Arena)."""
-        further = np.array([net.half_x_m - self.net.half_x_m, net.half_y_m - self.net.half_y_m, 0.0])
+    def around(self, arena):
+        """The same laboratory as far around another Arena."""
+        further = np.array([arena.half_x_m - self.net.half_x_m, arena.half_y_m - self.net.half_y_m, 0.0])
         out_m = self.grid.step_m * math.ceil(max(further) / self.grid.step_m - 1e-9)
         cameras = [
             replace(camera, position_m=tuple((camera.position_m + np.sign(camera.position_m) * further).tolist()))
             for camera in self.cameras
         ]
         grid = {key: getattr(self.grid, key) + out_m for key in ("to_m", "edge_m", "caption_m")}
-        return Arena(
-            replace(self.net, half_x_m=net.half_x_m, half_y_m=net.half_y_m, height_m=net.height_m),
+        return Scenery(
+            replace(self.net, **vars(arena)),
             replace(self.grid, from_m=self.grid.from_m - out_m, **grid),
             tuple(cameras),
         )
 
 
-def load_arena(path=None):
-    """Arena from `path` or from this package's config/arena.yaml. Raises ValueError naming file and key."""
+def load_scenery(path=None):
+    """Scenery from `path` or from this package's config/arena.yaml. Raises ValueError naming file and key."""
     if path is None:
         path = package_file("risc_visual", "config/arena.yaml")
-    return arena_from_dict(load_yaml(path), str(path))
+    return scenery_from_dict(load_yaml(path), str(path))
 
 
-def arena_from_dict(content, where="arena"):
-    """Arena from the content of its YAML file. Raises ValueError naming the key."""
+def scenery_from_dict(content, where="arena file"):
+    """Scenery from the content of its YAML file. Raises ValueError naming the key."""
     root = Section(content, where)
     net, grid, cameras = root.section("net"), root.section("grid"), root.section("cameras")
     tilt_rad = np.radians(cameras.number("tilt_deg", minimum=-90.0, maximum=90.0))
-    arena = Arena(
-        net=Net(**{key: net.number(key, minimum=1e-3) for key in Net.__dataclass_fields__}),
+    scenery = Scenery(
+        net=net.settings(Net),
         grid=Grid(**{key: grid.number(key) for key in Grid.__dataclass_fields__}),
         cameras=tuple(_camera(section, tilt_rad) for section in cameras.sections("poses", ())),
     )
-    for section in (net, grid, cameras, root):
+    for section in (grid, cameras, root):
         section.done()
-    if arena.grid.step_m <= 0.0 or arena.grid.to_m < arena.grid.from_m or arena.grid.text_height_m <= 0.0:
+    if scenery.grid.step_m <= 0.0 or scenery.grid.to_m < scenery.grid.from_m or scenery.grid.text_height_m <= 0.0:
         raise ValueError("%s, grid: needs step_m > 0, text_height_m > 0 and to_m >= from_m" % where)
-    return arena
+    return scenery
 
 
 def _camera(section, tilt_rad):

@@ -1,0 +1,102 @@
+"""What ardrone_driver does when something in it fails, without ROS around it and without an aircraft."""
+
+import queue
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("ardrone_autonomy.msg", reason="the messages are not generated: build and source the workspace")
+
+from ardrone_autonomy.link import Phase  # noqa: E402
+from ardrone_autonomy.ros import node  # noqa: E402
+
+
+class Udp:
+    """A UdpThread that is noted: what happens to it."""
+
+    def __init__(self, log):
+        self.link, self.newest, self._log = SimpleNamespace(phase=Phase.READY, configurations=0), None, log
+
+    def start(self):
+        self._log.append("start")
+
+    def stop(self):
+        self._log.append("stop")
+
+
+@pytest.fixture
+def log():
+    return []
+
+
+@pytest.fixture
+def make_driver(log, monkeypatch):
+    """Function (is_alone) -> an ArdroneDriver whose publishing is the test's; ROS ends after some failures."""
+    monkeypatch.setattr(node.time, "sleep", lambda _seconds: log.append("sleep"))
+    monkeypatch.setattr(node.rospy, "is_shutdown", lambda: log.count("fail") >= 3)
+    monkeypatch.setattr(node.rospy.core, "is_shutdown_requested", lambda: False)
+    monkeypatch.setattr(node.rospy, "logfatal", lambda *_: None)
+    monkeypatch.setattr(node.rospy, "logerr_throttle", lambda *_: None)
+    monkeypatch.setattr(node.rospy, "signal_shutdown", lambda _reason: log.append("shutdown"))
+
+    def make(is_alone):
+        driver = node.ArdroneDriver.__new__(node.ArdroneDriver)
+        driver._is_alone, driver._prefix, driver._period_s = is_alone, "/risc2/", 0.02
+        driver._params = SimpleNamespace(realtime_video=True)
+        driver._realtime, driver._arrived, driver._replacing = None, threading.Event(), threading.Lock()
+        driver._health = SimpleNamespace(unpublished=0, skipped_packets=0)
+        driver._failing_since_s, driver._telemetry = None, SimpleNamespace()
+        driver._udp = Udp(log)
+        driver._make_udp = lambda: Udp(log)
+        return driver
+
+    return make
+
+
+def fail(log):
+    log.append("fail")
+    raise RuntimeError("no picture can be published")
+
+
+def test_beside_others_a_vehicle_whose_publishing_fails_lands_and_rests_before_it_tries_again(make_driver, log):
+    driver = make_driver(is_alone=False)
+    driver._publish_until_shutdown = lambda: fail(log)
+    driver._publish_loop()
+    assert log == ["fail", "stop", "sleep", "start"] * 2 + ["fail", "stop", "sleep"]
+    assert threading.active_count() == 1 or not any(t.name == "ardrone_restart" for t in threading.enumerate())
+
+
+def test_alone_the_node_ends(make_driver, log):
+    driver = make_driver(is_alone=True)
+    driver._publish_until_shutdown = lambda: fail(log)
+    driver._publish_loop()
+    assert log == ["fail", "shutdown"]
+
+
+def test_two_failures_at_once_replace_the_thread_once(make_driver, log):
+    driver = make_driver(is_alone=False)
+    failed = driver._udp
+    driver._begin_again(failed)
+    driver._begin_again(failed)
+    assert log.count("start") == 1
+
+
+def test_camera_frames_that_cannot_be_published_do_not_end_a_flight(make_driver, log):
+    driver = make_driver(is_alone=True)
+    driver._telemetry.publish_camera_frames = lambda: fail(log)
+    driver._tick_video = lambda: None
+    driver._publish_until_shutdown()
+    assert driver._health.unpublished == 3
+
+
+def test_a_packet_is_there_when_its_arrival_is_told(make_driver):
+    """Else the one who publishes would find nothing, and wait for the next."""
+    driver = make_driver(is_alone=True)
+    driver._realtime = queue.Queue(2)
+    found = []
+    driver._arrived = SimpleNamespace(set=lambda: found.append(driver._realtime.qsize()))
+    for packet in "abc":
+        driver._on_packet(packet)
+    assert found == [1, 2, 2]
+    assert driver._health.skipped_packets == 1

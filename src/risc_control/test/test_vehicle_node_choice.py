@@ -1,0 +1,30 @@
+"""Which vehicles a vehicle node flies, by its parameters and the fleet."""
+
+import pytest
+
+pytest.importorskip("rospy")
+
+from risc_control.lab import generated_fleet  # noqa: E402
+from risc_control.ros.vehicle_node import _chosen  # noqa: E402
+
+FLEET = generated_fleet(3)
+
+
+def test_several_vehicles_by_their_namespaces():
+    for names in ("risc1 risc3", ["risc1", "risc3"]):
+        assert _chosen({"vehicles": names}, "", FLEET) == [
+            ("fluffy_II", "ardrone", "/risc1/", False),
+            ("Raven", "ardrone", "/risc3/", False),
+        ]
+    assert _chosen({"vehicles": "risc2"}, "", FLEET) == [("albatross", "ardrone", "/risc2/", True)]
+
+
+def test_a_type_that_is_set_is_that_of_one_vehicle_and_of_several():
+    assert [kind for _, kind, _, _ in _chosen({"type": "other", "vehicles": "risc1 risc3"}, "", FLEET)] == ["other"] * 2
+    assert [kind for _, kind, _, _ in _chosen({"type": "other"}, "risc1", FLEET)] == ["other"]
+
+
+@pytest.mark.parametrize("names", ["risc1 risc9", "risc1 risc1"])
+def test_names_that_cannot_be_meant(names):
+    with pytest.raises(ValueError, match="namespaces of /fleet"):
+        _chosen({"vehicles": names}, "", FLEET)
