@@ -317,9 +317,11 @@ def main(argv=None):
         DoubleIntegratorController([load_vehicle_type("ardrone")])
         FrameEncoder((("body", 1),))  # the virtual lab's
         from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
+        from risc_estimation.ros.conversions import EstimateMessages
 
         StatesReader(())
         ControlsMessage(())
+        EstimateMessages()
         return 0
     settings = [
         (trajectory, delay_s, seed)

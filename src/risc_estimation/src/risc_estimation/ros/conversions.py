@@ -1,15 +1,17 @@
 """Between messages (degrees, risc_msgs) and the estimator's values (SI units, numpy): the only place that does it."""
 
+import math
+
 import numpy as np
 from std_msgs.msg import Header
 
+from risc_control.compiled import compiled
 from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_control.states import S
 
 FRAME_ID = "cortex"
 
-_TO_MESSAGE = np.ones(len(S))
-_TO_MESSAGE[S.PHI :] = np.rad2deg(1.0)  # messages hold degrees and deg/s
+_DEG_PER_RAD = math.degrees(1.0)  # messages hold degrees and deg/s
 
 
 def frame_id_for(frame_id):
@@ -35,6 +37,8 @@ class EstimateMessages:
 
     def __init__(self):
         self._states = CortexArrays(())
+        nobody = np.empty((0, len(S))), np.empty(0, dtype=bool)
+        _fill_states(*nobody, self._states.states, self._states.visible)  # loads what is compiled
         self._landmarks = LandmarksArrays(())
 
     def states(self, header, estimate):
@@ -45,8 +49,7 @@ class EstimateMessages:
         message = self._states
         if message.names != estimate.names:
             message = self._states = CortexArrays(estimate.names)
-        np.multiply(estimate.states, _TO_MESSAGE, out=message.states)
-        message.visible[:] = estimate.visible
+        _fill_states(estimate.states, estimate.visible, message.states, message.visible)
         return _dated(message, header)
 
     def landmarks(self, header, estimate):
@@ -56,6 +59,15 @@ class EstimateMessages:
             message = self._landmarks = LandmarksArrays(estimate.landmark_names)
         message.positions_m[:] = estimate.landmarks_m
         return _dated(message, header)
+
+
+@compiled
+def _fill_states(states, visible, numbers, flags):
+    """Fill numbers (n, 12) and flags (n,) of a message from states (n, 12), columns `S`, and visible (n,)."""
+    for i in range(len(visible)):
+        flags[i] = visible[i]
+        for k in range(states.shape[1]):
+            numbers[i, k] = states[i, k] if k < S.PHI else states[i, k] * _DEG_PER_RAD
 
 
 def _dated(message, header):
