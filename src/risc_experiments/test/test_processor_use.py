@@ -40,11 +40,10 @@ class Process:
 def computer(monkeypatch):
     """Of four cores, of which the flight may use two: `looks` are [(time, processes, busy seconds of each core)]."""
     now = types.SimpleNamespace(look=None)
-    fields = psutil.cpu_times()._fields
+    kind, fields = type(psutil.cpu_times()), psutil.cpu_times()._fields
 
     def cpu_times(percpu):
         assert percpu
-        kind = type(psutil.cpu_times())
         return [
             kind(**dict(dict.fromkeys(fields, 0.0), user=busy_s, idle=now.look[0] - busy_s)) for busy_s in now.look[2]
         ]
