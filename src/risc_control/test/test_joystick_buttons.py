@@ -31,7 +31,7 @@ def desk(monkeypatch):
     found.logged = []
     monkeypatch.setattr(joystick_buttons, "number", lambda name, default: default)
     monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, callback, **_: setattr(found, "receive", callback))
-    monkeypatch.setattr(rospy, "get_time", lambda: found.now_s)
+    monkeypatch.setattr(joystick_buttons, "ros_time_s", lambda: found.now_s)
     for level in ("logwarn", "logerr"):
         monkeypatch.setattr(rospy, level, lambda text, *values: found.logged.append(text % values if values else text))
     return found

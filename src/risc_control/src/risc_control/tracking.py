@@ -536,8 +536,7 @@ def _update_thesis(kind, plants, limits, gains, x, usable, present, fractions, s
 
 # --- parts of both -----------------------------------------------------------------------------------------------
 
-# What compiled code was compiled for, so that nothing is compiled in flight. States are copied: they may be a view of a
-# message.
+# The arrays that compiled code was compiled for, so that nothing is compiled in flight.
 _floats = partial(np.ascontiguousarray, dtype=float)
 
 
