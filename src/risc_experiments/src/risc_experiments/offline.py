@@ -47,7 +47,7 @@ from risc_simulator.world import World
 FRAME_S = 0.005
 LATENCY_S = 0.006  # exposure to the controller's answer: 3 ms in the mocap host, 3 ms in the nodes
 WARM_UP_S = 1.0  # hovering, before the operator presses the button
-LONGEST_WAY_S = 120.0  # until all are on the course; 250 vehicles need XX s
+LONGEST_WAY_S = 120.0  # until all are on the course; ways take at most a third of it (WayLimits.longest_s)
 SETTLE_S = 4.0  # on the course, before errors count
 JUDGE_EVERY = 4  # frames
 TICK_EVERY = 3  # frames: the clock of the vehicle nodes, twice the command rate

@@ -19,6 +19,7 @@ AHEAD = 4  # results for each worker that wait for one before them: thousands mu
 def in_order(function, items, workers=None, on_progress=None):
     """Yields function(item) for each item. function: of a module; it, items and results are pickled.
 
+    Workers import the caller's main program: one that is a script calls this below `if __name__ == "__main__":`.
     workers: processes; None: as many as this process may use cores; with one it all happens here.  on_progress: called
     with the number of items that are over, as they end.
     Raises what the function raises, when it is its item's turn; ValueError for no workers; ChildProcessError when a
@@ -51,10 +52,12 @@ def _together(function, items, count, on_progress):
             workers.extend(_Worker(context, function) for _ in range(count))
         idle += workers
         for turn in range(len(items)):
-            while turn not in done:
+            while True:
                 while idle and given < min(len(items), turn + AHEAD * count):
                     idle.pop().give(given, items[given])
                     given += 1
+                if turn in done:
+                    break
                 for worker in multiprocessing.connection.wait([worker for worker in workers if worker not in idle]):
                     done[worker.index] = worker.outcome()
                     idle.append(worker)
