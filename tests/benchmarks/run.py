@@ -38,7 +38,7 @@ BENCHMARKS = {
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),
 }  # fmt: skip
-# flights and scale take half an hour, long_bag a big disk; vision rewrites its tables in docs/vision.md
+# flights and scale take half an hour and more, long_bag a big disk; vision rewrites its tables in docs/vision.md
 BY_NAME_ONLY = {"flights", "long_bag", "profile", "scale", "vision"}
 
 
