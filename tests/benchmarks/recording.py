@@ -10,6 +10,7 @@ import json
 import os
 import pathlib
 import signal
+import socket
 import statistics
 import subprocess
 import sys
@@ -56,6 +57,8 @@ def record(command, seconds, folder):
         programs.enter_context(
             program(["rosmaster", "--core", "-p", str(port)], environment, stdout=subprocess.DEVNULL)
         )
+        while socket.socket().connect_ex(("127.0.0.1", port)) != 0:
+            time.sleep(0.1)
         talker = programs.enter_context(
             program(
                 [sys.executable, str(TALKER)], environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
