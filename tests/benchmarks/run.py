@@ -31,6 +31,8 @@ BENCHMARKS = {
                  [PYTHON, str(HERE / "long_bag.py"), "--json", "{json}"]),
     "startup": ("start-up time of estimator, controller, trajectory, vehicle node, driver; up to 50 vehicles",
                 [PYTHON, str(HERE / "startup.py"), "--json", "{json}"]),
+    "recording": ("processor time of a recording, ours and that of rosbag record in turn",
+                  [PYTHON, str(HERE / "recording.py"), "--json", "{json}"]),
     "profile": ("where the processor time of a flight goes, program by program",
                 [PYTHON, str(HERE / "profile_nodes.py"), "--json", "{json}"]),
     "scale": ("1 to 50 vehicles, 1 to 100 bodies: latency, cores, memory, frames lost, quiet and beside a busy loop",

@@ -1,0 +1,59 @@
+"""A node for the recorder's tests: publishes what its standard input says, and answers with a line when it has.
+
+Every line is a JSON object: {topics: {name: type}, count, hz}; if wanted also tag, size [bytes], latch, clock [s].
+"""
+
+import json
+import sys
+import time
+
+import rospy
+from rosgraph_msgs.msg import Clock
+from roslib.message import get_message_class
+
+
+def payload(tag, topic, number, size=0):
+    """The text of one message."""
+    return ("%s %s %d|" % (tag, topic, number)).ljust(size, ".")
+
+
+def message_of(kind, text):
+    """A message of std_msgs that holds the text."""
+    return get_message_class(kind)(data=text if kind == "std_msgs/String" else text.encode())
+
+
+class Talker:
+    """Publishers that were used so far, by topic."""
+
+    def __init__(self):
+        self._publishers = {}
+
+    def publish(self, topics, count, hz=200.0, tag="", size=0, latch=False, clock=None):
+        """Publish `count` messages on each topic, beginning when each is listened to, unless it is latched."""
+        publishers = {topic: self._publisher(topic, get_message_class(kind), latch) for topic, kind in topics.items()}
+        while True:
+            if clock is not None:
+                self._publisher("/clock", Clock).publish(rospy.Time.from_sec(clock))
+            if latch or all(publisher.get_num_connections() for publisher in publishers.values()):
+                break
+            time.sleep(0.05)
+        next_s = time.monotonic()
+        for number in range(count):
+            for topic, publisher in publishers.items():
+                publisher.publish(message_of(topics[topic], payload(tag, topic, number, size)))
+            next_s += 1.0 / hz
+            time.sleep(max(0.0, next_s - time.monotonic()))
+
+    def _publisher(self, topic, kind, latch=False):
+        if topic not in self._publishers:
+            # without a queue: what was published is in the socket
+            self._publishers[topic] = rospy.Publisher(topic, kind, latch=latch, queue_size=None, tcp_nodelay=True)
+        return self._publishers[topic]
+
+
+if __name__ == "__main__":
+    rospy.init_node("talker", anonymous=True, disable_signals=True, disable_rosout=True)
+    talker = Talker()
+    for line in sys.stdin:
+        talker.publish(**json.loads(line))
+        print("published", flush=True)
