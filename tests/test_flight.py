@@ -26,11 +26,14 @@ def frames_passed_over(path):
     """{stamp [s] of a frame of the bag that has no states: age [ms] of the states that came next}.
 
     An estimator passes over the oldest of more frames than may wait (queue_s): what it estimates next is as old as
-    the others that wait. From its first states to its last, for recorder and estimator do not start and end together.
+    the others that wait. From its first states to its last of the flight: recorder and estimator do not start together,
+    and when the operator has told the result all programs end at the same time.
     """
     frames_s, age_ms = set(), {}
     with Bag(path) as bag:
-        for topic, receipt_s, message in bag.messages(["/mocap_data", "/cortex_raw"]):
+        for topic, receipt_s, message in bag.messages(["/mocap_data", "/cortex_raw", "/operator/result"]):
+            if topic == "/operator/result":
+                break
             stamp_s = seconds(message.header.stamp)
             if topic == "/mocap_data":
                 frames_s.add(stamp_s)
