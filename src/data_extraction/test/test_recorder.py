@@ -21,6 +21,7 @@ from data_extraction.bags import Bag
 
 HERE = pathlib.Path(__file__).resolve().parent
 RECORDER = str(HERE.parents[2] / "devel/lib/data_extraction/recorder")
+WITH_SIGNALS = ("env", "--default-signal=INT,HUP")  # whoever runs the tests in the background may ignore them
 STRING = "std_msgs/String"
 BYTES = "std_msgs/UInt8MultiArray"
 PATIENCE_S = 60.0  # far more than anything here takes
@@ -84,8 +85,10 @@ class Lab:
             self.run("cc", "-O2", "-shared", "-fPIC", "-o", str(library), str(HERE / "bad_disk.c"), "-ldl")
             environment.update(disk, LD_PRELOAD=str(library))
         name = "recorder%d" % time.monotonic_ns()
-        return self._start([RECORDER, *arguments, "__name:=" + name], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                           text=True, env=environment, **options)  # fmt: skip
+        command = [*WITH_SIGNALS, RECORDER, *arguments, "__name:=" + name]
+        return self._start(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, **options
+        )
 
 
 @pytest.fixture

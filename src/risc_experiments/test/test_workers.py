@@ -96,7 +96,8 @@ def test_workers_end_when_somebody_has_seen_enough():
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_is_left_of_flights_that_are_interrupted(number):
     """Ctrl-C reaches every process of a terminal; what kills the caller reaches nobody else."""
-    command = [sys.executable, "-m", "risc_experiments.offline", "--workers", "2", "--vehicles", "1"]
+    command = ["env", "--default-signal=INT"]  # whoever runs the tests in the background may ignore it
+    command += [sys.executable, "-m", "risc_experiments.offline", "--workers", "2", "--vehicles", "1"]
     command += ["--trajectory", "circle", "--seeds", "9999", "--duration", "1"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     flying = subprocess.Popen(command, text=True, start_new_session=True, **pipes)
