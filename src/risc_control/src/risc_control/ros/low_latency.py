@@ -30,7 +30,7 @@ def _keep_memory():
     """Let the memory of a receive buffer be used again.
 
     rospy asks for a whole buffer (1 MB where frames may wait) for every message that it reads. glibc would get it from
-    the kernel each time and give it back: three system calls and a page fault a frame, a tenth of the estimator's time.
+    the kernel each time and give it back, which takes three system calls and a page fault.
     """
     with contextlib.suppress(OSError, AttributeError):  # another C library
         mallopt = ctypes.CDLL(None).mallopt
