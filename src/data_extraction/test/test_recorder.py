@@ -231,8 +231,10 @@ def test_a_folder_that_cannot_be_written_ends_it_at_once(lab, name):
     assert code == 1 and str(lab.folder / name) in output
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("with_master", [True, False])
+@pytest.mark.parametrize(
+    ("number", "with_master"),
+    [(signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, True), (signal.SIGHUP, True)],
+)
 def test_every_way_to_end_it_completes_the_bag(lab, number, with_master):
     path = lab.folder / "flight.bag"
     recorder = lab.recorder("-O", str(path), "/a")
