@@ -26,14 +26,20 @@ def frames_passed_over(path):
     """{stamp [s] of a frame of the bag that has no states: age [ms] of the states that came next}.
 
     An estimator passes over the oldest of more frames than may wait (queue_s): what it estimates next is as old as
-    the others that wait. From its first states to its last of the flight: recorder and estimator do not start together,
-    and when the operator has told the result all programs end at the same time.
+    the others that wait. From take-off to the operator's result: before and after, all programs start and end.
     """
-    frames_s, age_ms = set(), {}
+    frames_s, age_ms, begun = set(), {}, False
     with Bag(path) as bag:
-        for topic, receipt_s, message in bag.messages(["/mocap_data", "/cortex_raw", "/operator/result"]):
+        for topic, receipt_s, message in bag.messages(
+            ["/mocap_data", "/cortex_raw", "/operator/phase", "/operator/result"]
+        ):
             if topic == "/operator/result":
                 break
+            if topic == "/operator/phase":
+                begun |= message.data.startswith("takeoff")
+                continue
+            if not begun:
+                continue
             stamp_s = seconds(message.header.stamp)
             if topic == "/mocap_data":
                 frames_s.add(stamp_s)

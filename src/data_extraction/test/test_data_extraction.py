@@ -112,23 +112,28 @@ def test_lost_frame_is_counted(flight):
     assert flight.mocap.rate_hz == pytest.approx(200.0, rel=1e-6)
 
 
-def test_frames_that_are_lost_when_the_flight_is_over_do_not_count(tmp_path):
-    """When the operator has told the result all programs end, and the computer is busy with that."""
+@pytest.mark.parametrize("phases", [(), ("waiting: no battery level yet", "takeoff", "fly")])
+def test_frames_that_are_lost_before_and_after_the_flight_do_not_count(tmp_path, phases):
+    """While programs start and end, the computer is busy. A bag without phases begins with its first states."""
+    begins = 41 if phases else 0
     with rosbag.Bag(str(tmp_path / "flight.bag"), "w") as bag:
-        for k in range(100):
+        for k in range(120):
             t_s = T0_S + 0.005 * k
             now = rospy.Time.from_sec(t_s)
-            if k == 81:
+            if k % 41 == 0 and k // 41 < len(phases):
+                bag.write("/operator/phase", String(phases[k // 41]), now)
+            if k == 101:
                 bag.write("/operator/result", String("ok"), now)
             bag.write("/mocap_time", stamped(TimeReference(source=str(k)), t_s), now)
-            if k < 81 or k % 4 == 0:
+            if begins <= k < 101 and k != 60 or k % 4 == 1:
                 bag.write("/cortex_raw", stamped(Cortex(Obj=[states("fluffy_II", t_s)]), t_s), now)
     collector = FlightCollector()
     with Bag(tmp_path / "flight.bag") as bag:
         for message in bag.messages():
             collector(*message)
     mocap = collector.overview().mocap
-    assert (mocap.frames_sent, mocap.frames_received, mocap.frames_estimated) == (81, 81, 81)
+    sent = 101 - begins
+    assert (mocap.frames_sent, mocap.frames_received, mocap.frames_estimated) == (sent, sent, sent - 1)
 
 
 def test_yaw_at_the_seam_is_no_error(flight):

@@ -122,7 +122,8 @@ class FlightCollector:
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
         self._phases = []
-        self._over_s = np.inf  # when the operator told the result: programs end from then on
+        # Programs start before the operator's first phase that is not waiting, and end after its result.
+        self._begun_s, self._over_s = -np.inf, np.inf
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
@@ -148,13 +149,17 @@ class FlightCollector:
                 self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)
         elif topic.endswith("trajectory_phase"):
             self._phases.append((receipt_s, message.data))
+        elif topic == "/operator/phase":
+            if self._begun_s == -np.inf and not message.data.startswith("waiting"):
+                self._begun_s = receipt_s
         elif topic == "/operator/result":
             self._over_s = min(self._over_s, receipt_s)
 
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
         return (
-            topic in ("/trajectory", "/mocap_time", "/operator/result", *self._states, *self._arrivals)
+            topic
+            in ("/trajectory", "/mocap_time", "/operator/phase", "/operator/result", *self._states, *self._arrivals)
             or topic.endswith(("/cmd_vel_stamped", "trajectory_phase"))
             or self._bearings.wants(topic)
         )
@@ -282,10 +287,10 @@ class FlightCollector:
         return {topic: _since(*receipts, arrivals) for topic, arrivals in sorted(self._commands.items())}
 
     def _mocap(self):
-        """Frames from the first that was estimated to the last of the flight: before and after, nodes come and go."""
+        """Estimated frames from the begin of the flight to its result, and all between: else nodes come and go."""
         stamps_ns, numbers = self._frames.first()
         estimated_ns, _ = self._arrivals["/cortex_raw"].first()
-        estimated_ns = estimated_ns[estimated_ns < 1e9 * self._over_s]
+        estimated_ns = estimated_ns[(estimated_ns >= 1e9 * self._begun_s) & (estimated_ns < 1e9 * self._over_s)]
         if len(estimated_ns):
             within = (stamps_ns >= estimated_ns[0]) & (stamps_ns <= estimated_ns[-1])
             stamps_ns, numbers = stamps_ns[within], numbers[within]
