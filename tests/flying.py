@@ -1,4 +1,4 @@
-"""Whole flights for tests: started, waited for, ended whatever happens, flown again on a computer that was too busy."""
+"""Whole flights for tests: started, waited for, ended whatever happens."""
 
 import contextlib
 import json
@@ -15,7 +15,6 @@ from risc_experiments.processes import MARK
 from risc_experiments.report import LATE_LIMIT_MS, on_schedule
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-ATTEMPTS = 3  # of a flight that failed on a computer without time for it
 TIMEOUT_S = 400.0  # of a whole flight and its report
 PATIENCE_S = 60.0  # for landing, ending the nodes and the report, after an interrupt
 STALL_LIMIT_MS = 250.0  # half of what the loss ladder waits before it lands
@@ -88,29 +87,19 @@ def wait_for_line(process, folder, text, timeout_s=180.0):
 
 
 def try_to_fly(folder, *arguments, meanwhile=None, **options):
-    """Fly to the end. Returns (exit code, output, summary, folder) of the flight.
+    """Fly to the end. Returns (exit code, output, summary, folder) of the flight; `judged` looks at it first.
 
-    meanwhile: is called with every flight (process, folder) as soon as it is under way.
-
-    A flight that failed while the virtual lab could not keep its schedule is flown again; `judged` says whose fault it
-    was in the end.
+    meanwhile: is called with (process, folder) as soon as the flight is under way.
     """
-    for attempt in range(ATTEMPTS):
-        place = folder / str(attempt)
-        process = start(place, *arguments, **options)
-        if meanwhile is not None:
-            try:
-                meanwhile(process, place)
-            except AssertionError:
-                end(process, place)
-                if attempt + 1 == ATTEMPTS or not off_schedule(summary_of(place)):
-                    raise
-                continue
-        code, output = finish(process, place)
-        summary = summary_of(place)
-        if code == 0 or not off_schedule(summary):
-            break
-    return code, output, summary, place
+    process = start(folder, *arguments, **options)
+    if meanwhile is not None:
+        try:
+            meanwhile(process, folder)
+        except AssertionError:
+            end(process, folder)
+            raise
+    code, output = finish(process, folder)
+    return code, output, summary_of(folder), folder
 
 
 def summary_of(folder):
@@ -130,18 +119,14 @@ def off_schedule(summary):
 def judged(flight):
     """The flight, for the test to look at. Call it when no other flight is under way.
 
-    After flights that failed off schedule the lab alone tells whose fault it was: if this computer has no time even for
+    After one that failed off schedule the lab alone tells whose fault it was: if this computer has no time even for
     that, the test is skipped; else our own nodes may be what took the time, and the test fails.
     """
     code, output, summary, folder = flight
     if code == 0 or not off_schedule(summary):
         return flight
     busy_ms, idle_ms = summary["lab_late_ms"]["p99"], lateness_of_the_lab_alone_ms(folder)
-    text = "%d flights failed with the lab late by %.0f ms (p99); alone it is late by %.1f ms" % (
-        ATTEMPTS,
-        busy_ms,
-        idle_ms,
-    )
+    text = "the lab was late by %.0f ms (p99); alone it is late by %.1f ms" % (busy_ms, idle_ms)
     if idle_ms > LATE_LIMIT_MS:
         pytest.skip("this computer is too busy to fly: " + text)
     pytest.fail("%s\n%s" % (text, output))

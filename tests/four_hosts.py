@@ -13,11 +13,10 @@ import shutil
 import subprocess
 import sys
 import time
-import warnings
 
 import roslaunch
 import yaml
-from flying import ATTEMPTS, judged, off_schedule
+from flying import judged
 from netlab import NetLab, has_netem
 
 from ardrone_autonomy.protocol import at
@@ -54,7 +53,7 @@ Command = collections.namedtuple("Command", "time_s vehicle name arguments")
 
 
 class FaultError(Exception):
-    """What no busy computer explains, as nodes that are left running: the flight is not flown again."""
+    """What no busy computer explains, as nodes that are left running."""
 
 
 class FourHosts:
@@ -311,32 +310,29 @@ def fly(folder, scenario, checks, **options):
     """Carry out scenario(hosts) in a new laboratory, end the virtual lab, check the records. Returns the FourHosts.
 
     checks: function (hosts) of what a busy computer may spoil, or break.
-    A flight of which one or the other failed (AssertionError) while this computer had no time for the virtual lab is
-    flown again, as `flying` does it, with a warning; never after a FaultError. If it had time, what the scenario failed
-    with is raised; what a check failed with is left to the test that makes it on the same records.
+    When one or the other failed (AssertionError), `flying.judged` says whether this computer had time for the virtual
+    lab; never after a FaultError. If it had time, what the scenario failed with is raised; what a check failed with is
+    left to the test that makes it on the same records.
     """
-    for attempt in range(ATTEMPTS):
-        problem = None
-        with FourHosts(folder / str(attempt), **options) as hosts:
-            try:
-                scenario(hosts)
-            except AssertionError as error:
-                problem = error
-            try:
-                lab = {"lab_late_ms": hosts.finish()["late_ms"]}
-            except (FaultError, subprocess.TimeoutExpired) as error:
-                raise (problem or error) from None
-        is_flown = problem is None
-        if is_flown:
-            try:
-                with contextlib.redirect_stdout(io.StringIO()):  # the tests say it
-                    checks(hosts)
-                return hosts
-            except AssertionError as error:
-                problem = error
-        if not off_schedule(lab):
-            if is_flown:
-                return hosts
-            raise problem
-        warnings.warn("the lab was late (%r), so %s was flown in vain: %s" % (lab, folder.name, problem), stacklevel=2)
-    return judged((1, str(problem), lab, folder))
+    problem = None
+    with FourHosts(folder / "hosts", **options) as hosts:
+        try:
+            scenario(hosts)
+        except AssertionError as error:
+            problem = error
+        try:
+            lab = {"lab_late_ms": hosts.finish()["late_ms"]}
+        except (FaultError, subprocess.TimeoutExpired) as error:
+            raise (problem or error) from None
+    is_flown = problem is None
+    if is_flown:
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):  # the tests say it
+                checks(hosts)
+            return hosts
+        except AssertionError as error:
+            problem = error
+    judged((1, str(problem), lab, folder))
+    if is_flown:
+        return hosts
+    raise problem

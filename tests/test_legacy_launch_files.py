@@ -527,14 +527,13 @@ def chase(folder):
 
 def test_hows_sim_chases_its_target_and_comes_home(tmp_path):
     """Take-off, wait, button 1, behind the target on its circle, home, landing: by the buttons of a joystick."""
-    for attempt in range(2):
-        problem, range_m, radius_m, errors_m = chase(tmp_path / str(attempt))
-        if not problem and (len(errors_m) < 400 or np.abs(errors_m).max() > 0.04):
-            problem = "%d on /range, wrong by %s m" % (len(errors_m), errors_m[::50].round(2))
-        if not problem and (len(range_m) < 400 or np.abs([range_m - 0.48, radius_m - 0.8]).max() > 0.08):
-            problem = "to the target %s m, to the origin %s m" % (range_m[::50].round(2), radius_m[::50].round(2))
-        if not problem:
-            return
+    problem, range_m, radius_m, errors_m = chase(tmp_path / "flight")
+    if not problem and (len(errors_m) < 400 or np.abs(errors_m).max() > 0.04):
+        problem = "%d on /range, wrong by %s m" % (len(errors_m), errors_m[::50].round(2))
+    if not problem and (len(range_m) < 400 or np.abs([range_m - 0.48, radius_m - 0.8]).max() > 0.08):
+        problem = "to the target %s m, to the origin %s m" % (range_m[::50].round(2), radius_m[::50].round(2))
+    if not problem:
+        return
     idle_ms = flying.lateness_of_the_lab_alone_ms(tmp_path)
     if idle_ms > LATE_LIMIT_MS:
         pytest.skip("this computer is too busy to fly: the lab alone is late by %.1f ms" % idle_ms)
