@@ -287,7 +287,7 @@ def computer():
 
 
 def main():
-    """Command line. Returns the exit code: 1 when a row could not be measured."""
+    """Command line. Returns the exit code: 1 when a row could not be measured, or its flight failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("--json", type=pathlib.Path, metavar="FILE", help="write the rows here, after each one")
@@ -326,7 +326,7 @@ def main():
     if args.peers:
         found += peers(rows)
         _write(args.json, figures)
-    return 0 if all(any(row[name] is not None for name in FIGURES) for row in rows) else 1
+    return 0 if all(row.get("passed", True) and any(row[name] is not None for name in FIGURES) for row in rows) else 1
 
 
 def _cells(row):
