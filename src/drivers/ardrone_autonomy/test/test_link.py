@@ -304,14 +304,14 @@ def test_a_burst_of_commands_is_spaced_and_the_newest_wins(bench):
     assert bench.sticks.gaz == pytest.approx(0.99)
 
 
-def test_the_last_command_holds_for_ever_by_default(bench):
+def test_without_a_timeout_the_last_command_holds_for_ever(bench):
     bench.order(bench.link.steer, FORWARD)
     bench.run(5.0)
     assert bench.sticks == FORWARD
 
 
 def test_command_timeout_hovers_until_the_next_command():
-    bench = Bench(command_timeout_s=0.5)
+    bench = Bench(command_timeout_s=link_module.COMMAND_TIMEOUT_S)
     bench.run(0.5)
     bench.order(bench.link.steer, FORWARD)
     bench.run(0.49)

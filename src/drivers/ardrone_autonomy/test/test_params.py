@@ -3,13 +3,13 @@ import pytest
 from ardrone_autonomy.ros.params import OPTION_NAMES, ParameterError, frame_name, parse_params
 
 
-def test_defaults_are_those_of_the_original():
+def test_defaults_are_those_of_the_original_but_for_the_timeout_of_commands():
     params = parse_params({})
     assert params.address == "192.168.1.1"
     assert (params.looprate_hz, params.realtime_navdata, params.legacy_navdata) == (50.0, False, True)
     assert (params.options, params.frame_prefix) == ((), "ardrone_base")
     assert params.cov_imu_la == params.cov_imu_av == params.cov_imu_or == (0.0,) * 9
-    assert (params.settle_time_s, params.command_timeout_s) == (5.0, 0.0)
+    assert (params.settle_time_s, params.command_timeout_s) == (5.0, 0.5)
     assert (params.realtime_video, params.video_latency_s, params.camera_info_urls) == (False, 0.0, ("", ""))
     assert params.warnings == ()
 

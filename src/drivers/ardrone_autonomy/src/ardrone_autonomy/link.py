@@ -39,6 +39,7 @@ from ardrone_autonomy.settings import APPLICATION_ID, USER_ID
 TICK_S = 0.025  # 40 Hz, as the original; the aircraft starts to worry after 50 ms of silence
 MIN_SPACING_S = 0.004  # between two command datagrams: cmd_vel at 200 Hz passes
 WAKE_UP_PERIOD_S = 0.25  # silence after which the wake-up is sent, and again; reduced telemetry comes every 65 ms
+COMMAND_TIMEOUT_S = 0.5  # default: a node that died must not leave its last tilt to fly on
 LOST_S = 2.0  # silence after which the vehicle counts as lost: its own limit, general:com_watchdog
 ACK_TIMEOUT_S = 0.5  # a configuration write without answer is repeated after this time
 MAX_WRITE_TRIES = 5
@@ -82,7 +83,7 @@ class DroneLink(object):
     setup_writes: list of ("section:name", wire text) written after each connection, see settings.setup_writes.
     session_id: 8 hexadecimal digits.
     settle_s: pause between the first packet and the configuration.
-    command_timeout_s: hover when the last velocity command is older; 0 = it holds for ever.
+    command_timeout_s: hover when the last velocity command is older; 0 = it holds for ever, as in the original.
     report: function (level, text), level "info", "warn" or "error".
     """
 
@@ -93,7 +94,7 @@ class DroneLink(object):
         setup_writes,
         session_id,
         settle_s=5.0,
-        command_timeout_s=0.0,
+        command_timeout_s=COMMAND_TIMEOUT_S,
         report=lambda level, text: None,
     ):
         if settle_s < 0.0 or command_timeout_s < 0.0:

@@ -3,6 +3,7 @@
 import math
 from collections import namedtuple
 
+from ardrone_autonomy.link import COMMAND_TIMEOUT_S
 from ardrone_autonomy.protocol import DEFAULT_ADDRESS
 from ardrone_autonomy.protocol.navdata import LAYOUTS
 from ardrone_autonomy.settings import WRITABLE_KEYS, SettingError, wanted_texts
@@ -70,7 +71,7 @@ def parse_params(tree, arguments=()):
     legacy_navdata = reader.flag("enable_legacy_navdata", True)
     frame_prefix = reader.text("drone_frame_id", "ardrone_base")
     settle_time_s = reader.duration("settle_time", 5.0)
-    command_timeout_s = reader.duration("cmd_timeout", 0.0)
+    command_timeout_s = reader.duration("cmd_timeout", COMMAND_TIMEOUT_S)
     known = reader.known.union(WRITABLE_KEYS, READ_ELSEWHERE)
     warnings.extend(
         "parameter ~%s has no effect%s"
