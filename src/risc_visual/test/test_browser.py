@@ -1,6 +1,7 @@
 """risc_visual.browser: the server and the scene of the page. The page in a browser: tests/test_live_view.py."""
 
 import socket
+import urllib.error
 import urllib.request
 from dataclasses import replace
 
@@ -10,7 +11,15 @@ from page_client import PageClient, wait_for
 from scipy.spatial.transform import Rotation
 from websockets.exceptions import InvalidStatus
 
-from risc_visual.browser import SHAPES, BrowserPanel, BrowserScene, net_of_sheet, open_server, text_picture
+from risc_visual.browser import (
+    SHAPES,
+    BrowserPanel,
+    BrowserScene,
+    is_page_of_others,
+    net_of_sheet,
+    open_server,
+    text_picture,
+)
 from risc_visual.marker_scene import HERE, Draw, Erase, Look, Move, Placement, Shape
 
 GROUP = "/net/Net"
@@ -203,6 +212,27 @@ def test_pages_of_others_are_refused(server, origin):
         origin %= server.get_port()
     with pytest.raises(InvalidStatus, match="403"):
         PageClient(server.get_port(), origin)
+
+
+def test_a_name_that_was_made_to_lead_here_is_refused(server):
+    """DNS rebinding: a page of evil.example, whose name leads to this computer now. Origin and Host agree."""
+    host = "evil.example:%d" % server.get_port()
+    for headers in ({"Host": host, "Origin": "http://" + host}, {"Host": host}):
+        request = urllib.request.Request("http://127.0.0.1:%d/" % server.get_port(), headers=headers)
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(request, timeout=10.0)
+
+
+@pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]", "192.168.0.10", socket.gethostname()])
+def test_names_and_addresses_of_this_computer_are_served(name):
+    host = name + ":8080"
+    assert not is_page_of_others({"Host": host, "Origin": "http://" + host})
+    assert not is_page_of_others({"Host": name.upper()})
+
+
+@pytest.mark.parametrize("host", ["", "evil.example", "localhost.evil.example:80", "127.0.0.1.evil.example"])
+def test_names_of_others_are_not(host):
+    assert is_page_of_others({"Host": host, "Origin": "http://" + host})
 
 
 def test_its_own_page_is_served(server):

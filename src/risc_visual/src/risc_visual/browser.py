@@ -7,6 +7,7 @@ import contextlib
 import errno
 import http
 import io
+import ipaddress
 import logging
 import socket
 import urllib.parse
@@ -63,7 +64,8 @@ def _refuse_pages_of_others():
     def serve_own_page(*args, process_request, **settings):
         def answer(connection, request):
             if is_page_of_others(request.headers):
-                return connection.respond(http.HTTPStatus.FORBIDDEN, "not for pages of another address\n")
+                text = "not for pages of another address: open this one by the computer's address or its name, %s\n"
+                return connection.respond(http.HTTPStatus.FORBIDDEN, text % socket.gethostname())
             return process_request(connection, request)
 
         guarded.append(True)
@@ -79,9 +81,29 @@ def _refuse_pages_of_others():
 
 
 def is_page_of_others(headers):
-    """True when a browser asks for a page that did not come from the address asked. headers: of the request."""
+    """True when a browser asks for a page that is not ours, or that did not come from the address asked.
+
+    headers: of the request. Whoever has a name on the internet can let it lead to this computer (DNS rebinding), and
+    his page then has the same Host as Origin: so Host must be a name that this computer has, or an address, which
+    nobody can redirect.
+    """
+    host = headers.get("Host", "").lower()
     origin = headers.get("Origin")
-    return origin is not None and urllib.parse.urlsplit(origin).netloc.lower() != headers.get("Host", "").lower()
+    if origin is not None and urllib.parse.urlsplit(origin).netloc.lower() != host:
+        return True
+    return not _is_ours(urllib.parse.urlsplit("//" + host).hostname or "")
+
+
+def _is_ours(name):
+    """Whether a host's name, in lower case, is one of this computer's; addresses always are."""
+    own = socket.gethostname().lower()
+    if name in ("localhost", own, own + ".local", socket.getfqdn().lower()):
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def _check_free(host, port):
