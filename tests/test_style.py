@@ -64,6 +64,11 @@ def test_every_subscriber_asks_for_messages_at_once():
     assert not without, "say tcp_nodelay=True: " + ", ".join(without)
 
 
+def test_no_timer_dies_of_an_exception():
+    """rospy.Timer's thread ends with the first exception of its callback: risc_lab.ros.ticker goes on."""
+    assert [str(path) for path in programs() if "rospy.Timer(" in path.read_text(encoding="utf-8")] == []
+
+
 def test_cpp_is_formatted():
     assert CPP
     run(str(BIN / "clang-format"), "--dry-run", "-Werror", *CPP)

@@ -15,6 +15,7 @@ from risc_estimation.ros.bearing_conversions import observed_angles, regions_fro
 from risc_estimation.ros.cameras import VehicleCameras
 from risc_estimation.ros.conversions import header_for
 from risc_estimation.ros.params import AngleParams
+from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Observed_angles, Observed_rois
 
 _SILENCE_S = 3.0
@@ -33,8 +34,7 @@ class AngleEstimationNode(object):
         self._pub = rospy.Publisher("angles", Observed_angles, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("none")
         self._diagnostics.add("angle estimation", self._diagnose)
-        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.force_update(), reset=True)
-        rospy.on_shutdown(timer.shutdown)
+        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
         rospy.Subscriber("land_rois", Observed_rois, self._on_rois, queue_size=10, tcp_nodelay=True)
 
     def _on_rois(self, msg):

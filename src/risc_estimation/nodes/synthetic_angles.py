@@ -18,6 +18,7 @@ from risc_estimation.ros.conversions import FRAME_ID
 from risc_estimation.ros.params import SyntheticNodeParams
 from risc_estimation.sight import Observer
 from risc_estimation.synthetic import SyntheticBearings, SyntheticParams
+from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
 
 _SILENCE_S = 3.0
@@ -46,8 +47,7 @@ class SyntheticAnglesNode(object):
         self._pub = rospy.Publisher("angles_synthetic", Observed_angles, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("none")
         self._diagnostics.add("synthetic angles", self._diagnose)
-        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._diagnostics.force_update(), reset=True)
-        rospy.on_shutdown(timer.shutdown)
+        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
         rospy.Subscriber("states3", Landmarks, self._on_landmarks, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("cortex_raw", Cortex, self._on_states, queue_size=100, tcp_nodelay=True)
 

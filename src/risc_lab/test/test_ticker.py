@@ -42,15 +42,15 @@ def starts_of(durations_s, monkeypatch, period_s=1.0):
 
 
 def test_the_schedule_is_absolute(monkeypatch):
-    assert starts_of([0.3, 0.9, 0.0, 0.5, 0.0], monkeypatch) == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert starts_of([0.3, 0.9, 0.0, 0.5, 0.0], monkeypatch) == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
 def test_a_call_that_is_a_little_late_does_not_move_those_after_it(monkeypatch):
-    assert starts_of([0.0, 1.25, 0.0, 0.0], monkeypatch) == [0.0, 1.0, 2.25, 3.0]
+    assert starts_of([0.0, 1.25, 0.0, 0.0], monkeypatch) == [1.0, 2.0, 3.25, 4.0]
 
 
 def test_calls_that_were_missed_are_not_made_up_for(monkeypatch):
-    assert starts_of([0.0, 0.0, 3.5, 0.0, 0.0], monkeypatch) == [0.0, 1.0, 2.0, 5.5, 6.5]
+    assert starts_of([0.0, 0.0, 3.5, 0.0, 0.0], monkeypatch) == [1.0, 2.0, 3.0, 6.5, 7.5]
 
 
 def test_an_exception_is_told_and_the_next_call_comes(told):

@@ -10,10 +10,11 @@ _LOG_PERIOD_S = 2.0
 
 
 class Ticker:
-    """Calls `work` every period_s, in a thread of its own, on an absolute schedule of the monotonic clock.
+    """Calls `work` every period_s, the first time after one, in a thread of its own, by the monotonic clock.
 
-    A call that takes too long, or a computer that stands still, makes the next one late; those that were missed are
-    not made up for. An exception is logged and the next call comes all the same: rospy.Timer's thread ends with it.
+    The schedule is absolute. A call that takes too long, or a computer that stands still, makes the next one late;
+    those that were missed are not made up for. An exception is logged and the next call comes all the same:
+    rospy.Timer's thread ends with it.
     """
 
     def __init__(self, period_s, work, name="ticker"):
@@ -29,6 +30,7 @@ class Ticker:
         self._over.set()
 
     def _run(self):
+        time.sleep(self._period_s)
         next_s = time.monotonic()
         while not self._over.is_set():
             try:

@@ -3,10 +3,10 @@
 import threading
 import time
 
-import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from risc_control.ros.diagnostics import make_updater
+from risc_lab.ros.ticker import Ticker
 
 _SILENCE_S = 3.0
 
@@ -28,8 +28,7 @@ class Health:
         self._reported, self._reported_s = dict(self._drawn), time.monotonic()
         self._updater = make_updater("none")
         self._updater.add(name, self._diagnose)
-        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.update(), reset=True)
-        rospy.on_shutdown(timer.shutdown)
+        Ticker(1.0, self._updater.update, "the diagnostics")
 
     def drawn(self, what):
         """One message of an input has been drawn."""

@@ -5,7 +5,6 @@ While nobody looks it subscribes to nothing and costs nothing. Wiring only; see 
 
 import math
 import time
-import traceback
 
 import rospy
 import tf2_ros
@@ -18,6 +17,7 @@ from ardrone_autonomy.msg import Navdata
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import fleet_vehicles, known_arena, number, private, vehicles, warn_of_unknown
+from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Trajectories
 from risc_visual.browser import SHAPES, BrowserPanel, BrowserScene, open_server
 from risc_visual.cast import phases_from_text
@@ -40,7 +40,6 @@ _PANEL_HZ = 2.0
 _MOST_LOAD = 0.25  # of a core: a busy scene is drawn less often
 _ANSWER_S = 3.0  # a vehicle node that has not answered by then is shown as silent
 _FRAMES_S = 10.0  # of tf to remember: markers of a picture are older than the newest frames
-_ERROR_LOG_S = 5.0  # the log of a turn that fails again and again
 _OPERATOR = "virtual operator"  # no name of a vehicle has a space
 _OPERATOR_LAND = "/operator/land"
 _QUEUE = 100  # messages of a burst, e.g. one a vehicle
@@ -73,8 +72,7 @@ class LiveView:
         self._panel = BrowserPanel(self._server, names, self.land_all, self.land_one)
         self._updater = make_updater("none")
         self._updater.add("live view", self._diagnose)
-        self._timer = rospy.Timer(rospy.Duration(1.0 / self._rate_hz), self._on_turn, reset=True)
-        rospy.on_shutdown(self._timer.shutdown)
+        Ticker(1.0 / self._rate_hz, self._turn, "the browser view")
         rospy.on_shutdown(self._server.stop)  # hooks run in their order: no turn begins any more
         rospy.loginfo("the flight in a browser: http://%s:%d", "localhost" if host == "0.0.0.0" else host, port)
         if host in ("127.0.0.1", "localhost"):
@@ -102,19 +100,6 @@ class LiveView:
             return  # there is none
         self._status.note_answer(name, done, text)
         (rospy.loginfo if done else rospy.logerr)("%s: %s", name, text)
-
-    def _on_turn(self, _event):
-        """A turn that fails must not be the last: rospy ends a timer whose callback raises, and the page would stay."""
-        try:
-            self._turn()
-        except Exception as error:  # whatever it is, the next turn must come
-            if rospy.core.is_shutdown_requested():
-                return  # topics or the page are closed already
-            rospy.logerr_throttle(
-                _ERROR_LOG_S,
-                "error in the browser view, please report it (%s: %s)\n%s"
-                % (type(error).__name__, error, traceback.format_exc()),
-            )
 
     def _turn(self):
         self._updater.update()

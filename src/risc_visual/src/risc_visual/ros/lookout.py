@@ -16,6 +16,7 @@ from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PICTURES_BYTES, PacedSubscriber
 from risc_control.ros.params import fleet_vehicles, load_params
 from risc_estimation.bearings import calibration_from_info, fleet_calibration, make_camera
+from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Observed_rois
 from risc_visual.colours import SIDE_MIN_PX, Planes, shrunk
 from risc_visual.landmark_config import load_landmarks
@@ -76,8 +77,7 @@ class Lookout:
         self._eyes = [
             Eye(self, namespace, fleet.get(namespace), params, overlay, self._updater) for namespace in namespaces
         ]
-        timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.update(), reset=True)
-        rospy.on_shutdown(timer.shutdown)
+        Ticker(1.0, self._updater.update, "the diagnostics")
         for eye in self._eyes:
             eye.open()
 

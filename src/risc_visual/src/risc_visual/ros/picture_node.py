@@ -19,6 +19,7 @@ from risc_control.pictures import picture_from_msg
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.paced import PICTURES_BYTES
 from risc_control.ros.params import load_params
+from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 
 _SILENCE_S = 3.0
@@ -76,8 +77,7 @@ class PictureNode(abc.ABC):
         self._topic = rospy.resolve_name(topic)
         self._updater = make_updater("none")
         self._updater.add(rospy.get_name().rsplit("/", 1)[-1], self._diagnose)
-        self._timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.update(), reset=True)
-        rospy.on_shutdown(self._timer.shutdown)
+        Ticker(1.0, self._updater.update, "the diagnostics")
         demand = Demand(self._follow_demand)
         publishers = {}
         for name, kind in outputs.items():

@@ -33,6 +33,7 @@ from ardrone_autonomy.ros.params import frame_name, parse_params
 from ardrone_autonomy.ros.video import Video
 from ardrone_autonomy.settings import VIDEO_CODEC_LIVE, VIDEO_CODEC_RECORD, WRITABLE_KEYS, setup_writes
 from ardrone_autonomy.udp import UdpThread, resolve
+from risc_lab.ros.ticker import Ticker
 
 QUEUE_SIZE = 200  # of the telemetry topics, as in the original
 LOOPS_PER_CAMERA_FRAME = 5
@@ -526,8 +527,7 @@ class _Health(object):
         self._updater.setHardwareID("AR.Drone %s" % driver.udp.address)
         self._updater.add(driver.label("vehicle"), self._fill)
         self._updater.add(driver.label("video"), video.fill)
-        self._timer = rospy.Timer(rospy.Duration(1.0), lambda _event: self._updater.force_update(), reset=True)
-        rospy.on_shutdown(self._timer.shutdown)
+        Ticker(1.0, self._updater.force_update, "the diagnostics")
 
     def on_packet(self, packet):
         """Remember what a packet says about the vehicle's health."""
