@@ -44,7 +44,8 @@ class TransformsTest(unittest.TestCase):
         found = self.send_until_seen("fluffy_II_body_frame", seen)
         place = found.transform.translation
         self.assertEqual((place.x, place.y, place.z), (1.0, -0.5, 1.2))
-        camera = self.buffer.lookup_transform("cortex", "fluffy_II/camera", found.header.stamp)
+        patience = rospy.Duration(PATIENCE_S)
+        camera = self.buffer.lookup_transform("cortex", "fluffy_II/camera", found.header.stamp, patience)
         ahead = camera.transform.translation
         np.testing.assert_allclose((ahead.x, ahead.y, ahead.z), (1.0, -0.71, 1.2), atol=1e-6)
 
