@@ -1,6 +1,7 @@
 """launch/Multi_Machine_Experiment.launch against the thesis' Appendix C."""
 
 import pathlib
+import shlex
 
 import pytest
 import roslaunch
@@ -145,4 +146,5 @@ def test_the_topics_of_all_three_vehicles_are_recorded(appendix):
     assert "/.*/(cmd_vel" in arguments and "image_rect_color/compressed" in arguments
     for topic in ("cortex_raw", "states3", "controls", "angles", "trajectory", "tf", "rosout"):
         assert topic in arguments
-    assert "-o '/tmp/coop_loc_data'" in arguments
+    prefix = shlex.split(arguments)[1]
+    assert pathlib.Path(prefix).resolve() == ROOT / "flights" / "coop_loc_data", "a folder that outlives the computer"

@@ -190,9 +190,10 @@ void set_aside(const std::string& name, const std::string& suffix) {
   say(true, name + suffix + " was there already: it is now called " + other);
 }
 
-// The name of a bag while it is being written, as rosbag has it. What a killed recorder left there is set
-// aside. Throws std::system_error when another recorder is writing it.
+// The name of a bag while it is being written, as rosbag has it; its folder is made. What a killed recorder
+// left there is set aside. Throws std::system_error when another recorder is writing it.
 std::string active_name(const std::string& name) {
+  fs::create_directories(fs::absolute(name).parent_path());
   const std::string suffix = ".bag.active";
   const int file = ::open((name + suffix).c_str(), O_RDONLY | O_CLOEXEC);
   if (file >= 0) {
@@ -502,7 +503,7 @@ int run_node(int argc, char** argv) {
   } catch (const std::invalid_argument& error) {
     ROS_FATAL("%s", error.what());
   } catch (const std::system_error& error) {
-    ROS_FATAL("%s: is the folder there, and may you write into it?", error.what());
+    ROS_FATAL("%s: may you write there?", error.what());
   }
   return 1;
 }

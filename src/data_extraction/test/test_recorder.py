@@ -225,7 +225,13 @@ def test_a_broken_disk_leaves_what_can_be_indexed(lab):
     assert have == sent("", "/a", 500, 10000)[: len(have)] and "%d messages" % len(have) in output and len(have) > 100
 
 
-@pytest.mark.parametrize("name", ["no/such/folder/flight", "/proc/flight"])
+def test_the_folder_of_a_bag_is_made(lab):
+    path = lab.folder / "flights" / "of today" / "flight.bag"
+    code, output = finish(lab.recorder("-O", str(path), "/a"))
+    assert code == 0 and path.exists(), output
+
+
+@pytest.mark.parametrize("name", ["/proc/no/such/folder/flight", "/proc/flight"])
 def test_a_folder_that_cannot_be_written_ends_it_at_once(lab, name):
     code, output = finish(lab.recorder("-O", str(lab.folder / name), "/a"), number=None)
     assert code == 1 and str(lab.folder / name) in output

@@ -171,6 +171,13 @@ def without_privileges():
         os.seteuid(before)
 
 
+def test_the_folder_of_bags_is_made_by_the_recorder(tmp_path):
+    situation = types.SimpleNamespace(bag_folder=tmp_path / "flights", fleet=LAB, master=None)
+    assert worst(disk.check(situation)) != RED
+    situation.bag_folder = tmp_path / "no" / "such"
+    assert "there is no folder" in text_of(disk.check(situation), RED)
+
+
 def test_what_only_root_may_is_told(tmp_path):
     (tmp_path / "js0").touch(0o000)
     first = int(pathlib.Path("/proc/sys/net/ipv4/ip_unprivileged_port_start").read_text())

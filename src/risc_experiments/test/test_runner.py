@@ -14,8 +14,9 @@ import yaml
 from data_extraction.flight import Flight, Mocap, VehicleFlight
 from data_extraction.progress import Progress
 from risc_control.lab import Arena, generated_fleet, load_fleet
-from risc_experiments.fly import FlightError, WebPage, arguments, launch_arguments, prepare_fleet
+from risc_experiments.fly import FlightError, WebPage, arguments, launch_arguments, longest_s, prepare_fleet
 from risc_experiments.judge import judge
+from risc_experiments.operator import OperatorParams, time_limit_s
 from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes
 from risc_experiments.progress import flight_detail
 
@@ -208,3 +209,32 @@ def test_bearings_need_a_calibrated_camera_on_every_vehicle(tmp_path):
     typo.write_text((fleets / "ardrones3.yaml").read_text(encoding="utf-8").replace("risc2.yaml", "risk2.yaml"))
     with pytest.raises(ValueError, match="risk2.yaml"):
         prepare_fleet(arguments(["coop", "--fleet", str(typo)]), "127.99", tmp_path)
+
+
+def test_a_flight_has_time_for_all_that_its_operator_does(tmp_path):
+    """df_demo rests at the origin before each of its figures."""
+    args = arguments(["df_demo", "--duration", "20"])
+    fleet = prepare_fleet(args, "127.99", tmp_path)
+    steps = launch_arguments(args, fleet, tmp_path)["bumper_steps"]
+    assert longest_s(args) - time_limit_s(OperatorParams(duration=20.0, bumper_steps=steps)) > 25.0
+    assert steps == 5 and "bumper_steps" not in launch_arguments(arguments([]), fleet, tmp_path)
+
+
+def test_a_vehicle_may_be_heard_of_while_the_last_ones_are_shown():
+    """Its report comes in a thread of rospy's."""
+    pytest.importorskip("rospy")
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    from risc_experiments.ros.watch import Watch
+
+    watch = Watch.__new__(Watch)
+    watch.errors_mm = {}
+
+    def hear(name):
+        value = KeyValue(key="position error of %s (mm)" % name, value="4")
+        watch._on_diagnostics(DiagnosticArray(status=[DiagnosticStatus(values=[value])]))
+
+    hear("risc1")
+    for _ in watch.errors_mm:
+        hear("risc2")
+    assert watch.errors_mm == {"risc1": 4.0, "risc2": 4.0}

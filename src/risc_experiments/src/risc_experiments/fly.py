@@ -164,12 +164,25 @@ def launch_arguments(args, fleet, folder):
         "psi_deg": "" if args.psi is None else args.psi,
         "ready": READY_S,
     }
-    if args.experiment != "df_demo":
+    if args.experiment == "df_demo":
+        result["bumper_steps"] = bumper_steps(args)
+    else:
         result["trajectory"] = args.trajectory or "circles3"
         result["rate"] = fleet.mocap.rate_hz
     if args.fps is not None:
         result["video_fps"] = args.fps
     return result
+
+
+def bumper_steps(args):
+    """How often the operator presses the bumper: df_demo flies three figures, and rests before each of them."""
+    return 5 if args.experiment == "df_demo" else 0
+
+
+def longest_s(args):
+    """How long [s] a flight may take from the start of its nodes: longer than the operator gives any of its phases."""
+    params = OperatorParams(duration=args.duration, ready=READY_S, bumper_steps=bumper_steps(args))
+    return time_limit_s(params) + START_MARGIN_S
 
 
 class TooSlow(str):
@@ -292,9 +305,7 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
 
     As soon as everything has started, the parameters are written down. page: a `WebPage` to look for.
     """
-    courses = 3 if args.experiment == "df_demo" else 1
-    limit_s = time_limit_s(OperatorParams(duration=courses * args.duration))
-    deadline = time.monotonic() + limit_s + START_MARGIN_S
+    deadline = time.monotonic() + longest_s(args)
     landing = recorded = False
     use, use_s = ProcessorUse(launch.identity), 0.0
     headroom = Headroom(launch.identity)

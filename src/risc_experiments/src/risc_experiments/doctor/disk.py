@@ -20,10 +20,9 @@ _LONGEST_S = 2.0
 
 def check(situation):
     """Free space and write speed where the bag goes."""
-    folder = situation.bag_folder
-    if folder is None:
-        folder = situation.root / "flights"
-        folder = folder if folder.is_dir() else situation.root
+    folder = situation.root / "flights" if situation.bag_folder is None else situation.bag_folder
+    if not os.path.lexists(str(folder)):  # whoever records makes it
+        folder = folder.parent
     if not os.path.isdir(str(folder)):  # False as well where it may not be looked at
         return [
             red(

@@ -42,7 +42,8 @@ class Watch:
             for pair in status.values:
                 error_of = re.fullmatch(r"position error of (\S+) \(mm\)", pair.key)
                 if error_of:
-                    self.errors_mm[error_of.group(1)] = _number(pair.value)
+                    # a new dict: whoever goes through the last one is in another thread
+                    self.errors_mm = dict(self.errors_mm, **{error_of.group(1): _number(pair.value)})
                 elif pair.key == "oldest state answered (ms)":
                     self._keep(self.oldest_ms, pair.value)
                 elif pair.key == "frames passed over":
