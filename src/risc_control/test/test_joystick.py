@@ -19,9 +19,9 @@ def axes(**values):
     return result
 
 
-def test_defaults_are_those_of_the_original_release():
+def test_defaults_are_those_of_appendix_c():
     p = JoystickParams()
-    assert (p.JoytoWay, p.ButtonEmergency, p.TakeoffLand, p.Up, p.Down, p.ShutDownNode) == (5, 1, 2, 3, 4, 0)
+    assert (p.JoytoWay, p.ButtonEmergency, p.TakeoffLand, p.Up, p.Down, p.ShutDownNode) == (0, 2, 6, 9, 10, 7)
     assert (p.AxisRoll, p.AxisPitch, p.AxisYaw) == (6, 7, 3)
     assert (p.ScaleRoll, p.ScalePitch, p.ScaleYaw, p.ScaleZ) == (1, 1, 1, 1)
 
@@ -29,26 +29,26 @@ def test_defaults_are_those_of_the_original_release():
 def test_buttons_count_once_however_long_they_are_held():
     joystick = Joystick(JoystickParams())
     assert joystick.update(buttons(), axes()).pressed == frozenset()
-    assert joystick.update(buttons(2), axes()).pressed == {Button.TAKEOFF_LAND}
-    again = joystick.update(buttons(2), axes())
+    assert joystick.update(buttons(6), axes()).pressed == {Button.TAKEOFF_LAND}
+    again = joystick.update(buttons(6), axes())
     assert (again.pressed, again.held) == (frozenset(), {Button.TAKEOFF_LAND})
-    assert joystick.update(buttons(2, 5), axes()).pressed == {Button.TOGGLE_AUTONOMOUS}
+    assert joystick.update(buttons(0, 6), axes()).pressed == {Button.TOGGLE_AUTONOMOUS}
     joystick.update(buttons(), axes())
-    assert joystick.update(buttons(2), axes()).pressed == {Button.TAKEOFF_LAND}
+    assert joystick.update(buttons(6), axes()).pressed == {Button.TAKEOFF_LAND}
 
 
 def test_first_message_can_be_a_press():
-    assert Joystick(JoystickParams()).update(buttons(1), axes()).pressed == {Button.EMERGENCY}
+    assert Joystick(JoystickParams()).update(buttons(2), axes()).pressed == {Button.EMERGENCY}
 
 
 def test_what_goes_down_in_late_messages_is_belated_once_in_time():
     joystick = Joystick(JoystickParams())
+    joystick.update(buttons(6), axes(), late=True)
+    joystick.update(buttons(2, 6), axes(), late=True)
     joystick.update(buttons(2), axes(), late=True)
-    joystick.update(buttons(1, 2), axes(), late=True)
-    joystick.update(buttons(1), axes(), late=True)
-    found = joystick.update(buttons(0, 1), axes())
+    found = joystick.update(buttons(2, 7), axes())
     assert (found.pressed, found.belated) == ({Button.SHUT_DOWN}, {Button.EMERGENCY})
-    assert joystick.update(buttons(0, 1), axes()).belated == frozenset()
+    assert joystick.update(buttons(2, 7), axes()).belated == frozenset()
 
 
 @pytest.mark.parametrize(
@@ -66,19 +66,19 @@ def test_sticks_are_divided_by_their_scale(stick, expected):
 
 def test_up_and_down_buttons():
     joystick = Joystick(JoystickParams(ScaleZ=4.0))
-    assert joystick.update(buttons(3), axes()).sticks.up == 0.25
-    assert joystick.update(buttons(4), axes()).sticks.up == -0.25
-    assert joystick.update(buttons(3, 4), axes()).sticks.up == 0.0
+    assert joystick.update(buttons(9), axes()).sticks.up == 0.25
+    assert joystick.update(buttons(10), axes()).sticks.up == -0.25
+    assert joystick.update(buttons(9, 10), axes()).sticks.up == 0.0
     assert joystick.update(buttons(), axes()).sticks.up == 0.0
 
 
 def test_a_small_joystick_is_a_problem_and_no_error():
     joystick = Joystick(JoystickParams())
-    joy = joystick.update([0, 1], [0.0])
+    joy = joystick.update([0, 0, 1], [0.0])
     assert joy.pressed == {Button.EMERGENCY}, "what is there works"
     assert joy.sticks == Sticks(0.0, 0.0, 0.0, 0.0)
     text = " ".join(joy.problems)
-    for name in ("TakeoffLand", "JoytoWay", "AxisRoll", "2 buttons", "1 axes"):
+    for name in ("TakeoffLand", "ShutDownNode", "AxisRoll", "3 buttons", "1 axes"):
         assert name in text
     assert Joystick(JoystickParams()).update([], []).pressed == frozenset()
 
@@ -96,7 +96,7 @@ def test_axis_that_is_no_number():
         ({"AxisYaw": -1}, "AxisYaw"),
         ({"Up": 1.5}, "Up"),
         ({"Down": "4"}, "Down"),
-        ({"Down": 3}, "Up and Down"),
+        ({"Down": 9}, "Up and Down"),
     ],
 )
 def test_bad_parameters_are_named(kwargs, name):

@@ -89,7 +89,7 @@ def test_land_ends_when_the_operator_takes_over():
 
 
 def test_old_stamps_are_losses_even_when_messages_arrive():
-    ladder = SafetyLadder(SafetyLimits(), 0.0)
+    ladder = SafetyLadder(SafetyLimits(), 9.9)
     ladder.note_navdata(90.0, 10.0)
     ladder.note_state(INSIDE, AT_REST, 0.3, 10.0)  # a network that delivers late
     ladder.note_controls(0.3, 10.0)
@@ -109,7 +109,7 @@ def test_stamps_in_the_future_do_not_count_and_say_why():
 
 
 def test_before_the_first_message():
-    ladder = SafetyLadder(SafetyLimits(), 0.0)
+    ladder = SafetyLadder(SafetyLimits(), 0.2)
     assert math.isinf(ladder.state.age_s(1.0))
     assert ladder.autonomy_problem(1.0) == "no state yet"
     ladder.note_state(INSIDE, AT_REST, 0.0, 1.0)
@@ -142,10 +142,37 @@ def test_lost_joystick_lands_in_both_modes(autonomous):
     assert flight.run(1.0).rung == Rung.LAND, "stays until landed or taken over"
 
 
-def test_a_silent_joystick_is_no_loss_by_default():
-    flight = Flight()
+def test_a_silent_joystick_is_no_loss_where_somebody_says_so():
+    flight = Flight(SafetyLimits(joystick_timeout=0.0))
     flight.alive.remove("joystick")
     assert flight.run(30.0).rung == Rung.OK
+
+
+def test_a_joystick_that_is_lost_is_missed_beside_others():
+    """A person's, with the emergency stop; the virtual operator goes on."""
+    flight = Flight()
+    for _ in range(2):
+        flight.ladder.note_joystick(flight.now_s, "/joy_node")
+    assert flight.run(0.99).rung == Rung.OK
+    assert flight.run(0.02).text == "land: joystick /joy_node silent for 1.0 s"
+    flight.ladder.take_over()
+    assert flight.run(5.0).rung == Rung.OK, "the operator knows of it"
+    flight.ladder.note_joystick(flight.now_s, "/joy_node")
+    assert flight.run(1.1).rung == Rung.LAND, "it was there again"
+
+
+def test_whoever_sends_one_joystick_message_owes_no_second():
+    flight = Flight()
+    flight.ladder.note_joystick(flight.now_s, "/rostopic_1_2")
+    assert flight.run(5.0).rung == Rung.OK
+
+
+def test_a_joystick_that_goes_on_the_ground_is_not_missed():
+    flight = Flight()
+    for _ in range(2):
+        flight.ladder.note_joystick(flight.now_s, "/joy_node")
+    flight.run(0.1, airborne=False)
+    assert flight.run(5.0).rung == Rung.OK
 
 
 @pytest.mark.parametrize("position", [(2.35, 0, 1), (-2.35, 0, 1), (0, 1.9, 1), (0, -1.9, 1), (0, 0, 2.9)])
@@ -279,7 +306,7 @@ def test_old_reports_tell_nothing(limit_s):
 
 def test_manual_mode_needs_nothing_but_the_joystick():
     flight = Flight(autonomous=False)
-    flight.alive.clear()
+    flight.alive = {"joystick"}
     flight.position, flight.battery = (5.0, 5.0, 5.0), 1.0
     assert flight.run(10.0).rung == Rung.OK
 

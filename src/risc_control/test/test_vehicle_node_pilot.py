@@ -30,7 +30,7 @@ CONFIG = pathlib.Path(__file__).parents[1] / "config" / "vehicle_node.yaml"
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * GRAVITY_M_S2
 LEVEL = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0)
-TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, SHUT_DOWN = 5, 1, 2, 3, 0  # legacy defaults
+TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, SHUT_DOWN = 0, 2, 6, 9, 7  # Appendix C
 
 
 class Desk:
@@ -40,7 +40,7 @@ class Desk:
     """
 
     def __init__(self, **params):
-        parsed, unknown = params_from_dict(params)
+        parsed, unknown = params_from_dict(dict({"joystick_timeout": 0.0}, **params))
         assert unknown == []
         self.now_s = 500.0
         self.pilot = VehiclePilot(parsed, ARDRONE, self.now_s)

@@ -16,7 +16,7 @@ from risc_control.reference import ORDERS, ReferenceBuffer
 from risc_control.states import S, States
 from risc_control.tracking import FlatnessController
 from risc_control.trajectories import make_course
-from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehicleNodeParams, VehiclePilot
+from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehiclePilot, params_from_dict
 
 FRAME_S = 0.005
 AGE_S = 0.006  # of a state when it is answered
@@ -73,7 +73,7 @@ def controller_row(count, vehicle_type, frames, seed):
 
 def pilot_table(frames):
     """Dict of what arrives -> median microseconds, of one vehicle in autonomous flight."""
-    params = VehicleNodeParams()
+    params, _ = params_from_dict({"joystick_timeout": 0.0})
     pilot = VehiclePilot(params, load_vehicle_type("ardrone"), 0.0)
     own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03), OwnControl(0.1, 0.05, 0.02, 4.4)
     buttons = [0] * 11

@@ -1,6 +1,6 @@
 """What a joystick message means (Appendix C): buttons by edge, sticks in manual mode, what is too late. No ROS.
 
-The names and defaults of the parameters are those of the original release; house names are used inside.
+The names of the parameters are those of the original release; house names are used inside.
 """
 
 import enum
@@ -48,14 +48,18 @@ def parse_bool(value, name):
 
 @dataclass(frozen=True)
 class JoystickParams:
-    """Mapping of one joystick. Indices count from 0; a manual value is *divided* by its scale."""
+    """Mapping of one joystick. Indices count from 0; a manual value is *divided* by its scale.
 
-    JoytoWay: int = 5  # button: manual/autonomous toggle
-    ButtonEmergency: int = 1  # button: reset (motors off in the air, clears an emergency on the ground)
-    TakeoffLand: int = 2  # button: take off when landed, land otherwise
-    Up: int = 3  # button: climb while held (manual mode)
-    Down: int = 4  # button: descend while held (manual mode)
-    ShutDownNode: int = 0  # button: land and end the node
+    The buttons are those of Appendix C. The original release's own defaults (5, 1, 2, 3, 4, 0) had "autonomy off" on
+    the button for the next figure, and "motors off" on that of `virtual_target.py`.
+    """
+
+    JoytoWay: int = 0  # button: manual/autonomous toggle
+    ButtonEmergency: int = 2  # button: reset (motors off in the air, clears an emergency on the ground)
+    TakeoffLand: int = 6  # button: take off when landed, land otherwise
+    Up: int = 9  # button: climb while held (manual mode)
+    Down: int = 10  # button: descend while held (manual mode)
+    ShutDownNode: int = 7  # button: land and end the node
     AxisRoll: int = 6  # axis: + left
     AxisPitch: int = 7  # axis: + forward
     AxisYaw: int = 3  # axis: + counter-clockwise

@@ -52,7 +52,7 @@ class SafetyLimits:
     controls_hold_s: float = 0.1  # [s] own command older than this: HOLD
     controls_land_s: float = 0.5  # [s] ... LAND
     navdata_timeout_s: float = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
-    joystick_timeout: float = 0.0  # [s] no joystick message: LAND; 0 = off, for joysticks that speak on change only
+    joystick_timeout: float = 1.0  # [s] a joystick silent: LAND; 0 = off, for joysticks that speak on change only
     operator_after_s: float = 2.0  # [s] LAND without effect: tell the operator that the emergency stop is his
     clock_tolerance_s: float = 0.1  # [s] a stamp that far in the future means that clocks differ
     battery_min_pct: float = 10.0  # [%] at or below: LAND; 0 = off
@@ -183,7 +183,9 @@ class SafetyLadder:
         self.verdict = Verdict(_OK, "")
         self.reactions = []  # the newest Reaction of each rung that was entered for age, oldest first
         self._navdata_s = None
-        self._joystick_s = now_s  # silence counts from the start
+        self._joystick_s = now_s  # newest message of any joystick; silence counts from the start
+        self._joysticks_once = set()  # senders that were heard once: whoever sends one message owes no second
+        self._joysticks_s = {}  # {sender that was heard again: when it was last}
         self._battery_pct = None
         self._battery_low = Lasting()
         self._outside = Lasting()
@@ -217,9 +219,15 @@ class SafetyLadder:
             self._battery_pct = battery_pct
             self._battery_low.note(self.battery_is_low(), now_s)
 
-    def note_joystick(self, now_s):
-        """The joystick said something."""
+    def note_joystick(self, now_s, sender=""):
+        """A joystick said something; sender: which node it is from. Each that speaks must go on: one of them may be
+        the hand on the emergency stop.
+        """
         self._joystick_s = now_s
+        if sender in self._joysticks_once:
+            self._joysticks_s[sender] = now_s
+        else:
+            self._joysticks_once.add(sender)
 
     def navdata_is_fresh(self, now_s):
         """True when the vehicle's newest report still tells what it does.
@@ -244,7 +252,8 @@ class SafetyLadder:
             self._set(_LAND, "request", "landing was requested", None, now_s)
 
     def take_over(self):
-        """The operator flies: whatever was decided is taken back."""
+        """The operator flies: whatever was decided is taken back, and joysticks that are silent are missed no more."""
+        self._joysticks_s.clear()
         self._set(_OK, "", "", None, 0.0)
 
     def update(self, now_s, autonomous, airborne, obeys=False, needs_navdata=True):
@@ -255,6 +264,7 @@ class SafetyLadder:
         nothing.
         """
         if not airborne:
+            self._joysticks_s.clear()
             if self.verdict.rung != _OK:
                 self.take_over()
             return self.verdict
@@ -281,9 +291,10 @@ class SafetyLadder:
     def _judge(self, now_s, autonomous, needs_navdata):
         """(rung, rule, reason, (age, age beyond the threshold) or None) by the first rule of the highest rung."""
         limits = self.limits
-        age_s = now_s - self._joystick_s
+        age_s = now_s - (min(self._joysticks_s.values()) if self._joysticks_s else self._joystick_s)
         if 0.0 < limits.joystick_timeout < age_s:
-            reason = "joystick silent for %.1f s" % age_s
+            name = min(self._joysticks_s, key=self._joysticks_s.get, default="")
+            reason = "joystick%s silent for %.1f s" % (" " + name if name else "", age_s)
             return _LAND, "joystick", reason, (age_s, age_s - limits.joystick_timeout)
         if not autonomous:
             return _FINE

@@ -305,7 +305,7 @@ class VehiclePilot:
             text = "a joystick message came %.1f s late and is not obeyed: look at the network, and at the clocks"
             orders.say("warn", text % age_s)
             return orders
-        self.ladder.note_joystick(now_s)
+        self.ladder.note_joystick(now_s, sender)
         source.sticks, source.heard_s = joy.sticks, now_s
         for problem in joy.problems:
             orders.say("warn", problem)

@@ -206,7 +206,7 @@ class _Chain:
         """phase: of the radio's clock, a fraction.  arena: None = the laboratory's."""
         self._vehicle = vehicle
         self._type = vehicle.type
-        self.pilot = VehiclePilot(params_from_dict({}, arena)[0], vehicle.type, 0.0)
+        self.pilot = VehiclePilot(params_from_dict({"joystick_timeout": 0.0}, arena)[0], vehicle.type, 0.0)
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
 
