@@ -5,6 +5,7 @@ import os
 import pathlib
 import signal
 import subprocess
+import sys
 import uuid
 import xml.etree.ElementTree as ET
 
@@ -76,3 +77,14 @@ def test_launch_file_loads(path):
     roslaunch.xmlloader.XmlLoader().load(str(path), config, argv=argv, verbose=False)
     for node in config.nodes:
         assert roslaunch.node_args.create_local_process_args(node, roslaunch.core.Machine("local", "localhost"))
+
+
+def test_nothing_is_built_under_nodes_that_run():
+    node = [sys.executable, "-c", "import time; time.sleep(60.0)", "__name:=pretender"]
+    with subprocess.Popen(node, env=dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))) as process:
+        try:
+            command = [str(ROOT / "maap"), "build"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
+        finally:
+            process.kill()
+    assert done.returncode == 1 and "process %d" % process.pid in done.stdout
