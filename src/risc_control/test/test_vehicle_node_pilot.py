@@ -627,6 +627,18 @@ def test_operator_takes_over_from_a_landing_in_manual_mode():
     assert not desk.pilot.autonomous
 
 
+@pytest.mark.parametrize(
+    ("phi_deg", "theta_deg", "refused"), [(0.0, 90.0, True), (-50.0, 0.0, True), (25.0, 25.0, False)]
+)
+def test_autonomous_mode_is_refused_to_a_vehicle_that_is_seen_lying_on_its_side(phi_deg, theta_deg, refused):
+    desk = Desk().fly()
+    desk.state = LEVEL._replace(phi_rad=math.radians(phi_deg), theta_rad=math.radians(theta_deg))
+    desk.run(0.1)
+    orders = desk.press(TOGGLE)
+    assert desk.pilot.autonomous != refused
+    assert ("seen tilted" in texts(orders)) == refused
+
+
 def test_level_only_hold():
     desk = Desk(hold_auto_hover="false").fly(autonomous=True)
     desk.alive.remove("state")

@@ -46,6 +46,7 @@ class FlightState(enum.IntEnum):
 _OK, _LAND, _LANDING = Rung.OK, Rung.LAND, FlightState.LANDING
 _TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
+_TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _CLIMB_MEMORY_S = 2.0  # [s] climb commands that took effect longer ago answer no state that anybody acts on
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
 
@@ -492,6 +493,11 @@ class VehiclePilot:
         if not problem and not self._takes_commands():
             # References would leave at once, and no command follow them.
             problem = "the vehicle does not fly yet (%s): take off and wait until it hovers" % self._state_text()
+        if not problem:
+            cosine = math.cos(self._state.phi_rad) * math.cos(self._state.theta_rad)
+            if cosine < math.cos(_TILT_MAX_RAD):
+                tilt_deg = math.degrees(math.acos(cosine))
+                problem = "it is seen tilted by %.0f deg: does z point up in Cortex, is its template right?" % tilt_deg
         if problem:
             orders.say("warn", "autonomous mode refused: %s" % problem)
             return
