@@ -1023,7 +1023,7 @@ def test_exact_readings_in_aircraft_axes(fake_lab):
     assert altitude.altitude_raw in (1249, 1250) and altitude.altitude_vz == pytest.approx(100, abs=0.1)
     magneto = packet.option(22)
     assert magneto.heading_unwrapped == pytest.approx(90.0, abs=0.01)
-    assert magneto.heading_fusion_unwrapped == pytest.approx(90000.0, abs=10.0)
+    assert magneto.heading_fusion_unwrapped == pytest.approx(90.0, abs=0.01), "degrees, as in a real capture"
     assert packet.option(21).Pression_meas == pytest.approx(85800 - 10.4 * 1.25, abs=1.0)
     assert packet.option(1).time >> 21 == 0
 

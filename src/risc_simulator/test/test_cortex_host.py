@@ -362,6 +362,16 @@ def test_recording_status_travels_with_the_frames(lab):
     assert lab.frame(client).recording == (0, 5, 7, "take_01.cap")
 
 
+def test_a_recording_that_ends_before_its_first_frame_was_none(lab):
+    client = lab.client()
+    lab.text(client, "LiveMode")
+    lab.step(5)
+    lab.text(client, "StartRecording")
+    lab.text(client, "StopRecording")
+    lab.step(2)
+    assert lab.frame(client).recording is None
+
+
 def test_playback_of_a_take_to_polling_clients(lab):
     client = lab.client()
     lab.text(client, "LiveMode")

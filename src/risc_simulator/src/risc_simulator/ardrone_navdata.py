@@ -262,7 +262,7 @@ def _magneto(encoder, _):
         write(int(x), int(y), int(z))
         write_field(x, y, z, x, y, z)
         heading = r.heading_unwrapped_deg
-        write_heading(heading, heading, 1e3 * heading)
+        write_heading(heading, heading, heading)
 
     return fill
 

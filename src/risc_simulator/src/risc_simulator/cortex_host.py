@@ -592,7 +592,9 @@ class CortexHost(SocketHost):
 
     def _request_stop_recording(self, _argument):
         if self._recording is not None and self._recording.active:
-            self._recording = self._recording._replace(active=0, last_frame=self._number)
+            # one that was ended before its first frame was none: it has no last frame
+            stopped = self._recording._replace(active=0, last_frame=self._number)
+            self._recording = stopped if self._take else None
             self._take_at = max(len(self._take) - 1, 0)
         return _reply()
 
