@@ -145,6 +145,9 @@ class StreamMarkers : public ClientEvents {
   }
 
   void on_frame(const ReceivedFrame& received) override {
+    if (is_turned_) {
+      return;
+    }
     const FrameOfData& frame = received.frame;
     const Time delay = from_seconds(frame.sane_delay_s(params_.max_delay_s));
     const Time exposure = stamps_.stamp(frame.frame, received.receipt, delay);
@@ -169,6 +172,7 @@ class StreamMarkers : public ClientEvents {
     }
     is_up_ = true;
     was_down_ = false;
+    is_turned_ = info.up_axis.value_or(kUpAxisZ) != kUpAxisZ;
     report_oddities(info, rate_hz);
   }
 
@@ -205,7 +209,8 @@ class StreamMarkers : public ClientEvents {
     double reported_delay_s = 0.0;
     double stamp_correction_s = 0.0;
     bool stamps_filtered = false;
-    std::string oddity;  // of the host's settings; empty: none
+    std::string oddity;      // of the host's settings; empty: none
+    bool is_turned = false;  // its up axis is not z
   };
 
   static std::string describe(const HostInfo& info, double rate_hz) {
@@ -248,7 +253,7 @@ class StreamMarkers : public ClientEvents {
       note("the host does not tell its up axis: taken for z");
     } else if (*info.up_axis != kUpAxisZ) {
       note(std::string("the host's up axis is ") + "xyz"[*info.up_axis] +
-           ": positions are published as they are, set z up in Cortex");
+           ": nothing is published, for every vehicle would lie on its side; set z up in Cortex");
     }
     if (!info.frame_rate_hz) {
       note("the host does not tell its frame rate: taken for " + std::to_string(rate_hz) +
@@ -258,11 +263,13 @@ class StreamMarkers : public ClientEvents {
       note("the host did not accept LiveMode: start live mode in Cortex");
     }
     if (!oddity.empty() && oddity != logged_oddity_) {
-      ROS_WARN("%s", oddity.c_str());
+      ROS_LOG(is_turned_ ? ros::console::levels::Error : ros::console::levels::Warn, ROSCONSOLE_DEFAULT_NAME,
+              "%s", oddity.c_str());
     }
     logged_oddity_ = oddity;
     const std::lock_guard<std::mutex> lock(health_mutex_);
     health_.oddity = oddity;
+    health_.is_turned = is_turned_;
   }
 
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status) {
@@ -312,7 +319,7 @@ class StreamMarkers : public ClientEvents {
     }
     status.summaryf(Level::OK, "%.0f Hz by %s", rate_hz, to_text(now.source));
     if (!health.oddity.empty()) {
-      status.mergeSummary(Level::WARN, health.oddity);
+      status.mergeSummary(health.is_turned ? Level::ERROR : Level::WARN, health.oddity);
     }
     if (now.source == Source::kPoll && params_.client.mode != Mode::kPoll) {
       status.mergeSummary(Level::WARN, "no stream, polling");
@@ -340,6 +347,7 @@ class StreamMarkers : public ClientEvents {
   ClockFilter stamps_;
   double metres_per_unit_ = kMetresPerMillimetre;
   bool is_up_ = false;
+  bool is_turned_ = false;  // another axis than z points up
   bool was_down_ = false;
   std::string logged_oddity_;
 

@@ -240,6 +240,18 @@ class StreamMarkersTest(unittest.TestCase):
         numbers = [int(m.source) for m in self.times.messages if int(m.source) >= first]
         self.assertEqual(numbers, list(range(first, first + len(numbers))))
 
+    def test_a_host_with_another_axis_up_is_refused_until_it_has_z_up(self):
+        self.host.texts = dict(self.host.texts)
+        self.host.texts[b"GetUpAxis"] = struct.pack("<i", 1)
+        self.start_node()
+        told = (DiagnosticStatus.ERROR, "up axis is y: nothing is published")
+        self.diagnostics.wait_for(lambda m: any(s.level == told[0] and told[1] in s.message for s in m.status))
+        self.assertTrue(self.host.live)
+        self.assertEqual(self.markers.messages, [])
+        self.host.texts[b"GetUpAxis"] = struct.pack("<i", 2)
+        self.host.stream.sendto(packet(0, b"Cortex".ljust(128, b"\0") + bytes((1, 5, 3, 1))), self.host.group)
+        self.markers.wait_for(lambda m: True)
+
     def test_bad_parameters_end_the_node_with_a_reason(self):
         for params, reason in (
             ({"mode": "steam"}, "mode must be auto, stream or poll"),
