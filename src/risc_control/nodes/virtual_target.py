@@ -27,7 +27,7 @@ class VirtualTargetNode(ReferenceNode):
         self._chasing = False
         self._speed_publisher = rospy.Publisher("target_velocity", Float64, queue_size=1, tcp_nodelay=True)
         super().__init__(wiring)
-        ButtonSubscriber((int(button),), self._on_press)
+        ButtonSubscriber({"chase_button": int(button)}, self._on_press)
 
     def _sampled(self, time_s):
         self._speed_publisher.publish(self._target.target_speed_m_s(time_s))

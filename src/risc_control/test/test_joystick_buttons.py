@@ -1,13 +1,14 @@
 """risc_control.ros.joystick_buttons without a master: what a slow callback must not change."""
 
 import threading
+from types import SimpleNamespace
 
 import pytest
 import rospy
 from sensor_msgs.msg import Joy
 
 from risc_control.ros import joystick_buttons
-from risc_control.ros.joystick_buttons import ButtonSubscriber
+from risc_control.ros.joystick_buttons import ButtonSubscriber, claim_buttons
 
 TIMEOUT_S = 30.0
 
@@ -30,6 +31,7 @@ def desk(monkeypatch):
     found = Desk()
     found.logged = []
     monkeypatch.setattr(joystick_buttons, "number", lambda name, default: default)
+    monkeypatch.setattr(joystick_buttons, "claim_buttons", lambda functions: None)
     monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, callback, **_: setattr(found, "receive", callback))
     monkeypatch.setattr(joystick_buttons, "ros_time_s", lambda: found.now_s)
     for level in ("logwarn", "logerr"):
@@ -47,7 +49,7 @@ def test_a_press_counts_while_the_callback_is_busy_with_the_one_before(desk):
         if len(seen) == 2:
             both.set()
 
-    ButtonSubscriber((4, 5), callback)
+    ButtonSubscriber({"previous_button": 4, "next_button": 5}, callback)
     desk.send(5)
     assert busy.wait(TIMEOUT_S)
     desk.send()
@@ -66,7 +68,7 @@ def test_a_callback_that_fails_is_told_and_the_next_press_counts(desk):
             raise RuntimeError("no such course")
         worked.set()
 
-    ButtonSubscriber((4, 5), callback)
+    ButtonSubscriber({"previous_button": 4, "next_button": 5}, callback)
     desk.send(4)
     desk.send(5)
     assert worked.wait(TIMEOUT_S)
@@ -81,10 +83,40 @@ def test_a_late_press_is_told_with_its_age_and_not_obeyed(desk):
         seen.append(buttons)
         worked.set()
 
-    ButtonSubscriber((4, 5), callback)
+    ButtonSubscriber({"previous_button": 4, "next_button": 5}, callback)
     desk.send(4, age_s=2.0)
     desk.send(5)
     assert worked.wait(TIMEOUT_S)
     assert seen == [{5}]
     assert len(desk.logged) == 1
     assert "pressed 2.0 s ago and is not obeyed" in desk.logged[0]
+
+
+@pytest.fixture
+def server(monkeypatch):
+    """A parameter server, and the names of the nodes that run."""
+    found = SimpleNamespace(params={}, nodes={"/controller"}, own="/controller")
+    monkeypatch.setattr(rospy, "get_name", lambda: found.own)
+    monkeypatch.setattr(rospy, "resolve_name", lambda topic: topic if topic[0] == "/" else "/" + topic)
+    monkeypatch.setattr(rospy, "set_param", lambda name, value: found.params.__setitem__(name, value))
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: dict(found.params))
+    monkeypatch.setattr(joystick_buttons, "_runs", lambda node: node in found.nodes)
+    return found
+
+
+def test_no_button_is_taken_for_two_things(server):
+    claim_buttons({"next_button": 5, "previous_button": 4}, ["/risc1/joy"])
+    server.own = "/joystick_controller"
+    for topics, button in ((["/risc2/joy", "/risc1/joy"], 6), (["/risc2/joy"], 5)):
+        claim_buttons({"JoytoWay": button, "Up": 9}, topics)
+    with pytest.raises(ValueError, match="button 5 of /risc1/joy is both JoytoWay and next_button .of /controller"):
+        claim_buttons({"JoytoWay": 5}, ["/risc2/joy", "/risc1/joy"])
+    server.nodes.clear()
+    claim_buttons({"JoytoWay": 5}, ["/risc1/joy"])
+
+
+def test_two_nodes_may_take_a_button_for_the_same_thing(server):
+    """A vehicle node that replaces another one, or one for each of two vehicles with one joystick."""
+    for server.own in ("/risc1/joystick_controller", "/risc2/joystick_controller"):
+        server.nodes.add(server.own)
+        claim_buttons({"JoytoWay": 0}, ["/joy"])

@@ -154,6 +154,18 @@ class Joystick:
         return limited(axes[index] / scale)
 
 
+def button_conflict(claims, others):
+    """Which button two nodes take for different things, in a sentence; "" when there is none.
+
+    claims: [(topic, function, index), ...] of the one; others: of the other.
+    """
+    for topic, function, index in claims:
+        for their_topic, their_function, their_index in others:
+            if (topic, index) == (their_topic, their_index) and function != their_function:
+                return "button %d of %s is both %s and %s" % (index, topic, function, their_function)
+    return ""
+
+
 # Frozensets of the buttons that went down with a message in time and with a late one, and its age [s].
 Presses = namedtuple("Presses", "in_time late age_s")
 

@@ -5,12 +5,15 @@ import threading
 import time
 import traceback
 
+import rosgraph
 import rospy
 from sensor_msgs.msg import Joy
 
-from risc_control.joystick import LATE_S, ButtonPresses
+from risc_control.joystick import LATE_S, ButtonPresses, button_conflict
 from risc_control.ros.params import number
 from risc_lab.ros.clock import ros_time_s
+
+_CLAIMS = "/joystick_buttons/"
 
 
 def origin(message):
@@ -28,20 +31,46 @@ def sender(message):
     return message._connection_header.get("callerid", "")  # rospy has no public name for it
 
 
+def claim_buttons(functions, topics=("joy",)):
+    """Tell the other nodes, on the parameter server, what this one takes buttons for.
+
+    functions: {name: index}; topics: of joysticks. Raises ValueError when a node that runs takes one of them for
+    something else: the button for the next figure must not stop the motors.
+    """
+    own = rospy.get_name()
+    claims = [[rospy.resolve_name(topic), name, int(index)] for topic in topics for name, index in functions.items()]
+    rospy.set_param(_CLAIMS + own.replace("/", "_"), {"node": own, "buttons": claims})
+    for other in rospy.get_param(_CLAIMS, {}).values():
+        if other["node"] != own:
+            text = button_conflict(claims, other["buttons"])
+            if text and _runs(other["node"]):
+                raise ValueError("%s (of %s): set one of the two parameters to another button" % (text, other["node"]))
+
+
+def _runs(node):
+    try:
+        rosgraph.Master(rospy.get_name()).lookupNode(node)
+    except rosgraph.MasterError:
+        return False
+    return True
+
+
 class ButtonSubscriber:
     """Calls back when buttons go down on `joy`. A press that comes later than ~joystick_late_s is told, not obeyed."""
 
-    def __init__(self, buttons, callback):
-        """buttons: indices from 0.  callback: takes the frozenset of those that one message presses, never empty.
+    def __init__(self, functions, callback):
+        """functions: {parameter: index from 0} of the buttons, which no other node may take for something else.
+        callback: takes the frozenset of the indices that one message presses, never empty.
 
         Presses are worked off one after the other in a thread of their own: as long as the callback takes, messages
         would wait, and look as if the network had held them up. Raises ValueError for a parameter or an index that
         makes no sense.
         """
-        self._judge = ButtonPresses(buttons, number("~joystick_late_s", LATE_S))
+        self._judge = ButtonPresses(functions.values(), number("~joystick_late_s", LATE_S))
         self._callback = callback
         self._pressed = queue.SimpleQueue()
         self._lock = threading.Lock()  # every sender has a thread of its own
+        claim_buttons(functions)
         # Every message: of a burst that a network held up, the first say that a press is old.
         rospy.Subscriber("joy", Joy, self._on_joy, queue_size=None, tcp_nodelay=True)
         threading.Thread(target=self._run, daemon=True).start()

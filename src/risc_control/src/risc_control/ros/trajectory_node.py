@@ -219,10 +219,12 @@ class CourseSelector:
     def __init__(self, wiring, courses):
         """courses: list of Course; the first is flown at the start."""
         self._wiring, self._courses = wiring, courses
-        self._bumpers = BumperSelector(
-            len(courses), int(number("~next_button", NEXT_BUTTON)), int(number("~previous_button", PREVIOUS_BUTTON))
+        following, previous = (
+            int(number("~next_button", NEXT_BUTTON)),
+            int(number("~previous_button", PREVIOUS_BUTTON)),
         )
-        ButtonSubscriber(self._bumpers.buttons, self._on_press)
+        self._bumpers = BumperSelector(len(courses), following, previous)
+        ButtonSubscriber({"next_button": following, "previous_button": previous}, self._on_press)
 
     def _on_press(self, buttons):
         if self._bumpers.press(buttons):

@@ -19,11 +19,12 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_control.controller_stream import ControllerStream
+from risc_control.joystick import Button
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
 from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays
-from risc_control.ros.joystick_buttons import origin, sender
+from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import known_fleet
 from risc_control.safety import Rung
@@ -84,6 +85,8 @@ class VehicleNode:
             self._diagnostics.add("vehicle " + vehicle.name, vehicle.diagnose)
         self._tickers = ()
         rospy.on_shutdown(self._on_shutdown)
+        buttons = {button.value: getattr(params.joystick, button.value) for button in Button}
+        claim_buttons(buttons, [vehicle.joystick_topic for vehicle in self._vehicles])
         for vehicle in self._vehicles:
             vehicle.listen()
         PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
@@ -241,6 +244,11 @@ class _Vehicle:
         self._service = rospy.Service(self._prefix + "land", Trigger, self._on_land_request)
         topic = self._cmd_vel.resolved_name
         rospy.loginfo("%s flies %s (%s), commands on %s", rospy.get_name(), self.name, self._type.name, topic)
+
+    @property
+    def joystick_topic(self):
+        """Name of the topic of its joysticks."""
+        return self._prefix + "joy"
 
     @property
     def next_command_s(self):
