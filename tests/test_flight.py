@@ -2,20 +2,24 @@
 
 import bisect
 import csv
+import json
 import pathlib
 import signal
 import subprocess
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import psutil
 import pytest
 import yaml
-from flying import ROOT, finish, fly, judged, left_behind, start, try_to_fly, wait_for_line
+from flying import ROOT, end, finish, fly, judged, left_behind, start, try_to_fly, wait_for_line
 
 from data_extraction.bags import Bag
 from data_extraction.flatten import seconds
 from data_extraction.report.origin import parameter_hash
 from risc_estimation.ros.params import NodeParams
+from risc_experiments.processes import MARK, marked_processes
+from risc_experiments.stop import end_flight
 
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
 HELD_UP_MS = 1e3 * (NodeParams().queue_s - 1.0 / 200.0)  # age of the first frame that waits when the last comes
@@ -168,6 +172,27 @@ def test_interrupt_lands_and_leaves_nothing(tmp_path):
     with (folder / "csv" / "ground_truth.csv").open() as file:
         last = list(csv.DictReader(file))[-1]
     assert float(last["fluffy_II.z"]) < 0.1, "the vehicle stands on the floor"
+
+
+def test_what_a_killed_flight_leaves_is_landed_and_ended(tmp_path):
+    """./maap fly and roslaunch are gone at the same time, as when memory runs out; ./maap stop."""
+    folder = tmp_path / "killed"
+    flight = start(folder, "--vehicles", "1", "--duration", "60")
+    wait_for_line(flight, folder, " fly")
+    launch = next(child for child in psutil.Process(flight.pid).children() if "roslaunch" in " ".join(child.cmdline()))
+    identity = launch.environ()[MARK]
+    try:
+        launch.suspend()  # it would end its nodes when its parent dies
+        flight.kill()
+        launch.kill()
+        flight.wait()
+        assert len(marked_processes(identity)) > 5
+        assert "1 vehicle nodes were interrupted" in end_flight(identity)
+    finally:
+        end(flight, folder)
+    assert marked_processes(identity) == {}
+    vehicle = json.loads((folder / "virtual_lab.json").read_text())["vehicles"]["risc1"]
+    assert (vehicle["phase"], vehicle["host"]["landings"]) == ("landed", 1)
 
 
 def test_df_demo_flies_its_figures(tmp_path):

@@ -17,7 +17,7 @@ from risc_control.lab import Arena, generated_fleet, load_fleet
 from risc_experiments.fly import FlightError, WebPage, arguments, launch_arguments, longest_s, prepare_fleet
 from risc_experiments.judge import judge
 from risc_experiments.operator import OperatorParams, time_limit_s
-from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes
+from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes, wait_until
 from risc_experiments.progress import flight_detail
 
 
@@ -84,6 +84,23 @@ def test_marked_processes_are_found_by_their_mark_only():
             sleeper.kill()
             sleeper.communicate()
     assert marked_processes("flight-a") == {}
+
+
+def test_no_launch_outlives_the_program_that_started_it(tmp_path):
+    """However it dies: the next flight would find its ports taken, and nobody would land its vehicles."""
+    pytest.importorskip("roslaunch")
+    (tmp_path / "empty.launch").write_text("<launch/>")
+    script = """import sys, time
+from risc_experiments.processes import Launch
+launch = Launch(sys.argv[1] + "/empty.launch", {}, sys.argv[1], int(sys.argv[2]))
+print(launch.identity, flush=True)
+time.sleep(60.0)"""
+    command = [sys.executable, "-c", script, str(tmp_path), str(free_tcp_port())]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        identity = program.stdout.readline().strip()
+        assert wait_until(lambda: len(marked_processes(identity)) > 1, 30.0), "roslaunch and its master"
+        program.kill()
+    assert wait_until(lambda: not marked_processes(identity), 30.0)
 
 
 def test_reservations_do_not_share_a_subnet():

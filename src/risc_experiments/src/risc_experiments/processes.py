@@ -55,7 +55,11 @@ def free_tcp_port(*preferred):
 
 
 class Launch:
-    """One roslaunch with its own master, in its own session, with its output in a file."""
+    """One roslaunch with its own master, in its own session, with its output in a file.
+
+    Whoever starts it and dies of whatever leaves nothing: roslaunch is interrupted then, and ends its nodes, of which
+    those of the vehicles land them. (By the kernel; for the thread that starts it, so let that be the main one.)
+    """
 
     def __init__(self, launch_file, arguments, folder, master_port):
         """Start it. arguments: {name: value}; folder: for its log and ROS home."""
@@ -73,7 +77,8 @@ class Launch:
             }
         )
         environment.pop("ROS_HOSTNAME", None)
-        command = ["roslaunch", "--skip-log-check", "-p", str(master_port), str(launch_file)]
+        command = ["setpriv", "--pdeathsig", "INT", "roslaunch", "--skip-log-check", "-p", str(master_port)]
+        command += [str(launch_file)]
         command += ["%s:=%s" % item for item in arguments.items()]
         with self.log_path.open("wb") as log:
             self._process = subprocess.Popen(
@@ -97,14 +102,7 @@ class Launch:
                 self._process.wait(patience_s)
             except subprocess.TimeoutExpired:
                 self._process.kill()
-        leftovers = marked_processes(self.identity)
-        for pid in leftovers:
-            _signal(pid, signal.SIGTERM)
-        deadline = time.monotonic() + 3.0
-        while marked_processes(self.identity) and time.monotonic() < deadline:
-            time.sleep(0.1)
-        for pid in marked_processes(self.identity):
-            _signal(pid, signal.SIGKILL)
+        leftovers = end_processes(self.identity)
         self._process.wait()
         return sorted(leftovers.values())
 
@@ -116,17 +114,45 @@ class Launch:
 
 def marked_processes(identity):
     """{process id: command} of the processes of one flight, without the caller."""
-    wanted = ("%s=%s" % (MARK, identity)).encode()
+    return all_marked_processes().get(identity, {})
+
+
+def all_marked_processes():
+    """{identity: {process id: command}} of all flights, without the caller."""
+    mark = MARK.encode() + b"="
     found = {}
     for entry in pathlib.Path("/proc").glob("[0-9]*"):
         if int(entry.name) == os.getpid():
             continue
         try:
-            if wanted in (entry / "environ").read_bytes().split(b"\0"):
-                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            for variable in (entry / "environ").read_bytes().split(b"\0"):
+                if variable.startswith(mark):
+                    command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                    found.setdefault(variable[len(mark) :].decode(), {})[int(entry.name)] = command
         except (FileNotFoundError, ProcessLookupError, PermissionError):
             continue  # it ended while we looked, or it belongs to somebody else
     return found
+
+
+def end_processes(identity):
+    """End what is left of a flight. Returns {process id: command} of what that was."""
+    leftovers = marked_processes(identity)
+    for pid in leftovers:
+        send_signal(pid, signal.SIGTERM)
+    wait_until(lambda: not marked_processes(identity), 3.0)
+    for pid in marked_processes(identity):
+        send_signal(pid, signal.SIGKILL)
+    return leftovers
+
+
+def wait_until(done, patience_s):
+    """Whether `done` came true in time."""
+    deadline = time.monotonic() + patience_s
+    while not done():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.1)
+    return True
 
 
 def any_busy(pids):
@@ -142,7 +168,8 @@ def any_busy(pids):
     return False
 
 
-def _signal(pid, number):
+def send_signal(pid, number):
+    """Signal a process, which may be gone."""
     try:
         os.kill(pid, number)
     except ProcessLookupError:

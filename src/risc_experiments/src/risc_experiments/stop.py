@@ -1,0 +1,74 @@
+"""`./maap stop`: land and end every flight on this computer, also one whose `./maap fly` was killed."""
+
+import argparse
+import pathlib
+import signal
+import sys
+import time
+
+from risc_experiments.processes import all_marked_processes, end_processes, marked_processes, send_signal, wait_until
+
+VEHICLE_NODE = "controller.py __name:=joystick_controller"  # what flies a vehicle: interrupted, it lands it
+FLIGHT_S = 90.0  # for `./maap fly` to land all, end the nodes and write the report
+LAUNCH_S = 60.0  # for roslaunch and its nodes
+LANDING_S = 6.0  # of a vehicle that was told to land
+
+
+def end_flight(identity):
+    """Land and end one flight, by the highest of its programs that is left. Returns how, in a few words."""
+    left = marked_processes(identity)
+    launch = next((pid for pid, command in left.items() if "/roslaunch " in command), None)
+    if launch is not None:
+        parent = _parent(launch)
+        if "risc_experiments" in _command(parent):
+            send_signal(parent, signal.SIGINT)
+            if wait_until(lambda: not _command(parent), FLIGHT_S):
+                return "interrupted: its program lands the vehicles and reports"
+        send_signal(launch, signal.SIGINT)
+        how = "its program had died: roslaunch was interrupted, and its vehicle nodes land the vehicles"
+        wait_until(lambda: not marked_processes(identity), LAUNCH_S)
+    else:
+        pilots = [pid for pid, command in left.items() if VEHICLE_NODE in command]
+        for pid in pilots:
+            send_signal(pid, signal.SIGINT)
+        how = "roslaunch had died: %d vehicle nodes were interrupted, and land the vehicles" % len(pilots)
+        wait_until(lambda: not any(map(_command, pilots)), LAUNCH_S)
+        if pilots:  # all else is needed until they stand
+            time.sleep(LANDING_S)
+        for pid in marked_processes(identity):
+            send_signal(pid, signal.SIGINT)
+        wait_until(lambda: not marked_processes(identity), LANDING_S)
+    killed = end_processes(identity)
+    return how + ("; these had to be killed: " + "; ".join(sorted(killed.values())) if killed else "")
+
+
+def _command(pid):
+    """Command line of a process, "" when it has ended."""
+    try:
+        return pathlib.Path("/proc/%d/cmdline" % pid).read_bytes().replace(b"\0", b" ").decode(errors="replace")
+    except OSError:
+        return ""
+
+
+def _parent(pid):
+    try:
+        return int(pathlib.Path("/proc/%d/stat" % pid).read_text(errors="replace").rpartition(")")[2].split()[1])
+    except OSError:
+        return 0
+
+
+def main(argv=None):
+    """Command line. Returns the exit code."""
+    parser = argparse.ArgumentParser(prog="maap stop", description=__doc__.partition(": ")[2])
+    parser.parse_args(argv)
+    flights = all_marked_processes()
+    if not flights:
+        print("no flight is under way")
+    for identity, processes in flights.items():
+        print("ending a flight of %d processes ..." % len(processes), flush=True)
+        print(end_flight(identity), flush=True)
+    return 1 if all_marked_processes() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
