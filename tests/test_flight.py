@@ -187,7 +187,7 @@ def test_what_a_killed_flight_leaves_is_landed_and_ended(tmp_path):
         launch.kill()
         flight.wait()
         assert len(marked_processes(identity)) > 5
-        assert "1 vehicle nodes were interrupted" in end_flight(identity)
+        assert "vehicle nodes that were left (1) were interrupted" in end_flight(identity)
     finally:
         end(flight, folder)
     assert marked_processes(identity) == {}

@@ -87,4 +87,4 @@ def test_nothing_is_built_under_nodes_that_run():
             done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
         finally:
             process.kill()
-    assert done.returncode == 1 and "process %d" % process.pid in done.stdout
+    assert done.returncode == 1 and "process %d" % process.pid in done.stderr

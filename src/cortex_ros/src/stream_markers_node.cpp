@@ -263,8 +263,8 @@ class StreamMarkers : public ClientEvents {
       note("the host did not accept LiveMode: start live mode in Cortex");
     }
     if (!oddity.empty() && oddity != logged_oddity_) {
-      ROS_LOG(is_turned_ ? ros::console::levels::Error : ros::console::levels::Warn, ROSCONSOLE_DEFAULT_NAME,
-              "%s", oddity.c_str());
+      ROS_LOG((is_turned_ ? ros::console::levels::Error : ros::console::levels::Warn),
+              ROSCONSOLE_DEFAULT_NAME, "%s", oddity.c_str());
     }
     logged_oddity_ = oddity;
     const std::lock_guard<std::mutex> lock(health_mutex_);

@@ -249,6 +249,7 @@ class StreamMarkersTest(unittest.TestCase):
         self.assertTrue(self.host.live)
         self.assertEqual(self.markers.messages, [])
         self.host.texts[b"GetUpAxis"] = struct.pack("<i", 2)
+        time.sleep(1.1)  # two set-ups within a second are not made at all
         self.host.stream.sendto(packet(0, b"Cortex".ljust(128, b"\0") + bytes((1, 5, 3, 1))), self.host.group)
         self.markers.wait_for(lambda m: True)
 

@@ -193,7 +193,11 @@ void set_aside(const std::string& name, const std::string& suffix) {
 // The name of a bag while it is being written, as rosbag has it; its folder is made. What a killed recorder
 // left there is set aside. Throws std::system_error when another recorder is writing it.
 std::string active_name(const std::string& name) {
-  fs::create_directories(fs::absolute(name).parent_path());
+  try {
+    fs::create_directories(fs::absolute(name).parent_path());
+  } catch (const fs::filesystem_error& error) {
+    throw std::system_error(error.code(), name + ": no folder for it");
+  }
   const std::string suffix = ".bag.active";
   const int file = ::open((name + suffix).c_str(), O_RDONLY | O_CLOEXEC);
   if (file >= 0) {

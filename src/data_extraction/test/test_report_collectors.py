@@ -373,6 +373,7 @@ def test_the_hash_is_of_what_matters_only():
     other = json.loads(json.dumps(PARAMETERS))
     other["run_id"], other["fleet"]["mocap"]["host"] = "5678", "127.99.0.1"
     other["virtual_lab"]["stats"] = "/home/b/elsewhere/virtual_lab.json"
+    other["joystick_buttons"] = {"_controller": {"node": "/controller", "buttons": []}}  # as soon as nodes have started
     other = dict(reversed(list(other.items())))
     assert parameter_hash(other) == parameter_hash(PARAMETERS)
     other["controller"]["q_yaw"] = 4.5

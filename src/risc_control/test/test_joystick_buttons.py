@@ -99,6 +99,7 @@ def server(monkeypatch):
     monkeypatch.setattr(rospy, "get_name", lambda: found.own)
     monkeypatch.setattr(rospy, "resolve_name", lambda topic: topic if topic[0] == "/" else "/" + topic)
     monkeypatch.setattr(rospy, "set_param", lambda name, value: found.params.__setitem__(name, value))
+    monkeypatch.setattr(rospy, "delete_param", found.params.pop)
     monkeypatch.setattr(rospy, "get_param", lambda name, default: dict(found.params))
     monkeypatch.setattr(joystick_buttons, "_runs", lambda node: node in found.nodes)
     return found
@@ -111,6 +112,7 @@ def test_no_button_is_taken_for_two_things(server):
         claim_buttons({"JoytoWay": button, "Up": 9}, topics)
     with pytest.raises(ValueError, match="button 5 of /risc1/joy is both JoytoWay and next_button .of /controller"):
         claim_buttons({"JoytoWay": 5}, ["/risc2/joy", "/risc1/joy"])
+    assert [claim["node"] for claim in server.params.values()] == ["/controller"], "who is refused has none"
     server.nodes.clear()
     claim_buttons({"JoytoWay": 5}, ["/risc1/joy"])
 

@@ -167,11 +167,16 @@ def test_whoever_sends_one_joystick_message_owes_no_second():
     assert flight.run(5.0).rung == Rung.OK
 
 
-def test_a_joystick_that_goes_on_the_ground_is_not_missed():
+def test_a_joystick_that_goes_on_the_ground_is_missed_for_a_minute_but_lands_nobody():
     flight = Flight()
     for _ in range(2):
         flight.ladder.note_joystick(flight.now_s, "/joy_node")
-    flight.run(0.1, airborne=False)
+    flight.run(0.9, airborne=False)
+    assert flight.ladder.lost_joystick(flight.now_s) is None
+    flight.run(0.2, airborne=False)
+    assert flight.ladder.lost_joystick(flight.now_s) == "/joy_node"
+    flight.now_s += 60.0
+    assert flight.ladder.lost_joystick(flight.now_s) is None
     assert flight.run(5.0).rung == Rung.OK
 
 

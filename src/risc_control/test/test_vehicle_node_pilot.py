@@ -114,6 +114,27 @@ def test_the_reported_state_decides_between_takeoff_and_landing(state):
         assert (orders.takeoff, orders.land) == ((True, False) if state == FlightState.LANDED else (False, True))
 
 
+def test_no_take_off_while_a_joystick_is_lost():
+    """The person's, with the emergency stop: the virtual operator is there still."""
+    desk = Desk(joystick_timeout=1.0)
+    for sender in ("/joy_node", "/operator", "/joy_node"):
+        desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, sender=sender)
+    desk.run(1.1)
+    orders = desk.press(TAKEOFF_LAND)
+    assert not orders.takeoff and "joystick /joy_node has fallen silent" in texts(orders)
+    desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s, sender="/joy_node")
+    assert desk.press(TAKEOFF_LAND).takeoff
+
+
+def test_a_simulator_needs_no_joystick():
+    desk = Desk(Simulation=True, joystick_timeout=1.0)
+    desk.run(5.0)
+    assert desk.pilot.ladder.verdict.rung == Rung.OK
+    desk.joy()
+    desk.run(1.1)
+    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+
+
 def test_without_navdata_the_button_lands():
     desk = Desk()
     desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
@@ -809,7 +830,7 @@ def test_config_file_holds_every_parameter_with_the_values_of_appendix_c():
     default, _ = params_from_dict({})
     known = set(vars(default.pilot)) | set(vars(default.joystick)) | set(vars(default.limits))
     assert set(values) == known - {"fence_min_m", "fence_max_m"}, "the fence is the net of the fleet file"
-    assert (params.pilot, params.limits) == (default.pilot, default.limits), "the file only remaps the joystick"
+    assert (params.pilot, params.limits) == (default.pilot, default.limits), "the file only scales the sticks"
     assert (params.joystick.JoytoWay, params.joystick.ButtonEmergency, params.joystick.TakeoffLand) == (0, 2, 6)
     assert (params.joystick.ScaleRoll, params.joystick.ScalePitch, params.joystick.ScaleYaw) == (3, 3, 1)
 

@@ -230,7 +230,7 @@ def test_names_and_addresses_of_this_computer_are_served(name):
     assert not is_page_of_others({"Host": name.upper()})
 
 
-@pytest.mark.parametrize("host", ["", "evil.example", "localhost.evil.example:80", "127.0.0.1.evil.example"])
+@pytest.mark.parametrize("host", ["", "[::1", "evil.example", "localhost.evil.example:80", "127.0.0.1.evil.example"])
 def test_names_of_others_are_not(host):
     assert is_page_of_others({"Host": host, "Origin": "http://" + host})
 

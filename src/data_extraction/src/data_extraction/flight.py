@@ -287,7 +287,7 @@ class FlightCollector:
         return {topic: _since(*receipts, arrivals) for topic, arrivals in sorted(self._commands.items())}
 
     def _mocap(self):
-        """Estimated frames from the begin of the flight to its result, and all between: else nodes come and go."""
+        """Frames from the beginning of the flight to its result: outside of it nodes come and go."""
         stamps_ns, numbers = self._frames.first()
         estimated_ns, _ = self._arrivals["/cortex_raw"].first()
         estimated_ns = estimated_ns[(estimated_ns >= 1e9 * self._begun_s) & (estimated_ns < 1e9 * self._over_s)]

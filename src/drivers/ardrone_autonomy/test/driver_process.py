@@ -11,6 +11,7 @@ import rospy
 
 PARAMS = {
     "settle_time": 0.1,
+    "cmd_timeout": 0,  # these tests send single commands
     "euler_angle_max": 0.349066,
     "outdoor": 0,
     "detections": 3,

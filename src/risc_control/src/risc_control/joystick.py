@@ -155,7 +155,7 @@ class Joystick:
 
 
 def button_conflict(claims, others):
-    """Which button two nodes take for different things, in a sentence; "" when there is none.
+    """Which button two nodes use for different things, in a sentence; "" when there is none.
 
     claims: [(topic, function, index), ...] of the one; others: of the other.
     """

@@ -32,6 +32,7 @@ class Rung(enum.IntEnum):
 
 
 _OK, _HOLD, _LAND = Rung  # the members of an enumeration are slow to look up, and this is asked in every frame
+_JOYSTICK_MEMORY_S = 60.0  # on the ground a joystick is missed for so long
 _FINE = (_OK, "", "", None)  # what `SafetyLadder._judge` says of a flight without trouble
 
 
@@ -184,8 +185,9 @@ class SafetyLadder:
         self.reactions = []  # the newest Reaction of each rung that was entered for age, oldest first
         self._navdata_s = None
         self._joystick_s = now_s  # newest message of any joystick; silence counts from the start
-        self._joysticks_once = set()  # senders that were heard once: whoever sends one message owes no second
+        self._joysticks_once = set()  # senders that were heard once: beside others, they owe no second message
         self._joysticks_s = {}  # {sender that was heard again: when it was last}
+        self._airborne = False
         self._battery_pct = None
         self._battery_low = Lasting()
         self._outside = Lasting()
@@ -229,6 +231,16 @@ class SafetyLadder:
         else:
             self._joysticks_once.add(sender)
 
+    def lost_joystick(self, now_s):
+        """Name of a joystick that spoke within the last minute, and is silent; None when there is none."""
+        for name, heard_s in self._joysticks_s.items():
+            if self._is_silent(heard_s, now_s) and now_s - heard_s < _JOYSTICK_MEMORY_S:
+                return name
+        return None
+
+    def _is_silent(self, heard_s, now_s):
+        return 0.0 < self.limits.joystick_timeout < now_s - heard_s
+
     def navdata_is_fresh(self, now_s):
         """True when the vehicle's newest report still tells what it does.
 
@@ -263,8 +275,10 @@ class SafetyLadder:
         report is that it lands; counts while that report is fresh.  needs_navdata: False for simulators that report
         nothing.
         """
+        if airborne and not self._airborne:  # whatever took off: these were known to be silent
+            self._joysticks_s = {name: s for name, s in self._joysticks_s.items() if not self._is_silent(s, now_s)}
+        self._airborne = airborne
         if not airborne:
-            self._joysticks_s.clear()
             if self.verdict.rung != _OK:
                 self.take_over()
             return self.verdict

@@ -270,7 +270,8 @@ class VehiclePilot:
         if before is not None:
             self._joysticks = before._joysticks
         self._joystick_names = params.joystick
-        self.ladder = SafetyLadder(params.limits, now_s)
+        # a simulator's vehicle is always airborne: there, silence counts from the first joystick message
+        self.ladder = SafetyLadder(params.limits, math.inf if params.pilot.Simulation else now_s)
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
         self.airborne = self._params.Simulation  # may be in the air; simulators without navdata always fly
@@ -469,6 +470,12 @@ class VehiclePilot:
                 self._set_mode(False, orders, "landing")
         elif not may_take_off:
             orders.say("info", "no take-off: the button was pressed a while ago; release it and press again")
+        elif self.ladder.lost_joystick(now_s) is not None:
+            orders.say(
+                "warn",
+                "take-off refused: the joystick %s has fallen silent, and with it its emergency stop; see to it, or "
+                "wait a minute to fly without it" % self.ladder.lost_joystick(now_s),
+            )
         elif self.ladder.battery_is_low():
             orders.say(
                 "warn",

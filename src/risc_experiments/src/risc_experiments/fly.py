@@ -180,7 +180,7 @@ def bumper_steps(args):
 
 
 def longest_s(args):
-    """How long [s] a flight may take from the start of its nodes: longer than the operator gives any of its phases."""
+    """How long [s] a flight may take from the start of its nodes: longer than all phases of its operator."""
     params = OperatorParams(duration=args.duration, ready=READY_S, bumper_steps=bumper_steps(args))
     return time_limit_s(params) + START_MARGIN_S
 
@@ -204,7 +204,7 @@ def fly(args, folder, progress, interrupted):
         if args.browser:
             page = WebPage(free_tcp_port(BROWSER_PORT), progress)
             launch_args["browser_port"] = page.port
-        launch = Launch(launch_file, launch_args, folder, master_port)
+        launch = Launch(launch_file, launch_args, folder, master_port, reservation)
         _wait_for_master(launch, master_port, interrupted)
         from risc_experiments.ros.watch import Watch  # rospy is to see the environment of this flight
 

@@ -18,7 +18,8 @@ _ATTEMPTS = 50  # to find one that is free
 class PortReservation:
     """A part of the loopback network that belongs to one flight: 127.<n>.*.*, told apart by <n>.
 
-    The reservation is a listening socket, so it ends with the process whatever happens.
+    The reservation is a listening socket, so it ends with the process, and the roslaunch that it is handed on to
+    (`Launch`), whatever happens.
     """
 
     PORT = 1510
@@ -29,6 +30,8 @@ class PortReservation:
             try:
                 guard.bind(("127.%d.0.254" % number, self.PORT))
                 guard.listen(1)
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # a lab that nobody looks after?
+                    probe.bind(("127.%d.0.1" % number, self.PORT))
             except OSError:
                 guard.close()
                 continue
@@ -36,6 +39,10 @@ class PortReservation:
             self.subnet = "127.%d" % number
             return
         raise RuntimeError("no free loopback subnet: %d flights are running already" % len(numbers))
+
+    def fileno(self):
+        """Descriptor of the reservation: while any process has it open, the subnet is taken."""
+        return self._guard.fileno()
 
     def close(self):
         """Give the subnet back."""
@@ -61,8 +68,8 @@ class Launch:
     those of the vehicles land them. (By the kernel; for the thread that starts it, so let that be the main one.)
     """
 
-    def __init__(self, launch_file, arguments, folder, master_port):
-        """Start it. arguments: {name: value}; folder: for its log and ROS home."""
+    def __init__(self, launch_file, arguments, folder, master_port, reservation=None):
+        """Start it. arguments: {name: value}; folder: for its log and ROS home; reservation: that it keeps, too."""
         self.identity = uuid.uuid4().hex
         self.log_path = pathlib.Path(folder) / "roslaunch.log"
         environment = dict(os.environ)
@@ -87,6 +94,7 @@ class Launch:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=environment,
+                pass_fds=() if reservation is None else (reservation.fileno(),),
                 start_new_session=True,  # a Ctrl-C at the terminal is for us: the vehicles must land first
             )
 

@@ -8,6 +8,7 @@ import time
 
 from risc_experiments.processes import all_marked_processes, end_processes, marked_processes, send_signal, wait_until
 
+FLIGHT = "risc_experiments.fly"
 VEHICLE_NODE = "controller.py __name:=joystick_controller"  # what flies a vehicle: interrupted, it lands it
 FLIGHT_S = 90.0  # for `./maap fly` to land all, end the nodes and write the report
 LAUNCH_S = 60.0  # for roslaunch and its nodes
@@ -15,29 +16,31 @@ LANDING_S = 6.0  # of a vehicle that was told to land
 
 
 def end_flight(identity):
-    """Land and end one flight, by the highest of its programs that is left. Returns how, in a few words."""
+    """Land and end one flight, by the highest of its programs that is left. Returns how, in a sentence."""
     left = marked_processes(identity)
+    if not left:
+        return "it has ended meanwhile"
     launch = next((pid for pid, command in left.items() if "/roslaunch " in command), None)
-    if launch is not None:
-        parent = _parent(launch)
-        if "risc_experiments" in _command(parent):
-            send_signal(parent, signal.SIGINT)
-            if wait_until(lambda: not _command(parent), FLIGHT_S):
-                return "interrupted: its program lands the vehicles and reports"
-        send_signal(launch, signal.SIGINT)
-        how = "its program had died: roslaunch was interrupted, and its vehicle nodes land the vehicles"
-        wait_until(lambda: not marked_processes(identity), LAUNCH_S)
-    else:
+    program = 0 if launch is None else _parent(launch)
+    if launch is None:
         pilots = [pid for pid, command in left.items() if VEHICLE_NODE in command]
         for pid in pilots:
             send_signal(pid, signal.SIGINT)
-        how = "roslaunch had died: %d vehicle nodes were interrupted, and land the vehicles" % len(pilots)
+        how = "roslaunch had died: the vehicle nodes that were left (%d) were interrupted, and land" % len(pilots)
         wait_until(lambda: not any(map(_command, pilots)), LAUNCH_S)
         if pilots:  # all else is needed until they stand
             time.sleep(LANDING_S)
         for pid in marked_processes(identity):
             send_signal(pid, signal.SIGINT)
         wait_until(lambda: not marked_processes(identity), LANDING_S)
+    elif FLIGHT in _command(program):
+        send_signal(program, signal.SIGINT)
+        how = "./maap fly was interrupted: it lands the vehicles and reports"
+        wait_until(lambda: not _command(program), FLIGHT_S)
+    else:
+        send_signal(launch, signal.SIGINT)
+        how = "roslaunch was interrupted: its vehicle nodes land the vehicles"
+        wait_until(lambda: not marked_processes(identity), LAUNCH_S)
     killed = end_processes(identity)
     return how + ("; these had to be killed: " + "; ".join(sorted(killed.values())) if killed else "")
 
@@ -63,7 +66,7 @@ def main(argv=None):
     parser.parse_args(argv)
     flights = all_marked_processes()
     if not flights:
-        print("no flight is under way")
+        print("no flight of this user is under way")
     for identity, processes in flights.items():
         print("ending a flight of %d processes ..." % len(processes), flush=True)
         print(end_flight(identity), flush=True)

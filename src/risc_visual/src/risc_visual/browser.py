@@ -5,11 +5,13 @@ What is drawn is decided in marker_scene, what the panel says in live_status; he
 
 import contextlib
 import errno
+import functools
 import http
 import io
 import ipaddress
 import logging
 import socket
+import threading
 import urllib.parse
 
 import cv2
@@ -40,6 +42,7 @@ _AMBIENT = 1.0  # beside viser's own two lights
 
 def open_server(host, port):
     """viser.ViserServer on an address and port of this computer. Raises ValueError that says what to change."""
+    threading.Thread(target=_full_name, daemon=True).start()
     _check_free(host, port)
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # else: a traceback for every page that hangs up
     with _refuse_pages_of_others(), contextlib.redirect_stdout(io.StringIO()):  # its banner; who starts it says where
@@ -89,21 +92,31 @@ def is_page_of_others(headers):
     """
     host = headers.get("Host", "").lower()
     origin = headers.get("Origin")
-    if origin is not None and urllib.parse.urlsplit(origin).netloc.lower() != host:
+    try:
+        if origin is not None and urllib.parse.urlsplit(origin).netloc.lower() != host:
+            return True
+        name = urllib.parse.urlsplit("//" + host).hostname or ""
+    except ValueError:  # they are nothing that a browser sends
         return True
-    return not _is_ours(urllib.parse.urlsplit("//" + host).hostname or "")
+    return not _is_ours(name)
 
 
 def _is_ours(name):
     """Whether a host's name, in lower case, is one of this computer's; addresses always are."""
     own = socket.gethostname().lower()
-    if name in ("localhost", own, own + ".local", socket.getfqdn().lower()):
+    if name in ("localhost", own, own + ".local"):
         return True
     try:
         ipaddress.ip_address(name)
     except ValueError:
-        return False
+        return name == _full_name()
     return True
+
+
+@functools.lru_cache(maxsize=None)
+def _full_name():
+    """With its domain. Asked for once, before the server runs: a name server that is out of reach takes seconds."""
+    return socket.getfqdn().lower()
 
 
 def _check_free(host, port):

@@ -23,8 +23,8 @@ FLIGHT, PARAMETERS, FLEET, SUMMARY, LAB, PROCESSORS = (
 # Parameters that differ from run to run though the flight is the same: identities, addresses, and live switches.
 RUN_KEYS = frozenset(
     (
-        "run_id", "roslaunch", "controller_status", "RESET", "host", "address", "drone_ip", "interface",
-        "local_address", "command_port", "stream_port", "stream_group",
+        "run_id", "roslaunch", "joystick_buttons", "controller_status", "RESET", "host", "address", "drone_ip",
+        "interface", "local_address", "command_port", "stream_port", "stream_group",
     )
 )  # fmt: skip
 

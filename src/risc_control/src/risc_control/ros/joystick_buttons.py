@@ -1,9 +1,11 @@
 """Joystick messages by sender and age, and the buttons that they press, for nodes that listen for a button or two."""
 
 import queue
+import socket
 import threading
 import time
 import traceback
+import urllib.parse
 
 import rosgraph
 import rospy
@@ -14,6 +16,7 @@ from risc_control.ros.params import number
 from risc_lab.ros.clock import ros_time_s
 
 _CLAIMS = "/joystick_buttons/"
+_ANSWER_S = 1.0
 
 
 def origin(message):
@@ -32,25 +35,29 @@ def sender(message):
 
 
 def claim_buttons(functions, topics=("joy",)):
-    """Tell the other nodes, on the parameter server, what this one takes buttons for.
+    """Tell the other nodes, on the parameter server, what this one uses buttons for.
 
-    functions: {name: index}; topics: of joysticks. Raises ValueError when a node that runs takes one of them for
+    functions: {name: index}; topics: of joysticks. Raises ValueError when a node that runs uses one of them for
     something else: the button for the next figure must not stop the motors.
     """
     own = rospy.get_name()
     claims = [[rospy.resolve_name(topic), name, int(index)] for topic in topics for name, index in functions.items()]
-    rospy.set_param(_CLAIMS + own.replace("/", "_"), {"node": own, "buttons": claims})
+    place = _CLAIMS + own.replace("/", "_")
+    rospy.set_param(place, {"node": own, "buttons": claims})  # first: of two that start together one sees the other
     for other in rospy.get_param(_CLAIMS, {}).values():
         if other["node"] != own:
             text = button_conflict(claims, other["buttons"])
             if text and _runs(other["node"]):
+                rospy.delete_param(place)
                 raise ValueError("%s (of %s): set one of the two parameters to another button" % (text, other["node"]))
 
 
 def _runs(node):
+    """Whether a node answers; one that was killed stays registered."""
     try:
-        rosgraph.Master(rospy.get_name()).lookupNode(node)
-    except rosgraph.MasterError:
+        address = urllib.parse.urlsplit(rosgraph.Master(rospy.get_name()).lookupNode(node))
+        socket.create_connection((address.hostname, address.port), _ANSWER_S).close()
+    except (rosgraph.MasterError, OSError):
         return False
     return True
 

@@ -70,6 +70,9 @@ class VehicleNode:
         self._parameters = queue.Queue()  # (name, value): writing to the master must not hold up a callback
         threading.Thread(target=self._write_parameters, daemon=True).start()
         chosen = _chosen(values, namespace, fleet)
+        # before anything is published: a node that is refused must not land a vehicle that another one flies
+        buttons = {button.value: getattr(params.joystick, button.value) for button in Button}
+        claim_buttons(buttons, [prefix + "joy" for _, _, prefix, _ in chosen])
         turns_s = _turns_s(len(chosen), 1.0 / params.pilot.command_rate_hz)
         self._vehicles = [_Vehicle(*who, params, turn_s, self._parameters) for who, turn_s in zip(chosen, turns_s)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
@@ -85,8 +88,6 @@ class VehicleNode:
             self._diagnostics.add("vehicle " + vehicle.name, vehicle.diagnose)
         self._tickers = ()
         rospy.on_shutdown(self._on_shutdown)
-        buttons = {button.value: getattr(params.joystick, button.value) for button in Button}
-        claim_buttons(buttons, [vehicle.joystick_topic for vehicle in self._vehicles])
         for vehicle in self._vehicles:
             vehicle.listen()
         PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
@@ -244,11 +245,6 @@ class _Vehicle:
         self._service = rospy.Service(self._prefix + "land", Trigger, self._on_land_request)
         topic = self._cmd_vel.resolved_name
         rospy.loginfo("%s flies %s (%s), commands on %s", rospy.get_name(), self.name, self._type.name, topic)
-
-    @property
-    def joystick_topic(self):
-        """Name of the topic of its joysticks."""
-        return self._prefix + "joy"
 
     @property
     def next_command_s(self):

@@ -182,5 +182,5 @@ def _bag_folder(arguments):
         return ""
     for option, value in zip(words, words[1:]):
         if option in _BAG_OPTIONS and posixpath.isabs(value):
-            return posixpath.dirname(value)
+            return posixpath.dirname(posixpath.normpath(value))
     return ""

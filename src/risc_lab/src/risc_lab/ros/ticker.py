@@ -1,4 +1,4 @@
-"""Periodic work at a fixed rate."""
+"""Periodic work. The thread of a bare rospy.Timer ends with the first exception of its callback."""
 
 import threading
 import time
@@ -9,18 +9,41 @@ import rospy
 _LOG_PERIOD_S = 2.0
 
 
+def guarded(work, name):
+    """`work` as a function that outlives its exceptions, which are logged."""
+
+    def run():
+        try:
+            work()
+        except Exception as error:  # whatever it is, the next call must come
+            if not rospy.core.is_shutdown_requested():  # topics are closed then
+                rospy.logerr_throttle(
+                    _LOG_PERIOD_S,
+                    "%s failed, please report it (%s: %s)\n%s"
+                    % (name, type(error).__name__, error, traceback.format_exc()),
+                )
+
+    return run
+
+
+def on_ros_time(period_s, work, name):
+    """Call `work` every period_s of ROS time: nothing is drawn anew while the clock of a bag stands still."""
+    call = guarded(work, name)
+    timer = rospy.Timer(rospy.Duration(period_s), lambda _event: call(), reset=True)
+    rospy.on_shutdown(timer.shutdown)
+
+
 class Ticker:
     """Calls `work` every period_s, the first time after one, in a thread of its own, by the monotonic clock.
 
     The schedule is absolute. A call that takes too long, or a computer that stands still, makes the next one late;
-    those that were missed are not made up for. An exception is logged and the next call comes all the same:
-    rospy.Timer's thread ends with it.
+    those that were missed are not made up for. An exception is logged and the next call comes all the same.
     """
 
     def __init__(self, period_s, work, name="ticker"):
         if not period_s > 0.0:
             raise ValueError("a period must be > 0 s, got %r" % (period_s,))
-        self._period_s, self._work = period_s, work
+        self._period_s, self._work = period_s, guarded(work, name)
         self._over = threading.Event()
         rospy.on_shutdown(self.stop)
         threading.Thread(target=self._run, name=name, daemon=True).start()
@@ -33,16 +56,7 @@ class Ticker:
         time.sleep(self._period_s)
         next_s = time.monotonic()
         while not self._over.is_set():
-            try:
-                self._work()
-            except Exception as error:  # whatever it is, the next tick must come
-                if rospy.core.is_shutdown_requested():
-                    return  # topics are closed already
-                rospy.logerr_throttle(
-                    _LOG_PERIOD_S,
-                    "%s failed, please report it (%s: %s)\n%s"
-                    % (threading.current_thread().name, type(error).__name__, error, traceback.format_exc()),
-                )
+            self._work()
             next_s += self._period_s
             now_s = time.monotonic()
             if next_s > now_s:

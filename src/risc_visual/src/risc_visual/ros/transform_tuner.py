@@ -25,7 +25,7 @@ from risc_estimation.mount_fit import FitParams
 from risc_estimation.mount_samples import WindowParams
 from risc_estimation.ros.bearing_conversions import bearings_from_msg, states_from_msg
 from risc_estimation.ros.cameras import VehicleCameras
-from risc_lab.ros.ticker import Ticker
+from risc_lab.ros.ticker import on_ros_time
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
 from risc_visual.cfg import TransformTunerConfig
 from risc_visual.mount_tuner import NUMBERS, MountTuner, TunerParams
@@ -136,7 +136,7 @@ class TransformTunerNode(object):
         PacedSubscriber("/states3", Landmarks, self._on_landmarks, _LANDMARKS_HZ)
         rospy.Subscriber("/angles", Observed_angles, self._on_angles, queue_size=100, tcp_nodelay=True)
         for period_s, callback in ((_FOLLOW_S, self._on_follow), (1.0 / self._params.text_hz, self._on_text)):
-            Ticker(period_s, callback, "the transform tuner")
+            on_ros_time(period_s, callback, "the transform tuner")
 
     def _offer(self, item, namespace):
         """Handles, sliders and services of one vehicle."""
