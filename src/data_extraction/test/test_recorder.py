@@ -227,7 +227,9 @@ def test_a_broken_disk_leaves_what_can_be_indexed(lab):
 
 def test_the_folder_of_a_bag_is_made(lab):
     path = lab.folder / "flights" / "of today" / "flight.bag"
-    code, output = finish(lab.recorder("-O", str(path), "/a"))
+    recorder = lab.recorder("-O", str(path), "/a")
+    wait_until(pathlib.Path(str(path) + ".active").exists, "the bag")
+    code, output = finish(recorder)
     assert code == 0 and path.exists(), output
 
 
