@@ -135,6 +135,44 @@ def test_hover_brakes_and_keeps_height():
     assert state.position_m[2] == pytest.approx(moving.position_m[2] + 0.3 * moving.velocity_m_s[2], abs=0.03)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_height_is_held_while_gaz_is_at_rest(seed):
+    """As after a take-off, tilted to and fro with a climb rate of exactly 0: the climb loop alone drifts."""
+    world, vehicle = flying((0, 0, 1.2), seed=seed, honest=True)
+    for k in range(12):
+        vehicle.schedule(4.0 + 0.5 * k, Setpoint(pitch_rad=0.12 * (-1) ** k, yaw_rate_rad_s=0.3))
+    heights_m, thetas = [], []
+    for k in range(1, 61):
+        world.step_to(4.0 + 0.1 * k)
+        heights_m.append(vehicle.state.position_m[2])
+        thetas.append(vehicle.state.theta)
+    assert vehicle.phase is FlightPhase.FLYING
+    assert max(thetas) > 0.08 and min(thetas) < -0.08 and vehicle.state.r > 0.2, "the other sticks are obeyed"
+    assert max(abs(height_m - 1.2) for height_m in heights_m) < 0.1
+    assert abs(heights_m[-1] - 1.2) < 0.05, "the slow integral has found the thrust"
+
+
+def test_gaz_at_rest_holds_the_height_where_the_climb_can_stop_and_gaz_goes_on_from_there():
+    world, vehicle = flying((0, 0, 1.0))
+    vehicle.schedule(0.0, Setpoint(climb_m_s=0.5))
+    world.step_to(1.5)
+    moving = vehicle.state
+    expected_m = moving.position_m[2] + firmware.STOPPING_TIME_S * moving.velocity_m_s[2]
+    for k in range(90):
+        vehicle.schedule(1.5 + k / 30.0, Setpoint(pitch_rad=0.01 * (-1) ** k))  # at rest, again and again
+    world.step_to(4.5)
+    assert moving.velocity_m_s[2] > 0.4 and vehicle.state.position_m[2] == pytest.approx(expected_m, abs=0.01)
+    vehicle.schedule(4.5, Setpoint(climb_m_s=-0.3))
+    world.step_to(6.0)
+    assert vehicle.state.velocity_m_s[2] == pytest.approx(-0.3, abs=0.02), "a commanded climb rate is no hold"
+    vehicle.schedule(6.0, Setpoint(hover=True))
+    vehicle.schedule(7.0, Setpoint(pitch_rad=0.01))  # from hover to sticks at rest: the same height
+    world.step_to(7.0)
+    held_m = vehicle.firmware.hold.height_m
+    world.step_to(7.5)
+    assert vehicle.phase is FlightPhase.FLYING and vehicle.firmware.hold.height_m == held_m
+
+
 def test_empty_battery_lands_and_low_battery_stays_down():
     world, vehicle = flying()
     vehicle.set_battery_pct(firmware.EMPTY_BATTERY_PCT + 0.2)
@@ -386,7 +424,7 @@ def fly_the_golden_flight():
             vehicle.schedule(4.0 + j / 30.0, Setpoint(*(0.06 * rng.standard_normal(2)), 0.3, 0.4, hover=j % 40 > 34))
     first.schedule(7.2, Setpoint(hover=True))
     first.schedule(9.0, FlightAction.LAND)
-    second.schedule(7.1, Setpoint(roll_rad=-0.3))  # into the net
+    second.schedule(7.1, Setpoint(roll_rad=-0.3, climb_m_s=1e-12))  # into the net; gaz at rest held no height then
     second.schedule(12.0, FlightAction.CLEAR_EMERGENCY)
     second.schedule(12.1, FlightAction.TAKE_OFF)
     third.schedule(7.1, Setpoint(climb_m_s=-0.5))  # along the floor
@@ -486,7 +524,7 @@ def test_trim_forgets_a_thrust_error():
     expected = (plant.thrust_scale * plant.nominal_mass_kg / plant.mass_kg - 1) * GRAVITY_M_S2 * 0.3
     assert abs(expected) > 0.05, "choose a seed with an error worth the test"
     vehicle.fly_at((0, 0, 1.5))
-    vehicle.schedule(0.0, Setpoint())
+    vehicle.schedule(0.0, Setpoint(climb_m_s=1e-6))  # not at rest: the climb loop alone
     world.step_to(1.0)
     early = vehicle.state.velocity_m_s[2]
     assert abs(early) > 0.5 * abs(expected) and np.sign(early) == np.sign(expected)

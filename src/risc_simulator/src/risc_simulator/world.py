@@ -17,7 +17,7 @@ import numpy as np
 
 from risc_control.compiled import compiled, record
 from risc_control.frames import GRAVITY_M_S2, rotation_body_to_cortex
-from risc_simulator.models.ardrone_firmware import ArdroneFirmware
+from risc_simulator.models.ardrone_firmware import ArdroneFirmware, Hold
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.models.on_board import ON_BOARD_FIELDS, hold, level_motion, trim_climb
 from risc_simulator.models.plant import draw_plant, stack_plants
@@ -153,7 +153,7 @@ class World(object):
         for vehicle, one in zip(vehicles, self._records):
             vehicle.firmware.configure(one)
         self._lifted, self._holds = self._records["lifted"], self._records["holds"]
-        self._hold_values = [self._records[name] for name in ("height_m", "climb_min_m_s", "climb_max_m_s")]
+        self._hold_values = [self._records[name] for name in Hold._fields]
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
         self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
         self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
@@ -249,9 +249,9 @@ class World(object):
         while self._agenda and self._agenda[0][0] <= time_s:
             _, _, i, action = heapq.heappop(self._agenda)
             firmware = self._vehicles[i].firmware
-            phase = firmware.phase
+            phase, hold_before = firmware.phase, firmware.hold
             firmware.apply(action, time_s, self._motions[i])
-            if firmware.phase is phase and firmware.hold is None:
+            if firmware.phase is phase and firmware.hold is hold_before is None:
                 self._commands[i] = firmware.command
             else:
                 self._take_over(i)
@@ -272,12 +272,12 @@ class World(object):
     def _take_over(self, i):
         """Bring what the firmware decided into the arrays."""
         firmware = self._vehicles[i].firmware
-        if firmware.hold is None:
+        held = firmware.hold
+        self._holds[i] = held is not None
+        if held is None or not held.brakes:
             self._commands[i] = firmware.command
-            self._holds[i] = False
-        else:
-            self._holds[i] = True
-            for values, value in zip(self._hold_values, firmware.hold):
+        if held is not None:
+            for values, value in zip(self._hold_values, held):
                 values[i] = value
         self._motors[i] = firmware.motors_on and firmware.lifted
         if not firmware.motors_on:

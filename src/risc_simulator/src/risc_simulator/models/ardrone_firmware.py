@@ -39,9 +39,10 @@ LOW_BATTERY_PCT = 15.0  # refuses to take off
 EMPTY_BATTERY_PCT = 3.0  # lands by itself
 GROUND_DRAIN_RATIO = 0.1  # computer and radio alone, of what flying takes
 
-# Brake by optical flow, and go to a height with a climb rate within these limits; see models/on_board.py.
-Hold = namedtuple("Hold", "height_m climb_min_m_s climb_max_m_s")
-_DESCEND = Hold(0.0, -LANDING_DESCENT_M_S, -LANDING_DESCENT_M_S)
+# Go to a height with a climb rate within these limits; brakes: by optical flow, and keep the heading, instead of what
+# tilt and yaw rate were asked for. See models/on_board.py.
+Hold = namedtuple("Hold", "height_m climb_min_m_s climb_max_m_s brakes")
+_DESCEND = Hold(0.0, -LANDING_DESCENT_M_S, -LANDING_DESCENT_M_S, brakes=True)
 _WAKE_EARLY_S = 1e-6  # what rounding may make of a time on the grid of steps
 
 _IN_FLIGHT = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING, FlightPhase.LANDING)
@@ -50,8 +51,9 @@ _IN_FLIGHT = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING, 
 class ArdroneFirmware(object):
     """One AR.Drone's on-board logic.
 
-    command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told, when hold is None.
-    hold: Hold while the vehicle brakes and keeps its height by itself, else None.
+    command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told as far as hold leaves it to them.
+    hold: Hold while the vehicle keeps its height by itself: hovering, landing, or flying with a climb rate of exactly 0
+        (gaz at rest), where the rest of the command is still obeyed. Else None.
     motors_on: rotors turn. lifted: they carry the vehicle (False while it stands, also during spin-up).
     wake_s: from this time on wake() must be called at the start of every step.
     """
@@ -159,7 +161,7 @@ class ArdroneFirmware(object):
             return
         if not self.lifted:
             self.lifted = True
-            self.hold = Hold(self._take_off_height_m, -HEIGHT_HOLD_CLIMB_M_S, TAKE_OFF_CLIMB_M_S)
+            self.hold = Hold(self._take_off_height_m, -HEIGHT_HOLD_CLIMB_M_S, TAKE_OFF_CLIMB_M_S, brakes=True)
             self.wake_s = self._phase_start_s + TAKE_OFF_TIME_S - _WAKE_EARLY_S
         if elapsed_s >= TAKE_OFF_TIME_S:
             self._hover(time_s, self._take_off_height_m)
@@ -170,11 +172,15 @@ class ArdroneFirmware(object):
         wanted = self._setpoint
         if wanted.hover:
             if self.phase is not FlightPhase.HOVERING:
-                height_m, climb_m_s = vertical_motion()
-                self._hover(time_s, height_m + STOPPING_TIME_S * climb_m_s)
+                self._hover(time_s, self._height_to_hold_m(vertical_motion))
             return
+        height_m = self._height_to_hold_m(vertical_motion) if wanted.climb_m_s == 0.0 else None
         if self.phase is not FlightPhase.FLYING:
             self._enter(FlightPhase.FLYING, time_s)
+        if height_m is None:
+            self.hold = None
+        elif self.hold is None:
+            self.hold = Hold(height_m, -HEIGHT_HOLD_CLIMB_M_S, HEIGHT_HOLD_CLIMB_M_S, brakes=False)
         self.command = (
             min(TILT_LIMIT_RAD, max(-TILT_LIMIT_RAD, wanted.roll_rad)),
             min(TILT_LIMIT_RAD, max(-TILT_LIMIT_RAD, wanted.pitch_rad)),
@@ -182,9 +188,16 @@ class ArdroneFirmware(object):
             min(CLIMB_LIMIT_M_S, max(-CLIMB_LIMIT_M_S, wanted.climb_m_s)),
         )
 
+    def _height_to_hold_m(self, vertical_motion):
+        """The one that is held already, else where the climb loop can stop."""
+        if self.hold is not None:
+            return self.hold.height_m
+        height_m, climb_m_s = vertical_motion()
+        return height_m + STOPPING_TIME_S * climb_m_s
+
     def _hover(self, time_s, height_m):
         self._enter(FlightPhase.HOVERING, time_s)
-        self.hold = Hold(height_m, -HEIGHT_HOLD_CLIMB_M_S, HEIGHT_HOLD_CLIMB_M_S)
+        self.hold = Hold(height_m, -HEIGHT_HOLD_CLIMB_M_S, HEIGHT_HOLD_CLIMB_M_S, brakes=True)
 
     def _enter(self, phase, time_s):
         self._battery_pct, self._battery_time_s = self.battery_pct(time_s), time_s  # the drain changes here

@@ -10,10 +10,11 @@ from risc_simulator.models.quadrotor import U, X
 
 ON_BOARD_FIELDS = (
     ("lifted", bool),  # the rotors carry the vehicle; False: it stands
-    ("holds", bool),  # it brakes and keeps its height by itself; False: the commands stay as they are
+    ("holds", bool),  # it keeps its height by itself; False: the commands stay as they are
     ("height_m", float),  # to be held, with a climb rate within these limits
     ("climb_min_m_s", float),
     ("climb_max_m_s", float),
+    ("brakes", bool),  # while it holds, it brakes and keeps its heading, too; False: tilt and yaw rate are as commanded
     ("height_gain_1_s", float),  # climb rate per height error
     ("flow_gain_rad_per_m_s", float),  # braking: tilt per velocity seen
     ("flow_tilt_max_rad", float),
@@ -39,11 +40,12 @@ def level_motion(x):
 @compiled
 def hold(x, inputs, vehicle):
     """Commands of a vehicle that holds by itself, for the step that starts in state x (12,), to inputs (9,)."""
-    _, forward_m_s, right_m_s = level_motion(x)
+    if vehicle.brakes:
+        _, forward_m_s, right_m_s = level_motion(x)
+        inputs[U.ROLL] = -_brake(right_m_s, vehicle.flow_bias_right_m_s, vehicle)
+        inputs[U.PITCH] = _brake(forward_m_s, vehicle.flow_bias_forward_m_s, vehicle)
+        inputs[U.YAW_RATE] = 0.0
     up_m_s = vehicle.height_gain_1_s * (vehicle.height_m - x[X.H])
-    inputs[U.ROLL] = -_brake(right_m_s, vehicle.flow_bias_right_m_s, vehicle)
-    inputs[U.PITCH] = _brake(forward_m_s, vehicle.flow_bias_forward_m_s, vehicle)
-    inputs[U.YAW_RATE] = 0.0
     inputs[U.CLIMB] = min(vehicle.climb_max_m_s, max(vehicle.climb_min_m_s, up_m_s))
 
 
