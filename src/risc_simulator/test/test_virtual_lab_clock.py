@@ -99,6 +99,67 @@ def test_a_short_stall_is_made_up_for_frame_by_frame(clock):
         lab.close()
 
 
+class Load:
+    """Makes every cycle of a lab take its time, or more, of the test's clock."""
+
+    def __init__(self, lab, clock, monkeypatch):
+        self.cycle_s = 0.0
+        advance = lab.world.step_to
+        monkeypatch.setattr(
+            lab.world, "step_to", lambda time_s: (setattr(clock, "now_s", clock.now_s + self.cycle_s), advance(time_s))
+        )
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 200.0])
+def test_a_lab_that_is_too_slow_leaves_frames_out_and_stays_near_real_time(clock, monkeypatch, rate_hz):
+    """20 s of a load under which the lab can do two cycles of three: it was a second late as long as that lasted."""
+    fleet = make_fleet(rate_hz)
+    lab, pilot = VirtualLab(fleet, live_on_start=True), Pilot(fleet)
+    load = Load(lab, clock, monkeypatch)
+    late_s, told_s = [], []
+    tick = lab.vehicle_hosts["risc1"].tick
+    lab.vehicle_hosts["risc1"].tick = lambda now_s: (told_s.append(now_s), tick(now_s))
+    try:
+        lab.run(duration_s=1.0)
+        load.cycle_s = 0.0075
+        while lab.now_s() < 21.0:
+            pilot.send()
+            lab.step()
+            late_s.append(lab.now_s() - lab.world.time_s)
+        assert max(late_s) < 0.5 and sum(late_s) / len(late_s) < 0.25, "the world, and what it was told, were late"
+        statistics = lab.statistics()
+        skipped = statistics["frames_skipped"]
+        assert skipped == pytest.approx(20.0 * rate_hz / 3.0, rel=0.1) and lab.stalls == 0
+        assert statistics["cortex"]["frames_exposed"] == lab.frame - skipped
+        assert told_s == sorted(told_s) and lab.world.vehicles["risc1"].phase is FlightPhase.FLYING
+        load.cycle_s = 0.0
+        lab.run(duration_s=lab.exposure_s + 1.0)
+        assert lab.now_s() - lab.exposure_s < 0.01, "the load has ended, so has the delay"
+        assert lab.statistics()["frames_skipped"] == skipped
+    finally:
+        pilot.close()
+        lab.close()
+
+
+def test_stalls_are_counted_not_the_cycles_after_them(clock, monkeypatch):
+    lab = VirtualLab(make_fleet())
+    load = Load(lab, clock, monkeypatch)
+    try:
+        lab.run(duration_s=0.1)
+        clock.now_s += 0.98  # almost a stall,
+        load.cycle_s = 0.006  # and the computer is too slow to make up for it
+        for _ in range(50):
+            lab.step()
+        assert lab.stalls == 0
+        for _ in range(2):
+            clock.now_s += 5.0
+            for _ in range(50):
+                lab.step()
+        assert lab.stalls == 2
+    finally:
+        lab.close()
+
+
 @pytest.mark.parametrize("rate_hz, frames", [(10.0, 5), (60.0, 30), (200.0, 100), (400.0, 200)])
 def test_vehicles_are_served_at_200_hz_whatever_the_cameras_do(clock, rate_hz, frames):
     fleet = make_fleet(rate_hz)

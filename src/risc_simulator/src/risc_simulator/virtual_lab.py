@@ -6,7 +6,9 @@ Pictures are made by a process of their own, which starts when the first client 
 
 Lab time is seconds since the start. World time runs behind it by the reported delay of motion capture: frame k is
 exposed at world time k / rate and sent at lab time k / rate + reported delay. The schedule is absolute, so it does not
-drift; after a delay of the computer the missed frames follow at once, each with its own exposure time.
+drift; after a delay of the computer the missed frames follow at once, each with its own exposure time. A computer that
+is too slow for that leaves frames out, so that what is seen and what is commanded stay near real time; while it sleeps,
+lab time stands still.
 
 One process serves all vehicles: 50 in flight take 0.25 of a core (python3 -m risc_simulator.bench), ten take 0.10, so
 dividing the hosts among processes would gain less than it costs.
@@ -15,6 +17,7 @@ dividing the hosts among processes would gain less than it costs.
 import argparse
 import gc
 import json
+import logging
 import math
 import select
 import signal
@@ -36,7 +39,10 @@ from risc_simulator.world import World
 
 MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
 MAX_CATCH_UP_S = 1.0  # a computer that slept longer than this stops the lab's clock meanwhile
+LATE_S = 0.1  # a frame that is later than this is late,
+LATE_PATIENCE_S = 0.5  # and when all have been for so long those that are missing are left out
 WATCH_VIDEO_EVERY = 20  # frames
+_LOG = logging.getLogger(__name__)
 _CAMERA_STREAM = (1000000,)  # random stream of the cameras beside the vehicles' (index, purpose)
 
 
@@ -96,6 +102,8 @@ class VirtualLab(object):
         )
         self.frame = 0  # of the newest exposure
         self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
+        self.frames_skipped = 0  # that a computer was too slow for
+        self._late_since_s = None  # lab time; None: the last frame was not late
         self.lateness = LatenessHistogram()  # of frames against the absolute schedule
         self.cameras = MocapCameras(
             CameraParams.ideal() if exact_markers else CameraParams.of_arena(fleet.arena),
@@ -156,6 +164,7 @@ class VirtualLab(object):
         """Serve clients until the next frame is due, then expose and send it."""
         if self.frame == 0:
             self._start_s = time.monotonic()  # what came before the first frame is not lateness
+        self._skip_what_is_too_late()
         for cycle in range(1, self._cycles_per_frame + 1):
             time_s = (self.frame + cycle / self._cycles_per_frame) * self._period_s
             due_s = time_s + self._send_after_s
@@ -189,14 +198,37 @@ class VirtualLab(object):
             for host in self.vehicle_hosts.values():
                 host.watch_streams()
 
+    def _skip_what_is_too_late(self):
+        """Leave out the frames that are overdue when the computer could not make up for them in time."""
+        due_s = self.exposure_s + self._period_s + self._send_after_s
+        now_s = self._forgive(due_s)
+        late_s = now_s - due_s
+        if late_s < LATE_S:
+            self._late_since_s = None
+        elif self._late_since_s is None:
+            self._late_since_s = now_s
+        elif now_s - self._late_since_s > LATE_PATIENCE_S:
+            skipped = int(late_s / self._period_s)
+            if not self.frames_skipped:
+                _LOG.warning(
+                    "the computer is too slow: %d frames of motion capture are left out to stay near real time; from "
+                    "now on they are only counted",
+                    skipped,
+                )
+            self.frame += skipped
+            self.frames_skipped += skipped
+            self._late_since_s = None
+
     def _forgive(self, due_s):
-        """Lab time. If the computer slept for long after due_s, the clock is set back to what was served last."""
+        """Lab time. If the computer has slept since hosts were served, the clock is set back to then, or to due_s."""
         now_s = self.now_s()
-        if now_s - due_s > MAX_CATCH_UP_S:
-            resumed_s = max(due_s, self._served_s)  # never back behind what the hosts have seen
-            self._start_s += now_s - resumed_s
+        slept_s = now_s - max(due_s, self._served_s)  # never back behind what the hosts have seen
+        if slept_s > MAX_CATCH_UP_S:
+            if not self.stalls:
+                _LOG.warning("the computer stood still for %.1f s, and with it the lab's clock", slept_s)
+            self._start_s += slept_s
             self.stalls += 1
-            now_s = resumed_s
+            now_s -= slept_s
         self._served_s = now_s
         return now_s
 
@@ -296,6 +328,7 @@ class VirtualLab(object):
                 "max": 1e3 * self.lateness.max_s,
             },
             "stalls": self.stalls,
+            "frames_skipped": self.frames_skipped,
             "least_separation_m": self.world.least_separation_m,
             "crashes": [
                 {
@@ -324,7 +357,7 @@ def summary(statistics):
     """The statistics in a few lines for people."""
     late = statistics["late_ms"]
     lines = [
-        "%d frames in %.1f s (%g Hz); late against the schedule: p50 %.2f, p99 %.2f, max %.2f ms%s"
+        "%d frames in %.1f s (%g Hz); late against the schedule: p50 %.2f, p99 %.2f, max %.2f ms%s%s"
         % (
             statistics["frames"],
             statistics["duration_s"],
@@ -333,6 +366,7 @@ def summary(statistics):
             late["p99"],
             late["max"],
             "; the computer stalled %d times" % statistics["stalls"] if statistics["stalls"] else "",
+            "; %d frames left out" % statistics["frames_skipped"] if statistics["frames_skipped"] else "",
         )
     ]
     if statistics["least_separation_m"] is not None:

@@ -114,6 +114,7 @@ class VirtualLabNode(object):
         status.add("late p99 (ms)", "%.2f" % (1e3 * lab.lateness.percentile_s(99.0)))
         status.add("late max (ms)", "%.2f" % (1e3 * lab.lateness.max_s))
         status.add("stalls", lab.stalls)
+        status.add("frames left out", lab.frames_skipped)
         status.add("crashes", len(lab.world.crashes))
         for vehicle in self._vehicles:
             status.add(vehicle.namespace, vehicle.phase.value)
