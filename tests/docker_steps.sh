@@ -87,7 +87,7 @@ step_look() {
       [ -z "$missing" ] || { echo "$missing"; exit 1; }
       python -c "import cv2, av, cv_bridge, rospy, tf2_ros, risc_msgs.msg, ardrone_autonomy.msg"
       python -m risc_experiments.doctor --help >/dev/null
-      roslaunch --nodes launch/Multi_Machine_Experiment.launch "fleet:=$PWD/docker/fleet.yaml" | sort | xargs'
+      roslaunch --nodes launch/Multi_Machine_Experiment.launch machine:=local "fleet:=$PWD/docker/fleet.yaml" | sort | xargs'
   done
   # shellcheck disable=SC2016  # expanded in there
   in_image laptop sh -ec '[ -z "$(command -v cc gcc g++ clang make)" ]; [ ! -e /usr/include/stdio.h ]'

@@ -32,6 +32,7 @@ ADDRESSES = {
 }
 VEHICLE_OF = {"risc2": "risc1", "risc3": "risc2", "risc4": "risc3"}  # {laptop: vehicle}, Appendix C
 COMPUTERS = ("risc1", *VEHICLE_OF)
+NAMED = tuple("%s_address:=%s" % (computer, ADDRESSES[computer].partition("/")[0]) for computer in COMPUTERS)
 MASTER = "http://129.123.5.240:11311"
 USER = None  # root: only root may give what flies a higher priority, and here four computers share two cores
 LOSS = 0.02  # of what is on the radio
@@ -124,7 +125,7 @@ class FourHosts:
     def _start_virtual_lab(self):
         self.fleet = self.net.folder / "fleet.yaml"
         fleet = yaml.safe_load((ROOT / "launch/fleets/lab3.yaml").read_text())
-        fleet["mocap"]["rate_hz"] = RATE_HZ
+        fleet["mocap"].update(host=self.net.address("cortex"), rate_hz=RATE_HZ)
         fleet["arena"] = ARENA
         for number, vehicle in enumerate(fleet["vehicles"], 1):
             vehicle["address"] = "192.168.%d.1" % number
@@ -170,7 +171,7 @@ class FourHosts:
     def _roslaunch(self, name, arguments):
         bag = self.net.home("risc1") / (name + ".bag")
         command = [ROOT / "devel/coop.sh", "roslaunch", LAUNCH_FILE]
-        command += ["fleet:=%s" % self.fleet, "bag:=%s" % bag, *LIGHT, *arguments]
+        command += ["fleet:=%s" % self.fleet, "bag:=%s" % bag, *NAMED, *LIGHT, *arguments]
         environment = {"ROS_MASTER_URI": MASTER, "ROS_IP": self.net.address("risc1"), "PYTHONUNBUFFERED": "1"}
         out = self._programs.enter_context((self.folder / (name + ".txt")).open("w"))
         return self.net.popen("risc1", command, environment, stdout=out, stderr=subprocess.STDOUT)
@@ -274,9 +275,8 @@ class FourHosts:
 def planned_nodes(*arguments):
     """{computer: sorted names of the nodes that the launch file puts there}."""
     config = roslaunch.config.ROSLaunchConfig()
-    roslaunch.xmlloader.XmlLoader().load(
-        str(LAUNCH_FILE), config, argv=["bag:=flight.bag", *LIGHT, *arguments], verbose=False
-    )
+    argv = ["bag:=flight.bag", "fleet:=%s" % (ROOT / "launch/fleets/ardrones3.yaml"), *NAMED, *LIGHT, *arguments]
+    roslaunch.xmlloader.XmlLoader().load(str(LAUNCH_FILE), config, argv=argv, verbose=False)
     config.assign_machines()
     found = {computer: [] for computer in COMPUTERS}
     for node in config.nodes:

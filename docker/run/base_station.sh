@@ -1,10 +1,12 @@
 #!/bin/bash
 # The base station of compose.yaml: gets to know the laptops, checks them, and starts the experiment of Appendix C.
 #   base_station.sh [ARGUMENT:=VALUE...]        more arguments of launch/Multi_Machine_Experiment.launch
+#   ADDRESSES       where the machines are: "risc1_address:=... risc2_address:=..." up to risc4
 set -eu
 cd "$(dirname "$(readlink -f "$0")")/../.."
 export RISC_MAAP_ROOT=$PWD
-experiment=(launch/Multi_Machine_Experiment.launch "fleet:=$PWD/docker/fleet.yaml" operator:=true
+read -ra addresses <<<"${ADDRESSES:?say where the machines are, as compose.yaml does}"
+experiment=(launch/Multi_Machine_Experiment.launch "${addresses[@]}" "fleet:=$PWD/docker/fleet.yaml" operator:=true
   "bag_prefix:=$PWD/flights/coop" "$@")
 
 # until_good TRIES COMMAND...: the other containers may still be starting

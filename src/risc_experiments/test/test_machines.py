@@ -1,7 +1,6 @@
 """`./maap machines` against a real sshd: each failure says what it is, and what is well is well."""
 
 import getpass
-import ipaddress
 import os
 import pathlib
 import re
@@ -17,7 +16,6 @@ import paramiko
 import pytest
 
 from risc_control.lab import load_fleet
-from risc_experiments.doctor.interfaces import Interface
 from risc_experiments.machines import __main__ as machines
 from risc_experiments.machines.__main__ import main
 from risc_experiments.processes import PortReservation
@@ -591,6 +589,7 @@ def test_wrong_usage_is_one_line(words, line, capsys):
         ("<machine name='a' address='127.0.0.1'/>", ["--only", "a,b"], "has no machine b: it has a"),
         ("", [], "has no <machine> tags"),
         ("<machine name='a'/>", [], "roslaunch cannot read"),
+        ("<arg name='ip'/><include file='$(arg ip)'/>", [], "requires the 'ip' arg"),
         ("<machine name='a' address='127.0.0.1'/><node pkg='joy' type='x' name='x' machine='b'/>", [],
          "node x is for machine b, which no <machine> tag declares"),
     ],
@@ -603,34 +602,26 @@ def test_a_launch_file_that_does_not_do_is_one_line(content, words, line, tmp_pa
     assert printed.startswith("maap machines: ") and line in printed
 
 
-@pytest.mark.parametrize("words", [[], [ROOT / "launch/Multi_Machine_Experiment.launch", "risc1_address:=127.0.0.1"]])
-def test_nobody_knocks_at_the_shipped_addresses_from_another_lab(words, monkeypatch, capsys):
-    """Whoever has them there."""
-    monkeypatch.setenv("RISC_MAAP_ROOT", str(ROOT))
-    monkeypatch.setattr(socket, "create_connection", lambda *_: pytest.fail("it knocks"))
-    assert exit_code_of("setup", *words) == 2
-    assert "risc2 (129.123.5.200)" in capsys.readouterr().err
-
-
 YOURS = ["risc%d_address:=127.0.9.%d" % (number, number) for number in range(1, 5)]
 
 
-@pytest.mark.parametrize("words", [YOURS, [*YOURS, "--only", "risc2"], ["machine:=local"]])
-def test_nobody_asks_the_shipped_cortex_host_from_another_lab(words, monkeypatch, capsys):
-    """Neither the check nor the line that it would print."""
+@pytest.mark.parametrize(
+    ("words", "missing"),
+    [
+        ([], [word.partition(":=")[0] for word in YOURS]),
+        ([ROOT / "launch/Multi_Machine_Experiment.launch", *YOURS[:2]], ["risc3_address", "risc4_address"]),
+        (YOURS, ["fleet"]),
+        (["machine:=local"], ["fleet"]),
+    ],
+)
+def test_nobody_knocks_before_every_address_is_named(words, missing, monkeypatch, capsys):
     monkeypatch.setenv("RISC_MAAP_ROOT", str(ROOT))
-    done = []
-    for action in ("check", "setup"):
-        monkeypatch.setattr(getattr(machines, action), "run", lambda experiment, *_: done.append(experiment) or 0)
-    assert exit_code_of("check", *words) == 2 and not done
-    fleet = "one_computer" if "machine:=local" in words else "lab3"
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "the Cortex host 129.123.5.10 is in the thesis' laboratory" in line and "fleets/%s.yaml" % fleet in line
-    assert exit_code_of("setup", *words) == 0, "asks no Cortex"
-    card = Interface("eth0", (ipaddress.ip_interface("129.123.5.77/24"),))
-    monkeypatch.setattr(machines, "read_interfaces", lambda: [card])
-    assert exit_code_of("check", *words) == 0, "a newcomer in that laboratory"
-    assert done[-1].cortex == ("129.123.5.10",)
+    monkeypatch.setattr(socket, "create_connection", lambda *_: pytest.fail("it knocks"))
+    for action in ("check", "setup", "deploy"):
+        monkeypatch.setattr(getattr(machines, action), "run", lambda *_: pytest.fail("it goes on"))
+        assert exit_code_of(action, *words) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert re.findall(r"(\w+):=[A-Z]+\b", line.partition(", or ")[0])[-len(missing) :] == missing
 
 
 def test_the_virtual_lab_brings_its_own_cortex(monkeypatch):
@@ -672,12 +663,11 @@ def test_the_guides_fleet_files_are_let_pass(tmp_path, monkeypatch):
 
 
 def test_every_example_of_the_help_is_right(tmp_path, monkeypatch, capsys):
-    """Read, found and let pass, in a laboratory with other addresses than the thesis'; what would be done is not."""
+    """Read and found, with the guide's own launch file; what would be done is not."""
     shutil.copytree(str(ROOT / "launch"), str(tmp_path / "launch"))
-    shipped = (ROOT / machines.DEFAULT_FILE).read_text()
-    (tmp_path / "launch/my_laboratory.launch").write_text(shipped.replace("129.123.", "10.123."))
-    own = (ROOT / "launch/fleets/lab3.yaml").read_text().replace("129.123.5.10", "192.168.0.5")
-    (tmp_path / "my_fleet.yaml").write_text(own)
+    (own,) = re.findall(r"^```xml\n(.*?)^```$", (ROOT / "docs/many_machines.md").read_text(), re.MULTILINE | re.DOTALL)
+    (tmp_path / "launch/my_laboratory.launch").write_text(own)
+    run("bash", "-euc", "\n".join(guide_lines("^sed .*my_fleet")), cwd=str(tmp_path))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PWD", str(tmp_path))
     monkeypatch.setenv("RISC_MAAP_ROOT", str(tmp_path))
@@ -689,8 +679,9 @@ def test_every_example_of_the_help_is_right(tmp_path, monkeypatch, capsys):
     lines = re.findall(r"^  ./maap machines (.*)$", capsys.readouterr().out, re.MULTILINE)
     assert [main(shlex.split(os.path.expandvars(line))) for line in lines] == [0, 0, 0], capsys.readouterr().err
     assert [len(experiment.computers) for experiment in done] == [4, 1, 2]
-    assert main(["check", "risc2_address:=10.0.0.2"]) == 2  # the others still have the thesis'
-    assert "risc2_address:=192.168.0.11 risc3_address" in capsys.readouterr().err
+    assert {experiment.cortex for experiment in done} == {("192.168.0.5",)}
+    assert [(c.name, c.login, len(c.vehicles)) for c in done[2].computers] == [
+        ("risc2", "pilot@192.168.0.11", 1), ("risc3", "pilot@192.168.0.12", 1)]  # fmt: skip
 
 
 def exit_code_of(*words):

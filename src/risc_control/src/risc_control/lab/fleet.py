@@ -149,7 +149,7 @@ def _templates(content, where):
 
 def _mocap(section):
     endpoint = MocapEndpoint(
-        host=_address(section.text("host"), "mocap host"),
+        host=_named_address(section, "host", "the Cortex computer"),
         command_port=section.port("command_port", 1510),
         stream_group=_address(section.text("stream_group", "225.1.1.1"), "mocap stream_group"),
         stream_port=section.port("stream_port", 1001),
@@ -171,7 +171,7 @@ def _vehicle(section):
         namespace=section.text("namespace"),
         template=section.text("template"),
         type=section.text("type"),
-        address=_address(section.text("address"), "vehicle address"),
+        address=_named_address(section, "address", "this vehicle"),
         calibration=section.text("calibration", ""),
         camera_mount=section.text("camera_mount", ""),
         start_position_m=start.vector("position_m", 3),
@@ -192,6 +192,13 @@ def _landmark(section):
     )
     section.done()
     return landmark
+
+
+def _named_address(section, key, whose):
+    """The address under the key, which the files for a real laboratory leave to whoever copies them."""
+    if section.content(key) in (None, ""):
+        raise ValueError("%s: '%s' is not written yet: write the address of %s there" % (section.where, key, whose))
+    return _address(section.text(key), "%s, %s" % (section.where, key))
 
 
 def _address(text, what):

@@ -31,7 +31,7 @@ class Interface:
         return any(address.ip in _LOOPBACK for address in self.addresses)
 
     def describe(self):
-        """E.g. "eth0 129.123.5.240/24"."""
+        """E.g. "eth0 192.168.0.10/24"."""
         return "%s %s" % (self.name, ", ".join(map(str, self.addresses)) or "without an address")
 
 

@@ -7,11 +7,8 @@ import signal
 import subprocess
 import sys
 
-from rosgraph.network import get_local_addresses
-
-from risc_experiments.doctor.interfaces import interface_towards, read_interfaces
 from risc_experiments.machines import check, deploy, setup
-from risc_experiments.machines.experiment import ExperimentError, default_addresses, load_experiment
+from risc_experiments.machines.experiment import ExperimentError, load_experiment
 
 DEFAULT_FILE = "launch/Multi_Machine_Experiment.launch"
 _ABOUT = """The computers of a launch file with <machine> tags, as roslaunch sees them.
@@ -24,9 +21,10 @@ _ADDRESSES = " ".join("risc%d_address:=192.168.0.%d" % (number, 9 + number) for 
 _EXAMPLES = (
     """examples:
   ./maap machines check %s fleet:=$PWD/my_fleet.yaml
-  ./maap machines setup risc2_address:=192.168.0.11 --only risc2
+  ./maap machines setup launch/my_laboratory.launch --only risc2
   ./maap machines deploy launch/my_laboratory.launch user:=pilot --only risc2,risc3
 
+my_laboratory.launch: docs/many_machines.md.
 Exit code: 0 all is well, 1 something is not, 2 wrong usage."""
     % _ADDRESSES
 )
@@ -58,40 +56,6 @@ def arguments(argv):
     return args
 
 
-def refuse_strangers(experiment, root, action):
-    """Raise ExperimentError for addresses that are only the defaults of the shipped files, not this laboratory's.
-
-    They are if this computer has one of them. Elsewhere they may belong to anybody, and nothing must knock there:
-    neither ssh nor, by `check` and by the line that it prints, the Cortex client.
-    """
-    shipped_file = root / DEFAULT_FILE
-    if not shipped_file.exists():
-        return
-    shipped = default_addresses(str(shipped_file))
-    if shipped.intersection(get_local_addresses()):
-        return
-    strangers = [computer for computer in experiment.computers if computer.address in shipped]
-    if strangers and any(map(check.needs_login, experiment.computers)):
-        raise ExperimentError(
-            "%s has an address of the thesis' laboratory, and this computer has none of them: say your addresses, e.g. "
-            "./maap machines %s %s"
-            % (", ".join("%s (%s)" % (computer.name, computer.address) for computer in strangers), action, _ADDRESSES)
-        )
-    # by the network: people put their own host into the shipped fleet files, too
-    networks, cards = set(map(_network, shipped)) - {""}, read_interfaces()
-    for host in experiment.cortex if action == "check" else ():
-        if _network(host) in networks and interface_towards(cards, host) is None:
-            raise ExperimentError(
-                "the Cortex host %s is in the thesis' laboratory, and this computer is not: copy %s, set mocap host to "
-                "your own in the copy, and add fleet:=$PWD/COPY" % (host, experiment.computers[0].fleet)
-            )
-
-
-def _network(address):
-    """The first three bytes of an address, "" of a name without a dot."""
-    return address.rpartition(".")[0]
-
-
 def main(argv=None):
     """Command line. Returns the exit code."""
     args = arguments(argv)
@@ -100,7 +64,6 @@ def main(argv=None):
         experiment = load_experiment(args.file or str(root / DEFAULT_FILE), args.arguments)
         if args.only:
             experiment = experiment.only(args.only.split(","))
-        refuse_strangers(experiment, root, args.action)
     except ExperimentError as problem:
         print("maap machines: %s" % problem, file=sys.stderr)
         return 2

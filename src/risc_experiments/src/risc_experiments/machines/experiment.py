@@ -81,6 +81,7 @@ def load_experiment(path, arguments=()):
         _check_arguments(path, arguments)
         config = roslaunch.config.ROSLaunchConfig()
         loader = roslaunch.xmlloader.XmlLoader()
+        loader.ignore_unset_args = False  # roslaunch has no default for it here
         loader.load(str(path), config, argv=list(arguments), verbose=False)
     except (RLException, roslaunch.xmlloader.XmlParseException) as problem:
         raise ExperimentError("roslaunch cannot read %s: %s" % (path, " ".join(str(problem).split()))) from None
@@ -96,11 +97,6 @@ def load_experiment(path, arguments=()):
     fleet = loader.root_context.resolve_dict.get("arg", {}).get("fleet", "")
     computers = tuple(_computer(machine, config, fleet) for machine in machines.values())
     return Experiment(str(path), tuple(arguments), computers, _cortex(config, config.nodes))
-
-
-def default_addresses(path):
-    """The addresses that a launch file has when nobody says others."""
-    return {default for name, (_, default) in get_args([path]).items() if name.endswith("_address")}
 
 
 def _check_arguments(path, arguments):
