@@ -1028,18 +1028,59 @@ def test_exact_readings_in_aircraft_axes(fake_lab):
     assert packet.option(1).time >> 21 == 0
 
 
+def test_what_a_real_capture_has_at_rest(fake_lab):
+    """A landed AR.Drone 2.0, level to 3 degrees, its accelerometer reads (80, -33, -943) milli-g."""
+    lab = fake_lab(FakeVehicle(FlightPhase.LANDED, position_m=np.array([0.0, 0.0, 0.0])))
+    packet = options_of(lab)
+    raw_accs = packet.option(2).raw_accs
+    assert raw_accs[:2] == (2048, 2048) and raw_accs[2] == pytest.approx(2528, rel=0.02), "above mid-scale"
+    assert packet.option(2).alt_temp_raw == pytest.approx(243, abs=5), "nothing nearer is heard by ultrasound"
+    assert packet.option(0).altitude == 0
+    assert packet.vision_defined == 1
+    assert packet.option(9)[4:8] == (255, 255, 255, 255)
+    assert packet.option(0).drone_camera_trans == pytest.approx((0, 0, -243), abs=5)
+    np.testing.assert_allclose(packet.option(0).drone_camera_rot, np.eye(3).ravel(), atol=1e-6)
+
+
+def test_camera_rotation_as_in_a_real_capture(fake_lab):
+    """Of an aircraft in the air: theta -6.514, phi -0.558 degrees, turned by 5.11 since it was switched on."""
+    lab = fake_lab()
+    lab.connect()
+    lab.vehicle.change(theta=math.radians(-6.514), phi=math.radians(-0.558), psi=math.radians(5.109))
+    rotation = Navdata(lab.run(0.05, ref=IDLE)[-1][3]).option(0).drone_camera_rot
+    seen = (0.98959, -0.08795, -0.11387, 0.08848, 0.99608, -0.00040, 0.11346, -0.00968, 0.99350)
+    np.testing.assert_allclose(rotation, seen, atol=2e-5)
+
+
+@pytest.mark.parametrize("demo", [False, True])
+def test_camera_translation_is_the_way_flown_in_axes_of_the_start(fake_lab, demo):
+    """Switched on looking east; then it looks south and flies west: to the right of where it stood, seen then."""
+    lab = fake_lab(FakeVehicle(psi=math.pi / 2))
+    lab.connect(demo)
+    lab.vehicle.change(psi=math.pi, velocity_m_s=np.array([0.0, 0.5, 0.0]))  # y is left of north: west
+    first = Navdata(lab.run(0.2, ref=IDLE)[-1][3]).option(0).drone_camera_trans
+    lab.vehicle.change(velocity_m_s=np.array([-0.2, 0.5, 0.0]))  # and south
+    second = Navdata(lab.run(2.0, ref=IDLE)[-1][3]).option(0).drone_camera_trans
+    way_mm = np.subtract(second, first)
+    np.testing.assert_allclose(way_mm, (-1000.0, 400.0, 0.0), atol=40.0)
+    assert second[2] == pytest.approx(-1000.0, abs=1.0), "down"
+
+
 @pytest.mark.parametrize("psi_deg", [0.0, 45.0, 90.0, 180.0, -120.0])
 def test_magnetic_field_gives_the_heading(fake_lab, psi_deg):
     lab = fake_lab(FakeVehicle(psi=math.radians(psi_deg)))
-    mx, my, mz = options_of(lab).option(22)[:3]
-    heading_deg = math.degrees(math.atan2(-my, mx))  # level: the field points to magnetic north
+    magneto = options_of(lab).option(22)
+    x_mg, y_mg, z_mg = magneto.magneto_raw
+    heading_deg = math.degrees(math.atan2(-y_mg, x_mg))  # level: the field points to magnetic north
     assert math.cos(math.radians(heading_deg - psi_deg)) > 0.9999
-    assert mz > 0
+    assert z_mg > 0
+    counts = np.array([magneto.my, magneto.mx, magneto.mz])
+    np.testing.assert_allclose(magneto.magneto_raw, -3.5 * counts, atol=3.6)  # as in real captures: -3.4 to -3.7
 
 
 def test_tilted_magnetic_field_has_the_same_strength(fake_lab):
     lab = fake_lab(FakeVehicle(psi=1.0, phi=0.3, theta=-0.2))
-    assert np.linalg.norm(options_of(lab).option(22)[:3]) == pytest.approx(math.hypot(210, 470), abs=2.0)
+    assert np.linalg.norm(options_of(lab).option(22).magneto_raw) == pytest.approx(math.hypot(210, 470), abs=2.0)
 
 
 def test_yaw_stays_in_range_and_the_heading_is_unwrapped(fake_lab):

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from ardrone_autonomy.protocol.navdata import Navdata, Tag
 from ardrone_autonomy.protocol.video import FrameType, StreamParser
 from risc_control.camera import Camera, cortex_to_camera
 from risc_control.lab import FleetLandmark, FleetVehicle
@@ -137,6 +138,27 @@ def test_pictures_keep_their_rhythm_and_their_clock(lab, client):
         assert np.median(steps_ms) == pytest.approx(1000.0 / 30.0, abs=6.0)
     assert any(header.frame_type == FrameType.P for header in headers)
     assert abs(headers[-1].timestamp_ms - 1e3 * lab.now_s()) < 2000.0
+
+
+def test_navdata_tell_size_and_number_of_the_newest_picture(lab, client):
+    address = lab.fleet.vehicles[0].address
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+        ground.settimeout(PATIENCE_S)
+        sent, told = {}, {}
+        deadline_s = time.monotonic() + PATIENCE_S
+        while len(sent.keys() & told.keys()) < 10:
+            assert time.monotonic() < deadline_s, "pictures %s, told of %s" % (sent, told)
+            header = client.packet().header
+            sent[header.frame_number] = header.payload_bytes
+            ground.sendto(b"\1\0\0\0", (address, 5554))
+            ground.sendto(b'AT*CONFIG=1,"general:navdata_demo","FALSE"\r', (address, 5556))
+            option = None
+            while option is None:  # bootstrap packets have none
+                option = Navdata(ground.recv(65536)).option(Tag.VIDEO_STREAM)
+            told[option.frame_number] = option.frame_size
+    both = sent.keys() & told.keys()
+    assert {number: told[number] for number in both} == {number: sent[number] for number in both}
+    assert list(told) == sorted(told)
 
 
 def test_a_second_watcher_joins_in_the_middle(lab, client):

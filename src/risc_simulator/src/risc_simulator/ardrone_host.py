@@ -782,7 +782,7 @@ class ArdroneHost(SocketHost):
             major = _MAJOR[phase]
         minor = _HOVERING_LOST_COM if phase is FlightPhase.HOVERING and self._com_lost_s is not None else 0
         frame = Frame()
-        frame.reading = self.sensors.read(state, airborne)
+        frame.reading = self.sensors.read(state, airborne, now_s)
         frame.time_s = max(0.0, now_s)
         frame.ctrl_state = major << 16 | minor
         frame.sticks = self._sticks
@@ -791,6 +791,7 @@ class ArdroneHost(SocketHost):
         frame.ref_sequence = self._ref_sequence
         frame.ref_gap_ms = self._ref_gap_ms
         frame.cycles = self._cycles
+        frame.picture = (0, 0) if self._video is None else self._video.newest_picture
         return frame
 
     def _state_bits(self, phase):

@@ -10,7 +10,10 @@ from ardrone_autonomy.protocol.navdata import NavdataEncoder, Tag, seconds_to_ti
 from risc_simulator.models.ardrone_sensors import TEMPERATURE_TENTHS_C
 
 _RAD = math.pi / 180.0
-_ACCELEROMETER_ZERO, _ACCELEROMETER_LSB_PER_G = 2048, 512
+_ACCELEROMETER_ZERO = 2048
+_ACCELEROMETER_LSB_PER_MG = 0.512, 0.512, -0.512  # real captures: above the middle on z where acc z is -1000 mg
+_MAGNETOMETER_MG_PER_LSB = -3.5  # as in real captures, where x and y are exchanged, too
+_MOTOR_LIMIT = 255  # sat_motor
 _GYRO_LSB_PER_DEG_S = 16.4
 _FLOW_PIXELS = 200.0 / 60.0  # pixels a picture for 1 m/s at 1 m height
 
@@ -20,13 +23,25 @@ class Frame(object):
 
     reading: Reading.   time_s: since boot.   ctrl_state: major << 16 | minor.   sticks: last obeyed Sticks.
     command: (roll [rad], pitch [rad], climb [m/s], yaw rate [rad/s]) in force.
+    picture: bytes and number of the newest one, of those that were made because somebody watches.
     """
 
-    __slots__ = ("reading", "time_s", "ctrl_state", "sticks", "command", "ref_sequence", "ref_gap_ms", "cycles")
+    __slots__ = (
+        "reading",
+        "time_s",
+        "ctrl_state",
+        "sticks",
+        "command",
+        "ref_sequence",
+        "ref_gap_ms",
+        "cycles",
+        "picture",
+    )
 
 
 def _demo(encoder, host):
     write = encoder.slot(Tag.DEMO, "ctrl_state", "vz")
+    write_camera = encoder.slot(Tag.DEMO, "drone_camera_rot", "drone_camera_trans")
     encoder.put(Tag.DEMO, detection_camera_type=_uint32(host.get("detect:detect_type")))
 
     def fill(f):
@@ -42,6 +57,23 @@ def _demo(encoder, host):
             1e3 * vx,
             1e3 * vy,
             1e3 * vz,
+        )
+        sf, cf = math.sin(r.roll_deg * _RAD), math.cos(r.roll_deg * _RAD)
+        st, ct = math.sin(r.pitch_deg * _RAD), math.cos(r.pitch_deg * _RAD)
+        sp, cp = math.sin(r.turned_deg * _RAD), math.cos(r.turned_deg * _RAD)
+        write_camera(
+            ct * cp,
+            sf * st * cp - cf * sp,
+            cf * st * cp + sf * sp,
+            ct * sp,
+            sf * st * sp + cf * cp,
+            cf * st * sp - sf * cp,
+            -st,
+            sf * ct,
+            cf * ct,
+            1e3 * r.way_m[0],
+            1e3 * r.way_m[1],
+            -1e3 * r.altitude_raw_m,
         )
 
     return fill
@@ -73,7 +105,10 @@ def _raw_measures(encoder, _):
 
     def fill(f):
         r = f.reading
-        ax, ay, az = (_uint16(_ACCELEROMETER_ZERO + _ACCELEROMETER_LSB_PER_G * 1e-3 * a) for a in r.acceleration_mg)
+        ax, ay, az = (
+            _uint16(_ACCELEROMETER_ZERO + lsb_per_mg * a)
+            for lsb_per_mg, a in zip(_ACCELEROMETER_LSB_PER_MG, r.acceleration_mg)
+        )
         p, q, s = r.rates_deg_s
         k = _GYRO_LSB_PER_DEG_S
         write(
@@ -157,6 +192,7 @@ def _pwm(encoder, _):
     write = encoder.slot(Tag.PWM, "motor1", "motor4")
     write_gaz = encoder.slot(Tag.PWM, "vz_ref")
     write_current = encoder.slot(Tag.PWM, "current_motor1", "current_motor4")
+    encoder.put(Tag.PWM, **{"sat_motor%d" % k: _MOTOR_LIMIT for k in (1, 2, 3, 4)})
 
     def fill(f):
         motors = f.reading.motor_pwm
@@ -235,9 +271,9 @@ def _watchdog(encoder, _):
 
 
 def _video_stream(encoder, host):
-    write = encoder.slot(Tag.VIDEO_STREAM, "atcmd_ref_seq", "atcmd_mean_ref_gap")
+    write = encoder.slot(Tag.VIDEO_STREAM, "frame_size", "atcmd_mean_ref_gap")
     encoder.put(Tag.VIDEO_STREAM, desired_bitrate=_uint32(host.get("video:bitrate")))
-    return lambda f: write(f.ref_sequence, int(f.ref_gap_ms))
+    return lambda f: write(*f.picture, f.ref_sequence, int(f.ref_gap_ms))
 
 
 def _pressure_raw(encoder, _):
@@ -259,7 +295,7 @@ def _magneto(encoder, _):
     def fill(f):
         r = f.reading
         x, y, z = r.magnetic_mg
-        write(int(x), int(y), int(z))
+        write(*[_int16(value / _MAGNETOMETER_MG_PER_LSB) for value in (y, x, z)])
         write_field(x, y, z, x, y, z)
         heading = r.heading_unwrapped_deg
         write_heading(heading, heading, heading)
@@ -328,4 +364,4 @@ class NavdataWriter(object):
         """The packet as bytes; frame may be None when has_options is False."""
         for fill in self._fills:
             fill(frame)
-        return self._encoder.finish(state_bits, sequence)
+        return self._encoder.finish(state_bits, sequence, vision_defined=int(self.has_options))

@@ -21,6 +21,8 @@ PRESSURE_NOISE_PA = 2.0
 
 FIELD_NORTH_MG = 210.0  # earth's field [milligauss]; the lab's x axis is taken as magnetic north
 FIELD_DOWN_MG = 470.0
+ULTRASOUND_LEAST_M = 0.24  # nothing nearer is heard: a vehicle on the ground reads this
+ODOMETRY_GAP_S = 0.5  # after a longer pause of the readings the way goes on where it was
 GROUND_PRESSURE_PA = 85800.0  # a lab at 1400 m
 PRESSURE_PER_METRE_PA = 10.4
 TEMPERATURE_TENTHS_C = 435  # inside the hull
@@ -57,6 +59,8 @@ class Reading(object):
         "altitude_m",
         "altitude_raw_m",
         "velocity_m_s",
+        "turned_deg",
+        "way_m",
         "magnetic_mg",
         "pressure_pa",
         "battery_pct",
@@ -80,19 +84,22 @@ class ArdroneSensors(object):
         self.trim_deg = (0.0, 0.0)  # subtracted by the firmware
         self.gyro_offsets_deg_s = (n(GYRO_OFFSET_DEG_S), n(GYRO_OFFSET_DEG_S), n(GYRO_OFFSET_DEG_S))
         self._last_psi = None
-        self._unwrapped = 0.0
+        self._unwrapped = self._first_heading_deg = 0.0
+        self._last_s, self._way_m = -math.inf, (0.0, 0.0)
 
     def flat_trim(self):
         """The vehicle lies flat: what the attitude reads now is zero."""
         self.trim_deg = self._bias_deg
 
-    def read(self, state, airborne):
-        """Reading of a VehicleState.
+    def read(self, state, airborne, time_s):
+        """Reading of a VehicleState at time_s.
 
         airborne: False on the ground, where velocities read 0 and the altitude has no noise.
         Angles in degrees (yaw in (-180, 180], heading without jumps), accelerations in milli-g (rest: z = -1000),
-        rates in deg/s, altitude in metres above standing, velocity (3,) in m/s forward, right, down, levelled,
-        magnetic field in body axes in milligauss, pressure in Pa, battery in percent and millivolt.
+        rates in deg/s, altitude in metres above standing (raw: by ultrasound), velocity (3,) in m/s forward, right,
+        down, levelled, magnetic field in body axes in milligauss, pressure in Pa, battery in percent and millivolt.
+        Since the first reading: degrees turned, and the way flown (2,) in metres forward and right as it stood then,
+        which adds up the velocities seen and so drifts.
         """
         n = self._noise
         reading = Reading()
@@ -101,6 +108,7 @@ class ArdroneSensors(object):
         psi = state.psi
         if self._last_psi is None:
             self._unwrapped = psi
+            self._first_heading_deg = psi * _DEG
         else:
             self._unwrapped += math.remainder(psi - self._last_psi, 2.0 * math.pi)
         self._last_psi = psi
@@ -118,7 +126,7 @@ class ArdroneSensors(object):
         x, y, z = state.position_m.tolist()
         height_m = max(0.0, z - self._rest_height_m)
         reading.altitude_m = max(0.0, height_m + n(ALTITUDE_NOISE_M)) if airborne else height_m
-        reading.altitude_raw_m = max(0.0, height_m + n(ULTRASOUND_NOISE_M)) if airborne else height_m
+        reading.altitude_raw_m = max(ULTRASOUND_LEAST_M, height_m + n(ULTRASOUND_NOISE_M) if airborne else height_m)
         sin_psi, cos_psi = math.sin(psi), math.cos(psi)
         if airborne:
             north, west, up = state.velocity_m_s.tolist()
@@ -130,6 +138,8 @@ class ArdroneSensors(object):
             )
         else:
             reading.velocity_m_s = (0.0, 0.0, 0.0)
+        reading.turned_deg = reading.heading_unwrapped_deg - self._first_heading_deg
+        reading.way_m = self._add_to_the_way(reading, time_s)
 
         # R(phi, theta, psi) takes NED to body: the field is (north, 0, down)
         sin_phi, cos_phi = math.sin(state.phi), math.cos(state.phi)
@@ -147,3 +157,12 @@ class ArdroneSensors(object):
         reading.battery_mv = 10500 + 23 * state.battery_pct  # three LiPo cells; 50 % reads 11650 mV
         reading.motor_pwm = state.motor_pwm
         return reading
+
+    def _add_to_the_way(self, reading, time_s):
+        elapsed_s, self._last_s = time_s - self._last_s, time_s
+        if elapsed_s < ODOMETRY_GAP_S:
+            forward, right, _ = reading.velocity_m_s
+            c, s = math.cos(reading.turned_deg / _DEG), math.sin(reading.turned_deg / _DEG)
+            x, y = self._way_m
+            self._way_m = (x + elapsed_s * (c * forward - s * right), y + elapsed_s * (s * forward + c * right))
+        return self._way_m

@@ -41,6 +41,7 @@ class Blackboard(object):
             ("link_up", np.int32, (n,)),  # 0: nothing passes
             ("board_since_s", np.float64, (n,)),  # monotonic time since when a checkerboard is waved; NaN = none
             ("watchers", np.int32, (n,)),  # written by the camera process
+            ("newest_picture", np.uint64, (n,)),  # number << 32 | bytes, written by the camera process
             ("pictures", np.int64, (n,)),  # sent, written by the camera process
             ("late_s", np.float64, (n,)),  # see Station.late_s, written by the camera process
             ("skipped", np.int64, (n,)),  # pictures that the computer was too slow for, written by the camera process

@@ -88,6 +88,8 @@ class VideoHost(object):
             if send_s is not None:
                 wake_s = min(wake_s, send_s)
             board.watchers[index] = station.watchers
+            picture_bytes, number = station.newest_picture
+            board.newest_picture[index] = number << 32 | picture_bytes  # in one: a reader never sees half
             board.pictures[index] = station.pictures
             board.skipped[index] = station.skipped
             board.late_s[index] = station.late_s

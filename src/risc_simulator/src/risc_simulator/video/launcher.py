@@ -145,6 +145,12 @@ class VehicleVideo(object):
         """How many clients are connected."""
         return int(self._launcher.board.watchers[self._index])
 
+    @property
+    def newest_picture(self):
+        """(bytes, number) of the newest picture that was made; (0, 0) before the first."""
+        number, picture_bytes = divmod(self._launcher.board.newest_picture.item(self._index), 1 << 32)
+        return picture_bytes, number
+
     def start(self):
         """A client has come: let the camera process serve it."""
         self._launcher.start()

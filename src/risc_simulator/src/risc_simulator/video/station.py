@@ -82,6 +82,7 @@ class Station(object):
         self._timestamp_ms = None  # of the newest picture, on the lab's clock
         self.next_s = None  # monotonic time of the next exposure
         self.pictures = self.skipped = 0
+        self.newest_picture = 0, 0  # bytes of H.264 and frame number of the newest picture
         self._lateness_s = deque(maxlen=LATE_PICTURES)
         # How late nine out of ten of the newest pictures were sent, at least. A client takes the pictures that came
         # soonest as on time: when the computer has made all of them late, so are its stamps.
@@ -151,6 +152,8 @@ class Station(object):
             self._writer.encoded_px = self._encoder.coded_px
             self._writer.display_px = picture.shape[1::-1]
         data = self._writer.picture(self._encoder.encode(picture), timestamp_ms)
+        header = parse_header(data)
+        self.newest_picture = header.payload_bytes, header.frame_number
         self._on_the_way.append((snapshot.time_s + self._latency_s, data))
 
     def send_due_s(self):

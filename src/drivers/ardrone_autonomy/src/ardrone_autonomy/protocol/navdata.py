@@ -200,6 +200,7 @@ def _layout_table(*layouts):
 # "name:kind", kind = struct code with an optional count in front.  Units in the comments; unmarked = raw numbers.
 LAYOUTS = _layout_table(
     # theta, phi, psi: mdeg (+ nose up, + right side down, + clockwise from above); altitude: mm; v: mm/s, levelled body
+    # drone_camera_rot: from body axes to those of the start, row by row; drone_camera_trans: mm from the start, z down
     Layout(
         Tag.DEMO,
         "demo",
@@ -211,7 +212,7 @@ LAYOUTS = _layout_table(
     Layout(Tag.TIME, "time", "time:I"),  # see time_to_seconds
     Layout(
         Tag.RAW_MEASURES,
-        "raw_measures",  # vbat_raw: mV; alt_temp_raw: mm
+        "raw_measures",  # accs: counts around 2048, z grows upwards; vbat_raw: mV; alt_temp_raw: mm
         "raw_accs:3H raw_gyros:3h raw_gyros_110:2h vbat_raw:I us_debut_echo:H us_fin_echo:H us_association_echo:H "
         "us_distance_echo:H us_courbe_temps:H us_courbe_valeur:H us_courbe_ref:H flag_echo_ini:H nb_echo:H "
         "sum_echo:I alt_temp_raw:i gradient:h",
@@ -290,7 +291,7 @@ LAYOUTS = _layout_table(
     Layout(Tag.PRESSURE_RAW, "pressure_raw", "up:i ut:h Temperature_meas:i Pression_meas:i"),  # 0.1 deg C, Pa
     Layout(
         Tag.MAGNETO,
-        "magneto",  # headings: deg, fusion in mdeg; behind the uint8 all is unaligned
+        "magneto",  # mx..mz: counts of the sensor; fields: mG; headings: deg; behind the uint8 all is unaligned
         "mx:h my:h mz:h magneto_raw:3f magneto_rectified:3f magneto_offset:3f heading_unwrapped:f "
         "heading_gyro_unwrapped:f heading_fusion_unwrapped:f magneto_calibration_ok:B magneto_state:I "
         "magneto_radius:f error_mean:f error_var:f",
