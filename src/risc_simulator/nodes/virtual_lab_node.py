@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """The virtual lab as a ROS node: adds /ground_truth, diagnostics and fault injection. Wiring only."""
 
+import logging
 import os
 import signal
 import sys
@@ -28,6 +29,7 @@ def main():
         low_latency.start("virtual_lab", disable_signals=True)
     except rospy.ROSException:
         return 1
+    logging.getLogger("risc_simulator").handlers = logging.getLogger("rosout").handlers  # heard on screen and /rosout
     # rospy's own handlers would spend half a second inside the schedule; these let the lab finish its frame
     stop_event = threading.Event()
     rospy.on_shutdown(stop_event.set)

@@ -6,6 +6,7 @@ is not mirrored here.
 
 import dataclasses
 import errno
+import logging
 import math
 import os
 import select
@@ -367,6 +368,45 @@ def test_malformed_datagrams_are_counted_and_the_rest_is_obeyed(lab):
     assert statistics["at_malformed"] == 5
     assert statistics["at_unknown"] == 1
     assert lab.vehicle.phase is FlightPhase.TAKING_OFF
+
+
+def test_what_clients_do_is_said_once_and_then_counted(lab, caplog):
+    caplog.set_level(logging.INFO)
+    lab.connect()
+    lab.run(0.5, ref=IDLE)
+    sender = "127.0.0.1:%d" % lab.client.udp.getsockname()[1]
+    stranger = Client(lab.host)
+    reader = socket.create_connection((ADDRESS, lab.host.ports.control))
+    for _ in range(3):
+        stranger.raw(b"rubbish")
+        stranger.wake_up(b"hello")
+    lab.run(0.1, ref=IDLE)
+    notices = lab.host.statistics()["notices"]
+    assert notices["events"]["gets the navdata"] == {sender: 1}
+    assert notices["events"]["sends commands"][sender] > 10
+    assert list(notices["events"]["reads the configuration"]) == ["127.0.0.1:%d" % reader.getsockname()[1]]
+    from_stranger = {"127.0.0.1:%d" % stranger.udp.getsockname()[1]: 3}
+    assert notices["complaints"] == {
+        "sends malformed commands": from_stranger,
+        "asks for navdata wrongly": from_stranger,
+    }
+    said = [(record.levelname, record.getMessage().count(sender)) for record in caplog.records]
+    assert said.count(("INFO", 1)) == 2 and len(said) == 5, caplog.text
+    assert sum(record.levelname == "WARNING" for record in caplog.records) == 2
+    assert all("risc1" in record.getMessage() for record in caplog.records)
+    reader.close()
+    stranger.udp.close()
+
+
+def test_a_flood_of_senders_is_counted_and_not_told_one_by_one(lab, caplog):
+    for _ in range(200):
+        stranger = Client(lab.host)
+        stranger.raw(b"rubbish")
+        lab.serve()
+        stranger.udp.close()
+    complaints = lab.host.statistics()["notices"]["complaints"]["sends malformed commands"]
+    assert sum(complaints.values()) == 200 and complaints["others"] >= 140
+    assert len(caplog.records) <= 60
 
 
 def test_out_of_range_sticks_are_clipped(fake_lab):
@@ -799,7 +839,9 @@ def test_no_cycle_that_is_left_out_would_have_done_anything(seed):
             lab.host.tick = lambda now_s, host=lab.host, do=tick: (setattr(host, "_due_s", -math.inf), do(now_s))
         try:
             packets = random_traffic(lab, seed)
-            seen.append((packets, told, lab.host.statistics(), vehicle.state.position_m.tolist()))
+            statistics = lab.host.statistics()
+            del statistics["notices"]  # by clients' ports
+            seen.append((packets, told, statistics, vehicle.state.position_m.tolist()))
         finally:
             lab.close()
     lean, eager = seen

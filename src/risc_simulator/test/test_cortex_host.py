@@ -700,6 +700,33 @@ def test_many_clients_are_remembered_up_to_a_bound(lab):
     assert lab.host.statistics()["clients"] == 64
 
 
+def test_who_comes_who_pauses_and_who_talks_nonsense_is_said_once_and_then_counted(make_lab, caplog):
+    caplog.set_level("INFO")
+    lab = make_lab()
+    good, bad = lab.client(), lab.client()
+    names = ["127.0.0.1:%d" % client.getsockname()[1] for client in (good, bad)]
+    lab.ask(good, wire.encode_identity(Command.HELLO_WORLD, wire.Identity("ClientTest", (2, 1, 0, 2))))
+    for _ in range(3):
+        lab.text(good, "LiveMode")
+        lab.text(good, "LiveMode")  # it is live already
+        lab.text(bad, "Pause")
+        lab.send(bad, b"x")
+        lab.text(bad, "MakeCoffee")
+    notices = lab.host.statistics()["notices"]
+    assert notices["events"] == {
+        "says hello": {names[0]: 1},
+        "is a client": {names[0]: 1, names[1]: 1},
+        "starts the stream": {names[0]: 3},
+    }
+    assert notices["complaints"] == {
+        "pauses the stream of all clients": {names[1]: 3},
+        "sends malformed packets": {names[1]: 3},
+        "asks what is not understood": {names[1]: 3},
+    }
+    assert len(caplog.records) == 7, caplog.text
+    assert any("ClientTest" in record.getMessage() and names[0] in record.getMessage() for record in caplog.records)
+
+
 def test_an_address_that_cannot_be_reached_is_counted(make_lab, caplog):
     lab = make_lab(endpoint=Endpoint(stream_group=""), unicast_stream=[("192.0.2.77", 5)], live_on_start=True)
     lab.step(3)  # from a loopback address nothing leaves this computer

@@ -326,6 +326,23 @@ def test_program_tells_what_listens_and_ends_cleanly(tmp_path, net, number):
     assert content["vehicles"]["risc2"]["phase"] == "landed"
 
 
+def test_program_says_who_comes_and_what_is_wrong(tmp_path, net):
+    program = start_program(tmp_path, net, "--duration", "4")
+    lines = [program.stdout.readline() for _ in range(7)]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.bind(("127.0.0.1", 0))
+        client.sendto(LIVE_MODE, (net["net"] + ".0.1", 1510))
+        for _ in range(5):
+            client.sendto(b"rubbish", (net["net"] + ".1.2", 5556))
+        who = "127.0.0.1:%d" % client.getsockname()[1]
+        out, err = program.communicate(timeout=60)
+    assert (program.returncode, err) == (0, "")
+    said = [line for line in out.splitlines() if who in line]
+    assert any("Cortex" in line and "starts the stream" in line for line in said), (lines, out)
+    malformed = [line for line in said if "risc2" in line and "malformed" in line]
+    assert len(malformed) == 2 and malformed[1].endswith("5 times"), "once when it came, once counted at the end"
+
+
 def test_program_ends_by_itself_after_its_duration(tmp_path, net):
     program = start_program(tmp_path, net, "--duration", "0.5", "--ideal", "--gusts", "--delay", "0.2")
     out, err = program.communicate(timeout=60)

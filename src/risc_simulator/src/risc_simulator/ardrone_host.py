@@ -36,6 +36,7 @@ from risc_simulator.models.ardrone_firmware import LOW_BATTERY_PCT
 from risc_simulator.models.ardrone_sensors import ArdroneSensors
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
+from risc_simulator.notices import Notices
 from risc_simulator.socket_host import SocketHost
 
 _LOG = logging.getLogger(__name__)
@@ -166,6 +167,7 @@ class ArdroneHost(SocketHost):
         )
         self.notes = {}  # last LED, animation, ... that was acknowledged but not performed
         self._counts = Counter()
+        self._notices = Notices(_LOG, vehicle.namespace)
 
         # link
         self._gate = at.SequenceGate()
@@ -250,15 +252,15 @@ class ArdroneHost(SocketHost):
         """Take what has come in on one of sockets() at lab time now_s."""
         self._now_s = now_s
         if sock is self._sockets.get("at"):
-            for data, _ in self._receive(sock):
-                self._on_at_datagram(data, now_s)
+            for data, sender in self._receive(sock):
+                self._on_at_datagram(data, sender, now_s)
         elif sock is self._sockets.get("navdata"):
             for data, sender in self._receive(sock):
                 self._on_wake_up(data, sender, now_s)
         elif self.link_lost:
             self.watch_streams()  # a loss that has just begun: streams stall
         elif sock is self._sockets.get("control"):
-            client = self._accept(sock)
+            client = self._accept(sock, "reads the configuration")
             if client is not None:
                 self._control_clients[client] = b""
         elif sock is self._sockets.get("video"):
@@ -266,7 +268,7 @@ class ArdroneHost(SocketHost):
                 self._video.start()  # accepts as soon as it is up
                 self.watch_streams()
             else:
-                client = self._accept(sock)
+                client = self._accept(sock, "asks for video")
                 if client is not None:
                     self._video_clients.append(client)
         elif sock in self._control_clients or sock in self._video_clients:
@@ -368,6 +370,7 @@ class ArdroneHost(SocketHost):
         result = {name: self._counts[name] for name in _COUNTS}
         result["radio_slots_lost"] = self._radio.slots_lost
         result["sticks_superseded"] = self._radio.items_superseded
+        result["notices"] = self._notices.statistics()
         return result
 
     # --- sockets --------------------------------------------------------------------------------------------------
@@ -409,16 +412,18 @@ class ArdroneHost(SocketHost):
             else:
                 yield data, sender
 
-    def _accept(self, listener):
+    def _accept(self, listener, what):
         try:
-            client, _ = listener.accept()
+            client, sender = listener.accept()
         except OSError:  # gone again
             return None
         client.setblocking(False)
         if len(self._control_clients) + len(self._video_clients) >= 2 * MAX_TCP_CLIENTS:
             self._counts["tcp_clients_refused"] += 1
+            self._notices.complaint("is turned away: too many clients", sender)
             client.close()
             return None
+        self._notices.event(what, sender)
         self._waiting.add(client)
         return client
 
@@ -455,13 +460,18 @@ class ArdroneHost(SocketHost):
 
     # --- commands ---------------------------------------------------------------------------------------------------
 
-    def _on_at_datagram(self, data, now_s):
+    def _on_at_datagram(self, data, sender, now_s):
         self._counts["at_datagrams"] += 1
         commands, malformed = at.parse_datagram(data)
-        self._counts["at_malformed"] += malformed
+        if malformed:
+            self._counts["at_malformed"] += malformed
+            self._notices.complaint("sends malformed commands", sender, repr(data[:60]))
+        else:
+            self._notices.event("sends commands", sender)
         for command in commands:
             if not self._gate.accept(command.sequence):
                 self._counts["at_stale"] += 1
+                self._notices.complaint("is not obeyed: numbers below the last", sender, "%d" % command.sequence)
                 continue
             self._counts["at_commands"] += 1
             # silence is judged here as well: a late tick must not overlook a gap that a command has just ended
@@ -732,10 +742,13 @@ class ArdroneHost(SocketHost):
     def _on_wake_up(self, data, sender, now_s):
         if not navdata.is_wake_up(data):
             self._counts["not_wake_ups"] += 1
+            self._notices.complaint("asks for navdata wrongly", sender, repr(data[:20]))
             return
         self._counts["wake_ups"] += 1
         if sender != self._client or self._bootstrap:
             self._next_packet_s = now_s  # answer in the next cycle
+        if sender != self._client:
+            self._notices.event("gets the navdata", sender)
         if self._client is None and self._bootstrap:
             self._sequence = 0  # a new conversation counts from 1
         self._client, self._last_wake_up_s = sender, now_s

@@ -22,6 +22,7 @@ import numpy as np
 from risc_simulator import cortex_wire as wire
 from risc_simulator.cortex_wire import Command
 from risc_simulator.models.mocap_cameras import MocapCameras, Observation
+from risc_simulator.notices import Notices
 from risc_simulator.socket_host import SocketHost
 
 IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))  # program id 1 says: this is Cortex
@@ -169,6 +170,8 @@ class CortexHost(SocketHost):
         self._request_counts = Counter()
         self._lateness = LatenessHistogram()
         self._clients = {}  # (address, port) of those who asked something: an ordered set
+        self._notices = Notices(_LOG, "Cortex host")
+        self._asking = None  # (address, port) of the client whose request is served
 
         layout, markers_m = world.layout, world.markers_m()
         self._encoder, self._encoder_layout = None, None
@@ -339,6 +342,7 @@ class CortexHost(SocketHost):
         result = {name: self._counts[name] for name in names}
         result["requests"] = dict(sorted(self._request_counts.items()))
         result["clients"] = len(self._clients)
+        result["notices"] = self._notices.statistics()
         result["schedule_late_ms"] = {
             "p50": 1e3 * self._lateness.percentile_s(50.0),
             "p99": 1e3 * self._lateness.percentile_s(99.0),
@@ -515,7 +519,8 @@ class CortexHost(SocketHost):
             if command in (Command.HELLO_WORLD, Command.ARE_YOU_THERE):
                 if command == Command.HELLO_WORLD:
                     client = wire.decode_identity(payload)
-                    _LOG.info("hello from %s %s at %s:%d", client.name, client.version, sender[0], sender[1])
+                    version = ".".join(map(str, client.version[1:]))
+                    self._notices.event("says hello", sender, "%s %s" % (client.name, version))
                 self._count_request(Command(command).name, sender)
                 self._reply_to(sender, wire.encode_identity(Command.HERE_I_AM, IDENTITY))
             elif command == Command.REQUEST_BODYDEFS:
@@ -532,17 +537,20 @@ class CortexHost(SocketHost):
             elif command in _HOST_COMMANDS:
                 # what only a host sends; answering could start an endless exchange between two hosts
                 self._counts["unexpected"] += 1
+                self._notices.complaint("speaks as a host", sender, "command %d" % command)
             else:
                 self._counts["unknown_commands"] += 1
+                self._notices.complaint("sends unknown commands", sender, "%d" % command)
                 self._reply_to(sender, wire.encode_packet(Command.UNRECOGNIZED_COMMAND))
         except wire.MalformedPacketError as error:
             self._counts["malformed"] += 1
-            _LOG.debug("malformed packet from %s:%d: %s", sender[0], sender[1], error)
+            self._notices.complaint("sends malformed packets", sender, "%s" % error)
 
     def _count_request(self, kind, sender):
         self._request_counts[kind] += 1
         if sender not in self._clients:
             self._clients[sender] = None
+            self._notices.event("is a client", sender, "its first request: %s" % kind)
             if len(self._clients) > CLIENTS_REMEMBERED:
                 del self._clients[next(iter(self._clients))]
 
@@ -552,9 +560,11 @@ class CortexHost(SocketHost):
         if handler is None or (equals and name not in self._requests_with_argument):
             reply = None
         else:
+            self._asking = sender
             reply = handler(argument if equals else None)
         if reply is None:
             self._counts["unrecognized_requests"] += 1
+            self._notices.complaint("asks what is not understood", sender, repr(text[:60]))
             reply = wire.encode_packet(Command.UNRECOGNIZED_REQUEST)
         else:
             self._count_request(name, sender)
@@ -570,10 +580,14 @@ class CortexHost(SocketHost):
         return self._base_positions.packet if argument == "BasePositions" else None
 
     def _request_live_mode(self, _argument):
+        if not self._live:
+            self._notices.event("starts the stream", self._asking)
         self.set_live(True)
         return _reply()
 
     def _request_pause(self, _argument):
+        if self._live:
+            self._notices.complaint("pauses the stream of all clients", self._asking)
         self.set_live(False)
         return _reply()
 

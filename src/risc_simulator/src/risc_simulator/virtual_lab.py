@@ -319,7 +319,7 @@ class VirtualLab(object):
             "honest": self.honest,
             "gusts": self.gusts,
             "radio_loss": self.radio_loss,
-            "frames": self.frame,
+            "frames": self.frame - self.frames_skipped,
             "rate_hz": self.fleet.mocap.rate_hz,
             "duration_s": self.exposure_s,
             "late_ms": {
@@ -375,6 +375,15 @@ def summary(statistics):
         "crash at %.2f s: %s %s at (%.2f, %.2f, %.2f) m"
         % ((crash["time_s"], crash["vehicle"], crash["reason"]) + tuple(crash["position_m"]))
         for crash in statistics["crashes"]
+    ]
+    hosts = {"Cortex host": statistics["cortex"]}
+    hosts.update({namespace: vehicle["host"] for namespace, vehicle in statistics["vehicles"].items()})
+    lines += [
+        "%s: %s %s: %d times" % (name, sender, what, times)
+        for name, host in hosts.items()
+        for what, senders in host["notices"]["complaints"].items()
+        for sender, times in senders.items()
+        if times > 1  # else the line that was said is all
     ]
     return "\n".join(lines)
 
@@ -453,6 +462,7 @@ def _parse_arguments(arguments):
 def main(arguments=None):
     """Command line. Returns the exit code."""
     options = _parse_arguments(arguments)
+    logging.basicConfig(stream=sys.stdout, format="%(asctime)s %(message)s", datefmt="%H:%M:%S", level=logging.INFO)
     stop_event = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop_event.set())

@@ -17,6 +17,7 @@ import cv2
 
 from risc_control.lab import fleet_from_dict, load_vehicle_type
 from risc_control.priority import set_priority
+from risc_simulator.notices import Notices
 from risc_simulator.video.blackboard import BAD_FILES, BOTTOM, FRONT, Blackboard
 from risc_simulator.video.camera_pose import vehicle_pose
 from risc_simulator.video.scene import load_scene
@@ -41,7 +42,8 @@ class VideoHost(object):
                 FRONT: front_eye(vehicle, scene, imaging, seed_of(seed, index, FRONT)),
                 BOTTOM: bottom_eye(scene, imaging, seed_of(seed, index, BOTTOM)),
             }
-            station = Station(listener, eyes, load_vehicle_type(vehicle.type).video_latency_s)
+            latency_s = load_vehicle_type(vehicle.type).video_latency_s
+            station = Station(listener, eyes, latency_s, Notices(_LOG, vehicle.namespace))
             station.pictures = int(board.pictures[index])  # of a camera process before this one
             station.skipped = int(board.skipped[index])
             self._stations.append(station)

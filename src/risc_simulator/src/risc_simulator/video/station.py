@@ -70,11 +70,11 @@ def bottom_eye(scene, imaging, seed):
 class Station(object):
     """Serves one listener. One thread, non-blocking sockets; nothing that clients do raises."""
 
-    def __init__(self, listener, eyes, latency_s):
-        """listener: bound TCP socket. eyes: Eye by channel. latency_s: from exposure to sending."""
+    def __init__(self, listener, eyes, latency_s, notices=None):
+        """listener: bound TCP socket. eyes: Eye by channel. latency_s: from exposure to sending. notices: Notices."""
         self.listener = listener
         listener.setblocking(False)
-        self._eyes, self._latency_s = eyes, latency_s
+        self._eyes, self._latency_s, self._notices = eyes, latency_s, notices
         self._clients = {}  # socket -> _Client
         self._encoder, self._encoder_settings = None, None
         self._writer = StreamWriter()
@@ -187,9 +187,11 @@ class Station(object):
 
     def _accept(self):
         try:
-            client, _ = self.listener.accept()
+            client, sender = self.listener.accept()
         except OSError:  # gone again
             return
+        if self._notices is not None:
+            self._notices.event("asks for video", sender)
         if len(self._clients) >= MAX_CLIENTS:
             client.close()
             return

@@ -1,0 +1,48 @@
+"""What clients of a host do, for the people who run it: each thing that a client does is said once, then counted."""
+
+import logging
+from collections import Counter
+
+MAX_SAID = 50  # lines of one host; the senders of a flood are as many as it likes
+
+
+class Notices(object):
+    """One host's.
+
+    logger: of the module that speaks.  whose: name of the host, in front of every line.
+    """
+
+    def __init__(self, logger, whose):
+        self._logger, self._whose = logger, whose
+        self._events, self._complaints = Counter(), Counter()  # (what, sender) -> times
+
+    def event(self, what, sender, detail=""):
+        """A client has done something. what: "asks for video".  sender: (address, port).  detail: said, not counted."""
+        self._count(self._events, logging.INFO, what, sender, detail)
+
+    def complaint(self, what, sender, detail=""):
+        """A client has done something that is wrong, or that others suffer from."""
+        self._count(self._complaints, logging.WARNING, what, sender, detail)
+
+    def statistics(self):
+        """{"events": {what: {"address:port": times}}, "complaints": the same}, for JSON; "others": too many to name."""
+        return {"events": _by_what(self._events), "complaints": _by_what(self._complaints)}
+
+    def _count(self, counts, level, what, sender, detail):
+        key = what, sender
+        if key not in counts:
+            said = len(self._events) + len(self._complaints)
+            if said >= MAX_SAID:
+                key = what, None
+            else:
+                self._logger.log(level, "%s: %s:%d %s%s", self._whose, *sender[:2], what, detail and " (%s)" % detail)
+                if said == MAX_SAID - 1:
+                    self._logger.warning("%s: what other clients do is only counted", self._whose)
+        counts[key] += 1
+
+
+def _by_what(counts):
+    result = {}
+    for (what, sender), times in counts.items():
+        result.setdefault(what, {})["others" if sender is None else "%s:%d" % sender[:2]] = times
+    return result
