@@ -454,9 +454,10 @@ def test_package_lists_that_do_not_fit_are_refused(machine, arguments, code, sai
 # ---------------------------------------------------------------- the images
 
 
+@pytest.mark.release
 @pytest.mark.skipif(
     not os.environ.get("RISC_MAAP_DOCKER_STEPS"),
-    reason="takes half an hour and 15 GB: RISC_MAAP_DOCKER_STEPS=FOLDER ./maap test images_are_built",
+    reason="takes half an hour and 15 GB: RISC_MAAP_DOCKER_STEPS=FOLDER ./maap test --all images_are_built",
 )
 def test_images_are_built_and_compose_flies():
     subprocess.run([str(ROOT / "tests/docker_steps.sh"), os.environ["RISC_MAAP_DOCKER_STEPS"]], check=True)

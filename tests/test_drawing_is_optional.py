@@ -97,6 +97,8 @@ def kill_what_draws(flight, folder):
         raise
 
 
+@pytest.mark.release  # of the drawing nodes without rviz: test_live_view.py
+@pytest.mark.alone
 @pytest.mark.skipif(
     bool(missing_programs("rviz")), reason="no rviz or no Xvfb: './maap screenshot' installs what pictures need"
 )

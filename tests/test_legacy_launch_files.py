@@ -32,6 +32,7 @@ PAGE = ROOT / "docs/legacy_launch_files.md"
 AT_ONCE = 2  # launches: nodes that start wait for the disk, for each other and for roslaunch
 STARTED_S = 300.0  # until a graph is complete, on a computer that does much else
 FLOWN_S = 150.0  # until a flight has ended, the same
+SOME = ("Coop_experiment1", "DF_Demo_sim")  # cameras and bearings; the lab and the plots
 FLOWN = "Hows_sim"  # from take-off to landing, which the others are not
 STILL_S = 0.7  # a graph that has not changed for so long is complete
 
@@ -468,7 +469,11 @@ def starts(name, folder):
     return problem or ended
 
 
-def test_every_file_starts_and_ends_without_a_trace(tmp_path):
+@pytest.mark.alone
+@pytest.mark.parametrize(
+    "names", [pytest.param(SOME, id="some"), pytest.param(None, id="all", marks=pytest.mark.release)]
+)
+def test_files_start_and_end_without_a_trace(tmp_path, names):
     """All nodes of each file live, with the virtual lab where it has one and no joystick plugged in; after Ctrl-C
     nothing is left. FLOWN does so below."""
     with rosbag.Bag(str(tmp_path / "long.bag"), "w") as bag:
@@ -476,7 +481,8 @@ def test_every_file_starts_and_ends_without_a_trace(tmp_path):
             bag.write("/trajectory_phase", String("fluffy_II: course"), rospy.Time(second))
     picture = b"P6 64 48 255\n" + bytes(64 * 48 * 3)
     (tmp_path / "picture.ppm").write_bytes(picture)
-    names = sorted(set(FILES) - {FLOWN}) + sorted(name for name, argv in ELSEWHERE.items() if argv is not None)
+    elsewhere = sorted(name for name, argv in ELSEWHERE.items() if argv is not None)
+    names = names or sorted(set(FILES) - {FLOWN}) + elsewhere
     with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as pool:
         answers = list(pool.map(lambda name: starts(name, tmp_path / name), names))
     problems = {name: answer for name, answer in zip(names, answers) if answer}
@@ -529,6 +535,7 @@ def chase(folder):
     return "", range_m, np.linalg.norm(settled[:, 1:], axis=1), errors_m
 
 
+@pytest.mark.alone
 def test_hows_sim_chases_its_target_and_comes_home(tmp_path):
     """Take-off, wait, button 1, behind the target on its circle, home, landing: by the buttons of a joystick."""
     problem, range_m, radius_m, errors_m = chase(tmp_path / "flight")

@@ -3,6 +3,8 @@
 import pathlib
 import sys
 
+import pytest
+
 from data_extraction.report.__main__ import make
 
 PROGRAM = pathlib.Path(__file__).resolve().parent / "benchmarks" / "long_bag.py"
@@ -24,6 +26,7 @@ def peak_mb(folder, duration_s, picture_hz):
     return peak, size_mb, pictures
 
 
+@pytest.mark.release
 def test_memory_does_not_grow_with_the_pictures(tmp_path):
     few_mb, few_size_mb, few = peak_mb(tmp_path / "few", 20.0, 2)
     many_mb, many_size_mb, many = peak_mb(tmp_path / "many", 20.0, 100)
@@ -32,6 +35,7 @@ def test_memory_does_not_grow_with_the_pictures(tmp_path):
     assert many_mb - few_mb < GROWTH_MB
 
 
+@pytest.mark.release
 def test_memory_grows_little_with_the_length(tmp_path):
     short_mb, short_size_mb, _ = peak_mb(tmp_path / "short", 20.0, 10)
     long_mb, long_size_mb, _ = peak_mb(tmp_path / "long", 80.0, 10)

@@ -57,6 +57,7 @@ GONE_S = 8.0  # from the end of roslaunch to that of the last process; after tha
 # aircraft that hears nothing any more keeps its last tilt for two seconds, 1 to 4 degrees, and drifts by 0.3 to
 # 1.5 m: the net is wider than that.
 APART = ("course:=origin", "course_options:={spacing_m: 3.0}")
+pytestmark = pytest.mark.alone
 LAPTOPS = tuple(VEHICLE_OF)
 LAPTOP_OF = {vehicle: laptop for laptop, vehicle in VEHICLE_OF.items()}
 SECOND_SET = {"joystick_controller", "joy_node"}  # on each laptop
@@ -410,7 +411,12 @@ def test_a_launch_beside_one_that_is_alive_is_refused(outages):
 
 @pytest.fixture(scope="module")
 def accidents(namespaces, tmp_path_factory):
-    """Two laptops' clocks are wrong by 50 ms; one laptop's sshd dies in flight, another laptop loses its power."""
+    """Two laptops' clocks are wrong by 50 ms; one laptop's sshd dies in flight, another laptop loses its power.
+
+    For releases: a vehicle whose laptop is gone lands in `outages`, too; what is left has tests without a flight: the
+    guard of a session (test_env_loader.py), the vehicle's own watchdog (test_ardrone_host.py), clocks in the report
+    (test_report_collectors.py).
+    """
 
     def scenario(hosts):
         hosts.launch("duration:=20", *APART)
@@ -439,11 +445,13 @@ def accidents(namespaces, tmp_path_factory):
     return fly(tmp_path_factory.mktemp("accidents"), scenario, checks, ahead_s=ahead_s)
 
 
+@pytest.mark.release
 def test_clocks_that_are_wrong_by_50_ms_end_no_flight(accidents):
     for vehicle in LAPTOP_OF:
         assert_flown_on(accidents, vehicle, accidents.course_s, accidents.sshd_s)
 
 
+@pytest.mark.release
 def test_a_clock_that_is_behind_is_noticed_and_corrected(accidents):
     """A message cannot be received before it was sent: the difference shows, less what the messages took."""
     computers = computers_of(accidents.folder / "flight.bag")
@@ -453,6 +461,7 @@ def test_a_clock_that_is_behind_is_noticed_and_corrected(accidents):
     assert behind_ms["risc2"] == behind_ms["risc3"] == 0.0
 
 
+@pytest.mark.release
 def test_when_sshd_dies_its_vehicle_lands_and_the_others_fly_on(accidents):
     ordered_s = landing_ordered(accidents, "risc3", accidents.sshd_s)
     measured(
@@ -466,6 +475,7 @@ def test_when_sshd_dies_its_vehicle_lands_and_the_others_fly_on(accidents):
         assert_flown_on(accidents, vehicle, accidents.sshd_s, accidents.power_s)
 
 
+@pytest.mark.release
 def test_when_a_laptop_dies_its_vehicle_lands_by_itself_and_the_others_fly_on(accidents):
     """Nothing reaches it any more: the vehicle's own watchdog hovers for two seconds, then lands."""
     later = [c for c in accidents.commands("risc2") if c.time_s > accidents.power_s + LATE_S]
@@ -476,6 +486,7 @@ def test_when_a_laptop_dies_its_vehicle_lands_by_itself_and_the_others_fly_on(ac
     assert_flown_on(accidents, "risc1", accidents.power_s, accidents.home_s)
 
 
+@pytest.mark.release
 def test_the_vehicle_that_is_left_comes_home_and_the_operator_names_the_others(accidents):
     log = accidents.log("flight")
     failed = {vehicle for vehicle in LAPTOP_OF if re.search("phase.*%s.*; the others fly on" % vehicle, log)}
@@ -484,6 +495,7 @@ def test_the_vehicle_that_is_left_comes_home_and_the_operator_names_the_others(a
     vehicle_ends_landed(accidents, "risc1")
 
 
+@pytest.mark.release
 def test_ctrl_c_ends_a_launch_although_a_laptop_is_dead(accidents):
     measured("Ctrl-C with a dead laptop took %.1f s", accidents.ended_s)
     assert accidents.ended_s < END_S

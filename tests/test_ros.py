@@ -21,6 +21,7 @@ ROSTESTS = sorted((ROOT / "src").rglob("test/*.test"))
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch")) + sorted((ROOT / "src").rglob("launch/*.launch"))
 LAUNCH_FILES.remove(ROOT / "src/risc_lab/launch/refuse.launch")  # never loads, on purpose
 GTESTS = sorted(path for path in (ROOT / "devel" / "lib").glob("*/test_*") if os.access(str(path), os.X_OK))
+RELEASE = {"risc_experiments/tuner_by_mouse"}  # the node itself: risc_visual/transform_tuner
 # Arguments for launch files that cannot do without.
 ADDRESSES = {"fleet": str(ROOT / "launch/fleets/ardrones3.yaml"), "ip": "127.77.1.1",
              **{"risc%d_address" % k: "127.0.0.%d" % k for k in (1, 2, 3, 4)}}  # fmt: skip
@@ -36,7 +37,13 @@ def label(path):
     return "%s/%s" % (path.parent.name if path.suffix != ".test" else package_of(path), path.stem)
 
 
-@pytest.mark.parametrize("path", ROSTESTS, ids=label)
+def parameter(path):
+    """In the second tier rviz draws, by software."""
+    marks = [pytest.mark.release, pytest.mark.alone] if label(path) in RELEASE else []
+    return pytest.param(path, id=label(path), marks=marks)
+
+
+@pytest.mark.parametrize("path", [parameter(path) for path in ROSTESTS])
 def test_rostest(path, tmp_path):
     identity = uuid.uuid4().hex
     environment = dict(os.environ, ROS_HOME=str(tmp_path), ROS_IP="127.0.0.1", **{MARK: identity})

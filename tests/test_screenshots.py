@@ -1,5 +1,6 @@
 """Pictures of rviz without a screen: what is in the bag is where it should be in the picture."""
 
+import functools
 import os
 import subprocess
 import sys
@@ -28,9 +29,12 @@ from risc_visual.landmark_config import load_landmarks
 from risc_visual.palette import ray_colours, sphere_colours
 from risc_visual.scenery import load_scenery
 
-pytestmark = pytest.mark.skipif(
-    bool(missing_programs("rviz")), reason="no rviz or no Xvfb: './maap screenshot' installs what pictures need"
-)
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.skipif(
+        bool(missing_programs("rviz")), reason="no rviz or no Xvfb: './maap screenshot' installs what pictures need"
+    ),
+]
 
 T0_S = 1000.0
 RATE_HZ = 50.0
@@ -39,6 +43,8 @@ AT_S = 7.07  # of the picture: between two messages
 SEEN_S = 7.0  # when the cameras last saw something, long enough before that it is drawn
 PICTURE_STEPS = 5  # from one picture of the cameras to the next
 SIZE = (1280, 900)
+STARTS = (("oblique",), ("top", "rays"), ("tuner",))
+TOP, RAYS, TUNER = (pytest.param(name, marks=pytest.mark.release) for name in ("top", "rays", "tuner"))
 TIMEOUT_S = 900.0
 FLEET = ROOT / "launch" / "fleets" / "ardrones3.yaml"
 REACH_M = 0.36  # of a vehicle's nose and rotors from its centre, and a little more
@@ -118,22 +124,27 @@ def bag_file(tmp_path_factory, fleet):
 
 
 @pytest.fixture(scope="module")
-def pictures(bag_file):
-    """{view: (picture (height, width, 3) RGB, OrbitView)} as the command makes them."""
+def picture_of(bag_file):
+    """picture_of(view): (picture (height, width, 3) RGB, OrbitView) as the command makes them."""
     out = bag_file.parent / "pictures"
-    found = {}
-    for names in (("oblique", "top", "rays"), ("tuner",)):  # which has another node for the frames
+
+    @functools.lru_cache(maxsize=None)
+    def taken(*names):
         command = [sys.executable, "-m", "risc_experiments.screenshot", str(bag_file), "--fleet", str(FLEET)]
         command += ["--at", str(AT_S), "--out", str(out), "--views", ",".join(names), "--size", "%dx%d" % SIZE]
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=TIMEOUT_S)
         assert done.returncode == 0, done.stdout
+        found = {}
         for name in names:
             config, saved = VIEWS[name]
             view = saved_view(load_config(package_file("risc_visual", "config/" + config)), saved)
             picture = cv2.imread(str(out / (name + ".png")))[:, :, ::-1].astype(float)
             assert picture.shape == (SIZE[1], SIZE[0], 3)
             found[name] = picture, orbit_view_from_dict(view, config)
-    return found
+        return found
+
+    # one start of rviz for each; the tuner has another node for the frames
+    return lambda name: next(taken(*names)[name] for names in STARTS if name in names)
 
 
 def alike(picture, rgb, likeness_deg, brightness):
@@ -158,9 +169,9 @@ def along(ends_m, view, count=100):
     return pixels[inside]
 
 
-@pytest.mark.parametrize("name", ["oblique", "top"])
-def test_the_net_is_where_the_projection_says(pictures, name):
-    picture, view = pictures[name]
+@pytest.mark.parametrize("name", ["oblique", TOP])
+def test_the_net_is_where_the_projection_says(picture_of, name):
+    picture, view = picture_of(name)
     ends_m = load_scenery().net.edges().reshape(-1, 2, 3)
     checked = 0
     for edge in ends_m[np.any(ends_m[:, :, 2] > 0.0, axis=1)]:  # those on the floor are among the floor's lines
@@ -177,9 +188,9 @@ def test_the_net_is_where_the_projection_says(pictures, name):
     assert checked >= 4
 
 
-@pytest.mark.parametrize("name", ["oblique", "top", "rays"])
-def test_every_vehicle_is_in_its_place_and_nowhere_else(pictures, fleet, name):
-    picture, view = pictures[name]
+@pytest.mark.parametrize("name", ["oblique", TOP, RAYS])
+def test_every_vehicle_is_in_its_place_and_nowhere_else(picture_of, fleet, name):
+    picture, view = picture_of(name)
     positions_m, _ = flight()(AT_S - 0.5 / RATE_HZ)
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
     landmark = np.zeros(x.shape, dtype=bool)  # orange glass over grey is yellow
@@ -198,10 +209,10 @@ def test_every_vehicle_is_in_its_place_and_nowhere_else(pictures, fleet, name):
         assert elsewhere <= 0.02 * (coloured & near).sum(), (vehicle.template, elsewhere)
 
 
-@pytest.mark.parametrize("name", ["rays", "tuner"])
-def test_rays_hit_their_spheres(pictures, fleet, name):
+@pytest.mark.parametrize("name", [RAYS, TUNER])
+def test_rays_hit_their_spheres(picture_of, fleet, name):
     """From every camera to every landmark that it sees whole: the ray's colour along the line, none of it beside."""
-    picture, view = pictures[name]
+    picture, view = picture_of(name)
     positions_m, yaws_rad = flight()(SEEN_S)
     landmarks = load_landmarks()
     place_m = {mark.name: np.array(mark.position_m) for mark in fleet.landmarks}
@@ -228,10 +239,12 @@ def test_rays_hit_their_spheres(pictures, fleet, name):
         assert alike(sphere, sphere_colours(landmarks)[landmark], **SPHERE).mean() > 0.8, landmark
 
 
-def test_the_tuner_says_by_how_much_rays_miss(pictures):
-    assert alike(pictures["tuner"][0], TUNER_TEXT_RGB, **PAINT).sum() > 500
+@pytest.mark.release
+def test_the_tuner_says_by_how_much_rays_miss(picture_of):
+    assert alike(picture_of("tuner")[0], TUNER_TEXT_RGB, **PAINT).sum() > 500
 
 
+@pytest.mark.release  # without the flight: test_screenshot.py
 def test_an_experiment_is_flown_first(tmp_path):
     (tmp_path / "launch").symlink_to(ROOT / "launch")
     command = [sys.executable, "-m", "risc_experiments.screenshot", "circles3", "--vehicles", "1", "--duration", "6"]

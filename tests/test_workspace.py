@@ -39,6 +39,8 @@ def install_space(tmp_path_factory):
     shutil.rmtree(str(folder))
 
 
+@pytest.mark.release
+@pytest.mark.alone
 def test_a_vehicle_flies_from_the_install_space(install_space, tmp_path):
     # setup.bash reads the arguments of the script that sources it
     script = """arguments=("$@"); set --; . "$0/setup.bash"
@@ -75,6 +77,8 @@ def test_a_vehicle_flies_from_the_install_space(install_space, tmp_path):
         assert str(devel_space) not in text
 
 
+@pytest.mark.release
+@pytest.mark.alone
 def test_catkin_build_builds_it_too(tmp_path):
     (tmp_path / "src").symlink_to(ROOT / "src")
     run(["catkin", "config", "--init", "--no-extend", "--cmake-args", PYTHON], tmp_path, env=BARE)
@@ -85,6 +89,8 @@ def test_catkin_build_builds_it_too(tmp_path):
     assert '"type"' in run(["bash", "-c", script], tmp_path, env=BARE)
 
 
+@pytest.mark.release  # in small: test_env_loader.py
+@pytest.mark.alone
 def test_the_env_loader_of_the_install_space_is_for_that_space(install_space, tmp_path):
     found = run([str(install_space / "coop.sh"), "rospack", "find", "risc_control"], tmp_path, env=BARE)
     assert found.strip() == str(install_space / "share/risc_control")

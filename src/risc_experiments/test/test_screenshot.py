@@ -103,6 +103,26 @@ def test_options_of_fly_are_left_for_it():
     assert (args.what, args.views, args.size) == ("circles3", ["top", "oblique"], (800, 600))
 
 
+def test_an_experiment_is_flown_before_its_bag_is_drawn(tmp_path, monkeypatch):
+    """With the caller's options; a real flight and a real picture: tests/test_screenshots.py."""
+    flown, drawn = [], []
+
+    def fly(flight, folder, *_):
+        flown.append(flight)
+        moment(folder / "flight.bag", phases())
+        return "ok"
+
+    monkeypatch.setattr(screenshot, "missing_programs", lambda *_: [])
+    monkeypatch.setattr(screenshot.fly, "ROOT", tmp_path)
+    monkeypatch.setattr(screenshot.fly, "fly", fly)
+    monkeypatch.setattr(screenshot, "take_pictures", lambda *given: drawn.append(given) or [])
+    assert screenshot.main(["circles3", "--vehicles", "2", "--views", "top"]) == 0
+    (flight,), ((bag, views, at_s, out, *_),) = flown, drawn
+    assert (flight.experiment, flight.vehicles, flight.duration) == ("circles3", 2, screenshot.FLIGHT_S)
+    assert bag.parent.parent == tmp_path / "flights" and out == bag.parent / "screenshots"
+    assert [view.name for view in views] == ["top"] and at_s == pytest.approx(7.5)
+
+
 def test_on_a_slow_computer_the_flight_for_a_picture_begins_again(tmp_path, monkeypatch):
     argv = ["circles3", "--views", "top", "--vehicles", "2"]
     args, rest = screenshot.arguments(argv)

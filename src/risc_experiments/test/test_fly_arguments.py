@@ -1,0 +1,49 @@
+"""`./maap fly`, wrongly used: refused with one clear line that names what is wrong, before anything starts."""
+
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from risc_experiments.fly import arguments
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["--vehicles", "0"], "--vehicles"),
+        (["df_demo", "--vehicles", "2"], "--vehicles"),
+        (["df_demo", "--trajectory", "circle"], "--trajectory"),
+        (["--duration", "1"], "--duration"),
+        (["--delay", "-1"], "--delay"),
+        (["--fps", "10"], "--fps"),
+        (["coop", "--fps", "0"], "--fps"),
+        (["--mocap-rate", "40"], "--mocap-rate"),
+        (["--psi", "nan"], "--psi"),
+        (["--trajectory", "loop"], "--trajectory"),
+    ],
+)
+def test_a_wrong_option_is_named(capsys, words, option):
+    with pytest.raises(SystemExit) as end:
+        arguments(words)
+    assert end.value.code == 2
+    assert option in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("words", "cause"),
+    [
+        (["--fleet", str(ROOT / "launch/fleets/ardrones5.yaml"), "--vehicles", "9"], "ardrones5"),
+        (["--fleet", "nowhere.yaml"], "nowhere.yaml"),
+        (["--vehicles", "97"], "101"),  # bodies, with landmarks: one more than Cortex's clients hold
+    ],
+)
+def test_a_fleet_that_cannot_fly_is_one_line(tmp_path, words, cause):
+    command = [sys.executable, "-m", "risc_experiments.fly", "--out", str(tmp_path / "flight"), *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    last = (done.stdout + done.stderr).splitlines()[-1]
+    assert cause in last and "Traceback" not in done.stdout + done.stderr

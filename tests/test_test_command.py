@@ -1,0 +1,150 @@
+"""`./maap test` itself: what it refuses, style first, the two tiers, the ledger of --repeat."""
+
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+
+import ledger
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+STUB = """#!/bin/sh
+echo "$@" >>"%s"
+exit 1
+"""
+TOY = """
+import pathlib
+import pytest
+
+def test_first():
+    pass
+
+@pytest.mark.release
+@pytest.mark.parametrize("number", range(3))
+def test_second(number):
+    pass
+
+def test_fuzz(inputs):
+    assert inputs(5, 50) == %d
+"""
+FLAKY = """
+import pathlib
+import pytest
+
+here = pathlib.Path(__file__).parent
+
+def test_good():
+    pass
+
+def test_now_and_then():
+    assert not (here / "bad").exists(), "the reason"
+
+@pytest.fixture
+def broken():
+    assert not (here / "bad").exists()
+
+def test_set_up(broken):
+    pass
+
+def test_skipped_always():
+    pytest.skip("never here")
+
+def test_skipped_once():
+    if (here / "bad").exists():
+        pytest.skip("busy")
+"""
+
+
+def run_pytest(folder, content, *options):
+    """pytest with this workspace's settings on one file: the finished process."""
+    (folder / "test_toy.py").write_text(content)
+    command = [sys.executable, "-m", "pytest", "-c", str(ROOT / "pytest.ini"), "--rootdir", str(folder)]
+    command += ["-p", "conftest", "-p", "no:cacheprovider", *options, str(folder / "test_toy.py")]
+    environment = dict(os.environ, PYTHONPATH=str(ROOT) + os.pathsep + os.environ.get("PYTHONPATH", ""))
+    return subprocess.run(command, env=environment, cwd=str(folder), capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.parametrize("side_by_side", [(), ("--numprocesses", "2")])
+def test_the_second_tier_is_left_out_and_counted(tmp_path, side_by_side):
+    done = run_pytest(tmp_path, TOY % 5, *side_by_side)
+    assert done.returncode == 0 and "2 passed" in done.stdout, done.stdout
+    assert re.search(r"^3 .*--all", done.stdout, re.MULTILINE), done.stdout
+    done = run_pytest(tmp_path, TOY % 50, "--all", *side_by_side)
+    assert done.returncode == 0 and "5 passed" in done.stdout, done.stdout
+    assert "--all" not in done.stdout.rpartition("=== ")[2]
+
+
+def test_what_a_pattern_leaves_out_is_not_counted(tmp_path):
+    done = run_pytest(tmp_path, TOY % 5, "-k", "fuzz or second[1]")
+    assert "1 passed" in done.stdout and re.search(r"^1 .*--all", done.stdout, re.MULTILINE), done.stdout
+
+
+def test_a_marker_that_is_misspelt_is_an_error(tmp_path):
+    assert run_pytest(tmp_path, TOY.replace("mark.release", "mark.relase") % 5).returncode == 2
+
+
+@pytest.mark.parametrize(
+    "words", [("lqr", "flatness"), ("--repeat",), ("--repeat", "0"), ("--repeat", "often"), ("--everything",)]
+)
+def test_wrong_use_ends_before_anything_is_done(tmp_path, words):
+    shutil.copy(str(ROOT / "maap"), str(tmp_path))
+    done = subprocess.run([str(tmp_path / "maap"), "test", *words], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["maap"]
+
+
+def test_a_wrong_style_ends_it_before_anything_is_built(tmp_path):
+    """In a workspace whose Python only notes what it is asked for."""
+    for name in ("maap", "requirements.txt", "apt-packages.txt"):
+        shutil.copy(str(ROOT / name), str(tmp_path))
+    for name in ("apt-packages-rviz.txt", "apt-packages-pdf.txt", "apt-packages-test.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / ".catkin_tools").mkdir()
+    python = tmp_path / ".venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(STUB % (tmp_path / "asked"))
+    python.chmod(0o755)
+    shutil.copy(str(ROOT / ".venv/.requirements"), str(tmp_path / ".venv"))
+    done = subprocess.run([str(tmp_path / "maap"), "test"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    (asked,) = (tmp_path / "asked").read_text().splitlines()
+    assert "tests/test_style.py" in asked
+    assert not (tmp_path / "build").exists() and not (tmp_path / "devel").exists()
+
+
+def test_the_ledger_counts_failures_gaps_and_what_is_skipped_now_and_then(tmp_path):
+    results = tmp_path / "results"
+    for number in (1, 2, 3):
+        if number == 3:
+            (tmp_path / "bad").touch()
+        run_pytest(tmp_path, FLAKY, "--junit-xml", str(results / ("%d.alone.xml" % number)))
+    records = {name.rpartition("::")[2]: record for name, record in ledger.read(results).items()}
+    assert {name: record.passes for name, record in records.items()} == dict.fromkeys(records, {1, 2, 3})
+    assert {name: record.failed for name, record in records.items() if record.failed} == {
+        "test_now_and_then": {3},
+        "test_set_up": {3},
+    }
+    assert records["test_skipped_always"].skipped == {1, 2, 3} and records["test_skipped_once"].skipped == {3}
+    text, well = ledger.lines(ledger.read(results), 3)
+    assert not well
+    (total,) = text[-1:]
+    assert re.findall(r"\d+", total) == ["5", "3", "15", "2"]
+    told = "\n".join(text[:-1])
+    assert all(name in told for name in ("test_now_and_then", "test_set_up", "test_skipped_once")), told
+    assert "test_good" not in told and "test_skipped_always" not in told
+
+    good = {name: record for name, record in ledger.read(results).items() if name.endswith(("good", "always"))}
+    assert ledger.lines(good, 3)[1]
+    assert not ledger.lines(good, 4)[1], "one pass has no results"
+    assert not ledger.lines({}, 1)[1]
+
+
+def test_the_ledgers_exit_code(tmp_path):
+    for number in (1, 2):
+        run_pytest(tmp_path, FLAKY, "--junit-xml", str(tmp_path / ("%d.alone.xml" % number)))
+    program = [sys.executable, str(ROOT / "tests/ledger.py"), str(tmp_path)]
+    codes = [subprocess.run([*program, passes], capture_output=True).returncode for passes in ("2", "3")]
+    assert codes == [0, 1]
