@@ -80,7 +80,6 @@ def test_same_type_on_the_wire(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
-@settings(max_examples=150)
 def test_read_and_written_byte_for_byte_as_by_genpy(kind, data):
     original = data.draw(KINDS[kind])
     sent = wire(original)
@@ -113,7 +112,6 @@ def test_read_and_written_byte_for_byte_as_by_genpy(kind, data):
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
-@settings(max_examples=100)
 def test_bytes_that_are_no_message_are_refused_or_read_as_genpy_reads_them(kind, data):
     sent = wire(data.draw(KINDS[kind]))
     end = data.draw(st.integers(0, len(sent)))

@@ -16,7 +16,7 @@ import types
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata
@@ -417,7 +417,6 @@ def test_out_of_range_sticks_are_clipped(fake_lab):
     assert setpoint.yaw_rate_rad_s == pytest.approx(1.745329)
 
 
-@settings(max_examples=150)
 @given(
     st.lists(
         st.one_of(

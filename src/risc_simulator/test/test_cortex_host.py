@@ -659,7 +659,7 @@ def test_skeleton_push_has_no_answer(lab):
     assert lab.host.statistics()["requests"] == {"PUSH_BASEPOSITION": 1}
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     datagrams=st.lists(
         st.one_of(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from risc_simulator import cortex_wire as wire
@@ -150,7 +150,6 @@ markers_st = st.lists(st.tuples(coordinate, coordinate, coordinate), max_size=6)
 name_st = st.text(st.characters(blacklist_categories=("Cs",), blacklist_characters="\0"), max_size=30)
 
 
-@settings(max_examples=200)
 @given(
     bodies=st.lists(st.tuples(name_st, markers_st), max_size=6),
     number=st.integers(0, 2**31 - 1),
@@ -430,13 +429,11 @@ def decode_or_refuse(datagram):
         return None
 
 
-@settings(max_examples=400)
 @given(command=st.sampled_from([int(c) for c in Command] + [99]), payload=st.binary(max_size=300))
 def test_random_payloads_decode_or_are_refused(command, payload):
     decode_or_refuse(wire.encode_packet(command, payload))
 
 
-@settings(max_examples=600)
 @given(name=st.sampled_from(NAMES), data=st.data())
 def test_damaged_golden_packets_decode_or_are_refused(name, data):
     datagram = bytearray(golden(name)[0])

@@ -6,7 +6,7 @@ import os
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol import at
@@ -174,7 +174,6 @@ def test_sequence_counter_starts_at_one():
     assert counter.next() == 1
 
 
-@settings(max_examples=400)
 @given(
     st.one_of(
         st.binary(max_size=200),
@@ -201,7 +200,6 @@ _ARGUMENTS = {
 }
 
 
-@settings(max_examples=200)
 @given(st.data())
 def test_round_trip(data):
     name = data.draw(st.sampled_from(sorted(at.SIGNATURES)))

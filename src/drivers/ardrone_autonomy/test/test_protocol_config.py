@@ -1,7 +1,7 @@
 """Configuration: keys, values, texts, ids, and the aircraft's store of profiles."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol import config
@@ -146,7 +146,6 @@ def test_custom_ids_text():
     assert data == b"[common]\r[applis]\re182b69b,driver\r[profiles]\rcea48d22,me\r00000000,default\r[sessions]\r\0"
 
 
-@settings(max_examples=500)
 @given(
     st.sampled_from(sorted(config.KEYS) + ["no:key"]),
     st.one_of(st.text(max_size=30), st.text(alphabet="{}\0\r\n =:a1-,", max_size=12)),

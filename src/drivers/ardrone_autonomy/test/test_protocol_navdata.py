@@ -4,7 +4,7 @@ import os
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol import navdata
@@ -250,7 +250,6 @@ _CODES = {
 }
 
 
-@settings(max_examples=100)
 @given(st.sampled_from(range(28)), st.booleans(), st.data())
 def test_every_option_survives_the_round_trip(tag, gps, data):
     encoder = NavdataEncoder([tag], gps=gps)
@@ -279,7 +278,6 @@ def read_everything(data, verify):
             continue
 
 
-@settings(max_examples=400)
 @given(st.binary(max_size=120), st.booleans())
 def test_only_navdata_errors_from_noise(noise, verify):
     read_everything(noise, verify)
@@ -287,7 +285,6 @@ def test_only_navdata_errors_from_noise(noise, verify):
     read_everything(seal(struct.pack("<IIII", 0x55667788, 0, 1, 0) + noise), verify)
 
 
-@settings(max_examples=200)
 @given(st.lists(st.tuples(st.integers(0, 2119), st.integers(0, 255)), max_size=6), st.integers(0, 2120))
 def test_only_navdata_errors_from_a_damaged_full_packet(damage, length):
     data = bytearray(NavdataEncoder(navdata.ALL_TAGS).finish(0, 1))
