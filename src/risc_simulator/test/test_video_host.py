@@ -28,8 +28,32 @@ GREEN_HUE, GREEN_TOLERANCE = 66, 8
 
 
 @pytest.fixture
-def lab():
-    """A lab with two vehicles on the floor, one of which looks at a disc; in a thread of its own."""
+def make_lab():
+    """Makes a lab with two vehicles on the floor, one of which looks at a disc; in a thread of its own."""
+    running = []
+    stop = threading.Event()
+
+    def make(**options):
+        lab = VirtualLab(make_fleet(), seed=4, **options)
+        thread = threading.Thread(target=lab.run, args=(stop,))
+        thread.start()
+        running.append((lab, thread))
+        return lab
+
+    yield make
+    stop.set()
+    for lab, thread in running:
+        thread.join(15.0)
+        lab.close()
+        assert not thread.is_alive()
+
+
+@pytest.fixture
+def lab(make_lab):
+    return make_lab()
+
+
+def make_fleet():
     net = "127.%d" % random.SystemRandom().randint(140, 179)  # a range of this file: tests may run side by side
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
@@ -40,15 +64,7 @@ def lab():
     )
     mocap = MocapEndpoint(net + ".0.1", stream_port=port, interface="127.0.0.1")
     disc = FleetLandmark("Green_pink", DISC_M, facing_rad=np.pi)
-    lab = VirtualLab(Fleet("two", mocap, vehicles, (disc,)), seed=4)
-    stop = threading.Event()
-    thread = threading.Thread(target=lab.run, args=(stop,))
-    thread.start()
-    yield lab
-    stop.set()
-    thread.join(15.0)
-    lab.close()
-    assert not thread.is_alive()
+    return Fleet("two", mocap, vehicles, (disc,))
 
 
 class Client:
@@ -206,6 +222,28 @@ def test_nothing_runs_before_somebody_watches_and_nothing_is_left_behind(lab):
     client.close()
     lab._video.close()  # as close() does; the fixture closes the rest
     assert children() == []
+
+
+def test_cameras_that_start_with_the_lab_are_ready_before_anybody_watches(make_lab):
+    """Whoever comes then waits for one picture and not for a program to start; until then nothing is made."""
+    lab = make_lab(cameras_ahead=True)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not lab.cameras_ready:
+        assert time.monotonic() < deadline_s, "the cameras never were ready"
+        time.sleep(0.05)
+    (pid,) = children()
+    time.sleep(0.3)
+    assert video_statistics(lab, "risc1", 0)["pictures"] == video_statistics(lab, "risc2", 0)["pictures"] == 0
+    asked_s = lab.now_s()
+    client = Client(lab.fleet.vehicles[0].address)
+    try:
+        header, picture = client.picture()
+        assert header.timestamp_ms > 1e3 * asked_s - 150.0, "of now, not of the time when the lab had started"
+        green_centre(picture)
+        assert children() == [pid]
+        assert video_statistics(lab, "risc2", 0)["pictures"] == 0
+    finally:
+        client.close()
 
 
 def test_a_camera_process_that_died_is_started_again(lab):

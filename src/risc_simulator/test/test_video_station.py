@@ -16,6 +16,7 @@ from risc_simulator.ardrone_host import ArdroneHost, Ports
 from risc_simulator.video.blackboard import BITRATES_KBIT_S, BOTTOM, FRONT, RATES_HZ, Snapshot
 from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
 from risc_simulator.video.station import Station
+from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import World
 
 ADDRESS = "127.94.%d.%d" % (os.getpid() // 250 % 250, 1 + os.getpid() % 250)  # tests may run side by side
@@ -187,6 +188,20 @@ def test_a_file_that_cannot_be_used_is_told_once(listener, caplog):
         assert launcher._rest_until_s == float("inf")
     finally:
         launcher.close()
+
+
+def test_a_file_that_cannot_be_used_is_told_before_anybody_watches(caplog):
+    """With cameras that start with the lab: not when the first client looks in vain."""
+    with caplog.at_level(logging.ERROR):
+        lab = VirtualLab(fleet_of_one(calibration="/nowhere/camera.yaml"), cameras_ahead=True)
+        try:
+            deadline_s = time.monotonic() + PATIENCE_S
+            while "start the lab again" not in caplog.text:
+                assert time.monotonic() < deadline_s, "nothing was said"
+                lab.run(duration_s=lab.exposure_s + 0.2)
+            assert not lab.cameras_ready
+        finally:
+            lab.close()
 
 
 def test_a_computer_that_cannot_start_a_process_does_not_end_the_lab(listener, caplog, monkeypatch):

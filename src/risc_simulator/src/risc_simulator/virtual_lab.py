@@ -1,6 +1,6 @@
 """The virtual lab as one program without ROS: physics, a Cortex host and a host for each vehicle, in one thread.
 
-Pictures are made by a process of their own, which starts when the first client asks for video.
+Pictures are made by a process of their own, which starts with the lab and sleeps while nobody watches.
 
     python3 -m risc_simulator.virtual_lab FLEET.yaml [options]
 
@@ -65,6 +65,7 @@ class VirtualLab(object):
         vehicle_types=None,
         radio_loss=0.0,
         interface="",
+        cameras_ahead=False,
     ):
         """fleet: Fleet. honest: vehicles differ from their nominal type. gusts: moving air.
         command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
@@ -72,6 +73,8 @@ class VirtualLab(object):
         radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
         interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
         (The fleet's mocap.interface is the client's card, which may be one of another computer.)
+        cameras_ahead: start the camera process now, so that the first client of a vehicle's video is served at once as
+        by the aircraft, and not only when that client has come.
         """
         self.fleet = fleet
         self.radio_loss = radio_loss
@@ -114,7 +117,6 @@ class VirtualLab(object):
         self._hosts = []
         self._waiting = SocketSet()
         self._video = None
-        self._video_clients_wanted = True
         self._board_until_s = {}  # {namespace: lab time} of the checkerboards that are waved
         try:
             self.cortex_host = CortexHost(
@@ -135,6 +137,9 @@ class VirtualLab(object):
                 self.vehicle_hosts[vehicle.namespace] = host
                 self._hosts.append(host)
             self._video = VideoLauncher(fleet, seed, [host.video_listener for host in self.vehicle_hosts.values()])
+            if cameras_ahead:
+                self._video.start()
+            self._video_clients_wanted = self._video.may_start
             for index, host in enumerate(self.vehicle_hosts.values()):
                 host.attach_video(VehicleVideo(self._video, index))
             for host in self._hosts:
@@ -150,6 +155,11 @@ class VirtualLab(object):
         if self.radio_loss:
             lines[0] += ", radio loses %g %% of the commands' slots and of navdata" % (100.0 * self.radio_loss)
         return "\n".join(lines + [host.describe() for host in self._hosts])
+
+    @property
+    def cameras_ready(self):
+        """Whether the camera process is up: a client of a vehicle's video is served at once."""
+        return self._video.ready
 
     def now_s(self):
         """Lab time: 0 at the first step."""
@@ -183,7 +193,8 @@ class VirtualLab(object):
                 host.tick(now_s)
 
     def _tend_video(self, now_s):
-        self._video.publish(self._start_s + self.exposure_s, self.exposure_s, self.world.truth())
+        if self._video.watched:
+            self._video.publish(self._start_s + self.exposure_s, self.exposure_s, self.world.truth())
         if self.frame % self._frames_per_second == 0:
             self._video.check()
         for namespace, until_s in list(self._board_until_s.items()):
@@ -456,6 +467,11 @@ def _parse_arguments(arguments):
         help="of this computer's network card that the stream goes out by (default: that of the Cortex host)",
     )
     parser.add_argument("--rate", type=float, metavar="HZ", help="frame rate of motion capture")
+    parser.add_argument(
+        "--cameras-on-demand",
+        action="store_true",
+        help="start the program that makes pictures only when the first client asks for video, who then waits for it",
+    )
     return parser.parse_args(arguments)
 
 
@@ -487,6 +503,7 @@ def main(arguments=None):
             live_on_start=options.live,
             radio_loss=options.radio_loss,
             interface=options.interface,
+            cameras_ahead=not options.cameras_on_demand,
         )
     except (ValueError, OSError) as error:
         print("virtual_lab: %s" % error, file=sys.stderr)

@@ -23,6 +23,7 @@ _DEFAULTS = {
     "stream_port": -1,
     "interface": "",  # address of this computer's card that the stream goes out by; "": that of the Cortex host
     "rate": -1.0,  # [Hz] of motion capture
+    "cameras_on_demand": False,  # start the camera process when the first client asks for video, not with the lab
     "stats": "",  # file for the statistics at the end
 }
 _NODE_KEYS = {"diagnostic_period"}  # read by diagnostic_updater
@@ -82,4 +83,5 @@ def make_lab(params):
         live_on_start=params["live"],
         radio_loss=params["radio_loss"],
         interface=params["interface"],
+        cameras_ahead=not params["cameras_on_demand"],
     )

@@ -40,6 +40,7 @@ class Blackboard(object):
             ("enabled", np.int32, (n,)),  # general:video_enable
             ("link_up", np.int32, (n,)),  # 0: nothing passes
             ("board_since_s", np.float64, (n,)),  # monotonic time since when a checkerboard is waved; NaN = none
+            ("ready", np.int32, ()),  # 1: a client is served at once; written by the camera process, cleared by the lab
             ("watchers", np.int32, (n,)),  # written by the camera process
             ("newest_picture", np.uint64, (n,)),  # number << 32 | bytes, written by the camera process
             ("pictures", np.int64, (n,)),  # sent, written by the camera process

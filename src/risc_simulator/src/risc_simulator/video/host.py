@@ -1,8 +1,8 @@
 """The camera process of the virtual lab: renders, encodes and serves every vehicle's video.
 
-It is a process of its own so that the lab keeps its 5 ms schedule: pictures give way to flight.  The lab starts it
-when the first client asks for video (see launcher.py) and hands it the listening sockets and the blackboard; it ends
-when its standard input does, so it never outlives the lab.
+It is a process of its own so that the lab keeps its 5 ms schedule: pictures give way to flight.  The lab starts it at
+its own start or when the first client asks for video (see launcher.py) and hands it the listening sockets and the
+blackboard; it ends when its standard input does, so it never outlives the lab.  While nobody watches it sleeps.
 """
 
 import json
@@ -25,7 +25,8 @@ from risc_simulator.video.station import Station, bottom_eye, front_eye, seed_of
 
 _LOG = logging.getLogger(__name__)
 _NICENESS = 5
-_IDLE_S = 0.25  # longest wait
+_IDLE_S = 0.25  # longest wait while somebody watches
+_POSE_S = 0.002  # wait for the lab's next pose
 
 
 class VideoHost(object):
@@ -34,6 +35,7 @@ class VideoHost(object):
     def __init__(self, fleet, seed, board, listeners):
         """board: Blackboard. listeners: bound TCP sockets in fleet order. Raises ValueError for bad camera files."""
         self._board = board
+        self._last_unwatched = 0  # number of the newest pose when nobody watched: the lab shows no others then
         scene, imaging = load_scene(fleet)
         self._names = [vehicle.namespace for vehicle in fleet.vehicles]
         self._stations = []
@@ -50,6 +52,7 @@ class VideoHost(object):
 
     def serve(self, stop_fd):
         """Until stop_fd can be read."""
+        self._board.ready[...] = 1
         while True:
             wait_s = self._work()
             readers = {sock: station for station in self._stations for sock in station.sockets()}
@@ -72,11 +75,15 @@ class VideoHost(object):
             station.close()
 
     def _work(self):
-        """Do what is due. Returns how long to wait at most."""
+        """Do what is due. Returns how long to wait at most; None: until a client comes."""
         board = self._board
-        snapshot = board.snapshot()
+        if not board.watchers.any():
+            self._last_unwatched = int(board.newest)
+        for index, station in enumerate(self._stations):
+            board.watchers[index] = station.watchers
+        snapshot = board.snapshot() if int(board.newest) != self._last_unwatched else None
         now_s = time.monotonic()
-        wake_s = now_s + _IDLE_S
+        wake_s = now_s + (_IDLE_S if snapshot is not None else _POSE_S)
         for index, station in enumerate(self._stations):
             is_on = snapshot is not None and bool(board.enabled[index])
             due_s = station.due_s(float(board.rate_hz[index]), now_s, is_on)
@@ -89,12 +96,13 @@ class VideoHost(object):
             send_s = station.send_due_s()
             if send_s is not None:
                 wake_s = min(wake_s, send_s)
-            board.watchers[index] = station.watchers
             picture_bytes, number = station.newest_picture
             board.newest_picture[index] = number << 32 | picture_bytes  # in one: a reader never sees half
             board.pictures[index] = station.pictures
             board.skipped[index] = station.skipped
             board.late_s[index] = station.late_s
+        if not board.watchers.any():
+            return None
         return max(0.0, wake_s - time.monotonic())
 
     def _expose(self, index, station, snapshot):

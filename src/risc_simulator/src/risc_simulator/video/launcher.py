@@ -1,4 +1,4 @@
-"""The lab's side of the camera process: starts it when the first client wants video, and keeps the blackboard."""
+"""The lab's side of the camera process: starts it, ahead or when the first client wants video; keeps the blackboard."""
 
 import contextlib
 import json
@@ -26,6 +26,17 @@ class VideoLauncher(object):
         self.board = Blackboard(len(listeners))
         self._process = None
         self._rest_until_s = -math.inf
+        self._said_ready = False
+
+    @property
+    def ready(self):
+        """Whether the camera process is up: a client is served at once."""
+        return self.running and bool(self.board.ready)
+
+    @property
+    def watched(self):
+        """Whether anybody watches."""
+        return bool(self.board.watchers.any())
 
     @property
     def running(self):
@@ -41,6 +52,7 @@ class VideoLauncher(object):
         """Start the camera process if it may. A computer that cannot start it now is asked again later."""
         if not self.may_start:
             return
+        self.board.ready[...] = 0
         descriptors = [listener.fileno() for listener in self._listeners]
         job = {
             "fleet": self._fleet.to_dict(),
@@ -64,7 +76,10 @@ class VideoLauncher(object):
             self._process.stdin.flush()
 
     def check(self):
-        """Notice the end of the camera process. To be called now and then."""
+        """Say that the camera process is up, once, and notice its end. To be called now and then."""
+        if self.ready and not self._said_ready:
+            self._said_ready = True
+            _LOG.info("cameras are ready: video is sent as soon as a client connects")
         if not self.running or self._process.poll() is None:
             return
         code = self._process.returncode

@@ -1,5 +1,6 @@
 """One aircraft's video: its cameras, its encoder, and the clients of its TCP port 5555."""
 
+import functools
 import socket
 from collections import deque
 
@@ -32,8 +33,13 @@ class Eye(object):
         self.camera = Camera(load_calibration(calibration_url))
         self.mount = mount
         self._sensor_px = sensor_px
-        self._renderer = Renderer(self.camera, scene, imaging, seed)
+        self._make_renderer = functools.partial(Renderer, self.camera, scene, imaging, seed)
         self._waving = None  # made when it is needed
+
+    @functools.cached_property
+    def _renderer(self):
+        """Made when it is needed: 10 MB and 30 ms, and most cameras of a large fleet are never looked through."""
+        return self._make_renderer()
 
     def look(self, row, vehicles, light, waved_s=None):
         """Picture (h, w, 3) uint8 BGR from the vehicle whose state is row (12,), see camera_pose.
