@@ -182,7 +182,7 @@ def test_what_is_wrong_with_a_bag_is_said(flight_bag, tmp_path):
     text.write_text("no bag at all")
     with pytest.raises(BagError, match="not a complete ROS 1 bag"), Bag(text):
         pass
-    with Bag(flight_bag) as bag, pytest.raises(BagError, match="no topic /nothing; it has .*/cortex_raw"):
+    with Bag(flight_bag) as bag, pytest.raises(BagError, match="/nothing.*/cortex_raw"):
         list(bag.messages(["/nothing"]))
 
 

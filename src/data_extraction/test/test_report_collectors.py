@@ -482,5 +482,5 @@ def test_a_chunk_that_lost_its_end_is_said(tmp_path):
     (size,) = struct.unpack_from("<I", data, begin - 4)
     struct.pack_into("<I", data, begin - 4, size - 50)
     path.write_bytes(bytes(data))
-    with Bag(path) as bag, pytest.raises(BagError, match="short.bag is damaged .* run `rosbag reindex`"):
+    with Bag(path) as bag, pytest.raises(BagError, match="short.bag.*rosbag reindex"):
         list(bag.messages())

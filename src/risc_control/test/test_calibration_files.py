@@ -55,12 +55,12 @@ def broken(tmp_path, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c.pop("image_width"), "key 'image_width' is missing"),
-        (lambda c: c.update(image_height=360.5), "'image_height' must be a whole number"),
-        (lambda c: c["camera_matrix"].update(rows=2), "'rows' must be in"),
+        (lambda c: c.pop("image_width"), "image_width"),
+        (lambda c: c.update(image_height=360.5), "image_height"),
+        (lambda c: c["camera_matrix"].update(rows=2), "rows"),
         (lambda c: c["camera_matrix"]["data"].__setitem__(0, 0.0), "not calibrated"),
         (lambda c: c["distortion_coefficients"].update(data="-0.5 0.2 0 0 0"), "list of 5 numbers"),
-        (lambda c: c.update(distortion_model="equidistant"), "must be plumb_bob"),
+        (lambda c: c.update(distortion_model="equidistant"), "plumb_bob"),
         (lambda c: c.update(image_widht=640), "unknown key"),
     ],
 )
@@ -78,7 +78,7 @@ def test_a_missing_file_is_named():
 
 def test_bare_names_and_packages_are_found_in_the_workspace():
     assert resolve_url("package://risc_control/config/types/ardrone.yaml").is_file()
-    with pytest.raises(ValueError, match="package no_such_package: source"):
+    with pytest.raises(ValueError, match="no_such_package"):
         resolve_url("package://no_such_package/camera.yaml")
 
 
@@ -86,5 +86,5 @@ def test_the_file_of_a_camera_that_is_not_calibrated_yet_has_its_place():
     path = resolve_url("no_such_camera.yaml")
     assert path.parent.is_dir() and not path.exists()
     assert path == resolve_url("package://risc_visual/config/cameras/no_such_camera.yaml")
-    with pytest.raises(ValueError, match="cannot read .*no_such_camera.yaml"):
+    with pytest.raises(ValueError, match="no_such_camera.yaml"):
         load_calibration("no_such_camera.yaml")

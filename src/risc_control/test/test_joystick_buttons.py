@@ -110,7 +110,7 @@ def test_no_button_is_taken_for_two_things(server):
     server.own = "/joystick_controller"
     for topics, button in ((["/risc2/joy", "/risc1/joy"], 6), (["/risc2/joy"], 5)):
         claim_buttons({"JoytoWay": button, "Up": 9}, topics)
-    with pytest.raises(ValueError, match="button 5 of /risc1/joy is both JoytoWay and next_button .of /controller"):
+    with pytest.raises(ValueError, match="5.*/risc1/joy.*JoytoWay.*next_button.*/controller"):
         claim_buttons({"JoytoWay": 5}, ["/risc2/joy", "/risc1/joy"])
     assert [claim["node"] for claim in server.params.values()] == ["/controller"], "who is refused has none"
     server.nodes.clear()

@@ -47,11 +47,11 @@ def test_fleet_survives_the_way_through_a_dict(fleet_dict):
 def test_vehicles_share_an_address_only_in_networks_of_their_own(fleet_dict):
     for vehicle in fleet_dict["vehicles"]:
         vehicle["address"] = "192.168.1.1"
-    with pytest.raises(ValueError, match=r"two vehicles have the same address: 192\.168\.1\.1"):
+    with pytest.raises(ValueError, match=r"address.*192\.168\.1\.1"):
         fleet_from_dict(fleet_dict)
     fleet = fleet_from_dict(dict(fleet_dict, own_networks=True))
     assert fleet_from_dict(fleet.to_dict()) == fleet
-    with pytest.raises(ValueError, match="'own_networks' must be true or false, found 'yes'"):
+    with pytest.raises(ValueError, match="own_networks.*yes"):
         fleet_from_dict(dict(fleet_dict, own_networks="yes"))
 
 
@@ -96,18 +96,18 @@ def set_in(content, path, value):
         (["mocap", "host"], "", "fleet, mocap: 'host' is not written yet"),
         (["vehicles", 0, "start", "position_m"], [0.0, 1.0], "list of 3 numbers"),
         (["vehicles", 0, "start", "position_m"], [0.0, 1.0, float("nan")], "finite"),
-        (["landmarks", 0, "name"], "Pink_blue", "same name: Pink_blue"),
+        (["landmarks", 0, "name"], "Pink_blue", "Pink_blue"),
         (["mocap", "stream_port"], 70000, "65535"),
         (["mocap", "stream_group"], "10.0.0.1", "no multicast"),
         (["mocap", "rate_hz"], "fast", "must be a number"),
         (["mocap"], 5, "must be a mapping"),
-        (["arena"], {"half_x_m": -1.0}, "fleet, arena: 'half_x_m' must be in"),
-        (["arena"], {"half_x_m": "wide"}, "'half_x_m' must be a number"),
-        (["arena"], {"radius_m": 3.0}, "fleet, arena: unknown key.* radius_m"),
+        (["arena"], {"half_x_m": -1.0}, "arena.*half_x_m"),
+        (["arena"], {"half_x_m": "wide"}, "half_x_m"),
+        (["arena"], {"radius_m": 3.0}, "arena.*radius_m"),
         (["arena"], [5, 4], "must be a mapping"),
-        (["templates"], {"templates": {}}, "fleet, templates: key 'geometries' is missing"),
+        (["templates"], {"templates": {}}, "templates.*geometries"),
         (["templates"], {"geometries": {}, "templates": {"x": {"kind": "vehicle", "geometry": "y"}}}, "geometry 'y'"),
-        (["templates"], ["fluffy_II"], "fleet, templates must be a mapping"),
+        (["templates"], ["fluffy_II"], "templates"),
     ],
 )
 def test_mistakes_in_a_fleet_are_named(fleet_dict, path, value, message):
@@ -169,7 +169,7 @@ def test_a_larger_generated_lab_begins_with_the_same_hulls():
 
 @pytest.mark.parametrize("vehicles", [0, MOST_VEHICLES + 1])
 def test_no_lab_for_so_many(vehicles):
-    with pytest.raises(ValueError, match="1 to 250 vehicles, %d were asked for" % vehicles):
+    with pytest.raises(ValueError, match="1 to 250.* %d " % vehicles):
         generated_fleet(vehicles)
 
 
@@ -203,7 +203,7 @@ def test_vehicle_type_is_that_of_the_identification():
 
 
 def test_vehicle_type_mistakes_are_named():
-    with pytest.raises(ValueError, match="unknown vehicle type 'zeppelin'; known are: .*ardrone"):
+    with pytest.raises(ValueError, match="zeppelin.*ardrone"):
         load_vehicle_type("zeppelin")
     content = yaml.safe_load((TYPES / "ardrone.yaml").read_text())
     content["inertia_kg_m2"] = [0.002, 0.0, 0.004]
@@ -224,5 +224,5 @@ def test_template_mistakes_are_named():
         templates_from_dict({"geometries": {"line": line}, "templates": {"x": {"kind": "vehicle", "geometry": "line"}}})
     with pytest.raises(ValueError, match="unknown geometry 'cube'"):
         templates_from_dict({"geometries": {}, "templates": {"x": {"kind": "vehicle", "geometry": "cube"}}})
-    with pytest.raises(ValueError, match="'kind' must be one of"):
+    with pytest.raises(ValueError, match="kind"):
         templates_from_dict({"geometries": {"g": line}, "templates": {"x": {"kind": "bird", "geometry": "g"}}})

@@ -126,7 +126,7 @@ def test_more_vehicles_fly_copies_of_the_figure_or_rows(name, vehicles):
 
 @pytest.mark.parametrize("name", ["flat8", "knot", "slanted8"])
 def test_large_figures_need_a_larger_net_or_say_so(name):
-    with pytest.raises(ValueError, match="'%s' has no room for 50 vehicles, 0.75 m apart, in a net of .*" % name):
+    with pytest.raises(ValueError, match="'%s'.* 50 .*0.75 m" % name):
         course_for_fleet(name, 50, generated_fleet(14).arena)
     course = course_for_fleet(name, 50, Arena(10.0, 9.0))
     assert course_separation(course, 400) >= SAFE_SEPARATION_M
@@ -179,7 +179,7 @@ def test_a_function_of_a_student_is_not_copied(monkeypatch):
 
     monkeypatch.setitem(COURSES, "line", line)
     assert len(course_for_fleet("line", 6, Arena(5.0, 2.0))) == 6
-    with pytest.raises(ValueError, match="'line' has no room for 20 vehicles.* at most 11"):
+    with pytest.raises(ValueError, match="'line'.* 20 .* 11"):
         course_for_fleet("line", 20, Arena(5.0, 2.0))
 
 
@@ -245,11 +245,11 @@ def test_reordering_swaps_whole_vehicles():
 @pytest.mark.parametrize(
     ("name", "vehicles", "options", "message"),
     [
-        ("loop", 1, {}, "unknown trajectory 'loop'; known are: circle, circles3"),
+        ("loop", 1, {}, "loop.*circle, circles3"),
         ("circle", 0, {}, "at least one vehicle"),
         ("quadrants", 5, {}, "at most 4 vehicles"),
-        ("circle", 1, {"radius": 1.0}, "has no radius; it has: radius_m, period_s, height_m"),
-        ("circle", 1, {"radius_m": -1.0}, "radius_m of trajectory 'circle' must be a number > 0"),
+        ("circle", 1, {"radius": 1.0}, " radius;.*radius_m, period_s, height_m"),
+        ("circle", 1, {"radius_m": -1.0}, "radius_m.*'circle'"),
         ("circle", 1, {"period_s": math.nan}, "must be a number > 0"),
     ],
 )

@@ -37,7 +37,7 @@ def test_what_only_the_detector_needs_may_be_missing(tmp_path):
     ("change", "told"),
     [
         (lambda c: c.pop("landmarks"), "landmarks"),
-        (lambda c: c["landmarks"][1].update(name="Green_pink"), "same name: Green_pink"),
+        (lambda c: c["landmarks"][1].update(name="Green_pink"), "Green_pink"),
         (lambda c: c["discs"].update(centre_diameter_m="small"), "centre_diameter_m"),
         (lambda c: c["discs"].update(ring_diameter_m=-1.0), "ring_diameter_m"),
         (lambda c: c["landmarks"][0].pop("roi_name"), "roi_name"),

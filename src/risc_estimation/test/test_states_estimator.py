@@ -573,12 +573,12 @@ def test_noise_of_a_hovering_vehicle():
 @pytest.mark.parametrize(
     "changes,message",
     [
-        ({"position_window_s": 0.0}, "position_window_s must be positive"),
-        ({"position_window_s": float("nan")}, "position_window_s must be positive"),
-        ({"angle_order": 5}, "angle_order must be 1, 2 or 3"),
-        ({"min_samples": 1}, "min_samples must be at least 2"),
+        ({"position_window_s": 0.0}, "position_window_s"),
+        ({"position_window_s": float("nan")}, "position_window_s"),
+        ({"angle_order": 5}, "angle_order"),
+        ({"min_samples": 1}, "min_samples"),
         ({"min_span_s": 0.14}, "no vehicle would ever become visible"),
-        ({"arena_z_max_m": -1.0}, "arena_z_min_m must be below"),
+        ({"arena_z_max_m": -1.0}, "arena_z_min_m"),
     ],
 )
 def test_bad_settings_name_their_key(changes, message):

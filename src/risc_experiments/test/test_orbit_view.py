@@ -71,7 +71,7 @@ def test_shipped_configuration_becomes_one_for_pictures():
     assert made["Visualization Manager"]["Global Options"]["Fixed Frame"] == "cortex"
     assert marker_topics(made) == marker_topics(config) and "/Quad_Markers" in marker_topics(config)
     assert saved_view(config)["Distance"] == config["Visualization Manager"]["Views"]["Current"]["Distance"]
-    with pytest.raises(ValueError, match="no saved view 'Bottom', only Flight, Top"):
+    with pytest.raises(ValueError, match="Bottom.*Flight, Top"):
         saved_view(config, "Bottom")
 
 
@@ -80,7 +80,7 @@ def test_other_files_are_refused(tmp_path):
     path.write_text("name: ardrones3\n")
     with pytest.raises(ValueError, match="no configuration of rviz"):
         load_config(path)
-    with pytest.raises(ValueError, match="needs a view of class rviz/Orbit, found 'rviz/FPS'"):
+    with pytest.raises(ValueError, match="rviz/Orbit.*rviz/FPS"):
         orbit_view_from_dict({"Class": "rviz/FPS"}, "some.rviz")
     with pytest.raises(ValueError, match=r"some.rviz: .*'Pitch'"):
         orbit_view_from_dict({"Class": "rviz/Orbit", "Distance": 1.0}, "some.rviz")

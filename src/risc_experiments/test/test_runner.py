@@ -211,7 +211,7 @@ def test_as_many_vehicles_as_asked_for(tmp_path):
 def test_a_course_that_cannot_keep_them_apart_is_refused_before_anything_flies(tmp_path):
     small = tmp_path / "small.yaml"
     small.write_text(yaml.safe_dump(dict(generated_fleet(8).to_dict(), arena={"half_x_m": 2.6, "half_y_m": 2.6})))
-    with pytest.raises(ValueError, match="'knot' has no room for 8 vehicles"):
+    with pytest.raises(ValueError, match="'knot'.* 8 "):
         prepare_fleet(arguments(["--fleet", str(small), "--vehicles", "8", "--trajectory", "knot"]), "127.99", tmp_path)
     with pytest.raises(ValueError, match="1 to 250 vehicles"):
         prepare_fleet(arguments(["--vehicles", "300"]), "127.99", tmp_path)
@@ -221,7 +221,7 @@ def test_bearings_need_a_calibrated_camera_on_every_vehicle(tmp_path):
     fleets = pathlib.Path(__file__).resolve().parents[3] / "launch" / "fleets"
     several = ["--fleet", str(fleets / "ardrones5.yaml"), "--vehicles", "4"]
     assert len(prepare_fleet(arguments(["circles3", *several]), "127.99", tmp_path).vehicles) == 4
-    with pytest.raises(FlightError, match="risc4 has no camera calibration"):
+    with pytest.raises(FlightError, match="risc4.*calibration"):
         prepare_fleet(arguments(["coop", *several]), "127.99", tmp_path)
     typo = tmp_path / "typo.yaml"
     typo.write_text((fleets / "ardrones3.yaml").read_text(encoding="utf-8").replace("risc2.yaml", "risk2.yaml"))

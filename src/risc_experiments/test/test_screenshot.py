@@ -93,7 +93,7 @@ def test_a_file_and_one_of_its_saved_views_make_a_view():
         "diff_flat_side",
         "diff_flat",
     ]
-    with pytest.raises(ValueError, match=r"Diff_flat.rviz: there is no saved view 'Bottom', only Flight"):
+    with pytest.raises(ValueError, match=r"Diff_flat.rviz.*Bottom.*Flight"):
         views_from(["%s:Bottom" % path], (640, 480))
 
 
@@ -130,7 +130,7 @@ def test_on_a_slow_computer_the_flight_for_a_picture_begins_again(tmp_path, monk
     monkeypatch.setattr(screenshot.fly, "prepare_folder", lambda _: tmp_path)
     monkeypatch.setattr(screenshot.fly, "fly", lambda *_: screenshot.fly.TooSlow("too busy"))
     monkeypatch.setattr(screenshot.fly, "fly_slower", lambda *given: called.append(given[:4]) or "failed: too slow")
-    with pytest.raises(screenshot.fly.FlightError, match="no pictures of a flight that failed: too slow"):
+    with pytest.raises(screenshot.fly.FlightError, match="too slow"):
         screenshot.flown(args, rest, Progress(), argv)
     assert called == [("risc_experiments.screenshot", argv, tmp_path, "too busy")]
 

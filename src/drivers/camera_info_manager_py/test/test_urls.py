@@ -44,7 +44,7 @@ def test_path_in_a_package():
         ("http://example.org/x.yaml", "no calibration URL"),
         ("package://sensor_msgs", "no calibration URL"),
         ("package:///x.yaml", "no calibration URL"),
-        ("package://no_such_package_anywhere/x.yaml", "no package no_such_package_anywhere"),
+        ("package://no_such_package_anywhere/x.yaml", "no_such_package_anywhere"),
         ("file:///${HOME}/x.yaml", r"\$\{HOME\} is not known"),
     ],
 )
