@@ -6,12 +6,15 @@ is not mirrored here.
 
 import dataclasses
 import errno
+import ftplib
 import logging
 import math
 import os
 import select
 import socket
 import struct
+import threading
+import time
 import types
 
 import numpy as np
@@ -929,7 +932,7 @@ def test_configuration_readback(lab):
     assert not lab.state & ACK
     connection.close()
     lab.run(0.05)
-    assert connection.fileno() == -1 and len(lab.host.sockets()) == 4
+    assert connection.fileno() == -1 and len(lab.host.sockets()) == 5
 
 
 def test_multi_configuration_on_the_wire(lab):
@@ -1187,6 +1190,59 @@ def test_every_option_can_be_read_and_the_landed_vehicle_is_at_rest(lab):
 # ------------------------------------------------------------------ several aircraft, addresses
 
 
+@pytest.fixture
+def served(lab):
+    """The same, served by a thread of its own while a client that blocks is used."""
+    stop = threading.Event()
+
+    def serve():
+        while not stop.is_set():
+            lab.serve()
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield lab
+    stop.set()
+    thread.join()
+
+
+@pytest.mark.parametrize("passive", [True, False])
+def test_the_version_is_read_by_ftp(served, passive):
+    """As Parrot's own library does before it starts; so that it knows an AR.Drone 2.0 from the first one."""
+    with ftplib.FTP() as ftp:
+        ftp.connect(ADDRESS, served.host.ports.ftp, timeout=15.0)
+        ftp.login()  # anonymous
+        ftp.set_pasv(passive)
+        ftp.voidcmd("TYPE I")
+        size = ftp.size("version.txt")
+        text = bytearray()
+        ftp.retrbinary("RETR version.txt", text.extend)
+        assert len(text) == size
+        assert text.decode("ascii").strip() == served.host.get("general:num_version_soft")
+        assert ftp.nlst() == ["version.txt"]
+        for forbidden in ("DELE version.txt", "MKD x", "STOR firmware.plf", "RETR ../scene.yaml"):
+            with pytest.raises(ftplib.error_perm):
+                ftp.sendcmd(forbidden)
+    events = served.host.statistics()["notices"]["events"]
+    assert sum(events["reads files by FTP"].values()) == 1
+
+
+def test_with_the_link_down_ftp_stalls_too(lab):
+    with socket.create_connection((ADDRESS, lab.host.ports.ftp), 15.0) as client:
+        lab.serve()
+        client.settimeout(0.0)
+        lab.run(0.05)
+        assert client.recv(1000).startswith(b"220")
+        lab.host.lose_link(0.5)
+        client.sendall(b"USER anonymous\r\n")
+        lab.run(0.4)
+        with pytest.raises(BlockingIOError):
+            client.recv(1000)
+        lab.run(0.2)
+        assert client.recv(1000).startswith(b"331")
+
+
 def test_three_aircraft_on_the_standard_ports():
     world = make_world(3)
     a, b = 1 + os.getpid() // 250 % 250, 1 + os.getpid() % 250
@@ -1195,7 +1251,7 @@ def test_three_aircraft_on_the_standard_ports():
         for i, vehicle in enumerate(world.vehicles.values()):
             labs.append(Lab(vehicle, world, address="127.%d.%d.%d" % (94 + i, a, b), ports=ardrone_host.STANDARD_PORTS))
         for lab in labs:
-            assert lab.host.ports == (5554, 5555, 5556, 5559)
+            assert lab.host.ports == (5554, 5555, 5556, 5559, 5551)
             assert "5554" in lab.host.describe() and lab.host.address in lab.host.describe()
             lab.connect()
         labs[1].run(1.0, ref=START)

@@ -133,7 +133,7 @@ def send(host, *commands):
     texts = ["AT*%s=%d,%s\r" % (c.split(",", 1)[0], first + k, c.split(",", 1)[1]) for k, c in enumerate(commands)]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.sendto("".join(texts).encode("ascii"), (ADDRESS, host.ports.at))
-    (at,) = [sock for sock in host.sockets() if sock.getsockname()[1] == host.ports.at]
+    (at,) = [s for s in host.sockets() if isinstance(s, socket.socket) and s.getsockname()[1] == host.ports.at]
     wait_for(at)
     host.on_readable(at, 0.0)
 

@@ -343,6 +343,22 @@ def test_program_says_who_comes_and_what_is_wrong(tmp_path, net):
     assert len(malformed) == 2 and malformed[1].endswith("5 times"), "once when it came, once counted at the end"
 
 
+def test_program_streams_to_the_port_of_original_clients(tmp_path, net):
+    try:
+        stream = stream_client(1001)
+    except PermissionError:
+        pytest.skip("ports below 1024 need a privilege here")
+    program = start_program(tmp_path, net, "--live", "--stream-port", "1001", "--duration", "1")
+    with stream:
+        datagram = b""
+        while struct.unpack_from("<H", datagram.ljust(2))[0] != FRAME_OF_DATA:  # the host says first that it is there
+            datagram, sender = stream.recvfrom(65536)
+            if sender[0] != net["net"] + ".0.1":
+                datagram = b""  # of another lab
+    assert first_body(datagram)[1] == "fluffy_II"
+    assert program.communicate(timeout=60)[1] == ""
+
+
 def test_program_ends_by_itself_after_its_duration(tmp_path, net):
     program = start_program(tmp_path, net, "--duration", "0.5", "--ideal", "--gusts", "--delay", "0.2")
     out, err = program.communicate(timeout=60)

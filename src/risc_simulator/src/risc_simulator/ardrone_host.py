@@ -1,8 +1,9 @@
 """An AR.Drone 2.0 on the wire: the sockets, state machine and telemetry of one aircraft of the virtual lab.
 
 UDP 5556 takes AT commands, UDP 5554 answers wake-up datagrams with navdata, TCP 5559 gives the configuration text,
-TCP 5555 is for video: a camera process serves it (`attach_video`), without one it stays silent.  Each aircraft has its
-own loopback address, so all use the standard ports.  Any real client can connect.
+TCP 5555 is for video: a camera process serves it (`attach_video`), without one it stays silent.  TCP 5551 is FTP, with
+the firmware's version.  Each aircraft has its own loopback address, so all use the standard ports.  Any real client can
+connect.
 
 Piloting (PCMD, REF) passes the simulated radio: one set of sticks per 1/30 s slot, the vehicle's command delay later.
 Navdata may be lost there too, but is not delayed, and configuration is neither.  One thread, non-blocking sockets; bad
@@ -31,6 +32,7 @@ from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
 from ardrone_autonomy.protocol.navdata import ControlState, State
 from ardrone_autonomy.protocol.profiles import NO_LIMIT_MM, ConfigurationStore
+from risc_simulator.ardrone_ftp import FtpServer
 from risc_simulator.ardrone_navdata import Frame, NavdataWriter
 from risc_simulator.models.ardrone_firmware import LOW_BATTERY_PCT
 from risc_simulator.models.ardrone_sensors import ArdroneSensors
@@ -97,8 +99,10 @@ _MAJOR = {
 }
 _HOVERING_LOST_COM = 8  # minor state
 
-Ports = namedtuple("Ports", "navdata video at control")
-STANDARD_PORTS = Ports(protocol.NAVDATA_PORT, protocol.VIDEO_PORT, protocol.AT_PORT, protocol.CONTROL_PORT)
+Ports = namedtuple("Ports", "navdata video at control ftp", defaults=(0,))
+STANDARD_PORTS = Ports(
+    protocol.NAVDATA_PORT, protocol.VIDEO_PORT, protocol.AT_PORT, protocol.CONTROL_PORT, protocol.FTP_PORT
+)
 
 # One set of piloting values as received: flags of PCMD, the four sticks in [-1, 1], the pilot's heading (fractions of
 # 180 degrees) and its accuracy, the sequence number and the time of reception.
@@ -214,6 +218,7 @@ class ArdroneHost(SocketHost):
         self._video_clients = []  # of a silent aircraft
         self._video = None  # video.launcher.VehicleVideo
         self._sockets = {}  # name -> socket
+        self._ftp = None
         try:
             self._open(ports)
         except OSError:
@@ -239,11 +244,12 @@ class ArdroneHost(SocketHost):
         """Wait for those listeners and streams that are to be served now."""
         served = []
         if self._sockets and not self.link_lost:  # stalled streams would be readable for ever
-            served = [self._sockets["control"], *self._control_clients, *self._video_clients]
+            served = [self._sockets["control"], *self._control_clients, *self._video_clients, self._ftp]
             if self._video is None or self._video.wants_clients:  # else the camera process accepts
                 served.append(self.video_listener)
+        datagrams = [self._sockets.get("at"), self._sockets.get("navdata")]
         for sock in self._waiting:
-            if sock.type == socket.SOCK_STREAM and sock not in served:
+            if sock not in datagrams and sock not in served:
                 self._waiting.discard(sock)
         for sock in served:
             self._waiting.add(sock)
@@ -259,6 +265,8 @@ class ArdroneHost(SocketHost):
                 self._on_wake_up(data, sender, now_s)
         elif self.link_lost:
             self.watch_streams()  # a loss that has just begun: streams stall
+        elif sock is self._ftp:
+            self._ftp.serve()
         elif sock is self._sockets.get("control"):
             client = self._accept(sock, "reads the configuration")
             if client is not None:
@@ -319,6 +327,9 @@ class ArdroneHost(SocketHost):
         for sock in list(self._sockets.values()) + list(self._control_clients) + self._video_clients:
             sock.close()
         self._waiting.close()
+        if self._ftp is not None:
+            self._ftp.close()
+        self._ftp = None
         self._sockets, self._control_clients, self._video_clients = {}, {}, []
 
     def describe(self):
@@ -326,7 +337,7 @@ class ArdroneHost(SocketHost):
         p = self.ports
         return (
             "%s (%s) AR.Drone 2.0 at %s: navdata udp %d, video tcp %d%s, AT commands udp %d, "
-            "configuration tcp %d"
+            "configuration tcp %d, version by FTP tcp %d"
             % (
                 self._vehicle.namespace,
                 self._vehicle.name,
@@ -336,6 +347,7 @@ class ArdroneHost(SocketHost):
                 " (silent)" if self._video is None else "",
                 p.at,
                 p.control,
+                p.ftp,
             )
         )
 
@@ -381,6 +393,7 @@ class ArdroneHost(SocketHost):
             ("video", socket.SOCK_STREAM),
             ("at", socket.SOCK_DGRAM),
             ("control", socket.SOCK_STREAM),
+            ("ftp", socket.SOCK_STREAM),
         ):
             port = getattr(ports, name)
             sock = socket.socket(socket.AF_INET, kind)
@@ -397,6 +410,9 @@ class ArdroneHost(SocketHost):
                 raise OSError(
                     error.errno, _bind_help(self._vehicle.namespace, self.address, port, kind, error)
                 ) from error
+        self._waiting.discard(self._sockets["ftp"])
+        self._ftp = FtpServer(self._sockets["ftp"], self._notices)
+        self._waiting.add(self._ftp)
 
     def _receive(self, sock):
         for _ in range(DATAGRAMS_PER_CALL):

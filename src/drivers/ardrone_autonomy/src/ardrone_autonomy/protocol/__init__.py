@@ -9,6 +9,7 @@ Everything is little-endian; floats are IEEE-754 single precision.  No sockets, 
 emulator of the aircraft both stand on these modules.
 """
 
+FTP_PORT = 5551  # TCP, version.txt; of no use to the driver
 NAVDATA_PORT = 5554  # UDP, answers to the source address of the last wake-up datagram
 VIDEO_PORT = 5555  # TCP, PaVE + H.264
 AT_PORT = 5556  # UDP
