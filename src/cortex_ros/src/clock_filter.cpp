@@ -7,6 +7,7 @@ namespace cortex_ros {
 namespace {
 
 constexpr Time kLeastStep = std::chrono::microseconds(1);
+constexpr int kAgreeing = 3;  // stamps in a row that fell back and agree are a clock that was set
 
 double as_ns(Time time) {
   return static_cast<double>(time.count());
@@ -24,8 +25,7 @@ void ClockFilter::set_period(Time period) {
 }
 
 bool ClockFilter::continues(std::int32_t frame, Time direct) const {
-  return started_ && frame > last_frame_ && direct - last_direct_ <= options_.max_silence &&
-         last_direct_ - direct <= options_.max_step_back;
+  return started_ && frame > last_frame_ && direct - last_direct_ <= options_.max_silence;
 }
 
 void ClockFilter::start(std::int32_t frame, Time direct) {
@@ -108,9 +108,17 @@ Time ClockFilter::filtered(std::int32_t frame, Time direct) {
 }
 
 Time ClockFilter::increasing(Time stamp) {
-  if (last_stamp_ && stamp <= *last_stamp_ && *last_stamp_ - stamp <= options_.max_step_back) {
-    stamp = *last_stamp_ + kLeastStep;
+  if (last_stamp_ && stamp <= *last_stamp_) {
+    const bool follows = fallen_back_ > 0 && stamp > last_fallen_back_;
+    fallen_back_ = follows ? fallen_back_ + 1 : 1;
+    last_fallen_back_ = stamp;
+    if (fallen_back_ < kAgreeing) {
+      stamp = *last_stamp_ + kLeastStep;
+      last_stamp_ = stamp;
+      return stamp;
+    }
   }
+  fallen_back_ = 0;
   last_stamp_ = stamp;
   return stamp;
 }

@@ -190,7 +190,7 @@ TEST(ClockFilter, BackwardStepIsFollowedAtOnce) {
   lab.step_at = 1000;
   const Outcome result = run(filter, lab, 2000);
   EXPECT_LE(result.worst(1006, 2000), milliseconds(1));
-  expect_increasing(result.stamps);
+  EXPECT_LT(result.stamps[1002], result.stamps[1001]) << "the third frame believes it";
 }
 
 TEST(ClockFilter, ClockSetBackFarIsAccepted) {
@@ -199,7 +199,7 @@ TEST(ClockFilter, ClockSetBackFarIsAccepted) {
   lab.step = -std::chrono::seconds(3600);
   lab.step_at = 1000;
   const Outcome result = run(filter, lab, 2000);
-  EXPECT_LE(result.worst(1000, 2000), lab.jitter) << "stamps standing still for an hour would be worse";
+  EXPECT_LE(result.worst(1002, 2000), milliseconds(1)) << "stamps standing still for an hour would be worse";
 }
 
 TEST(ClockFilter, NumbersThatRestartStartTheFilterAnew) {

@@ -37,7 +37,7 @@ class VirtualTargetNode(ReferenceNode):
 
     def _on_press(self, _buttons):
         with self.wiring.lock:
-            will = self._target.let_go(rospy.get_time())
+            will = self._target.let_go(self.wiring.clock.now_s())
         rospy.loginfo(
             "the target is let go as soon as the vehicle waits for it"
             if will

@@ -38,7 +38,7 @@ class StatesEstimationNode(object):
         )
         self._silence_s = params.silence_s
         self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
-        self._last_receipt_s = None  # monotonic clock
+        self._last_receipt_s = None  # of the newest frame that was estimated; monotonic clock
         self._last_estimate = None
         self._last_seq = None  # of the newest frame; publishers count them
         self._passed_over = self._reported_passed_over = 0  # frames
@@ -72,9 +72,9 @@ class StatesEstimationNode(object):
                 self._passed_over += max(header.seq - self._last_seq - 1, 0)
             self._last_seq = header.seq
             estimate = self._estimator.update(header.stamp.to_sec(), frame.layout.entries, frame.markers_m)
-            self._last_receipt_s = time.monotonic()
             if estimate is None:
-                return
+                return  # frames that are refused are silence, too
+            self._last_receipt_s = time.monotonic()
             self._silent = False
             self._last_estimate = estimate
             self._states_pub.publish(self._messages.states(header, estimate))
@@ -109,7 +109,8 @@ class StatesEstimationNode(object):
             self._told_unknown.add(name)
             rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)
         if last_s is None or now_s - last_s > 1.0:
-            status.summary(DiagnosticStatus.ERROR, "no mocap frames")
+            refused_only = "all mocap frames are refused: their stamps do not advance"
+            status.summary(DiagnosticStatus.ERROR, refused_only if new_refused else "no mocap frames")
         elif new_refused:
             status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new_refused)
         elif visible < known:

@@ -539,8 +539,18 @@ def test_clock_that_falls_back_starts_everything_afresh():
     feed(estimator, still(), start_s=1000.0)
     again = feed(estimator, still(position=(1, 1, 1)), start_s=10.0)
     assert estimator.counts.clock_resets == 1
-    assert [estimate.visible[0] for estimate in again].index(True) == 9
+    assert again[:2] == [None, None] and [estimate.visible[0] for estimate in again[2:]].index(True) == 9
     assert again[-1].states[0, :6] == pytest.approx([1, 1, 1, 0, 0, 0], abs=1e-7)
+
+
+@pytest.mark.parametrize("set_by_s", [-0.05, -0.3, -0.6, -1.0, 2.0, 60.0])
+def test_a_clock_that_is_set_hides_nobody_for_long(set_by_s):
+    """0.1 s without a state is where a vehicle begins to hold."""
+    estimator = StatesEstimator(TEMPLATES)
+    feed(estimator, still(), start_s=1000.0)
+    after = feed(estimator, still(), start_s=1000.0 + len(still()) * DT_S + set_by_s)
+    shown = [estimate is not None and bool(estimate.visible[0]) for estimate in after]
+    assert shown.index(True) * DT_S < 0.1 and all(shown[shown.index(True) :])
 
 
 def test_lost_keeps_the_numbers_and_hides_everything():

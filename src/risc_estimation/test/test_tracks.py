@@ -56,8 +56,10 @@ def test_what_is_no_new_sample_is_passed_over():
     track = track_of([1.0, 1.0, 0.9, 1.01], [(0, 0, 0), (9, 9, 9), (8, 8, 8), (1, 0, 0)], np.zeros((4, 3)))
     track.append(1.02, (np.nan, 0, 0), (0, 0, 0))
     assert len(track) == 2 and track.last_stamp_s == 1.01
-    track.append(-5.0, (3, 3, 3), (0, 0, 0))  # the bag starts again
-    assert len(track) == 1 and track.at([-5.0]).positions_m.tolist() == [[3.0, 3.0, 3.0]]
+    for k in range(3):
+        assert len(track) == 2
+        track.append(-5.0 + 0.1 * k, (k, 3, 3), (0, 0, 0))  # the bag starts again
+    assert len(track) == 1 and track.at([-4.8]).positions_m.tolist() == [[2.0, 3.0, 3.0]]
 
 
 def test_a_limited_track_forgets_but_keeps_its_span():

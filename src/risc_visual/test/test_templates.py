@@ -234,9 +234,10 @@ def test_roll_is_that_of_the_pictures_time():
     assert rolls.at(9.15) == pytest.approx(0.3)
     assert rolls.at(9.4) == 0.4
     assert rolls.at(10.3) is None and rolls.at(7.9) is None, "too long ago"
-    rolls.add(3.0, -0.1)  # a bag begins anew
+    for time_s in (2.98, 2.99, 3.0):  # a bag begins anew
+        rolls.add(time_s, -0.1)
     assert rolls.at(3.1) == -0.1 and rolls.at(9.15) is None
-    for k in range(1000):
+    for k in range(1, 1000):
         rolls.add(3.0 + 0.01 * k, float(k))
     assert rolls.at(12.0) == pytest.approx(900.0) and rolls.at(10.0) is None, "only the last second is kept"
 

@@ -41,7 +41,6 @@ class ClockFilter {
     Time far_up = std::chrono::milliseconds(50);     // the same from this far above the envelope:
     Time far_up_patience = std::chrono::milliseconds(20);  // a host that paused looks like this
     Time max_silence = std::chrono::seconds(1);            // after a longer one the filter starts anew
-    Time max_step_back = std::chrono::milliseconds(50);  // a larger step back in time is our clock being set
   };
 
   ClockFilter() : ClockFilter(Options()) {}
@@ -51,7 +50,7 @@ class ClockFilter {
   void set_period(Time period);
 
   // Exposure time of a frame that was received at `receipt` (wall time) and reported `delay` (>= 0). Strictly
-  // increasing from call to call, unless our own clock was set back by more than max_step_back.
+  // increasing from call to call, but for the third in a row that falls back: then our own clock was set.
   Time stamp(std::int32_t frame, Time receipt, Time delay);
 
   bool locked() const { return locked_; }
@@ -93,6 +92,8 @@ class ClockFilter {
   double block_end_ns_ = 0.0;
 
   std::optional<Time> last_stamp_;
+  int fallen_back_ = 0;  // in a row, each later than the one before
+  Time last_fallen_back_{0};
 };
 
 }  // namespace cortex_ros

@@ -11,6 +11,7 @@ from enum import IntEnum
 import numpy as np
 
 from risc_control.compiled import compiled
+from risc_lab.clock import ClockGuard, Step
 
 
 class Order(IntEnum):
@@ -26,7 +27,6 @@ class Axis(IntEnum):
 
 
 ORDERS = len(Order)
-NEW_CLOCK_S = 1.0
 _SAMPLE_ORDERS = 3
 _NODES = 3
 _DEGREES = (0, 2, 3, 5)  # of the polynomial through so many samples: of one, its own acceleration
@@ -50,6 +50,7 @@ class ReferenceBuffer:
     """
 
     def __init__(self):
+        self._guard = ClockGuard()
         self._stamps_s = np.empty(_ROWS)  # a ring: sample k is in row k % _ROWS
         self._ends = np.empty(2, dtype=np.int64)  # k of the oldest and of the newest
         self._spacing_s = np.full(_NODES, np.nan)  # of samples to the newest, of which the fit is
@@ -66,23 +67,28 @@ class ReferenceBuffer:
     def clear(self):
         """Forget all samples."""
         self._ends[:] = 0, -1
-        self.newest_s = -np.inf  # stamp of the newest sample, -inf when there is none
+        self._guard.forget()
+
+    @property
+    def newest_s(self):
+        """Stamp of the newest sample [s], -inf when there is none."""
+        return self._guard.newest_s
 
     def push(self, stamp_s, sample):
         """Add a sample (3, n, 4). A jump, another set of vehicles or a new clock forgets what was before.
 
-        Returns False, and changes nothing, for a stamp that is not newer or a number that is not finite. A stamp that
-        falls back by more than NEW_CLOCK_S is newer: a bag was started again, or the clock was set.
+        Returns False, and takes nothing, for a stamp that does not advance (see `ClockGuard`) or a number that is not
+        finite.
         """
         stamp_s, sample = float(stamp_s), np.array(sample, dtype=float, order="C")  # as it was compiled for
+        step = self._guard.look(stamp_s) if _is_finite(sample) else Step.REFUSED
+        if step is Step.REFUSED:
+            return False
         if sample.shape != self._samples.shape[1:]:
-            if not _is_news(stamp_s, sample, self.newest_s):
-                return False
             self._resize(sample.shape)
-        is_news = _push(stamp_s, sample, self.newest_s, self._stamps_s, self._samples, self._ends)
-        if is_news:
-            self.newest_s = stamp_s
-        return is_news
+            self._guard.look(stamp_s)
+        _push(stamp_s, sample, step is Step.ADVANCES, self._stamps_s, self._samples, self._ends)
+        return True
 
     def at(self, times_s):
         """(k, ORDERS, n, 4) value and derivatives at times (k,); jerk and snap are 0 where only one sample is known.
@@ -98,19 +104,17 @@ class ReferenceBuffer:
 
 
 @compiled
-def _is_news(stamp_s, sample, newest_s):
-    """True for a sample of finite numbers that is newer than what is known, or of a new clock."""
-    return (stamp_s > newest_s or stamp_s < newest_s - NEW_CLOCK_S) and np.isfinite(sample).all()
+def _is_finite(sample):
+    """Whether all numbers of a sample are."""
+    return np.isfinite(sample).all()
 
 
 @compiled
-def _push(stamp_s, sample, newest_s, stamps_s, samples, ends):
-    """Add a sample when it is news. Returns whether it is; see `ReferenceBuffer.push`."""
-    if not _is_news(stamp_s, sample, newest_s):
-        return False
+def _push(stamp_s, sample, same_clock, stamps_s, samples, ends):
+    """Add a sample. same_clock: what is known has times of the same clock; see `ReferenceBuffer.push`."""
     last, k = ends[1] % _ROWS, ends[1] + 1
     row = k % _ROWS
-    known = newest_s < stamp_s and ends[0] <= ends[1]
+    known = same_clock and ends[0] <= ends[1]
     stamps_s[row] = stamp_s
     for i in range(sample.shape[1]):
         for order in range(sample.shape[0]):
@@ -123,7 +127,6 @@ def _push(stamp_s, sample, newest_s, stamps_s, samples, ends):
     while stamp_s - stamps_s[oldest % _ROWS] > _KEEP_S or k - oldest >= _ROWS:
         oldest += 1
     ends[0], ends[1] = oldest, k
-    return True
 
 
 @compiled

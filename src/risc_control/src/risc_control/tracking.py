@@ -128,6 +128,9 @@ class _Tracker:
         """Fly with the gains that `design` has found for these weights."""
         self.weights, self._gains = weights, gains
 
+    def forget_times(self):
+        """The clock of stamps and commands was set: what was sent when means nothing now."""
+
     def horizon_s(self, stamp_s, now_s):
         """How far [s] after the state's stamp the controller wants to know the reference."""
         return max(0.0, now_s - stamp_s) + self.delay_s
@@ -215,6 +218,10 @@ class FlatnessController(_Tracker):
     def reset(self):
         """Forget the integrals and the commands under way."""
         self._integrals[:] = np.zeros((), _INTEGRALS)
+        self.forget_times()
+
+    def forget_times(self):
+        """See `_Tracker.forget_times`. The integrals are no times, and stay."""
         self._history.clear()
         self._stamp_s = -np.inf
 

@@ -12,8 +12,7 @@ import numpy as np
 from risc_control.camera import rays_of_bearings
 from risc_estimation.mount_fit import Samples
 from risc_estimation.tracks import PoseTrack
-
-_RESTART_S = 1.0  # stamps that fall back by more begin afresh: a bag is played again
+from risc_lab.clock import Step
 
 
 @dataclass(frozen=True)
@@ -39,9 +38,6 @@ class BearingWindow(object):
         self._params = params or WindowParams()
         self.refused = Counter()  # why bearings were left out -> how many
         self._places = {}
-        self._begin()
-
-    def _begin(self):
         self._track = PoseTrack(span_s=self._params.late_max_s + 1.0)
         self._waiting = deque()  # (stamp, landmark, ray) of bearings whose pose may still come
         self._rows = deque()  # (stamp, landmark, point in body axes, ray)
@@ -64,8 +60,11 @@ class BearingWindow(object):
 
     def see_pose(self, stamp_s, position_m, euler_rad):
         """The vehicle's pose: (3,) [m] cortex; roll, pitch, yaw [rad]. Only while it is seen."""
+        if self._track.append(stamp_s, position_m, euler_rad) is Step.NEW_CLOCK:
+            self._rows.clear()
+            self._waiting.clear()
+            self._newest_s = None
         self._advance(stamp_s)
-        self._track.append(stamp_s, position_m, euler_rad)
         if self._waiting and self._waiting[0][0] <= stamp_s:
             self._place()
 
@@ -106,8 +105,6 @@ class BearingWindow(object):
         return self._samples(recent[::-1])
 
     def _advance(self, stamp_s):
-        if self._newest_s is not None and stamp_s < self._newest_s - self._params.late_max_s - _RESTART_S:
-            self._begin()
         self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
         while self._rows and self._rows[0][0] < self._newest_s - self._params.window_s:
             self._rows.popleft()

@@ -18,6 +18,7 @@ from risc_estimation.gates import REFUSALS, believe_pose, is_inside, is_settled,
 from risc_estimation.landmarks import LANDMARK, locate_landmark
 from risc_estimation.least_squares import SlidingFit, Window, estimate_newest, push_samples
 from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst
+from risc_lab.clock import ClockGuard, Step
 
 _LAYOUTS = 64  # that are remembered
 
@@ -41,7 +42,6 @@ class EstimatorParams:
     min_samples: int = 5  # samples in the shorter window before a vehicle is visible
     min_span_s: float = 0.042  # [s] and the time they span (10 samples at 200 Hz)
     max_gap_s: float = 0.1  # [s] a longer gap in a body's samples restarts its windows
-    backward_reset_s: float = 1.0  # [s] stamps that fall back further than this restart everything
     max_rate_hz: float = 500.0  # [Hz] highest frame rate that the windows are sized for
     marker_limit_m: float = 100.0  # [m] larger coordinates mean "lost" (9999.999 m in old bags)
     residual_max_m: float = 0.015  # [m] worst rms misfit between template and markers
@@ -63,7 +63,6 @@ class EstimatorParams:
             "position_window_s",
             "angle_window_s",
             "max_gap_s",
-            "backward_reset_s",
             "max_rate_hz",
             "marker_limit_m",
             "residual_max_m",
@@ -115,8 +114,8 @@ class EstimatorCounts:
 
     frames: int = 0  # frames estimated
     duplicate_stamps: int = 0  # frames refused: same stamp as the one before
-    backward_stamps: int = 0  # frames refused: older than the one before, or not a number
-    clock_resets: int = 0  # stamps fell back by more than backward_reset_s: started afresh
+    backward_stamps: int = 0  # frames refused: older than the one before, far ahead of it, or not a number
+    clock_resets: int = 0  # stamps of a new clock, or after ten seconds of silence: started afresh
     markers_left_out: int = 0  # one marker did not fit and the body was estimated without it
     misfits: int = 0  # body refused: residual too large
     collinear: int = 0  # body refused: visible markers on one line
@@ -185,6 +184,7 @@ class StatesEstimator(object):
         self._counts = EstimatorCounts()
         self._refusals = np.zeros(1, dtype=REFUSALS)
         self._templates = dict(templates)
+        self._stamps = ClockGuard()
         self._last_stamp_s = None
         self._names, self._landmark_names = (), ()
         for template in self._templates.values():
@@ -298,19 +298,15 @@ class StatesEstimator(object):
         )
 
     def _accept_stamp(self, stamp_s):
-        counts = self._counts
-        if not math.isfinite(stamp_s):
-            counts.backward_stamps += 1
+        step = self._stamps.look(stamp_s)
+        if step is Step.REFUSED:
+            if stamp_s == self._last_stamp_s:
+                self._counts.duplicate_stamps += 1
+            else:
+                self._counts.backward_stamps += 1
             return False
-        last_s = self._last_stamp_s
-        if last_s is not None and stamp_s <= last_s:
-            if stamp_s == last_s:
-                counts.duplicate_stamps += 1
-                return False
-            if last_s - stamp_s <= self.params.backward_reset_s:
-                counts.backward_stamps += 1
-                return False
-            counts.clock_resets += 1  # a bag was started again, or the clock was set
+        if step is Step.NEW_CLOCK:
+            self._counts.clock_resets += 1
             self._position_fit.reset()
             self._angle_fit.reset()
         self._last_stamp_s = stamp_s

@@ -10,8 +10,7 @@ from risc_control.lab.checks import check_positive, check_ranges
 from risc_estimation.bearings import Bearing
 from risc_estimation.sight import LANDMARK, Disc, Hull, look
 from risc_estimation.tracks import PoseTrack
-
-_RESTART_S = 1.0
+from risc_lab.clock import ClockGuard, Step
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class SyntheticBearings(object):
         self._discs: Dict[str, Disc] = {}
         self._random = np.random.default_rng(self._params.seed)
         self._tick = None  # number of the next picture; its stamp is tick / rate
-        self._last_s = None
+        self._stamps = ClockGuard()
 
     def see_landmarks(self, discs):
         """The landmarks as they are now, a list of Disc; those not named stay where they were last seen."""
@@ -63,14 +62,19 @@ class SyntheticBearings(object):
 
         states: {vehicle: (position (3,) [m] cortex, roll pitch yaw (3,) [rad])} of the visible vehicles.
         """
+        step = self._stamps.look(stamp_s)
+        if step is Step.REFUSED:
+            return []
+        if step is Step.NEW_CLOCK:
+            self._tracks.update({name: PoseTrack(span_s=self._params.delay_s + 0.5) for name in self._tracks})
+            self._tick = None
         for name, (position_m, euler_rad) in states.items():
             if name not in self._tracks:
                 self._tracks[name] = PoseTrack(span_s=self._params.delay_s + 0.5)
             self._tracks[name].append(stamp_s, position_m, euler_rad)
         rate_hz = self._params.rate_hz
-        if self._tick is None or stamp_s < self._last_s - _RESTART_S or stamp_s > self._last_s + _RESTART_S:
+        if self._tick is None:
             self._tick = math.ceil(stamp_s * rate_hz)
-        self._last_s = stamp_s
         due = []
         while self._tick / rate_hz <= stamp_s:
             due.append((self._tick / rate_hz, self._pictures(self._tick / rate_hz)))

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from risc_control.frames import rotation_body_to_cortex
+from risc_lab.clock import ClockGuard, Step
 
 _WIDTH = 7  # stamp, position, roll, pitch, yaw
-_RESTART_S = 1.0
 
 
 class Poses(NamedTuple):
@@ -32,6 +32,7 @@ class PoseTrack(object):
         self._max_gap_s = max_gap_s
         self._span_s = span_s
         self._rows = array("d")
+        self._stamps = ClockGuard(math.inf)  # a vehicle may be out of sight for long
 
     def __len__(self):
         return len(self._rows) // _WIDTH
@@ -44,21 +45,22 @@ class PoseTrack(object):
     def append(self, stamp_s, position_m, euler_rad):
         """Add a sample: position (3,) [m] in the cortex frame; roll, pitch, yaw [rad] in the NED sense.
 
-        Samples that do not advance, or that hold anything but finite numbers, are passed over; a stamp that falls
-        back by more than a second (a bag played again) starts afresh.
+        Samples that do not advance, or that hold anything but finite numbers, are passed over; a new clock (a bag
+        played again) starts afresh. Returns the `Step` that the stamp was.
         """
         row = (stamp_s, *position_m, *euler_rad)
         if not math.isfinite(sum(row)):
-            return
-        last_s = self.last_stamp_s
-        if last_s is not None and stamp_s <= last_s:
-            if last_s - stamp_s <= _RESTART_S:
-                return
+            return Step.REFUSED
+        step = self._stamps.look(stamp_s)
+        if step is Step.REFUSED:
+            return step
+        if step is Step.NEW_CLOCK:
             self._rows = array("d")
         self._rows.extend(row)
         if self._span_s is not None and stamp_s - self._rows[0] > 2.0 * self._span_s:
             keep = np.searchsorted(self._table()[:, 0], stamp_s - self._span_s) - 1
             self._rows = self._rows[max(0, keep) * _WIDTH :]
+        return step
 
     def at(self, times_s):
         """Poses at times (m,) [s]."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.mappings.ardrone import full_scales
+from risc_lab.clock import ClockGuard, Step
 from risc_visual.cast import phases_from_text
 
 POSITION = ("x_m", "y_m", "z_m")  # cortex frame, as all positions and velocities here
@@ -31,7 +32,6 @@ IRIS_EULER_ANGLE_MAX_RAD = 0.78537  # of the original release, for its IRIS+ con
 _DELAY_S = 0.5  # a state waits so long for the reference and the command before and after it
 _MEMORY_S = 2.0  # references and commands are kept so long
 _GAP_S = 0.25  # nothing is interpolated over a longer silence
-_RESTART_S = 1.0  # stamps that go back by more than this: a bag that is played again
 
 
 @dataclass(frozen=True)
@@ -313,6 +313,7 @@ class _Log:
         self._name = name
         self._max_s, self._max_rows = params.max_s, int(params.keep_s * params.rate_hz)
         self._waiting = deque()  # (time [s], receipt [s], values) of states
+        self._stamps = ClockGuard(math.inf)  # theirs; a vehicle may be out of sight for long
         self.references, self.commands = _Track(), _Track()
         self._marks = deque()  # (receipt [s], course, phase) from then on
         self._growing = []
@@ -326,6 +327,7 @@ class _Log:
 
     def restart(self):
         """Forget all that waits: another clock, or the same one turned back."""
+        self._stamps.forget()
         self._waiting.clear()
         self.references.clear()
         self.commands.clear()
@@ -335,11 +337,12 @@ class _Log:
         self._broken = True
 
     def state(self, time_s, receipt_s, values):
-        newest_s = self._waiting[-1][0] if self._waiting else -math.inf
-        if time_s < newest_s - _RESTART_S:
-            self.restart()
-        elif time_s <= newest_s:
+        step = self._stamps.look(time_s)
+        if step is Step.REFUSED:
             return
+        if step is Step.NEW_CLOCK:
+            self.restart()
+            self._stamps.look(time_s)
         self._waiting.append((time_s, receipt_s, values))
         self.settle(time_s - _DELAY_S)
 

@@ -12,7 +12,7 @@ GATES = {
     "states estimation": {
         "duplicate_stamps": "frame refused: its stamp is that of the one before",
         "backward_stamps": "frame refused: its stamp is older than the one before",
-        "clock_resets": "all windows emptied: the stamps fell back by more than a second",
+        "clock_resets": "all windows emptied: the clock of the stamps was set, or no frame came for ten seconds",
         "markers_left_out": "marker left out: the body fits its template without it",
         "misfits": "body refused: its markers do not fit the template",
         "collinear": "body refused: the markers seen lie on one line",

@@ -10,7 +10,7 @@ from dynamic_reconfigure.server import Server
 from std_msgs.msg import Bool
 
 from risc_control.lab.vehicle_types import load_vehicle_type
-from risc_control.reference import NEW_CLOCK_S, ORDERS, ReferenceBuffer
+from risc_control.reference import ORDERS, ReferenceBuffer
 from risc_control.ros import low_latency
 from risc_control.ros.conversions import ControlsMessage, StatesReader
 from risc_control.ros.diagnostics import make_updater
@@ -19,6 +19,7 @@ from risc_control.ros.paced import BUFFER_BYTES, PacedSubscriber
 from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
 from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.tracking import LqrWeights, TrackingParams
+from risc_lab.clock import ClockGuard, Step
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.ticker import Ticker
 
@@ -51,7 +52,7 @@ class ControllerNode:
         self._autonomous = np.ones(len(self.names), dtype=bool)
         self._buffers = {}  # names of a message -> (ReferenceBuffer, rows, columns of the message)
         self._lock = threading.Lock()
-        self._last_stamp_s = -np.inf
+        self._stamps = ClockGuard()  # of the states
         self._counts = dict.fromkeys(("states", "saturated", "without command", "late", "refused references"), 0)
         self._reported, self._reported_s = dict(self._counts), time.monotonic()
         self._cycle_max_s = self._age_max_s = 0.0
@@ -141,9 +142,11 @@ class ControllerNode:
         with self._lock:
             header, states = self._reader.read(message.buff)
             stamp_s, now_s = header.stamp.to_sec(), ros_time_s()
-            if stamp_s <= self._last_stamp_s <= stamp_s + NEW_CLOCK_S:
-                return  # an older state than the last; one from long before is of a new clock or bag
-            self._last_stamp_s = stamp_s
+            step = self._stamps.look(stamp_s)
+            if step is Step.REFUSED:
+                return
+            if step is Step.NEW_CLOCK:
+                self._controller.forget_times()
             age_s = now_s - stamp_s
             ahead_s = self._controller.horizon_s(stamp_s, now_s)
             if abs(age_s) > self._state_timeout_s:

@@ -30,6 +30,7 @@ from risc_control.trajectories import (
 )
 from risc_control.trajectory_manager import TrajectoryManager, make_manager, phase_text
 from risc_control.ways import WayLimits, plan_ways
+from risc_lab.ros.clock import SteadyClock
 from risc_lab.ros.ticker import Ticker
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
@@ -50,6 +51,7 @@ class ManagerWiring:
     def __init__(self, fleet_vehicles, course, kind=TrajectoryManager, listens=True):
         """kind: TrajectoryManager or a subclass.  listens: to the states; a node that does it itself calls `look`."""
         self.vehicles = fleet_vehicles
+        self.clock = SteadyClock()  # that of the courses: a clock that is set moves no reference
         smooth = parse_bool(private("wait_for_autonomous", True), "~wait_for_autonomous")
         self.manager = make_manager(
             fleet_vehicles,
@@ -102,7 +104,7 @@ class ManagerWiring:
         """Fly another course from now on, smoothly."""
         check_course(course, self.vehicles)
         with self.lock:
-            self.manager.set_course(course, rospy.get_time())
+            self.manager.set_course(course, self.clock.now_s())
         self.announce(course)
 
     def announce(self, course):
@@ -131,19 +133,19 @@ class ManagerWiring:
 
     def _on_status(self, message, name):
         with self.lock:
-            changed = self.manager.set_autonomous(name, message.data, rospy.get_time())
+            changed = self.manager.set_autonomous(name, message.data, self.clock.now_s())
         if changed:
             self._watch()
             rospy.loginfo("%s: %s", name, "flown automatically" if message.data else "no longer flown automatically")
 
     def _on_go_home(self, _request):
         with self.lock:
-            names = self.manager.go_home(rospy.get_time())
+            names = self.manager.go_home(self.clock.now_s())
         return TriggerResponse(bool(names), "going home: %s" % ", ".join(names) if names else "nobody is flying")
 
     def _on_start(self, _request):
         with self.lock:
-            names = self.manager.start(rospy.get_time())
+            names = self.manager.start(self.clock.now_s())
         message = "starting: %s" % ", ".join(names) if names else "nobody is home and flown automatically"
         return TriggerResponse(bool(names), message)
 
@@ -168,7 +170,7 @@ class ManagerWiring:
         while task is not None:
             plan = plan_ways(task)
             with self.lock:
-                accepted = self.manager.accept(task, plan, rospy.get_time())
+                accepted = self.manager.accept(task, plan, self.clock.now_s())
                 task = self.manager.task
             if accepted:
                 self._report(plan.closest_m)
@@ -194,10 +196,10 @@ class ReferenceNode:
     @until_shutdown
     def _on_tick(self):
         with self.wiring.lock:
-            now = rospy.Time.now()
-            reference = self.wiring.sample(now.to_sec())
-            self._sampled(now.to_sec())
-        self._publisher.publish(self._message.fill(now, reference.derivatives))
+            time_s, stamp_s = self.wiring.clock.now()
+            reference = self.wiring.sample(time_s)
+            self._sampled(time_s)
+        self._publisher.publish(self._message.fill(rospy.Time.from_sec(stamp_s), reference.derivatives))
 
     def _sampled(self, time_s):
         """For subclasses: called after every sample, with the lock held."""

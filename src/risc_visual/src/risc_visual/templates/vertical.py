@@ -1,7 +1,11 @@
 """A picture turned so that what is vertical in the world is vertical in it, however the vehicle rolls."""
 
+import math
+
 import cv2
 import numpy as np
+
+from risc_lab.clock import ClockGuard, Step
 
 KEPT_S = 1.0  # how long the roll is remembered
 
@@ -10,12 +14,16 @@ class RollHistory:
     """Roll of the last second, so that a picture is turned by the roll at its own time."""
 
     def __init__(self):
+        self._stamps = ClockGuard(math.inf)
         self._times_s = []
         self._rolls_rad = []
 
     def add(self, time_s, roll_rad):
-        """A measurement; one that is older than the last begins anew (a bag that is played again)."""
-        if self._times_s and time_s < self._times_s[-1]:
+        """A measurement; a new clock (a bag that is played again) begins anew."""
+        step = self._stamps.look(time_s)
+        if step is Step.REFUSED:
+            return
+        if step is Step.NEW_CLOCK:
             self._times_s.clear()
             self._rolls_rad.clear()
         self._times_s.append(time_s)
