@@ -53,9 +53,8 @@ LANDING_S = 4.0  # from a metre
 FLOOR_M = 0.15  # a vehicle's centre that is lower stands
 END_S = 90.0  # for Ctrl-C; a computer that is gone costs roslaunch 20 to 40 s
 GONE_S = 8.0  # from the end of roslaunch to that of the last process; after that the guards of the sessions would kill
-# A place for each, as the circles of circles3 come within 0.17 m of each other and one vehicle may have stopped. An
-# aircraft that hears nothing any more keeps its last tilt for two seconds, 1 to 4 degrees, and drifts by 0.3 to
-# 1.5 m: the net is wider than that.
+# A place for each, far from the others, which would land with one that comes near. An aircraft that hears nothing any
+# more keeps its last tilt for two seconds, 1 to 4 degrees, and drifts by 0.3 to 1.5 m: the net is wider than that.
 APART = ("course:=origin", "course_options:={spacing_m: 3.0}")
 pytestmark = pytest.mark.alone
 LAPTOPS = tuple(VEHICLE_OF)

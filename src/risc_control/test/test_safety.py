@@ -6,6 +6,7 @@ import math
 import pytest
 
 from risc_control.safety import Freshness, Rung, SafetyLadder, SafetyLimits
+from risc_control.separation import ALONE, Look
 
 INSIDE = (0.5, -0.5, 1.0)
 AT_REST = (0.0, 0.0, 0.0)
@@ -21,6 +22,7 @@ class Flight:
         self.position = INSIDE
         self.velocity = AT_REST
         self.battery = 80.0
+        self.look = ALONE
         self.alive = {"state", "controls", "navdata", "joystick"}
         self.run(0.1)
 
@@ -30,6 +32,7 @@ class Flight:
             self.now_s += 0.005
             if "state" in self.alive:
                 self.ladder.note_state(self.position, self.velocity, 0.004, self.now_s)
+                self.ladder.note_look(self.look, self.now_s)
             if "controls" in self.alive:
                 self.ladder.note_controls(0.006, self.now_s)
             if "navdata" in self.alive:
@@ -225,6 +228,83 @@ def test_one_false_position_is_no_escape():
     flight.run(0.005)
     flight.alive.remove("state")  # and neither is one followed by silence
     assert flight.run(0.2).text.startswith("hold: state")
+
+
+NEAR = Look(holds=True, reason="0.55 m from Raven")
+
+
+def test_one_that_is_too_near_to_others_holds_then_lands():
+    flight, limits = Flight(), SafetyLimits()
+    flight.look = NEAR
+    assert flight.run(limits.separation_delay_s - 0.01).rung == Rung.OK, "one false measurement is no reason"
+    verdict = flight.run(0.02)
+    assert (verdict.rung, verdict.reason) == (Rung.HOLD, NEAR.reason)
+    assert flight.run(limits.separation_land_s - 0.02).rung == Rung.HOLD
+    assert flight.run(0.04).rung == Rung.LAND
+    flight.look = ALONE
+    assert flight.run(1.0, obeys=True).rung == Rung.LAND
+    assert flight.run(0.005, airborne=False).rung == Rung.OK
+
+
+def test_one_that_has_held_does_not_chase_after_its_reference():
+    flight = Flight()
+    flight.look = NEAR
+    flight.run(0.2)
+    flight.look = ALONE
+    assert flight.run(0.5).rung == Rung.HOLD
+    assert flight.run(0.5).rung == Rung.LAND
+
+
+def test_nobody_lands_on_one_that_is_below_unless_it_stays_there():
+    flight, limits = Flight(), SafetyLimits()
+    flight.look = NEAR._replace(above=True, way=1, aside=(0.0, 1.0))
+    flight.run(0.5)
+    assert flight.ladder.apart(flight.now_s) == NEAR._replace(above=True, way=1), "aside only when it is time to land"
+    assert flight.run(limits.separation_wait_s - 0.5).rung == Rung.HOLD
+    assert flight.ladder.apart(flight.now_s) == flight.look
+    assert flight.run(0.2).rung == Rung.LAND and flight.ladder.apart(flight.now_s) is None
+    flight = Flight()
+    flight.look = Look(holds=True, above=True)
+    flight.run(3.0)
+    flight.look = ALONE
+    assert flight.run(0.01).rung == Rung.LAND
+
+
+def test_manual_mode_leaves_the_others_to_the_operator():
+    flight = Flight(autonomous=False)
+    flight.look = NEAR._replace(way=1)
+    assert flight.run(3.0).rung == Rung.OK and flight.ladder.apart(flight.now_s) is None
+    assert flight.ladder.autonomy_problem(flight.now_s) == NEAR.reason
+
+
+def test_the_operator_takes_over_from_one_that_holds_because_of_others():
+    flight = Flight()
+    flight.look = NEAR
+    assert flight.run(0.5).rung == Rung.HOLD
+    flight.autonomous = False
+    flight.ladder.take_over()
+    assert flight.run(1.0).rung == Rung.OK
+    flight.autonomous, flight.look = True, ALONE
+    assert flight.run(3.0).rung == Rung.OK, "what was is over"
+
+
+def test_what_it_flies_on_comes_before_the_others():
+    flight = Flight()
+    flight.look = NEAR
+    flight.run(0.2)
+    flight.alive.remove("controls")
+    flight.run(0.2)
+    assert flight.ladder.verdict.rung == Rung.HOLD and flight.ladder.verdict.reason.startswith("controls")
+    assert flight.ladder.apart(flight.now_s) is None
+    assert flight.run(0.35).reason.startswith("controls 5")
+    flight = Flight()
+    flight.look = NEAR
+    flight.run(0.2)
+    flight.alive.remove("state")
+    flight.run(0.2)
+    flight.look = ALONE
+    flight.alive.add("state")
+    assert flight.run(0.3).rung == Rung.HOLD, "its loss was short, but it had held before"
 
 
 def test_low_battery_lands():

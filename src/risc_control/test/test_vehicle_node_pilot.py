@@ -14,6 +14,7 @@ from risc_control.lab.arena import Arena
 from risc_control.lab.fleet import fleet_from_dict
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.safety import Rung
+from risc_control.separation import ALONE, Look
 from risc_control.vehicle_pilot import (
     ClimbPredictor,
     FlightState,
@@ -29,7 +30,7 @@ from risc_control.vehicle_pilot import (
 CONFIG = pathlib.Path(__file__).parents[1] / "config" / "vehicle_node.yaml"
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * GRAVITY_M_S2
-LEVEL = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+LEVEL = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
 TOGGLE, EMERGENCY, TAKEOFF_LAND, UP, SHUT_DOWN = 0, 2, 6, 9, 7  # Appendix C
 
 
@@ -46,7 +47,7 @@ class Desk:
         self.pilot = VehiclePilot(parsed, ARDRONE, self.now_s)
         self.flight_state = FlightState.LANDED
         self.battery = 90.0
-        self.state = LEVEL
+        self.state, self.look = LEVEL, ALONE
         self.control = OwnControl(0.0, 0.0, 0.0, HOVER_N)
         self.alive = {"state", "controls", "navdata"}
         self.orders = []  # (time, Orders) that ask for something
@@ -64,7 +65,7 @@ class Desk:
             self.now_s += 0.005
             self._step += 1
             if "state" in self.alive:
-                self.pilot.on_state(self.state, 0.004, self.now_s)
+                self.pilot.on_state(self.state, 0.004, self.now_s, self.look)
             if "controls" in self.alive:
                 self.take(self.pilot.on_controls(self.control, 1e9 + self.now_s, 0.005, self.now_s))
             if "navdata" in self.alive and self._step % 4 == 0:
@@ -523,7 +524,7 @@ def test_controls_become_commands(control, expected):
 
 def test_thrust_is_mapped_with_the_tilt_and_the_climb_rate():
     desk = Desk().fly(autonomous=True)
-    desk.state = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, -0.2), 0.2, -0.1)
+    desk.state = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, -0.2), 0.2, -0.1, 0.0)
     _, sticks, _ = desk.run(0.05)[0]
     lag = math.exp(-(0.004 + ARDRONE.command_delay_s + 0.5 / 29.5) / ARDRONE.climb_time_constant_s)
     expected = -0.2 * lag + 0.3 * (GRAVITY_M_S2 * math.cos(0.2) * math.cos(0.1) - GRAVITY_M_S2)
@@ -669,6 +670,52 @@ def test_level_only_hold():
     desk.alive.remove("state")
     desk.run(0.3)
     assert not desk.count("level_only")
+
+
+@pytest.mark.parametrize("psi_deg", [0.0, 70.0, -130.0])
+@pytest.mark.parametrize("way", [1, -1, 0])
+def test_one_that_is_too_near_holds_brakes_and_gives_way(psi_deg, way):
+    desk = Desk().fly(autonomous=True)
+    psi_rad = math.radians(psi_deg)
+    # 0.4 m/s along the nose, which points along (cos psi, -sin psi), and 0.2 to the left
+    forward, left = np.array([math.cos(psi_rad), -math.sin(psi_rad)]), np.array([math.sin(psi_rad), math.cos(psi_rad)])
+    desk.state = LEVEL._replace(velocity_m_s=(*(0.4 * forward + 0.2 * left), 0.0), psi_rad=psi_rad)
+    desk.control = OwnControl(0.3, 0.3, 0.1, HOVER_N)
+    desk.look = Look(holds=True, reason="near", way=way)
+    desk.run(0.2)
+    commands = [sticks for _, sticks, _ in desk.run(0.3)]
+    assert len(commands) > 5
+    for sticks in commands:
+        if way == 0:
+            assert sticks == Sticks(0.0, 0.0, 0.0, 0.0), "its own hover"
+        else:
+            assert sticks.forward < -0.1 and sticks.left == pytest.approx(0.5 * sticks.forward)
+            assert (sticks.up, sticks.turn_left) == (0.3 * way, 0.0)
+    desk.run(1.0)
+    assert desk.pilot.ladder.verdict.rung == Rung.LAND and desk.count("land")
+    assert desk.run(0.3)[-1][1] == Sticks(0.0, 0.0, 0.0, 0.0), "landing is the vehicle's own affair"
+
+
+def test_one_that_does_not_hold_by_itself_is_braked_where_the_others_are_near():
+    desk = Desk(hold_auto_hover=False).fly(autonomous=True)
+    desk.state = LEVEL._replace(velocity_m_s=(0.4, 0.0, 0.0))
+    desk.look = Look(holds=True, reason="near")
+    desk.run(0.2)
+    assert desk.run(0.2)[-1][1].forward < -0.1
+
+
+def test_one_that_is_above_another_one_goes_aside_before_it_lands():
+    desk = Desk().fly(autonomous=True)
+    desk.look = Look(holds=True, reason="near", above=True, aside=(0.0, 1.0))
+    assert {sticks for _, sticks, _ in desk.run(1.0)[-10:]} == {Sticks(0.0, 0.0, 0.0, 0.0)}, "it stops first"
+    desk.run(0.2)
+    sticks = desk.run(0.2)[-1][1]
+    assert sticks.left > 0.1 and sticks.forward == 0.0 and not desk.count("land")
+    desk.state = LEVEL._replace(velocity_m_s=(0.0, 0.5, 0.0))
+    assert desk.run(0.2)[-1][1].left < 0.0, "it goes slowly"
+    desk.look = ALONE
+    desk.run(0.1)
+    assert desk.count("land")
 
 
 def test_after_a_landing_of_the_ladder_it_can_start_again():

@@ -14,6 +14,8 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
 from vehicle_world import EMERGENCY, FLYING, HOVER_N, LANDED, SHUT_DOWN, World, is_flown, is_zero, same, wait_for
 
+from risc_control.safety import SafetyLimits
+
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 NAME = "/vehicle_fleet_test"
 OTHERS = ("risc1", "risc3")  # of the vehicle that is in trouble
@@ -25,6 +27,7 @@ class VehicleFleetTest(unittest.TestCase):
         cls.logs = []
         cls.rosout = rospy.Subscriber("/rosout", Log, lambda message: cls.logs.append(message.msg))
         cls.world = World(TEMPLATES, nodes=1, flown=("risc1", "risc2"))
+        cls.y_m = dict(cls.world.y_m)
 
     @classmethod
     def tearDownClass(cls):
@@ -34,6 +37,7 @@ class VehicleFleetTest(unittest.TestCase):
         rospy.set_param("/second_controller/torn", False)
         self.world.controls = dict.fromkeys(TEMPLATES, (0.0, 0.0, 0.0, HOVER_N))
         self.world.visible = dict.fromkeys(TEMPLATES, True)
+        self.world.y_m, self.world.strays = dict(self.y_m), set()
         self.world.flight_state = dict.fromkeys(TEMPLATES, LANDED)
 
     def check_that_others_fly_on(self, count=60):
@@ -82,6 +86,33 @@ class VehicleFleetTest(unittest.TestCase):
         rospy.sleep(0.1)
         self.world.fly_by_controls()
         self.check_that_others_fly_on()
+
+    def test_5_a_vehicle_that_comes_too_near(self):
+        """To another one; they hold and land, and the third flies on."""
+        world = self.world
+        world.fly_by_controls()
+        world.y_m["risc2"] = world.y_m["risc1"] + SafetyLimits.separation_m - 0.05
+        for vehicle in ("risc1", "risc2"):
+            world.wait(vehicle, "safety", lambda m: m.data.startswith("land"))
+            self.assertTrue(any(m.data.startswith("hold") for m in world.messages(vehicle, "safety")), vehicle)
+            world.wait(vehicle, "ardrone/land")
+        world.forget()
+        wait_for(lambda: len(world.answers("risc3")) >= 20, "commands of the third")
+        self.assertEqual(world.answers("risc1") + world.answers("risc2"), [])
+        self.assertEqual(world.messages("risc3", "ardrone/land"), [])
+
+    def test_5_a_vehicle_that_leaves_its_course(self):
+        """Its neighbour lands, and so does it itself; the third flies on."""
+        world = self.world
+        limits = SafetyLimits()
+        world.y_m["risc2"] = world.y_m["risc1"] + 0.5 * (limits.separation_m + limits.separation_stray_m)
+        world.fly_by_controls()
+        self.assertEqual([m for m in world.messages("risc1", "safety") if m.data != "ok"], [])
+        world.strays = {"risc2"}
+        for vehicle in ("risc1", "risc2"):
+            world.wait(vehicle, "ardrone/land")
+        world.forget()
+        wait_for(lambda: len(world.answers("risc3")) >= 20, "commands of the third")
 
     def test_5_the_shut_down_button_of_one(self):
         """It lands, and its vehicle is as at the start; the node is that of the others as well."""

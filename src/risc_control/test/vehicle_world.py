@@ -10,13 +10,14 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, String
 
 from ardrone_autonomy.msg import Navdata
-from risc_msgs.msg import Control, Controls, Cortex, States
+from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
 JOY_TO_WAY, EMERGENCY, SHUT_DOWN, TAKEOFF_LAND = 0, 2, 7, 6
 LANDED, FLYING = 2, 3
 HOVER_N = 0.45 * 9.80665
 MOST_HZ = 31.0  # commands: 30 Hz is command_rate_hz
 TIMEOUT_S = 60.0
+STRAY_M_S = 0.5  # of a reference that leaves its vehicle, up to 1 m
 PUBLISHED = {
     "cmd_vel": Twist,
     "cmd_vel_stamped": TwistStamped,
@@ -55,6 +56,8 @@ class World:
         self.flight_state = dict.fromkeys(templates, LANDED)
         self.controls = dict.fromkeys(self.templates, (0.0, 0.0, 0.0, HOVER_N))
         self.visible = dict.fromkeys(self.templates, True)
+        self.y_m = {vehicle: 1.5 * (k - 1) for k, vehicle in enumerate(templates)}  # none is near another one
+        self.strays = set()  # vehicles whose references leave them
         self.running = True
         self.sent = set()  # stamps of states and controls
         self.sent_s = 0.0  # [s] monotonic, of the newest ones
@@ -72,11 +75,13 @@ class World:
                 )
         self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
         self._controls = rospy.Publisher("/controls", Controls, queue_size=1)
+        self._references = rospy.Publisher("/trajectory", Trajectories, queue_size=1)
         self._navdata = {v: rospy.Publisher("/%s/ardrone/navdata" % v, Navdata, queue_size=1) for v in self.templates}
         self._joy = {v: rospy.Publisher("/%s/joy" % v, Joy, queue_size=10) for v in self.templates}
         wait_for(lambda: all(s.get_num_connections() for s in self._subscribers), "all topics of the nodes")
         wait_for(lambda: all(p.get_num_connections() for p in (*self._navdata.values(), *self._joy.values())), "inputs")
-        wait_for(lambda: self._states.get_num_connections() == nodes == self._controls.get_num_connections(), "inputs")
+        for publisher in (self._states, self._controls, self._references):
+            wait_for(lambda p=publisher: p.get_num_connections() == nodes, "inputs")
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -90,11 +95,19 @@ class World:
                 self.sent.add(stamp)
                 states, controls = Cortex(), Controls()
                 states.header.stamp = controls.header.stamp = stamp
+                references = Trajectories(header=states.header)
                 for vehicle, template in reversed(list(self.templates.items())):  # by name, not by index (D-27)
-                    states.Obj.append(States(name=template, visible=self.visible[vehicle], z=1.0))
+                    y_m = self.y_m[vehicle]
+                    states.Obj.append(States(name=template, visible=self.visible[vehicle], y=y_m, z=1.0))
+                    reference = Trajectory(name=template, y=y_m, z=1.0)
+                    if vehicle in self.strays:  # there and back again
+                        reference.ydot = STRAY_M_S if step % 800 < 400 else -STRAY_M_S
+                        reference.y += STRAY_M_S * 0.005 * min(step % 800, 800 - step % 800)
+                    references.Obj.append(reference)
                     if vehicle in self._flown:
                         controls.Obj.append(Control(template, *self.controls[vehicle]))
                 self._states.publish(states)
+                self._references.publish(references)
                 self._controls.publish(controls)
             if step % 4 == 0:
                 for vehicle, publisher in self._navdata.items():

@@ -75,7 +75,7 @@ def pilot_table(frames):
     """Dict of what arrives -> median microseconds, of one vehicle in autonomous flight."""
     params, _ = params_from_dict({"joystick_timeout": 0.0})
     pilot = VehiclePilot(params, load_vehicle_type("ardrone"), 0.0)
-    own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03), OwnControl(0.1, 0.05, 0.02, 4.4)
+    own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03, 0.0), OwnControl(0.1, 0.05, 0.02, 4.4)
     buttons = [0] * 11
     seconds = {"state": [], "controls, no command due": [], "controls, command sent": [], "tick": []}
     for k in range(WARM_UP + frames):

@@ -5,10 +5,13 @@ Rungs, from the bottom:
     HOLD  level and hold altitude (zero acceleration, thesis 7.7). Ends at once when everything is fresh again.
     LAND  land, ordered again and again until the vehicle reports that it stands. Stays, even when everything is fresh
           again, until then or until the operator takes over.
+A vehicle that must hold because of others (`separation`) gives way upwards or downwards while that is not enough, and
+lands when it has held for `separation_land_s`; beside one that is straight below, or after `separation_wait_s`.
 The top rung, the emergency stop, is the operator's: the ladder only says when it is time to think of it.
 
-In manual mode the operator's eyes fly: mocap, controls, fence, battery and telemetry do not act then, only the loss of
-the joystick does. Somebody may also ask for a landing, in any mode (`request_landing`): a LAND like any other.
+In manual mode the operator's eyes fly: mocap, controls, fence, the other vehicles, battery and telemetry do not act
+then, only the loss of the joystick does. A landing may be asked for in any mode (`request_landing`): a LAND like any
+other.
 
 Times are seconds of a clock that never steps (monotonic); a message's age is what its stamp said when it arrived (by
 the wall clock, which all computers must share; small differences make nothing younger, see `message_age`) plus the
@@ -23,6 +26,7 @@ from typing import Tuple
 
 from risc_control.lab.arena import Arena
 from risc_control.message_age import MessageAges
+from risc_control.separation import ALONE
 
 
 class Rung(enum.IntEnum):
@@ -63,6 +67,16 @@ class SafetyLimits:
     fence_margin_m: float = 0.2  # [m] the vehicle's centre must stay this far inside
     fence_lookahead_s: float = 0.5  # [s] ... and so must the place that it reaches this much later at its velocity
     fence_delay_s: float = 0.05  # [s] outside for so long: LAND (one false measurement is no reason)
+    separation_m: float = 0.55  # [m] between the centres of two vehicles: HOLD, then LAND; 0 = off
+    separation_stray_m: float = 1.0  # [m] the same from one that has left its course, is not seen, or holds itself
+    separation_course_m: float = 0.5  # [m] farther than this from its reference a vehicle has left its course
+    separation_lookahead_s: float = 1.2  # [s] ... now or within this time, in which a vehicle stops;
+    separation_follow_s: float = 0.8  # [s] of vehicles that follow their references: within this time
+    separation_delay_s: float = 0.05  # [s] too near for so long: HOLD (one false measurement is no reason)
+    separation_speed_m_s: float = 0.3  # [m/s] of giving way, while holding is not enough
+    separation_land_s: float = 1.0  # [s] held for so long: LAND
+    separation_wait_s: float = 10.0  # [s] ... but when another one is straight below, only after so long
+    separation_forget_s: float = 10.0  # [s] one that is not seen for so long stands on the floor
 
     def __post_init__(self):
         for name, value in vars(self).items():
@@ -75,6 +89,11 @@ class SafetyLimits:
             hold_s, land_s = getattr(self, what + "_hold_s"), getattr(self, what + "_land_s")
             if not 0.0 < hold_s <= land_s:
                 raise ValueError("need 0 < %s_hold_s <= %s_land_s, found %r and %r" % (what, what, hold_s, land_s))
+        if self.separation_m > self.separation_stray_m:
+            raise ValueError(
+                "need separation_m <= separation_stray_m, found %r and %r"
+                % (self.separation_m, self.separation_stray_m)
+            )
         pairs = zip(self.fence_min_m, self.fence_max_m)
         if any(low + self.fence_margin_m >= high - self.fence_margin_m for low, high in pairs):
             raise ValueError(
@@ -191,6 +210,9 @@ class SafetyLadder:
         self._battery_pct = None
         self._battery_low = Lasting()
         self._outside = Lasting()
+        self._look = ALONE
+        self._near = Lasting()
+        self._apart_since_s, self._apart_reason = None, ""  # it holds or lands because of other vehicles
         self._position_m = None
         self._kind = ""  # which rule set the verdict
         self._land_since_s = None
@@ -209,6 +231,20 @@ class SafetyLadder:
                 outside = True
                 break
         self._outside.note(outside, now_s)
+
+    def note_look(self, look, now_s):
+        """What it has to do about the other vehicles (`separation.Look`) by what was seen now."""
+        self._look = look
+        self._near.note(look.holds, now_s)
+
+    def apart(self, now_s):
+        """The newest `separation.Look` while it holds because of other vehicles, else None. Nobody is sent aside before
+        it is time to land: first all come to a stop.
+        """
+        if self.verdict.rung != _HOLD or self._kind != "separation":
+            return None
+        stops = now_s - self._apart_since_s < self.limits.separation_land_s
+        return self._look._replace(aside=ALONE.aside) if stops else self._look
 
     def note_controls(self, age_at_arrival_s, now_s):
         """A command for this vehicle came in."""
@@ -296,6 +332,10 @@ class SafetyLadder:
 
     def _set(self, rung, kind, reason, reaction, now_s):
         self._kind = kind
+        if rung == _OK:
+            self._apart_since_s = None
+        elif kind == "separation" and self._apart_since_s is None:
+            self._apart_since_s, self._apart_reason = now_s, reason
         self._land_since_s = now_s if rung == _LAND else None
         entered = rung > self.verdict.rung
         self.verdict = Verdict(rung, reason)
@@ -328,4 +368,12 @@ class SafetyLadder:
             return _LAND, "fence", "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
         if self._battery_low.lasts(limits.battery_delay_s):
             return _LAND, "battery", "battery at %.0f %%" % self._battery_pct, None
-        return hold
+        if self._apart_since_s is None and not self._near.lasts(limits.separation_delay_s):
+            return hold
+        # No way back: its reference has gone on, and it would chase after it through the others.
+        held_s = 0.0 if self._apart_since_s is None else now_s - self._apart_since_s
+        waits = self._look.above and held_s < limits.separation_wait_s
+        rung = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD
+        if rung <= hold[0]:
+            return hold
+        return rung, "separation", self._look.reason or self._apart_reason, None

@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+AIRBORNE_M = 0.3  # higher than this a vehicle's centre is in the air; lower it may stand on the floor
+
 
 class S(IntEnum):
     """Columns of a state: position [m], velocity [m/s], roll pitch yaw [rad], their rates [rad/s].

@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from risc_control.motions import LINK, NO_PATHS, NO_TABLE, ORDERS, coasting, sample_fleet, standing
+from risc_control.states import AIRBORNE_M
 from risc_control.trajectories import Course, on_course
 from risc_control.ways import Home, Task, WayLimits, load, plan_ways
 
 _GATHER_S = 0.3  # vehicles that become autonomous within this time start together
-_AIRBORNE_M = 0.3  # higher than this a vehicle that is not flown automatically is in the way of the others
 _DEEPEST = 4  # blends of blends; with more orders in so short a time the next way begins at a coasting vehicle
 
 
@@ -93,7 +93,7 @@ class TrajectoryManager:
         if not math.isfinite(sum(position_m) + sum(velocity_m_s) + yaw_rad):
             return
         self._seen_m[i], self._seen_yaw_rad[i], self._velocity[i] = position_m, yaw_rad, velocity_m_s
-        self._airborne[i] = position_m[2] > _AIRBORNE_M
+        self._airborne[i] = position_m[2] > AIRBORNE_M  # and in the way of the others
         if self._motions[i] is None and self._packed is not None:
             self._packed.links["position_m"][i, 0] = position_m
             self._packed.links["yaw_rad"][i, 0] = yaw_rad

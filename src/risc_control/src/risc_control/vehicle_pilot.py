@@ -23,6 +23,7 @@ from risc_control.joystick import (
 from risc_control.mappings.climb_rate import climb_rate_command
 from risc_control.message_age import MessageAges
 from risc_control.safety import Rung, SafetyLadder, SafetyLimits, fence_of
+from risc_control.separation import ALONE
 
 LEGACY_VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"}  # of the lab, when no fleet is loaded
 
@@ -47,6 +48,8 @@ _OK, _LAND, _LANDING = Rung.OK, Rung.LAND, FlightState.LANDING
 _TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
+_WAY_RAD_PER_M_S = 0.15  # of a vehicle that gives way: tilt by the velocity that it lacks; it stops as by its own
+_WAY_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
 _CLIMB_MEMORY_S = 2.0  # [s] climb commands that took effect longer ago answer no state that anybody acts on
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
 
@@ -170,9 +173,9 @@ def check_full_scale(params, vehicle_type):
     )
 
 
-# Own entry of /cortex_raw, as far as the node needs it: position [m] and climb rate [m/s] in the cortex frame (z up),
+# Own entry of /cortex_raw, as far as the node needs it: position [m] and velocity [m/s] in the cortex frame (z up),
 # angles [rad].
-OwnState = namedtuple("OwnState", "position_m velocity_m_s phi_rad theta_rad")
+OwnState = namedtuple("OwnState", "position_m velocity_m_s phi_rad theta_rad psi_rad")
 
 # Own entry of /controls: fractions (+ left, + forward, + counter-clockwise) and thrust [N].
 OwnControl = namedtuple("OwnControl", "phi theta psi thrust_n")
@@ -348,11 +351,15 @@ class VehiclePilot:
             self._set_mode(False, orders, "landed")
         return orders
 
-    def on_state(self, own, age_s, now_s):
-        """The vehicle was seen (`OwnState`); do not call for entries that are not visible."""
-        position_m, velocity_m_s, phi_rad, theta_rad = own
-        if not math.isfinite(sum(position_m) + sum(velocity_m_s) + phi_rad + theta_rad):
+    def on_state(self, own, age_s, now_s, look=ALONE):
+        """The vehicle was seen (`OwnState`); do not call for entries that are not visible.
+
+        look: `separation.Look` at the other vehicles of then.
+        """
+        position_m, velocity_m_s, phi_rad, theta_rad, psi_rad = own
+        if not math.isfinite(sum(position_m) + sum(velocity_m_s) + phi_rad + theta_rad + psi_rad):
             return
+        self.ladder.note_look(look, now_s)
         self.ladder.note_state(position_m, velocity_m_s, age_s, now_s)
         self._state = own
         self._state_s = now_s - max(age_s, 0.0)
@@ -557,7 +564,24 @@ class VehiclePilot:
         """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""
         holds = self.ladder.verdict.rung > _OK
         orders.level_only = holds and not self._params.hold_auto_hover
-        self._send(CENTRED if holds else self._sticks(), 0.0, orders, now_s)
+        sticks = CENTRED if holds else self._sticks()
+        look = self.ladder.apart(now_s)
+        if look is not None and (look.way or any(look.aside) or orders.level_only):
+            sticks = self._give_way(look)
+        self._send(sticks, 0.0, orders, now_s)
+
+    def _give_way(self, look):
+        """Sticks that stop the vehicle where it is, except where a `separation.Look` sends it."""
+        speed_m_s, psi_rad = self.ladder.limits.separation_speed_m_s, self._state.psi_rad
+        x, y = (speed_m_s * part - velocity for part, velocity in zip(look.aside, self._state.velocity_m_s))
+        forward_m_s = x * math.cos(psi_rad) - y * math.sin(psi_rad)
+        left_m_s = x * math.sin(psi_rad) + y * math.cos(psi_rad)
+        most = _WAY_TILT_MAX_RAD / self._type.tilt_max_rad
+        forward, left = (
+            max(-most, min(most, _WAY_RAD_PER_M_S / self._type.tilt_max_rad * wanted_m_s))
+            for wanted_m_s in (forward_m_s, left_m_s)
+        )
+        return Sticks(limited(forward), limited(left), limited(look.way * speed_m_s / self._type.climb_max_m_s), 0.0)
 
     def _send(self, sticks, stamp_s, orders, now_s):
         self._climb.sent(now_s, sticks.up * self._type.climb_max_m_s)

@@ -14,15 +14,18 @@ import os
 import pathlib
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Optional
 
 import numpy as np
 
+from ardrone_autonomy.link import LOST_S
 from data_extraction.progress import Progress, bar
 from risc_control.lab import load_templates, load_vehicle_type
 from risc_control.lab.yaml_reader import package_file
 from risc_control.reference import ReferenceBuffer
+from risc_control.safety import Rung
+from risc_control.separation import ALONE, Separation
 from risc_control.states import S, States
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
@@ -38,8 +41,9 @@ from risc_control.vehicle_pilot import (
 from risc_estimation.states import EstimatorParams, StatesEstimator
 from risc_experiments.fleets import default_fleet
 from risc_experiments.workers import in_order
+from risc_simulator.ardrone_host import LOST_HOVER_S
 from risc_simulator.cortex_wire import FrameEncoder
-from risc_simulator.models.flight import FlightPhase, Setpoint
+from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.world import World
@@ -55,7 +59,23 @@ NAVDATA_EVERY = 12  # frames, a multiple of the above: about 15 Hz
 YAW_BY_SEED_DEG = 70.0  # the table flies another yaw with every seed
 
 CONTROLLERS = {"full": FlatnessController, "thesis": DoubleIntegratorController}
+_REPORTS = {  # what a vehicle says of itself
+    FlightPhase.LANDED: FlightState.LANDED,
+    FlightPhase.TAKING_OFF: FlightState.TAKING_OFF,
+    FlightPhase.HOVERING: FlightState.HOVERING,
+    FlightPhase.FLYING: FlightState.FLYING,
+    FlightPhase.LANDING: FlightState.LANDING,
+    FlightPhase.EMERGENCY: FlightState.UNKNOWN,
+}
 _CAMERA_STREAM, _RADIO_STREAM = 1000, 1001  # spawn keys beside those of the vehicles in the world
+
+
+class Loss(NamedTuple):
+    """What a vehicle loses for good."""
+
+    vehicle: int  # its place in the fleet
+    what: str  # "state": motion capture sees it no more; "controls": its controller is silent; "laptop": its node dies
+    after_s: float  # on the course, settled
 
 
 @dataclass(frozen=True)
@@ -74,6 +94,9 @@ class Flight:
     controller: str = "full"
     params: TrackingParams = TrackingParams()
     weights: object = None  # LqrWeights; None = the controller's defaults
+    course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
+    node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
+    loss: Optional[Loss] = None
 
 
 class Result(NamedTuple):
@@ -90,6 +113,8 @@ class Result(NamedTuple):
     times_s: np.ndarray  # (k,)
     reference_m: np.ndarray  # (k, n, 3)
     actual_m: np.ndarray  # (k, n, 3)
+    safety: tuple  # of (time [s], name, text): what the ladders said, from the first trouble on
+    landed: tuple  # (n,) bool, at the end
 
 
 def fly(flight):
@@ -107,14 +132,17 @@ def fly(flight):
     names = [vehicle.template for vehicle in fleet.vehicles]
     estimator = StatesEstimator(templates, EstimatorParams().within(fleet.arena), vehicles=names)
     yaw = None if flight.psi_rad is None else YawProgram((flight.psi_rad,))
-    manager = make_manager(fleet.vehicles, course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw))
+    course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
+    manager = make_manager(fleet.vehicles, course)
     buffer = ReferenceBuffer()
     controller = CONTROLLERS[flight.controller](vehicle_types, flight.weights, flight.params)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
-    chains = []
+    params = params_from_dict({"joystick_timeout": 0.0, **flight.node}, fleet.arena)[0]
+    separation = Separation(names, params.limits, names)
+    chains, loss = [], flight.loss
     for vehicle, fleet_vehicle, phase in zip(world.vehicles.values(), fleet.vehicles, phases):
         vehicle.fly_at(fleet_vehicle.start_position_m[:2] + (1.0,), fleet_vehicle.start_yaw_rad)
-        chains.append(_Chain(vehicle, phase, fleet.arena))
+        chains.append(_Chain(vehicle, phase, params))
 
     everyone, nobody = np.ones(len(names), dtype=bool), np.zeros(len(names), dtype=bool)
     judged, times, references, truths = [], [], [], []
@@ -126,6 +154,11 @@ def fly(flight):
         seen = cameras.observe(time_s, world.layout, world.markers_m())
         estimate = estimator.update(time_s, seen.layout, seen.markers_m)
         states = States(estimate.visible, estimate.states)
+        if loss is not None and time_s >= settled_s + loss.after_s:
+            if loss.what == "state":
+                states.visible[loss.vehicle] = False
+            else:
+                chains[loss.vehicle].lose(loss.what, now_s)
         if time_s >= WARM_UP_S and manager.watching:
             for name, chain, state in zip(names, chains, estimate.states):
                 if not chain.pilot.autonomous:
@@ -139,7 +172,13 @@ def fly(flight):
         ahead_s = controller.horizon_s(time_s, now_s)
         present, ahead = buffer.at([time_s, time_s + ahead_s])
         output = controller.update(time_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
-        step_chains(chains, frame, time_s, now_s, states, output.fractions)
+        looks = {}
+        if frame % TICK_EVERY == 0:
+            separation.see(estimate.names, states.visible, states.x, time_s)
+            separation.refer(estimate.names, _by_vehicle(reference.derivatives[:3]), time_s)
+            looks = separation.look(now_s)
+        looks = [looks.get(name, ALONE) for name in names]
+        step_chains(chains, frame, time_s, now_s, states, output.fractions, looks)
         if flying:
             saturated += np.count_nonzero(output.saturated)
             if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
@@ -176,6 +215,8 @@ def fly(flight):
         crashes=tuple(world.crashes),
         saturated=saturated / (len(names) * (frame + 1)),
         flown_s=time_s,
+        safety=tuple(sorted((said_s, name, text) for name, chain in zip(names, chains) for said_s, text in chain.said)),
+        landed=tuple(chain.landed for chain in chains),
         took_s=time.perf_counter() - started,
         times_s=np.array(times),
         reference_m=references,
@@ -202,11 +243,13 @@ def _outcome(flight):
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
 
-    def __init__(self, vehicle, phase, arena=None):
-        """phase: of the radio's clock, a fraction.  arena: None = the laboratory's."""
+    def __init__(self, vehicle, phase, params=None):
+        """phase: of the radio's clock, a fraction.  params: VehicleNodeParams; None: the defaults, without joystick."""
         self._vehicle = vehicle
         self._type = vehicle.type
-        self.pilot = VehiclePilot(params_from_dict({"joystick_timeout": 0.0}, arena)[0], vehicle.type, 0.0)
+        self.pilot = VehiclePilot(params or params_from_dict({"joystick_timeout": 0.0})[0], vehicle.type, 0.0)
+        self.said = []  # (time [s], text) of its ladder, from the first trouble on
+        self.lost = None  # "controls" or "laptop"
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
 
@@ -217,18 +260,33 @@ class _Chain:
         buttons[VehicleNodeParams().joystick.JoytoWay] = 1
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
 
-    def see(self, visible, state, stamp_s, now_s, frame):
+    def lose(self, what, now_s):
+        """From now on it has no controller or no laptop; of the second an AR.Drone takes notice, hovers, and lands."""
+        if what == "laptop" and self.lost is None:
+            self._vehicle.schedule(now_s + LOST_S, Setpoint(hover=True))
+            self._vehicle.schedule(now_s + LOST_S + LOST_HOVER_S, FlightAction.LAND)
+        self.lost = what
+
+    @property
+    def landed(self):
+        """Whether the vehicle stands on the floor by its own report."""
+        return self._vehicle.phase is FlightPhase.LANDED
+
+    def see(self, visible, state, stamp_s, now_s, frame, look=ALONE):
         """What the vehicle node looks at once a tick. state: list of 12, columns `S`."""
         pilot = self.pilot
         if frame % NAVDATA_EVERY == 0:
-            hovering = self._vehicle.phase is FlightPhase.HOVERING
-            pilot.on_navdata(FlightState.HOVERING if hovering else FlightState.FLYING, 90.0, now_s)
+            pilot.on_navdata(_REPORTS[self._vehicle.phase], 90.0, now_s)
         if visible:
-            own = OwnState(state[: S.U], state[S.U : S.PHI], state[S.PHI], state[S.THETA])
-            pilot.on_state(own, now_s - stamp_s, now_s)
+            own = OwnState(state[: S.U], state[S.U : S.PHI], *state[S.PHI : S.P])
+            pilot.on_state(own, now_s - stamp_s, now_s, look)
 
     def send(self, orders, now_s):
-        """Hand the command among the orders to the radio."""
+        """Hand what was ordered to the radio; a landing takes as long as a command."""
+        if orders.safety is not None and (self.said or self.pilot.ladder.verdict.rung > Rung.OK):
+            self.said.append((now_s, orders.safety))
+        if orders.land:
+            self._vehicle.schedule(now_s + self._vehicle.plant.command_delay_s, FlightAction.LAND)
         if orders.command is not None:
             self._radio.submit(now_s, self._setpoint(orders.command[0]))
 
@@ -249,10 +307,16 @@ class _Chain:
         )
 
 
-def step_chains(chains, frame, stamp_s, now_s, states, fractions):
+def _by_vehicle(derivatives):
+    """(3, n, 4) -> (n, 3, 4), as on /trajectory."""
+    return np.ascontiguousarray(derivatives.transpose(1, 0, 2))
+
+
+def step_chains(chains, frame, stamp_s, now_s, states, fractions, looks=None):
     """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
 
-    states: States at stamp_s.  fractions: the controller's answer.
+    states: States at stamp_s.  fractions: the controller's answer.  looks: `separation.Look` of each vehicle; None:
+    nobody is near.
     """
     ticks = frame % TICK_EVERY == 0
     commands = None
@@ -260,10 +324,12 @@ def step_chains(chains, frame, stamp_s, now_s, states, fractions):
         visible, x = states.visible.tolist(), states.x.tolist()
     for i, chain in enumerate(chains):
         pilot = chain.pilot
+        if chain.lost == "laptop":
+            continue
         if ticks:
-            chain.see(visible[i], x[i], stamp_s, now_s, frame)
+            chain.see(visible[i], x[i], stamp_s, now_s, frame, looks[i] if looks else ALONE)
         sends = now_s >= pilot.next_command_s
-        if sends or ticks:
+        if (sends or ticks) and chain.lost is None:
             if commands is None:
                 commands = list(zip(*[part.tolist() for part in fractions]))
             own = OwnControl(*commands[i])

@@ -23,11 +23,12 @@ from risc_control.joystick import Button
 from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros import low_latency
 from risc_control.ros.diagnostics import make_updater
-from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays
+from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.ros.paced import PacedSubscriber
 from risc_control.ros.params import known_fleet
 from risc_control.safety import Rung
+from risc_control.separation import ALONE, Separation
 from risc_control.vehicle_pilot import (
     OwnControl,
     OwnState,
@@ -46,13 +47,14 @@ _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
+_REFERENCES_HZ = 20.0  # how often references are looked at
 _VEHICLES_A_TURN = 5  # that one message of the controller commands;
 _MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
 _OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
 
 
 class VehicleNode:
-    """joy, navdata, /cortex_raw, /controls, service land -> cmd_vel, take-off, land, reset of its vehicles.
+    """joy, navdata, /cortex_raw, /controls, /trajectory, service land -> cmd_vel, take-off, land, reset of vehicles.
 
     namespace: "" = relative names, for a node started inside its vehicle's group; "risc1" = the absolute names
     /risc1/..., as the riscN_controller.py of the original release. With ~vehicles, a list of namespaces of /fleet, the
@@ -76,7 +78,9 @@ class VehicleNode:
         turns_s = _turns_s(len(chosen), 1.0 / params.pilot.command_rate_hz)
         self._vehicles = [_Vehicle(*who, params, turn_s, self._parameters) for who, turn_s in zip(chosen, turns_s)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
-        self._controls, self._states = ControlsArrays(), CortexArrays()
+        self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
+        everybody = [vehicle.template for vehicle in fleet.vehicles] if fleet is not None else ()
+        self._separation = Separation(self._by_name, params.limits, everybody)
         tick_hz = _TICKS_PER_COMMAND * params.pilot.command_rate_hz
         self._tick_s = 1.0 / tick_hz
         self._streams = {}  # {sender of /controls: ControllerStream}
@@ -93,6 +97,7 @@ class VehicleNode:
         PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
         PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), tick_hz)
+        PacedSubscriber("/trajectory", TrajectoriesArrays.Raw, self._guarded(self._on_references), _REFERENCES_HZ)
         self._tickers = (
             Ticker(self._tick_s, self._on_tick, "the vehicles' clock"),
             Ticker(0.5, self._diagnostics.update, "the diagnostics"),
@@ -140,17 +145,25 @@ class VehicleNode:
     def _on_states(self, message):
         with self._looking:
             states = self._states.deserialize(message.buff)
-            age_s = ros_time_s() - states.header.stamp.to_sec()
+            age_s, now_s = ros_time_s() - states.header.stamp.to_sec(), time.monotonic()
+            self._separation.see(states.names, states.visible, states.states, now_s - max(age_s, 0.0))
+            looks = self._separation.look(now_s)
             for name, visible, row in zip(states.names, states.visible.tolist(), states.states.tolist()):
                 vehicle = self._by_name.get(name)
                 if vehicle is not None:
-                    vehicle.on_state(visible, row, age_s)
+                    vehicle.on_state(visible, row, age_s, looks.get(name, ALONE))
             self._tell_missing(
                 "/cortex_raw",
                 sender(message),
                 states.names,
                 "does the estimator know the template, and is the vehicle's name right?",
             )
+
+    def _on_references(self, message):
+        with self._looking:
+            references = self._references.deserialize(message.buff)
+            age_s = ros_time_s() - references.header.stamp.to_sec()
+            self._separation.refer(references.names, references.derivatives, time.monotonic() - age_s)
 
     def _tell_missing(self, topic, who, names, cure):
         """Vehicles are found by name (D-27), each in the messages of some sender. names: those of the message."""
@@ -291,16 +304,18 @@ class _Vehicle:
             self._carry_out(orders)
         self._report(orders)
 
-    def on_state(self, visible, row, age_s):
-        """Its entry of /cortex_raw. row: the twelve numbers in the message's units; age_s: of the message [s]."""
+    def on_state(self, visible, row, age_s, look):
+        """Its entry of /cortex_raw. row: the twelve numbers in the message's units; age_s: of the message [s]; look:
+        `separation.Look` at the other vehicles.
+        """
         if not visible:
             self._counts["unseen"] += 1
             return
-        own = OwnState(row[:3], row[3:6], row[6] * _RAD_PER_DEG, row[7] * _RAD_PER_DEG)
+        own = OwnState(row[:3], row[3:6], *(_RAD_PER_DEG * angle for angle in row[6:9]))
         try:
             with self._lock:
                 self._counts["states"] += 1
-                self._pilot.on_state(own, age_s, time.monotonic())
+                self._pilot.on_state(own, age_s, time.monotonic(), look)
         except Exception as error:  # whatever it is, the other vehicles are no part of it
             self.on_error(error)
 

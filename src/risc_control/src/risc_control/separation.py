@@ -1,0 +1,430 @@
+"""How far the vehicles of a fleet are from each other: who must hold, and where it gives way to. No ROS.
+
+Every vehicle node looks at the states of all vehicles (/cortex_raw) and at the references of all (/trajectory), and
+works out for all who holds. The same messages give the same answer in every node: those that fly together stop
+together, and of two that are too near one climbs and the other one sinks.
+
+A vehicle holds when a neighbour
+- is nearer than `separation_m`, or will be within `separation_lookahead_s` at present velocities; of two that follow
+  their references within `separation_follow_s`, and by the accelerations of the references as well,
+- is or will be nearer than `separation_stray_m` and has left its course: it followed its reference and will be farther
+  than `separation_course_m` from it within `separation_follow_s`,
+- is or will be as near as that and has not been seen for `state_land_s`, so that its own ladder lands it,
+- is or will be as near as that and holds. One vehicle of a fleet that stops is in the way of the next, and so on.
+
+One that is not seen stays where it was seen last, for `separation_forget_s`, with all that is below, since it comes
+down there; it may also have flown on for a while. A vehicle that stands on the floor makes nobody hold; landing on it
+is another matter (`Look.above`).
+
+Positions and velocities: cortex frame, z up. Times: one clock that never steps.
+"""
+
+import enum
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from risc_control.compiled import compiled, record
+from risc_control.states import AIRBORNE_M, S
+
+_REFERENCE_S = 0.5  # [s] a reference that much older, or newer, than the position says nothing about it
+_LEVEL_M = 0.05  # vehicles whose heights differ by less: the order of the fleet decides who is the upper one
+_PIECES = 4  # straight ones, of a bent way
+_FLOOR_M = AIRBORNE_M + 0.2  # nobody gives way downwards below this
+_BESIDE = 1.2  # times separation_m: so far from the one that stands below a vehicle lands
+
+
+class Cause(enum.IntEnum):
+    """Why a vehicle holds, by what its neighbour is."""
+
+    NEAR, STRAYS, UNSEEN, HOLDS = range(4)
+
+
+_TEXTS = {
+    Cause.NEAR: "{distance:.2f} m from {name}",
+    Cause.STRAYS: "{distance:.2f} m from {name}, which has left its course",
+    Cause.UNSEEN: "{distance:.2f} m from {name}, not seen for {unseen:.1f} s",
+    Cause.HOLDS: "{distance:.2f} m from {name}, which holds",
+}
+
+_VEHICLE = record(
+    ("position_m", float, (3,)),
+    ("velocity_m_s", float, (3,)),
+    ("seen_s", float),  # -inf: never
+    ("reference_m", float, (3,)),
+    ("reference_m_s", float, (3,)),
+    ("reference_m_s2", float, (3,)),
+    ("referred_s", float),  # -inf: never
+    ("order", int),  # in the fleet
+    ("on_course", bool),  # it has been at its reference since that came without a jump
+    ("follows", bool),
+    ("strays", bool),
+    ("holds", bool),
+    ("neighbour", int),  # that makes it hold: the one that is beyond its limit by most
+    ("cause", int),
+)
+_LIMITS = record(
+    ("near_m", float),
+    ("stray_m", float),
+    ("course_m", float),
+    ("lookahead_s", float),
+    ("follow_s", float),
+    ("unseen_s", float),  # from then on it may stand still or fly on, nobody knows
+    ("lost_s", float),
+    ("forget_s", float),
+    ("low_m", float, (3,)),  # where there is room to give way
+    ("high_m", float, (3,)),
+    ("speed_m_s", float),  # of giving way
+)
+_FOUND = record(
+    ("way", int),
+    ("above", bool),
+    ("aside", float, (2,)),
+)
+
+
+class Look(NamedTuple):
+    """What one vehicle has to do about the others."""
+
+    holds: bool = False
+    reason: str = ""  # why, in a few words, with the numbers of the moment
+    way: int = 0  # holding is not enough: +1 climb, -1 sink
+    above: bool = False  # another one is straight below: it must not land now,
+    aside: tuple = (0.0, 0.0)  # but go there first: unit vector (x, y); 0 where others or the net are in the way
+
+
+ALONE = Look()
+
+
+class Separation:
+    """The fleet as seen by a node that flies some of its vehicles. One thread at a time."""
+
+    def __init__(self, own, limits, fleet=()):
+        """own: names of the node's vehicles.  limits: SafetyLimits.  fleet: names of all vehicles in the order that
+        decides ties; () when no fleet is known: everybody in the states is a vehicle, in the order of the names.
+        """
+        self._own, self._fleet = tuple(own), tuple(fleet)
+        self._limits = np.zeros(1, _LIMITS)[0]
+        margin_m = limits.fence_margin_m + limits.fence_lookahead_s * limits.separation_speed_m_s
+        for name, value in (
+            ("near_m", limits.separation_m),
+            ("stray_m", limits.separation_stray_m),
+            ("course_m", limits.separation_course_m),
+            ("lookahead_s", limits.separation_lookahead_s),
+            ("follow_s", limits.separation_follow_s),
+            ("unseen_s", limits.state_hold_s),
+            ("lost_s", limits.state_land_s),
+            ("forget_s", limits.separation_forget_s),
+            (
+                "low_m",
+                (*(low + margin_m for low in limits.fence_min_m[:2]), max(_FLOOR_M, limits.fence_min_m[2] + margin_m)),
+            ),
+            ("high_m", tuple(high - margin_m for high in limits.fence_max_m)),
+            ("speed_m_s", limits.separation_speed_m_s),
+        ):
+            self._limits[name] = value
+        self._names, self._index = [], {}
+        self._vehicles = np.zeros(0, _VEHICLE)
+        self._rows = {}  # {names of a message: row of each}
+        self._found = np.zeros(1, _FOUND)[0]
+        self._add([*self._fleet, *self._own])
+        self._own_rows = [self._index[name] for name in self._own]
+        self._alert_s = -math.inf  # when somebody held, last
+        self._alert_lasts_s = 2.0 * limits.separation_wait_s
+        rows = np.zeros(0, np.int64)  # loads what is compiled
+        _see(self._vehicles, rows, np.zeros(0, bool), np.zeros((0, len(S))), 0.0)
+        _refer(self._vehicles, rows, np.zeros((0, 3, 4)), 0.0, 1.0)
+        _judge(self._vehicles, self._apart_m, 0.0, self._limits)
+        _give_way(self._vehicles, 0, 0.0, self._limits, self._found)
+
+    def see(self, names, visible, states, seen_s):
+        """States of some vehicles. visible: (n,) bool.  states: (n, 12), columns `S` (angles are not used)."""
+        rows = self._rows_of(names, not self._fleet)  # first: it may add vehicles
+        _see(self._vehicles, rows, visible, states, seen_s)
+
+    def refer(self, names, derivatives, referred_s):
+        """References of some vehicles. derivatives: (n, 3, 4) position, velocity, acceleration of x, y, z, psi."""
+        _refer(self._vehicles, self._rows_of(names, False), derivatives, referred_s, self._limits["course_m"])
+
+    def look(self, now_s):
+        """{name: Look} of the own vehicles that have to do something; the others are `ALONE`."""
+        if self._limits["near_m"] == 0.0:
+            return {}
+        if _judge(self._vehicles, self._apart_m, now_s, self._limits):
+            self._alert_s = now_s
+        if now_s - self._alert_s > self._alert_lasts_s:  # who held must still land beside the others
+            return {}
+        looks, found = {}, self._found
+        for i, name in zip(self._own_rows, self._own):
+            _give_way(self._vehicles, i, now_s, self._limits, found)
+            holds = bool(self._vehicles["holds"][i])
+            if holds or found["above"]:
+                aside = tuple(found["aside"].tolist())
+                reason = self._reason(self._vehicles[i], now_s) if holds else ""
+                looks[name] = Look(holds, reason, int(found["way"]), bool(found["above"]), aside)
+        return looks
+
+    def _reason(self, vehicle, now_s):
+        other = self._vehicles[vehicle["neighbour"]]
+        return _TEXTS[Cause(vehicle["cause"])].format(
+            distance=math.dist(vehicle["position_m"], other["position_m"]),
+            name=self._names[vehicle["neighbour"]],
+            unseen=now_s - other["seen_s"],
+        )
+
+    def _rows_of(self, names, may_add):
+        rows = self._rows.get(names)
+        if rows is None:
+            if may_add and any(name not in self._index for name in names):
+                self._add(names)
+                self._rows.clear()
+            if len(self._rows) > 64:  # names that change all the time are not of one flight
+                self._rows.clear()
+            rows = self._rows[names] = np.array([self._index.get(name, -1) for name in names], np.int64)
+        return rows
+
+    def _add(self, names):
+        new = [name for name in dict.fromkeys(names) if name not in self._index]
+        self._index.update({name: len(self._names) + k for k, name in enumerate(new)})
+        self._names += new
+        vehicles = np.zeros(len(self._names), _VEHICLE)
+        vehicles["seen_s"] = vehicles["referred_s"] = -math.inf
+        vehicles[: len(self._vehicles)] = self._vehicles
+        self._vehicles = vehicles
+        self._apart_m = np.zeros((len(vehicles), len(vehicles)))
+        order = {name: k for k, name in enumerate(self._fleet or sorted(self._names))}
+        # an own vehicle that is not in the fleet comes after those that are
+        vehicles["order"] = [order.get(name, len(order) + k) for k, name in enumerate(self._names)]
+
+
+@compiled
+def _see(vehicles, rows, visible, states, seen_s):
+    for k in range(len(rows)):
+        if rows[k] < 0 or not visible[k]:
+            continue
+        total = 0.0
+        for column in range(2 * 3):
+            total += states[k, column]
+        if not math.isfinite(total):
+            continue
+        vehicle = vehicles[rows[k]]
+        for axis in range(3):
+            vehicle.position_m[axis] = states[k, axis]
+            vehicle.velocity_m_s[axis] = states[k, 3 + axis]
+        vehicle.seen_s = seen_s
+
+
+@compiled
+def _refer(vehicles, rows, derivatives, referred_s, course_m):
+    for k in range(len(rows)):
+        if rows[k] < 0:
+            continue
+        total = 0.0
+        for order in range(3):
+            for axis in range(3):
+                total += derivatives[k, order, axis]
+        if not math.isfinite(total):
+            continue
+        vehicle = vehicles[rows[k]]
+        # Who is sent elsewhere by a jump of its reference has not left its course.
+        step_s, square = referred_s - vehicle.referred_s, 0.0
+        for axis in range(3):
+            went_m = derivatives[k, 0, axis] - vehicle.reference_m[axis]
+            if 0.0 <= step_s < _REFERENCE_S:
+                went_m -= 0.5 * step_s * (derivatives[k, 1, axis] + vehicle.reference_m_s[axis])
+            square += went_m * went_m
+            vehicle.reference_m[axis] = derivatives[k, 0, axis]
+            vehicle.reference_m_s[axis] = derivatives[k, 1, axis]
+            vehicle.reference_m_s2[axis] = derivatives[k, 2, axis]
+        if square > 0.25 * course_m * course_m:
+            vehicle.on_course = False
+        vehicle.referred_s = referred_s
+
+
+@compiled
+def _note_course(vehicle, now_s, limits):
+    """Whether a vehicle follows its reference or strays, as of now."""
+    vehicle.follows = False
+    if now_s - vehicle.seen_s > limits.lost_s:
+        vehicle.on_course, vehicle.strays = False, True
+        return
+    ahead_s = vehicle.seen_s - vehicle.referred_s
+    if abs(ahead_s) > _REFERENCE_S:
+        vehicle.on_course = vehicle.strays = False
+        return
+    square, square_then = 0.0, 0.0
+    for axis in range(3):
+        error_m = vehicle.position_m[axis] - vehicle.reference_m[axis] - ahead_s * vehicle.reference_m_s[axis]
+        error_m_s = vehicle.velocity_m_s[axis] - vehicle.reference_m_s[axis] - ahead_s * vehicle.reference_m_s2[axis]
+        square += error_m**2
+        square_then += (error_m + limits.follow_s * error_m_s) ** 2
+    square_then = max(square, square_then)
+    if square_then <= 0.25 * limits.course_m**2:
+        vehicle.on_course = True
+    vehicle.strays = vehicle.on_course and square_then > limits.course_m**2
+    vehicle.follows = vehicle.on_course and not vehicle.strays
+
+
+@compiled
+def _nearest(x, y, z, u, v, w, within_s):
+    """Smallest length of the way (x, y, z) + t (u, v, w) for t from 0 to within_s."""
+    square, along = u * u + v * v + w * w, x * u + y * v + z * w
+    t = min(max(-along / square, 0.0), within_s) if square > 0.0 else 0.0
+    return math.sqrt((x + t * u) ** 2 + (y + t * v) ** 2 + (z + t * w) ** 2)
+
+
+@compiled
+def _nearest_straight(one, other, is_unseen, within_s):
+    """Smallest distance of two vehicles within a time at their velocities; is_unseen: the other one is."""
+    x = other.position_m[0] - one.position_m[0]
+    y = other.position_m[1] - one.position_m[1]
+    z = other.position_m[2] - one.position_m[2]
+    u, v, w = one.velocity_m_s[0], one.velocity_m_s[1], one.velocity_m_s[2]
+    other_u, other_v, other_w = other.velocity_m_s[0], other.velocity_m_s[1], other.velocity_m_s[2]
+    if not is_unseen:
+        return _nearest(x, y, z, other_u - u, other_v - v, other_w - w, within_s)
+    # it stopped, or flew on, and will come down
+    z = min(z, 0.0)
+    w = w if z < 0.0 else 0.0
+    stopped_m = _nearest(x, y, z, -u, -v, -w, within_s)
+    return min(stopped_m, _nearest(x, y, z, other_u - u, other_v - v, -w, within_s))
+
+
+@compiled
+def _nearest_bent(one, other, within_s):
+    """The same for two vehicles that also accelerate as their references do."""
+    at, step_s, nearest_m = np.empty((2, 3)), within_s / _PIECES, np.inf
+    for k in range(_PIECES + 1):
+        t = k * step_s
+        for axis in range(3):
+            at[0, axis] = at[1, axis]
+            at[1, axis] = other.position_m[axis] - one.position_m[axis]
+            at[1, axis] += t * (other.velocity_m_s[axis] - one.velocity_m_s[axis])
+            at[1, axis] += 0.5 * t * t * (other.reference_m_s2[axis] - one.reference_m_s2[axis])
+        if k > 0:
+            x, y, z = at[0]
+            nearest_m = min(nearest_m, _nearest(x, y, z, at[1, 0] - x, at[1, 1] - y, at[1, 2] - z, 1.0))
+    return nearest_m
+
+
+@compiled
+def _is_above(one, other):
+    """Whether one is the upper of two vehicles; exactly one of them is."""
+    dz = one.position_m[2] - other.position_m[2]
+    return dz > 0.0 if abs(dz) > _LEVEL_M else one.order < other.order
+
+
+@compiled
+def _flies(vehicle):
+    return vehicle.position_m[2] >= AIRBORNE_M
+
+
+@compiled
+def _judge(vehicles, apart_m, now_s, limits):
+    """Who of all holds, because of whom and why. Returns whether anybody does.
+
+    apart_m: (n, n) to work in: how near two will be at their velocities, inf for pairs that do not matter.
+    """
+    n, anybody = len(vehicles), False
+    for i in range(n):
+        _note_course(vehicles[i], now_s, limits)
+    for i in range(n):
+        one, spare_m = vehicles[i], 0.0
+        one.holds = False
+        apart_m[i, :] = np.inf
+        if now_s - one.seen_s > limits.unseen_s or not _flies(one):
+            continue  # it holds or lands because it is not seen, or stands
+        for j in range(n):
+            other = vehicles[j]
+            unseen_s = now_s - other.seen_s
+            if i == j or unseen_s > limits.forget_s or not _flies(other):
+                continue
+            is_unseen = unseen_s > limits.unseen_s
+            apart_m[i, j] = nearest_m = _nearest_straight(one, other, is_unseen, limits.lookahead_s)
+            limit_m = limits.stray_m if other.strays else limits.near_m
+            if nearest_m < limit_m and one.follows and other.follows:
+                nearest_m = max(
+                    _nearest_straight(one, other, is_unseen, limits.follow_s),
+                    _nearest_bent(one, other, limits.follow_s),
+                )
+            if nearest_m - limit_m < spare_m:
+                spare_m = nearest_m - limit_m
+                one.holds, one.neighbour, one.cause = True, j, Cause.NEAR
+                if other.strays:
+                    one.cause = Cause.UNSEEN if unseen_s > limits.lost_s else Cause.STRAYS
+        anybody |= one.holds
+    spreads = anybody
+    while spreads:
+        spreads = False
+        for i in range(n):
+            one = vehicles[i]
+            if one.holds:
+                continue
+            nearest_m = limits.stray_m
+            for j in range(n):
+                if vehicles[j].holds and apart_m[i, j] < nearest_m:
+                    nearest_m = apart_m[i, j]
+                    one.neighbour, one.cause = j, Cause.HOLDS
+            if nearest_m < limits.stray_m:
+                one.holds = spreads = True
+    return anybody
+
+
+@compiled
+def _give_way(vehicles, i, now_s, limits, found):
+    """Where a vehicle that holds has to go."""
+    one, height_m = vehicles[i], vehicles[i].position_m[2]
+    found.way, found.above = 0, False
+    found.aside[0] = found.aside[1] = 0.0
+    closest_m, beside_m = limits.near_m, _BESIDE * limits.near_m
+    for j in range(len(vehicles)):
+        other = vehicles[j]
+        unseen_s = now_s - other.seen_s
+        if i == j or unseen_s > limits.forget_s:
+            continue
+        x, y = one.position_m[0] - other.position_m[0], one.position_m[1] - other.position_m[1]
+        z = one.position_m[2] - other.position_m[2]
+        level_m = math.hypot(x, y)
+        if level_m < beside_m and not _is_above(other, one):
+            beside_m, found.above = level_m, True
+            found.aside[0], found.aside[1] = (x / level_m, y / level_m) if level_m > 0.0 else (1.0, 0.0)
+        if not _flies(other):
+            continue
+        # will it come too near even to one that stops at once?
+        u, v, w = -other.velocity_m_s[0], -other.velocity_m_s[1], -other.velocity_m_s[2]
+        if unseen_s > limits.unseen_s:
+            z, w = max(z, 0.0), 0.0
+        alone_m = _nearest(x, y, z, u, v, w, limits.lookahead_s)
+        if alone_m < closest_m:
+            closest_m = alone_m
+            found.way = 1 if _is_above(one, other) else -1
+    if (found.way > 0 and height_m > limits.high_m[2]) or (found.way < 0 and height_m < limits.low_m[2]):
+        found.way = 0
+    if found.above and not _is_free(vehicles, i, found.aside, _BESIDE * limits.near_m - beside_m, now_s, limits):
+        found.aside[0] = found.aside[1] = 0.0
+
+
+@compiled
+def _is_free(vehicles, i, aside, way_m, now_s, limits):
+    """Whether a vehicle can go so far to one side, at the speed of giving way, and stop there."""
+    one, speed_m_s = vehicles[i], limits.speed_m_s
+    for axis in range(2):
+        end_m = one.position_m[axis] + way_m * aside[axis]
+        if end_m < limits.low_m[axis] or end_m > limits.high_m[axis]:
+            return False
+    within_s = way_m / speed_m_s + limits.lookahead_s if speed_m_s > 0.0 else 0.0
+    for j in range(len(vehicles)):
+        other = vehicles[j]
+        unseen_s = now_s - other.seen_s
+        if i == j or unseen_s > limits.forget_s or not _flies(other):
+            continue
+        x, y = other.position_m[0] - one.position_m[0], other.position_m[1] - one.position_m[1]
+        z = other.position_m[2] - one.position_m[2]
+        if unseen_s > limits.unseen_s:
+            z = min(z, 0.0)
+        u, v = -speed_m_s * aside[0], -speed_m_s * aside[1]
+        here_m = math.sqrt(x * x + y * y + z * z)
+        if _nearest(x, y, z, u, v, 0.0, within_s) < min(here_m - 1e-9, limits.stray_m):
+            return False
+    return True

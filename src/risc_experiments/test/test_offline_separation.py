@@ -1,0 +1,62 @@
+"""Vehicles near each other, whole flights offline: nobody flies into one that stops, or holds without reason."""
+
+import math
+import pathlib
+import re
+from dataclasses import replace
+
+import pytest
+import yaml
+
+from risc_control.safety import SafetyLimits
+from risc_control.trajectories import COURSES
+from risc_experiments.offline import Flight, Loss, fly, fly_all
+
+LIMITS = SafetyLimits()
+OFF = {"separation_m": 0.0}
+CONTACT_M = 0.5
+MULTI_MACHINE = pathlib.Path(__file__).parents[3] / "launch" / "Multi_Machine_Experiment.launch"
+
+
+@pytest.mark.parametrize(
+    ("course", "vehicles", "what", "seed", "limit_m"),
+    [
+        ("circle", 5, "state", 1, LIMITS.separation_m),
+        ("circle", 5, "state", 3, LIMITS.separation_m),
+        ("circle", 5, "controls", 3, LIMITS.separation_m),
+        ("circles3", 3, "laptop", 1, LIMITS.separation_m),
+        ("circles3", 3, "laptop", 3, CONTACT_M),  # it drifts for two seconds, wherever the others are
+    ],
+)
+def test_nobody_flies_into_one_that_stops(course, vehicles, what, seed, limit_m):
+    stops = Flight(
+        course, vehicles=vehicles, seed=seed, duration_s=18.0, loss=Loss(seed % vehicles, what, 1.0), node=OFF
+    )
+    with pytest.raises(RuntimeError, match="collided"):
+        fly(stops)
+    result = fly(replace(stops, node={}))
+    assert result.closest_m > limit_m
+    assert all(result.landed)
+
+
+@pytest.mark.parametrize(("what", "vehicle"), [("state", 0), ("controls", 1), ("laptop", 2)])
+def test_on_the_course_of_the_multi_machine_launch_the_others_fly_on(what, vehicle):
+    options = re.search(r"'(\{.+?\})' if course == 'circles3'", MULTI_MACHINE.read_text()).group(1)
+    course = {"trajectory": "circles3", "course": yaml.safe_load(options)}
+    result = fly(Flight(**course, seed=vehicle + 1, duration_s=12.0, loss=Loss(vehicle, what, 1.0)))
+    assert result.landed == tuple(i == vehicle for i in range(3))
+    assert {name for _, name, _ in result.safety} <= {result.names[vehicle]}
+    assert max(rmse for i, rmse in enumerate(result.rmse_m) if i != vehicle) < 0.02
+
+
+def test_no_course_makes_anybody_hold():
+    """From take-over to the course and on it, each for three numbers of vehicles, seeds and headings."""
+    flights = [
+        Flight(name, vehicles=vehicles, seed=seed, psi_rad=psi_rad, duration_s=8.0)
+        for name in COURSES
+        for seed, vehicles, psi_rad in ((1, 3, None), (2, 4, math.radians(140.0)), (3, 5, math.radians(210.0)))
+        if not (name == "quadrants" and vehicles > 4)
+    ]
+    for flight, result in zip(flights, fly_all(flights)):
+        assert not isinstance(result, RuntimeError), result
+        assert result.safety == (), flight
