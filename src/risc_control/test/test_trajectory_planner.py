@@ -35,9 +35,9 @@ def test_a_task_that_cannot_be_planned_is_told_and_the_next_one_is_planned(monke
     monkeypatch.setattr(trajectory_node, "plan_ways", plan_ways)
     monkeypatch.setattr(trajectory_node, "time", SimpleNamespace(sleep=rest))
     monkeypatch.setattr(trajectory_node.rospy, "logerr", lambda *_: told.append("error"))
-    monkeypatch.setattr(trajectory_node.rospy, "get_time", lambda: 0.0)
     wiring = ManagerWiring.__new__(ManagerWiring)
     wiring.manager, wiring.lock, wiring._to_plan = manager, threading.Lock(), threading.Event()
+    wiring.clock = SimpleNamespace(now_s=lambda: 0.0)
     threading.Thread(target=wiring._plan, daemon=True).start()
     wiring._to_plan.set()
     deadline_s = time.monotonic() + 30.0
