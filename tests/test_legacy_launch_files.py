@@ -209,12 +209,12 @@ class Loader(roslaunch.xmlloader.XmlLoader):
 
 
 def load(path, *argv):
-    config = roslaunch.config.ROSLaunchConfig()
     """The configuration of a launch file, which gets a fleet with its vehicles where it wants one."""
     text = path.read_text()
     if 'name="lab"' in text and "lab:=true" not in argv:
         fleet = FOLDER / "fleets/virtual.yaml" if "fleets/virtual" in text else ROOT / "launch/fleets/ardrones3.yaml"
         argv += ("fleet:=%s" % fleet,)
+    config = roslaunch.config.ROSLaunchConfig()
     Loader().load(str(path), config, argv=list(argv), verbose=False)
     config.assign_machines()
     unroll(config)

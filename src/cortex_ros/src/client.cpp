@@ -71,6 +71,16 @@ Mode mode_from_text(const std::string& text) {
   throw std::invalid_argument("mode must be auto, stream or poll, not '" + text + "'");
 }
 
+std::string host_from_text(const std::string& text) {
+  if (text.empty()) {
+    throw std::invalid_argument(
+        "host is missing: write the address or name of the Cortex computer, or broadcast to ask every "
+        "network "
+        "of this computer");
+  }
+  return text == "broadcast" ? "" : text;
+}
+
 Client::Client(ClientOptions options, ClientEvents& events, const Clock& clock)
     : options_(std::move(options)),
       events_(events),

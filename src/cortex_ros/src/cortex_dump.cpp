@@ -14,9 +14,9 @@
 namespace cortex_ros {
 namespace {
 
-const char kHelp[] = R"(usage: cortex_dump [options]              frames of a running host
-       cortex_dump --bodies [options]     its body definitions, once
-       cortex_dump --file PACKET.bin      a recorded file (- is standard input)
+const char kHelp[] = R"(usage: cortex_dump --host HOST [options]              frames of a running host
+       cortex_dump --host HOST --bodies [options]     its body definitions, once
+       cortex_dump --file PACKET.bin                  a recorded file (- is standard input)
 
 Prints one JSON object per packet and line, in the units of the wire (marker positions usually in mm). "type" names
 the packet; a frame has frame, delay_s (null: absent), bodies [{name, markers [[x, y, z] | null], segments, dofs}],
@@ -25,7 +25,7 @@ A file may hold several packets one after the other. A malformed packet prints {
 
   --file PATH             read packets from PATH
   --bodies                print the body definitions of the host and exit
-  --host HOST             the host's address or name         (default: ask by broadcast)
+  --host HOST             the host's address or name; broadcast: ask every network of this computer
   --local-address ADDR    own address on the host's network  (default: the kernel's choice)
   --command-port PORT     the host's command port            (default 1510)
   --stream-group GROUP    multicast group of the stream      (default 225.1.1.1)
@@ -112,6 +112,9 @@ Arguments parse(int argc, char** argv) {
     } else {
       throw UsageError("unknown option '" + option + "'");
     }
+  }
+  if (!arguments.help && arguments.file.empty()) {
+    client.host = host_from_text(client.host);
   }
   return arguments;
 }

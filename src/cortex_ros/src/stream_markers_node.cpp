@@ -107,7 +107,7 @@ Params load_params(const ros::NodeHandle& node) {
   return params;
 }
 
-// The original program was called with its own address and the host's, or with the first only, or with none.
+// The original program was called with its own address and the host's.
 void apply_legacy_arguments(int argc, char** argv, Params& params) {
   if (argc > 3) {
     throw std::invalid_argument("usage: stream_markers [local address [host address]] (and _param:=value)");
@@ -118,6 +118,7 @@ void apply_legacy_arguments(int argc, char** argv, Params& params) {
   if (argc > 2) {
     params.client.host = argv[2];
   }
+  params.client.host = host_from_text(params.client.host);
 }
 
 const char* to_text(Source source) {

@@ -255,6 +255,7 @@ class StreamMarkersTest(unittest.TestCase):
 
     def test_bad_parameters_end_the_node_with_a_reason(self):
         for params, reason in (
+            ({"host": None}, "host is missing"),
             ({"mode": "steam"}, "mode must be auto, stream or poll"),
             ({"command_port": 70000}, "must be a port from 1 to 65535"),
             ({"stream_group": "10.0.0.1"}, "not a multicast address"),

@@ -829,6 +829,9 @@ TEST_F(ClientTest, BadOptionsAreRefusedWithAReason) {
   }
   EXPECT_EQ(mode_from_text("poll"), Mode::kPoll);
   EXPECT_THROW(mode_from_text("steam"), std::invalid_argument);
+  EXPECT_EQ(host_from_text("cortex-pc"), "cortex-pc");
+  EXPECT_EQ(host_from_text("broadcast"), ClientOptions().host) << "which discovers";
+  EXPECT_THROW(host_from_text(""), std::invalid_argument);
 }
 
 // With a clock that only the test moves: the hello is repeated with growing pauses, not in a flood.

@@ -117,7 +117,8 @@ def test_names_that_are_not_utf8():
 
 
 def test_wrong_use():
-    for arguments in (["--frobnicate"], ["--mode", "steam"], ["--command-port", "0"], ["--count"], ["--count", "x"]):
+    wrong = (["--frobnicate"], ["--mode", "steam"], ["--command-port", "0"], ["--count"], ["--count", "x"])
+    for arguments in (*wrong, [], ["--bodies"]):  # the last two name no host
         code, packets, error = dump(*arguments)
         assert code == 2
         assert packets == []

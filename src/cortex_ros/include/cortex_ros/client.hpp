@@ -26,6 +26,10 @@ enum class Mode {
 
 Mode mode_from_text(const std::string& text);  // "auto", "stream", "poll"; else throws std::invalid_argument
 
+// What a user writes for ClientOptions::host: "broadcast" asks every network of this computer (an empty
+// host); empty throws std::invalid_argument, since nothing is sent to computers that the user has not named.
+std::string host_from_text(const std::string& text);
+
 enum class Source { kStream, kPoll };
 
 struct ClientOptions {
