@@ -382,4 +382,6 @@ def test_pairs_are_as_good_as_written_out():
 def test_only_vehicles_of_the_fleet_count():
     places = {"fluffy_II": (0.0, 0.0, 1.0), "pendulum_tip": (0.0, 0.1, 1.4)}
     assert not near(Sky(places, own=("fluffy_II",), fleet=("fluffy_II", "albatross")).look())
-    assert near(Sky(places, own=("fluffy_II",), fleet=()).look()) == {"fluffy_II"}, "no fleet is known"
+    sky = Sky(places, own=("fluffy_II",), fleet=())
+    sky.separations[0].refer(tuple(places), np.zeros((2, 3, 4)), sky.now_s)
+    assert near(sky.look()) == {"fluffy_II"}, "no fleet is known"

@@ -116,11 +116,8 @@ class Separation:
             ("unseen_s", limits.state_hold_s),
             ("lost_s", limits.state_land_s),
             ("forget_s", limits.separation_forget_s),
-            (
-                "low_m",
-                (*(low + margin_m for low in limits.fence_min_m[:2]), max(_FLOOR_M, limits.fence_min_m[2] + margin_m)),
-            ),
-            ("high_m", tuple(high - margin_m for high in limits.fence_max_m)),
+            ("low_m", np.maximum(np.array(limits.fence_min_m) + margin_m, (-np.inf, -np.inf, _FLOOR_M))),
+            ("high_m", np.array(limits.fence_max_m) - margin_m),
             ("speed_m_s", limits.separation_speed_m_s),
         ):
             self._limits[name] = value
@@ -140,12 +137,13 @@ class Separation:
 
     def see(self, names, visible, states, seen_s):
         """States of some vehicles. visible: (n,) bool.  states: (n, 12), columns `S` (angles are not used)."""
-        rows = self._rows_of(names, not self._fleet)  # first: it may add vehicles
+        rows = self._rows_of(names)  # first: it may add vehicles
         _see(self._vehicles, rows, visible, states, seen_s)
 
     def refer(self, names, derivatives, referred_s):
         """References of some vehicles. derivatives: (n, 3, 4) position, velocity, acceleration of x, y, z, psi."""
-        _refer(self._vehicles, self._rows_of(names, False), derivatives, referred_s, self._limits["course_m"])
+        rows = self._rows_of(names)
+        _refer(self._vehicles, rows, derivatives, referred_s, self._limits["course_m"])
 
     def look(self, now_s):
         """{name: Look} of the own vehicles that have to do something; the others are `ALONE`."""
@@ -173,10 +171,10 @@ class Separation:
             unseen=now_s - other["seen_s"],
         )
 
-    def _rows_of(self, names, may_add):
+    def _rows_of(self, names):
         rows = self._rows.get(names)
         if rows is None:
-            if may_add and any(name not in self._index for name in names):
+            if not self._fleet and any(name not in self._index for name in names):
                 self._add(names)
                 self._rows.clear()
             if len(self._rows) > 64:  # names that change all the time are not of one flight
