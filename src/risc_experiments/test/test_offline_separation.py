@@ -5,17 +5,23 @@ import pathlib
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 
 from risc_control.safety import SafetyLimits
-from risc_control.trajectories import COURSES
+from risc_control.separation import Separation
+from risc_control.states import S
+from risc_control.trajectories import COURSES, make_course, minimum_separation
+from risc_control.trajectory_manager import make_manager
+from risc_experiments.fleets import default_fleet
 from risc_experiments.offline import Flight, Loss, fly, fly_all
 
 LIMITS = SafetyLimits()
 OFF = {"separation_m": 0.0}
 CONTACT_M = 0.5
-MULTI_MACHINE = pathlib.Path(__file__).parents[3] / "launch" / "Multi_Machine_Experiment.launch"
+LAUNCH = pathlib.Path(__file__).parents[3] / "launch"
+FLEETS, MULTI_MACHINE = LAUNCH / "fleets", LAUNCH / "Multi_Machine_Experiment.launch"
 
 
 @pytest.mark.parametrize(
@@ -60,3 +66,32 @@ def test_no_course_makes_anybody_hold():
     for flight, result in zip(flights, fly_all(flights)):
         assert not isinstance(result, RuntimeError), result
         assert result.safety == (), flight
+
+
+@pytest.mark.parametrize("vehicles", [3, 4, 5])
+def test_neither_changes_of_the_course_nor_ways_home_make_anybody_hold(vehicles):
+    """By the references alone, with the noise of motion capture: from each course to the next, and home."""
+    names = [name for name in COURSES if not (name == "quadrants" and vehicles > 4)]
+    fleet, rng = default_fleet(vehicles, names[0], FLEETS), np.random.default_rng(vehicles)
+    courses = [make_course(name, vehicles) for name in names]
+    manager = make_manager(fleet.vehicles, courses[0])
+    separation, visible = Separation(manager.names, LIMITS, manager.names), np.ones(vehicles, bool)
+    for vehicle in fleet.vehicles:
+        start_m = (*vehicle.start_position_m[:2], 1.0)
+        manager.see(vehicle.template, start_m, (0.0, 0.0, 0.0), vehicle.start_yaw_rad)
+        manager.set_autonomous(vehicle.template, True, 0.0)
+    orders = [(lambda now_s, course=course: manager.set_course(course, now_s)) for course in [*courses[1:], courses[0]]]
+    closest_m = math.inf
+    for k, order in enumerate([*orders, manager.go_home, None]):
+        for now_s in 27.3 * k + np.arange(0.0, 27.3, 0.05):
+            derivatives = np.ascontiguousarray(manager.sample(now_s).derivatives[:3].transpose(1, 0, 2))
+            states = np.zeros((vehicles, len(S)))
+            states[:, S.X : S.U] = derivatives[:, 0, :3] + rng.normal(0.0, 0.01, (vehicles, 3))
+            states[:, S.U : S.PHI] = derivatives[:, 1, :3] + rng.normal(0.0, 0.02, (vehicles, 3))
+            separation.see(manager.names, visible, states, now_s)
+            separation.refer(manager.names, derivatives, now_s)
+            assert separation.look(now_s) == {}, now_s
+            closest_m = min(closest_m, minimum_separation(derivatives[None, :, 0, :3]))
+        if order is not None:
+            order(27.3 * (k + 1))
+    assert closest_m < 0.9, "they came near each other"

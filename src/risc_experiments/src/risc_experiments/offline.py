@@ -41,8 +41,8 @@ from risc_control.vehicle_pilot import (
 from risc_estimation.states import EstimatorParams, StatesEstimator
 from risc_experiments.fleets import default_fleet
 from risc_experiments.workers import in_order
-from risc_simulator.ardrone_host import LOST_HOVER_S
 from risc_simulator.cortex_wire import FrameEncoder
+from risc_simulator.models.ardrone_firmware import LOST_HOVER_S
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.models.radio_link import RadioLink

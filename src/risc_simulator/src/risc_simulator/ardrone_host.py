@@ -34,7 +34,7 @@ from ardrone_autonomy.protocol.navdata import ControlState, State
 from ardrone_autonomy.protocol.profiles import NO_LIMIT_MM, ConfigurationStore
 from risc_simulator.ardrone_ftp import FtpServer
 from risc_simulator.ardrone_navdata import Frame, NavdataWriter
-from risc_simulator.models.ardrone_firmware import LOW_BATTERY_PCT
+from risc_simulator.models.ardrone_firmware import LOST_HOVER_S, LOW_BATTERY_PCT
 from risc_simulator.models.ardrone_sensors import ArdroneSensors
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
@@ -44,7 +44,6 @@ from risc_simulator.socket_host import SocketHost
 _LOG = logging.getLogger(__name__)
 
 WATCHDOG_S = 0.050  # silence that sets state bit 30
-LOST_HOVER_S = 2.0  # from the loss of the link until landing
 BOOTSTRAP_PERIOD_S = 1.0 / 15.0
 FULL_PERIOD_S = 1.0 / navdata.FULL_RATE_HZ
 DEMO_PERIOD_S = navdata.DEMO_PERIOD * FULL_PERIOD_S

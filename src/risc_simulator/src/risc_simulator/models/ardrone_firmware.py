@@ -37,6 +37,7 @@ CLIMB_TRIM_LIMIT_M_S2 = 2.0
 
 LOW_BATTERY_PCT = 15.0  # refuses to take off
 EMPTY_BATTERY_PCT = 3.0  # lands by itself
+LOST_HOVER_S = 2.0  # from the loss of the link until it does
 GROUND_DRAIN_RATIO = 0.1  # computer and radio alone, of what flying takes
 
 # Go to a height with a climb rate within these limits; brakes: by optical flow, and keep the heading, instead of what
