@@ -13,7 +13,8 @@ from ardrone_autonomy.protocol.video import StreamParser
 from risc_control.lab import FleetVehicle, load_templates, load_vehicle_type
 from risc_control.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator.ardrone_host import ArdroneHost, Ports
-from risc_simulator.video.blackboard import BITRATES_KBIT_S, BOTTOM, FRONT, RATES_HZ, Snapshot
+from risc_simulator.video.blackboard import BITRATES_KBIT_S, BOTTOM, FRONT, RATES_HZ, Blackboard, Snapshot
+from risc_simulator.video.host import VideoHost
 from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
 from risc_simulator.video.station import Station
 from risc_simulator.virtual_lab import VirtualLab
@@ -85,6 +86,36 @@ def test_lateness_is_that_of_the_pictures_that_came_soonest(watched):
         station.expose(Snapshot(100.0 + k, 1.0 + k, np.zeros((1, 12))), 0, FRONT, RATE_HZ, BITRATE_KBIT_S)
         station.send(100.0 + k + late_s, link_up=True)
     assert 0.02 <= station.late_s < 0.03
+
+
+def test_what_is_due_waits_for_no_camera_that_draws(monkeypatch):
+    listeners = [socket.create_server((ADDRESS, 0)) for _ in range(3)]
+    clients = [socket.create_connection(listener.getsockname(), PATIENCE_S) for listener in listeners]
+    vehicles = tuple(
+        FleetVehicle("risc%d" % k, template, "ardrone", "127.93.1.%d" % k, "", (0.5 * k, 0.0, 0.0), 0.0)
+        for k, template in enumerate(("fluffy_II", "albatross", "Raven"), 1)
+    )
+    board = Blackboard(3)
+    host = VideoHost(Fleet("three", MocapEndpoint(ADDRESS), vehicles), 1, board, listeners)
+    for listener, station in zip(listeners, host._stations):
+        wait_for(listener)
+        station.on_readable(listener)
+    done = []
+    monkeypatch.setattr(VideoHost, "_expose", lambda _host, index, *_: done.append("draw %d" % index))
+    for index, station in enumerate(host._stations):
+        monkeypatch.setattr(station, "send", lambda *_, index=index, **__: done.append("send %d" % index))
+    for _ in range(2):  # the first tells the lab that somebody watches
+        board.publish(time.monotonic(), 1.0, np.zeros((3, 12)))
+        host._work()
+    everything = ["send 0", "send 1", "send 2"]
+    drawn = [k for k, what in enumerate(done) if what.startswith("draw")]
+    assert len(drawn) >= 3
+    for k in drawn:
+        assert done[max(0, k - 3) : k] == everything, done
+    host.close()
+    board.close()
+    for client in clients:
+        client.close()
 
 
 def test_a_camera_that_is_off_misses_nothing(watched):

@@ -93,6 +93,35 @@ def test_pictures_arrive_one_by_one(address, patient, header_bytes):
     assert viewer.reports == [("info", "video from %s:%d" % (address, VIDEO_PORT))]
 
 
+def test_a_picture_was_received_when_it_came_not_when_a_busy_thread_read_it(address):
+    is_busy, has_come = threading.Event(), threading.Event()
+    pictures = []
+
+    def on_picture(picture):
+        pictures.append(picture)
+        if len(pictures) == 1:
+            is_busy.set()
+            has_come.wait(LIMIT_S)
+
+    writer = StreamWriter()
+    units = [writer.picture(unit, 1000 + 33 * number) for number, unit in enumerate(encoded()[:2])]
+    with socket.create_server((address, VIDEO_PORT)) as listener:
+        stream = VideoStream(address, on_picture, lambda *_: None)
+        stream.want(True)
+        stream.start()
+        connection, _ = listener.accept()
+        with connection:
+            connection.sendall(units[0])
+            assert is_busy.wait(LIMIT_S)
+            connection.sendall(units[1])
+            sent_s = time.monotonic()
+            time.sleep(0.2)
+            has_come.set()
+            wait_for(lambda: len(pictures) == 2)
+            stream.stop()
+    assert pictures[0].received_s <= pictures[1].received_s < sent_s + 0.1
+
+
 def test_joining_in_the_middle_begins_with_an_idr(address, patient):
     with ScriptedVideo(address) as camera:
         with Viewer(address, wanted=False) as viewer:

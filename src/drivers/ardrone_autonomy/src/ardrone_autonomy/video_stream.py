@@ -8,6 +8,7 @@ import errno
 import os
 import select
 import socket
+import struct
 import threading
 import time
 from collections import namedtuple
@@ -24,6 +25,10 @@ UNUSABLE_S = 10.0  # so is one whose pictures cannot be decoded; the next key pi
 MAX_BACKLOG = 4  # pictures that may wait; of more only the newest are shown
 _READ_BYTES = 1 << 16
 _MAX_ROUND_BYTES = 1 << 20  # read at once, before decoding
+# Linux stamps what arrives when it arrives, not when a busy computer reads it; Python has no names for these.
+_SO_TIMESTAMPNS = _SCM_TIMESTAMPNS = 35
+_TIMESPEC = struct.Struct("@qq")
+_STAMP_AGE_MAX_S = 1.0  # older: the clock was set in between
 _CONNECTING = (0, errno.EINPROGRESS, errno.EWOULDBLOCK)
 
 Picture = namedtuple(
@@ -157,6 +162,7 @@ class VideoStream(object):
         """True when the connection stands, or is no longer wanted."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setblocking(False)
+        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         number = self._socket.connect_ex(self._target)
         if number not in _CONNECTING:
             self._complain(os.strerror(number))
@@ -220,7 +226,7 @@ class VideoStream(object):
         budget = _MAX_ROUND_BYTES
         while budget > 0:
             try:
-                data = self._socket.recv(_READ_BYTES)
+                data, extras, _, _ = self._socket.recvmsg(_READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
             except BlockingIOError:
                 return pictures, True
             except OSError:
@@ -228,7 +234,7 @@ class VideoStream(object):
             if not data:
                 return pictures, False
             budget -= len(data)
-            received_s = self._now_s()
+            received_s = max(self._heard_s, self._now_s() - _age_s(extras))
             for packet in self.parser.feed(data):
                 self._heard_s = received_s
                 whole = self.assembler.add(packet)
@@ -266,3 +272,13 @@ class VideoStream(object):
         if self._said is not None or self.shown == 0:
             self._report("info", "video from %s:%d" % self._target)
             self._said = None
+
+
+def _age_s(extras):
+    """For how long [s] the last byte of a read had been there; 0 when nothing tells. extras: of socket.recvmsg."""
+    for level, kind, data in extras:
+        if (level, kind) == (socket.SOL_SOCKET, _SCM_TIMESTAMPNS) and len(data) >= _TIMESPEC.size:
+            whole_s, rest_ns = _TIMESPEC.unpack_from(data)
+            age_s = time.time() - whole_s - 1e-9 * rest_ns
+            return age_s if 0.0 <= age_s <= _STAMP_AGE_MAX_S else 0.0
+    return 0.0

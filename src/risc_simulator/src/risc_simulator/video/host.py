@@ -76,6 +76,7 @@ class VideoHost(object):
 
     def _work(self):
         """Do what is due. Returns how long to wait at most; None: until a client comes."""
+        self._send()
         board = self._board
         if not board.watchers.any():
             self._last_unwatched = int(board.newest)
@@ -90,9 +91,9 @@ class VideoHost(object):
             if due_s is not None:
                 if due_s <= now_s:
                     self._expose(index, station, snapshot)
+                    self._send()
                     due_s = station.next_s
                 wake_s = min(wake_s, due_s)
-            station.send(time.monotonic(), bool(board.link_up[index]))
             send_s = station.send_due_s()
             if send_s is not None:
                 wake_s = min(wake_s, send_s)
@@ -104,6 +105,11 @@ class VideoHost(object):
         if not board.watchers.any():
             return None
         return max(0.0, wake_s - time.monotonic())
+
+    def _send(self):
+        """Send what has arrived, of all cameras: none waits for what is drawn or counted for another."""
+        for index, station in enumerate(self._stations):
+            station.send(time.monotonic(), bool(self._board.link_up[index]))
 
     def _expose(self, index, station, snapshot):
         board = self._board

@@ -92,7 +92,14 @@ class Station(object):
         self._lateness_s = deque(maxlen=LATE_PICTURES)
         # How late nine out of ten of the newest pictures were sent, at least. A client takes the pictures that came
         # soonest as on time: when the computer has made all of them late, so are its stamps.
-        self.late_s = 0.0
+        self._late_s = 0.0  # None: not known since the last picture
+
+    @property
+    def late_s(self):
+        """See above. Computed when somebody asks, after everything has been sent."""
+        if self._late_s is None:
+            self._late_s = float(np.percentile(self._lateness_s, LATE_PERCENT))
+        return self._late_s
 
     @property
     def watchers(self):
@@ -171,7 +178,7 @@ class Station(object):
         while self._on_the_way and self._on_the_way[0][0] <= now_s:
             due_s, data = self._on_the_way.popleft()
             self._lateness_s.append(now_s - due_s)
-            self.late_s = float(np.percentile(self._lateness_s, LATE_PERCENT))
+            self._late_s = None
             is_keyframe = parse_header(data).frame_type == FrameType.IDR
             if not link_up:
                 for client in self._clients.values():
