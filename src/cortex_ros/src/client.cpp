@@ -75,8 +75,8 @@ std::string host_from_text(const std::string& text) {
   if (text.empty()) {
     throw std::invalid_argument(
         "host is missing: write the address or name of the Cortex computer, or broadcast to ask every "
-        "network "
-        "of this computer");
+        "network of "
+        "this computer");
   }
   return text == "broadcast" ? "" : text;
 }
