@@ -74,9 +74,7 @@ Mode mode_from_text(const std::string& text) {
 std::string host_from_text(const std::string& text) {
   if (text.empty()) {
     throw std::invalid_argument(
-        "host is missing: write the address or name of the Cortex computer, or broadcast to ask every "
-        "network of "
-        "this computer");
+        "host is missing: write the Cortex computer's address or name, or broadcast to ask all networks");
   }
   return text == "broadcast" ? "" : text;
 }

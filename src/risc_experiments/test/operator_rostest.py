@@ -16,6 +16,7 @@ from ardrone_autonomy.msg import Navdata
 from risc_msgs.msg import Control, Controls, Cortex, States
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross"}
+X_M = {"risc1": -1.0, "risc2": 1.0}
 LANDED, HOVERING, TAKING_OFF, LANDING = 2, 4, 6, 8
 TIMEOUT_S = 60.0
 TAKEOFF_S = LANDING_S = APPROACH_S = 0.5
@@ -77,7 +78,7 @@ class World:
                     )
                 if vehicle not in self.silent:
                     self._navdata[vehicle].publish(Navdata(state=self.state[vehicle], batteryPercent=80.0))
-                states.Obj.append(States(name=template, visible=True, z=1.0))
+                states.Obj.append(States(name=template, visible=True, x=X_M[vehicle], z=1.0))
                 controls.Obj.append(Control(template, 0.1, 0.1, 0.1, 4.41))
                 since_s, home_s = self.autonomous_s[vehicle], self.home_s
                 if home_s is not None:
