@@ -86,7 +86,7 @@ step_look() {
       missing=$(find devel/lib -type f -perm -u=x -exec ldd {} + 2>/dev/null | grep "not found" || true)
       [ -z "$missing" ] || { echo "$missing"; exit 1; }
       python -c "import cv2, av, cv_bridge, rospy, tf2_ros, risc_msgs.msg, ardrone_autonomy.msg"
-      python -m risc_experiments.doctor --help >/dev/null
+      python -m risc_doctor --help >/dev/null
       roslaunch --nodes launch/Multi_Machine_Experiment.launch machine:=local "fleet:=$PWD/docker/fleet.yaml" | sort | xargs'
   done
   # shellcheck disable=SC2016  # expanded in there

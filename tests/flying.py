@@ -11,8 +11,8 @@ import time
 
 import pytest
 
-from risc_experiments.processes import MARK
 from risc_experiments.report import LATE_LIMIT_MS, on_schedule
+from risc_lab.ros.launching import MARK
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 TIMEOUT_S = 400.0  # of a whole flight and its report

@@ -40,7 +40,7 @@ UNSHARE += ("--propagation", "private")  # what a host has of its own, beside th
 NO_GOODBYE = ("sysctl", "--write", "net.ipv4.tcp_orphan_retries=1")
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def unsupported():
     """Why no lab can be made on this computer, in one line; "" when it can."""
     if os.geteuid() != 0:
@@ -59,7 +59,7 @@ def unsupported():
     return ""
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def has_netem():
     """Whether the kernel can delay and lose what a card sends (sch_netem). Raises RuntimeError when that is unknown."""
     with _probe() as namespace:

@@ -14,7 +14,7 @@ import roslaunch
 import yaml
 from roslaunch.arg_dump import get_args
 
-from risc_control.lab import load_fleet
+from risc_lab.lab import load_fleet
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 SRC, LEGACY = ROOT / "src", ROOT / "launch/legacy"
@@ -44,7 +44,7 @@ ALLOWED = {
     ("launch/legacy/fleets/lab.yaml", AIRCRAFT),
     # bound to, to hear it; a netmask
     ("src/risc_simulator/src/risc_simulator/cortex_host.py", "255.255.255.255"),
-    ("src/risc_experiments/src/risc_experiments/doctor/interfaces.py", "255.255.255.255"),
+    ("src/risc_doctor/src/risc_doctor/interfaces.py", "255.255.255.255"),
 }
 
 

@@ -4,15 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
-from risc_control.camera import Camera, rotation_camera_to_body
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import FRONT_MOUNT, load_calibration
 from risc_estimation.bearings import Region, bearings_of_regions, make_camera
-from risc_estimation.sight import Disc, Hull, Observer, look
+from risc_estimation.expected_bearings import Disc, Hull, Observer, look
+from risc_lab.camera import Camera, rotation_camera_to_body
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import FRONT_MOUNT, load_calibration
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import CameraPose, Scene, VehiclePose, load_style
-from risc_visual.landmark_config import load_landmarks
-from risc_visual.landmarks import LandmarkDetector
+from risc_visual.vision.landmark_config import load_landmarks
+from risc_visual.vision.landmark_detector import LandmarkDetector
 
 CALIBRATIONS = ("risc1.yaml", "risc2.yaml", "risc3.yaml", "albatross_ardrone_front.yaml", "ardrone_front.yaml")
 PLACES = {  # centre [m] and normal, cortex frame

@@ -14,12 +14,12 @@ import rospy
 from camera_calibration.calibrator import ChessboardInfo, MonoCalibrator
 from cv_bridge import CvBridge
 
-from risc_control.camera import Camera
-from risc_control.lab.calibration import load_calibration
+from risc_lab.camera import Camera
+from risc_lab.lab.calibration import load_calibration
+from risc_simulator.video.checkerboard_motion import calibration_pictures
 from risc_simulator.video.scene import load_style
-from risc_simulator.video.waving import calibration_pictures
-from risc_visual.calibration import Checkerboard, View
-from risc_visual.calibration import calibrate as calibration_of_views
+from risc_visual.vision.checkerboard import Checkerboard, View
+from risc_visual.vision.checkerboard import calibrate as calibration_of_views
 
 CALIBRATE = pathlib.Path(__file__).resolve().parents[1] / "src/risc_visual/nodes/calibrate.py"
 # the first is as any camera, the second distorts strongly
@@ -41,7 +41,7 @@ STEEP = 3.0  # by how much undistortion may magnify an error; only corners of ri
 def show(tmp_path_factory):
     """show(name): the true Camera, a folder with pictures of the board, and the pictures (BGR)."""
 
-    @functools.lru_cache(maxsize=None)
+    @functools.cache
     def of(name):
         camera = Camera(load_calibration("%s.yaml" % name))
         style = load_style()

@@ -14,8 +14,8 @@ import compose_spec
 import pytest
 import yaml
 
-from risc_control.lab import load_fleet
-from risc_experiments.machines import keep_alive
+from risc_doctor.machines import keep_alive
+from risc_lab.lab import load_fleet
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 DOCKER = ROOT / "docker"
@@ -357,8 +357,9 @@ def laptop(machine, compose):
 @pytest.fixture(scope="module")
 def base_station(tmp_path_factory, compose):
     """A base station that is its own service `browser`, too."""
-    with new_machine(tmp_path_factory.mktemp("machine")) as machine, serving(
-        machine, command_of(compose, "browser_keys")
+    with (
+        new_machine(tmp_path_factory.mktemp("machine")) as machine,
+        serving(machine, command_of(compose, "browser_keys")),
     ):
         yield machine
 
@@ -426,7 +427,7 @@ def test_a_workspace_is_not_trimmed_by_mistake(machine):
 
 
 def test_a_trimmed_workspace_is_the_same_workspace_for_machines_check(machine):
-    describe = "devel/env.sh python -m risc_experiments.machines.workspace ."
+    describe = "devel/env.sh python -m risc_doctor.machines.workspace_digest ."
     whole = json.loads(machine.run(describe))
     for entry in entries(ROOT / ".dockerignore"):
         if entry.startswith(".git/"):

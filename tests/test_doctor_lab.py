@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 import yaml
 
-from risc_control.lab import load_fleet, load_templates
-from risc_experiments.doctor import by_hand
-from risc_experiments.doctor.checks import CHECKS
-from risc_experiments.doctor.ros_master import Master, MasterError
-from risc_experiments.findings import GREEN, RED, YELLOW, exit_code
-from risc_experiments.processes import Launch, PortReservation, free_tcp_port, marked_processes
+from risc_doctor import by_hand
+from risc_doctor.checks import CHECKS
+from risc_doctor.findings import GREEN, RED, YELLOW, exit_code
+from risc_doctor.ros_master import Master, MasterError
+from risc_lab.lab import load_fleet, load_templates
+from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 from risc_simulator.cortex_host import CortexHost
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.virtual_lab import VirtualLab
@@ -101,7 +101,7 @@ def no_master(monkeypatch):
 
 def doctor(fleet, folder, *words):
     """{(check, level): "text -> cure"; ...} and the exit code. fleet: Fleet, None = that of the graph."""
-    command = [sys.executable, "-m", "risc_experiments.doctor", "--json", "--bag-folder", str(folder), *words]
+    command = [sys.executable, "-m", "risc_doctor", "--json", "--bag-folder", str(folder), *words]
     if fleet is not None:
         path = folder / "fleet.yaml"
         path.write_text(yaml.safe_dump(fleet.to_dict()))

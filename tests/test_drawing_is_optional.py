@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ElementTree
 import pytest
 from flying import ROOT, end, fly, left_behind, wait_for_line
 
-from risc_experiments.virtual_screen import VirtualScreen, missing_programs
+from risc_visual.pictures.virtual_screen import VirtualScreen, missing_programs
 
 DRAWING = ROOT / "src" / "risc_visual" / "launch" / "risc_visualize.launch"
 LAUNCH_FILES = [*ROOT.glob("launch/*.launch"), *ROOT.glob("src/*/launch/*.launch")]

@@ -17,11 +17,11 @@ import xmlrpc.server
 
 import pytest
 
-from risc_experiments.processes import free_tcp_port
+from risc_lab.ros.launching import free_tcp_port
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 COOP = ROOT / "devel/coop.sh"
-SOURCE = ROOT / "src/risc_experiments/machines/coop.sh.in"
+SOURCE = ROOT / "src/risc_doctor/machines/coop.sh.in"
 BARE = {"HOME": os.environ.get("HOME", "/root"), "PATH": "/usr/bin:/bin"}
 FROM_BASE = "10.77.0.1 40000 10.77.0.2 22"  # SSH_CONNECTION of a login from another machine
 PATIENCE_S = 30.0  # for what happens within a second or two on a quiet computer

@@ -19,8 +19,8 @@ from data_extraction.bags import Bag
 from data_extraction.flatten import seconds
 from data_extraction.report.origin import parameter_hash
 from risc_estimation.ros.params import NodeParams
-from risc_experiments.processes import MARK, marked_processes
 from risc_experiments.stop import end_flight
+from risc_lab.ros.launching import MARK, marked_processes
 
 pytestmark = pytest.mark.alone
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`

@@ -20,11 +20,11 @@ import yaml
 from launch_parameters import unroll
 from std_msgs.msg import String
 
-from risc_control.lab import load_fleet
-from risc_experiments import screenshot
-from risc_experiments.doctor import ros_master
-from risc_experiments.processes import Launch, PortReservation, free_tcp_port, marked_processes
+from risc_doctor import ros_master
 from risc_experiments.report import LATE_LIMIT_MS
+from risc_lab.lab import load_fleet
+from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
+from risc_visual.pictures import rviz_pictures
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "launch/legacy"
@@ -308,9 +308,9 @@ def test_a_bag_that_is_drawn_moves_nothing():
     (player,) = (node for node in config.nodes if node.name == "player")
     args = shlex.split(player.args)
     topics = args[args.index("--topics") + 1 : args.index("--bags")]
-    of_vehicles = {"/%s/%s" % (vehicle, topic) for vehicle in vehicles for topic in screenshot.OF_VEHICLES}
+    of_vehicles = {"/%s/%s" % (vehicle, topic) for vehicle in vehicles for topic in rviz_pictures.OF_VEHICLES}
     assert args[-2:] == ["--bags", "/tmp/a bag.bag"]
-    assert set(topics) == {*screenshot.DRAWN, *screenshot.FRAMES, *of_vehicles}
+    assert set(topics) == {*rviz_pictures.DRAWN, *rviz_pictures.FRAMES, *of_vehicles}
     commands = {"cmd_vel", "cmd_vel_stamped", "takeoff", "land", "reset", "joy", "controls", "target_velocity"}
     assert not commands & {topic.rpartition("/")[2] for topic in topics}
 

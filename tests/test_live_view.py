@@ -21,8 +21,8 @@ import yaml
 from flying import judged
 
 from data_extraction.bags import Bag
-from risc_control.lab import load_fleet
-from risc_experiments.processes import Launch, PortReservation, free_tcp_port, marked_processes
+from risc_lab.lab import load_fleet
+from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")

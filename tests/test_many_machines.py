@@ -39,9 +39,9 @@ from ardrone_autonomy.piloting import sticks_from_velocity
 from ardrone_autonomy.protocol import at
 from data_extraction.bags import Bag
 from data_extraction.report.computers import ComputerCollector
-from risc_control.lab import load_fleet
-from risc_control.safety import SafetyLimits
-from risc_experiments.processes import Launch, PortReservation, free_tcp_port, marked_processes
+from risc_control.failsafe import SafetyLimits
+from risc_lab.lab import load_fleet
+from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 
 LIMITS = SafetyLimits()
 LATE_S = 0.25  # a command is on its way, and the computer is busy with other things

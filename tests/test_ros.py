@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 import pytest
 import roslaunch
 
-from risc_experiments.processes import MARK, marked_processes
+from risc_lab.ros.launching import MARK, marked_processes
 
 ROSTEST_S = 400.0  # more than every time-limit in a .test file
 ROOT = pathlib.Path(__file__).resolve().parents[1]

@@ -12,22 +12,23 @@ import rosbag
 import rospy
 from flying import ROOT, judged, left_behind, summary_of
 
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab import load_fleet
-from risc_control.lab.calibration import load_calibration, load_mount
-from risc_control.lab.yaml_reader import package_file
 from risc_control.trajectories import make_course
 from risc_estimation.bearings import Bearing, make_camera
+from risc_estimation.expected_bearings import Disc, Observer, look
 from risc_estimation.ros.bearing_conversions import observed_angles
-from risc_estimation.sight import Disc, Observer, look
-from risc_experiments.orbit_view import load_config, orbit_view_from_dict, saved_view
-from risc_experiments.screenshot import VIEWS, main
-from risc_experiments.virtual_screen import missing_programs
+from risc_experiments.screenshot import main
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab import load_fleet
+from risc_lab.lab.calibration import load_calibration, load_mount
+from risc_lab.lab.yaml_reader import package_file
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States, Trajectories, Trajectory
-from risc_visual.airframes import vehicle_colour
-from risc_visual.landmark_config import load_landmarks
-from risc_visual.palette import ray_colours, sphere_colours
-from risc_visual.scenery import load_scenery
+from risc_visual.drawing.airframes import vehicle_colour
+from risc_visual.drawing.palette import ray_colours, sphere_colours
+from risc_visual.drawing.scenery import load_scenery
+from risc_visual.pictures.orbit_view import load_config, orbit_view_from_dict, saved_view
+from risc_visual.pictures.rviz_pictures import VIEWS
+from risc_visual.pictures.virtual_screen import missing_programs
+from risc_visual.vision.landmark_config import load_landmarks
 
 pytestmark = [
     pytest.mark.alone,
@@ -128,7 +129,7 @@ def picture_of(bag_file):
     """picture_of(view): (picture (height, width, 3) RGB, OrbitView) as the command makes them."""
     out = bag_file.parent / "pictures"
 
-    @functools.lru_cache(maxsize=None)
+    @functools.cache
     def taken(*names):
         command = [sys.executable, "-m", "risc_experiments.screenshot", str(bag_file), "--fleet", str(FLEET)]
         command += ["--at", str(AT_S), "--out", str(out), "--views", ",".join(names), "--size", "%dx%d" % SIZE]

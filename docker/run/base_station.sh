@@ -20,7 +20,7 @@ until_good() {
 }
 
 docker/run/sshd.sh & # the service `browser` comes in by it
-until_good 15 devel/coop.sh python -m risc_experiments.machines setup --yes "${experiment[@]}"
-until_good 5 devel/coop.sh python -m risc_experiments.machines check "${experiment[@]}" ||
+until_good 15 devel/coop.sh python -m risc_doctor.machines setup --yes "${experiment[@]}"
+until_good 5 devel/coop.sh python -m risc_doctor.machines check "${experiment[@]}" ||
   { echo "base_station.sh: not every machine is ready: nothing was started" >&2; exit 1; }
 exec devel/coop.sh roslaunch "${experiment[@]}"

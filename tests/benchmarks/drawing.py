@@ -1,7 +1,7 @@
 """How long the drawing nodes work on one drawing for rviz, fleets of several sizes at 200 Hz drawn at 25 Hz.
 
 Simulated: vehicles on circles, messages as they come from the wire, serialised again as they go out; no rviz. Messages
-between two drawings are not even deserialised (risc_control.ros.paced), so the nodes do not work on them here, either.
+between two drawings are not even deserialised (risc_lab.ros.paced_subscriber), so nodes do not work on them here.
 Times are the processor's: what other programs do meanwhile hardly counts.
 """
 
@@ -18,20 +18,20 @@ import numpy as np
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from risc_control.lab.fleet import FleetVehicle
-from risc_control.lab.templates import load_templates
 from risc_estimation.bearings import Bearing
 from risc_estimation.ros.bearing_conversions import bearings_from_msg, observed_angles
+from risc_lab.lab.fleet import FleetVehicle
+from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_angles, States
-from risc_visual.cast import Index
-from risc_visual.landmark_config import load_landmarks
-from risc_visual.rays import RayParams, RayStyles
-from risc_visual.ros import markers
+from risc_visual.drawing.cast import Index
+from risc_visual.drawing.rays import RayParams, RayStyles
+from risc_visual.drawing.ros import markers
+from risc_visual.drawing.ros.cortex_drawing import CortexDrawing
+from risc_visual.drawing.ros.params import AngleParams, CortexParams, TrajectoryParams
+from risc_visual.drawing.ros.paths import PathDrawing
+from risc_visual.drawing.trails import TrailParams
 from risc_visual.ros.conversions import poses_from_cortex
-from risc_visual.ros.cortex_drawing import CortexDrawing
-from risc_visual.ros.params import AngleParams, CortexParams, TrajectoryParams
-from risc_visual.ros.paths import PathDrawing
-from risc_visual.trails import TrailParams
+from risc_visual.vision.landmark_config import load_landmarks
 
 MOCAP_HZ = 200.0
 START_S = 1.0e9

@@ -14,7 +14,7 @@ import numpy as np
 
 from risc_control.trajectories import course_for_fleet
 from risc_control.trajectory_manager import make_manager
-from risc_control.ways import plan_ways
+from risc_control.transitions import plan_ways
 from risc_experiments.fleets import default_fleet
 
 FLEETS = pathlib.Path(__file__).resolve().parents[2] / "launch" / "fleets"

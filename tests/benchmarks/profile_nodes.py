@@ -19,8 +19,8 @@ from collections import Counter
 
 import psutil
 
-from risc_experiments.processes import MARK
 from risc_experiments.processor_use import program_name
+from risc_lab.ros.launching import MARK
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 FRAME_RATE_HZ = 200.0

@@ -19,7 +19,7 @@ import time
 
 import rosbag
 
-from risc_experiments.processes import free_tcp_port
+from risc_lab.ros.launching import free_tcp_port
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 TALKER = ROOT / "src/data_extraction/test/talker.py"

@@ -108,11 +108,11 @@ def estimation(bodies, seconds, folder):
     import rospy
     from sensor_msgs.msg import TimeReference
 
-    from risc_control.lab import generated_fleet
-    from risc_control.ros import low_latency
-    from risc_control.ros.fleet_messages import CortexArrays
-    from risc_experiments.processes import Launch, PortReservation, free_tcp_port
     from risc_experiments.processor_use import ProcessorUse
+    from risc_lab.lab import generated_fleet
+    from risc_lab.ros import low_latency
+    from risc_lab.ros.fleet_messages import CortexArrays
+    from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
 
     reservation, port = PortReservation(), free_tcp_port()
     fleet = _of_five_markers(replace(generated_fleet(bodies), landmarks=())).in_subnet(reservation.subnet)
@@ -167,7 +167,7 @@ def estimation(bodies, seconds, folder):
 
 def _of_five_markers(fleet):
     """The fleet, all of its bodies of generated hulls: those of the laboratory have four or five markers."""
-    from risc_control.lab import generated_fleet
+    from risc_lab.lab import generated_fleet
 
     many = generated_fleet(len(fleet.vehicles) + 5)
     hulls = [vehicle.template for vehicle in many.vehicles[5:]]

@@ -19,9 +19,9 @@ import xmlrpc.client
 
 import yaml
 
-from risc_control.lab import generated_fleet
-from risc_control.lab.yaml_reader import package_file
-from risc_experiments.processes import free_tcp_port
+from risc_lab.lab import generated_fleet
+from risc_lab.lab.yaml_reader import package_file
+from risc_lab.ros.launching import free_tcp_port
 
 COUNTS = (1, 3, 50)
 REPETITIONS = 3

@@ -18,14 +18,14 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from risc_control.frames import rotation_body_to_cortex
+from risc_lab.frames import rotation_body_to_cortex
 from risc_simulator.video.dataset import landmark_set
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import CameraPose, VehiclePose, load_style
-from risc_visual.landmark_config import load_landmarks
-from risc_visual.landmarks import LandmarkDetector
-from risc_visual.overlay import draw_landmarks
-from risc_visual.vehicles import VehicleDetector, load_vehicles
+from risc_visual.vision.landmark_config import load_landmarks
+from risc_visual.vision.landmark_detector import LandmarkDetector
+from risc_visual.vision.overlay import draw_landmarks
+from risc_visual.vision.vehicle_detector import VehicleDetector, load_vehicles
 
 SIZE_MIN_PX, SEEN_MIN = 14.0, 0.98  # of landmarks that must be found
 REQUIRED = {"recall": 0.97, "precision": 0.99, "error_median_px": 0.5, "ms_mean": 2.0}

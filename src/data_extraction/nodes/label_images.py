@@ -7,7 +7,7 @@ import sys
 
 from data_extraction.bags import BagError
 from data_extraction.labels import LabelParams, label
-from risc_control.lab import load_fleet
+from risc_lab.lab import load_fleet
 
 
 def main():

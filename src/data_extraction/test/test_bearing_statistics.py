@@ -11,11 +11,11 @@ from sensor_msgs.msg import CameraInfo
 
 from data_extraction import plots, summary
 from data_extraction.bags import Bag
-from data_extraction.bearings import BearingCollector
+from data_extraction.bearing_errors import BearingCollector
 from data_extraction.csv_export import export
-from data_extraction.flight import FlightCollector
+from data_extraction.flight_metrics import FlightCollector
 from data_extraction.surroundings import Surroundings
-from risc_control.lab import fleet_from_dict
+from risc_lab.lab import fleet_from_dict
 from risc_msgs.msg import (
     Angle,
     Angles,

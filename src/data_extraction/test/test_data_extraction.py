@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from data_extraction import plots, summary
 from data_extraction.bags import Bag, BagError
 from data_extraction.csv_export import export, file_name
-from data_extraction.flight import FlightCollector, Series, best_fit_lag, evaluate, settling_time
+from data_extraction.flight_metrics import FlightCollector, Series, best_fit_lag, evaluate, settling_time
 from risc_msgs.msg import Controls, Cortex, Mocap_data, States, Trajectories, Trajectory
 
 T0_S = 1000.0

@@ -28,9 +28,9 @@ from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.origin import Origin, parameter_hash, read_beside
 from data_extraction.report.snapshots import SnapshotCollector, picture_topics
 from data_extraction.samples import Arrivals, Samples
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
-from risc_control.lab.fleet import fleet_from_dict
-from risc_control.safety import Rung, SafetyLimits
+from risc_control.failsafe import Rung, SafetyLimits
+from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
+from risc_lab.lab.fleet import fleet_from_dict
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_rois, Risc_roi, Risc_rois, States
 
 T0_S = 1000.0

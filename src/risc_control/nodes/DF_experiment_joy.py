@@ -9,11 +9,11 @@ import rospy
 from risc_control.cfg import TrackingWeightsConfig
 from risc_control.ros.controller_node import ControllerNode, main
 from risc_control.ros.conversions import TrajectoriesMessage
-from risc_control.ros.fleet_messages import CortexArrays, TrajectoriesArrays
-from risc_control.ros.params import vehicles
 from risc_control.ros.trajectory_node import CourseSelector, ManagerWiring, yaw_from_params
 from risc_control.tracking import FlatnessController
 from risc_control.trajectories import make_course
+from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
+from risc_lab.ros.params import vehicles
 
 FIGURES = ("origin", "slanted8", "origin", "flat8", "origin", "circle")
 

@@ -10,7 +10,7 @@ from std_msgs.msg import Float64
 from risc_control.cfg import TrackingWeightsConfig
 from risc_control.guidance import GuidanceController, GuidanceParams
 from risc_control.ros.controller_node import ControllerNode, main
-from risc_control.ros.params import dataclass_from_params, vehicles
+from risc_lab.ros.params import dataclass_from_params, vehicles
 
 
 class GuidanceNode(ControllerNode):

@@ -12,8 +12,8 @@ import sys
 
 import yaml
 
-from risc_control.lab import load_fleet, load_vehicle_type
-from risc_control.lab.calibration import resolve_url
+from risc_lab.lab import load_fleet, load_vehicle_type
+from risc_lab.lab.calibration import resolve_url
 
 
 def fleet_value(fleet, what, *names):

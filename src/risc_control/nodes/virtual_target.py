@@ -6,11 +6,11 @@ import sys
 import rospy
 from std_msgs.msg import Float64
 
+from risc_control.pursuit_reference import TargetParams, VirtualTarget
 from risc_control.ros.controller_node import main
 from risc_control.ros.joystick_buttons import ButtonSubscriber
-from risc_control.ros.params import dataclass_from_params, number, vehicles
 from risc_control.ros.trajectory_node import ManagerWiring, ReferenceNode
-from risc_control.virtual_target import TargetParams, VirtualTarget
+from risc_lab.ros.params import dataclass_from_params, number, vehicles
 
 
 class VirtualTargetNode(ReferenceNode):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from risc_control.flatness import FlatInputs
-from risc_control.frames import GRAVITY_M_S2 as G
-from risc_control.lab import load_vehicle_type
 from risc_control.mappings.ardrone import full_scales, to_fractions, to_inputs
 from risc_control.mappings.climb_rate import climb_rate_command
+from risc_lab.frames import GRAVITY_M_S2 as G
+from risc_lab.lab import load_vehicle_type
 
 ARDRONE = load_vehicle_type("ardrone")
 

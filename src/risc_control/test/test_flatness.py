@@ -16,8 +16,8 @@ from risc_control.flatness import (
     limit_tilt,
     thrust_at_tilt,
 )
-from risc_control.frames import GRAVITY_M_S2 as G
-from risc_control.frames import ned_to_cortex, rotation_body_to_cortex
+from risc_lab.frames import GRAVITY_M_S2 as G
+from risc_lab.frames import ned_to_cortex, rotation_body_to_cortex
 
 MASS_KG = 0.45
 horizontal = st.floats(-9.0, 9.0)

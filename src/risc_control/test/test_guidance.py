@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from risc_control.guidance import GuidanceController, GuidanceParams, pursuit_acceleration
-from risc_control.lab import load_vehicle_type
-from risc_control.states import S, States
+from risc_control.pursuit_reference import TargetParams
 from risc_control.tracking import FlatnessController
-from risc_control.virtual_target import TargetParams
+from risc_lab.lab import load_vehicle_type
+from risc_lab.states import S, States
 
 ARDRONE = load_vehicle_type("ardrone")
 PARAMS = GuidanceParams()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
+from risc_control.delay_prediction import discretised
 from risc_control.lqr import dlqr_gain, lqr_gain, with_integral
-from risc_control.prediction import discretised
 
 DOUBLE = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
 

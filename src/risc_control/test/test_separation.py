@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from risc_control.safety import SafetyLimits
+from risc_control.failsafe import SafetyLimits
 from risc_control.separation import ALONE, Separation
-from risc_control.states import S
+from risc_lab.states import S
 
 LIMITS = SafetyLimits()
 NEAR_M, STRAY_M, COURSE_M = LIMITS.separation_m, LIMITS.separation_stray_m, LIMITS.separation_course_m

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_control.frames import GRAVITY_M_S2 as G
-from risc_control.lab import load_vehicle_type
+from risc_control.delay_prediction import NominalModel, discretised
 from risc_control.mappings.ardrone import full_scales
-from risc_control.prediction import NominalModel, discretised
-from risc_control.states import S, States
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, LqrWeights, TrackingParams
 from risc_control.trajectories import YawProgram, make_course
+from risc_lab.frames import GRAVITY_M_S2 as G
+from risc_lab.lab import load_vehicle_type
+from risc_lab.states import S, States
 
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * G

@@ -26,10 +26,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_control.lab.vehicle_types import AttitudeLoop, VehicleType
-from risc_control.reference import ReferenceBuffer
-from risc_control.states import S, States
+from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, LqrWeights, TrackingParams
+from risc_lab.lab.vehicle_types import AttitudeLoop, VehicleType
+from risc_lab.states import S, States
 
 GOLDEN = np.load(pathlib.Path(__file__).parent / "golden" / "tracking.npz")
 TOLERANCE = 1e-9  # of fractions, and N

@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_control.lab import generated_fleet
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_control.motions import Blend, coasting, standing
 from risc_control.trajectories import (
     COURSES,
@@ -22,6 +20,8 @@ from risc_control.trajectories import (
     peak_yaw_rate_rad_s,
     quadrant,
 )
+from risc_lab.lab import generated_fleet
+from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 
 MARGIN_M = 0.4
 

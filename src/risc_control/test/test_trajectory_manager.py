@@ -6,10 +6,10 @@ import threading
 import numpy as np
 import pytest
 
-from risc_control.lab.fleet import FleetVehicle
 from risc_control.trajectories import COURSES, SAFE_SEPARATION_M, make_course, minimum_separation
 from risc_control.trajectory_manager import Home, Phase, TrajectoryManager, make_manager, phase_text
-from risc_control.ways import WayLimits, plan_ways
+from risc_control.transitions import WayLimits, plan_ways
+from risc_lab.lab.fleet import FleetVehicle
 
 STARTS = {"fluffy_II": (0.9, 0.0, 0.0), "albatross": (-0.45, 0.78, 0.0), "Raven": (-0.45, -0.78, 0.0)}
 NAMES = tuple(STARTS)

@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from risc_control.lab import generated_fleet  # noqa: E402
 from risc_control.ros.vehicle_node import _chosen  # noqa: E402
+from risc_lab.lab import generated_fleet  # noqa: E402
 
 FLEET = generated_fleet(3)
 

@@ -8,12 +8,8 @@ import pytest
 import yaml
 from scipy.integrate import solve_ivp
 
-from risc_control.frames import GRAVITY_M_S2
+from risc_control.failsafe import Rung
 from risc_control.joystick import Sticks
-from risc_control.lab.arena import Arena
-from risc_control.lab.fleet import fleet_from_dict
-from risc_control.lab.vehicle_types import load_vehicle_type
-from risc_control.safety import Rung
 from risc_control.separation import ALONE, Look
 from risc_control.vehicle_pilot import (
     ClimbPredictor,
@@ -26,6 +22,10 @@ from risc_control.vehicle_pilot import (
     choose_vehicle,
     params_from_dict,
 )
+from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.lab.arena import Arena
+from risc_lab.lab.fleet import fleet_from_dict
+from risc_lab.lab.vehicle_types import load_vehicle_type
 
 CONFIG = pathlib.Path(__file__).parents[1] / "config" / "vehicle_node.yaml"
 ARDRONE = load_vehicle_type("ardrone")

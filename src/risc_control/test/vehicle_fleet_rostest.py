@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
 from vehicle_world import EMERGENCY, FLYING, HOVER_N, LANDED, SHUT_DOWN, World, is_flown, is_zero, same, wait_for
 
-from risc_control.safety import SafetyLimits
+from risc_control.failsafe import SafetyLimits
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 NAME = "/vehicle_fleet_test"

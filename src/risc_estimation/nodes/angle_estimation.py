@@ -8,20 +8,20 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_control.ros.diagnostics import make_updater
-from risc_control.ros.params import fleet_vehicles, load_params
 from risc_estimation.bearings import bearings_of_regions
 from risc_estimation.ros.bearing_conversions import observed_angles, regions_from_msg
 from risc_estimation.ros.cameras import VehicleCameras
 from risc_estimation.ros.conversions import header_for
 from risc_estimation.ros.params import AngleParams
+from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.params import fleet_vehicles, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Observed_angles, Observed_rois
 
 _SILENCE_S = 3.0
 
 
-class AngleEstimationNode(object):
+class AngleEstimationNode:
     """Answers every message with one of the same stamp; names pass through."""
 
     def __init__(self):

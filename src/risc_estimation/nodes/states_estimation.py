@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks). Wiring only; see risc_estimation.states."""
+"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks). See risc_estimation.state_estimator."""
 
 import sys
 import threading
@@ -8,21 +8,21 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_control.lab.fleet import MocapEndpoint
-from risc_control.lab.templates import load_templates
-from risc_control.ros import low_latency
-from risc_control.ros.diagnostics import make_updater
-from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
-from risc_control.ros.paced import BUFFER_BYTES
-from risc_control.ros.params import has_private, known_fleet, load_params
-from risc_control.ros.until_shutdown import until_shutdown
 from risc_estimation.ros.conversions import EstimateMessages
 from risc_estimation.ros.params import NodeParams
-from risc_estimation.states import ARENA_KEYS, EstimatorParams, StatesEstimator
+from risc_estimation.state_estimator import ARENA_KEYS, EstimatorParams, StatesEstimator
+from risc_lab.lab.fleet import MocapEndpoint
+from risc_lab.lab.templates import load_templates
+from risc_lab.ros import low_latency
+from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
+from risc_lab.ros.paced_subscriber import BUFFER_BYTES
+from risc_lab.ros.params import has_private, known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
+from risc_lab.ros.until_shutdown import until_shutdown
 
 
-class StatesEstimationNode(object):
+class StatesEstimationNode:
     """Estimates the frames in order; none is passed over unless the node was held up for longer than queue_s."""
 
     def __init__(self):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""cortex_raw, states3 -> angles_synthetic (Observed_angles). Wiring only; see risc_estimation.synthetic."""
+"""cortex_raw, states3 -> angles_synthetic (Observed_angles). Wiring only; see risc_estimation.synthetic_bearings."""
 
 import sys
 import threading
@@ -9,22 +9,22 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Header
 
-from risc_control.ros.diagnostics import make_updater
-from risc_control.ros.params import load_params, vehicles
 from risc_estimation.bearings import fleet_calibration, fleet_mount, make_camera
-from risc_estimation.landmark_catalogue import load_landmark_catalogue
+from risc_estimation.expected_bearings import Observer
 from risc_estimation.ros.bearing_conversions import observed_angles, states_from_msg
 from risc_estimation.ros.conversions import FRAME_ID
 from risc_estimation.ros.params import SyntheticNodeParams
-from risc_estimation.sight import Observer
-from risc_estimation.synthetic import SyntheticBearings, SyntheticParams
+from risc_estimation.synthetic_bearings import SyntheticBearings, SyntheticParams
+from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
+from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.params import load_params, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
 
 _SILENCE_S = 3.0
 
 
-class SyntheticAnglesNode(object):
+class SyntheticAnglesNode:
     """What the vehicles' cameras would see of the landmarks and of each other, from motion capture."""
 
     def __init__(self):

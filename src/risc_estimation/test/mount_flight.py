@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from risc_control.camera import Camera, bearings_of_rays, rays_of_bearings
-from risc_control.lab.calibration import CameraCalibration
+from risc_estimation.expected_bearings import Observer
 from risc_estimation.mount_samples import BearingWindow
-from risc_estimation.sight import Disc, Observer
-from risc_estimation.synthetic import SyntheticBearings, SyntheticParams
+from risc_estimation.synthetic_bearings import SyntheticBearings, SyntheticParams
+from risc_lab.camera import Camera, bearings_of_rays, rays_of_bearings
+from risc_lab.lab.calibration import CameraCalibration
+from risc_lab.lab.landmark_catalogue import Disc
 
 LANDMARKS = {
     "Green_pink": (2.3, 0.8, 1.5),

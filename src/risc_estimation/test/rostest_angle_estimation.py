@@ -13,8 +13,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
-from risc_control.camera import Camera
-from risc_control.lab.calibration import load_calibration
+from risc_lab.camera import Camera
+from risc_lab.lab.calibration import load_calibration
 from risc_msgs.msg import Observed_angles, Observed_rois, Risc_roi, Risc_rois
 
 PACKAGE = "risc_estimation"

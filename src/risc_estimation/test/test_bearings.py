@@ -7,8 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from risc_control.camera import Camera
-from risc_control.lab.calibration import CameraCalibration, load_calibration
 from risc_estimation.bearings import (
     RectifiedCamera,
     Region,
@@ -16,6 +14,8 @@ from risc_estimation.bearings import (
     calibration_from_info,
     make_camera,
 )
+from risc_lab.camera import Camera
+from risc_lab.lab.calibration import CameraCalibration, load_calibration
 
 LEGACY = ("risc1.yaml", "risc2.yaml", "risc3.yaml", "albatross_ardrone_front.yaml")
 PLAIN = CameraCalibration.from_intrinsics("plain", (640, 360), (600.0, 610.0), (320.0, 180.0))

@@ -11,7 +11,7 @@ import genpy  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
 from risc_estimation.ros import conversions  # noqa: E402
-from risc_estimation.states import FrameEstimate  # noqa: E402
+from risc_estimation.state_estimator import FrameEstimate  # noqa: E402
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data  # noqa: E402
 
 

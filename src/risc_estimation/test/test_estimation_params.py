@@ -7,11 +7,11 @@ import yaml
 
 pytest.importorskip("rospy")
 
-from risc_control.lab.arena import Arena  # noqa: E402
-from risc_control.ros.params import params_from_dict  # noqa: E402
 from risc_estimation.ros.params import AngleParams, NodeParams, SyntheticNodeParams  # noqa: E402
-from risc_estimation.states import ARENA_KEYS, EstimatorParams  # noqa: E402
-from risc_estimation.synthetic import SyntheticParams  # noqa: E402
+from risc_estimation.state_estimator import ARENA_KEYS, EstimatorParams  # noqa: E402
+from risc_estimation.synthetic_bearings import SyntheticParams  # noqa: E402
+from risc_lab.lab.arena import Arena  # noqa: E402
+from risc_lab.ros.params import params_from_dict  # noqa: E402
 
 CONFIG = pathlib.Path(__file__).resolve().parents[1] / "config"
 FILES = {

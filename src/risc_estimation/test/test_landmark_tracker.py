@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from risc_estimation.landmarks import LANDMARK, locate_landmark
+from risc_estimation.landmark_positions import LANDMARK, locate_landmark
 
 DISC = np.array([[0.0, 0.0, 0.17], [0.0, 0.17, 0.0], [0.0, 0.0, -0.17], [0.0, -0.17, 0.0]])
 CENTRE = np.array([2.0, -1.0, 1.2])

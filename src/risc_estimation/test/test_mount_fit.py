@@ -9,8 +9,6 @@ import pytest
 from mount_flight import everything, fly, hovering, noisy, with_wrong_ones
 from scipy.spatial.transform import Rotation
 
-from risc_control.camera import Camera, rotation_camera_to_body
-from risc_control.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT, CameraMount, load_calibration, load_mount
 from risc_estimation.mount_fit import (
     FitParams,
     Samples,
@@ -21,6 +19,8 @@ from risc_estimation.mount_fit import (
     right_ones,
     root_mean_square,
 )
+from risc_lab.camera import Camera, rotation_camera_to_body
+from risc_lab.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT, CameraMount, load_calibration, load_mount
 
 TRUE = CameraMount((0.18, 0.02, -0.03), math.radians(2.0), math.radians(6.0), math.radians(-4.0))
 ANGLE_MAX_DEG, POSITION_MAX_M = 0.2, 0.01  # what the tuner promises

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from mount_flight import T0_S
 
-from risc_control.frames import rotation_body_to_cortex
 from risc_estimation.mount_samples import BearingWindow, WindowParams
+from risc_lab.frames import rotation_body_to_cortex
 
 PLACES = {"green": (2.0, 0.0, 1.0), "pink": (2.0, 1.0, 1.0)}
 AHEAD = {"green": (0.0, 0.0)}

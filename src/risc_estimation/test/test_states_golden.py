@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from golden.make_states import BODIES, LANDMARKS, LISTED, VARIANTS, from_grid
 
-from risc_control.lab.templates import load_templates
-from risc_estimation.states import StatesEstimator
+from risc_estimation.state_estimator import StatesEstimator
+from risc_lab.lab.templates import load_templates
 
 GOLDEN = np.load(pathlib.Path(__file__).parent / "golden" / "states.npz")
 UNCOMPILED_FRAMES = 160

@@ -11,12 +11,12 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
-from risc_control.lab.fleet import fleet_from_dict
-from risc_control.ros.diagnostics import make_updater
-from risc_control.ros.fleet_messages import CortexArrays
-from risc_control.ros.paced import PacedSubscriber
 from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
+from risc_lab.lab.fleet import fleet_from_dict
+from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.direct_connection import send_directly
+from risc_lab.ros.fleet_messages import CortexArrays
+from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.ticker import Ticker
 
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014

@@ -19,17 +19,17 @@ import yaml
 from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import MarkerArray
 
-from risc_control.camera import rotation_camera_to_body
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import FRONT_MOUNT, load_mount
-from risc_control.lab.yaml_reader import package_file
 from risc_control.trajectories import make_course
-from risc_experiments.orbit_view import load_config, marker_topics, orbit_view_from_dict, picture_config, saved_view
-from risc_experiments.virtual_screen import VirtualScreen, missing_programs, save_picture
+from risc_lab.camera import rotation_camera_to_body
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import FRONT_MOUNT, load_mount
+from risc_lab.lab.yaml_reader import package_file
 from risc_msgs.msg import Cortex, Landmark, Landmarks, Observed_angles, States
-from risc_visual.landmark_config import load_landmarks
-from risc_visual.palette import ray_colours
-from risc_visual.ros.mount_marker import VIEW_M
+from risc_visual.drawing.palette import ray_colours
+from risc_visual.pictures.orbit_view import load_config, marker_topics, orbit_view_from_dict, picture_config, saved_view
+from risc_visual.pictures.virtual_screen import VirtualScreen, missing_programs, save_picture
+from risc_visual.tuner.ros.mount_marker import VIEW_M
+from risc_visual.vision.landmark_config import load_landmarks
 
 PACKAGE = "risc_experiments"
 NAME = "tuner_by_mouse"

@@ -13,10 +13,11 @@ import yaml
 from data_extraction.progress import Progress
 from data_extraction.report.__main__ import make
 from data_extraction.report.origin import parameter_hash, read_beside
-from risc_control.lab import load_fleet
-from risc_experiments.flight_record import plain, revision, write_flight, write_parameters
+from risc_experiments.flight_record import plain, write_flight, write_parameters
 from risc_experiments.fly import arguments
 from risc_experiments.report import make_report
+from risc_lab.lab import load_fleet
+from risc_lab.revision import revision
 from risc_msgs.msg import Cortex, States
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]

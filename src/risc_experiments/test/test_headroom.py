@@ -11,8 +11,8 @@ import types
 
 import pytest
 
-from risc_control.safety import SafetyLimits
-from risc_estimation.states import EstimatorParams
+from risc_control.failsafe import SafetyLimits
+from risc_estimation.state_estimator import EstimatorParams
 from risc_experiments import fly, headroom
 from risc_experiments.headroom import judge, next_rate_hz, want_of_time
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from risc_control.guidance import GuidanceController, GuidanceParams
-from risc_control.lab import load_templates
-from risc_control.reference import ReferenceBuffer
-from risc_control.states import S, States
+from risc_control.pursuit_reference import TargetParams, VirtualTarget
+from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.trajectory_manager import Phase, make_manager
-from risc_control.virtual_target import TargetParams, VirtualTarget
-from risc_estimation.states import StatesEstimator
+from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments import offline
+from risc_lab.lab import load_templates
+from risc_lab.states import S, States
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.world import World
 

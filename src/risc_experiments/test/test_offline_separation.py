@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import yaml
 
-from risc_control.safety import SafetyLimits
+from risc_control.failsafe import SafetyLimits
 from risc_control.separation import Separation
-from risc_control.states import S
 from risc_control.trajectories import COURSES, make_course, minimum_separation
 from risc_control.trajectory_manager import make_manager
 from risc_experiments.fleets import default_fleet
 from risc_experiments.offline import Flight, Loss, fly, fly_all
+from risc_lab.states import S
 
 LIMITS = SafetyLimits()
 OFF = {"separation_m": 0.0}

@@ -7,8 +7,8 @@ import psutil
 import pytest
 
 from risc_experiments import processor_use
-from risc_experiments.processes import MARK
 from risc_experiments.processor_use import ProcessorUse, program_name
+from risc_lab.ros.launching import MARK
 
 
 class Process:

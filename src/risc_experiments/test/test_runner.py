@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import yaml
 
-from data_extraction.flight import Flight, Mocap, VehicleFlight
+from data_extraction.flight_metrics import Flight, Mocap, VehicleFlight
 from data_extraction.progress import Progress
-from risc_control.lab import Arena, generated_fleet, load_fleet
+from risc_experiments.flight_progress import flight_detail
 from risc_experiments.fly import FlightError, WebPage, arguments, launch_arguments, longest_s, prepare_fleet
 from risc_experiments.judge import judge
 from risc_experiments.operator import OperatorParams, time_limit_s
-from risc_experiments.processes import MARK, PortReservation, free_tcp_port, marked_processes, wait_until
-from risc_experiments.progress import flight_detail
+from risc_lab.lab import Arena, generated_fleet, load_fleet
+from risc_lab.ros.launching import MARK, PortReservation, free_tcp_port, marked_processes, wait_until
 
 
 def vehicle(**changes):
@@ -91,7 +91,7 @@ def test_no_launch_outlives_the_program_that_started_it(tmp_path):
     pytest.importorskip("roslaunch")
     (tmp_path / "empty.launch").write_text("<launch/>")
     script = """import sys, time
-from risc_experiments.processes import Launch
+from risc_lab.ros.launching import Launch
 launch = Launch(sys.argv[1] + "/empty.launch", {}, sys.argv[1], int(sys.argv[2]))
 print(launch.identity, flush=True)
 time.sleep(60.0)"""

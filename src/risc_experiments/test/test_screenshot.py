@@ -13,10 +13,11 @@ from std_msgs.msg import String
 from data_extraction.bags import Bag
 from data_extraction.progress import Progress
 from risc_experiments import screenshot
-from risc_experiments.orbit_view import has_display
-from risc_experiments.processes import any_busy
-from risc_experiments.screenshot import VIEWS, arguments, moment_of, standard_views, views_from
+from risc_experiments.screenshot import arguments
+from risc_lab.ros.launching import any_busy
 from risc_msgs.msg import Angle, Angles, Observed_angles
+from risc_visual.pictures.orbit_view import has_display
+from risc_visual.pictures.rviz_pictures import VIEWS, moment_of, standard_views, views_from
 
 T0_S = 500.0
 PATIENCE_S = 60.0

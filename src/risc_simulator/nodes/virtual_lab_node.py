@@ -9,8 +9,8 @@ import threading
 
 import rospy
 
-from risc_control.priority import VIRTUAL_LAB, raise_priority
-from risc_control.ros import low_latency
+from risc_lab.priority import VIRTUAL_LAB, raise_priority
+from risc_lab.ros import low_latency
 from risc_simulator.ros.node import VirtualLabNode
 from risc_simulator.ros.params import load_params, make_lab
 from risc_simulator.virtual_lab import summary, write_statistics

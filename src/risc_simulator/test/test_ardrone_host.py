@@ -23,8 +23,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata
-from risc_control.frames import GRAVITY_M_S2
-from risc_control.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
 from risc_simulator import ardrone_host
 from risc_simulator.ardrone_host import ArdroneHost, Ports
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint, VehicleState
@@ -45,7 +45,7 @@ def bits(value):
     return struct.unpack("<i", struct.pack("<f", value))[0]
 
 
-class Client(object):
+class Client:
     """A ground station, bytes only."""
 
     def __init__(self, host):
@@ -97,7 +97,7 @@ class Client(object):
             result.append((state, sequence, options, data))
 
 
-class Lab(object):
+class Lab:
     """One vehicle, its host and a client; run() turns the clock."""
 
     def __init__(self, vehicle, world=None, **options):
@@ -195,7 +195,7 @@ def lab():
     lab.close()
 
 
-class FakeVehicle(object):
+class FakeVehicle:
     """Records what it is told; the test sets its state and phase."""
 
     def __init__(self, phase=FlightPhase.FLYING, delay_s=0.1, **state):

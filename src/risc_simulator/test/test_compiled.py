@@ -12,7 +12,7 @@ HERE = pathlib.Path(__file__).parent
 IN_FLIGHT = """
 import sys
 import test_world
-from risc_simulator.cortex_wire import FrameEncoder
+from cortex_ros.wire import FrameEncoder
 from risc_simulator.models.mocap_cameras import MocapCameras
 
 def compiled():
@@ -55,7 +55,7 @@ def run(*arguments, **environment):
     [
         ("test_world.py", "golden or at_rest"),
         ("test_mocap_cameras.py", "as_ever"),
-        ("test_cortex_wire.py", "fast_encoder"),
+        ("../../cortex_ros/test/test_wire.py", "fast_encoder"),
     ],
 )
 def test_the_same_source_uncompiled(file, pattern):

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from risc_simulator import cortex_wire as wire
+from cortex_ros import wire
+from cortex_ros.wire import Command
 from risc_simulator.cortex_host import CortexHost, FaultPlan, LatenessHistogram
-from risc_simulator.cortex_wire import Command
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
 
 HOST = "127.88.0.1"

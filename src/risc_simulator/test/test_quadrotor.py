@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from risc_control.frames import GRAVITY_M_S2, euler_rates_from_body_rates, rotation_body_to_ned
-from risc_control.lab import AttitudeLoop, VehicleType
-from risc_simulator.models.plant import nominal_plant, stack_plants
+from risc_lab.frames import GRAVITY_M_S2, euler_rates_from_body_rates, rotation_body_to_ned
+from risc_lab.lab import AttitudeLoop, VehicleType
+from risc_simulator.models.perturbed_plant import nominal_plant, stack_plants
 from risc_simulator.models.quadrotor import U, X, advance, differentiate
 
 ARDRONE = VehicleType(

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from risc_control.camera import Camera, bearings_of_rays
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import CameraCalibration
+from risc_lab.camera import Camera, bearings_of_rays
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import CameraCalibration
 from risc_simulator.video.dataset import CALIBRATIONS, SIZE_PX
 from risc_simulator.video.renderer import NoiseTile, Renderer, light_colour, to_camera
 from risc_simulator.video.scene import (

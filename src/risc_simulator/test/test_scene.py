@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from risc_control.lab import Arena, load_fleet
-from risc_control.lab.yaml_reader import load_yaml, package_file
+from risc_lab.lab import Arena, load_fleet
+from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_simulator.video.scene import (
     Board,
     Disc,

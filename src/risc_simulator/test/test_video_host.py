@@ -14,11 +14,11 @@ import pytest
 
 from ardrone_autonomy.protocol.navdata import Navdata, Tag
 from ardrone_autonomy.protocol.video import FrameType, StreamParser
-from risc_control.camera import Camera, cortex_to_camera
-from risc_control.lab import FleetLandmark, FleetVehicle
-from risc_control.lab.calibration import FRONT_MOUNT, load_calibration
-from risc_control.lab.fleet import Fleet, MocapEndpoint
-from risc_simulator.video.station import DEFAULT_FRONT_CALIBRATION
+from risc_lab.camera import Camera, cortex_to_camera
+from risc_lab.lab import FleetLandmark, FleetVehicle
+from risc_lab.lab.calibration import FRONT_MOUNT, load_calibration
+from risc_lab.lab.fleet import Fleet, MocapEndpoint
+from risc_simulator.video.server import DEFAULT_FRONT_CALIBRATION
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import REST_HEIGHT_M
 

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import CameraMount
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import CameraMount
 from risc_simulator.video.blackboard import STATE_WIDTH, Blackboard
 from risc_simulator.video.camera_pose import camera_pose
 from risc_simulator.video.encoder import H264Encoder

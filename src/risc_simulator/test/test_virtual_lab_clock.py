@@ -5,8 +5,8 @@ import socket
 
 import pytest
 
-from risc_control.lab import FleetVehicle
-from risc_control.lab.fleet import Fleet, MocapEndpoint
+from risc_lab.lab import FleetVehicle
+from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
 from risc_simulator.virtual_lab import VirtualLab, configure_fleet
 from risc_simulator.world import FlightPhase

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_control.lab import FleetLandmark, FleetVehicle, load_templates
-from risc_control.lab.fleet import Fleet, MocapEndpoint
+from risc_lab.lab import FleetLandmark, FleetVehicle, load_templates
+from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
 from risc_simulator.models.mocap_cameras import split_bodies
 from risc_simulator.virtual_lab import VirtualLab, configure_fleet, summary
@@ -121,9 +121,10 @@ def test_stream_reaches_a_raw_client_complete_and_on_time(running, net):
 
 def test_polling_client_and_a_flight_over_at_commands(running, net):
     """Take off by REF, watch the height by polling frames: physics, radio and both hosts together."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as commands, socket.socket(
-        socket.AF_INET, socket.SOCK_DGRAM
-    ) as pilot:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as commands,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as pilot,
+    ):
         host = (net["net"] + ".0.1", 1510)
         commands.settimeout(15.0)
         commands.sendto(LIVE_MODE, host)
@@ -194,7 +195,7 @@ def test_faults_by_name(net, clock):
             try:
                 while True:
                     numbers.append(first_body(stream.recv(65536))[0])
-            except socket.timeout:
+            except TimeoutError:
                 pass
             assert 18 <= len(numbers) <= 22 and numbers[-1] == 80
         lab.lose_link("risc1", 0.5)

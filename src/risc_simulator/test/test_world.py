@@ -6,9 +6,9 @@ import pathlib
 import numpy as np
 import pytest
 
-from risc_control.frames import GRAVITY_M_S2, euler_rates_from_body_rates
-from risc_control.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
+from risc_lab.frames import GRAVITY_M_S2, euler_rates_from_body_rates
+from risc_lab.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_simulator import world as world_module
 from risc_simulator.models import ardrone_firmware as firmware
 from risc_simulator.world import REST_HEIGHT_M, FlightAction, FlightPhase, Setpoint, World

@@ -39,7 +39,7 @@ class VirtualLabTest(unittest.TestCase):
             client.sendto(FRAME_RATE_REQUEST, HOST)
             try:
                 answer = client.recv(100)
-            except socket.timeout:
+            except TimeoutError:
                 return False
         self.assertEqual(struct.unpack("<HHf", answer), (15, 4, 200.0))
         return True

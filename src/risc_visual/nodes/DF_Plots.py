@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The course's plots, live, or from the bag that is its argument. Wiring only; see risc_visual.df_plots, df_pages."""
+"""The course's plots, live, or from the bag that is its argument. See risc_visual.pictures.df_plots."""
 
 import contextlib
 import math
@@ -16,12 +16,12 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.joystick import ButtonPresses
 from risc_control.ros.joystick_buttons import origin
-from risc_control.ros.paced import PacedSubscriber
-from risc_control.ros.params import fleet_vehicles, load_params, number
+from risc_lab.ros.paced_subscriber import PacedSubscriber
+from risc_lab.ros.params import fleet_vehicles, load_params, number
 from risc_msgs.msg import Controls, Cortex, Trajectories
-from risc_visual import df_plots_bag
-from risc_visual.df_pages import PageWriter
-from risc_visual.df_plots import PLOT_BUTTON, PlotParams, Recorder
+from risc_visual.pictures import df_plots_bag
+from risc_visual.pictures.df_pages import PageWriter
+from risc_visual.pictures.df_plots import PLOT_BUTTON, PlotParams, Recorder
 from risc_visual.ros.health import Health
 
 _LOOK_S = 0.2  # how often the main thread looks whether there is something to draw, or an end

@@ -7,8 +7,8 @@ import sys
 
 import cv2
 
-from risc_control.lab.calibration import save_calibration
-from risc_visual.calibration import (
+from risc_lab.lab.calibration import save_calibration
+from risc_visual.vision.checkerboard import (
     CalibrationError,
     CalibrationParams,
     Checkerboard,
@@ -17,7 +17,7 @@ from risc_visual.calibration import (
     find_board,
     shown_board,
 )
-from risc_visual.pictures import open_pictures
+from risc_visual.vision.picture_source import open_pictures
 
 _HINT_PICTURES = 12  # in which some other board is looked for when the right one is nowhere
 
@@ -133,7 +133,7 @@ def main():
     print("wrote %s" % out)
     print(
         "Put it where the driver reads it: what `calibration` of the fleet file names (a bare name is a file in\n"
-        "risc_visual/config/cameras), without a fleet file ~/.ros/camera_info/%s.yaml" % args.name
+        "risc_lab/config/cameras), without a fleet file ~/.ros/camera_info/%s.yaml" % args.name
     )
     return 0
 

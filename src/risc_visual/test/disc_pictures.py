@@ -5,8 +5,8 @@ import math
 import cv2
 import numpy as np
 
-from risc_control.camera import Camera
-from risc_control.lab.calibration import CameraCalibration
+from risc_lab.camera import Camera
+from risc_lab.lab.calibration import CameraCalibration
 
 HSV = {"green": (66, 150, 170), "blue": (98, 150, 170), "pink": (167, 150, 200), "orange": (15, 160, 230)}
 PAINTS = {name: cv2.cvtColor(np.uint8([[hsv]]), cv2.COLOR_HSV2BGR)[0, 0].astype(float) for name, hsv in HSV.items()}

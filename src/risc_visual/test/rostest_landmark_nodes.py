@@ -22,8 +22,8 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 from disc_pictures import camera, exposed, paint_disc, wall
 
 from risc_msgs.msg import Observed_rois
-from risc_visual.colours import HsvRange
-from risc_visual.landmark_config import load_landmarks
+from risc_visual.vision.colours import HsvRange
+from risc_visual.vision.landmark_config import load_landmarks
 
 PACKAGE = "risc_visual"
 NAME = "landmark_nodes"

@@ -25,8 +25,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
 from risc_msgs.msg import Trajectories
-from risc_visual.ros import markers
-from risc_visual.scenery import load_scenery
+from risc_visual.drawing.ros import markers
+from risc_visual.drawing.scenery import load_scenery
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "live_view"
 RED = (1.0, 0.0, 0.0, 1.0)

@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CompressedImage, Image, RegionOfInterest
 
 from ardrone_autonomy.msg import Navdata
-from risc_control.pictures import picture_from_msg
+from risc_lab.images import picture_from_msg
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 
 PACKAGE = "risc_visual"

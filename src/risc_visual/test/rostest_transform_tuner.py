@@ -25,13 +25,13 @@ from visualization_msgs.msg import (
     MarkerArray,
 )
 
-from risc_control.camera import rotation_camera_to_body
-from risc_control.lab.calibration import FRONT_MOUNT, CameraMount, load_mount
-from risc_control.lab.fleet import FleetVehicle
+from risc_lab.camera import rotation_camera_to_body
+from risc_lab.lab.calibration import FRONT_MOUNT, CameraMount, load_mount
+from risc_lab.lab.fleet import FleetVehicle
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
-from risc_visual.mount_tuner import NUMBERS, MountTuner, numbers_of
-from risc_visual.ros.mount_marker import numbers_from_pose, pose_of
-from risc_visual.ros.transform_tuner import Sliders
+from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, numbers_of
+from risc_visual.tuner.ros.mount_marker import numbers_from_pose, pose_of
+from risc_visual.tuner.ros.transform_tuner import Sliders
 
 PACKAGE = "risc_visual"
 NAME = "transform_tuner_test"

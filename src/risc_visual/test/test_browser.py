@@ -1,4 +1,4 @@
-"""risc_visual.browser: the server and the scene of the page. The page in a browser: tests/test_live_view.py."""
+"""risc_visual.browser.page: the server and the scene of the page. The page in a browser: tests/test_live_view.py."""
 
 import socket
 import urllib.error
@@ -11,7 +11,8 @@ from page_client import PageClient, wait_for
 from scipy.spatial.transform import Rotation
 from websockets.exceptions import InvalidStatus
 
-from risc_visual.browser import (
+from risc_visual.browser.marker_scene import HERE, Draw, Erase, Look, Move, Placement, Shape
+from risc_visual.browser.page import (
     SHAPES,
     BrowserPanel,
     BrowserScene,
@@ -20,7 +21,6 @@ from risc_visual.browser import (
     open_server,
     text_picture,
 )
-from risc_visual.marker_scene import HERE, Draw, Erase, Look, Move, Placement, Shape
 
 GROUP = "/net/Net"
 POINTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))

@@ -12,8 +12,8 @@ from programs import run_program
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String
 
-from risc_control.pictures import PictureError
-from risc_visual.pictures import open_pictures
+from risc_lab.images import PictureError
+from risc_visual.vision.picture_source import open_pictures
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "calibrate.py"
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from camera_info_manager.calibration_file import read_calibration
-from risc_control.camera import Camera, cortex_to_camera, rotation_camera_to_body
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import load_calibration, load_mount, resolve_url
+from risc_lab.camera import Camera, cortex_to_camera, rotation_camera_to_body
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import load_calibration, load_mount, resolve_url
 
-FOLDER = pathlib.Path(__file__).resolve().parents[1] / "config" / "cameras"
+FOLDER = pathlib.Path(__file__).resolve().parents[2] / "risc_lab" / "config" / "cameras"
 MOUNTS = sorted(path.name for path in FOLDER.glob("*_mount.yaml"))
 CALIBRATIONS = sorted(path.name for path in FOLDER.glob("*.yaml") if path.name not in MOUNTS)
 
@@ -113,5 +113,5 @@ def test_mounts_put_the_camera_where_the_original_tf_did(namespace):
     assert np.allclose(ours, expected, atol=1e-6)
 
 
-def test_a_bare_name_is_a_file_of_this_package():
+def test_a_bare_name_is_a_file_of_risc_lab():
     assert resolve_url("risc1.yaml") == FOLDER / "risc1.yaml"

@@ -8,7 +8,7 @@ import roslaunch.xmlloader
 import yaml
 
 from camera_info_manager.urls import path_of
-from risc_control.lab.calibration import resolve_url
+from risc_lab.lab.calibration import resolve_url
 
 PACKAGE = pathlib.Path(__file__).resolve().parents[1]
 LAUNCH = PACKAGE.parents[1] / "launch"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from risc_visual.airframes import AIRFRAMES, PAINT, vehicle_colour
-from risc_visual.cast import Cast, Index, Pose, phases_from_text, reference_marks, rod_foot, title_text
+from risc_visual.drawing.airframes import AIRFRAMES, PAINT, vehicle_colour
+from risc_visual.drawing.cast import Cast, Index, Pose, phases_from_text, reference_marks, rod_foot, title_text
 
 NAN = float("nan")
 

@@ -8,16 +8,16 @@ import pytest
 from geometry_msgs.msg import Twist, TwistStamped, Vector3
 from std_msgs.msg import Header
 
-from risc_control.lab.fleet import FleetVehicle
-from risc_control.lab.templates import load_templates
+from risc_lab.lab.fleet import FleetVehicle
+from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
-from risc_visual.cast import Index
-from risc_visual.landmark_config import load_landmarks
-from risc_visual.ros import markers
-from risc_visual.ros.cortex_drawing import CortexDrawing
-from risc_visual.ros.params import CortexParams
-from risc_visual.ros.paths import PathDrawing
-from risc_visual.trails import TrailParams
+from risc_visual.drawing.cast import Index
+from risc_visual.drawing.ros import markers
+from risc_visual.drawing.ros.cortex_drawing import CortexDrawing
+from risc_visual.drawing.ros.params import CortexParams
+from risc_visual.drawing.ros.paths import PathDrawing
+from risc_visual.drawing.trails import TrailParams
+from risc_visual.vision.landmark_config import load_landmarks
 
 NOW_S = 100.0
 HEAD = markers.header(genpy.Time.from_sec(NOW_S))

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from risc_visual.ros.picture_node import Demand  # noqa: E402  (needs ROS)
+from risc_visual.vision.ros.picture_node import Demand  # noqa: E402  (needs ROS)
 
 PATIENCE_S = 30.0
 

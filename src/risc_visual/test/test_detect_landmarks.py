@@ -12,8 +12,8 @@ import pytest
 import yaml
 from disc_pictures import camera, exposed, paint_disc, wall
 
-from risc_control.lab.calibration import save_calibration
-from risc_control.lab.yaml_reader import package_file
+from risc_lab.lab.calibration import save_calibration
+from risc_lab.lab.yaml_reader import package_file
 
 PROGRAM = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "detect_landmarks"
 

@@ -15,12 +15,12 @@ from programs import run_program
 from std_msgs.msg import String
 
 from data_extraction.bags import BagError
-from risc_control.lab import load_fleet
-from risc_control.lab.yaml_reader import package_file
-from risc_control.ros.params import params_from_dict
+from risc_lab.lab import load_fleet
+from risc_lab.lab.yaml_reader import package_file
+from risc_lab.ros.params import params_from_dict
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
-from risc_visual.df_pages import PageWriter, file_stem, page, path_limits_m
-from risc_visual.df_plots import (
+from risc_visual.pictures.df_pages import PageWriter, file_stem, page, path_limits_m
+from risc_visual.pictures.df_plots import (
     COLUMNS,
     DESIRED_POSITION,
     POSITION,
@@ -28,7 +28,7 @@ from risc_visual.df_plots import (
     Recorder,
     full_scales_deg,
 )
-from risc_visual.df_plots_bag import plot_bag
+from risc_visual.pictures.df_plots_bag import plot_bag
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "DF_Plots.py"
 FLEET = pathlib.Path(__file__).resolve().parents[3] / "launch" / "fleets" / "ardrones3.yaml"

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from risc_visual.ellipses import (
+from risc_visual.vision.ellipses import (
     Ellipse,
     circle_centres,
     distances,

@@ -1,9 +1,9 @@
-"""risc_visual.landing: asking several at once."""
+"""risc_visual.browser.landing: asking several at once."""
 
 import threading
 import time
 
-from risc_visual.landing import ask_all
+from risc_visual.browser.landing import ask_all
 
 
 class Told:

@@ -8,9 +8,9 @@ import pytest
 import yaml
 from disc_pictures import KINDS, PAINTS, camera, exposed, paint_disc, wall
 
-from risc_control.lab.yaml_reader import package_file
-from risc_visual.landmark_config import DetectorParams, landmarks_from_dict, load_landmarks
-from risc_visual.landmarks import LandmarkDetector
+from risc_lab.lab.yaml_reader import package_file
+from risc_visual.vision.landmark_config import DetectorParams, landmarks_from_dict, load_landmarks
+from risc_visual.vision.landmark_detector import LandmarkDetector
 
 CONFIG = load_landmarks()
 

@@ -1,4 +1,4 @@
-"""risc_visual.live_status: what the panel says, with a clock that the test turns."""
+"""risc_visual.browser.live_status: what the panel says, with a clock that the test turns."""
 
 import math
 import re
@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from risc_visual.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, Mocap, Report, Vehicle
+from risc_visual.browser.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, Mocap, Report, Vehicle
 
 FLYING = 3
 

@@ -1,4 +1,4 @@
-"""risc_visual.ros.live_view: what the drawing nodes send is what the browser view takes and shows."""
+"""risc_visual.browser.ros.live_view: what the drawing nodes send is what the browser view takes and shows."""
 
 import math
 import pathlib
@@ -9,12 +9,13 @@ from geometry_msgs.msg import Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from risc_visual.airframes import AIRFRAMES
-from risc_visual.browser import SHAPES
-from risc_visual.cast import View
-from risc_visual.marker_scene import Action, Look, Placement, Shape
-from risc_visual.ros import live_view, markers
-from risc_visual.scenery import load_scenery
+from risc_visual.browser.marker_scene import Action, Look, Placement, Shape
+from risc_visual.browser.page import SHAPES
+from risc_visual.browser.ros import live_view
+from risc_visual.drawing.airframes import AIRFRAMES
+from risc_visual.drawing.cast import View
+from risc_visual.drawing.ros import markers
+from risc_visual.drawing.scenery import load_scenery
 
 CONFIG = pathlib.Path(__file__).parents[1] / "config"
 HEAD = markers.header()

@@ -1,4 +1,4 @@
-"""risc_visual.marker_scene: what is to be drawn of the markers that come in, with a clock that the test turns."""
+"""risc_visual.browser.marker_scene: what is to be drawn of the markers that come in. The test turns the clock."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from risc_visual.marker_scene import (
+from risc_visual.browser.marker_scene import (
     HERE,
     Action,
     Draw,

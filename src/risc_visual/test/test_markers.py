@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
-from risc_visual.cast import Cast, Index, Pose
-from risc_visual.rays import Ray
-from risc_visual.ros import markers
-from risc_visual.scenery import load_scenery
-from risc_visual.trails import MAX_PIECES
-from risc_visual.waypoints import Waypoint
+from risc_visual.drawing.cast import Cast, Index, Pose
+from risc_visual.drawing.rays import Ray
+from risc_visual.drawing.ros import markers
+from risc_visual.drawing.scenery import load_scenery
+from risc_visual.drawing.trails import MAX_PIECES
+from risc_visual.drawing.waypoints import Waypoint
 
 STAMP = genpy.Time(100, 5)
 HEAD = markers.header(STAMP)
@@ -114,7 +114,7 @@ def test_markers_nobody_sees_are_left_out():
 
 def test_parts_sit_where_the_body_carries_them():
     (view,) = Cast(Index()).views([Pose("Raven", True, (1.0, 2.0, 3.0), (0.3, -0.4, 2.5))])
-    from risc_control.frames import rotation_body_to_cortex
+    from risc_lab.frames import rotation_body_to_cortex
 
     R = rotation_body_to_cortex(0.3, -0.4, 2.5)
     found = markers.vehicle_markers(HEAD, [view], 1.0)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import yaml
 
-from risc_control.lab.yaml_reader import package_file
-from risc_visual.colours import HsvRange
-from risc_visual.landmark_config import load_landmarks
-from risc_visual.mask_tuning import MaskSettings, draw_mask, make_mask, save_colour
+from risc_lab.lab.yaml_reader import package_file
+from risc_visual.vision.colours import HsvRange
+from risc_visual.vision.landmark_config import load_landmarks
+from risc_visual.vision.mask_tuning import MaskSettings, draw_mask, make_mask, save_colour
 
 PAINT = HsvRange((170, 5), (80, 255), (40, 250))
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from risc_estimation.landmark_catalogue import LandmarkKind
-from risc_visual.colours import HsvRange
-from risc_visual.landmark_config import LandmarksConfig, load_landmarks
-from risc_visual.palette import ray_colours, sphere_colours
+from risc_lab.lab.landmark_catalogue import LandmarkKind
+from risc_visual.drawing.palette import ray_colours, sphere_colours
+from risc_visual.vision.colours import HsvRange
+from risc_visual.vision.landmark_config import LandmarksConfig, load_landmarks
 
 
 def test_spheres_of_the_laboratory_have_the_colours_of_the_original():

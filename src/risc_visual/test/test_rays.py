@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from risc_control.camera import cortex_to_camera
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import CameraMount
-from risc_control.vehicle_frames import camera_transform
 from risc_estimation.bearings import Bearing
-from risc_visual.airframes import vehicle_colour
-from risc_visual.landmark_config import load_landmarks
-from risc_visual.rays import RayParams, RayStyles, Shown, Whereabouts
+from risc_lab.camera import cortex_to_camera
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import CameraMount
+from risc_lab.vehicle_frames import camera_transform
+from risc_visual.drawing.airframes import vehicle_colour
+from risc_visual.drawing.rays import RayParams, RayStyles, Shown, Whereabouts
+from risc_visual.vision.landmark_config import load_landmarks
 
 LANDMARKS = load_landmarks()
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import yaml
 
-from risc_control.lab.arena import Arena
-from risc_control.lab.yaml_reader import package_file
-from risc_visual.scenery import load_scenery, scenery_from_dict
+from risc_lab.lab.arena import Arena
+from risc_lab.lab.yaml_reader import package_file
+from risc_visual.drawing.scenery import load_scenery, scenery_from_dict
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def test_walls_are_those_of_the_original(scenery):
 
 
 def test_a_file_may_have_a_net_of_its_own():
-    assert set(content()["net"]) == {"thickness_m"}, "the laboratory's is that of risc_control.lab.arena"
+    assert set(content()["net"]) == {"thickness_m"}, "the laboratory's is that of risc_lab.lab.arena"
     changed = content()
     changed["net"].update(half_x_m=4.0)
     net = scenery_from_dict(changed).net

@@ -5,10 +5,10 @@ import dataclasses
 import pytest
 
 from risc_visual.cfg import DenseFlowConfig, EdgesConfig, MaskTunerConfig, SegmentationConfig
-from risc_visual.mask_tuning import MaskSettings
-from risc_visual.templates.edges import EdgeSettings
-from risc_visual.templates.optical_flow import DenseSettings
-from risc_visual.templates.segmentation import SegmentationSettings
+from risc_visual.vision.mask_tuning import MaskSettings
+from risc_visual.vision.templates.edges import EdgeSettings
+from risc_visual.vision.templates.optical_flow import DenseSettings
+from risc_visual.vision.templates.segmentation import SegmentationSettings
 
 PAIRS = [(EdgesConfig, EdgeSettings), (DenseFlowConfig, DenseSettings), (SegmentationConfig, SegmentationSettings)]
 

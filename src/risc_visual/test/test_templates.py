@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from matplotlib import cbook
 
-from risc_visual.templates import optical_flow as flow
-from risc_visual.templates.camshift import CamshiftSettings, CamshiftTracker
-from risc_visual.templates.drawing import Region, draw_crosshair, draw_overlay, draw_region
-from risc_visual.templates.edges import EdgeSettings, find_edges
-from risc_visual.templates.faces import FaceFinder, FaceSettings
-from risc_visual.templates.segmentation import (
+from risc_visual.vision.templates import optical_flow as flow
+from risc_visual.vision.templates.camshift import CamshiftSettings, CamshiftTracker
+from risc_visual.vision.templates.drawing import Region, draw_crosshair, draw_overlay, draw_region
+from risc_visual.vision.templates.edges import EdgeSettings, find_edges
+from risc_visual.vision.templates.faces import FaceFinder, FaceSettings
+from risc_visual.vision.templates.segmentation import (
     BLACK,
     WHITE,
     SegmentationSettings,
@@ -23,8 +23,8 @@ from risc_visual.templates.segmentation import (
     mask_of_bins,
     paint,
 )
-from risc_visual.templates.shapes import ShapeSettings, draw_shapes, find_shapes
-from risc_visual.templates.vertical import RollHistory, level
+from risc_visual.vision.templates.shapes import ShapeSettings, draw_shapes, find_shapes
+from risc_visual.vision.templates.vertical import RollHistory, level
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from risc_visual.trails import MAX_PIECES, PIECE_POINTS, Trail, TrailParams
+from risc_visual.drawing.trails import MAX_PIECES, PIECE_POINTS, Trail, TrailParams
 
 TURNS = 25
 

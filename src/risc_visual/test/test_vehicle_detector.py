@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
-from risc_control.lab.yaml_reader import package_file
-from risc_visual.vehicles import VehicleDetector, VehicleParams, load_vehicles, vehicles_from_dict
+from risc_lab.lab.yaml_reader import package_file
+from risc_visual.vision.vehicle_detector import VehicleDetector, VehicleParams, load_vehicles, vehicles_from_dict
 
 CONFIG = load_vehicles()
 NAMES = ("risc1", "risc2", "risc3", "risc4")  # red_yellow, violet_lime, lime_red, yellow_violet

@@ -3,13 +3,13 @@
 import pytest
 import yaml
 
-from risc_control.lab.yaml_reader import package_file
-from risc_control.ros.params import params_from_dict
 from risc_estimation.mount_fit import FitParams
 from risc_estimation.mount_samples import WindowParams
-from risc_visual.mount_tuner import TunerParams
-from risc_visual.rays import RayParams
-from risc_visual.ros.params import AngleParams, ArenaParams, CortexParams, TrajectoryParams, WaypointParams
+from risc_lab.lab.yaml_reader import package_file
+from risc_lab.ros.params import params_from_dict
+from risc_visual.drawing.rays import RayParams
+from risc_visual.drawing.ros.params import AngleParams, ArenaParams, CortexParams, TrajectoryParams, WaypointParams
+from risc_visual.tuner.mount_tuner import TunerParams
 
 FILES = {
     "draw_risc_maap": (ArenaParams,),

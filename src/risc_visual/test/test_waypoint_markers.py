@@ -10,12 +10,12 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from risc_msgs.msg import Cortex, States, Waypoint, Waypoints
-from risc_visual.cast import Index
-from risc_visual.ros import markers
+from risc_visual.drawing.cast import Index
+from risc_visual.drawing.ros import markers
+from risc_visual.drawing.ros.params import WaypointParams
+from risc_visual.drawing.ros.waypoint_drawing import WaypointDrawing
+from risc_visual.drawing.trails import MAX_PIECES
 from risc_visual.ros.conversions import waypoints_from_msg
-from risc_visual.ros.params import WaypointParams
-from risc_visual.ros.waypoint_drawing import WaypointDrawing
-from risc_visual.trails import MAX_PIECES
 
 HEAD = markers.header()
 NAN = float("nan")

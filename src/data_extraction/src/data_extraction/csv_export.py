@@ -42,9 +42,10 @@ class CsvTopic:
         if self._header_written == self._columns:
             return
         complete = self.path.with_suffix(".csv.tmp")
-        with self.path.open(newline="", encoding="utf-8") as old, complete.open(
-            "w", newline="", encoding="utf-8"
-        ) as new:
+        with (
+            self.path.open(newline="", encoding="utf-8") as old,
+            complete.open("w", newline="", encoding="utf-8") as new,
+        ):
             writer = csv.writer(new)
             writer.writerow(self._columns)
             rows = csv.reader(old)

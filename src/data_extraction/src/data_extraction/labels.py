@@ -10,9 +10,9 @@ import numpy as np
 from data_extraction.bags import Bag, BagError
 from data_extraction.flatten import seconds
 from data_extraction.surroundings import Surroundings, is_bottom, namespace_of
-from risc_control.pictures import MESSAGES, picture_from_msg
 from risc_estimation.bearings import make_camera
-from risc_estimation.sight import LANDMARK, Observer, look
+from risc_estimation.expected_bearings import LANDMARK, Observer, look
+from risc_lab.images import MESSAGES, picture_from_msg
 
 PICTURES = ("image_raw", "image_rect_color")
 _COMPRESSED = "/compressed"
@@ -58,7 +58,7 @@ class LabelResult:
 def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None):
     """Write the pictures of a bag and one labels.json into a folder. Returns LabelResult.
 
-    fleet: risc_control.lab.Fleet, see Surroundings. topics: of the pictures; None = all that there are.
+    fleet: risc_lab.lab.Fleet, see Surroundings. topics: of the pictures; None = all that there are.
     progress: called with the number of pictures done, now and then. Raises BagError for a bag that lacks something,
     ValueError for calibrations that are not usable, OSError when the folder cannot be written.
     """

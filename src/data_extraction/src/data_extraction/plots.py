@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first)
 import numpy as np  # noqa: E402
 
-from risc_control.safety import Rung  # noqa: E402
+from risc_control.failsafe import Rung  # noqa: E402
 
 _HEIGHT_M = 2.5  # of the arena, as far as it is shown
 _MOST_POINTS = 2500  # of one line: more cannot be told apart on paper

@@ -5,7 +5,7 @@ import pathlib
 
 import numpy as np
 
-from data_extraction.flight import HOPS, percentiles_ms
+from data_extraction.flight_metrics import HOPS, percentiles_ms
 
 _MOST_PROGRAMS = 5  # that are named in the table
 

@@ -7,13 +7,13 @@ import numpy as np
 
 from data_extraction.flatten import seconds
 from data_extraction.samples import Samples
-from risc_control.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT
-from risc_control.lab.templates import load_templates
-from risc_control.vehicle_pilot import LEGACY_VEHICLES
 from risc_estimation.bearings import calibration_from_info, fleet_calibration, fleet_mount
-from risc_estimation.landmark_catalogue import load_landmark_catalogue
-from risc_estimation.sight import Hull
-from risc_estimation.tracks import PoseTrack
+from risc_estimation.expected_bearings import Hull
+from risc_estimation.pose_track import PoseTrack
+from risc_lab.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT
+from risc_lab.lab.fleet import LEGACY_VEHICLES
+from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
+from risc_lab.lab.templates import load_templates
 
 CAMERA_INFO = "/camera_info"
 LANDMARKS, MOCAP = "/states3", "/mocap_data"
@@ -26,7 +26,7 @@ class Surroundings:
     """Takes the messages of a bag one by one; afterwards it is asked."""
 
     def __init__(self, fleet=None, states_topics=("/cortex_raw",)):
-        """fleet: risc_control.lab.Fleet; None = the original laboratory's names, no calibrations.
+        """fleet: risc_lab.lab.Fleet; None = the original laboratory's names, no calibrations.
 
         states_topics: which topics say where vehicles are. Raises ValueError for calibrations, mounts, templates or a
         landmarks file that are not usable.
@@ -107,12 +107,12 @@ class Surroundings:
         return {name: np.nanmedian(rows.table(), axis=0) for name, rows in self._landmarks.items()}
 
     def discs(self, from_fleet=False):
-        """The landmarks, as a list of sight.Disc named by template. from_fleet: see `landmarks`."""
+        """The landmarks, as a list of Disc named by template. from_fleet: see `landmarks`."""
         places = self.landmarks(from_fleet)
         return [self.catalogue.disc(name, place, self._normal(name, place)) for name, place in sorted(places.items())]
 
     def hulls(self, topic, time_s, without=""):
-        """The vehicles at a time, as a list of sight.Hull; those whose pose is not known then are left out."""
+        """The vehicles at a time, as a list of Hull; those whose pose is not known then are left out."""
         hulls = []
         for name, track in self.tracks[topic].items():
             template = self._templates.get(name)

@@ -33,7 +33,7 @@ def wait_for(condition, what):
         time.sleep(0.005)
 
 
-class Driver(object):
+class Driver:
     """A driver node in its own process and namespace, with publishers and subscribers on its topics.
 
     drone: a ScriptedDrone, or {name: ScriptedDrone} for one driver of several, whose topics begin with their names.

@@ -32,7 +32,7 @@ def free_address():
     raise OSError("no loopback address with a free UDP port %d" % AT_PORT)
 
 
-class ScriptedDrone(object):
+class ScriptedDrone:
     """Start with `with`. All attributes may be read from other threads; lists only grow."""
 
     def __init__(self, address=None):

@@ -40,7 +40,7 @@ def drawing(channel, number, size_px=CODED_PX):
     return picture
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def encoded(channel=0, count=PICTURES_PER_IDR, size_px=CODED_PX, codec="libx264"):
     """Tuple of the `count` coded drawings; the first decodes by itself, the others build upon it.
 
@@ -82,7 +82,7 @@ def bar_number(rgb):
     return int(np.flatnonzero(white)[BAR_PX // 2] // BAR_PX)
 
 
-class ScriptedVideo(object):
+class ScriptedVideo:
     """Start with `with`. Films all the time, whether somebody is connected or not; attributes may be changed meanwhile.
 
     channel: function that returns 0 (front) or 1 (bottom), the camera that films.

@@ -13,7 +13,7 @@ FORWARD = Sticks(1, 0.0, -0.5, 0.0, 0.0)
 LEFT = Sticks(1, -0.5, 0.0, 0.0, 0.0)
 
 
-class Bench(object):
+class Bench:
     """A link, a clock that only moves when told, and a vehicle that answers every 5 ms."""
 
     def __init__(self, settle_s=0.0, command_timeout_s=0.0, writes=WRITES):

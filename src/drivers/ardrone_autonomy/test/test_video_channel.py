@@ -11,7 +11,7 @@ H264, MPEG4 = 4, 3
 Header = namedtuple("Header", "stream_id codec")
 
 
-class Scene(object):
+class Scene:
     """A tracker and the clock; `show` gives it the next picture."""
 
     def __init__(self, channel=FRONT):

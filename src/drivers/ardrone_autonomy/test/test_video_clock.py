@@ -11,7 +11,7 @@ LATENCY_S = 0.12
 BOOT_S = 4321.0  # our time when the aircraft's clock read 0
 
 
-class Flight(object):
+class Flight:
     """Pictures with known exposure times: radio jitter, stalls that deliver in bunches, a drifting clock."""
 
     def __init__(self, seconds, drift=0.0, jitter_s=0.02, stalls=(), seed=1, boot_s=BOOT_S, first_s=100.0):

@@ -39,7 +39,7 @@ def test_one_picture_in_one_picture_out_with_the_right_colours(packets):
     assert (decoder.decoded, decoder.errors, decoder.unusable, decoder.missing) == (len(packets), 0, 0, 0)
 
 
-class Bits(object):
+class Bits:
     """Reads bits and Exp-Golomb numbers."""
 
     def __init__(self, data):

@@ -40,7 +40,7 @@ def address():
     return free_address()
 
 
-class Viewer(object):
+class Viewer:
     """A VideoStream whose pictures and reports are kept."""
 
     def __init__(self, address, wanted=True, **options):
@@ -281,7 +281,7 @@ def test_a_switch_of_the_camera(address):
         assert viewer.stream.decoder.errors == 0
 
 
-class BurstServer(object):
+class BurstServer:
     """Sends what it is told, when it is told, to one client."""
 
     def __init__(self, address):

@@ -14,7 +14,7 @@ from ardrone_autonomy.link import DroneLink, Phase
 from ardrone_autonomy.piloting import sticks_from_velocity
 from ardrone_autonomy.settings import setup_writes, wanted_texts
 from ardrone_autonomy.udp import UdpThread
-from risc_control.lab import load_fleet
+from risc_lab.lab import load_fleet
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import REST_HEIGHT_M

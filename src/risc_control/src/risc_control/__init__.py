@@ -1,1 +1,1 @@
-"""Control of the laboratory's vehicles: frames, trajectories, flatness, LQR, vehicle mappings. Needs no ROS."""
+"""Control of vehicles: trajectories, flatness, LQR, vehicle mappings, failsafe levels. Needs no ROS."""

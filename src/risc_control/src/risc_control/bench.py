@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from risc_control.lab.vehicle_types import load_vehicle_type
-from risc_control.reference import ORDERS, ReferenceBuffer
-from risc_control.states import S, States
+from risc_control.reference_buffer import ORDERS, ReferenceBuffer
 from risc_control.tracking import FlatnessController
 from risc_control.trajectories import make_course
 from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehiclePilot, params_from_dict
+from risc_lab.lab.vehicle_types import load_vehicle_type
+from risc_lab.states import S, States
 
 FRAME_S = 0.005
 AGE_S = 0.006  # of a state when it is answered

@@ -7,8 +7,8 @@ The triple is left-handed; (7.25) needs its third entry down (errata 25), which 
 import math
 from typing import NamedTuple
 
-from risc_control.compiled import compiled
-from risc_control.frames import GRAVITY_M_S2, rotation_body_to_ned
+from risc_lab.compiled import compiled
+from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_ned
 
 MIN_UP_M_S2 = 0.3 * GRAVITY_M_S2  # a vehicle that asks for less falls, and its tilt is ill-defined
 MIN_COS_TILT = 0.5  # beyond 60 degrees no thrust holds the height: do not ask for more than twice

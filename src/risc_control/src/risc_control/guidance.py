@@ -13,9 +13,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from risc_control.reference import Axis
-from risc_control.states import S
+from risc_control.reference_buffer import Axis
 from risc_control.tracking import FlatnessController
+from risc_lab.states import S
 
 _LONGEST_STEP_S = 0.1  # out of sight: after a longer gap the pursuit begins anew, from where the vehicle is
 _AT_TARGET_M = 1e-6  # nearer than this the target is in no direction

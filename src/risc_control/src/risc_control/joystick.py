@@ -8,7 +8,7 @@ import math
 from collections import defaultdict, namedtuple
 from dataclasses import dataclass, fields
 
-from risc_control.message_age import MessageAges
+from risc_lab.message_age import MessageAges
 
 LATE_S = 0.3  # [s] a joystick message older than this when it arrives is no word of the operator of now
 CLOCK_MEMORY_S = 2.0  # [s] after a joystick's clock was set back, its messages pass for late for one to two of these

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
+from risc_lab.compiled import compiled, record
 
 ORDERS = 5  # position, velocity, acceleration, jerk, snap
 YAW_ORDERS = 3  # yaw, its rate, its acceleration

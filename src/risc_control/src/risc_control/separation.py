@@ -25,8 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
-from risc_control.states import AIRBORNE_M, S
+from risc_lab.compiled import compiled, record
+from risc_lab.states import AIRBORNE_M, S
 
 _REFERENCE_S = 0.5  # [s] a reference that much older, or newer, than the position says nothing about it
 _LEVEL_M = 0.05  # vehicles whose heights differ by less: the order of the fleet decides who is the upper one

@@ -19,12 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
-from risc_control.flatness import Acceleration, FlatInputs, flat_inputs, limit_tilt, thrust_at_tilt
-from risc_control.frames import GRAVITY_M_S2
-from risc_control.lqr import lqr_gain, with_integral
-from risc_control.mappings.ardrone import FULL_SCALE, Fractions, clipped, full_scales, to_fractions, to_inputs
-from risc_control.prediction import (
+from risc_control.delay_prediction import (
     Channel,
     CommandHistory,
     Motion,
@@ -37,8 +32,13 @@ from risc_control.prediction import (
     rows_in_force,
     steps_of,
 )
-from risc_control.reference import ORDERS, Axis, Order
-from risc_control.states import S, States
+from risc_control.flatness import Acceleration, FlatInputs, flat_inputs, limit_tilt, thrust_at_tilt
+from risc_control.lqr import lqr_gain, with_integral
+from risc_control.mappings.ardrone import FULL_SCALE, Fractions, clipped, full_scales, to_fractions, to_inputs
+from risc_control.reference_buffer import ORDERS, Axis, Order
+from risc_lab.compiled import compiled, record
+from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.states import S, States
 
 _LONGEST_STEP_S = 0.1  # of the integrators: a gap in the states must not count as error
 

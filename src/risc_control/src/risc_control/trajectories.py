@@ -16,8 +16,6 @@ from functools import cached_property
 
 import numpy as np
 
-from risc_control.compiled import compiled
-from risc_control.lab.generated import SPACING_M, rows
 from risc_control.motions import (
     BY_FUNCTION,
     HARMONIC,
@@ -31,6 +29,8 @@ from risc_control.motions import (
     new_links,
     sample_paths,
 )
+from risc_lab.compiled import compiled
+from risc_lab.lab.generated_fleet import SPACING_M, rows
 
 # Courses of chapter 6 and of the original release.
 COURSE_HEIGHT_M = 1.0

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from risc_control.motions import LINK, NO_PATHS, NO_TABLE, ORDERS, coasting, sample_fleet, standing
-from risc_control.states import AIRBORNE_M
 from risc_control.trajectories import Course, on_course
-from risc_control.ways import Home, Task, WayLimits, load, plan_ways
+from risc_control.transitions import Home, Task, WayLimits, load, plan_ways
+from risc_lab.states import AIRBORNE_M
 
 _GATHER_S = 0.3  # vehicles that become autonomous within this time start together
 _DEEPEST = 4  # blends of blends; with more orders in so short a time the next way begins at a coasting vehicle

@@ -9,6 +9,7 @@ import math
 from collections import defaultdict, deque, namedtuple
 from dataclasses import dataclass, field, fields
 
+from risc_control.failsafe import Rung, SafetyLadder, SafetyLimits, fence_of
 from risc_control.joystick import (
     CENTRED,
     CLOCK_MEMORY_S,
@@ -21,11 +22,9 @@ from risc_control.joystick import (
     parse_bool,
 )
 from risc_control.mappings.climb_rate import climb_rate_command
-from risc_control.message_age import MessageAges
-from risc_control.safety import Rung, SafetyLadder, SafetyLimits, fence_of
 from risc_control.separation import ALONE
-
-LEGACY_VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"}  # of the lab, when no fleet is loaded
+from risc_lab.lab.fleet import LEGACY_VEHICLES
+from risc_lab.message_age import MessageAges
 
 
 class FlightState(enum.IntEnum):

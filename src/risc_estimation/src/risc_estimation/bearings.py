@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.camera import Camera
-from risc_control.lab.calibration import (
+from risc_lab.camera import Camera
+from risc_lab.lab.calibration import (
     DISTORTION_MODEL,
     FRONT_MOUNT,
     CameraCalibration,

@@ -11,10 +11,10 @@ import time
 
 import numpy as np
 
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.templates import Template, load_templates
-from risc_control.states import S
-from risc_estimation.states import EstimatorParams, StatesEstimator, pack_bodies
+from risc_estimation.state_estimator import EstimatorParams, StatesEstimator, pack_bodies
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.templates import Template, load_templates
+from risc_lab.states import S
 
 RATE_HZ = 200.0
 MARKER_NOISE_M = 0.002
@@ -109,8 +109,8 @@ def messages_us(layout, frames, estimates):
 
     from std_msgs.msg import Header
 
-    from risc_control.ros.fleet_messages import MocapArrays
     from risc_estimation.ros.conversions import FRAME_ID, EstimateMessages, mocap_message
+    from risc_lab.ros.fleet_messages import MocapArrays
 
     frame, messages, seconds = MocapArrays(), EstimateMessages(), []
     for markers_m, estimate in zip(frames, estimates):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
+from risc_lab.compiled import compiled, record
 
 LIMITS = record(
     ("marker_m", float),
@@ -16,7 +16,7 @@ LIMITS = record(
     ("min_samples", int),
     ("min_span_s", float),
 )
-REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimation.states.EstimatorCounts`
+REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
     ("markers_left_out", int),
     ("misfits", int),
     ("collinear", int),

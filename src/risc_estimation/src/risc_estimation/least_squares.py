@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
+from risc_lab.compiled import compiled, record
 
 MAX_ORDER = 4
 # Weights are reused while the stamps sit this well on the pattern that the weights were made for. At 1 m/s the
@@ -89,7 +89,7 @@ def slope_noise_gain(samples, spacing_s, order=1):
     return float(np.linalg.norm(weights[1]))
 
 
-class SlidingFit(object):
+class SlidingFit:
     """Value and slope of many channels of many bodies, all sampled by the same frames.
 
     A body may miss a frame (its other samples still count, at their own times); after more than `max_gap_s`

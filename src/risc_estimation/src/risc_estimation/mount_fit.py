@@ -2,7 +2,7 @@
 
 The thesis turns six values by hand until rays and spheres meet; here least squares does it. Needs no ROS.
 
-A mount is a position t (body axes) and a rotation R, v_body = R v_camera (risc_control.camera). A landmark at w in body
+A mount is a position t (body axes) and a rotation R, v_body = R v_camera (risc_lab.camera). A landmark at w in body
 axes, w = R_body_to_cortex^T (landmark - vehicle) at the picture's exposure, lies for the camera at d = R^T (w - t) and
 should be seen along u = d / |d|. It was seen along the unit vector m. The residual is the way from m to u on the unit
 sphere: with B (2, 3) an orthonormal basis of the tangent plane at m, a = B u, s = |a|, c = m . u,
@@ -30,15 +30,15 @@ moves the mount by more, and no number here would say so.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Tuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from risc_control.camera import rotation_camera_to_body
-from risc_control.frames import euler_from_body_to_ned
-from risc_control.lab.calibration import CameraMount
+from risc_lab.camera import rotation_camera_to_body
+from risc_lab.frames import euler_from_body_to_ned
+from risc_lab.lab.calibration import CameraMount
 
 VALUES = ("x", "y", "z", "roll", "pitch", "yaw")  # position: body axes; turns: about the camera's own axes
 _SCALES_DEG = (20.0, 5.0, 1.0)  # of Cauchy's loss, one after the other
@@ -90,7 +90,7 @@ class MountFit(NamedTuple):
     right: np.ndarray  # (n,) bool: bearings that counted
     rms_rad: float  # of the angles between rays and landmarks, of those that counted
     std: np.ndarray  # (6,) standard deviations, as VALUES [m, rad]; inf: not known at all
-    warnings: Tuple[str, ...]  # sentences; empty = nothing to object to
+    warnings: tuple[str, ...]  # sentences; empty = nothing to object to
 
 
 def fit_mount(samples, start, params=None):
@@ -143,7 +143,7 @@ def ray_errors(samples, mount):
 def pixel_errors(samples, mount, camera):
     """Distances (n,) [px] in the picture between each landmark as seen and as it should be; NaN where it cannot be.
 
-    camera: risc_control.camera.Camera of the pictures that the bearings were taken from.
+    camera: risc_lab.camera.Camera of the pictures that the bearings were taken from.
     """
     seen, true = camera.project(samples.rays), camera.project(directions(samples, mount))
     return np.linalg.norm(seen - true, axis=1)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from risc_control.camera import rays_of_bearings
 from risc_estimation.mount_fit import Samples
-from risc_estimation.tracks import PoseTrack
+from risc_estimation.pose_track import PoseTrack
+from risc_lab.camera import rays_of_bearings
 from risc_lab.clock import Step
 
 
@@ -31,7 +31,7 @@ class WindowParams:
             raise ValueError("parameter 'held_out_every' must be 2 at least, got %r" % (self.held_out_every,))
 
 
-class BearingWindow(object):
+class BearingWindow:
     """Poses, landmarks and bearings of one vehicle in, Samples out. Not thread-safe."""
 
     def __init__(self, params=None):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
+from risc_lab.compiled import compiled, record
 
 MIN_MARKERS = 3
 _SWEEPS = 30  # of Jacobi's rotations; four to six are enough

@@ -15,9 +15,9 @@ import pathlib
 
 import numpy as np
 
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.templates import load_templates
-from risc_estimation.states import EstimatorParams, StatesEstimator
+from risc_estimation.state_estimator import EstimatorParams, StatesEstimator
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.templates import load_templates
 
 FRAMES, FRAME_S, NOISE_M, GRID_M = 300, 0.005, 0.002, 1e-4
 LISTED = ("fluffy_II", "albatross", "IRIS")

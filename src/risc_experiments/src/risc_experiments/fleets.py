@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from risc_control.lab import generated_fleet, load_fleet
 from risc_control.trajectories import FEW_VEHICLES, course_for_fleet
+from risc_lab.lab import generated_fleet, load_fleet
 
 _FILES = ((3, "ardrones3.yaml"), (FEW_VEHICLES, "ardrones5.yaml"))
 _ROOMS_M = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)  # from the outermost start to a generated net: the first that will do

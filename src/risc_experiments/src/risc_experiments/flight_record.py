@@ -2,19 +2,17 @@
 
 import datetime
 import platform
-import subprocess
 
 import yaml
 
 from data_extraction.report.origin import FLIGHT, PARAMETERS
-
-_GIT_PATIENCE_S = 10.0
+from risc_lab.revision import revision
 
 
 def write_flight(args, fleet, root, folder, started=None):
     """Write flight.yaml into the flight's folder. Raises OSError.
 
-    args: argparse namespace of `fly.arguments`; fleet: risc_control.lab.Fleet; root: the workspace's folder.
+    args: argparse namespace of `fly.arguments`; fleet: risc_lab.lab.Fleet; root: the workspace's folder.
     started: datetime, None = now.
     """
     started = (started or datetime.datetime.now()).astimezone()
@@ -42,14 +40,6 @@ def write_parameters(parameters, folder):
     _write(path, content, sort=False)
 
 
-def revision(root):
-    """Git revision of the workspace as text, "with changes" when it is not quite that; None when there is none."""
-    head = _git(root, "rev-parse", "--short=12", "HEAD")
-    if not head:
-        return None
-    return head + (" with changes" if _git(root, "status", "--porcelain", "--untracked-files=no") else "")
-
-
 def plain(value):
     """A value as YAML can hold it: what it does not know becomes text."""
     if isinstance(value, dict):
@@ -59,22 +49,6 @@ def plain(value):
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     return str(value)
-
-
-def _git(root, *arguments):
-    """Output of a git command; "" when there is no git or no repository."""
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(root), *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            stdin=subprocess.DEVNULL,
-            text=True,
-            timeout=_GIT_PATIENCE_S,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout.strip() if done.returncode == 0 else ""
 
 
 def _write(path, content, sort):

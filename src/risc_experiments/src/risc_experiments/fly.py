@@ -15,20 +15,20 @@ from dataclasses import replace
 
 import yaml
 
+from cortex_ros.wire import MAX_BODIES
 from data_extraction.progress import Progress
 from data_extraction.report.origin import PROCESSORS
-from risc_control.lab import load_fleet
-from risc_control.lab.calibration import load_calibration
 from risc_control.trajectories import COURSES, course_for_fleet
 from risc_experiments.fleets import default_fleet
+from risc_experiments.flight_progress import flight_detail
 from risc_experiments.flight_record import write_flight, write_parameters
 from risc_experiments.headroom import RATES_HZ, READY_S, Headroom, next_rate_hz
 from risc_experiments.operator import OperatorParams, time_limit_s
-from risc_experiments.processes import Launch, PortReservation, free_tcp_port
 from risc_experiments.processor_use import ProcessorUse
-from risc_experiments.progress import flight_detail
 from risc_experiments.report import WITH_CAMERAS, make_report
-from risc_simulator.cortex_wire import MAX_BODIES
+from risc_lab.lab import load_fleet
+from risc_lab.lab.calibration import load_calibration
+from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C

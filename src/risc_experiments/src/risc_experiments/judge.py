@@ -20,7 +20,7 @@ class Limits:
 def judge(flight, operator_result, limits=None, with_cameras=False):
     """List of reasons why the flight failed; empty when it passed.
 
-    flight: data_extraction.flight.Flight; operator_result: text of /operator/result, '' when it never came.
+    flight: data_extraction.flight_metrics.Flight; operator_result: text of /operator/result, '' when it never came.
     with_cameras: every vehicle had to measure bearings.
     """
     limits = limits or Limits()

@@ -15,18 +15,16 @@ import pathlib
 import sys
 import time
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 import numpy as np
 
 from ardrone_autonomy.link import LOST_S
+from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
-from risc_control.lab import load_templates, load_vehicle_type
-from risc_control.lab.yaml_reader import package_file
-from risc_control.reference import ReferenceBuffer
-from risc_control.safety import Rung
+from risc_control.failsafe import Rung
+from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
-from risc_control.states import S, States
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager, phase_text
@@ -38,10 +36,12 @@ from risc_control.vehicle_pilot import (
     VehiclePilot,
     params_from_dict,
 )
-from risc_estimation.states import EstimatorParams, StatesEstimator
+from risc_estimation.state_estimator import EstimatorParams, StatesEstimator
 from risc_experiments.fleets import default_fleet
 from risc_experiments.workers import in_order
-from risc_simulator.cortex_wire import FrameEncoder
+from risc_lab.lab import load_templates, load_vehicle_type
+from risc_lab.lab.yaml_reader import package_file
+from risc_lab.states import S, States
 from risc_simulator.models.ardrone_firmware import LOST_HOVER_S
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
@@ -86,8 +86,8 @@ class Flight:
     vehicles: int = 3
     seed: int = 1
     duration_s: float = 20.0  # on the course after settling
-    delay_s: Optional[float] = None  # link delay, told to the controller as nominal; None = that of the vehicle type
-    psi_rad: Optional[float] = None  # constant yaw instead of the course's own
+    delay_s: float | None = None  # link delay, told to the controller as nominal; None = that of the vehicle type
+    psi_rad: float | None = None  # constant yaw instead of the course's own
     honest: bool = True
     gusts: bool = False
     noise: bool = True  # of the cameras
@@ -96,7 +96,7 @@ class Flight:
     weights: object = None  # LqrWeights; None = the controller's defaults
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
-    loss: Optional[Loss] = None
+    loss: Loss | None = None
 
 
 class Result(NamedTuple):
@@ -376,7 +376,7 @@ def main(argv=None):
     parser.add_argument("--gusts", action="store_true")
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
     parser.add_argument("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
-    parser.add_argument("--compile", action="store_true", help="only compile what flies (see risc_control.compiled)")
+    parser.add_argument("--compile", action="store_true", help="only compile what flies (see risc_lab.compiled)")
     args = parser.parse_args(argv)
     if args.compile:
         fly(Flight(vehicles=2, gusts=True, duration_s=0.5))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import psutil
 
-from risc_experiments.processes import MARK
+from risc_lab.ros.launching import MARK
 
 _LEAST_S = 1.0  # shorter spans say nothing
 

@@ -9,9 +9,9 @@ from data_extraction.progress import bar
 from data_extraction.report import page
 from data_extraction.report.collector import ReportCollector
 from data_extraction.report.origin import read_beside
-from risc_control.lab import load_fleet, load_vehicle_type
 from risc_experiments.headroom import want_of_time
 from risc_experiments.judge import Limits, judge
+from risc_lab.lab import load_fleet, load_vehicle_type
 from risc_simulator.models.mocap_cameras import CameraParams
 
 WITH_CAMERAS = ("coop",)  # experiments that have to measure bearings

@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 
-from risc_experiments.processes import all_marked_processes, end_processes, marked_processes, send_signal, wait_until
+from risc_lab.ros.launching import all_marked_processes, end_processes, marked_processes, send_signal, wait_until
 
 FLIGHT = "risc_experiments.fly"
 VEHICLE_NODE = "controller.py __name:=joystick_controller"  # what flies a vehicle: interrupted, it lands it

@@ -10,7 +10,7 @@ from pyftpdlib.handlers import FTPHandler
 from pyftpdlib.ioloop import IOLoop
 from pyftpdlib.servers import FTPServer
 
-from risc_control.lab.yaml_reader import package_file
+from risc_lab.lab.yaml_reader import package_file
 
 MAX_SOCKETS = 16
 
@@ -19,7 +19,7 @@ _LOG.setLevel(logging.ERROR)  # who comes is said by Notices
 _LOG.addHandler(logging.NullHandler())  # else it takes a logger of its own for the first client
 
 
-class FtpServer(object):
+class FtpServer:
     """Lets anybody read the files of an aircraft (config/ardrone_ftp), and nobody write."""
 
     def __init__(self, listener, notices):

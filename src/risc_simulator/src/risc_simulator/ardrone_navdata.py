@@ -18,7 +18,7 @@ _GYRO_LSB_PER_DEG_S = 16.4
 _FLOW_PIXELS = 200.0 / 60.0  # pixels a picture for 1 m/s at 1 m height
 
 
-class Frame(object):
+class Frame:
     """All that a packet is made of.
 
     reading: Reading.   time_s: since boot.   ctrl_state: major << 16 | minor.   sticks: last obeyed Sticks.
@@ -343,7 +343,7 @@ _BUILDERS = {
 }
 
 
-class NavdataWriter(object):
+class NavdataWriter:
     """Packets with a fixed set of options.
 
     tags: options in wire order, none for bootstrap packets.  source: has sensors (ArdroneSensors) and get(key), the

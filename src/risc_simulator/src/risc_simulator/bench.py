@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
-from risc_control.lab import generated_fleet, load_templates, load_vehicle_type
+from risc_lab.lab import generated_fleet, load_templates, load_vehicle_type
 from risc_simulator.models.mocap_cameras import MocapCameras
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import FlightPhase, Setpoint, World

@@ -15,12 +15,11 @@ import socket
 import struct
 from collections import Counter, deque
 from dataclasses import dataclass, fields
-from typing import FrozenSet, Optional
 
 import numpy as np
 
-from risc_simulator import cortex_wire as wire
-from risc_simulator.cortex_wire import Command
+from cortex_ros import wire
+from cortex_ros.wire import Command
 from risc_simulator.models.mocap_cameras import MocapCameras, Observation
 from risc_simulator.notices import Notices
 from risc_simulator.socket_host import SocketHost
@@ -45,11 +44,11 @@ class FaultPlan:
     """What the host does wrong. The default is a faultless host."""
 
     silent: bool = False  # off the network: hears nothing, sends nothing
-    dropped_bodies: FrozenSet[str] = frozenset()  # bodies that frames leave out
-    hidden_bodies: FrozenSet[str] = frozenset()  # bodies whose markers are all missing
+    dropped_bodies: frozenset[str] = frozenset()  # bodies that frames leave out
+    hidden_bodies: frozenset[str] = frozenset()  # bodies whose markers are all missing
     reply_copies: int = 1  # 2: every reply comes twice; 0: none comes
     reply_delay_s: float = 0.0  # replies come late
-    reply_command: Optional[int] = None  # replies carry this command code instead of their own
+    reply_command: int | None = None  # replies carry this command code instead of their own
     cut_bytes: int = 0  # bytes that every datagram lacks at its end
     length_error: int = 0  # added to the declared payload length of every datagram
 

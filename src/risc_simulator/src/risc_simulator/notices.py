@@ -6,7 +6,7 @@ from collections import Counter
 MAX_SAID = 50  # lines of one host; the senders of a flood are as many as it likes
 
 
-class Notices(object):
+class Notices:
     """One host's.
 
     logger: of the module that speaks.  whose: name of the host, in front of every line.

@@ -3,7 +3,7 @@
 import select
 
 
-class SocketSet(object):
+class SocketSet:
     """Waits for members that have a fileno(), by epoll: a wake costs what can be read, not what is waited for.
 
     A set has a fileno() itself, which can be read when a member can: sets nest.
@@ -43,7 +43,7 @@ class SocketSet(object):
         self._epoll.close()
 
 
-class SocketHost(object):
+class SocketHost:
     """A host: on_readable(sock, now_s) of the subclass serves what comes in on the sockets of self._waiting."""
 
     def __init__(self):

@@ -28,8 +28,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from risc_control.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
-from risc_control.priority import VIRTUAL_LAB, raise_priority
+from risc_lab.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
+from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_simulator.ardrone_host import ArdroneHost
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
@@ -46,7 +46,7 @@ _LOG = logging.getLogger(__name__)
 _CAMERA_STREAM = (1000000,)  # random stream of the cameras beside the vehicles' (index, purpose)
 
 
-class VirtualLab(object):
+class VirtualLab:
     """World and hosts on one schedule. Use it from one thread; only `stop` may come from elsewhere.
 
     Raises ValueError when the fleet does not fit (unknown type, template, ...) and OSError when an address is in use.

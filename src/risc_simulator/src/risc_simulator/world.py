@@ -15,12 +15,12 @@ from collections import deque
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
-from risc_control.frames import GRAVITY_M_S2, rotation_body_to_cortex
+from risc_lab.compiled import compiled, record
+from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_cortex
 from risc_simulator.models.ardrone_firmware import ArdroneFirmware, Hold
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.models.on_board import ON_BOARD_FIELDS, hold, level_motion, trim_climb
-from risc_simulator.models.plant import draw_plant, stack_plants
+from risc_simulator.models.perturbed_plant import draw_plant, stack_plants
 from risc_simulator.models.quadrotor import QUADROTOR_FIELDS, U, X, differentiate, runge_kutta
 
 __all__ = ["Crash", "FlightAction", "FlightPhase", "Setpoint", "Vehicle", "VehicleState", "World"]
@@ -44,7 +44,7 @@ _VEHICLE = record(*QUADROTOR_FIELDS, *ON_BOARD_FIELDS, ("touches", bool))
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
 
 
-class Vehicle(object):
+class Vehicle:
     """One vehicle of the world, as hosts and studies see it."""
 
     def __init__(self, world, index, fleet_vehicle, vehicle_type, markers_m, plant, firmware):
@@ -89,7 +89,7 @@ class Vehicle(object):
         self._world._place_in_flight(self._index, position_m, yaw_rad)
 
 
-class World(object):
+class World:
     """All vehicles and landmarks. One thread at a time."""
 
     def __init__(self, fleet, vehicle_types, templates, seed=0, honest=True, gusts=False, step_s=0.005):

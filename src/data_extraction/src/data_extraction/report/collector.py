@@ -2,10 +2,9 @@
 
 import pathlib
 from dataclasses import dataclass
-from typing import Dict, List, Optional
 
-from data_extraction.bearings import ANGLES
-from data_extraction.flight import Flight, FlightCollector
+from data_extraction.bearing_errors import ANGLES
+from data_extraction.flight_metrics import Flight, FlightCollector
 from data_extraction.report.battery import Battery, BatteryCollector
 from data_extraction.report.computers import Computer, ComputerCollector
 from data_extraction.report.drops import DropCollector, Drops
@@ -16,8 +15,8 @@ from data_extraction.report.kinds import fits
 from data_extraction.report.ladder import LadderCollector, Span
 from data_extraction.report.origin import Origin
 from data_extraction.report.snapshots import Snapshot, SnapshotCollector
-from risc_control.lab.arena import Arena
-from risc_control.safety import SafetyLimits, fence_of
+from risc_control.failsafe import SafetyLimits, fence_of
+from risc_lab.lab.arena import Arena
 
 
 @dataclass
@@ -27,21 +26,21 @@ class Material:
     bag_path: pathlib.Path
     start_s: float  # time of receipt of the first message
     duration_s: float
-    topics: Dict[str, int]  # topic -> number of messages
-    types: Dict[str, str]
-    foreign: List[str]  # topics that were not read: their names are the lab's, their types are not
+    topics: dict[str, int]  # topic -> number of messages
+    types: dict[str, str]
+    foreign: list[str]  # topics that were not read: their names are the lab's, their types are not
     origin: Origin
     flight: Flight
-    drops: Optional[Drops]
-    gates: Dict[str, GateCounts]
-    computers: Dict[str, Computer]
-    ladder: Dict[str, List[Span]]
+    drops: Drops | None
+    gates: dict[str, GateCounts]
+    computers: dict[str, Computer]
+    ladder: dict[str, list[Span]]
     ladder_left_out: int
-    batteries: Dict[str, Battery]
-    margins: Dict[str, FenceMargin]
-    snapshots: List[Snapshot]
-    snapshot_notes: List[str]
-    events: List[Event]
+    batteries: dict[str, Battery]
+    margins: dict[str, FenceMargin]
+    snapshots: list[Snapshot]
+    snapshot_notes: list[str]
+    events: list[Event]
     events_left_out: int
 
     @property

@@ -3,12 +3,11 @@
 import math
 from array import array
 from dataclasses import dataclass, field, replace
-from typing import Dict, Optional
 
 import numpy as np
 
 from data_extraction.flatten import seconds
-from risc_control.lab.arena import Arena
+from risc_lab.lab.arena import Arena
 
 MOCAP, STATES = "/mocap_data", "/cortex_raw"
 CELL_M = 0.25  # side of a cell of the map
@@ -42,15 +41,15 @@ class Invisibility:
 class Drops:
     """All that was lost."""
 
-    markers: Dict[str, MarkerLoss]  # object -> its markers
-    vehicles: Dict[str, Invisibility]
+    markers: dict[str, MarkerLoss]  # object -> its markers
+    vehicles: dict[str, Invisibility]
     seen_map: np.ndarray  # (x, y) markers seen in each cell of the arena, cortex frame; see `cell_edges`
     lost_map: np.ndarray  # (x, y) markers lost there: by the object's other markers, else by its last known place
     unplaced: int  # markers lost of objects that were never seen before
     lost_places_m: np.ndarray  # (n, 2) [m] where vehicles became invisible
     frames: int  # of the stream
     gaps: int
-    longest_gap_s: Optional[float]  # None = there was no frame
+    longest_gap_s: float | None  # None = there was no frame
     silent_end_s: float  # how long before the bag's end the last frame came; a gap when it is longer than one
 
     @property
@@ -69,7 +68,7 @@ class _Watched:
     """What is remembered of a vehicle from one frame to the next."""
 
     seen: bool = False
-    lost_since_s: Optional[float] = None
+    lost_since_s: float | None = None
     totals: Invisibility = field(default_factory=Invisibility)
 
     def until(self, end_s):

@@ -1,13 +1,12 @@
 """How far every vehicle was from the net, as its loss ladder sees it: now, and where it would be a little later."""
 
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 
 from data_extraction.flatten import seconds
 from data_extraction.samples import Samples
-from risc_control.safety import SafetyLimits
+from risc_control.failsafe import SafetyLimits
 
 STATES = "/cortex_raw"
 _BLOCK_S = 0.1  # the least margin of so long is one point of the drawing
@@ -16,7 +15,7 @@ _ROWS = 50_000  # more are thinned out; the least margin of all is kept beside t
 
 @dataclass
 class FenceMargin:
-    """One vehicle's distance from the fence (risc_control.safety.SafetyLimits): positive inside."""
+    """One vehicle's distance from the fence (risc_control.failsafe.SafetyLimits): positive inside."""
 
     t_s: np.ndarray  # (n,) stamp [s] of the blocks below
     now_m: np.ndarray  # (n,) [m] least margin of the position in the block
@@ -24,7 +23,7 @@ class FenceMargin:
     limits: SafetyLimits
     least_m: float  # of the position, over everything
     least_s: float  # stamp
-    least_place_m: Tuple[float, float, float]  # cortex frame
+    least_place_m: tuple[float, float, float]  # cortex frame
     least_ahead_m: float
 
 

@@ -1,7 +1,6 @@
 """What the estimator and the mocap client refused, and why: from their counters on /diagnostics."""
 
 from dataclasses import dataclass
-from typing import Dict
 
 from data_extraction.report.diagnostics import DiagnosticsCollector
 
@@ -36,7 +35,7 @@ class GateCounts:
     """Counters of one node over the bag."""
 
     frames: int  # that it worked on
-    refused: Dict[str, int]  # counter -> how often; every gate, also those that refused nothing
+    refused: dict[str, int]  # counter -> how often; every gate, also those that refused nothing
     unknown: str = ""  # bodies without a template
 
 

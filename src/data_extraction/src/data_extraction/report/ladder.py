@@ -2,10 +2,10 @@
 
 import re
 from dataclasses import dataclass, field
-from typing import List, NamedTuple, Optional
+from typing import NamedTuple
 
 from data_extraction.report.naming import vehicle_of
-from risc_control.safety import Rung
+from risc_control.failsafe import Rung
 
 SAFETY = "/safety"
 _MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
@@ -30,8 +30,8 @@ class Span(NamedTuple):
 class _Vehicle:
     """One vehicle's rungs so far."""
 
-    text: Optional[str] = None  # of the newest message
-    rows: List[list] = field(default_factory=list)  # [begin, end, text]; end None = it lasts
+    text: str | None = None  # of the newest message
+    rows: list[list] = field(default_factory=list)  # [begin, end, text]; end None = it lasts
 
 
 class LadderCollector:

@@ -4,13 +4,12 @@ import hashlib
 import json
 import pathlib
 from dataclasses import dataclass, field
-from typing import Optional
 
 import yaml
 
-from risc_control.lab import Fleet, load_fleet
-from risc_control.safety import SafetyLimits
+from risc_control.failsafe import SafetyLimits
 from risc_control.vehicle_pilot import params_from_dict
+from risc_lab.lab import Fleet, load_fleet
 
 FLIGHT, PARAMETERS, FLEET, SUMMARY, LAB, PROCESSORS = (
     "flight.yaml",
@@ -34,8 +33,8 @@ class Origin:
     """What is known of a flight beside its bag; None or {} = nothing."""
 
     flight: dict = field(default_factory=dict)  # flight.yaml: arguments, seed, versions ...
-    parameters: Optional[dict] = None  # of the parameter server
-    fleet: Optional[Fleet] = None
+    parameters: dict | None = None  # of the parameter server
+    fleet: Fleet | None = None
     summary: dict = field(default_factory=dict)
     lab: dict = field(default_factory=dict)  # what the virtual lab counted
     processors: dict = field(default_factory=dict)  # what the programs took of the computer

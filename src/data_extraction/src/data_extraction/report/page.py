@@ -7,7 +7,7 @@ import jinja2
 
 from data_extraction import summary as summaries
 from data_extraction.report.sections import Missing, Section, all_sections
-from risc_control.lab.yaml_reader import package_file
+from risc_lab.lab.yaml_reader import package_file
 
 TEMPLATE = "templates/report.html"
 # What only the program that flew knows; a report that is made again takes it from the summary beside the bag.

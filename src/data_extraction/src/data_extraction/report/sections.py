@@ -3,18 +3,17 @@
 import base64
 import datetime
 from dataclasses import dataclass, field
-from typing import List
 
 import numpy as np
 
 from data_extraction import plots
-from data_extraction.flight import HOPS, percentiles_ms
+from data_extraction.flight_metrics import HOPS, percentiles_ms
 from data_extraction.report.drops import CELL_M, GAP_S, cell_edges
 from data_extraction.report.events import head_and_tail
 from data_extraction.report.gates import GATES
 from data_extraction.report.kinds import expected
 from data_extraction.report.naming import vehicle_of
-from risc_control.safety import Rung
+from risc_control.failsafe import Rung
 
 UNKNOWN = "unknown"
 _MOST_ROWS = 60  # of a table of events
@@ -37,8 +36,8 @@ class Table:
     """Rows of texts under a heading."""
 
     caption: str
-    columns: List[str]
-    rows: List[List[str]]
+    columns: list[str]
+    rows: list[list[str]]
     numeric: int = 1  # the columns from this one on are right-aligned
 
 
@@ -58,11 +57,11 @@ class Section:
 
     key: str  # anchor
     title: str
-    facts: List[tuple] = field(default_factory=list)  # (name, value)
-    texts: List[str] = field(default_factory=list)
-    tables: List[Table] = field(default_factory=list)
-    figures: List[Figure] = field(default_factory=list)
-    notes: List[str] = field(default_factory=list)  # after tables and figures
+    facts: list[tuple] = field(default_factory=list)  # (name, value)
+    texts: list[str] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    figures: list[Figure] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # after tables and figures
 
 
 @dataclass

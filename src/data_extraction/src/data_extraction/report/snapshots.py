@@ -1,14 +1,14 @@
 """A few pictures of every camera, with what was found in them."""
 
 from collections import OrderedDict, deque
-from typing import List, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from data_extraction.labels import PICTURES
 from data_extraction.surroundings import is_bottom, namespace_of
-from risc_control.pictures import MESSAGES, picture_from_msg
+from risc_lab.images import MESSAGES, picture_from_msg
 
 REGIONS = "/land_rois"
 _SLOTS = 3  # pictures of one camera, spread over the bag; in each slot the one in which most was found
@@ -27,7 +27,7 @@ class Snapshot(NamedTuple):
     camera: str  # front or bottom
     stamp_s: float
     jpeg: bytes
-    found: List[str]  # names of what is drawn in
+    found: list[str]  # names of what is drawn in
     has_regions: bool  # False: nobody looked at this picture
 
 

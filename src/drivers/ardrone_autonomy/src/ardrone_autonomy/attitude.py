@@ -23,7 +23,7 @@ def quaternion_xyzw(roll_rad, pitch_rad, yaw_rad):
 OdometryState = namedtuple("OdometryState", "position_m quaternion_xyzw velocity_m_s")
 
 
-class Odometry(object):
+class Odometry:
     """Position by integration of the velocity that the aircraft estimates (optical flow).
 
     Frame: x, y where the integration began, z up (height above ground); velocities x forward, y left, z up in the

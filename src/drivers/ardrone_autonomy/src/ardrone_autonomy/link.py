@@ -76,7 +76,7 @@ class _Write(Enum):
     AWAIT_CLEAR = 2
 
 
-class DroneLink(object):
+class DroneLink:
     """Connection, configuration and piloting of one vehicle.
 
     send_command, send_wake_up: functions of one bytes argument, they must not raise.

@@ -31,7 +31,7 @@ def resolve(host):
         ) from None
 
 
-class UdpThread(object):
+class UdpThread:
     """Runs a DroneLink on real sockets.
 
     address: IPv4 address of the vehicle, which has the standard ports.

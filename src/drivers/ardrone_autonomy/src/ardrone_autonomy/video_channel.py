@@ -11,7 +11,7 @@ FRONT, BOTTOM = range(CHANNELS)
 SETTLE_S = 1.0  # an order has had its effect by then, whether the stream id has shown it or not
 
 
-class CameraTracker(object):
+class CameraTracker:
     """Knows the camera of every picture. The methods may be called from different threads."""
 
     def __init__(self, channel=FRONT):

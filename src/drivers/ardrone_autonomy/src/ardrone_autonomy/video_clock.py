@@ -27,7 +27,7 @@ LEAST_STEP_S = 1e-3  # between two results: the resolution of the aircraft's clo
 _WRAP_MS = 1 << 32
 
 
-class ExposureClock(object):
+class ExposureClock:
     """Feed every picture that arrives, also those that are not shown.
 
     latency_s: from exposure to reception when nothing holds the picture up [s], >= 0.  ValueError otherwise.

@@ -26,7 +26,7 @@ def is_key(header):
     )
 
 
-class PictureDecoder(object):
+class PictureDecoder:
     """Decodes the Packets of one stream after the other; a new stream id, codec or size starts it anew."""
 
     def __init__(self):

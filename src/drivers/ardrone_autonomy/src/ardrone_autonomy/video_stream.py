@@ -44,7 +44,7 @@ Picture = namedtuple(
 )
 
 
-class VideoStream(object):
+class VideoStream:
     """Pictures of one vehicle.
 
     address: IPv4 address of the vehicle.

@@ -1,6 +1,6 @@
 """The YAML of a camera calibration, as camera_calibration and the camera drivers of ROS write and read it.
 
-risc_control.lab.calibration reads the same files, more narrowly. It is not used here: this package stands in for one of
+risc_lab.lab.calibration reads the same files, more narrowly. It is not used here: this package stands in for one of
 ROS and works in workspaces without risc_control, which itself depends on drivers that need this one.
 """
 

@@ -24,7 +24,7 @@ class CameraInfoMissingError(CameraInfoError):
     """getCameraInfo was called before loadCameraInfo, or after the name or URL has changed."""
 
 
-class CameraInfoManager(object):
+class CameraInfoManager:
     """Calibration of one camera.
 
     cname: name of the camera (letters, digits, underscores); it is written into the file, and ${NAME} in the URL.

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
 from risc_control.flatness import FlatInputs
+from risc_lab.compiled import compiled, record
 
 # What a vehicle reaches at a fraction of 1, in the NED sense.
 FULL_SCALE = record(("phi_rad", float), ("theta_rad", float), ("yaw_rate_rad_s", float))

@@ -2,7 +2,7 @@
 
 import math
 
-from risc_control.frames import GRAVITY_M_S2
+from risc_lab.frames import GRAVITY_M_S2
 
 
 def climb_rate_command(thrust_n, phi_rad, theta_rad, climb_rate_m_s, delay_s, mass_kg):

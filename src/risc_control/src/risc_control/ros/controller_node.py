@@ -9,19 +9,19 @@ import rospy
 from dynamic_reconfigure.server import Server
 from std_msgs.msg import Bool
 
-from risc_control.lab.vehicle_types import load_vehicle_type
-from risc_control.reference import ORDERS, ReferenceBuffer
-from risc_control.ros import low_latency
+from risc_control.reference_buffer import ORDERS, ReferenceBuffer
 from risc_control.ros.conversions import ControlsMessage, StatesReader
-from risc_control.ros.diagnostics import make_updater
-from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
-from risc_control.ros.paced import BUFFER_BYTES, PacedSubscriber
-from risc_control.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
-from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.tracking import LqrWeights, TrackingParams
 from risc_lab.clock import ClockGuard, Step
+from risc_lab.lab.vehicle_types import load_vehicle_type
+from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
+from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
+from risc_lab.ros.params import dataclass_from_params, limit, number, private, vehicles, warn_of_unknown
 from risc_lab.ros.ticker import Ticker
+from risc_lab.ros.until_shutdown import until_shutdown
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 _OBJECTS_WITHOUT_COMMANDS = frozenset(("Pendulum_tip",))

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from risc_control.compiled import compiled
-from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
-from risc_control.states import S, States
+from risc_lab.compiled import compiled
+from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_lab.states import S, States
 
 _RAD_PER_DEG = math.pi / 180.0
 

@@ -12,8 +12,8 @@ import rospy
 from sensor_msgs.msg import Joy
 
 from risc_control.joystick import LATE_S, ButtonPresses, button_conflict
-from risc_control.ros.params import number
 from risc_lab.ros.clock import ros_time_s
+from risc_lab.ros.params import number
 
 _CLAIMS = "/joystick_buttons/"
 _ANSWER_S = 1.0

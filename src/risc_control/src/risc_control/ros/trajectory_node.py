@@ -13,13 +13,8 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
 from risc_control.joystick import parse_bool
-from risc_control.lab.vehicle_types import load_vehicle_type
 from risc_control.ros.conversions import StatesReader, TrajectoriesMessage
-from risc_control.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_control.ros.joystick_buttons import ButtonSubscriber
-from risc_control.ros.paced import PacedSubscriber
-from risc_control.ros.params import dataclass_from_params, has_private, known_arena, number, private, vehicles
-from risc_control.ros.until_shutdown import until_shutdown
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
@@ -29,9 +24,14 @@ from risc_control.trajectories import (
     peak_yaw_rate_rad_s,
 )
 from risc_control.trajectory_manager import TrajectoryManager, make_manager, phase_text
-from risc_control.ways import WayLimits, plan_ways
+from risc_control.transitions import WayLimits, plan_ways
+from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.ros.clock import SteadyClock
+from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
+from risc_lab.ros.paced_subscriber import PacedSubscriber
+from risc_lab.ros.params import dataclass_from_params, has_private, known_arena, number, private, vehicles
 from risc_lab.ros.ticker import Ticker
+from risc_lab.ros.until_shutdown import until_shutdown
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 

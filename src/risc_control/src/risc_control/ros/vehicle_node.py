@@ -19,15 +19,9 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_control.controller_stream import ControllerStream
+from risc_control.failsafe import Rung
 from risc_control.joystick import Button
-from risc_control.lab.vehicle_types import load_vehicle_type
-from risc_control.ros import low_latency
-from risc_control.ros.diagnostics import make_updater
-from risc_control.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
-from risc_control.ros.paced import PacedSubscriber
-from risc_control.ros.params import known_fleet
-from risc_control.safety import Rung
 from risc_control.separation import ALONE, Separation
 from risc_control.vehicle_pilot import (
     OwnControl,
@@ -37,7 +31,13 @@ from risc_control.vehicle_pilot import (
     choose_vehicle,
     params_from_dict,
 )
+from risc_lab.lab.vehicle_types import load_vehicle_type
+from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
+from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_lab.ros.paced_subscriber import PacedSubscriber
+from risc_lab.ros.params import known_fleet
 from risc_lab.ros.ticker import Ticker
 
 _RAD_PER_DEG = math.radians(1.0)

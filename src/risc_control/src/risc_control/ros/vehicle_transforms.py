@@ -9,16 +9,16 @@ import rospy
 import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
-from risc_control.lab.calibration import FRONT_MOUNT, load_mount
-from risc_control.ros.paced import PacedSubscriber
-from risc_control.ros.params import fleet_vehicles, number, private, warn_of_unknown
-from risc_control.vehicle_frames import camera_transform, vehicle_frames
+from risc_lab.lab.calibration import FRONT_MOUNT, load_mount
+from risc_lab.ros.paced_subscriber import PacedSubscriber
+from risc_lab.ros.params import fleet_vehicles, number, private, warn_of_unknown
+from risc_lab.vehicle_frames import camera_transform, vehicle_frames
 from risc_msgs.msg import Cortex
 
 TIPS = ("Pendulum_tip",)  # seen by motion capture, but no vehicles
 
 
-class VehicleTransforms(object):
+class VehicleTransforms:
     """A vehicle that is not seen has no new transforms: its frames grow stale, they are never repeated as if true."""
 
     def __init__(self, mounts, exclude=TIPS):

@@ -6,14 +6,14 @@ import time
 import rospy
 from sensor_msgs.msg import CameraInfo
 
-from risc_control.ros.paced import PacedSubscriber
 from risc_estimation.bearings import calibration_from_info, fleet_calibration, make_camera
+from risc_lab.ros.paced_subscriber import PacedSubscriber
 
 _LOOK_HZ = 1.0  # camera_info comes with every picture and hardly ever changes
 _PATIENCE_S = 3.0  # the first camera_info may come after the first picture
 
 
-class VehicleCameras(object):
+class VehicleCameras:
     """Cameras by vehicle namespace. Problems are logged once each, with the cure, and listed for diagnostics."""
 
     def __init__(self, fleet, rectified, camera, default_calibration=""):

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from std_msgs.msg import Header
 
-from risc_control.compiled import compiled
-from risc_control.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
-from risc_control.states import S
+from risc_lab.compiled import compiled
+from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
+from risc_lab.states import S
 
 FRAME_ID = "cortex"
 

@@ -1,15 +1,14 @@
 """Parameters of the nodes beside those of the modules that they wire."""
 
 from dataclasses import dataclass
-from typing import Tuple
 
 
 @dataclass(frozen=True)
 class NodeParams:
     """Settings of the node around the estimator; config/states_estimation.yaml explains and holds the same values."""
 
-    vehicles: Tuple[str, ...] = ()  # vehicles that are listed before they are seen; empty = those of /fleet
-    templates_file: str = ""  # marker templates; empty = config/templates.yaml of this package
+    vehicles: tuple[str, ...] = ()  # vehicles that are listed before they are seen; empty = those of /fleet
+    templates_file: str = ""  # marker templates; empty = config/templates.yaml of risc_lab
     silence_s: float = 0.1  # [s] without frames before everything is declared invisible; 0 = never
     queue_s: float = 0.05  # [s] of frames that may wait while the node is held up; older ones are passed over
 
@@ -37,5 +36,5 @@ class AngleParams:
 class SyntheticNodeParams:
     """Settings of synthetic_angles beside those of the cameras; config/synthetic_angles.yaml holds the same values."""
 
-    vehicles: Tuple[str, ...] = ()  # templates or namespaces of those that observe; empty = the whole fleet
+    vehicles: tuple[str, ...] = ()  # templates or namespaces of those that observe; empty = the whole fleet
     default_calibration: str = ""  # calibration file of vehicles whose fleet entry names none; empty = none

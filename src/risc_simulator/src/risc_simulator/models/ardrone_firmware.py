@@ -49,7 +49,7 @@ _WAKE_EARLY_S = 1e-6  # what rounding may make of a time on the grid of steps
 _IN_FLIGHT = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING, FlightPhase.LANDING)
 
 
-class ArdroneFirmware(object):
+class ArdroneFirmware:
     """One AR.Drone's on-board logic.
 
     command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told as far as hold leaves it to them.

@@ -5,7 +5,7 @@ Axes are the aircraft's: x nose, y right, z down; pitch + nose up, roll + right 
 
 import math
 
-from risc_control.frames import GRAVITY_M_S2
+from risc_lab.frames import GRAVITY_M_S2
 
 # One standard deviation of each reading.
 ATTITUDE_NOISE_DEG = 0.05
@@ -31,7 +31,7 @@ _DEG = 180.0 / math.pi
 _BLOCK = 8192
 
 
-class _Noise(object):
+class _Noise:
     """Standard normal numbers one at a time; drawing them in blocks makes one cost some 50 ns."""
 
     def __init__(self, rng, scale):
@@ -46,7 +46,7 @@ class _Noise(object):
         return std * next(self._iterator)
 
 
-class Reading(object):
+class Reading:
     """One set of readings; see ArdroneSensors.read for units."""
 
     __slots__ = (
@@ -69,7 +69,7 @@ class Reading(object):
     )
 
 
-class ArdroneSensors(object):
+class ArdroneSensors:
     """Sensors of one vehicle.
 
     rng: numpy Generator of this vehicle.  noise: factor on all noise and biases, 0 gives exact readings.

@@ -9,12 +9,12 @@ effect off, changes nothing about the others.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Optional, Tuple
+from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.compiled import compiled
-from risc_control.lab.arena import Arena
+from risc_lab.compiled import compiled
+from risc_lab.lab.arena import Arena
 
 _FRAMES_AHEAD = 64
 
@@ -28,8 +28,8 @@ class CameraParams:
     occlusion_mean_s: float = 0.05  # [s] mean of the exponentially distributed time for which it stays lost
     ghosts_hz: float = 0.5  # [1/s] how often a reflection appears as an unidentified marker
     ghost_mean_s: float = 0.1  # [s] mean of its exponentially distributed life
-    volume_min_m: Tuple[float, float, float] = (-2.0, -2.3, 0.0)  # capture volume in which ghosts appear
-    volume_max_m: Tuple[float, float, float] = (2.0, 2.3, 2.4)
+    volume_min_m: tuple[float, float, float] = (-2.0, -2.3, 0.0)  # capture volume in which ghosts appear
+    volume_max_m: tuple[float, float, float] = (2.0, 2.3, 2.4)
 
     def __post_init__(self):
         for name in ("noise_std_m", "occlusions_per_marker_hz", "occlusion_mean_s", "ghosts_hz", "ghost_mean_s"):
@@ -63,7 +63,7 @@ class OcclusionWindow:
     body: str
     start_s: float
     end_s: float
-    markers: Optional[Tuple[int, ...]] = None  # indices in the body; None = all
+    markers: tuple[int, ...] | None = None  # indices in the body; None = all
 
     def __post_init__(self):
         if not self.start_s < self.end_s:
@@ -80,7 +80,7 @@ class Observation(NamedTuple):
     """
 
     time_s: float
-    layout: Tuple[Tuple[str, int], ...]
+    layout: tuple[tuple[str, int], ...]
     markers_m: np.ndarray
     unidentified_m: np.ndarray
 

@@ -5,7 +5,7 @@ When it runs, and with which numbers, is decided by the on-board logic of the ve
 
 import math
 
-from risc_control.compiled import compiled
+from risc_lab.compiled import compiled
 from risc_simulator.models.quadrotor import U, X
 
 ON_BOARD_FIELDS = (

@@ -14,8 +14,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from risc_control.compiled import compiled, record
-from risc_control.frames import GRAVITY_M_S2
+from risc_lab.compiled import compiled, record
+from risc_lab.frames import GRAVITY_M_S2
 
 
 class X(IntEnum):

@@ -14,7 +14,7 @@ _EARLY_S = 1e-6  # what rounding may make of the end of a slot
 _Entry = namedtuple("_Entry", "slot item must_arrive")
 
 
-class RadioLink(object):
+class RadioLink:
     """Slotted, delayed, lossy link; times in seconds on any one clock.
 
     delay_s: from the end of a slot to the arrival [s].   rate_hz: slots per second.

@@ -8,15 +8,15 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64, String
 
-from risc_control.frames import wrap_angle
-from risc_control.ros.diagnostics import make_updater
-from risc_control.ros.fleet_messages import CortexArrays
+from risc_lab.frames import wrap_angle
+from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.ticker import Ticker
 
 _DEG_PER_RAD = math.degrees(1.0)
 
 
-class VirtualLabNode(object):
+class VirtualLabNode:
     """Runs the lab in the main thread; callbacks only leave orders for it."""
 
     def __init__(self, lab):

@@ -2,7 +2,7 @@
 
 import rospy
 
-from risc_control.lab import fleet_from_dict, load_fleet
+from risc_lab.lab import fleet_from_dict, load_fleet
 from risc_simulator.virtual_lab import VirtualLab, configure_fleet
 
 # Private parameters and their defaults; "" and negative numbers leave what the fleet file says.

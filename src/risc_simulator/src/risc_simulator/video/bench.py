@@ -9,9 +9,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from risc_control.camera import Camera
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import CameraCalibration
+from risc_lab.camera import Camera
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import CameraCalibration
 from risc_simulator.video.dataset import CALIBRATIONS, SIZE_PX
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import Board, CameraPose, VehiclePose, load_style

@@ -24,7 +24,7 @@ _SLOTS = 64  # poses kept: a third of a second at 200 Hz
 Snapshot = namedtuple("Snapshot", "time_s lab_s rows")
 
 
-class Blackboard(object):
+class Blackboard:
     """Shared memory for a fleet of n vehicles. Made by the lab, attached to by the camera process."""
 
     def __init__(self, vehicle_count, fd=None):

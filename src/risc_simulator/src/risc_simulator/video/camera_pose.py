@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from risc_control.camera import rotation_camera_to_body
-from risc_control.frames import body_rates_from_euler_rates, rotation_body_to_cortex
+from risc_lab.camera import rotation_camera_to_body
+from risc_lab.frames import body_rates_from_euler_rates, rotation_body_to_cortex
 from risc_simulator.video.scene import CameraPose, VehiclePose
 
 

@@ -7,13 +7,12 @@ picture and obliqueness are drawn independently of each other.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Tuple
 
 import numpy as np
 
-from risc_control.camera import Camera
-from risc_control.frames import rotation_body_to_cortex
-from risc_control.lab.calibration import CameraCalibration
+from risc_lab.camera import Camera
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import CameraCalibration
 from risc_simulator.video.renderer import NoiseTile, Renderer, Truth, to_camera
 from risc_simulator.video.scene import CameraPose, Prop, VehiclePose, bgr_of_hsv, load_style, plane_axes
 
@@ -48,7 +47,7 @@ class Sample:
     image: np.ndarray  # (h, w, 3) uint8 BGR
     camera: Camera
     pose: CameraPose
-    truths: Tuple[Truth, ...]
+    truths: tuple[Truth, ...]
     conditions: dict  # what was drawn, plain numbers and texts: see landmark_set
 
 

@@ -11,7 +11,7 @@ MACROBLOCK_PX = 16
 KEYFRAME_PERIOD_S = 1.0
 
 
-class H264Encoder(object):
+class H264Encoder:
     """One elementary stream. A new one starts with an IDR frame that carries SPS and PPS."""
 
     def __init__(self, width_px, height_px, rate_hz, bitrate_kbit_s):

@@ -15,13 +15,13 @@ import time
 
 import cv2
 
-from risc_control.lab import fleet_from_dict, load_vehicle_type
-from risc_control.priority import set_priority
+from risc_lab.lab import fleet_from_dict, load_vehicle_type
+from risc_lab.priority import set_priority
 from risc_simulator.notices import Notices
 from risc_simulator.video.blackboard import BAD_FILES, BOTTOM, FRONT, Blackboard
 from risc_simulator.video.camera_pose import vehicle_pose
 from risc_simulator.video.scene import load_scene
-from risc_simulator.video.station import Station, bottom_eye, front_eye, seed_of
+from risc_simulator.video.server import Station, bottom_eye, front_eye, seed_of
 
 _LOG = logging.getLogger(__name__)
 _NICENESS = 5
@@ -29,7 +29,7 @@ _IDLE_S = 0.25  # longest wait while somebody watches
 _POSE_S = 0.002  # wait for the lab's next pose
 
 
-class VideoHost(object):
+class VideoHost:
     """All stations on one schedule."""
 
     def __init__(self, fleet, seed, board, listeners):

@@ -16,7 +16,7 @@ STOP_PATIENCE_S = 3.0
 START_REST_S = 5.0  # a camera process that has ended is started again after this time, not sooner
 
 
-class VideoLauncher(object):
+class VideoLauncher:
     """Video for all vehicles of one lab. Used from the lab's thread."""
 
     def __init__(self, fleet, seed, listeners):
@@ -144,7 +144,7 @@ class VideoLauncher(object):
             self._process.stdin.close()
 
 
-class VehicleVideo(object):
+class VehicleVideo:
     """The video of one vehicle, as its host sees it."""
 
     def __init__(self, launcher, index):

@@ -12,12 +12,11 @@ own motion does not blur.
 
 import math
 from dataclasses import dataclass
-from typing import Tuple
 
 import cv2
 import numpy as np
 
-from risc_control.camera import bearings_of_rays
+from risc_lab.camera import bearings_of_rays
 from risc_simulator.video.clipping import clip_polygons, clip_segments
 from risc_simulator.video.coverage import coverage
 from risc_simulator.video.scene import ImagingParams, Scene, board_layers, room_geometry
@@ -42,12 +41,12 @@ _DAYLIGHT_K = 6500.0
 
 @dataclass(frozen=True)
 class Truth:
-    """What is really to be seen of one object. Pixels as in risc_control.camera, at the middle of the exposure."""
+    """What is really to be seen of one object. Pixels as in risc_lab.camera, at the middle of the exposure."""
 
     name: str
     kind: str  # "landmark" or "vehicle"
-    centre_px: Tuple[float, float]  # image of the object's centre point: not the middle of its outline
-    box_px: Tuple[float, float, float, float]  # x0, y0, x1, y1 of the whole outline, also beyond the border
+    centre_px: tuple[float, float]  # image of the object's centre point: not the middle of its outline
+    box_px: tuple[float, float, float, float]  # x0, y0, x1, y1 of the whole outline, also beyond the border
     diameter_px: float  # least diameter: of a landmark's centre disc, of a vehicle's outline
     seen_fraction: float  # of the outline: in the picture and not hidden by something nearer
     azimuth_rad: float  # bearing of the centre in the camera's axes, + right
@@ -56,7 +55,7 @@ class Truth:
     obliqueness_rad: float  # landmark: normal to line of sight, 0 = seen from the front. Vehicle: always 0
 
 
-class NoiseTile(object):
+class NoiseTile:
     """White noise of unit deviation, larger than any picture, of which each picture takes another part."""
 
     def __init__(self, seed=0, width_px=1024, height_px=512):
@@ -64,11 +63,11 @@ class NoiseTile(object):
         self.values = rng.standard_normal((height_px, width_px, 3), dtype=np.float32)
 
 
-class Renderer(object):
+class Renderer:
     """One camera in one scene. The same arguments and the same calls give the same pictures, bit for bit."""
 
     def __init__(self, camera, scene=None, imaging=None, seed=0, noise=None):
-        """camera: risc_control.camera.Camera. scene: Scene. imaging: ImagingParams. seed: int or SeedSequence.
+        """camera: risc_lab.camera.Camera. scene: Scene. imaging: ImagingParams. seed: int or SeedSequence.
 
         noise: NoiseTile that several renderers share; None makes one. Raises ValueError for a tile that is too small.
         """
@@ -510,7 +509,7 @@ def to_camera(pose, points_m, time_s=0.0):
     return (points_m - position) @ R
 
 
-class _Layer(object):
+class _Layer:
     """Outlines of one colour. A solid's outline is the convex hull of its points in the picture.
 
     ground_bgr: colour of the layer before, when this one is painted on it: it never reaches beyond. None: on its own.
@@ -520,7 +519,7 @@ class _Layer(object):
         self.outlines, self.bgr, self.is_solid, self.ground_bgr = outlines, bgr, is_solid, ground_bgr
 
 
-class _Thing(object):
+class _Thing:
     """Something with a distance: its layers are drawn together."""
 
     def __init__(self, name, kind, centre_m, layers, outline_m=None, normal=None, centre_outline_m=None):
@@ -530,7 +529,7 @@ class _Thing(object):
         self.normal, self.centre_outline_m = normal, centre_outline_m
 
 
-class _Batch(object):
+class _Batch:
     """Layers of a picture whose coverage is computed at once."""
 
     def __init__(self, paint, weight):

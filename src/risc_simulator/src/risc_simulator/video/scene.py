@@ -6,20 +6,20 @@ Colours are BGR 0..255, written as OpenCV HSV in config/scene.yaml.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Dict, NamedTuple, Optional, Tuple, Union
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from risc_control.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
-from risc_control.lab.yaml_reader import Section, load_yaml, package_file
+from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
+from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
 
 CIRCLE_POINTS = 64  # corners of a disc's outline: area and diameter 0.16 % and 0.08 % small, which is mended below
 _CIRCLE_GAIN = math.sqrt(2.0 * math.pi / CIRCLE_POINTS / math.sin(2.0 * math.pi / CIRCLE_POINTS))  # for the true area
 _MAX_EDGE_M = 0.5  # long edges of the room are cut: a straight line is not straight in a distorted picture
 _SURFACES = ("front", "back", "left", "right", "floor")
 
-Bgr = Tuple[float, float, float]
+Bgr = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Disc:
     """A landmark: a flat two-colour disc, painted on the side that its normal points away from."""
 
     name: str
-    centre_m: Tuple[float, float, float]  # cortex frame
-    normal: Tuple[float, float, float]  # unit vector, cortex frame
+    centre_m: tuple[float, float, float]  # cortex frame
+    normal: tuple[float, float, float]  # unit vector, cortex frame
     centre_bgr: Bgr
     ring_bgr: Bgr
     centre_diameter_m: float = 0.20
@@ -61,7 +61,7 @@ class Board:
     columns: int  # inner corners
     rows: int
     square_m: float
-    centre_m: Tuple[float, float, float]  # cortex frame
+    centre_m: tuple[float, float, float]  # cortex frame
     R_board_to_cortex: np.ndarray  # (3, 3)
 
     def __post_init__(self):
@@ -107,7 +107,7 @@ class VehiclePose:
     name: str
     position_m: np.ndarray  # (3,) centre, cortex frame
     R_body_to_cortex: np.ndarray  # (3, 3); body axes: x nose, y right wing, z belly
-    colour: Optional[Union[int, str]] = None  # number or name of the hull; None: as the scene says, else the first
+    colour: int | str | None = None  # number or name of the hull; None: as the scene says, else the first
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Part(NamedTuple):
 
     points: np.ndarray
     bgr: Bgr
-    normal: Optional[np.ndarray] = None
+    normal: np.ndarray | None = None
 
     @property
     def middle(self):
@@ -176,8 +176,8 @@ class Panel:
     """A rectangle on a wall or on the floor."""
 
     surface: str  # front, back, left, right, floor
-    centre_m: Tuple[float, float]  # along the wall and up; on the floor x and y
-    size_m: Tuple[float, float]
+    centre_m: tuple[float, float]  # along the wall and up; on the floor x and y
+    size_m: tuple[float, float]
     bgr: Bgr
 
 
@@ -197,15 +197,15 @@ class RoomParams:
     light_mark_bgr: Bgr = (136.0, 132.0, 128.0)
     ceiling_bgr: Bgr = (195.0, 203.0, 205.0)
     lamp_bgr: Bgr = (246.0, 251.0, 252.0)
-    lamp_size_m: Tuple[float, float] = (1.2, 0.3)
-    wall_bgr: Dict[str, Bgr] = field(default_factory=lambda: dict.fromkeys(_SURFACES[:4], (180.0, 186.0, 190.0)))
+    lamp_size_m: tuple[float, float] = (1.2, 0.3)
+    wall_bgr: dict[str, Bgr] = field(default_factory=lambda: dict.fromkeys(_SURFACES[:4], (180.0, 186.0, 190.0)))
     skirting_bgr: Bgr = (76.0, 86.0, 90.0)
     skirting_m: float = 0.12
     net_bgr: Bgr = (89.0, 96.0, 89.0)
     net_mesh_m: float = 0.25
     post_bgr: Bgr = (62.0, 62.0, 62.0)
     post_m: float = 0.05
-    panels: Tuple[Panel, ...] = ()
+    panels: tuple[Panel, ...] = ()
     net: Arena = Arena()
 
     def around(self, net):
@@ -265,12 +265,12 @@ _IMAGING_LIMITS = {
 class Scene:
     """Everything that the cameras see apart from what moves."""
 
-    discs: Tuple[Disc, ...] = ()
+    discs: tuple[Disc, ...] = ()
     room: RoomParams = field(default_factory=RoomParams)
     hull: HullParams = field(default_factory=HullParams)
-    hull_colours: Tuple[HullColour, ...] = (HullColour("plain", (40.0, 40.0, 200.0), (40.0, 200.0, 210.0)),)
-    colour_of_vehicle: Dict[str, int] = field(default_factory=dict)  # hull by the vehicle's name
-    props: Tuple[Prop, ...] = ()
+    hull_colours: tuple[HullColour, ...] = (HullColour("plain", (40.0, 40.0, 200.0), (40.0, 200.0, 210.0)),)
+    colour_of_vehicle: dict[str, int] = field(default_factory=dict)  # hull by the vehicle's name
+    props: tuple[Prop, ...] = ()
     disc_back_bgr: Bgr = (120.0, 120.0, 120.0)
     board_white_bgr: Bgr = (225.0, 225.0, 225.0)
     board_black_bgr: Bgr = (25.0, 25.0, 25.0)
@@ -296,7 +296,7 @@ class SceneStyle:
 
     scene: Scene
     imaging: ImagingParams
-    landmark_bgr: Dict[str, Tuple[Bgr, Bgr]]  # template: centre, ring
+    landmark_bgr: dict[str, tuple[Bgr, Bgr]]  # template: centre, ring
     centre_diameter_m: float
     ring_diameter_m: float
 

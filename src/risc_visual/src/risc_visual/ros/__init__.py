@@ -1,1 +1,1 @@
-"""The ROS side of risc_visual: parameters, conversions, markers, health."""
+"""What all nodes of risc_visual share: conversions and health."""

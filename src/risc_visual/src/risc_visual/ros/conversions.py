@@ -5,8 +5,8 @@ import math
 from std_msgs.msg import Header
 
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
-from risc_visual.cast import Pose
-from risc_visual.waypoints import Waypoint
+from risc_visual.drawing.cast import Pose
+from risc_visual.drawing.waypoints import Waypoint
 
 FRAME_ID = "cortex"
 

@@ -5,7 +5,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_control.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.ticker import Ticker
 
 _SILENCE_S = 3.0

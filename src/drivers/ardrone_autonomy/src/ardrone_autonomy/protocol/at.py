@@ -228,7 +228,7 @@ def _stick(value):
     return min(1.0, max(-1.0, value)) + 0.0  # which turns -0.0 into 0.0
 
 
-class SequenceCounter(object):
+class SequenceCounter:
     """Client side: one counter shared by all commands of a socket; the first number is 1, which resets the aircraft."""
 
     def __init__(self):
@@ -327,7 +327,7 @@ def _split_arguments(text):
     return values
 
 
-class SequenceGate(object):
+class SequenceGate:
     """Aircraft side: which sequence numbers are accepted.
 
     A number that is not larger than the last accepted one is refused; 1 always resets and is accepted, and so is 0

@@ -136,7 +136,7 @@ class Field(namedtuple("Field", "name code count offset")):
     __slots__ = ()
 
 
-class Layout(object):
+class Layout:
     """One option: its fields in wire order and the value type with the same field names.
 
     required: number of leading fields that must be there.  Options grow at their end between firmware versions, so
@@ -380,7 +380,7 @@ def checksum(data):
     return sum(data) & 0xFFFFFFFF
 
 
-class Navdata(object):
+class Navdata:
     """One received packet.
 
     data: bytes.  NavdataError when the packet is unsound: short, wrong magic, an option that reaches beyond the end,
@@ -450,7 +450,7 @@ class Navdata(object):
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------
-class NavdataEncoder(object):
+class NavdataEncoder:
     """A packet with a fixed set of options, prebuilt; only what changes is written.
 
     tags: option tags in wire order; none gives a bootstrap packet of 24 bytes.

@@ -35,7 +35,7 @@ _DEFAULT_DESCRIPTIONS = {_DESCRIPTION_KEYS[k]: config.KEYS[k].default for k in _
 NO_LIMIT_MM = 100000  # altitude_max of "no limit"
 
 
-class ConfigurationStore(object):
+class ConfigurationStore:
     """All values of one aircraft.
 
     COMMON keys have one value.  APPLICATION, USER and SESSION keys have one per id; the id in force is switched by

@@ -157,7 +157,7 @@ def nal_units(payload):
 
 
 # --- aircraft side ---------------------------------------------------------------------------------------------------
-class StreamWriter(object):
+class StreamWriter:
     """Puts the pictures of one encoder into PaVE; frame number and stream position count on from picture to picture.
 
     encoded_px, display_px: (width, height).  header_bytes: 64 (firmware 2.0 and 2.1) or 68.
@@ -223,7 +223,7 @@ def _bytes_of(units, wanted):
 
 
 # --- client side -----------------------------------------------------------------------------------------------------
-class StreamParser(object):
+class StreamParser:
     """Cuts the bytes of a TCP stream into Packets, however the network has split them.
 
     A packet is handed out with its last byte: nothing waits for the next header.  Whatever is not PaVE is skipped up
@@ -313,7 +313,7 @@ class StreamParser(object):
         del self._buffer[:count]
 
 
-class FrameAssembler(object):
+class FrameAssembler:
     """Joins the packets of one picture, which some settings of the aircraft make it send in chunks or slices."""
 
     def __init__(self):

@@ -124,7 +124,7 @@ def camera_transform(parent, child, camera):
     return transform_message(parent, child, translation_m, quaternion_xyzw(*roll_pitch_yaw))
 
 
-class OptionConverter(object):
+class OptionConverter:
     """One option -> its navdata_<name> message, values as on the wire."""
 
     def __init__(self, name):

@@ -102,7 +102,7 @@ def run(drivers):
             driver.stop()
 
 
-class ArdroneDriver(object):
+class ArdroneDriver:
     """Everything of one vehicle; make it after rospy.init_node, then `start` it."""
 
     def __init__(self, tree, prefix="", is_alone=True, arguments=()):
@@ -422,7 +422,7 @@ def _frame(params, suffix):
     return frame_name(rospy.get_param(tf_prefix_key) if tf_prefix_key else "", params.frame_prefix + suffix)
 
 
-class _Telemetry(object):
+class _Telemetry:
     """The topics and tf frames that come from navdata. What nobody listens to is not computed."""
 
     def __init__(self, params, prefix):
@@ -508,7 +508,7 @@ class _Telemetry(object):
             self._tf.publish(self._camera_frames)
 
 
-class _Health(object):
+class _Health:
     """What /diagnostics says, once a second."""
 
     def __init__(self, driver, video):

@@ -113,7 +113,7 @@ def _address_argument(arguments):
     raise ParameterError("unknown arguments %r: the driver takes -ip A.B.C.D" % " ".join(arguments))
 
 
-class _Reader(object):
+class _Reader:
     """Typed access that remembers which names were asked for."""
 
     def __init__(self, tree):

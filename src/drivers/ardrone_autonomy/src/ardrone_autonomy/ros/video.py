@@ -28,7 +28,7 @@ def _advertise(name):
     )
 
 
-class Video(object):
+class Video:
     """Pictures of both cameras, and of the selected one; nothing is received while nobody listens to any of them.
 
     address: IPv4 address of the vehicle.

@@ -1,0 +1,622 @@
+"""The Cortex ethernet protocol (SDK2 family): datagrams to values and back. No sockets, no ROS.
+
+One UDP datagram is one packet: u16 command, u16 payload length, payload. Everything is little-endian and packed.
+Coordinates here are the wire's own: millimetres in the mocap frame, Euler angles in degrees. A missing marker is NaN in
+the values and 9999999.0 on the wire.
+
+Decoding is strict: every length and count is checked against the bytes that are there, and a datagram whose declared
+length differs from its real one is refused. Refusals raise MalformedPacketError. Names are opaque bytes on the wire;
+they become str as UTF-8 with surrogate escapes, so that any name survives the way in and out.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from risc_lab.compiled import compiled
+
+MISSING_MM = 9999999.0  # exact in single precision; the SDK tests x only, hosts fill all three
+MAX_DATAGRAM_BYTES = 65507  # what UDP over IPv4 can carry
+MAX_PAYLOAD_BYTES = MAX_DATAGRAM_BYTES - 4
+MAX_BODIES = 100  # size of the clients' tables
+MAX_NAME_BYTES = 127  # clients keep names in 128 bytes, terminator included
+MAX_FILE_NAME_BYTES = 255  # clients keep the capture file name in 256 bytes
+MAX_DELAY_S = 10.0  # a frame that claims to be older says nothing useful: counted as a fault, taken as 0
+
+TAG_ENCODERS, TAG_RECORDING, TAG_LENSES = 11, 12, 13
+
+
+class Command(IntEnum):
+    """Command codes of the packet header."""
+
+    HELLO_WORLD = 0
+    ARE_YOU_THERE = 1
+    HERE_I_AM = 2
+    COMMENT = 3
+    REQUEST_BODYDEFS = 10
+    BODYDEFS = 11
+    REQUEST_FRAME = 12
+    FRAME_OF_DATA = 13
+    GENERAL_REQUEST = 14
+    GENERAL_REPLY = 15
+    UNRECOGNIZED_REQUEST = 16
+    PUSH_BASEPOSITION = 17
+    UNRECOGNIZED_COMMAND = 0x5678
+
+
+class MalformedPacketError(ValueError):
+    """A datagram that breaks the protocol; the text says where."""
+
+
+class PacketTooLargeError(ValueError):
+    """Content that does not fit one datagram."""
+
+
+class Identity(NamedTuple):
+    """Who speaks: program name (at most 127 bytes) and (program id, major, minor, bugfix); id 1 is Cortex."""
+
+    name: str
+    version: tuple[int, int, int, int]
+
+
+class BodyDef(NamedTuple):
+    """Definition of one body: names in the order in which frames list the values; a root segment has parent -1."""
+
+    name: str
+    marker_names: Sequence[str]
+    segments: Sequence[tuple[str, int]] = ()
+    dof_names: Sequence[str] = ()
+
+
+class BodyDefs(NamedTuple):
+    """Answer to REQUEST_BODYDEFS."""
+
+    bodies: Sequence[BodyDef]
+    analog_channels: Sequence[str] = ()
+    force_plates: int = 0
+
+
+class BodyFrame(NamedTuple):
+    """One body in a frame.
+
+    markers_mm: (m, 3) float32, NaN rows are missing.   segments: (s, 7) float64 x, y, z [mm], ax, ay, az [deg], length
+    [mm], relative to the parent.   dofs: (d,) float64, usually degrees.
+    """
+
+    name: str
+    markers_mm: np.ndarray
+    segments: np.ndarray
+    dofs: np.ndarray
+
+
+class Samples(NamedTuple):
+    """A block of samples as it lies on the wire; the protocol does not document the order inside it.
+
+    values: analog (channels * samples,) int16; forces (plates * samples, 7) float32 x, y, z, fx, fy, fz, mz; encoders
+    (encoders * samples,) float64.
+    """
+
+    channels: int
+    samples: int
+    values: np.ndarray
+
+
+class Recording(NamedTuple):
+    """Recording status: last_frame is 0 while the recording runs."""
+
+    active: int
+    first_frame: int
+    last_frame: int
+    file_name: str
+
+
+class Frame(NamedTuple):
+    """One frame of data. What the packet does not hold is None (delay_s, encoders, recording, lenses).
+
+    unidentified_mm: (u, 3) float32.   lenses: (bodies, 2) int32 zoom, focus.   other_tags: (tag, bytes) of unknown
+    tags, in order.   faults: how many faulty optional items were dropped while decoding.
+    """
+
+    number: int
+    bodies: Sequence[BodyFrame]
+    unidentified_mm: np.ndarray
+    analog: Samples
+    forces: Samples
+    delay_s: float | None = None
+    encoders: Samples | None = None
+    recording: Recording | None = None
+    lenses: np.ndarray | None = None
+    other_tags: Sequence[tuple[int, bytes]] = ()
+    faults: int = 0
+
+
+class BasePosition(NamedTuple):
+    """A skeleton pose pushed by a client: segments (name, parent); pose (s, 7) float64 as in BodyFrame.segments."""
+
+    segments: Sequence[tuple[str, int]]
+    pose: np.ndarray
+
+
+Content = Identity | BodyDefs | Frame | BasePosition | str | bytes | None
+
+
+class Packet(NamedTuple):
+    """A decoded datagram. content by command: Identity, BodyDefs, Frame, BasePosition, str (texts), bytes (replies and
+    unknown commands), None (requests without arguments)."""
+
+    command: int
+    content: Content
+
+
+_FRAME_OF_DATA = int(Command.FRAME_OF_DATA)  # struct is slow with enumerations
+_HEADER = struct.Struct("<HH")
+_FRAME_HEAD = struct.Struct("<HHii")
+_I32 = struct.Struct("<i")
+_F32 = struct.Struct("<f")
+_I32_F32 = struct.Struct("<if")
+_TWO_I32 = struct.Struct("<ii")
+_THREE_I32 = struct.Struct("<iii")
+_IDENTITY = struct.Struct("<128s4B")
+_NO_SEGMENTS_NO_DOFS = _TWO_I32.pack(0, 0)
+_NO_ANALOG_NO_FORCES = struct.pack("<4i", 0, 0, 0, 0)
+
+
+# --- encoding -----------------------------------------------------------------------------------------------------
+
+
+def encode_packet(command, payload=b""):
+    """Header plus payload. Raises PacketTooLargeError when the payload exceeds what one datagram holds."""
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        raise PacketTooLargeError(
+            "packet %d has %d payload bytes, one datagram holds %d: send fewer bodies or markers"
+            % (command, len(payload), MAX_PAYLOAD_BYTES)
+        )
+    return _HEADER.pack(command, len(payload)) + payload
+
+
+def encode_identity(command, identity):
+    """HELLO_WORLD or HERE_I_AM."""
+    name = _text_bytes(identity.name, MAX_NAME_BYTES)
+    return encode_packet(command, _IDENTITY.pack(name, *identity.version))
+
+
+def encode_text(command, text):
+    """GENERAL_REQUEST or COMMENT."""
+    return encode_packet(command, _text(text, MAX_PAYLOAD_BYTES - 1))
+
+
+def encode_body_defs(body_defs):
+    """BODYDEFS packet. Raises ValueError when clients could not hold it, PacketTooLargeError when UDP could not."""
+    _check_body_count(len(body_defs.bodies))
+    parts = [_I32.pack(len(body_defs.bodies))]
+    for body in body_defs.bodies:
+        parts.append(_text(body.name))
+        parts.append(_names(body.marker_names))
+        parts.append(_I32.pack(len(body.segments)))
+        parts.extend(_text(name) + _I32.pack(parent) for name, parent in body.segments)
+        parts.append(_names(body.dof_names))
+    parts.append(_names(body_defs.analog_channels))
+    parts.append(_I32.pack(body_defs.force_plates))
+    return encode_packet(Command.BODYDEFS, b"".join(parts))
+
+
+def encode_frame(frame):
+    """FRAME_OF_DATA packet with every section. For a live stream of plain bodies FrameEncoder is far cheaper."""
+    _check_body_count(len(frame.bodies))
+    parts = [_TWO_I32.pack(frame.number, len(frame.bodies))]
+    for body in frame.bodies:
+        segments = np.asarray(body.segments, "<f8").reshape(-1, 7)
+        dofs = np.asarray(body.dofs, "<f8").ravel()
+        markers = _wire_markers(body.markers_mm)
+        parts += [
+            _text(body.name),
+            _I32.pack(len(markers)),
+            markers.tobytes(),
+            _I32.pack(len(segments)),
+            segments.tobytes(),
+            _I32.pack(len(dofs)),
+            dofs.tobytes(),
+        ]
+    unidentified = _wire_markers(frame.unidentified_mm)
+    parts += [
+        _I32.pack(len(unidentified)),
+        unidentified.tobytes(),
+        _samples(frame.analog, "<i2", 1),
+        _samples(frame.forces, "<f4", 7),
+    ]
+    items = []
+    if frame.encoders is not None:
+        items.append((TAG_ENCODERS, _samples(frame.encoders, "<f8", 1)))
+    items.extend(frame.other_tags)
+    if frame.recording is not None:
+        items.append((TAG_RECORDING, _recording(frame.recording)))
+    if frame.lenses is not None:
+        items.append((TAG_LENSES, np.asarray(frame.lenses, "<i4").tobytes()))
+    if frame.delay_s is not None:
+        parts.append(_I32_F32.pack(0, frame.delay_s))
+    elif items:
+        raise ValueError("tagged items follow the delay section: give the frame a delay_s")
+    for tag, data in items:
+        parts += [_TWO_I32.pack(tag, len(data)), data]
+    return encode_packet(Command.FRAME_OF_DATA, b"".join(parts))
+
+
+def encode_base_position(base):
+    """PUSH_BASEPOSITION packet (client to host), with the four spare bytes public clients append."""
+    hierarchy = _I32.pack(len(base.segments)) + b"".join(
+        _I32.pack(parent) + _text(name) for name, parent in base.segments
+    )
+    pose = np.asarray(base.pose, "<f8").reshape(len(base.segments), 7).tobytes() + bytes(4)
+    if max(len(hierarchy), len(pose)) > 0xFFFF:
+        raise PacketTooLargeError("a skeleton of %d segments does not fit one datagram" % len(base.segments))
+    return encode_packet(Command.PUSH_BASEPOSITION, _HEADER.pack(len(hierarchy), len(pose)) + hierarchy + pose)
+
+
+class FrameEncoder:
+    """Fast encoder for frames of one layout: the names and counts are laid out once, a frame only adds numbers.
+
+    layout: sequence of (body name, number of markers). mm_per_unit: of the coordinates that are given to encode().
+    Raises ValueError (too many bodies, bad name) and PacketTooLargeError when not even a frame without unidentified
+    markers fits.
+    """
+
+    def __init__(self, layout, mm_per_unit=1.0):
+        _check_body_count(len(layout))
+        self._body_count = len(layout)
+        self._mm_per_unit = mm_per_unit
+        parts, starts, size = [_FRAME_HEAD.pack(Command.FRAME_OF_DATA, 0, 0, len(layout))], [], _FRAME_HEAD.size
+        for name, count in layout:
+            head = _text(name) + _I32.pack(count)
+            starts += range(size + len(head), size + len(head) + 12 * count, 12)
+            parts += [head, bytes(12 * count), _NO_SEGMENTS_NO_DOFS]
+            size += len(head) + 12 * count + len(_NO_SEGMENTS_NO_DOFS)
+        self.marker_count = len(starts)
+        self._starts = np.array(starts, dtype=np.int64)  # where each marker lies in the packet
+        self._wire_mm = np.empty((len(starts), 3), "<f4")  # the markers as they go into the packet,
+        self._wire_bytes = self._wire_mm.view(np.uint8)  # and their bytes
+        self._end = _end_of_frame(b"")  # of a frame without unidentified markers and recording
+        self._frame = bytearray(b"".join(parts) + self._end)
+        self._packet = np.frombuffer(self._frame, np.uint8)
+        self._check_size(len(self._frame), 0)
+        _put_markers(np.empty((0, 3)), 1.0, self._starts, self._wire_mm, self._wire_bytes, self._packet)  # loads it
+
+    def encode(self, number, markers, unidentified=None, delay_s=0.0, recording=None):
+        """One FRAME_OF_DATA packet.
+
+        markers: (marker_count, 3) floats, bodies in layout order, rows that are not finite are missing.
+        unidentified: (u, 3) or None.   recording: Recording or None.
+        Returns (bytearray packet, offset of its delay), so that set_delay() can enter the delay when it is sent.
+        Raises PacketTooLargeError.
+        """
+        if markers.shape != self._wire_mm.shape:
+            raise ValueError("the layout has %d markers, got %d" % (self.marker_count, len(markers)))
+        _put_markers(markers, self._mm_per_unit, self._starts, self._wire_mm, self._wire_bytes, self._packet)
+        packet = self._frame[:]
+        tail = b""
+        if recording is not None:
+            data = _recording(recording)
+            tail = _TWO_I32.pack(TAG_RECORDING, len(data)) + data
+        if unidentified is not None and len(unidentified):
+            loose = (unidentified * self._mm_per_unit).astype("<f4").tobytes()
+            packet[-len(self._end) :] = _end_of_frame(loose)
+            self._check_size(len(packet) + len(tail), len(unidentified))
+        packet += tail
+        _FRAME_HEAD.pack_into(packet, 0, _FRAME_OF_DATA, len(packet) - 4, number, self._body_count)
+        delay_offset = len(packet) - len(tail) - 4
+        _F32.pack_into(packet, delay_offset, delay_s)
+        return packet, delay_offset
+
+    def _check_size(self, packet_bytes, loose_count):
+        if packet_bytes > MAX_DATAGRAM_BYTES:
+            raise PacketTooLargeError(
+                "a frame of %d bodies, %d markers and %d unidentified markers needs %d payload bytes, one datagram"
+                " holds %d: use fewer"
+                % (self._body_count, self.marker_count, loose_count, packet_bytes - 4, MAX_PAYLOAD_BYTES)
+            )
+
+
+def _end_of_frame(loose):
+    """End of a frame behind its bodies: unidentified markers, no analog samples, no forces, a delay of 0."""
+    return _I32.pack(len(loose) // 12) + loose + _NO_ANALOG_NO_FORCES + _I32_F32.pack(0, 0.0)
+
+
+@compiled
+def _put_markers(markers, mm_per_unit, starts, wire_mm, wire_bytes, packet):
+    """Write markers into a packet at starts, missing ones with the sentinel in every coordinate.
+
+    wire_mm (m, 3) single precision and wire_bytes (m, 12) are the same memory.
+    """
+    for k in range(len(markers)):
+        for axis in range(3):
+            wire_mm[k, axis] = mm_per_unit * markers[k, axis]
+        if not (math.isfinite(wire_mm[k, 0]) and math.isfinite(wire_mm[k, 1]) and math.isfinite(wire_mm[k, 2])):
+            wire_mm[k, 0] = wire_mm[k, 1] = wire_mm[k, 2] = MISSING_MM
+        for byte in range(12):
+            packet[starts[k] + byte] = wire_bytes[k, byte]
+
+
+def set_delay(packet, offset, delay_s):
+    """Write delay_s [s] at `offset` of a packet made by FrameEncoder.encode."""
+    _F32.pack_into(packet, offset, delay_s)
+
+
+def _check_body_count(count):
+    if count > MAX_BODIES:
+        raise ValueError("%d bodies: the protocol's clients hold %d, use fewer" % (count, MAX_BODIES))
+
+
+def _text_bytes(text, limit):
+    data = text.encode("utf-8", "surrogateescape")
+    if len(data) > limit or b"\0" in data:
+        raise ValueError("%r cannot be a name on the wire: at most %d bytes and no NUL" % (text, limit))
+    return data
+
+
+def _text(text, limit=MAX_NAME_BYTES):
+    return _text_bytes(text, limit) + b"\0"
+
+
+def _names(names):
+    return _I32.pack(len(names)) + b"".join(_text(name) for name in names)
+
+
+def _wire_markers(markers_mm):
+    """(m, 3) little-endian float32 with the sentinel in every coordinate of a row that is not finite."""
+    markers = np.array(markers_mm, "<f4").reshape(-1, 3)
+    finite = np.isfinite(markers)
+    if not finite.all():
+        markers[~finite.all(axis=1)] = MISSING_MM
+    return markers
+
+
+def _samples(block, dtype, width):
+    values = np.asarray(block.values, dtype).ravel()
+    if values.size != block.channels * block.samples * width:
+        raise ValueError(
+            "%d x %d samples of %d values announced, %d values given"
+            % (block.channels, block.samples, width, values.size)
+        )
+    return _TWO_I32.pack(block.channels, block.samples) + values.tobytes()
+
+
+def _recording(recording):
+    return _THREE_I32.pack(recording.active, recording.first_frame, recording.last_frame) + _text(
+        recording.file_name, MAX_FILE_NAME_BYTES
+    )
+
+
+# --- decoding -----------------------------------------------------------------------------------------------------
+
+
+def split_packet(datagram):
+    """(command, payload bytes) of a datagram whose declared and real lengths agree; else MalformedPacketError."""
+    if len(datagram) < 4:
+        raise MalformedPacketError("%d bytes are less than a header" % len(datagram))
+    command, length = _HEADER.unpack_from(datagram)
+    came = len(datagram) - 4
+    if length != came:
+        raise MalformedPacketError("command %d declares %d payload bytes, %d came" % (command, length, came))
+    return command, bytes(datagram[4:])
+
+
+def decode_packet(datagram):
+    """Packet of any command. Raises MalformedPacketError."""
+    command, payload = split_packet(datagram)
+    decoder = _DECODERS.get(command)
+    return Packet(command, payload if decoder is None else decoder(payload))
+
+
+def decode_identity(payload):
+    """Identity; bytes of later versions behind the 132 are ignored, a name without end is cut at 127 bytes."""
+    if len(payload) < _IDENTITY.size:
+        raise MalformedPacketError("identity of %d bytes, %d needed" % (len(payload), _IDENTITY.size))
+    name, v0, v1, v2, v3 = _IDENTITY.unpack_from(payload)
+    return Identity(_str(name[:MAX_NAME_BYTES].split(b"\0", 1)[0]), (v0, v1, v2, v3))
+
+
+def decode_text(payload):
+    """Text of a GENERAL_REQUEST or COMMENT; bytes behind the terminator are ignored."""
+    return _Reader(payload).text("text", len(payload))
+
+
+def decode_body_defs(payload):
+    """BodyDefs; bytes behind the number of force plates belong to later versions and are ignored."""
+    reader = _Reader(payload)
+    bodies = []
+    for _ in range(reader.count("bodies", 13, MAX_BODIES)):
+        name = reader.text("body name")
+        markers = reader.names("marker")
+        segments = [
+            (reader.text("segment name"), reader.i32("segment parent")) for _ in range(reader.count("segments", 5))
+        ]
+        bodies.append(BodyDef(name, markers, segments, reader.names("dof")))
+    channels = reader.names("analog channel")
+    plates = reader.i32("force plates")
+    if plates < 0:
+        raise MalformedPacketError("%d force plates" % plates)
+    return BodyDefs(bodies, channels, plates)
+
+
+def decode_frame(payload):
+    """Frame. The sections up to the forces must be sound; a faulty optional item is dropped and counted in `faults`."""
+    reader = _Reader(payload)
+    number = reader.i32("frame number")
+    bodies = []
+    for _ in range(reader.count("bodies", 13, MAX_BODIES)):
+        name = reader.text("body name")
+        markers = reader.markers("markers")
+        segments = reader.array("<f8", 7, reader.count("segments", 56)).reshape(-1, 7)
+        bodies.append(BodyFrame(name, markers, segments, reader.array("<f8", 1, reader.count("dofs", 8))))
+    unidentified = reader.markers("unidentified markers")
+    analog = reader.samples("analog", "<i2", 1)
+    forces = reader.samples("force", "<f4", 7)
+
+    delay_s, items, other_tags, faults = None, {}, [], 0
+    if reader.left > 4:
+        if reader.left < 8:
+            return Frame(number, bodies, unidentified, analog, forces, faults=1)
+        reader.i32("ignored word")
+        delay_s = reader.f32("delay")
+        if not 0.0 <= delay_s <= MAX_DELAY_S:  # also false for NaN
+            delay_s, faults = 0.0, 1
+    while reader.left > 4:
+        if reader.left < 8:
+            faults += 1
+            break
+        tag, length = reader.i32("tag"), reader.i32("tag length")
+        if not 0 <= length <= reader.left:  # nothing after it can be found any more
+            faults += 1
+            break
+        window = reader.take(length)
+        decoder = _TAG_DECODERS.get(tag)
+        if decoder is None:
+            other_tags.append((tag, window))
+            continue
+        try:
+            items[tag] = decoder(window, len(bodies))
+        except MalformedPacketError:
+            faults += 1
+    return Frame(
+        number,
+        bodies,
+        unidentified,
+        analog,
+        forces,
+        delay_s,
+        items.get(TAG_ENCODERS),
+        items.get(TAG_RECORDING),
+        items.get(TAG_LENSES),
+        other_tags,
+        faults,
+    )
+
+
+def decode_base_position(payload):
+    """BasePosition pushed by a client."""
+    if len(payload) < 4:
+        raise MalformedPacketError("skeleton of %d bytes" % len(payload))
+    hierarchy_bytes, pose_bytes = _HEADER.unpack_from(payload)
+    if 4 + hierarchy_bytes + pose_bytes != len(payload):
+        raise MalformedPacketError(
+            "skeleton parts of %d and %d bytes in a payload of %d" % (hierarchy_bytes, pose_bytes, len(payload))
+        )
+    reader = _Reader(payload[4 : 4 + hierarchy_bytes])
+    parents_first = [
+        (reader.i32("segment parent"), reader.text("segment name")) for _ in range(reader.count("segments", 5))
+    ]
+    pose = _Reader(payload[4 + hierarchy_bytes :]).array("<f8", 7, len(parents_first)).reshape(-1, 7)
+    return BasePosition([(name, parent) for parent, name in parents_first], pose)
+
+
+def _str(data):
+    return data.decode("utf-8", "surrogateescape")
+
+
+class _Reader:
+    """Reads values from the front of `data`; running out of bytes is a MalformedPacketError."""
+
+    def __init__(self, data):
+        self._data = data
+        self._at = 0
+
+    @property
+    def left(self):
+        return len(self._data) - self._at
+
+    def _step(self, size, what):
+        at = self._at
+        if size > len(self._data) - at:
+            raise MalformedPacketError("%s at payload byte %d: %d bytes needed, %d left" % (what, at, size, self.left))
+        self._at = at + size
+        return at
+
+    def i32(self, what):
+        return _I32.unpack_from(self._data, self._step(4, what))[0]
+
+    def f32(self, what):
+        return _F32.unpack_from(self._data, self._step(4, what))[0]
+
+    def take(self, size):
+        at = self._step(size, "block")
+        return self._data[at : at + size]
+
+    def text(self, what, limit=MAX_NAME_BYTES):
+        end = self._data.find(b"\0", self._at)
+        if end < 0 or end - self._at > limit:
+            raise MalformedPacketError("%s at payload byte %d has no end within %d bytes" % (what, self._at, limit))
+        text = _str(self._data[self._at : end])
+        self._at = end + 1
+        return text
+
+    def count(self, what, smallest_bytes, limit=None):
+        """A count of things that take at least smallest_bytes each: refused when they cannot be there."""
+        count = self.i32("number of " + what)
+        if count < 0 or count * smallest_bytes > self.left or (limit is not None and count > limit):
+            raise MalformedPacketError("%d %s in the %d bytes left" % (count, what, self.left))
+        return count
+
+    def names(self, what):
+        return [self.text(what + " name") for _ in range(self.count(what + " names", 1))]
+
+    def array(self, dtype, width, count):
+        """count * width numbers, flat; a view of the packet."""
+        if not count:
+            return np.empty(0, dtype)
+        at = self._step(count * width * np.dtype(dtype).itemsize, "numbers")
+        return np.frombuffer(self._data, dtype, count * width, at)
+
+    def markers(self, what):
+        markers = self.array("<f4", 3, self.count(what, 12)).reshape(-1, 3).copy()
+        # x alone decides, as in the SDK; the comparison is false for NaN and infinities count as missing too
+        markers[~(np.isfinite(markers).all(axis=1) & (markers[:, 0] != MISSING_MM))] = np.nan
+        return markers
+
+    def samples(self, what, dtype, width):
+        channels, samples = self.i32(what + " channels"), self.i32(what + " samples")
+        if channels < 0 or samples < 0:
+            raise MalformedPacketError("%d x %d %s samples" % (channels, samples, what))
+        values = self.array(dtype, width, channels * samples)
+        return Samples(channels, samples, values.reshape(-1, width) if width > 1 else values)
+
+
+def _decode_encoders(window, _body_count):
+    reader = _Reader(window)
+    encoders = reader.samples("encoder", "<f8", 1)
+    if reader.left:
+        raise MalformedPacketError("%d bytes behind the encoders" % reader.left)
+    return encoders
+
+
+def _decode_recording(window, _body_count):
+    reader = _Reader(window)
+    active, first, last = reader.i32("recording"), reader.i32("first frame"), reader.i32("last frame")
+    return Recording(active, first, last, _str(window[12:].split(b"\0", 1)[0]))
+
+
+def _decode_lenses(window, body_count):
+    return _Reader(window).array("<i4", 2, body_count).reshape(-1, 2)
+
+
+def _decode_nothing(_payload):
+    return None
+
+
+_TAG_DECODERS = {TAG_ENCODERS: _decode_encoders, TAG_RECORDING: _decode_recording, TAG_LENSES: _decode_lenses}
+_DECODERS = {
+    Command.HELLO_WORLD: decode_identity,
+    Command.ARE_YOU_THERE: _decode_nothing,
+    Command.HERE_I_AM: decode_identity,
+    Command.COMMENT: decode_text,
+    Command.REQUEST_BODYDEFS: _decode_nothing,
+    Command.BODYDEFS: decode_body_defs,
+    Command.REQUEST_FRAME: _decode_nothing,
+    Command.FRAME_OF_DATA: decode_frame,
+    Command.GENERAL_REQUEST: decode_text,
+    Command.PUSH_BASEPOSITION: decode_base_position,
+    Command.UNRECOGNIZED_REQUEST: _decode_nothing,
+    Command.UNRECOGNIZED_COMMAND: _decode_nothing,
+}

@@ -1,0 +1,420 @@
+"""What a bag says about a flight: tracking errors, lag, latency of every hop, frames lost."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from data_extraction.bearing_errors import BearingCollector, BearingStatistics
+from data_extraction.flatten import seconds
+from data_extraction.samples import Arrivals, Samples
+from risc_lab.lab.arena import Arena
+
+SETTLED_ERROR_M = 0.05  # settled: the position error stays below this ...
+SETTLED_HOLD_S = 1.0  # ... for this long
+GRID_HZ = 200.0
+MOST_ROWS = 360_000  # of one vehicle's positions: half an hour at 200 Hz; longer bags are thinned out evenly
+PATH_ROWS = 5000  # of a path that is only drawn
+
+# Order and meaning of the hops: each is the time from the datagram's receipt to the arrival of the message that
+# answers the frame, at a subscriber of that topic. `exposure_to_datagram` is the camera system's own delay.
+HOPS = ("exposure_to_datagram", "datagram_to_mocap_data", "datagram_to_cortex_raw", "datagram_to_controls",
+        "datagram_to_cmd_vel")  # fmt: skip
+
+
+@dataclass
+class Series:
+    """Samples of one quantity over time."""
+
+    t_s: np.ndarray  # (n,) [s]
+    values: np.ndarray  # (n, k)
+
+    def at(self, t_s):
+        """Values interpolated at times t_s (m,). Returns (m, k); NaN outside the recorded time."""
+        return np.column_stack(
+            [np.interp(t_s, self.t_s, column, left=np.nan, right=np.nan) for column in self.values.T]
+        )
+
+    def thinned(self, most):
+        """A Series of its own of about so many samples, first and last among them."""
+        rows = np.unique(np.linspace(0, len(self.t_s) - 1, min(most, len(self.t_s))).round().astype(int))
+        return Series(self.t_s[rows], self.values[rows])
+
+
+@dataclass
+class VehicleFlight:
+    """One vehicle: where it should have been and where it was, on one time grid."""
+
+    t_s: np.ndarray  # (n,) [s] since the first reference
+    desired_m: np.ndarray  # (n, 3) cortex frame
+    actual_m: np.ndarray  # (n, 3) cortex frame
+    desired_psi_rad: np.ndarray  # (n,)
+    actual_psi_rad: np.ndarray  # (n,)
+    course: np.ndarray  # (n,) bool: on the course, neither going there nor home
+    settle_s: float | None = None  # [s] from the start of the course; None = never settled
+    position_rmse_m: float | None = None  # over the course after settling
+    position_max_m: float | None = None
+    yaw_rmse_rad: float | None = None
+    lag_s: float | None = None  # delay of the actual path that explains it best
+
+    @property
+    def error_m(self):
+        """(n,) distance [m] between the desired and the actual position at the same time."""
+        return np.linalg.norm(self.actual_m - self.desired_m, axis=1)
+
+    @property
+    def judged(self):
+        """(n,) bool: on the course and settled; what the figures are computed from."""
+        if self.settle_s is None or not self.course.any():
+            return np.zeros(len(self.t_s), dtype=bool)
+        return self.course & (self.t_s >= self.t_s[self.course][0] + self.settle_s)
+
+
+@dataclass
+class Mocap:
+    """Frames of the motion capture stream."""
+
+    frames_sent: int = 0  # from the wire's frame numbers
+    frames_received: int = 0
+    frames_estimated: int = 0  # frames that have their states on /cortex_raw
+    rate_hz: float = 0.0
+
+
+@dataclass
+class Flight:
+    """Everything the figures and plots are made from."""
+
+    start_s: float | None  # ROS time of the first reference; None = nobody gave one
+    vehicles: dict[str, VehicleFlight]
+    latency_s: dict[str, np.ndarray]  # {hop: (n,) [s]}
+    mocap: Mocap
+    judged_against: str  # "ground truth" or "mocap"
+    bearings: BearingStatistics | None = None  # None when nothing looked
+    paths: dict[str, Series] = field(default_factory=dict)  # x, y, z [m], yaw [rad] of all that was seen, to be drawn
+    landmarks: dict[str, np.ndarray] = field(default_factory=dict)  # (3,) [m] cortex frame
+    command_latency_s: dict[str, np.ndarray] = field(default_factory=dict)  # {topic of commands: (n,) [s]}
+    arena: Arena = Arena()
+    notes: list[str] = field(default_factory=list)  # what could not be evaluated, and why
+
+
+class FlightCollector:
+    """Takes the messages of a bag one by one, keeps what `Flight` needs: 8 bytes a number, and no more than so many."""
+
+    def __init__(self, fleet=None, bearing_delay_s=0.0, with_bearings=True):
+        """fleet: risc_lab.lab.Fleet, None = the original laboratory's. Raises ValueError, from BearingCollector.
+
+        bearing_delay_s: how much later than their exposure pictures are stamped. with_bearings: False saves the memory
+        for every pose when the bag is known to hold no bearings.
+        """
+        self._arena = fleet.arena if fleet else Arena()
+        self._bearings = BearingCollector(fleet)
+        self._bearing_delay_s = bearing_delay_s
+        self._with_bearings = with_bearings
+        self._desired = {}  # {(place in Obj[], name): Samples of stamp, receipt, x, y, z, psi}
+        self._states = {"/cortex_raw": {}, "/ground_truth": {}}  # {topic: {name: Samples of the same}}
+        self._order = []  # of the vehicles on /cortex_raw
+        self._unstamped = False  # whether /trajectory bears no stamps, as in the original release
+        # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
+        self._arrivals = {topic: Arrivals() for topic in ("/mocap_data", "/cortex_raw", "/controls")}
+        self._commands = {}  # {topic of commands: Arrivals}
+        self._receipts = Arrivals()  # of the datagrams
+        self._frames = Arrivals()  # the same stamps with the frames' numbers
+        self._phases = []
+        # Programs start before the operator's first phase that is not waiting, and end after its result.
+        self._begun_s, self._over_s = -np.inf, np.inf
+
+    def __call__(self, topic, receipt_s, message):
+        """Take one message; topics that are of no interest are passed over."""
+        if self._with_bearings or topic not in self._states:
+            self._bearings(topic, receipt_s, message)
+        if topic == "/trajectory":
+            self._unstamped |= not _stamp_ns(message)
+            stamp_s = _stamp_s(message, receipt_s)
+            for index, reference in enumerate(message.Obj):
+                row = (stamp_s, receipt_s, reference.x, reference.y, reference.z, reference.psi)
+                _keep(self._desired, (index, reference.name), row)
+        elif topic in self._states:
+            self._keep_states(topic, receipt_s, message)
+            if topic in self._arrivals:
+                self._arrivals[topic].append(_stamp_ns(message), receipt_s)
+        elif topic in self._arrivals:
+            self._arrivals[topic].append(_stamp_ns(message), receipt_s)
+        elif topic == "/mocap_time":
+            self._receipts.append(_stamp_ns(message), seconds(message.time_ref))
+            self._frames.append(_stamp_ns(message), int(message.source))
+        elif topic.endswith("/cmd_vel_stamped"):
+            if _stamp_ns(message):
+                self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)
+        elif topic.endswith("trajectory_phase"):
+            self._phases.append((receipt_s, message.data))
+        elif topic == "/operator/phase":
+            if self._begun_s == -np.inf and not message.data.startswith("waiting"):
+                self._begun_s = receipt_s
+        elif topic == "/operator/result":
+            self._over_s = min(self._over_s, receipt_s)
+
+    def wants(self, topic):
+        """Whether messages of this topic say anything here."""
+        return (
+            topic
+            in ("/trajectory", "/mocap_time", "/operator/phase", "/operator/result", *self._states, *self._arrivals)
+            or topic.endswith(("/cmd_vel_stamped", "trajectory_phase"))
+            or self._bearings.wants(topic)
+        )
+
+    def flight(self):
+        """Evaluate what was collected. Raises ValueError when the bag holds no flight."""
+        if not self._desired:
+            raise ValueError("there is no /trajectory in the bag: nothing was to be flown")
+        source = self._source()
+        missing = sorted({name for _, name in self._desired} - set(self._states[source]))
+        if missing:
+            raise ValueError("%s never shows %s, which /trajectory names" % (source, ", ".join(missing)))
+        return self._evaluated(strict=True)
+
+    def overview(self):
+        """As `flight`, but of any bag: what cannot be evaluated is left out and named in the notes."""
+        return self._evaluated(strict=False)
+
+    def _evaluated(self, strict):
+        source = self._source()
+        states = self._states[source]
+        notes = []
+        if not self._desired:
+            notes.append("there is no /trajectory in the bag: nobody knows where the vehicles should have been")
+        every = max([samples.every for samples in states.values()], default=1)
+        if every > 1:
+            notes.append("the bag is long: one of %d positions was used" % every)
+        references = self._references(states, notes)
+        clock = 1 if self._unstamped else 0  # column of the times: references and states must have the same
+        if self._unstamped:
+            notes.append("/trajectory bears no stamps: times are those of receipt, of the positions too")
+        whole = not strict and not self._phases
+        start_s = min([samples.first[clock] for parts in references.values() for samples in parts], default=None)
+        vehicles, paths = {}, {}
+        for name, samples in sorted(states.items()):  # one after the other: only one is in memory as a whole
+            actual = _series(samples.table(), clock)
+            paths[name] = actual.thinned(PATH_ROWS)
+            if name not in references:
+                continue
+            reference = _series(np.vstack([part.table() for part in references[name]]), clock)
+            spans = [(reference.t_s[0], np.inf)] if whole else self._course_spans(name)
+            try:
+                vehicles[name] = evaluate(reference, actual, spans, start_s)
+            except ValueError as error:
+                if strict:
+                    raise
+                notes.append("%s: %s" % (name, error))
+        if vehicles and whole:
+            notes.append("there is no /trajectory_phase in the bag: all of the time with a reference was judged")
+        return Flight(
+            start_s=start_s,
+            vehicles=vehicles,
+            latency_s=self._latencies(),
+            command_latency_s=self._command_latencies(),
+            mocap=self._mocap(),
+            judged_against="ground truth" if source == "/ground_truth" else "mocap",
+            bearings=self._bearings.statistics(self._bearing_delay_s),
+            paths=paths,
+            landmarks=self._bearings.landmarks(),
+            arena=self._arena,
+            notes=notes,
+        )
+
+    def _source(self):
+        return "/ground_truth" if self._states["/ground_truth"] else "/cortex_raw"
+
+    def _keep_states(self, topic, receipt_s, message):
+        stamp_s = _stamp_s(message, receipt_s)
+        if topic == "/cortex_raw" and len(message.Obj) > len(self._order):
+            self._order = [state.name for state in message.Obj]
+        for state in message.Obj:
+            if state.visible:
+                row = (stamp_s, receipt_s, state.x, state.y, state.z, math.radians(state.psi))
+                _keep(self._states[topic], state.name, row)
+
+    def _references(self, states, notes):
+        """{vehicle: [Samples of its reference, ...]}.
+
+        The original release labelled a reference with the name of its course, and meant the vehicle at the same place
+        of Obj[] on /cortex_raw.
+        """
+        references = {}
+        labels = {name for _, name in self._desired}
+        by_place = bool(labels) and labels.isdisjoint(states)
+        for (index, name), samples in self._desired.items():
+            if by_place and index < len(self._order):
+                name = self._order[index]
+            references.setdefault(name, []).append(samples)
+        unknown = sorted(set(references) - set(states))
+        if unknown:
+            notes.append("%s never shows %s, which /trajectory names" % (self._source(), ", ".join(unknown)))
+        elif by_place:
+            notes.append(
+                "/trajectory names courses, not vehicles (%s): references go to vehicles by their place, as in the "
+                "original release" % ", ".join(sorted(labels))
+            )
+        return {name: parts for name, parts in references.items() if name in states}
+
+    def _course_spans(self, name):
+        """[(begin, end)] of receipt times during which the trajectory node said that the vehicle is on its course."""
+        spans, begin = [], None
+        for receipt_s, text in self._phases:
+            phase = dict(_phase_entries(text)).get(name)
+            if phase == "course" and begin is None:
+                begin = receipt_s
+            elif phase is not None and phase != "course" and begin is not None:
+                spans.append((begin, receipt_s))
+                begin = None
+        if begin is not None:
+            spans.append((begin, np.inf))
+        return spans
+
+    def _latencies(self):
+        """{hop: (n,) [s]} from the receipt of each datagram."""
+        stamps_ns, receipts_s = self._receipts.first()
+        latency = {"exposure_to_datagram": receipts_s - 1e-9 * stamps_ns}
+        for hop, topic in zip(HOPS[1:4], ("/mocap_data", "/cortex_raw", "/controls")):
+            latency[hop] = _since(stamps_ns, receipts_s, self._arrivals[topic])
+        latency["datagram_to_cmd_vel"] = np.concatenate([np.zeros(0), *self._command_latencies().values()])
+        return latency
+
+    def _command_latencies(self):
+        """{topic of commands: (n,) [s]} from the receipt of the datagram to the arrival in the bag."""
+        receipts = self._receipts.first()
+        return {topic: _since(*receipts, arrivals) for topic, arrivals in sorted(self._commands.items())}
+
+    def _mocap(self):
+        """Frames from the beginning of the flight to its result: outside of it nodes come and go."""
+        stamps_ns, numbers = self._frames.first()
+        estimated_ns, _ = self._arrivals["/cortex_raw"].first()
+        estimated_ns = estimated_ns[(estimated_ns >= 1e9 * self._begun_s) & (estimated_ns < 1e9 * self._over_s)]
+        if len(estimated_ns):
+            within = (stamps_ns >= estimated_ns[0]) & (stamps_ns <= estimated_ns[-1])
+            stamps_ns, numbers = stamps_ns[within], numbers[within]
+        if len(stamps_ns) < 2 or not len(estimated_ns):
+            return Mocap(frames_received=len(stamps_ns) if len(estimated_ns) else 0)
+        span = int(numbers.max() - numbers.min())
+        return Mocap(
+            frames_sent=span + 1,
+            frames_received=len(np.unique(numbers)),
+            frames_estimated=int(np.isin(stamps_ns, estimated_ns, assume_unique=True).sum()),
+            rate_hz=1e9 * span / float(stamps_ns[-1] - stamps_ns[0]),
+        )
+
+
+def percentiles_ms(latency_s):
+    """{'p50', 'p99', 'max'} [ms] of latencies [s]; None each when there are none."""
+    if len(latency_s) == 0:
+        return {"p50": None, "p99": None, "max": None}
+    p50, p99, largest = np.percentile(1e3 * latency_s, [50, 99, 100])
+    return {"p50": float(p50), "p99": float(p99), "max": float(largest)}
+
+
+def best_fit_lag(t_s, desired, actual, limit_s=0.5):
+    """Lag [s] for which desired(t - lag) is nearest to actual(t) in the mean square; None when nothing moves.
+
+    t_s: (n,) uniform times [s]; desired, actual: (n, k) in any one unit.
+    """
+    reference = Series(t_s, desired)
+    if np.all(np.ptp(desired, axis=0) < 1e-3):
+        return None
+
+    def mean_square(lag_s):
+        difference = reference.at(t_s - lag_s) - actual
+        return float(np.nanmean(difference**2))
+
+    lags_s = np.linspace(-limit_s, limit_s, 41)
+    start = lags_s[int(np.argmin([mean_square(lag_s) for lag_s in lags_s]))]
+    step = lags_s[1] - lags_s[0]
+    return float(minimize_scalar(mean_square, bounds=(start - step, start + step), method="bounded").x)
+
+
+def settling_time(t_s, error, limit=SETTLED_ERROR_M, hold_s=SETTLED_HOLD_S):
+    """Seconds from t_s[0] until `error` stays below `limit` for `hold_s`; None when it never does.
+
+    t_s: (n,) [s]; error: (n,) in the unit of limit.
+    """
+    above = np.flatnonzero(~(error < limit))
+    begins = np.concatenate(([0], above + 1))
+    ends = np.concatenate((above, [len(error)]))
+    for begin, end in zip(begins, ends):
+        if end > begin and t_s[end - 1] - t_s[begin] >= hold_s:
+            return float(t_s[begin] - t_s[0])
+    return None
+
+
+def _stamp_ns(message):
+    stamp = message.header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def _stamp_s(message, receipt_s):
+    """Stamp of a message; its receipt when nobody stamped it."""
+    return seconds(message.header.stamp) or receipt_s
+
+
+def _keep(samples, key, row):
+    """Append a row to the Samples of a key, unless a number in it is none."""
+    if not math.isfinite(sum(row)):
+        return
+    if key not in samples:
+        samples[key] = Samples(6, MOST_ROWS)
+    samples[key].append(row)
+
+
+def _since(stamps_ns, receipts_s, arrivals):
+    """(n,) [s] from the receipt of a datagram to the arrival of what answers it; both of the same stamps."""
+    arrived_ns, arrivals_s = arrivals.first()
+    _, ours, theirs = np.intersect1d(stamps_ns, arrived_ns, assume_unique=True, return_indices=True)
+    return arrivals_s[theirs] - receipts_s[ours]
+
+
+def _phase_entries(text):
+    """('fluffy_II', 'course'), ... of 'fluffy_II: course; Raven: hold' (also one a line)."""
+    for entry in text.replace("\n", ";").split(";"):
+        name, _, phase = entry.partition(":")
+        if phase:
+            yield name.strip(), phase.strip()
+
+
+def _series(table, clock):
+    """Series of (n, 6) rows stamp, receipt, x, y, z, psi, in the order of time, yaw unwrapped.
+
+    clock: which column holds the times.
+    """
+    t_s, first = np.unique(table[:, clock], return_index=True)
+    values = table[first, 2:]
+    values[:, 3] = np.unwrap(values[:, 3])
+    return Series(t_s, values)
+
+
+def evaluate(desired, actual, spans, start_s):
+    """VehicleFlight of a desired and an actual Series of x, y, z [m], yaw [rad].
+
+    spans: [(begin, end)] of the course; start_s: where its times begin. Raises ValueError when the two have no time in
+    common.
+    """
+    begin_s, end_s = max(desired.t_s[0], actual.t_s[0]), min(desired.t_s[-1], actual.t_s[-1])
+    step_s = max(1.0 / GRID_HZ, (end_s - begin_s) / MOST_ROWS)
+    # not np.arange(begin, end, step): its step is rounded to what the stamps' size leaves, and adds up
+    grid_s = begin_s + step_s * np.arange(max(0, math.floor((end_s - begin_s) / step_s) + 1))
+    grid_s = grid_s[grid_s <= end_s]
+    if len(grid_s) < 2:
+        raise ValueError("the bag is too short: there is no time at which both a reference and a position are known")
+    want, have = desired.at(grid_s), actual.at(grid_s)
+    course = np.zeros(len(grid_s), dtype=bool)
+    for begin_s, end_s in spans:
+        course |= (grid_s >= begin_s) & (grid_s < end_s)
+    vehicle = VehicleFlight(grid_s - start_s, want[:, :3], have[:, :3], want[:, 3], have[:, 3], course)
+    if course.any():
+        vehicle.settle_s = settling_time(vehicle.t_s[course], vehicle.error_m[course])
+    judged = vehicle.judged
+    if judged.any():
+        vehicle.position_rmse_m = float(np.sqrt(np.mean(vehicle.error_m[judged] ** 2)))
+        vehicle.position_max_m = float(vehicle.error_m[judged].max())
+        yaw_error = np.angle(np.exp(1j * (want[judged, 3] - have[judged, 3])))
+        vehicle.yaw_rmse_rad = float(np.sqrt(np.mean(yaw_error**2)))
+        vehicle.lag_s = best_fit_lag(vehicle.t_s[judged], vehicle.desired_m[judged], vehicle.actual_m[judged])
+    return vehicle

@@ -1,0 +1,378 @@
+"""The loss ladder of one vehicle: what happens when what it flies on goes silent, or it leaves the room. No ROS.
+
+Rungs, from the bottom:
+    OK    nothing to do.
+    HOLD  level and hold altitude (zero acceleration, thesis 7.7). Ends at once when everything is fresh again.
+    LAND  land, ordered again and again until the vehicle reports that it stands. Stays, even when everything is fresh
+          again, until then or until the operator takes over.
+A vehicle that must hold because of others (`separation`) gives way upwards or downwards while that is not enough, and
+lands when it has held for `separation_land_s`; beside one that is straight below, or after `separation_wait_s`.
+The top rung, the emergency stop, is the operator's: the ladder only says when it is time to think of it.
+
+In manual mode the operator's eyes fly: mocap, controls, fence, the other vehicles, battery and telemetry do not act
+then, only the loss of the joystick does. A landing may be asked for in any mode (`request_landing`): a LAND like any
+other.
+
+Times are seconds of a clock that never steps (monotonic); a message's age is what its stamp said when it arrived (by
+the wall clock, which all computers must share; small differences make nothing younger, see `message_age`) plus the
+time since.
+"""
+
+import enum
+import functools
+import math
+from dataclasses import dataclass
+
+from risc_control.separation import ALONE
+from risc_lab.lab.arena import Arena
+from risc_lab.message_age import MessageAges
+
+
+class Rung(enum.IntEnum):
+    OK = 0
+    HOLD = 1
+    LAND = 2
+
+
+_OK, _HOLD, _LAND = Rung  # the members of an enumeration are slow to look up, and this is asked in every frame
+_JOYSTICK_MEMORY_S = 60.0  # on the ground a joystick is missed for so long
+_FINE = (_OK, "", "", None)  # what `SafetyLadder._judge` says of a flight without trouble
+
+
+def fence_of(arena):
+    """The fence of `SafetyLimits` that is the net of an Arena; the floor is no fence."""
+    return {
+        "fence_min_m": (-arena.half_x_m, -arena.half_y_m, -1.0),
+        "fence_max_m": (arena.half_x_m, arena.half_y_m, arena.height_m),
+    }
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Thresholds of the ladder; 0 switches a rule off where noted."""
+
+    state_hold_s: float = 0.1  # [s] own state older than this: HOLD
+    state_land_s: float = 0.5  # [s] ... LAND
+    controls_hold_s: float = 0.1  # [s] own command older than this: HOLD
+    controls_land_s: float = 0.5  # [s] ... LAND
+    navdata_timeout_s: float = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
+    joystick_timeout: float = 1.0  # [s] a joystick silent: LAND; 0 = off, for joysticks that speak on change only
+    operator_after_s: float = 2.0  # [s] LAND without effect: tell the operator that the emergency stop is his
+    clock_tolerance_s: float = 0.1  # [s] a stamp that far in the future means that clocks differ
+    battery_min_pct: float = 10.0  # [%] at or below: LAND; 0 = off
+    battery_delay_s: float = 0.5  # [s] reported low for so long: LAND (one false report is no reason)
+    fence_min_m: tuple[float, float, float] = fence_of(Arena())["fence_min_m"]  # [m] the net, cortex frame
+    fence_max_m: tuple[float, float, float] = fence_of(Arena())["fence_max_m"]  # [m]
+    fence_margin_m: float = 0.2  # [m] the vehicle's centre must stay this far inside
+    fence_lookahead_s: float = 0.5  # [s] ... and so must the place that it reaches this much later at its velocity
+    fence_delay_s: float = 0.05  # [s] outside for so long: LAND (one false measurement is no reason)
+    separation_m: float = 0.55  # [m] between the centres of two vehicles: HOLD, then LAND; 0 = off
+    separation_stray_m: float = 1.0  # [m] the same from one that has left its course, is not seen, or holds itself
+    separation_course_m: float = 0.5  # [m] farther than this from its reference a vehicle has left its course
+    separation_lookahead_s: float = 1.2  # [s] ... now or within this time, in which a vehicle stops;
+    separation_follow_s: float = 0.8  # [s] of vehicles that follow their references: within this time
+    separation_delay_s: float = 0.05  # [s] too near for so long: HOLD (one false measurement is no reason)
+    separation_speed_m_s: float = 0.3  # [m/s] of giving way, while holding is not enough
+    separation_land_s: float = 1.0  # [s] held for so long: LAND
+    separation_wait_s: float = 10.0  # [s] ... but when another one is straight below, only after so long
+    separation_forget_s: float = 10.0  # [s] one that is not seen for so long stands on the floor
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            values = value if name in ("fence_min_m", "fence_max_m") else (value,)
+            if not all(math.isfinite(number) for number in values):
+                raise ValueError("parameter %s must be finite, found %r" % (name, value))
+            if not name.startswith("fence_m") and value < 0.0:
+                raise ValueError("parameter %s must not be negative, found %r" % (name, value))
+        for what in ("state", "controls"):
+            hold_s, land_s = getattr(self, what + "_hold_s"), getattr(self, what + "_land_s")
+            if not 0.0 < hold_s <= land_s:
+                raise ValueError("need 0 < %s_hold_s <= %s_land_s, found %r and %r" % (what, what, hold_s, land_s))
+        if self.separation_m > self.separation_stray_m:
+            raise ValueError(
+                "need separation_m <= separation_stray_m, found %r and %r"
+                % (self.separation_m, self.separation_stray_m)
+            )
+        pairs = zip(self.fence_min_m, self.fence_max_m)
+        if any(low + self.fence_margin_m >= high - self.fence_margin_m for low, high in pairs):
+            raise ValueError(
+                "the fence leaves no room: fence_min_m %r, fence_max_m %r, fence_margin_m %r"
+                % (self.fence_min_m, self.fence_max_m, self.fence_margin_m)
+            )
+
+
+class Freshness:
+    """Age of the newest good message of one kind, by its stamp and by its arrival."""
+
+    def __init__(self, what, clock_tolerance_s):
+        self._what = what
+        self._tolerance_s = clock_tolerance_s
+        self._arrival_s = -math.inf
+        self._age_at_arrival_s = 0.0
+        self._ages = MessageAges()
+        self._clock_error_s = 0.0  # how far the newest stamp was in the future, when too far
+
+    def note(self, age_at_arrival_s, now_s):
+        """A good message: its age by its stamp when it arrived, and the time of arrival."""
+        if age_at_arrival_s < -self._tolerance_s:
+            self._clock_error_s = -age_at_arrival_s
+            return
+        self._clock_error_s = 0.0
+        self._arrival_s = now_s
+        self._age_at_arrival_s = self._ages.corrected(age_at_arrival_s, now_s)
+
+    @property
+    def clock_behind_s(self):
+        """By how much our clock is behind that of the stamps, at least [s]."""
+        return self._ages.behind_s
+
+    def age_s(self, now_s):
+        """Age now; infinite before the first good message."""
+        return now_s - self._arrival_s + self._age_at_arrival_s
+
+    def describe(self, now_s):
+        """Why it is not fresh, in a few words."""
+        if self._clock_error_s:
+            return "%s stamped %.0f ms in the future: set the computers' clocks" % (
+                self._what,
+                1e3 * self._clock_error_s,
+            )
+        age_s = self.age_s(now_s)
+        return "no %s yet" % self._what if math.isinf(age_s) else "%s %.0f ms old" % (self._what, 1e3 * age_s)
+
+
+class Lasting:
+    """For how long something was seen to be so, without a break; silence adds nothing."""
+
+    def __init__(self):
+        self._since_s = None
+        self._last_s = None
+
+    def note(self, is_so, now_s):
+        """It was looked at."""
+        if not is_so:
+            self._since_s = None
+            return
+        self._last_s = now_s
+        if self._since_s is None:
+            self._since_s = now_s
+
+    def lasts(self, limit_s):
+        """True when it was seen to be so for that long, up to the newest look."""
+        return self._since_s is not None and self._last_s - self._since_s >= limit_s
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Where on the ladder the vehicle stands."""
+
+    rung: Rung
+    reason: str  # "" when OK; numbers in it are those of the moment the rung was entered
+    operator: bool = False  # LAND has no effect: the emergency stop is the operator's
+
+    @functools.cached_property
+    def text(self):
+        """What goes out on the safety topic, e.g. "hold: state 120 ms old"."""
+        if self.rung == _OK:
+            return "ok"
+        text = "%s: %s" % (self.rung.name.lower(), self.reason)
+        return text + "; it does not land: the emergency stop is the operator's" if self.operator else text
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """How fast a rung was entered: age of the newest good message, and the part of it beyond the threshold."""
+
+    rung: Rung
+    age_s: float
+    beyond_s: float
+
+
+class SafetyLadder:
+    """One vehicle's ladder. Feed it what arrives, ask `update` often (at 50 Hz or more)."""
+
+    def __init__(self, limits, now_s):
+        self.limits = limits
+        self.state = Freshness("state", limits.clock_tolerance_s)
+        self.controls = Freshness("controls", limits.clock_tolerance_s)
+        self._losses = (  # what it flies on, and how old that may be
+            ("state", self.state, limits.state_hold_s, limits.state_land_s),
+            ("controls", self.controls, limits.controls_hold_s, limits.controls_land_s),
+        )
+        self.verdict = Verdict(_OK, "")
+        self.reactions = []  # the newest Reaction of each rung that was entered for age, oldest first
+        self._navdata_s = None
+        self._joystick_s = now_s  # newest message of any joystick; silence counts from the start
+        self._joysticks_once = set()  # senders that were heard once: beside others, they owe no second message
+        self._joysticks_s = {}  # {sender that was heard again: when it was last}
+        self._airborne = False
+        self._battery_pct = None
+        self._battery_low = Lasting()
+        self._outside = Lasting()
+        self._look = ALONE
+        self._near = Lasting()
+        self._apart_since_s, self._apart_reason = None, ""  # it holds or lands because of other vehicles
+        self._position_m = None
+        self._kind = ""  # which rule set the verdict
+        self._land_since_s = None
+        margin_m, sides = limits.fence_margin_m, zip(limits.fence_min_m, limits.fence_max_m)
+        self._room_m = tuple((low + margin_m, high - margin_m) for low, high in sides)  # x, y, z; where it may be
+
+    def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s):
+        """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame."""
+        self.state.note(age_at_arrival_s, now_s)
+        self._position_m = position_m
+        # a landing vehicle keeps its velocity at first: the fast one must be told earlier than the slow one
+        ahead_s = self.limits.fence_lookahead_s
+        outside = False
+        for (low, high), value, rate in zip(self._room_m, position_m, velocity_m_s):
+            if not (low <= value <= high and low <= value + ahead_s * rate <= high):
+                outside = True
+                break
+        self._outside.note(outside, now_s)
+
+    def note_look(self, look, now_s):
+        """What it has to do about the other vehicles (`separation.Look`) by what was seen now."""
+        self._look = look
+        self._near.note(look.holds, now_s)
+
+    def apart(self, now_s):
+        """The newest `separation.Look` while it holds because of other vehicles, else None. Nobody is sent aside before
+        it is time to land: first all come to a stop.
+        """
+        if self.verdict.rung != _HOLD or self._kind != "separation":
+            return None
+        stops = now_s - self._apart_since_s < self.limits.separation_land_s
+        return self._look._replace(aside=ALONE.aside) if stops else self._look
+
+    def note_controls(self, age_at_arrival_s, now_s):
+        """A command for this vehicle came in."""
+        self.controls.note(age_at_arrival_s, now_s)
+
+    def note_navdata(self, battery_pct, now_s):
+        """The vehicle reported itself; battery_pct: None when the report holds none."""
+        self._navdata_s = now_s
+        if battery_pct is not None:
+            self._battery_pct = battery_pct
+            self._battery_low.note(self.battery_is_low(), now_s)
+
+    def note_joystick(self, now_s, sender=""):
+        """A joystick said something; sender: which node it is from. Each that speaks must go on: one of them may be
+        the hand on the emergency stop.
+        """
+        self._joystick_s = now_s
+        if sender in self._joysticks_once:
+            self._joysticks_s[sender] = now_s
+        else:
+            self._joysticks_once.add(sender)
+
+    def lost_joystick(self, now_s):
+        """Name of a joystick that spoke within the last minute, and is silent; None when there is none."""
+        for name, heard_s in self._joysticks_s.items():
+            if self._is_silent(heard_s, now_s) and now_s - heard_s < _JOYSTICK_MEMORY_S:
+                return name
+        return None
+
+    def _is_silent(self, heard_s, now_s):
+        return 0.0 < self.limits.joystick_timeout < now_s - heard_s
+
+    def navdata_is_fresh(self, now_s):
+        """True when the vehicle's newest report still tells what it does.
+
+        Switching the rule off does not make an old report true: the default limit counts then.
+        """
+        limit_s = self.limits.navdata_timeout_s or SafetyLimits.navdata_timeout_s
+        return self._navdata_s is not None and now_s - self._navdata_s <= limit_s
+
+    def battery_is_low(self):
+        """True when the newest battery reported is at or below the limit."""
+        return self._battery_pct is not None and 0.0 < self.limits.battery_min_pct >= self._battery_pct
+
+    def autonomy_problem(self, now_s, needs_navdata=True):
+        """Why the vehicle must not fly by itself now, in a few words; "" when it may."""
+        rung, _, reason, _ = self._judge(now_s, True, needs_navdata)
+        return reason if rung > _OK else ""
+
+    def request_landing(self, now_s):
+        """Somebody wants it down: LAND, in every mode. One that lands already keeps its reason."""
+        if self.verdict.rung != _LAND:
+            self._set(_LAND, "request", "landing was requested", None, now_s)
+
+    def take_over(self):
+        """The operator flies: whatever was decided is taken back, and joysticks that are silent are missed no more."""
+        self._joysticks_s.clear()
+        self._set(_OK, "", "", None, 0.0)
+
+    def update(self, now_s, autonomous, airborne, obeys=False, needs_navdata=True):
+        """Judge the situation. Returns the `Verdict`, which is also kept in `self.verdict`.
+
+        autonomous: the controller flies.  airborne: the vehicle does not stand on the ground.  obeys: its newest
+        report is that it lands; counts while that report is fresh.  needs_navdata: False for simulators that report
+        nothing.
+        """
+        if airborne and not self._airborne:  # whatever took off: these were known to be silent
+            self._joysticks_s = {name: s for name, s in self._joysticks_s.items() if not self._is_silent(s, now_s)}
+        self._airborne = airborne
+        if not airborne:
+            if self.verdict.rung != _OK:
+                self.take_over()
+            return self.verdict
+        if self.verdict.rung == _LAND:
+            if obeys and self.navdata_is_fresh(now_s):
+                self._land_since_s = now_s
+            without_effect = now_s - self._land_since_s > self.limits.operator_after_s
+            if without_effect != self.verdict.operator:
+                self.verdict = Verdict(_LAND, self.verdict.reason, without_effect)
+            return self.verdict
+        rung, kind, reason, reaction = self._judge(now_s, autonomous, needs_navdata)
+        if rung != self.verdict.rung or kind != self._kind:
+            self._set(rung, kind, reason, reaction, now_s)
+        return self.verdict
+
+    def _set(self, rung, kind, reason, reaction, now_s):
+        self._kind = kind
+        if rung == _OK:
+            self._apart_since_s = None
+        elif kind == "separation" and self._apart_since_s is None:
+            self._apart_since_s, self._apart_reason = now_s, reason
+        self._land_since_s = now_s if rung == _LAND else None
+        entered = rung > self.verdict.rung
+        self.verdict = Verdict(rung, reason)
+        if entered and reaction is not None and math.isfinite(reaction[0]):
+            self.reactions = [old for old in self.reactions if old.rung != rung] + [Reaction(rung, *reaction)]
+
+    def _judge(self, now_s, autonomous, needs_navdata):
+        """(rung, rule, reason, (age, age beyond the threshold) or None) by the first rule of the highest rung."""
+        limits = self.limits
+        age_s = now_s - (min(self._joysticks_s.values()) if self._joysticks_s else self._joystick_s)
+        if 0.0 < limits.joystick_timeout < age_s:
+            name = min(self._joysticks_s, key=self._joysticks_s.get, default="")
+            reason = "joystick%s silent for %.1f s" % (" " + name if name else "", age_s)
+            return _LAND, "joystick", reason, (age_s, age_s - limits.joystick_timeout)
+        if not autonomous:
+            return _FINE
+        hold = _FINE
+        for what, fresh, hold_s, land_s in self._losses:
+            age_s = fresh.age_s(now_s)
+            if age_s > land_s:
+                return _LAND, what, fresh.describe(now_s), (age_s, age_s - land_s)
+            if age_s > hold_s and hold is _FINE:
+                hold = _HOLD, what, fresh.describe(now_s), (age_s, age_s - hold_s)
+        age_s = math.inf if self._navdata_s is None else now_s - self._navdata_s
+        if needs_navdata and 0.0 < limits.navdata_timeout_s < age_s:
+            reason = "navdata silent for %.1f s" % age_s if self._navdata_s is not None else "no navdata yet"
+            return _LAND, "navdata", reason, (age_s, age_s - limits.navdata_timeout_s)
+        # Seen outside for that long: one false position followed by silence is a loss, not an escape.
+        if self._outside.lasts(limits.fence_delay_s):
+            return _LAND, "fence", "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
+        if self._battery_low.lasts(limits.battery_delay_s):
+            return _LAND, "battery", "battery at %.0f %%" % self._battery_pct, None
+        if self._apart_since_s is None and not self._near.lasts(limits.separation_delay_s):
+            return hold
+        # No way back: its reference has gone on, and it would chase after it through the others.
+        held_s = 0.0 if self._apart_since_s is None else now_s - self._apart_since_s
+        waits = self._look.above and held_s < limits.separation_wait_s
+        rung = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD
+        if rung <= hold[0]:
+            return hold
+        return rung, "separation", self._look.reason or self._apart_reason, None

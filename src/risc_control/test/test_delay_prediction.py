@@ -1,0 +1,252 @@
+"""Prediction ahead: against the exact loops, against the nonlinear equations of motion, and the tilt observer."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from risc_control.delay_prediction import (
+    MAX_HORIZON_S,
+    Channel,
+    CommandHistory,
+    Motion,
+    NominalModel,
+    TiltObserver,
+    discretised,
+    effective_delay_s,
+    observe,
+    predicted,
+    rows_in_force,
+    steps_of,
+)
+from risc_lab.frames import GRAVITY_M_S2 as G
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab import load_vehicle_type
+
+ARDRONE = load_vehicle_type("ardrone")
+OTHER = replace(ARDRONE, roll=replace(ARDRONE.roll, natural_frequency_rad_s=9.0), drag_n_s_m=0.0)
+MODEL = NominalModel.of([ARDRONE, OTHER])
+
+
+PLANTS = MODEL.plants()
+REST = Motion(*[0.0] * len(Motion._fields))
+
+
+def random_motion(rng):
+    north, east, v_north, v_east = *rng.uniform(-1, 1, 2), *rng.uniform(-0.7, 0.7, 2)
+    return Motion(
+        north,
+        east,
+        rng.uniform(0.5, 1.5),
+        v_north,
+        v_east,
+        rng.uniform(-0.3, 0.3),
+        *rng.uniform(-0.15, 0.15, 2),
+        rng.uniform(-3, 3),
+        *rng.uniform(-0.5, 0.5, 2),
+        rng.uniform(-0.3, 0.3),
+        0.0,
+    )
+
+
+def ahead(motion, time_s, horizon_s, history, delay_s, i=0):
+    """Motion of vehicle i after horizon_s; a command acts delay_s after it was sent."""
+    rows = rows_in_force(time_s - delay_s, steps_of(horizon_s), history.sent_s, history.ends)
+    return predicted(motion, PLANTS[MODEL.kind[i]], horizon_s, history.commands, rows, i)
+
+
+def random_history(rng, start_s, end_s, n=2, step_s=1.0 / 30.0):
+    history, commands = CommandHistory(n), []
+    for time_s in np.arange(start_s, end_s, step_s):
+        command = rng.uniform(-1.0, 1.0, (n, 4)) * (0.2, 0.2, 0.5, 0.3)
+        history.append(time_s, command)
+        commands.append((time_s, command))
+    return history, commands
+
+
+def integrate(motion, i, model, time_s, horizon_s, delay_s, commands):
+    """One vehicle by the full equations: thrust along the body axis from the climb loop, rotation matrix, drag."""
+    wn, zeta = model.natural_frequency_rad_s[i], model.damping_ratio[i]
+    tau_climb, tau_yaw, drag = model.climb_time_constant_s[i], model.yaw_time_constant_s[i], model.drag_1_s[i]
+
+    def command_at(t):
+        held = [command for sent_s, command in commands if sent_s <= t - delay_s]
+        return held[-1][i] if held else np.zeros(4)
+
+    def slope(t, x, command):
+        v, phi, phi_rate, theta, theta_rate, psi, psi_rate = x[3:6], *x[6:]
+        up = rotation_body_to_cortex(phi, theta, psi) @ [0.0, 0.0, -1.0]
+        climb_acceleration = (command[Channel.CLIMB] - v[2]) / tau_climb
+        specific_thrust = (G + climb_acceleration) / up[2]
+        a = specific_thrust * up - [drag * v[0], drag * v[1], G]
+        return [
+            *v,
+            *a,
+            phi_rate,
+            wn[0] ** 2 * (command[Channel.PHI] - phi) - 2.0 * zeta[0] * wn[0] * phi_rate,
+            theta_rate,
+            wn[1] ** 2 * (command[Channel.THETA] - theta) - 2.0 * zeta[1] * wn[1] * theta_rate,
+            psi_rate,
+            (command[Channel.YAW_RATE] - psi_rate) / tau_yaw,
+        ]
+
+    m = motion
+    x = [m.north_m, -m.east_m, m.up_m, m.north_m_s, -m.east_m_s, m.up_m_s]
+    x += [m.phi_rad, m.phi_rate_rad_s, m.theta_rad, m.theta_rate_rad_s, m.psi_rad, m.psi_rate_rad_s]
+    switches = sorted({s + delay_s for s, _ in commands if time_s < s + delay_s < time_s + horizon_s})
+    edges = [time_s] + switches + [time_s + horizon_s]
+    for begin, end in zip(edges, edges[1:]):
+        command = command_at(0.5 * (begin + end))
+        x = solve_ivp(slope, (begin, end), x, args=(command,), rtol=1e-9, atol=1e-11).y[:, -1]
+    return x
+
+
+@pytest.mark.parametrize(("horizon_s", "tolerance_m"), [(0.137, 2e-3), (0.34, 8e-3)])
+def test_predicts_what_the_nonlinear_model_does(horizon_s, tolerance_m):
+    delay_s, now_s = horizon_s - 0.006, 100.0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        motions = [random_motion(rng) for _ in range(2)]
+        history, commands = random_history(rng, now_s - 0.6, now_s)
+        for i, motion in enumerate(motions):
+            found = ahead(motion, now_s, horizon_s, history, delay_s, i)
+            x = integrate(motion, i, MODEL, now_s, horizon_s, delay_s, commands)
+            assert (found.north_m, -found.east_m, found.up_m) == pytest.approx(x[:3], abs=tolerance_m)
+            assert (found.north_m_s, -found.east_m_s, found.up_m_s) == pytest.approx(x[3:6], abs=10 * tolerance_m)
+            # a command that acts up to half a grid step early or late is all that may be wrong with the angles
+            assert (found.phi_rad, found.theta_rad) == pytest.approx((x[6], x[8]), abs=5e-3)
+            assert found.psi_rad == pytest.approx(x[10], abs=5e-3)
+
+
+def test_loops_are_exact_on_the_grid():
+    """Step response of the attitude loop against its closed form, after any number of whole steps."""
+    wn, zeta = ARDRONE.roll.natural_frequency_rad_s, ARDRONE.roll.damping_ratio
+    history = CommandHistory(2)
+    history.append(0.0, np.full((2, 4), 0.1))
+    for horizon_s in (0.1, 0.35, 0.8):
+        found = ahead(REST, 0.2, horizon_s, history, 0.2)
+        damped = wn * math.sqrt(1.0 - zeta**2)
+        decay = math.exp(-zeta * wn * horizon_s)
+        step = 1.0 - decay * (math.cos(damped * horizon_s) + zeta * wn / damped * math.sin(damped * horizon_s))
+        assert found.phi_rad == pytest.approx(0.1 * step, abs=1e-12)
+        assert found.up_m_s == pytest.approx(0.1 * (1 - math.exp(-horizon_s / ARDRONE.climb_time_constant_s)))
+
+
+@pytest.mark.parametrize(
+    ("psi_deg", "channel", "north", "east"),
+    [
+        (0, Channel.THETA, -1, 0),
+        (0, Channel.PHI, 0, 1),
+        (90, Channel.THETA, 0, -1),
+        (90, Channel.PHI, -1, 0),
+        (180, Channel.PHI, 0, -1),
+        (-135, Channel.THETA, math.sqrt(0.5), math.sqrt(0.5)),
+    ],
+)
+def test_where_a_positive_angle_goes(psi_deg, channel, north, east):
+    """Nose up goes backwards, right wing down goes right, at any yaw."""
+    command = np.zeros((2, 4))
+    command[:, channel] = 0.1
+    history = CommandHistory(2)
+    history.append(0.0, command)
+    found = ahead(REST._replace(psi_rad=math.radians(psi_deg)), 1.0, 0.3, history, 0.1)
+    speed_m_s = math.hypot(found.north_m_s, found.east_m_s)
+    assert (found.north_m_s / speed_m_s, found.east_m_s / speed_m_s) == pytest.approx((north, east), abs=1e-9)
+
+
+def test_hover_stays():
+    hover = REST._replace(north_m=0.3, east_m=-0.2, up_m=1.0)
+    assert ahead(hover, 5.0, 0.2, CommandHistory(2), 0.13) == pytest.approx(hover, abs=1e-15)
+
+
+def test_commands_count_from_when_they_act():
+    history = CommandHistory(2)
+    history.append(1.0, np.full((2, 4), 0.1))
+    before, after = (ahead(REST, 1.0, horizon_s, history, 0.1) for horizon_s in (0.1, 0.15))
+    assert before.phi_rad == 0.0 < after.phi_rad
+
+
+def test_horizon_between_grid_points_is_smooth():
+    rng = np.random.default_rng(5)
+    motion, (history, _) = random_motion(rng), random_history(rng, 0.0, 1.0)
+    positions = [ahead(motion, 1.0, h, history, 0.13)[:3] for h in np.arange(0.1, 0.2, 0.0005)]
+    assert np.abs(np.diff(positions, 2, axis=0)).max() < 2e-5
+
+
+@pytest.mark.parametrize("horizon_s", [-0.01, MAX_HORIZON_S + 0.1, math.nan])
+def test_impossible_horizons(horizon_s):
+    with pytest.raises(ValueError, match="prediction horizon"):
+        ahead(REST, 0.0, horizon_s, CommandHistory(2), 0.1)
+
+
+def test_history_holds_replaces_and_never_grows():
+    history = CommandHistory(1)
+    assert history.at(-5.0).tolist() == [[0.0] * 4]
+    for k in range(10000):
+        history.append(0.005 * k, np.full((1, 4), float(k)))
+    assert [history.at(t)[0, 0] for t in (49.9951, 49.996, 49.9949, 60.0)] == [9999, 9999, 9998, 9999]
+    assert history.at(0.0)[0, 0] == history.at(49.0)[0, 0] - 9800 + 10000 - len(history.sent_s), "the oldest kept"
+    history.append(49.99, np.full((1, 4), -1.0))
+    assert [history.at(t)[0, 0] for t in (49.981, 49.999)] == [9996, -1], "the clock was set back"
+    history.clear()
+    assert history.at(49.98)[0, 0] == 0.0
+
+
+def observed(observer, time_s, angles_rad, rates_rad_s, command):
+    """((phi, theta), their rates) of the only vehicle."""
+    observe(observer.tilts[0], time_s, (*angles_rad, *rates_rad_s), command, observer.steps[0], observer.gains[0])
+    tilt = observer.tilts[0]
+    return (tilt.phi_rad, tilt.theta_rad), (tilt.phi_rate_rad_s, tilt.theta_rate_rad_s)
+
+
+def test_observer_knows_the_rate_from_noisy_angles():
+    """Better than the measured angles, without lag in the rate: 0.3 degree of noise, known commands."""
+    model = NominalModel.of([ARDRONE])
+    observer = TiltObserver(model, 0.005, 0.6)
+    A, b = (part[0, :2] for part in model.loops())
+    phi, gamma = discretised(A, b, 0.005)
+    rng, truth = np.random.default_rng(0), np.zeros((2, 2))
+    angle_errors, rate_errors = [], []
+    for k in range(1500):
+        command = np.zeros(len(Channel))
+        command[: Channel.CLIMB] = 0.1 * np.sin(2.0 * 0.005 * k + np.array([0.0, 1.0]))
+        truth = np.matmul(phi, truth[..., None])[..., 0] + gamma * command[: Channel.CLIMB, None]
+        measured = truth[:, 0] + 0.005 * rng.standard_normal(2)
+        if k % 50 != 7:  # a frame is lost now and then
+            angles, rates = observed(observer, 0.005 * k, measured, (0.0, 0.0), command)
+            if k > 300:
+                angle_errors.append(angles - truth[:, 0])
+                rate_errors.append(rates - truth[:, 1])
+    assert np.std(angle_errors) < 0.0025 and abs(np.mean(angle_errors)) < 5e-4
+    assert np.std(rate_errors) < 0.06
+
+
+def test_observer_starts_from_the_measurement_and_again_after_a_gap():
+    observer, command = TiltObserver(NominalModel.of([ARDRONE]), 0.005, 0.6), np.zeros(len(Channel))
+    for time_s in (10.0, 10.5):
+        assert observed(observer, time_s, (0.1, -0.1), (0.3, 0.2), command) == ((0.1, -0.1), (0.3, 0.2))
+        observed(observer, time_s + 0.005, (0.0, 0.0), (0.0, 0.0), command)
+
+
+def test_observer_steps_of_any_length_are_those_of_the_exponential():
+    model = NominalModel.of([ARDRONE, OTHER])
+    steps = TiltObserver(model, 0.005, 0.6).steps
+    A, b = (part[:, :2] for part in model.loops())
+    for j in (1, 10, 137, 200):
+        Phi, Gamma = discretised(A, b, 0.0005 * j)
+        for axis, name in enumerate(("phi", "theta")):
+            step = steps[name][:, j - 1]
+            assert np.stack([step[f] for f in ("f11", "f12", "f21", "f22")], axis=1) == pytest.approx(
+                Phi[:, axis].reshape(2, 4), abs=1e-13
+            )
+            assert np.stack([step["g1"], step["g2"]], axis=1) == pytest.approx(Gamma[:, axis], abs=1e-13)
+
+
+def test_effective_delay():
+    assert effective_delay_s(ARDRONE) == pytest.approx(0.1 + 1.0 / 30.0)
+    assert effective_delay_s(ARDRONE, 0.3) == pytest.approx(0.3 + 1.0 / 30.0)
+    for wrong in (-0.1, 2.0, math.nan):
+        with pytest.raises(ValueError, match="command delay must be from 0"):
+            effective_delay_s(ARDRONE, wrong)

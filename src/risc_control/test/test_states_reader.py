@@ -1,0 +1,33 @@
+"""`StatesReader`: /cortex_raw as arrays, through messages that are torn."""
+
+import io
+
+import pytest
+
+pytest.importorskip("rospy")
+
+import genpy  # noqa: E402
+
+from risc_control.ros.conversions import StatesReader  # noqa: E402
+from risc_msgs.msg import Cortex, States  # noqa: E402
+
+
+def wire(message):
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
+
+
+def test_a_message_that_is_refused_leaves_the_states_after_it_as_they_come():
+    reader = StatesReader(["a"])
+    whole = [wire(Cortex(Obj=[States("a", True, *[float(k)] * 12)])) for k in range(3)]
+    other = wire(Cortex(Obj=[States("a", True, *[7.0] * 12), States("b", True, *[8.0] * 12)]))
+    assert reader.read(whole[0])[1].x[0, 0] == 0.0
+    for torn in (whole[1][:-1], other[:-1], other[:20], b""):
+        with pytest.raises(genpy.DeserializationError):
+            reader.read(torn)
+        assert reader.read(whole[2])[1].x[0, 0] == 2.0
+        assert reader.read(whole[1])[1].x[0, 0] == 1.0
+    assert reader.read(other.replace(b"b", b"\xe4"))[1].x[0, 0] == 7.0
+    assert reader.read(whole[2])[1].x[0, 0] == 2.0
+    assert reader.unknown == []

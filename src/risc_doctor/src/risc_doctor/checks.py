@@ -1,0 +1,63 @@
+"""All checks by name, and running them side by side: most of them wait for answers."""
+
+import concurrent.futures
+import traceback
+
+from risc_doctor import (
+    clock,
+    cortex,
+    disk,
+    joystick,
+    load,
+    network,
+    ports,
+    ros_environment,
+    ros_graph,
+    vehicles,
+    workspace,
+)
+from risc_doctor.findings import red, yellow
+from risc_doctor.ros_master import MasterError
+
+# name -> (what it looks at, function of a Situation that returns findings); in the order of the report
+CHECKS = {
+    "workspace": ("revision and content of the workspace, and whether it is the sourced one", workspace.check),
+    "network": ("network cards, subnets, the way to Cortex and to the vehicles", network.check),
+    "subnets": ("whether each network card is in a network of its own", network.check_subnets),
+    "multicast": ("the group of the mocap stream", network.check_multicast),
+    "ports": ("ports that are taken or not allowed, other drivers", ports.check),
+    "cortex": ("motion capture: there, live, rate, loss, units", cortex.check),
+    "templates": ("bodies of Cortex against the fleet and templates.yaml", cortex.check_templates),
+    "axes": ("the mocap frame: size, handedness, up, place", cortex.check_axes),
+    "load": ("whether this computer has time for a flight", load.check),
+    "clock": ("what keeps the clock; age of the stamps", clock.check),
+    "vehicles": ("vehicles: reachable, state, battery", vehicles.check),
+    "joystick": ("joysticks: there, readable, buttons and axes", joystick.check),
+    "disk": ("room and write speed for the bag", disk.check),
+    "ros": ("ROS_MASTER_URI, ROS_IP, dead nodes", ros_environment.check),
+    "graph": ("rates and /diagnostics of a graph that runs", ros_graph.check),
+}
+
+
+def run(situation, names, checks=None):
+    """Findings of the named checks, in their order. One that breaks is a red finding; the others go on."""
+    checks = CHECKS if checks is None else checks
+    with concurrent.futures.ThreadPoolExecutor(len(checks)) as pool:
+        jobs = [pool.submit(_guarded, name, checks[name][1], situation) for name in names]
+        return [finding for job in jobs for finding in job.result()]
+
+
+def _guarded(name, function, situation):
+    try:
+        return function(situation)
+    except MasterError as error:
+        return [yellow(name, "cannot be looked at, the master has gone meanwhile: %s" % error, "look again; see `ros`")]
+    except Exception as error:  # whatever it is: the other checks are worth having
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        text = "the check itself failed: %s: %s (%s, line %d)" % (
+            type(error).__name__,
+            error,
+            place.filename.rpartition("/")[2],
+            place.lineno,
+        )
+        return [red(name, text, "look at it by hand; and please report this")]

@@ -1,0 +1,105 @@
+"""This computer's network cards and the routes that the kernel would take."""
+
+import ipaddress
+import pathlib
+import socket
+from dataclasses import dataclass
+
+import netifaces
+
+_LOOPBACK = ipaddress.IPv4Network("127.0.0.0/8")
+_UP, _MULTICAST = 0x1, 0x1000  # IFF_UP, IFF_MULTICAST
+_CARDS = pathlib.Path("/sys/class/net")
+_NO_LINK = ("down", "lowerlayerdown", "dormant")  # of operstate
+_ANY_PORT = 9  # connecting a UDP socket sends nothing
+IP_RECVERR = 11  # linux/in.h: with it on, a refusal by the other computer is told, too
+
+
+@dataclass(frozen=True)
+class Interface:
+    """One network card."""
+
+    name: str
+    addresses: tuple[ipaddress.IPv4Interface, ...]  # with their networks
+    up: bool = True
+    connected: bool = True  # a cable is in, or a Wi-Fi network joined
+    multicast: bool = True
+
+    @property
+    def is_loopback(self):
+        return any(address.ip in _LOOPBACK for address in self.addresses)
+
+    def describe(self):
+        """E.g. "eth0 192.168.0.10/24"."""
+        return "%s %s" % (self.name, ", ".join(map(str, self.addresses)) or "without an address")
+
+
+def read_interfaces():
+    """All network cards of this computer, as a list of `Interface`. A bridge of containers is connected without any."""
+    found = []
+    for name in netifaces.interfaces():
+        folder = _CARDS / name.partition(":")[0]
+        flags = int(_read(folder / "flags") or "0x1003", 16)
+        addresses = tuple(
+            ipaddress.IPv4Interface("%s/%s" % (entry["addr"], entry.get("netmask", "255.255.255.255")))
+            for entry in netifaces.ifaddresses(name).get(netifaces.AF_INET, ())
+        )
+        connected = (folder / "bridge").is_dir() or _read(folder / "operstate") not in _NO_LINK
+        found.append(Interface(name, addresses, bool(flags & _UP), connected, bool(flags & _MULTICAST)))
+    return found
+
+
+def is_own(interfaces, address):
+    """True when this computer has the address (text), on a card that is up."""
+    wanted = ipaddress.IPv4Address(address)
+    return any(
+        card.up and any(own.ip == wanted or (own.ip in _LOOPBACK and wanted in _LOOPBACK) for own in card.addresses)
+        for card in interfaces
+    )
+
+
+def is_loopback(address):
+    """True for 127.x.x.x and ::1 (text)."""
+    return ipaddress.ip_address(address).is_loopback
+
+
+def interface_towards(interfaces, address):
+    """(card, own address in that network) that reaches the address (text) without a router, or None."""
+    wanted = ipaddress.IPv4Address(address)
+    candidates = [
+        (own.network.prefixlen, card, own)
+        for card in interfaces
+        if card.up
+        for own in card.addresses
+        if wanted in own.network
+    ]
+    if not candidates:
+        return None
+    _, card, own = max(candidates, key=lambda candidate: candidate[0])
+    return card, own
+
+
+def interface_of(interfaces, address):
+    """The card that has the address (text), or None."""
+    wanted = ipaddress.IPv4Address(address)
+    for card in interfaces:
+        if any(own.ip == wanted or (own.ip in _LOOPBACK and wanted in _LOOPBACK) for own in card.addresses):
+            return card
+    return None
+
+
+def source_towards(address):
+    """Own address that the kernel would send from to the address (text); None when it knows no route."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.connect((address, _ANY_PORT))
+        except OSError:
+            return None
+        return sock.getsockname()[0]
+
+
+def _read(path):
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""  # a card that is gone, or a container without /sys

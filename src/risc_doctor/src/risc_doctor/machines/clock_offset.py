@@ -1,0 +1,91 @@
+"""How far another computer's clock is from ours: what chrony says there, and what is measured over ssh."""
+
+import time
+
+from risc_doctor.clock_agreement import BAD_S, GOOD_S, parse_tracking
+from risc_doctor.findings import green, red, yellow
+
+LADDER = "the loss ladder takes states older than 100 ms for lost"
+_ROUND_TRIPS = 25
+_LIMIT_S = 5.0
+# one line in, one line out; ends by itself when nobody asks; on one line for csh
+_TELLER = "timeout -k 1 10 python3 -uc 'import sys, time; [print(repr(time.time())) for _ in sys.stdin]'"
+
+
+def measure(session):
+    """(offset [s], its uncertainty [s]) of the far clock, + = ahead of ours: half of the shortest of many round trips.
+
+    Raises OSError or ValueError when the far side does not answer, MachineError when the connection is lost.
+    """
+    channel = session.channel(_TELLER)
+    channel.settimeout(_LIMIT_S)
+    try:
+        lines = channel.makefile("r")
+        best = None
+        for _ in range(_ROUND_TRIPS + 1):  # the first one waits for python3 to start
+            sent = time.time()
+            channel.sendall(b"\n")
+            line = lines.readline()
+            received = time.time()
+            there = float(line)
+            if best is None or received - sent < best[1]:
+                best = (there - (sent + received) / 2.0, received - sent)
+        return best[0], best[1] / 2.0
+    finally:
+        channel.close()
+
+
+def judge(offset_s, uncertainty_s, how, server):
+    """The Finding for an offset. how: where it comes from, for the text; server: our address, for the cure."""
+    text = "%s this computer's (± %.1f ms, %s)" % (_offset_text(offset_s), 1e3 * uncertainty_s, how)
+    cure = (
+        "chrony on every machine, with this computer as its server (%s). Here: the lines 'allow' and 'local "
+        "stratum 10' in /etc/chrony/conf.d/base.conf. There: the line 'server %s iburst prefer' in "
+        "/etc/chrony/sources.d/base.sources. Then here, and there:\n"
+        "sudo systemctl restart chrony && sudo chronyc makestep" % (LADDER, server)
+    )
+    values = {"offset_s": offset_s, "uncertainty_s": uncertainty_s}
+    if abs(offset_s) >= BAD_S and abs(offset_s) > uncertainty_s:
+        return red("clock", text, cure, **values)
+    if abs(offset_s) >= GOOD_S or uncertainty_s > BAD_S:
+        return yellow("clock", text, cure, **values)
+    return green("clock", text, **values)
+
+
+def check(session):
+    """The Finding about a machine's clock."""
+    answer = session.limited("PATH=$PATH:/usr/sbin chronyc -c -n tracking", _LIMIT_S)
+    tracking = parse_tracking(answer.out) if answer.code == 0 else None
+    follows_us = tracking is not None and tracking.synchronised and tracking.reference == session.here
+    try:
+        measured = measure(session)
+    except (OSError, ValueError):
+        if not follows_us:
+            cure = "does `python3 -c 'print()'` work in a login there?"
+            return yellow("clock", "the clock there could not be asked", cure)
+        measured = tracking.offset_s, tracking.error_s
+    return combine(tracking, follows_us, measured, session.here)
+
+
+def combine(tracking, follows_us, measured, server):
+    """The Finding from what chrony says there (None: nothing) and what was measured: (offset [s], uncertainty [s]).
+
+    When they agree, the more certain one counts (chrony's bound contains the way from our own clock to its server);
+    else the measurement.
+    """
+    offset_s, uncertainty_s = measured
+    how = "measured over ssh"
+    if follows_us:
+        agree = abs(tracking.offset_s - offset_s) <= tracking.error_s + uncertainty_s
+        if agree and tracking.error_s <= uncertainty_s:
+            return judge(tracking.offset_s, tracking.error_s, "chrony there follows this computer", server)
+        how += "; chrony there follows this computer"
+        if not agree:
+            how += ", but says " + _offset_text(tracking.offset_s)
+    elif tracking is not None:
+        how += "; chrony there follows " + (tracking.reference if tracking.synchronised else "nobody")
+    return judge(offset_s, uncertainty_s, how, server)
+
+
+def _offset_text(offset_s):
+    return "%.1f ms %s" % (1e3 * abs(offset_s), "ahead of" if offset_s > 0.0 else "behind")

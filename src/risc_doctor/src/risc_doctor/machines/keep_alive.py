@@ -1,0 +1,101 @@
+"""sshd's settings on another computer that end a dead connection soon: then coop.sh ends the nodes of a lost launch.
+
+Without them the nodes run on for good when the network goes away, and a second launch starts a second set beside them.
+"""
+
+from risc_doctor.findings import green, yellow
+
+FILE = "/etc/ssh/sshd_config.d/risc_maap.conf"
+TEXT = "ClientAliveInterval 2\nClientAliveCountMax 3\n"
+_SOON_S = 6
+_LIMIT_S = 15.0
+_NOT_ROOT = 77
+_ILL = "sshd there does not notice dead connections: the nodes of a lost launch may run on"
+_AS_ROOT = 'sudo=; [ "$(id -u)" -eq 0 ] || { sudo -n true 2>/dev/null && sudo=sudo; } || exit %d;' % _NOT_ROOT
+# The sshd that listens is an ancestor of this very login, so it is found without systemd, too. $sshd: its command.
+_LISTENER = """
+sshd=/usr/sbin/sshd;
+listener=;
+pid=$$;
+while [ "$pid" -gt 1 ]; do
+  pid=$(ps -o ppid= -p "$pid" | tr -d " ");
+  words=$(ps -ww -o args= -p "$pid");
+  case $words in
+    "sshd: "*" [listener]"*)
+      listener=$pid;
+      sshd=${words#sshd: };
+      sshd=${sshd%% \\[listener]*};
+      break;;
+  esac;
+done;
+"""
+# As root: what sshd makes of all its files for a login like this. Whether the listener has read them, nobody can ask.
+_READ = """
+set -- $SSH_CONNECTION;
+$sudo $sshd -T -C "user=$(id -un),host=$1,addr=$1,laddr=$3,lport=$4"
+"""
+# As root: let the listener read its files (the HUP is what `systemctl reload ssh` sends). Sessions that are open stay
+# open. As that does, ask sshd first: with a mistake in its settings, the listener would end, and nobody could log in.
+_RELOAD = """
+$sudo $sshd -t || { $undo; exit 1; };
+[ -z "$listener" ] || $sudo kill -HUP "$listener"
+"""
+_READ_AGAIN = "undo=:;" + _RELOAD
+_WRITE = """
+set -e;
+undo=:;
+[ -e %s ] || undo="$sudo rm %s";
+printf '%s' | $sudo tee %s >/dev/null;
+"""
+
+
+def check(session):
+    """The Finding whether a dead connection ends soon."""
+    well, ill = _look(session)
+    return green("keep-alive", well) if well else yellow("keep-alive", ill, "./maap machines setup")
+
+
+def write(session):
+    """Write the settings when they are missing, and have them read, where the login may. Returns the Finding."""
+    well, ill = _look(session)
+    text = TEXT.replace("\n", "\\n")
+    if well:  # by the files; whoever wrote them may have been cut off before sshd was told
+        answer = _run(session, _READ_AGAIN)
+        if answer.code in (0, _NOT_ROOT):
+            return green("keep-alive", well)
+        ill = well + ", but could not be told to read its settings"
+    else:
+        answer = _run(session, _WRITE % (FILE, FILE, text, FILE) + _RELOAD)
+    if answer.code == 0:
+        well, ill = _look(session)
+        if well:
+            return green("keep-alive", "wrote %s there: %s" % (FILE, well))
+        cure = "on that computer: another file sets ClientAlive... first, or /etc/ssh/sshd_config does not begin with\n"
+        cure += "Include /etc/ssh/sshd_config.d/*.conf"
+        return yellow("keep-alive", "wrote %s there, but %s" % (FILE, ill), cure)
+    why = "this login is not root there" if answer.code == _NOT_ROOT else answer.reason()
+    line = "printf '%s' | sudo tee %s && sudo systemctl reload ssh" % (text, FILE)
+    return yellow("keep-alive", "%s (%s)" % (ill, why), "on that computer:\n" + line)
+
+
+def _look(session):
+    """(what is well, ""), or ("", what is not)."""
+    answer = _run(session, _READ)
+    if answer.code == _NOT_ROOT:
+        answer = session.limited("cat " + FILE, _LIMIT_S)
+        if answer.code == 0 and answer.out == TEXT:
+            return "%s is there; whether sshd has read it, only root can see there" % FILE, ""
+        return "", _ILL
+    settings = dict(line.split(None, 1) for line in answer.out.splitlines() if " " in line)
+    try:
+        limit_s = int(settings["clientaliveinterval"]) * int(settings["clientalivecountmax"])
+    except (KeyError, ValueError):
+        return "", "sshd there cannot be asked for its settings: %s" % answer.reason()
+    if not 0 < limit_s <= _SOON_S:
+        return "", _ILL
+    return "sshd there is set to end dead connections after %d s" % limit_s, ""
+
+
+def _run(session, script):
+    """Run a script as root, with what it needs to know of sshd. Where the login is not root: an Answer _NOT_ROOT."""
+    return session.limited(" ".join((_AS_ROOT + _LISTENER + script).split("\n")), _LIMIT_S)  # csh quotes no line ends

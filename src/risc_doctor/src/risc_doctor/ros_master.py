@@ -1,0 +1,126 @@
+"""The ROS master and its nodes, asked with patience that ends. Needs no ROS."""
+
+import concurrent.futures
+import http.client
+import socket
+import threading
+import urllib.parse
+import xml.parsers.expat
+import xmlrpc.client
+
+CALLER = "/maap_doctor"
+CALL_PATIENCE_S = 2.0
+NODE_PATIENCE_S = 1.0
+NAME_PATIENCE_S = 2.0
+DEFAULT_URI = "http://localhost:11311"
+
+
+class MasterError(Exception):
+    """The master, or a node, does not give an answer; the text says why."""
+
+
+class NobodyThereError(MasterError):
+    """The computer is there, and no program has the port."""
+
+
+class _PatientTransport(xmlrpc.client.Transport):
+    """Gives up when nothing comes."""
+
+    def __init__(self, patience_s):
+        super().__init__()
+        self._patience_s = patience_s
+
+    def make_connection(self, host):
+        connection = http.client.HTTPConnection(host, timeout=self._patience_s)
+        self._connection = host, connection
+        return connection
+
+
+def call(uri, method, *arguments, patience_s=CALL_PATIENCE_S):
+    """Value that the slave or master API at a URI answers. Raises MasterError."""
+    try:
+        proxy = xmlrpc.client.ServerProxy(uri, _PatientTransport(patience_s), allow_none=True)
+        code, text, value = getattr(proxy, method)(CALLER, *arguments)
+    except TimeoutError:
+        raise MasterError("no answer from %s within %g s" % (uri, patience_s)) from None
+    except ConnectionRefusedError:
+        raise NobodyThereError("nothing listens at %s" % uri) from None
+    except xml.parsers.expat.ExpatError:
+        raise MasterError("what answers at %s is no ROS program" % uri) from None
+    except (OSError, http.client.HTTPException, xmlrpc.client.Error, ValueError, TypeError) as error:
+        raise MasterError("%s: %s" % (uri, error or type(error).__name__)) from None
+    if code != 1:
+        raise MasterError(str(text))
+    return value
+
+
+def resolve(name, patience_s=NAME_PATIENCE_S):
+    """IPv4 address of a host name, or None when nobody knows it in time."""
+    result = []
+
+    def look_up():
+        try:
+            result.append(socket.gethostbyname(name))
+        except (OSError, UnicodeError):
+            return
+
+    thread = threading.Thread(target=look_up, daemon=True)  # a dead name server takes half a minute to time out
+    thread.start()
+    thread.join(patience_s)
+    return result[0] if result else None
+
+
+def host_and_port(uri):
+    """(host, port) of a URI such as http://risc1:11311. Raises ValueError when it is none."""
+    parts = urllib.parse.urlsplit(uri)
+    if parts.scheme != "http" or not parts.hostname or not parts.port:
+        raise ValueError("%r is no address of a ROS master (http://HOST:11311)" % uri)
+    return parts.hostname, parts.port
+
+
+class Master:
+    """A master that has answered once."""
+
+    def __init__(self, uri):
+        """Raises MasterError when nothing answers there."""
+        self.uri = uri
+        try:
+            host, _ = host_and_port(uri)
+        except ValueError as error:
+            raise MasterError(str(error)) from None
+        if resolve(host) is None:
+            raise MasterError("the host name '%s' of %s is not known here" % (host, uri))
+        call(uri, "getPid")
+
+    def parameter(self, name, default=None):
+        """A parameter, or the default when it is not set. Raises MasterError when the master is gone."""
+        if not call(self.uri, "hasParam", name):
+            return default
+        return call(self.uri, "getParam", name)
+
+    def publishers(self):
+        """{topic: [node, ...]}. Raises MasterError."""
+        return {topic: nodes for topic, nodes in call(self.uri, "getSystemState")[0] if nodes}
+
+    def nodes(self):
+        """Names of all nodes that are registered. Raises MasterError."""
+        state = call(self.uri, "getSystemState")
+        return sorted({node for table in state for _, nodes in table for node in nodes if node != CALLER})
+
+    def ask_nodes(self, names):
+        """{node: "" when it answers, else why not}, all at once. Raises MasterError when the master is gone."""
+        if not names:
+            return {}
+        with concurrent.futures.ThreadPoolExecutor(min(32, len(names))) as pool:
+            return dict(zip(names, pool.map(self._ask_node, names)))
+
+    def _ask_node(self, name):
+        try:
+            uri = call(self.uri, "lookupNode", name)
+            host, _ = host_and_port(uri)
+            if resolve(host) is None:
+                return "its host name '%s' is not known here" % host
+            call(uri, "getPid", patience_s=NODE_PATIENCE_S)
+        except (MasterError, ValueError) as error:
+            return str(error)
+        return ""

@@ -1,0 +1,121 @@
+"""What the checks look at: the fleet, this computer, and what is asked only once although several checks need it."""
+
+import ipaddress
+import os
+import pathlib
+import threading
+from dataclasses import dataclass, field, replace
+
+from risc_doctor import cortex_probe, interfaces, ros_graph
+from risc_doctor.ros_master import DEFAULT_URI, Master, MasterError, NobodyThereError
+from risc_lab.lab import Fleet, fleet_from_dict, load_fleet, load_templates
+
+DEFAULT_FLEET = "launch/fleets/ardrones3.yaml"  # of the virtual lab: nothing is sent to computers nobody has named
+START_THE_VIRTUAL_LAB = "it is the virtual lab's: start it with ./maap lab; for yours: ./maap doctor YOUR_FLEET.yaml"
+
+
+class Once:
+    """Calls a function at the first call and gives everybody its result; threads wait for each other."""
+
+    def __init__(self, function, *arguments):
+        self._function, self._arguments = function, arguments
+        self._lock = threading.Lock()
+        self._done = False
+        self._result = self._error = None
+
+    def __call__(self):
+        with self._lock:
+            if not self._done:
+                try:
+                    self._result = self._function(*self._arguments)
+                except Exception as error:  # whatever it is: every check that needs it reports it
+                    self._error = error
+                self._done = True
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+
+@dataclass
+class Situation:
+    """Where and for what the doctor was called."""
+
+    fleet: Fleet
+    fleet_source: str  # where the fleet was read, for people
+    root: pathlib.Path  # of the workspace
+    environment: dict
+    master: object = None  # ros_master.Master, None when none answers
+    master_error: str = ""  # why not
+    nobody_there: bool = False  # because no program has its port; else nobody knows whether one runs
+    bag_folder: pathlib.Path = None  # None = where flights go
+    joysticks: tuple[str, ...] = ()  # devices; () = whatever is there
+    wanted: tuple[str, ...] = ()  # namespaces or addresses of vehicles; () = all of the fleet
+    live: bool = False  # ask Cortex for its live mode
+    templates: Once = field(init=False)
+    interfaces: Once = field(init=False)
+    cortex: Once = field(init=False)
+    graph: Once = field(init=False)
+
+    def __post_init__(self):
+        self.templates = Once(load_templates, None, self.fleet)
+        self.interfaces = Once(interfaces.read_interfaces)
+        self.cortex = Once(cortex_probe.probe, self.fleet.mocap, self.live)
+        self.graph = Once(ros_graph.listen, self.master, self.fleet, self.environment)
+
+    @property
+    def simulated(self):
+        """Everything of the fleet is on this computer: the virtual lab."""
+        return all(map(interfaces.is_loopback, [self.fleet.mocap.host] + [v.address for v in self.fleet.vehicles]))
+
+    def vehicles(self):
+        """The vehicles that are to be looked at. Raises ValueError for one that the fleet does not have."""
+        return tuple(map(self._vehicle, self.wanted)) or self.fleet.vehicles
+
+    def _vehicle(self, word):
+        """The fleet's vehicle of this name or address; an address that says not which of them is a vehicle, too."""
+        at_address = [vehicle for vehicle in self.fleet.vehicles if vehicle.address == word]
+        for vehicle in self.fleet.vehicles:
+            if word in (vehicle.namespace, vehicle.template) or [vehicle] == at_address:
+                return vehicle
+        try:
+            return replace(self.fleet.vehicles[0], namespace="", template="", address=str(ipaddress.IPv4Address(word)))
+        except ValueError:
+            known = ", ".join("%s (%s)" % (v.namespace, v.address) for v in self.fleet.vehicles)
+            raise ValueError("--vehicle: the fleet has no '%s', it has %s" % (word, known)) from None
+
+
+def workspace_root(environment):
+    """The workspace's folder: that of the `maap` that runs, else the one that this file is in, else the sourced one."""
+    prefixes = environment.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
+    candidates = [environment.get("RISC_MAAP_ROOT", ""), str(pathlib.Path(__file__).resolve().parents[5])]
+    candidates += [str(pathlib.Path(prefix).parent) for prefix in prefixes if prefix]
+    for candidate in candidates:
+        if candidate and (pathlib.Path(candidate) / "launch" / "fleets").is_dir():
+            return pathlib.Path(candidate).resolve()
+    return pathlib.Path.cwd()
+
+
+def look_around(fleet_path, environment, **options):
+    """The Situation. fleet_path: None = the fleet of the graph that runs, else the virtual lab's. Raises ValueError."""
+    root = workspace_root(environment)
+    master, error, nobody_there = None, "", False
+    try:
+        master = Master(environment.get("ROS_MASTER_URI") or DEFAULT_URI)
+    except MasterError as problem:
+        error, nobody_there = str(problem), isinstance(problem, NobodyThereError)
+    fleet, source = None, ""
+    if fleet_path is not None:
+        fleet, source = load_fleet(fleet_path), str(fleet_path)
+    elif master is not None:
+        fleet, source = _fleet_of_graph(master), "the parameter /fleet of the graph that runs (%s)" % master.uri
+    if fleet is None:
+        fleet, source = load_fleet(root / DEFAULT_FLEET), DEFAULT_FLEET
+    return Situation(fleet, source, root, environment, master, error, nobody_there, **options)
+
+
+def _fleet_of_graph(master):
+    try:
+        content = master.parameter("/fleet")
+    except MasterError:
+        return None  # it has just ended
+    return None if content is None else fleet_from_dict(content, "the parameter /fleet")

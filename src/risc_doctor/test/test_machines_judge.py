@@ -1,0 +1,359 @@
+"""How `./maap machines` judges what it measured, where a real fault of that kind cannot be made on one computer."""
+
+import errno
+import os
+import socket
+
+import paramiko
+import pytest
+
+from risc_doctor.clock_agreement import ClockState
+from risc_doctor.machines import check, clock_offset, known_hosts, setup, ssh, topics, workspace_digest
+from risc_doctor.machines.echo import trouble_with
+from risc_doctor.machines.experiment import Computer, load_experiment
+
+RISC2 = Computer("risc2", "127.0.0.9", user="pilot", env_loader="/ws/devel/coop.sh", nodes=1)
+MASTER = "http://127.0.0.1:5000"
+
+
+@pytest.mark.parametrize(
+    ("error", "text", "cure"),
+    [
+        (TimeoutError(), "no answer from 127.0.0.9 port 22 within 5 s", "same network"),
+        (OSError(errno.ENETUNREACH, os.strerror(errno.ENETUNREACH)), "no way to 127.0.0.9", "cable or the Wi-Fi here"),
+        (ConnectionRefusedError(), "refuses", "openssh-server"),
+        (socket.gaierror(), "cannot be resolved", "/etc/hosts"),
+    ],
+)
+def test_an_unreachable_computer_has_its_own_cause(error, text, cure):
+    found = ssh.why_unreachable(error, "127.0.0.9", 22)
+    assert text in found[0] and cure in found[1]
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "uncertainty_s", "level"),
+    [
+        (0.004, 0.001, "green"),
+        (-0.004, 0.010, "green"),
+        (0.006, 0.001, "yellow"),
+        (0.000, 0.025, "yellow"),  # it may be right, nobody knows
+        (0.024, 0.025, "yellow"),
+        (-0.021, 0.001, "red"),
+        (0.100, 0.050, "red"),
+    ],
+)
+def test_the_clock_is_judged_by_offset_and_uncertainty(offset_s, uncertainty_s, level):
+    found = clock_offset.judge(offset_s, uncertainty_s, "measured over ssh", "127.0.0.1")
+    assert found.level == level
+    assert ("behind" if offset_s <= 0.0 else "ahead of") in found.text
+    assert level == "green" or ("chrony" in found.cure and "100 ms" in found.cure and "server 127.0.0.1" in found.cure)
+
+
+@pytest.mark.parametrize(
+    ("chrony", "measured_s", "level", "text"),
+    [
+        ((0.001, 0.0002), (0.0012, 0.001), "green", "1.0 ms ahead of this computer's (± 0.2 ms, chrony there follows"),
+        # its bound is that of the way from our own server's to its clock: what is measured between us two is better
+        ((0.001, 0.030), (0.0012, 0.001), "green", "1.2 ms ahead of this computer's (± 1.0 ms, measured over ssh; "
+         "chrony there follows this computer)"),
+        ((0.0, 0.001), (0.030, 0.001), "red", "30.0 ms ahead of this computer's (± 1.0 ms, measured over ssh; "
+         "chrony there follows this computer, but says 0.0 ms behind)"),
+        ((0.012, 0.002), (0.0, 0.001), "green", "but says 12.0 ms ahead of"),
+    ],
+)  # fmt: skip
+def test_chrony_is_not_believed_against_the_measurement(chrony, measured_s, level, text):
+    tracking = ClockState("chrony", True, chrony[0], "127.0.0.1", chrony[1])
+    found = clock_offset.combine(tracking, True, measured_s, "127.0.0.1")
+    assert found.level == level and text in found.text
+
+
+def test_chrony_that_follows_another_is_told():
+    other, nobody = ClockState("chrony", True, 0.0, "127.0.0.7"), ClockState("chrony", False)
+    for state, text in ((other, "127.0.0.7"), (nobody, "nobody")):
+        assert "chrony there follows %s" % text in clock_offset.combine(state, False, (0.0, 0.001), "127.0.0.1").text
+    assert "chrony" not in clock_offset.combine(None, False, (0.0, 0.001), "127.0.0.1").text
+
+
+def conversation(**changes):
+    """What echo on risc2 prints when all is well, changed."""
+    well = {
+        "master_uri": MASTER,
+        "master_trouble": "",
+        "heard": True,
+        "answered": True,
+        "uri": "http://127.0.0.9:40000/",
+    }
+    return dict(well, **changes)
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "texts"),
+    [
+        ({}, True, ["they flow in both directions"]),
+        ({"answered": False}, True, ["they flow in both directions"]),
+        (
+            {"heard": False, "trouble": "no answer from 127.0.0.1:5001"},
+            True,
+            ["nothing flows from here to risc2: no answer from 127.0.0.1:5001", "firewall here"],
+        ),
+        (
+            {"heard": False, "trouble": "the name base cannot be resolved"},
+            True,
+            ["nothing flows from here to risc2", "set ROS_IP here"],
+        ),
+        ({"answered": False}, False, ["nothing flows from risc2 to here: the node there answers", "firewall there"]),
+        (
+            {"answered": False, "uri": "http://10.0.0.99:40000/"},
+            False,
+            ["nothing flows from risc2 to here: nodes there say that they are at 10.0.0.99", "a wrong ROS_IP"],
+        ),
+        (
+            {"master_trouble": "no answer from 127.0.0.1:5000"},
+            False,
+            ["nodes there do not reach a ROS master here", "sudo ufw allow from 127.0.0.9"],
+        ),
+    ],
+)
+def test_each_direction_of_a_topic_has_its_own_cause(there, here, texts):
+    (found,) = topics.judge(RISC2, MASTER, conversation(**there), {"heard": here})
+    assert all(text in found.text + found.cure for text in texts)
+
+
+def test_both_directions_may_fail():
+    found = topics.judge(RISC2, MASTER, conversation(heard=False, answered=False), {"heard": False})
+    assert [finding.level for finding in found] == ["red", "red"]
+
+
+CALIBRATION = "src/risc_lab/config/cameras/risc1.yaml"
+
+
+@pytest.mark.parametrize(
+    ("there", "level", "text"),
+    [
+        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3"}, "green", "the same as here"),
+        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3", "src/pkg/notes.yaml": "4"}, "green", "the same as here"),
+        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "9"}, "yellow", "its own calibration: " + CALIBRATION),
+        ({"src/a.py": "1", "devel/b": "9", CALIBRATION: "3"}, "yellow", "not the same build: devel/b differs"),
+        ({"src/a.py": "9", "devel/b": "9", CALIBRATION: "3"}, "red", "src/a.py differs"),
+        ({"src/a.py": "1", "devel/b": "2", CALIBRATION: "3", "src/x.py": "4"}, "red", "src/x.py differs"),
+        ({"src/a.py": "1", "devel/b": "2"}, "red", CALIBRATION + " differs"),
+    ],
+)
+def test_workspaces_are_compared_file_by_file(there, level, text):
+    here = {"revision": "abc", "built": True, "files": {"src/a.py": "1", "devel/b": "2", CALIBRATION: "3"}}
+    found = workspace_digest.compare(here, {"revision": "abc", "built": True, "files": there})
+    assert found.level == level and text in found.text
+    assert workspace_digest.compare(here, {"revision": "abc", "built": False, "files": {}}).level == "red"
+
+
+def test_known_hosts_serves_the_name_and_the_address(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    key, other = paramiko.ECDSAKey.generate(), paramiko.ECDSAKey.generate()
+    lines = known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key, paramiko.RSAKey.generate(1024)])
+    assert [line.split()[:2] for line, _ in lines] == [["risc2,127.0.0.9", "ecdsa-sha2-nistp256"]]  # rsa is of no use
+    known_hosts.add([line for line, _ in lines])
+    assert known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key]) == []
+    (line, _) = known_hosts.missing_lines("risc2", "127.0.0.10", 22, [other])[0]
+    assert line.startswith("127.0.0.10 ")  # the name is taken
+    with pytest.raises(known_hosts.ChangedKeyError):
+        known_hosts.missing_lines("risc2", "127.0.0.9", 22, [other])
+
+
+def test_a_server_that_has_only_an_rsa_key_is_known_by_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    key = paramiko.RSAKey.generate(1024)
+    ((line, _),) = known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key])
+    assert line.startswith("risc2,127.0.0.9 ssh-rsa ")
+    known_hosts.add([line])
+    assert known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key]) == []
+
+
+OWN = "127.0.0.1"  # of the computer that looks, where all of the others are on it
+
+
+@pytest.mark.parametrize(
+    ("environment", "wrong"),
+    [
+        ({"ROS_IP": OWN, "ROS_MASTER_URI": "http://%s:11311" % OWN}, []),
+        ({"ROS_IP": OWN, "ROS_MASTER_URI": "http://localhost:11311"}, ["ROS_MASTER_URI=http://localhost:11311"]),
+        ({"ROS_IP": "192.0.2.7", "ROS_MASTER_URI": "http://192.0.2.7:11311"}, ["ROS_IP=192.0.2.7", "http://192.0.2.7"]),
+        ({"ROS_IP": OWN, "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://%s:11311" % OWN},
+         ["ROS_HOSTNAME=localhost", "> unset ROS_HOSTNAME; export ROS_IP=%s ROS_MASTER_URI=http://%s:" % (OWN, OWN)]),
+        ({"ROS_HOSTNAME": "no-such-name.invalid"}, ["ROS_MASTER_URI is not set", "ROS_HOSTNAME=no-such-name.invalid"]),
+        ({"ROS_MASTER_URI": "127.0.0.1:11311"}, ["ROS_MASTER_URI=127.0.0.1:11311", "ROS_IP is not set"]),
+    ],
+)  # fmt: skip
+def test_what_this_shell_would_tell_the_others(environment, wrong):
+    found = check.check_shell(environment, OWN)
+    assert found.level == ("yellow" if wrong else "green")
+    printed = "%s\n> %s" % (found.text, found.cure.rpartition("\n")[2])
+    assert all(text in printed for text in wrong), printed
+
+
+def test_the_master_of_the_check_is_heard_by_others_whatever_the_shell_says(monkeypatch):
+    monkeypatch.setenv("ROS_HOSTNAME", "localhost")
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    master = topics.Master()
+    try:
+        assert trouble_with(master.uri("127.0.0.9")) == ""
+    finally:
+        master.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (EOFError(), "speaks no ssh (it hangs up)"),
+        (paramiko.SSHException("Error reading SSH protocol banner"), "speaks no ssh (Error reading"),
+        (paramiko.AuthenticationException(), "takes none of this computer's keys"),
+        (paramiko.PasswordRequiredException(), "has a passphrase"),
+    ],
+)
+def test_each_end_of_a_login_is_a_finding(error, text, monkeypatch):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr(ssh, "ssh_check_known_hosts", lambda client, *_: None)
+    monkeypatch.setattr(paramiko.SSHClient, "connect", fail)
+    with pytest.raises(ssh.MachineError) as caught:
+        ssh.connect(RISC2)
+    assert caught.value.finding.level == "red" and text in caught.value.finding.text
+
+
+@pytest.mark.parametrize(
+    ("error", "asks"),
+    [
+        (paramiko.AuthenticationException(), True),
+        (paramiko.SSHException("No authentication methods available"), True),
+        (paramiko.PasswordRequiredException(), False),  # nobody there lacks the key
+    ],
+)
+def test_a_password_is_asked_for_only_where_our_key_is_missing(error, asks, monkeypatch):
+    def fail(*_, **__):
+        raise error
+
+    asked = []
+    monkeypatch.setattr(ssh, "ssh_check_known_hosts", lambda client, *_: None)
+    monkeypatch.setattr(paramiko.SSHClient, "connect", fail)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr(setup.subprocess, "run", lambda words, **_: asked.append(words))
+    with pytest.raises(ssh.MachineError):
+        setup._log_in(RISC2)
+    assert asked == ([["ssh-copy-id", "pilot@127.0.0.9"]] if asks else [])
+
+
+def test_a_check_that_breaks_is_one_red_finding(monkeypatch):
+    def fail(*_):
+        raise KeyError("surprise")
+
+    monkeypatch.setattr(check, "check_computer", fail)
+    (found,) = check._guarded(RISC2, 0)
+    assert found.level == "red" and "the check itself failed: KeyError: 'surprise'" in found.text
+
+
+class Talker:
+    """In place of a session: each command prints the same."""
+
+    computer, here = RISC2, "127.0.0.1"
+
+    def __init__(self, printed):
+        self.printed, self.commands = printed, []
+
+    def loaded(self, command, *_):
+        self.commands.append(command)
+        return ssh.Answer(0, self.printed, "")
+
+
+@pytest.mark.parametrize("printed", ["", "5", "null", "{}", "[3]", '{"files": 5}', '{"files": {}}', "[]]"])
+def test_what_is_no_answer_is_a_finding(printed):
+    found = [check._workspace(Talker(printed), {}, "/ws"), *check._doctor(Talker(printed))]
+    assert [finding.text[:16] for finding in found] == ["it cannot say wh", "it does not run "]
+    assert all("./maap setup on that computer" in finding.cure for finding in found), "it may lack packages"
+
+
+def test_the_workspace_that_a_link_leads_to_is_the_one_that_is_sourced(tmp_path, monkeypatch, capsys):
+    """env-loader=/home/pilot/coop.sh: its grandparent, /, is no workspace."""
+    (tmp_path / "ws" / "devel").mkdir(parents=True)
+    (tmp_path / "ws" / "devel" / "setup.sh").touch()
+    monkeypatch.setenv("CMAKE_PREFIX_PATH", "%s/ws/devel:/opt/ros" % tmp_path)
+    for folder in (tmp_path, tmp_path / "ws"):
+        workspace_digest.main(str(folder))
+        found = workspace_digest.from_output(capsys.readouterr().out)
+        assert found["built"] and found["folder"] == str(tmp_path / "ws")
+
+
+@pytest.mark.parametrize(
+    ("options", "folder"),
+    [
+        ("-O '/data/my bags/a.bag' --buffsize=512 -e /(a|b)", "/data/my bags"),
+        ("-a -o /tmp/coop_loc_data", "/tmp"),
+        ("--output-prefix /data/x /topic", "/data"),
+        ("-o flight -a", ""),  # in ~/.ros, which another login has elsewhere
+        ("-a", ""),
+        ("-O '/data/a.bag", ""),
+    ],
+)
+def test_the_disk_that_is_looked_at_is_that_of_the_bag(options, folder, tmp_path):
+    path = tmp_path / "x.launch"
+    path.write_text(
+        """<launch><machine name="risc1" address="localhost" default="true"/>
+        <node pkg="rosbag" type="record" name="bagger" args="%s"/></launch>"""
+        % options
+    )
+    (computer,) = load_experiment(str(path)).computers
+    assert computer.bag_folder == folder
+    talker = Talker("[]")
+    talker.computer = computer
+    check._doctor(talker)
+    (command,) = talker.commands
+    assert command[-2:] == (["--bag-folder", folder] if folder else ["--only", "disk"])
+
+
+@pytest.mark.parametrize(
+    ("more", "hosts", "checks"),
+    [
+        ("", ("10.0.0.5",), "disk,subnets,multicast,ports,cortex"),
+        ('<node pkg="risc_simulator" type="virtual_lab_node.py" name="lab"/>', (), "disk"),  # there when it flies
+    ],
+)
+def test_the_computer_that_listens_to_cortex_is_asked_for_it(more, hosts, checks, tmp_path):
+    path = tmp_path / "x.launch"
+    path.write_text(
+        """<launch><arg name="fleet" default="my_fleet.yaml"/>
+        <machine name="risc2" address="127.0.0.9" user="nobody-here" env-loader="/ws/devel/coop.sh"/>
+        <node machine="risc2" pkg="joy" type="joy_node" name="joy"/>
+        <machine name="risc1" address="localhost" default="true"/>%s
+        <node pkg="cortex_ros" type="stream_markers" name="stream_markers">
+          <param name="host" value="10.0.0.5"/></node></launch>"""
+        % more
+    )
+    experiment = load_experiment(str(path))
+    assert experiment.cortex == experiment.only(["risc2"]).cortex == hosts
+    assert [computer.cortex for computer in experiment.computers] == [(), hosts]
+    talker = Talker("[]")
+    talker.computer = experiment.computers[1]
+    check._doctor(talker)
+    (command,) = talker.commands
+    assert command[-2:] == ["--only", checks] and command[3] == "my_fleet.yaml"
+
+
+@pytest.mark.parametrize(
+    ("param", "address"), [('<param name="drone_ip" value="10.0.0.7"/>', "10.0.0.7"), ("", "192.168.1.1")]
+)
+def test_a_vehicle_is_asked_by_its_address_without_a_fleet_file(param, address, tmp_path):
+    """That of the launch file, which only this computer needs to have."""
+    path = tmp_path / "x.launch"
+    path.write_text(
+        """<launch><arg name="fleet" default="my_fleet.yaml"/>
+        <machine name="risc2" address="127.0.0.9" user="nobody-here" env-loader="/ws/devel/coop.sh" default="true"/>
+        <group ns="risc1"><node pkg="ardrone_autonomy" type="ardrone_driver" name="driver">%s</node></group></launch>"""
+        % param
+    )
+    (computer,) = load_experiment(str(path)).computers
+    talker = Talker("[]")
+    talker.computer = computer
+    check._doctor(talker)
+    (command,) = talker.commands
+    assert command[-2:] == ["--vehicle", address]
+    assert command[command.index("--only") + 1] == "disk,subnets,vehicles"
+    assert "my_fleet.yaml" not in command

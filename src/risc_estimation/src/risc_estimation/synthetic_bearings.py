@@ -1,0 +1,121 @@
+"""Bearings that cameras would have measured, from motion capture alone (thesis 4.4.4). Needs no ROS."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from risc_estimation.bearings import Bearing
+from risc_estimation.expected_bearings import LANDMARK, Hull, look
+from risc_estimation.pose_track import PoseTrack
+from risc_lab.clock import ClockGuard, Step
+from risc_lab.lab.landmark_catalogue import Disc
+from risc_lab.lab.ranges import check_positive, check_ranges
+
+
+@dataclass(frozen=True)
+class SyntheticParams:
+    """What the imagined cameras and detectors are like; config/synthetic_angles.yaml explains and holds the same."""
+
+    rate_hz: float = 30.0  # pictures a second
+    delay_s: float = 0.0  # a picture stamped t shows the world at t - delay_s
+    noise_deg: float = 0.0  # standard deviation of each angle
+    seed: int = 1
+    min_fraction: float = 0.9  # an object is found when this much of it is in the picture, and
+    min_diameter_px: float = 14.0  # its least diameter is this, and
+    max_distance_m: float = 6.0  # it is no farther than this
+
+    def __post_init__(self):
+        check_positive(self, "rate_hz", "max_distance_m", "min_fraction")
+        check_ranges(
+            self, delay_s=(0.0, np.inf), noise_deg=(0.0, np.inf), min_diameter_px=(0.0, np.inf), min_fraction=(0.0, 1.0)
+        )
+
+
+class Picture(NamedTuple):
+    """What one imagined camera measured. All lists hold one Bearing per known object, found or not."""
+
+    vehicle: str  # that observes
+    landmarks: list[Bearing]
+    quads: list[Bearing]
+
+
+class SyntheticBearings:
+    """States in, pictures out, on a fixed schedule of stamps. Not thread-safe. A seed reproduces the noise."""
+
+    def __init__(self, observers, params=None):
+        """observers: {vehicle: Observer, None = its camera is not known, so it sees nothing}."""
+        self._params = params or SyntheticParams()
+        self._observers = dict(observers)
+        self._tracks = {name: PoseTrack(span_s=self._params.delay_s + 0.5) for name in self._observers}
+        self._discs: dict[str, Disc] = {}
+        self._random = np.random.default_rng(self._params.seed)
+        self._tick = None  # number of the next picture; its stamp is tick / rate
+        self._stamps = ClockGuard()
+
+    def see_landmarks(self, discs):
+        """The landmarks as they are now, a list of Disc; those not named stay where they were last seen."""
+        self._discs.update({disc.name: disc for disc in discs})
+
+    def update(self, stamp_s, states):
+        """Take one frame of states; returns the pictures that are due: [(stamp [s], [Picture, one per vehicle])].
+
+        states: {vehicle: (position (3,) [m] cortex, roll pitch yaw (3,) [rad])} of the visible vehicles.
+        """
+        step = self._stamps.look(stamp_s)
+        if step is Step.REFUSED:
+            return []
+        if step is Step.NEW_CLOCK:
+            self._tracks.update({name: PoseTrack(span_s=self._params.delay_s + 0.5) for name in self._tracks})
+            self._tick = None
+        for name, (position_m, euler_rad) in states.items():
+            if name not in self._tracks:
+                self._tracks[name] = PoseTrack(span_s=self._params.delay_s + 0.5)
+            self._tracks[name].append(stamp_s, position_m, euler_rad)
+        rate_hz = self._params.rate_hz
+        if self._tick is None:
+            self._tick = math.ceil(stamp_s * rate_hz)
+        due = []
+        while self._tick / rate_hz <= stamp_s:
+            due.append((self._tick / rate_hz, self._pictures(self._tick / rate_hz)))
+            self._tick += 1
+        return due
+
+    def _pictures(self, stamp_s):
+        poses = {name: track.at(stamp_s - self._params.delay_s) for name, track in self._tracks.items()}
+        hulls = {
+            name: Hull(name, pose.positions_m[0], pose.R_body_to_cortex[0])
+            for name, pose in poses.items()
+            if pose.known[0]
+        }
+        return [self._picture(name, observer, hulls) for name, observer in self._observers.items()]
+
+    def _picture(self, vehicle, observer, hulls):
+        others = [name for name in self._tracks if name != vehicle]
+        own = hulls.get(vehicle)
+        sightings = []
+        if observer is not None and own is not None:
+            targets = list(self._discs.values()) + [hulls[name] for name in others if name in hulls]
+            sightings = look(observer, own.position_m, own.R_body_to_cortex, targets)
+        found = {(item.kind == LANDMARK, item.name): self._measured(item) for item in sightings if self._is_found(item)}
+
+        def bearings(is_landmark, names):
+            return [found.get((is_landmark, name), Bearing(name, False, np.nan, np.nan)) for name in names]
+
+        return Picture(vehicle, bearings(True, self._discs), bearings(False, others))
+
+    def _is_found(self, sighting):
+        params = self._params
+        return (
+            sighting.fraction >= params.min_fraction
+            and sighting.diameter_px >= params.min_diameter_px
+            and sighting.distance_m <= params.max_distance_m
+            and bool(np.isfinite(sighting.centre_px).all())
+        )
+
+    def _measured(self, sighting):
+        noise = np.radians(self._params.noise_deg) * self._random.standard_normal(2)
+        return Bearing(
+            sighting.name, True, sighting.azimuth_rad + float(noise[0]), sighting.elevation_rad + float(noise[1])
+        )

@@ -1,0 +1,168 @@
+"""Parameter server -> values. Every problem is one ValueError that names the parameter.
+
+A node either loads dataclasses that hold all its settings (`load_params`), or asks for one parameter after the other
+(`private`, `number`, ...) and then calls `warn_of_unknown`. Either way a misspelt parameter is told.
+"""
+
+import math
+from dataclasses import fields
+
+import rospy
+
+from risc_lab.lab.arena import Arena
+from risc_lab.lab.fleet import LEGACY_VEHICLES, FleetVehicle, fleet_from_dict
+
+_ELSEWHERE = frozenset(("diagnostic_period",))  # read by diagnostic_updater
+_asked = set()  # private parameters that this process has asked for
+
+
+def private(name, default):
+    """Value of the private parameter."""
+    _asked.add(name)
+    return rospy.get_param("~" + name, default)
+
+
+def has_private(name):
+    """Whether the private parameter is set."""
+    _asked.add(name)
+    return rospy.has_param("~" + name)
+
+
+def warn_of_unknown():
+    """Log every private parameter that nothing in this process has asked for."""
+    _warn(sorted(set(rospy.get_param("~", {})) - _asked - _ELSEWHERE))
+
+
+def load_params(*classes):
+    """Private parameters of this node as instances of the dataclasses. Unknown ones are logged as warnings."""
+    instances, unknown = params_from_dict(classes, rospy.get_param("~", {}))
+    _warn(unknown)
+    for params in instances:
+        rospy.loginfo("%s", params)
+    return instances
+
+
+def params_from_dict(classes, values):
+    """Fill dataclasses from one flat dict: returns (list of instances, sorted names of unknown keys).
+
+    A key that is absent leaves the default. Raises ValueError naming the key for a value of the wrong type, or
+    what the dataclass itself raises for one out of range.
+    """
+    known = set(_ELSEWHERE)
+    instances = []
+    for params_class in classes:
+        defaults = {item.name: item.default for item in fields(params_class)}
+        known.update(defaults)
+        chosen = {key: _converted(key, values[key], defaults[key]) for key in defaults if key in values}
+        instances.append(params_class(**chosen))
+    return instances, sorted(set(values) - known)
+
+
+def known_fleet():
+    """Fleet of the parameter /fleet, None if there is none. Raises ValueError if it is malformed."""
+    content = rospy.get_param("/fleet", None)
+    return None if content is None else fleet_from_dict(content, "parameter /fleet")
+
+
+def fleet_vehicles():
+    """FleetVehicles of the parameter /fleet, () if there is none. Raises ValueError if it is malformed."""
+    fleet = known_fleet()
+    return () if fleet is None else fleet.vehicles
+
+
+def known_arena():
+    """Arena of the parameter /fleet, the laboratory's if there is none. Raises ValueError if it is malformed."""
+    fleet = known_fleet()
+    return Arena() if fleet is None else fleet.arena
+
+
+def _warn(unknown):
+    for name in unknown:
+        rospy.logwarn(
+            "unknown parameter %s is ignored: check its spelling against the package's README and config folder",
+            rospy.resolve_name("~" + name),
+        )
+
+
+def _converted(key, value, default):
+    if isinstance(default, tuple):
+        if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
+            return tuple(value)
+        wanted = "a list of names"
+    elif isinstance(default, (bool, str)):
+        if isinstance(value, type(default)):
+            return value
+        wanted = "true or false" if isinstance(default, bool) else "a text"
+    elif isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        wanted = "a number"
+    elif isinstance(default, float):
+        return float(value)
+    elif value == int(value):
+        return int(value)
+    else:
+        wanted = "a whole number"
+    raise ValueError("parameter '%s' must be %s, got %r" % (key, wanted, value))
+
+
+def number(name, default):
+    """A finite number; texts that hold one count, since launch files may pass texts. "~name" is private."""
+    value = private(name[1:], default) if name.startswith("~") else rospy.get_param(name, default)
+    try:
+        if isinstance(value, bool):
+            raise ValueError
+        result = float(value)
+        if not math.isfinite(result):
+            raise ValueError
+    except (TypeError, ValueError):
+        raise ValueError("parameter %s must be a number, found %r" % (rospy.resolve_name(name), value)) from None
+    return result
+
+
+def dataclass_from_params(kind, aliases=None, defaults=None, **given):
+    """An instance of a dataclass of numbers: private parameters by the names of its fields, its defaults else.
+
+    aliases: dict field -> name of the parameter, where that differs.  defaults: another instance to take them from.
+    given: values of fields that are no parameters.
+    """
+    aliases = aliases or {}
+    values = {
+        field.name: number(
+            "~" + aliases.get(field.name, field.name), getattr(defaults, field.name) if defaults else field.default
+        )
+        for field in fields(kind)
+        if field.name not in given
+    }
+    return kind(**values, **given)
+
+
+def limit(name, scale=1.0):
+    """A limit under its legacy name: private, then global; -1 when it is not set (meaning: the vehicle type's)."""
+    if has_private(name):
+        return scale * number("~" + name, None)
+    return scale * number("/" + name, None) if rospy.has_param("/" + name) else -1.0
+
+
+def vehicles(only_one=False):
+    """FleetVehicles that a node is for: ~vehicles (templates or namespaces), else the whole /fleet.
+
+    Without a fleet the original laboratory's names are known. only_one: ~vehicle, else the first.
+    """
+    known = fleet_vehicles() or tuple(
+        FleetVehicle(namespace, template, "ardrone", "0.0.0.0", "", (0.0, 0.0, 0.0), 0.0)
+        for namespace, template in LEGACY_VEHICLES.items()
+    )
+    wanted = private("vehicle" if only_one else "vehicles", "")
+    wanted = wanted.split() if isinstance(wanted, str) else wanted
+    if not isinstance(wanted, list) or not all(isinstance(name, str) for name in wanted):
+        raise ValueError("parameter %s must be a list of names, found %r" % (rospy.resolve_name("~vehicles"), wanted))
+    if not wanted:
+        return known[:1] if only_one else known
+    by_name = {vehicle.namespace: vehicle for vehicle in known}
+    by_name.update({vehicle.template: vehicle for vehicle in known})
+    unknown = [name for name in wanted if name not in by_name]
+    if unknown:
+        raise ValueError(
+            "no vehicle %s; known are %s: load a fleet file into /fleet, or correct the name"
+            % (", ".join(unknown), ", ".join("%s (%s)" % (v.template, v.namespace) for v in known))
+        )
+    return tuple(by_name[name] for name in wanted)

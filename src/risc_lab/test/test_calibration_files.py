@@ -1,0 +1,90 @@
+"""Calibration and mount files: what is written is read back, what is wrong is told with file and key."""
+
+import pytest
+import yaml
+
+from risc_lab.lab.calibration import (
+    CameraCalibration,
+    CameraMount,
+    load_calibration,
+    load_mount,
+    resolve_url,
+    save_calibration,
+    save_mount,
+)
+
+CALIBRATION = CameraCalibration.from_intrinsics(
+    "front", (640, 360), (570.0, 568.0), (331.4, 135.9), (-0.53, 0.27, 0.02, -0.006, 0.0)
+)
+
+
+def test_calibration_survives_its_file(tmp_path):
+    path = tmp_path / "front.yaml"
+    save_calibration(CALIBRATION, path)
+    assert load_calibration(str(path)) == CALIBRATION
+    assert load_calibration("file://%s" % path) == CALIBRATION
+
+
+def test_numbers_are_read_as_programs_in_cpp_write_them(tmp_path):
+    """yaml-cpp, and with it camera_calibration_parsers, writes 1e-05; YAML 1.1 would make a text of it."""
+    path = tmp_path / "front.yaml"
+    save_calibration(CALIBRATION, path)
+    text = path.read_text(encoding="utf-8")
+    assert "-0.006" in text
+    path.write_text(text.replace("-0.006", "-6e-03").replace("-0.53", "-5.3E-1"), encoding="utf-8")
+    assert load_calibration(str(path)) == CALIBRATION
+
+
+def test_mount_survives_its_file(tmp_path):
+    mount = CameraMount((0.2, -0.01, 0.03), 0.1, -0.2, 0.3)
+    save_mount(mount, tmp_path / "mount.yaml")
+    loaded = load_mount(str(tmp_path / "mount.yaml"))
+    assert loaded.position_m == mount.position_m
+    assert (loaded.roll_rad, loaded.pitch_rad, loaded.yaw_rad) == pytest.approx((0.1, -0.2, 0.3))
+
+
+def broken(tmp_path, change):
+    path = tmp_path / "broken.yaml"
+    save_calibration(CALIBRATION, path)
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    change(content)
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.pop("image_width"), "image_width"),
+        (lambda c: c.update(image_height=360.5), "image_height"),
+        (lambda c: c["camera_matrix"].update(rows=2), "rows"),
+        (lambda c: c["camera_matrix"]["data"].__setitem__(0, 0.0), "not calibrated"),
+        (lambda c: c["distortion_coefficients"].update(data="-0.5 0.2 0 0 0"), "list of 5 numbers"),
+        (lambda c: c.update(distortion_model="equidistant"), "plumb_bob"),
+        (lambda c: c.update(image_widht=640), "unknown key"),
+    ],
+)
+def test_a_wrong_calibration_file_is_one_clear_error(tmp_path, change, message):
+    path = broken(tmp_path, change)
+    with pytest.raises(ValueError, match=message) as error:
+        load_calibration(path)
+    assert "broken.yaml" in str(error.value)
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(ValueError, match="nowhere.yaml"):
+        load_calibration("/tmp/nowhere.yaml")
+
+
+def test_bare_names_and_packages_are_found_in_the_workspace():
+    assert resolve_url("package://risc_lab/config/vehicle_types/ardrone.yaml").is_file()
+    with pytest.raises(ValueError, match="no_such_package"):
+        resolve_url("package://no_such_package/camera.yaml")
+
+
+def test_the_file_of_a_camera_that_is_not_calibrated_yet_has_its_place():
+    path = resolve_url("no_such_camera.yaml")
+    assert path.parent.is_dir() and not path.exists()
+    assert path == resolve_url("package://risc_lab/config/cameras/no_such_camera.yaml")
+    with pytest.raises(ValueError, match="no_such_camera.yaml"):
+        load_calibration("no_such_camera.yaml")

@@ -1,0 +1,131 @@
+"""The waved checkerboard: whole in the picture, smooth, reproducible, and good for a calibration."""
+
+import numpy as np
+import pytest
+
+from risc_lab.camera import Camera
+from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.lab.calibration import CameraCalibration, load_calibration
+from risc_simulator.video.checkerboard_motion import Waving, WavingParams, calibration_pictures
+from risc_simulator.video.scene import CameraPose, load_style
+
+CAMERAS = ("risc1.yaml", "risc3.yaml", "ardrone_front.yaml", "ardrone_bottom.yaml")
+
+
+@pytest.fixture(scope="module", params=CAMERAS)
+def waved(request):
+    camera = Camera(load_calibration(request.param))
+    return camera, Waving(camera, seed=3)
+
+
+def held_corners(waving):
+    return np.array([waving.corners_px(time_s) for time_s in waving.held_s])
+
+
+def test_the_board_is_whole_in_the_picture_whenever_it_is_held(waved):
+    camera, waving = waved
+    assert len(waving.held_s) == 60
+    assert camera.in_picture(held_corners(waving)).all()
+
+
+def test_it_goes_everywhere_near_and_far_and_tilted(waved):
+    camera, waving = waved
+    corners = held_corners(waving)
+    for end in ((0, 0), (639, 0), (0, 359), (639, 359)):
+        assert np.linalg.norm(corners - end, axis=-1).min() < 0.12 * np.hypot(640, 360)
+    widths = np.ptp(corners[..., 0], axis=1)
+    assert widths.max() > 1.5 * widths.min() and widths.max() > 320
+    tilts = np.array([np.degrees(np.arccos(waving.posture(time_s)[1][0, 2])) for time_s in waving.held_s])
+    assert np.count_nonzero(tilts > 30.0) > 10
+
+
+def test_it_moves_smoothly_and_is_held_still():
+    waving = Waving(Camera(load_calibration("risc2.yaml")), seed=1)
+    for at_s in waving.held_s:
+        before, after = waving.posture(at_s - 0.25), waving.posture(at_s + 0.25)
+        assert np.allclose(before[0], after[0]) and np.allclose(before[1], after[1])
+    times_s = np.arange(0.0, 1.05 * waving.period_s, 0.005)
+    centres = np.array([waving.posture(time_s)[0] for time_s in times_s])
+    turns = np.array([waving.posture(time_s)[1] for time_s in times_s])
+    assert np.linalg.norm(np.diff(centres, axis=0), axis=1).max() < 0.02  # 4 m/s
+    cosines = 0.5 * (np.einsum("nij,nij->n", turns[1:], turns[:-1]) - 1.0)
+    assert np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).max() < 2.0
+    assert np.allclose(turns @ np.swapaxes(turns, 1, 2), np.eye(3)) and np.allclose(np.linalg.det(turns), 1.0)
+
+
+def test_it_repeats_and_a_seed_reproduces_it():
+    camera = Camera(load_calibration("risc2.yaml"))
+    first, again, other = (Waving(camera, seed=seed) for seed in (5, 5, 6))
+    for time_s in (0.0, 1.23, 17.0, first.period_s - 0.01):
+        assert np.array_equal(first.posture(time_s)[0], again.posture(time_s)[0])
+        assert np.array_equal(first.posture(time_s)[1], again.posture(time_s)[1])
+        assert np.allclose(first.posture(time_s)[0], first.posture(time_s + first.period_s)[0])
+        assert not np.allclose(first.posture(time_s)[0], other.posture(time_s)[0])
+
+
+def test_the_board_is_where_its_corners_are_seen_from_any_camera_pose():
+    camera = Camera(load_calibration("risc1.yaml"))
+    waving = Waving(camera, seed=2)
+    pose = CameraPose(np.array([0.3, -1.2, 0.8]), rotation_body_to_cortex(0.1, -0.2, 2.0), np.zeros(3), np.zeros(3))
+    for time_s in (0.1, 1.0, 20.0):
+        board = waving.board(time_s, pose)
+        assert (board.columns, board.rows, board.square_m) == (8, 6, 0.025)
+        seen = camera.project((board.corners() - pose.position_m) @ pose.R_camera_to_cortex)
+        assert np.allclose(seen, waving.corners_px(time_s), atol=1e-6)
+
+
+def test_it_shows_its_face():
+    camera = Camera(load_calibration("risc2.yaml"))
+    corners = Waving(camera, seed=4).corners_px(0.1).reshape(6, 8, 2)
+    along, down = corners[0, -1] - corners[0, 0], corners[-1, 0] - corners[0, 0]
+    assert along[0] * down[1] - along[1] * down[0] > 0.0, "x right and y down, as seen from the front"
+
+
+def test_chosen_postures_tell_more_of_the_lens_than_others():
+    """The reason for the choice: the principal point of a narrow lens that distorts strongly."""
+    camera = Camera(load_calibration("risc1.yaml"))
+    waving = Waving(camera, seed=0)
+    params = WavingParams(postures=60, candidates=60)  # no choice
+    at_random = Waving(camera, seed=0, params=params)
+
+    def sigma_cy(waving):
+        centres, turns = zip(*(waving.posture(time_s) for time_s in waving.held_s))
+        return np.sqrt(np.linalg.inv(waving._information(np.array(centres), np.array(turns)).sum(axis=0))[3, 3])
+
+    assert sigma_cy(waving) < 0.7 * sigma_cy(at_random)
+
+
+def test_pictures_come_with_their_truth_and_reproduce():
+    camera = Camera(load_calibration("ardrone_front.yaml"))
+    style = load_style()
+    pictures = list(calibration_pictures(camera, style.scene, style.imaging, 7, count=3))
+    again = list(calibration_pictures(camera, style.scene, style.imaging, 7, count=3))
+    assert len(pictures) == 3
+    for picture, same in zip(pictures, again):
+        assert picture.image.shape == (360, 640, 3) and picture.image.dtype == np.uint8
+        assert np.array_equal(picture.image, same.image) and np.array_equal(picture.corners_px, same.corners_px)
+        # the four squares that meet at a corner: two are dark, two are bright, opposite ones are alike
+        grid = picture.corners_px.reshape(6, 8, 2)
+        for row in range(1, 5):
+            across, down = 0.35 * (grid[row, 4] - grid[row, 3]), 0.35 * (grid[row + 1, 3] - grid[row, 3])
+            shades = [
+                picture.image[tuple(np.round(grid[row, 3] + a * across + b * down).astype(int)[::-1])].mean()
+                for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))
+            ]
+            assert abs(shades[0] - shades[1]) < 40.0 and abs(shades[2] - shades[3]) < 40.0
+            assert abs(shades[0] - shades[2]) > 80.0
+
+
+def test_a_board_that_cannot_be_shown_is_refused():
+    blind = Camera(CameraCalibration.from_intrinsics("keyhole", (16, 12), (20.0, 20.0), (8.0, 6.0)))
+    params = WavingParams(min_square=0.5)
+    with pytest.raises(ValueError, match="keyhole.*make it smaller"):
+        Waving(blind, params=params)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"postures": 1}, {"postures": 70, "candidates": 60}, {"move_s": 0.0}, {"hold_s": -1.0}]
+)
+def test_bad_params_are_refused(bad):
+    with pytest.raises(ValueError, match="needed"):
+        WavingParams(**bad)

@@ -1,0 +1,1 @@
+"""The laboratory in a web browser. Needs no ROS."""

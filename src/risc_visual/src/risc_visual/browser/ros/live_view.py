@@ -1,0 +1,298 @@
+"""The browser view as a node: marker topics -> scene, the vehicles' own topics -> panel, buttons -> land services.
+
+While nobody looks it subscribes to nothing and costs nothing. Wiring only; see marker_scene, live_status, browser.
+"""
+
+import math
+import time
+
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ardrone_autonomy.msg import Navdata
+from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.paced_subscriber import PacedSubscriber
+from risc_lab.ros.params import fleet_vehicles, known_arena, number, private, vehicles, warn_of_unknown
+from risc_lab.ros.ticker import Ticker
+from risc_msgs.msg import Trajectories
+from risc_visual.browser.landing import ask_all
+from risc_visual.browser.live_status import LiveStatus, Mocap, Report, Vehicle
+from risc_visual.browser.marker_scene import FIXED_FRAME, Action, Look, MarkerScene, MarkerValue, Placement, Shape
+from risc_visual.browser.page import SHAPES, BrowserPanel, BrowserScene, open_server
+from risc_visual.drawing.cast import phases_from_text
+from risc_visual.drawing.scenery import load_scenery
+
+# What the drawing nodes send. Of those drawn anew as a whole each time, what is too fast is skipped; of the others
+# every message counts.
+WHOLE = ("Quad_Markers", "Quad_Labels", "Cortex_Markers", "Way_Markers", "Heading_Markers", "Way_Labels")
+ARRAYS = ("net", "Grid", "Cameras", "Land_Markers", "Land_Labels", "angle_lines") + (
+    "Quad_trajectory",
+    "desired_trajectory",
+    "Way_trail",
+    "transform_tuner/text",
+)
+SINGLE = ("desired_trajectory_name", "Cov_Quad")  # Ctrl_Status and Battery_Status: the panel says what they say
+_PANEL_HZ = 2.0
+_MOST_LOAD = 0.25  # of a core: a busy scene is drawn less often
+_ANSWER_S = 3.0  # a vehicle node that has not answered by then is shown as silent
+_FRAMES_S = 10.0  # of tf to remember: markers of a picture are older than the newest frames
+_OPERATOR = "virtual operator"  # no name of a vehicle has a space
+_OPERATOR_LAND = "/operator/land"
+_QUEUE = 100  # messages of a burst, e.g. one a vehicle
+
+
+class LiveView:
+    """Shows what is drawn for rviz to whoever opens the page."""
+
+    def __init__(self):
+        host, port = private("host", "127.0.0.1"), number("~port", 8080)
+        self._rate_hz = number("~rate_hz", 15.0)
+        arena_file = private("arena_file", "")
+        if port != int(port) or not 1 <= port <= 65535:
+            raise ValueError("parameter ~port must be a whole number from 1 to 65535, found %g" % port)
+        if self._rate_hz <= 0.0:
+            raise ValueError("parameter ~rate_hz must be positive, found %g" % self._rate_hz)
+        colours = {vehicle.template: index for index, vehicle in enumerate(fleet_vehicles() or vehicles())}
+        self._vehicles = [Vehicle(v.namespace, v.template, colours[v.template]) for v in vehicles()]
+        warn_of_unknown()
+        net = load_scenery(arena_file).net if arena_file else known_arena()
+        self._markers = MarkerScene()
+        self._frames = Frames()
+        self._status = LiveStatus(self._vehicles)
+        self._subscribers = []
+        self._turns = {"due_s": 0.0, "panel_due_s": 0.0, "changes": 0, "took_max_s": 0.0}
+        self._not_shown = set()
+        self._server = open_server(host, int(port))
+        self._scene = BrowserScene(self._server, net.half_x_m, net.half_y_m)
+        names = [vehicle.namespace for vehicle in self._vehicles]
+        self._panel = BrowserPanel(self._server, names, self.land_all, self.land_one)
+        self._updater = make_updater("none")
+        self._updater.add("live view", self._diagnose)
+        Ticker(1.0 / self._rate_hz, self._turn, "the browser view")
+        rospy.on_shutdown(self._server.stop)  # hooks run in their order: no turn begins any more
+        rospy.loginfo("the flight in a browser: http://%s:%d", "localhost" if host == "0.0.0.0" else host, port)
+        if host in ("127.0.0.1", "localhost"):
+            rospy.loginfo("for this computer only; host:=0.0.0.0 opens it, and its land buttons, to the network")
+        else:
+            rospy.logwarn("whoever reaches port %d of this computer can land the vehicles", port)
+
+    def land_all(self):
+        """Land every vehicle, and have the virtual operator, where there is one, let them stand."""
+        self._land([vehicle.namespace for vehicle in self._vehicles], {_OPERATOR: _call_operator})
+
+    def land_one(self, name):
+        """Land this vehicle."""
+        self._land([name], {})
+
+    def _land(self, names, others):
+        """Ask the nodes of these vehicles to land them, and others too; the panel shows what each answers."""
+        rospy.logwarn("landing of %s was asked for in the browser", ", ".join(names))
+        self._status.note_asked(names, _time_of_day())
+        vehicles_first = {name: lambda name=name: _call_land(name) for name in names}
+        ask_all({**vehicles_first, **others}, _ANSWER_S, self._on_answer)
+
+    def _on_answer(self, name, done, text):
+        if name == _OPERATOR and done and not text:
+            return  # there is none
+        self._status.note_answer(name, done, text)
+        (rospy.loginfo if done else rospy.logerr)("%s: %s", name, text)
+
+    def _turn(self):
+        self._updater.update()
+        looked_at = bool(self._server.get_clients())
+        if looked_at != bool(self._subscribers):
+            (self._begin if looked_at else self._rest)()
+        start_s = time.monotonic()
+        if not looked_at or start_s < self._turns["due_s"]:
+            return
+        if start_s >= self._turns["panel_due_s"]:  # before the scene, which may fail
+            self._turns["panel_due_s"] = start_s + 1.0 / _PANEL_HZ
+            self._panel.show(self._status.html(start_s, _time_of_day()))
+        try:
+            changes = self._markers.changes(start_s, self._frames.lookup)
+            self._turns["changes"] += len(changes)
+            self._scene.apply(changes)
+        finally:
+            self._note_turn(start_s)
+
+    def _note_turn(self, start_s):
+        took_s = time.monotonic() - start_s
+        self._turns["due_s"] = start_s + took_s / _MOST_LOAD
+        self._turns["took_max_s"] = max(self._turns["took_max_s"], took_s)
+
+    def _begin(self):
+        """Somebody looks."""
+        self._turns.update(due_s=0.0, panel_due_s=0.0)
+
+        def every(topic, kind, callback, *args):
+            self._subscribers.append(rospy.Subscriber(topic, kind, callback, args, queue_size=_QUEUE, tcp_nodelay=True))
+
+        def newest(topic, kind, callback, rate_hz, *args):
+            self._subscribers.append(PacedSubscriber(topic, kind, callback, rate_hz, (args,)))
+
+        for topic in WHOLE:
+            newest(topic, MarkerArray, self._on_array, self._rate_hz, topic)
+        for topic in ARRAYS:
+            every(topic, MarkerArray, self._on_array, topic)
+        for topic in SINGLE:
+            every(topic, Marker, self._on_marker, topic)
+        for vehicle in self._vehicles:
+            group, name = "/%s/" % vehicle.namespace, vehicle.namespace
+            newest(group + "controller_status", Bool, self._on_value, _PANEL_HZ, "mode", name)
+            newest(group + "ardrone/navdata", Navdata, self._on_navdata, _PANEL_HZ, name)
+            every(group + "safety", String, self._on_value, "safety", name)
+        newest("/trajectory", Trajectories, self._on_references, _PANEL_HZ)
+        every("/trajectory_phase", String, self._on_course)
+        every("/operator/phase", String, self._on_value, "phase", "")
+        every("/diagnostics", DiagnosticArray, self._on_diagnostics)
+
+    def _rest(self):
+        """The last one has gone."""
+        for subscriber in self._subscribers:
+            subscriber.unregister()
+        self._subscribers = []
+        self._frames.rest()
+        self._markers.forget()
+        self._status.forget()
+        self._scene.clear()
+        self._panel.show("")  # nobody is to meet old news
+
+    # --- what arrives -------------------------------------------------------------------------------------------
+
+    def _on_array(self, message, args):
+        self._note(args[0], message.markers)
+
+    def _on_marker(self, message, args):
+        self._note(args[0], [message])
+
+    def _note(self, topic, messages):
+        found = [marker for marker in map(marker_from_msg, messages) if marker is not None]
+        strange = {marker.look.shape for marker in found if marker.action == Action.ADD} - SHAPES
+        self._not_shown |= {shape.name for shape in strange}
+        self._markers.note(topic, [marker for marker in found if marker.look.shape not in strange], time.monotonic())
+
+    def _on_value(self, message, args):
+        self._status.note(*args, message.data, time.monotonic())
+
+    def _on_navdata(self, message, args):
+        self._status.note("navdata", args[0], Report(message.state, message.batteryPercent), time.monotonic())
+
+    def _on_references(self, _message, _args):
+        self._status.note("references", "", True, time.monotonic())
+
+    def _on_course(self, message, _args):
+        for template, phase in phases_from_text(message.data).items():
+            self._status.note("course", template, phase, time.monotonic())
+
+    def _on_diagnostics(self, message, _args):
+        now_s = time.monotonic()
+        for status in message.status:
+            values = {item.key: item.value for item in status.values}
+            for vehicle in self._vehicles:
+                error_mm = values.get("position error of %s (mm)" % vehicle.template)
+                if error_mm is not None:
+                    self._status.note("error_m", vehicle.namespace, 1e-3 * float(error_mm), now_s)
+            if status.name.endswith("states estimation") and "rate [Hz]" in values:
+                mocap = Mocap(float(values["rate [Hz]"]), values.get("vehicles visible", "?"))
+                self._status.note("mocap", "", mocap, now_s)
+            elif status.name.endswith("virtual operator"):
+                self._status.note("operator", "", True, now_s)
+
+    def _diagnose(self, status):
+        turns, viewers = self._turns, len(self._server.get_clients())
+        status.summary(0, "%d watching" % viewers)
+        status.add("changes since the last report", str(turns["changes"]))
+        status.add("longest turn (ms)", "%.1f" % (1e3 * turns["took_max_s"]))
+        status.add("kinds of markers that are not shown", ", ".join(sorted(self._not_shown)) or "none")
+        turns["changes"], turns["took_max_s"] = 0, 0.0
+        return status
+
+
+class Frames:
+    """Poses of frames by tf2, which is only listened to when a marker needs it."""
+
+    def __init__(self):
+        self._buffer = self._listener = None
+
+    def lookup(self, frame, stamp_s):
+        """`Placement` of a frame in the fixed one, None if it is not known for that time; 0 = the newest."""
+        if self._buffer is None:
+            self._buffer = tf2_ros.Buffer(rospy.Duration(_FRAMES_S), debug=False)
+            self._listener = tf2_ros.TransformListener(self._buffer)
+        try:
+            found = self._buffer.lookup_transform(FIXED_FRAME, frame, rospy.Time.from_sec(stamp_s)).transform
+        except tf2_ros.TransformException:
+            return None
+        place, turn = found.translation, found.rotation
+        return Placement((place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w))
+
+    def rest(self):
+        """Listen no more."""
+        if self._listener is not None:
+            self._listener.unregister()
+        self._buffer = self._listener = None
+
+
+def marker_from_msg(message):
+    """visualization_msgs/Marker -> MarkerValue; None for numbers that are not finite or of no known meaning."""
+    place, turn, size, ink = message.pose.position, message.pose.orientation, message.scale, message.color
+    quaternion = (turn.x, turn.y, turn.z, turn.w)
+    length = math.sqrt(sum(part * part for part in quaternion))
+    # all zeros is what nobody has set: no turn
+    quaternion = tuple(part / length for part in quaternion) if length > 0.0 else (0.0, 0.0, 0.0, 1.0)
+    points_m = tuple((point.x, point.y, point.z) for point in message.points)
+    rgba = (ink.r, ink.g, ink.b, ink.a)
+    colours = tuple((colour.r, colour.g, colour.b, colour.a) for colour in message.colors)
+    numbers = ((place.x, place.y, place.z, size.x, size.y, size.z, length), rgba, *points_m, *colours)
+    if not all(math.isfinite(value) for part in numbers for value in part):
+        return None
+    try:
+        shape, action = Shape(message.type), Action(message.action)
+    except ValueError:
+        return None
+    return MarkerValue(
+        message.ns,
+        message.id,
+        action,
+        Look(
+            shape,
+            (size.x, size.y, size.z),
+            rgba,
+            points_m,
+            colours,
+            message.text,
+        ),
+        Placement((place.x, place.y, place.z), quaternion),
+        message.header.frame_id.lstrip("/") or FIXED_FRAME,
+        message.header.stamp.to_sec(),
+        message.lifetime.to_sec(),
+    )
+
+
+def _call_land(name):
+    """Ask a vehicle's node to land it. Returns (done, what happens)."""
+    try:
+        answer = rospy.ServiceProxy("/%s/land" % name, Trigger)()
+    except rospy.ServiceException as error:
+        return False, "the vehicle node does not answer, use its joystick (%s)" % error
+    return answer.success, answer.message
+
+
+def _call_operator():
+    """Ask the virtual operator to land all and to start none. Returns (done, what happens), "" when there is none."""
+    code, _, _ = rospy.get_master().lookupService(_OPERATOR_LAND)
+    if code != 1:
+        return True, ""
+    try:
+        answer = rospy.ServiceProxy(_OPERATOR_LAND, Trigger)()
+    except rospy.ServiceException as error:
+        return False, "does not answer and may start vehicles again (%s)" % error
+    return answer.success, answer.message
+
+
+def _time_of_day():
+    return time.strftime("%H:%M:%S")

@@ -1,0 +1,140 @@
+"""Bearings as rays: where a camera says that landmarks and other vehicles are. Needs no ROS.
+
+Axes are those of the camera: x along the optical axis, y right, z down.
+"""
+
+import math
+import threading
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from risc_lab.camera import rays_of_bearings
+from risc_visual.drawing.airframes import vehicle_colour
+from risc_visual.drawing.palette import WHITE_RGB, ray_colours
+
+_AHEAD_S = 0.5  # [s] a picture so much newer than the last sight of its vehicle may still get a place
+
+
+@dataclass(frozen=True)
+class RayParams:
+    """What is drawn of a bearing, and how far; config/draw_angles.yaml explains and holds the same values."""
+
+    length_m: float = 4.0
+    width_m: float = 0.04
+    template_width_m: float = 0.01
+    azimuth_max_deg: float = 40.0
+    elevation_max_deg: float = 30.0
+
+    def __post_init__(self):
+        for key, value in vars(self).items():
+            if not 0.0 < value < math.inf:
+                raise ValueError("parameter '%s' must be positive, got %r" % (key, value))
+
+
+class Ray(NamedTuple):
+    """One line of sight, from the camera's centre."""
+
+    name: str  # of what is seen
+    is_vehicle: bool  # else it is a landmark
+    end_m: tuple[float, float, float]  # camera axes
+    width_m: float
+    rgb: tuple[float, float, float]
+
+
+class RayStyles:
+    """How the ray towards everything looks that can be seen, and whether it is drawn at all."""
+
+    def __init__(self, params, landmarks, vehicles):
+        """params: RayParams. landmarks: landmark_config.LandmarksConfig.
+
+        vehicles: of each vehicle all its names, in the order in which they have their colours.
+        """
+        self._params = params
+        self._templates = {kind.name for kind in landmarks.landmarks} - {kind.roi_name for kind in landmarks.landmarks}
+        self._landmark_rgb = ray_colours(landmarks)
+        self._vehicle_rgb = {name: vehicle_colour(index) for index, names in enumerate(vehicles) for name in names}
+
+    def rays(self, bearings, to_vehicles=False):
+        """Rays of the bearings that are seen and within the limits; of several with one name, of the first.
+
+        bearings: risc_estimation.bearings.Bearings, of landmarks or of vehicles. Returns a list of Ray.
+        """
+        params = self._params
+        limits_rad = np.radians((params.azimuth_max_deg, params.elevation_max_deg))
+        drawn = {}
+        for item in bearings:
+            # not a number is not within, either
+            within = abs(item.azimuth_rad) < limits_rad[0] and abs(item.elevation_rad) < limits_rad[1]
+            if item.visible and within:
+                drawn.setdefault(item.name, item)
+        if not drawn:
+            return []
+        directions = rays_of_bearings(
+            [item.azimuth_rad for item in drawn.values()], [item.elevation_rad for item in drawn.values()]
+        )
+        ends_m = (params.length_m * directions).tolist()
+        return [
+            Ray(name, to_vehicles, tuple(end_m), *self._style(name, to_vehicles)) for name, end_m in zip(drawn, ends_m)
+        ]
+
+    def _style(self, name, is_vehicle):
+        """(width [m], (r, g, b))."""
+        if is_vehicle:
+            return self._params.width_m, self._vehicle_rgb.get(name, WHITE_RGB)
+        # Thin under a template's name: in the original release such bearings were no measurements.
+        width_m = self._params.template_width_m if name in self._templates else self._params.width_m
+        return width_m, self._landmark_rgb.get(name, WHITE_RGB)
+
+
+class Whereabouts:
+    """When motion capture last saw each vehicle: the picture of a vehicle has a place only near such a time."""
+
+    def __init__(self, max_age_s):
+        """max_age_s: [s] a picture that is older than the newest sight of its vehicle by this has no place any more."""
+        self._max_age_s = max_age_s
+        self._lock = threading.Lock()
+        self._seen_s = {}
+
+    def note(self, stamp_s, visible):
+        """A frame of motion capture. visible: dict name of vehicle -> bool."""
+        with self._lock:
+            for name, is_seen in visible.items():
+                self._seen_s[name] = stamp_s if is_seen else self._seen_s.get(name, -math.inf)
+
+    def stamp_of(self, name, stamp_s):
+        """Time [s] at which to place a vehicle's picture, None if there is no place for it.
+
+        stamp_s: of the picture; 0 = not stamped (bags of the original release): then it is the newest sight. The
+        picture of a vehicle that motion capture has never named (a camera on a stand) is not judged.
+        """
+        with self._lock:
+            seen_s = self._seen_s.get(name)
+        if seen_s is None:
+            return stamp_s
+        if not stamp_s:
+            return seen_s if math.isfinite(seen_s) else None
+        return stamp_s if stamp_s - _AHEAD_S <= seen_s <= stamp_s + self._max_age_s else None
+
+
+class Shown:
+    """What has been drawn and not been renewed for a lifetime: rviz forgets it, but not what it had to say of it.
+
+    Times are seconds of the clock by which rviz lets markers expire.
+    """
+
+    def __init__(self, lifetime_s):
+        self._lifetime_s = lifetime_s
+        self._until_s = {}
+
+    def renew(self, keys, now_s):
+        """These are drawn now."""
+        self._until_s.update(dict.fromkeys(keys, now_s + self._lifetime_s))
+
+    def pop_expired(self, now_s):
+        """List of the keys whose lifetime is over, each once; also of those drawn before the clock was set back."""
+        expired = [key for key, until_s in self._until_s.items() if not now_s < until_s <= now_s + self._lifetime_s]
+        for key in expired:
+            del self._until_s[key]
+        return expired

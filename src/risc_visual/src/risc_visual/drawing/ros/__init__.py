@@ -1,0 +1,1 @@
+"""Nodes that tell rviz what to draw."""

@@ -1,0 +1,1 @@
+"""Tuning where a camera sits on its vehicle (thesis 4.4.4). Needs no ROS."""

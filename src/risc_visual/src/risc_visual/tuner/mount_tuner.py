@@ -1,0 +1,238 @@
+"""Tuning where a vehicle's camera sits (thesis 4.4.4, figure 4.5): the present mount and what is done with it. No ROS.
+
+A mount as six numbers, x, y, z [m] and roll, pitch, yaw [deg], is what sliders show and texts say.
+"""
+
+import contextlib
+import math
+import os
+import threading
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from risc_estimation.mount_fit import (
+    FitParams,
+    fit_mount,
+    pixel_errors,
+    ray_errors,
+    right_ones,
+    root_mean_square,
+    standard_deviations,
+    weak_values,
+)
+from risc_estimation.mount_samples import BearingWindow
+from risc_lab.lab.calibration import FRONT_MOUNT, CameraMount, load_mount, resolve_url, save_mount
+
+NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
+LIMITS = (1.0, 1.0, 1.0, 180.0, 90.0, 180.0)  # [m, deg] of the numbers, either side of 0
+_STEP = 1e-6  # [m, deg] numbers that differ by less are the same
+
+
+@dataclass(frozen=True)
+class TunerParams:
+    """Settings of transform_tuner; config/transform_tuner.yaml explains and holds the same values."""
+
+    nominal: bool = False  # begin where a camera nominally sits instead of where the fleet's file says
+    rate_hz: float = 50.0  # of the frames, at most
+    text_hz: float = 2.0
+    live_s: float = 3.0  # what the text in the view tells about
+    rms_good_deg: float = 0.6  # rays that miss by less on the average pass the check
+    rectified: bool = True  # which pictures the bearings are from, for errors in pixels
+    camera: str = "ardrone"  # namespace of the pictures below the vehicle's
+
+    def __post_init__(self):
+        for key in ("rate_hz", "text_hz", "live_s", "rms_good_deg"):
+            if not getattr(self, key) > 0.0:
+                raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(self, key)))
+
+
+class Misses(NamedTuple):
+    """By how much rays miss their landmarks."""
+
+    rms_deg: float  # NaN: no bearings
+    rms_px: float  # NaN: no bearings, or the camera is not known
+    count: int  # bearings that count
+    wrong: int  # others, too far off to be believed
+
+    @property
+    def wrong_share(self):
+        """Of all of them; 0 if there are none."""
+        return self.wrong / max(self.wrong + self.count, 1)
+
+    def __str__(self):
+        pixels = "" if math.isnan(self.rms_px) else " (%.1f px)" % self.rms_px
+        wrong = ", %d wrong left out" % self.wrong if self.wrong else ""
+        return "%.2f deg%s RMS of %d bearings%s" % (self.rms_deg, pixels, self.count, wrong)
+
+
+class MountTuner:
+    """One vehicle's camera. What is done is answered by (whether it was done, a sentence with figures).
+
+    The mount may be changed from several threads; the window may not.
+    """
+
+    def __init__(self, vehicle, params=None, window_params=None, fit_params=None):
+        """vehicle: FleetVehicle. Raises ValueError for a mount file that is not usable, unless params.nominal."""
+        self.vehicle = vehicle
+        self._params = params or TunerParams()
+        self._fit_params = fit_params or FitParams()
+        self._from_file = bool(vehicle.camera_mount) and not self._params.nominal
+        self._first = load_mount(vehicle.camera_mount) if self._from_file else FRONT_MOUNT
+        self.mount = self._first  # replaced as a whole
+        self._lock = threading.Lock()  # held to replace it: `change` keeps some of its numbers
+        self.window = BearingWindow(window_params)
+
+    # -------- what sliders and handles do
+
+    @property
+    def numbers(self):
+        """The mount as {x, y, z [m], roll, pitch, yaw [deg]}, as far as sliders go."""
+        return dict(zip(NUMBERS, numbers_of(mount_of(numbers_of(self.mount)))))
+
+    def change(self, numbers):
+        """Take {some of NUMBERS: value}; beyond the sliders' ends they stop there. Raises ValueError for NaN."""
+        if not np.all(np.isfinite(list(numbers.values()))):
+            raise ValueError("%s: not moved: a mount needs finite numbers, got %r" % (self._name, numbers))
+        with self._lock:
+            self.mount = mount_of([numbers.get(key, value) for key, value in self.numbers.items()])
+
+    def shows(self, numbers):
+        """Whether such numbers are those of the mount."""
+        return all(abs(numbers[key] - value) < _STEP for key, value in self.numbers.items())
+
+    # -------- what menu entries and services do
+
+    def record(self):
+        """Begin a new window."""
+        self.window.restart()
+        return True, "%s: recording; fly where the camera sees landmarks, near and far, then solve" % self._name
+
+    def solve(self, samples, camera=None):
+        """Find the mount. samples: the first of window.samples(); camera: risc_lab.camera.Camera, for pixels."""
+        start = self.mount
+        try:
+            fit = fit_mount(samples, start, self._fit_params)
+        except ValueError as error:
+            return False, "%s: not solved: %s" % (self._name, error)
+        mount = mount_of(numbers_of(fit.mount))
+        with self._lock:
+            self.mount = mount
+        before, after = self._misses(start, samples, camera), self._misses(mount, samples, camera)
+        std_mm = ", ".join("%.1f" % (1e3 * value) for value in fit.std[:3])
+        std_deg = ", ".join("%.2f" % math.degrees(value) for value in fit.std[3:])
+        sentences = [
+            "%s: solved: %s, was %.2f deg" % (self._name, after, before.rms_deg),
+            "%s; standard deviations %s mm, %s deg" % (text_of(mount), std_mm, std_deg),
+        ]
+        sentences += ["WARNING: " + text for text in fit.warnings]
+        return True, ". ".join(sentences)
+
+    def check(self, samples, camera=None):
+        """Judge the mount. samples: the second of window.samples(), which no solution has seen."""
+        if len(samples.times_s) < self._fit_params.samples_min:
+            return False, "%s: not checked: %d bearings were kept aside, %d are needed: record more" % (
+                self._name,
+                len(samples.times_s),
+                self._fit_params.samples_min,
+            )
+        misses = self.misses(samples, camera)
+        faults = []
+        if not misses.rms_deg <= self._params.rms_good_deg:
+            faults.append("more than %.2f deg" % self._params.rms_good_deg)
+        if misses.wrong_share > self._fit_params.wrong_max:
+            faults.append("more than %.0f %% wrong" % (100.0 * self._fit_params.wrong_max))
+        verdict = "NOT good, " + " and ".join(faults) if faults else "good"
+        return not faults, "%s: %s: %s kept aside" % (self._name, verdict, misses)
+
+    def save(self):
+        """Write the mount where the fleet says that it is; `reset` goes back to it from now on."""
+        url = self.vehicle.camera_mount
+        if not url:
+            return False, (
+                "%s: not saved: the fleet file names no camera_mount for %s: add one, e.g. camera_mount: "
+                "%s_mount.yaml with its folder, and start again" % (self._name, self.vehicle.namespace, self._name)
+            )
+        mount = self.mount
+        try:
+            path = resolve_url(url).resolve()
+            _write(mount, path)
+        except (OSError, ValueError) as error:
+            return False, "%s: not saved: cannot write %s: %s" % (self._name, url, error)
+        with self._lock:
+            self._first, self._from_file = mount, True
+        return True, "%s: saved to %s: %s" % (self._name, path, text_of(mount))
+
+    def reset(self):
+        """Back to the mount that was saved last, or that it began with."""
+        with self._lock:
+            mount = self.mount = self._first
+            origin = "the file's" if self._from_file else "the nominal one"
+        return True, "%s: the mount is %s again: %s" % (self._name, origin, text_of(mount))
+
+    # -------- what the view shows
+
+    def misses(self, samples, camera=None):
+        """Misses of Samples with the present mount."""
+        return self._misses(self.mount, samples, camera)
+
+    def _misses(self, mount, samples, camera):
+        errors = ray_errors(samples, mount)
+        right = right_ones(errors, self._fit_params)
+        rms_px = math.nan
+        if camera is not None and right.any():
+            rms_px = root_mean_square(pixel_errors(samples.take(right), mount, camera))
+        return Misses(math.degrees(root_mean_square(errors[right])), rms_px, int(right.sum()), int((~right).sum()))
+
+    def lines(self, latest, to_solve, to_check, camera=None, seen=True):
+        """Lines of the text beside the camera. latest: Samples of the last while; seen: by motion capture, now."""
+        if not seen:
+            return ["%s: not seen by motion capture" % self._name]
+        misses = self.misses(latest, camera)
+        lines = ["%s: %s" % (self._name, misses if misses.count else "no landmark in view")]
+        lines.append("window: %d bearings to solve on, %d to check on" % (len(to_solve.times_s), len(to_check.times_s)))
+        if len(to_solve.times_s) < self._fit_params.samples_min:
+            lines.append("too few to solve")
+        else:
+            right = right_ones(ray_errors(to_solve, self.mount), self._fit_params)
+            std = standard_deviations(to_solve.take(right), self.mount, self._fit_params)
+            lines += weak_values(std, self._fit_params)
+        lines += ["left out: %d, %s" % (n, why) for why, n in sorted(self.window.refused.items())]
+        return lines
+
+    @property
+    def _name(self):
+        return self.vehicle.namespace
+
+
+def _write(mount, path):
+    """At one go: half a file is never there, not even when the computer is switched off. Raises OSError."""
+    new = path.with_name(path.name + ".new")
+    try:
+        save_mount(mount, new)
+        with new.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(str(new), str(path))
+    except OSError:
+        with contextlib.suppress(OSError):  # what went wrong first is told
+            new.unlink()
+        raise
+
+
+def numbers_of(mount):
+    """(x, y, z [m], roll, pitch, yaw [deg]) of a CameraMount."""
+    angles = (mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
+    return tuple(float(value) for value in mount.position_m) + tuple(math.degrees(angle) for angle in angles)
+
+
+def mount_of(numbers):
+    """CameraMount of (x, y, z [m], roll, pitch, yaw [deg]), cut at LIMITS."""
+    cut = [float(np.clip(value, -limit, limit)) for value, limit in zip(numbers, LIMITS)]
+    return CameraMount(tuple(cut[:3]), *map(math.radians, cut[3:]))
+
+
+def text_of(mount):
+    """A mount in words."""
+    rounded = [round(value, digits) + 0.0 for value, digits in zip(numbers_of(mount), (3, 3, 3, 2, 2, 2))]  # no -0.0
+    return "x %.3f, y %.3f, z %.3f m, roll %.2f, pitch %.2f, yaw %.2f deg" % tuple(rounded)

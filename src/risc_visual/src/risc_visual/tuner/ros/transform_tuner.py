@@ -1,0 +1,255 @@
+"""The transform tuner on the wire: handles in rviz, sliders, services, a text; the work is in tuner.mount_tuner.
+
+It is `transforms` of risc_control with cameras that can be moved: start it in place of that node.
+"""
+
+import textwrap
+import threading
+import time
+import xmlrpc.client
+
+import rospy
+from dynamic_reconfigure.server import Server
+from interactive_markers.interactive_marker_server import InteractiveMarkerServer
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger, TriggerResponse
+from visualization_msgs.msg import InteractiveMarkerFeedback, MarkerArray
+
+from risc_control.ros.vehicle_transforms import VehicleTransforms
+from risc_estimation.mount_fit import FitParams
+from risc_estimation.mount_samples import WindowParams
+from risc_estimation.ros.bearing_conversions import bearings_from_msg, states_from_msg
+from risc_estimation.ros.cameras import VehicleCameras
+from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
+from risc_lab.ros.paced_subscriber import PacedSubscriber
+from risc_lab.ros.params import fleet_vehicles, load_params
+from risc_lab.ros.ticker import on_ros_time
+from risc_lab.ros.until_shutdown import until_shutdown
+from risc_lab.vehicle_frames import body_frame
+from risc_msgs.msg import Cortex, Landmarks, Observed_angles
+from risc_visual.cfg import TransformTunerConfig
+from risc_visual.drawing.ros import markers
+from risc_visual.ros.conversions import landmarks_from_msg
+from risc_visual.ros.health import Health
+from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, TunerParams
+from risc_visual.tuner.ros.mount_marker import mount_marker, numbers_from_pose, pose_of
+
+NAMESPACE = "transform_tuner"  # of topics, services and sliders, whatever the node is called
+ACTIONS = ("solve", "check", "save", "reset", "record")  # services, and the menu in this order
+_FOLLOW_S = 0.25  # sliders follow the handles so much later: telling everybody takes too long for every mouse event
+_SEEN_S = 0.5  # a vehicle without a pose for longer is not seen
+_COMPLAIN_S = 10.0  # sliders that cannot follow are told of so often
+_ANSWER_S = 20.0  # how long the last answer stays in the view
+_LANDMARKS_HZ = 2.0
+_STATES = 400  # frames that may wait while the node is held up: 2 s at 200 Hz
+_BUFFER_BYTES = 2**20
+_TEXT_AT_M = (0.0, 0.0, -0.7)  # body axes: above the vehicle
+_TEXT_M = 0.08  # height of a line
+_TEXT_COLUMNS = 56
+_TEXT_RGBA = (1.0, 1.0, 0.6, 1.0)
+
+
+class HandleServer(InteractiveMarkerServer):
+    """As of its package, but silent when ROS shuts down under it."""
+
+    keepAlive = until_shutdown(InteractiveMarkerServer.keepAlive)  # noqa: N815 - the name is the package's
+
+
+class Sliders:
+    """The six numbers of one vehicle's camera on dynamic_reconfigure."""
+
+    def __init__(self, namespace, tuner, on_moved):
+        """namespace: of the sliders. on_moved: called with {number: value} of what a person has moved."""
+        self._tuner = tuner
+        self._on_moved = on_moved
+        self._shown = None
+        self._follower = None  # thread that moves them now, which is no person
+        self._told = True  # whether everybody was told of their last move
+        for key, value in tuner.numbers.items():
+            rospy.set_param("%s/%s" % (namespace, key), value)
+        self._server = Server(TransformTunerConfig, self._on_config, namespace)
+
+    def follow(self):
+        """Show what the mount is now. Not to be called with a lock that `on_moved` takes.
+
+        Raises OSError or xmlrpc.client.Error when the master does not answer: call it again later.
+        """
+        if self._told and self._tuner.shows(self._shown):
+            return
+        self._told, self._follower = False, threading.get_ident()
+        try:
+            self._server.update_configuration(self._tuner.numbers)
+            self._told = True
+        finally:
+            self._follower = None
+
+    def _on_config(self, config, _level):
+        wanted = {key: config[key] for key in NUMBERS}
+        if self._shown is not None and self._follower != threading.get_ident():
+            # only what was moved: the others may be behind the handles
+            self._on_moved({key: value for key, value in wanted.items() if value != self._shown[key]})
+        self._shown = wanted
+        return config
+
+
+class Tuned:
+    """One vehicle: its tuner, its sliders, when it was last seen, and the last answer."""
+
+    def __init__(self, tuner):
+        self.tuner = tuner
+        self.name, self.template = tuner.vehicle.namespace, tuner.vehicle.template
+        self.sliders = None
+        self.acting = threading.Lock()  # one action at a time
+        self.seen_s = self.answered_s = float("-inf")  # monotonic clock
+        self.answer = ""
+
+
+class TransformTunerNode:
+    """/cortex_raw, /states3, /angles -> tf as `transforms`; transform_tuner/...: handles, sliders, text, services."""
+
+    def __init__(self):
+        self._params, window_params, fit_params = load_params(TunerParams, WindowParams, FitParams)
+        fleet = fleet_vehicles()
+        if not fleet:
+            raise ValueError("there is no fleet in /fleet: start it beside a flight, or give its fleet file")
+        tuners = [MountTuner(vehicle, self._params, window_params, fit_params) for vehicle in fleet]
+        self._tuned = [Tuned(tuner) for tuner in tuners]
+        self._by_name = {name: item for item in self._tuned for name in (item.template, item.name)}
+        self._template_of_region = load_landmark_catalogue().template_of_region
+        self._cameras = VehicleCameras(fleet, self._params.rectified, self._params.camera)
+        self._lock = threading.Lock()  # windows and frames: handles, sliders, services and topics have a thread each
+        namespace = rospy.resolve_name(NAMESPACE)
+        mounts = {item.template: item.tuner.mount for item in self._tuned}
+        self._text = rospy.Publisher(namespace + "/text", MarkerArray, queue_size=1)
+        self._handles = HandleServer(namespace)
+        self._health = Health("transform_tuner", ("/cortex_raw", "/states3", "/angles"))
+        self._frames = VehicleTransforms(mounts)
+        self._frames_due_s = 0.0
+        self._services = []
+        for item in self._tuned:
+            self._offer(item, "%s/%s" % (namespace, item.name))
+        self._handles.applyChanges()
+        # Every pose counts, also when this node is late: between two of them that are far apart nobody knows the third.
+        rospy.Subscriber(
+            "/cortex_raw", Cortex, self._on_states, queue_size=_STATES, buff_size=_BUFFER_BYTES, tcp_nodelay=True
+        )
+        PacedSubscriber("/states3", Landmarks, self._on_landmarks, _LANDMARKS_HZ)
+        rospy.Subscriber("/angles", Observed_angles, self._on_angles, queue_size=100, tcp_nodelay=True)
+        for period_s, callback in ((_FOLLOW_S, self._on_follow), (1.0 / self._params.text_hz, self._on_text)):
+            on_ros_time(period_s, callback, "the transform tuner")
+
+    def _offer(self, item, namespace):
+        """Handles, sliders and services of one vehicle."""
+        titles = [action.capitalize() for action in ACTIONS]
+        marker = mount_marker(item.name, item.template, item.tuner.mount, titles)
+        self._handles.insert(marker, self._on_handle)
+        item.sliders = Sliders(namespace, item.tuner, lambda numbers: self._change(item, numbers))
+        for action in ACTIONS:
+
+            def serve(_request, action=action):
+                return TriggerResponse(*self._do(item, action))
+
+            self._services.append(rospy.Service("%s/%s" % (namespace, action), Trigger, serve))
+
+    # -------- what is measured
+
+    @until_shutdown
+    def _on_states(self, msg):
+        stamp_s, now_s = msg.header.stamp.to_sec(), time.monotonic()
+        if now_s >= self._frames_due_s:
+            self._frames_due_s = now_s + 1.0 / self._params.rate_hz
+            self._frames.send(msg)
+        with self._lock:
+            for name, (position_m, euler_rad) in states_from_msg(msg).items():
+                item = self._by_name.get(name)
+                if item is not None:
+                    item.seen_s = now_s
+                    item.tuner.window.see_pose(stamp_s, position_m, euler_rad)
+        self._health.drawn("/cortex_raw")
+
+    def _on_landmarks(self, msg):
+        with self._lock:
+            for item in self._tuned:
+                item.tuner.window.see_landmarks(dict(landmarks_from_msg(msg)))
+        self._health.drawn("/states3")
+
+    def _on_angles(self, msg):
+        with self._lock:
+            for entry in msg.Obj:
+                item = self._by_name.get(entry.name)
+                if item is not None:
+                    seen = [bearing for bearing in bearings_from_msg(entry.landmarks) if bearing.visible]
+                    bearings = {self._landmark(b.name): (b.azimuth_rad, b.elevation_rad) for b in seen}
+                    item.tuner.window.see_bearings(msg.header.stamp.to_sec(), bearings)
+        self._health.drawn("/angles")
+
+    def _landmark(self, region):
+        return self._template_of_region.get(region, region)
+
+    # -------- what people do
+
+    def _on_handle(self, feedback):
+        item = self._by_name[feedback.marker_name]
+        if feedback.event_type == InteractiveMarkerFeedback.MENU_SELECT:
+            self._do(item, ACTIONS[feedback.menu_entry_id - 1])
+        elif feedback.event_type == InteractiveMarkerFeedback.POSE_UPDATE:
+            self._change(item, numbers_from_pose(feedback.pose))
+
+    def _change(self, item, numbers):
+        try:
+            with self._lock:
+                item.tuner.change(numbers)
+                self._show(item)
+        except ValueError as error:
+            rospy.logwarn("%s", error)
+
+    def _do(self, item, action):
+        """Run one of ACTIONS, after one that runs already. Returns (whether it was done, a sentence)."""
+        tuner = item.tuner
+        with item.acting:
+            with self._lock:
+                given = dict(zip(("solve", "check"), tuner.window.samples()))
+                if action == "record":
+                    done, answer = tuner.record()
+            if action in given:  # without the lock: frames go on meanwhile
+                done, answer = getattr(tuner, action)(given[action], self._cameras[item.name])
+            elif action != "record":
+                done, answer = getattr(tuner, action)()
+            with self._lock:
+                self._show(item)
+            item.answer, item.answered_s = answer, time.monotonic()
+        (rospy.loginfo if done else rospy.logwarn)("%s", answer)
+        return done, answer
+
+    def _show(self, item):
+        """Everybody is told where the camera sits now; sliders follow soon."""
+        self._frames.move_camera(item.template, item.tuner.mount)
+        self._handles.setPose(item.name, pose_of(item.tuner.mount))
+        self._handles.applyChanges()
+
+    @until_shutdown
+    def _on_follow(self):
+        try:
+            for item in self._tuned:
+                item.sliders.follow()
+        except (OSError, xmlrpc.client.Error) as error:
+            rospy.logwarn_throttle(_COMPLAIN_S, "the sliders cannot follow, the master does not answer: %s" % error)
+
+    @until_shutdown
+    def _on_text(self):
+        found = []
+        for item in self._tuned:
+            camera = self._cameras[item.name]
+            with self._lock:
+                windows = item.tuner.window.samples()
+                latest = item.tuner.window.latest(self._params.live_s)
+            now_s = time.monotonic()
+            lines = item.tuner.lines(latest, *windows, camera=camera, seen=now_s - item.seen_s < _SEEN_S)
+            if now_s - item.answered_s < _ANSWER_S:
+                lines += textwrap.wrap(item.answer, _TEXT_COLUMNS)
+            head = Header(frame_id=body_frame(item.template))  # no stamp: where the vehicle is now
+            lifetime_s = 3.0 / self._params.text_hz
+            found.append(
+                markers.text_marker(head, item.name, 0, "\n".join(lines), _TEXT_AT_M, _TEXT_M, _TEXT_RGBA, lifetime_s)
+            )
+        self._text.publish(found)

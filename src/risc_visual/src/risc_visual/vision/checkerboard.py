@@ -1,0 +1,297 @@
+"""Calibration of a camera from pictures of a checkerboard (thesis 4.4.3), by OpenCV. Needs no ROS and no screen.
+
+The lens model is ROS' plumb_bob: K and k1, k2, p1, p2, k3. Pixels: x right, y down, (0, 0) is the middle of the top
+left pixel, as in risc_lab.camera.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from risc_lab.lab.calibration import CameraCalibration
+
+_CORNER_NAMES = ("top left", "top right", "bottom left", "bottom right")
+_INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")  # order of OpenCV's standard deviations
+_CONVERGED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+_REFINED = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 0.005)
+_START_FOCAL = 1.2  # of the picture's width
+_MAX_STARTS = 8
+_REFINE_RADIUS_PX = 9  # half window of the sub-pixel search; less where squares are small
+
+
+class CalibrationError(ValueError):
+    """Pictures that give no calibration, with cause and cure."""
+
+
+@dataclass(frozen=True)
+class Checkerboard:
+    """The board: numbers of *inner* corners, and the side of a square."""
+
+    columns: int = 8
+    rows: int = 6
+    square_m: float = 0.025
+
+    def __post_init__(self):
+        if self.columns < 3 or self.rows < 3:
+            raise ValueError("a board needs at least 3x3 inner corners, found %dx%d" % (self.columns, self.rows))
+        if not self.square_m > 0.0 or not np.isfinite(self.square_m):
+            raise ValueError("the side of a square must be > 0 m, found %r" % (self.square_m,))
+
+    @classmethod
+    def from_text(cls, size, square_m):
+        """Board of a text like "8x6". Raises ValueError that says what the text must be."""
+        columns, cross, rows = size.partition("x")
+        if not (cross and columns.isdigit() and rows.isdigit()):
+            raise ValueError("a board's size is COLUMNSxROWS of inner corners, e.g. 8x6; found '%s'" % size)
+        return cls(int(columns), int(rows), square_m)
+
+    def points_m(self):
+        """Inner corners (rows * columns, 3) [m] in board axes (x along a row), in the order of `find_board`."""
+        grid = np.mgrid[0 : self.columns, 0 : self.rows].T.reshape(-1, 2) * self.square_m
+        return np.column_stack((grid, np.zeros(len(grid)))).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class CalibrationParams:
+    """Settings of `calibrate`."""
+
+    max_views: int = 60  # views that are used of all that were found: more take longer and tell little
+    good_views: int = 15  # fewer are reported
+    min_views: int = 4  # fewer are refused
+    radial_terms: int = 2  # 2: k3 = 0, as camera_calibration does by default; 3: k3 too, for very wide lenses
+    outlier_ratio: float = 3.0  # a view is dropped when its error is that many times the median, ...
+    outlier_floor_px: float = 0.3  # ... but never when it is below this
+    corner_reach: float = (
+        0.12  # of the picture's diagonal: a corner of the picture without the board nearer is reported
+    )
+    good_tilt_deg: float = 20.0  # views tilted less do not tell focal length from distance
+    sigma_limit: float = 0.01  # of the focal length: a greater standard deviation of fx, fy, cx or cy is reported
+
+    def __post_init__(self):
+        if not 4 <= self.min_views <= self.good_views <= self.max_views:
+            raise ValueError("4 <= min_views <= good_views <= max_views is needed, found %r" % (self,))
+        if self.radial_terms not in (2, 3):
+            raise ValueError("radial_terms must be 2 or 3, found %r" % (self.radial_terms,))
+
+
+@dataclass(frozen=True)
+class View:
+    """The board as one picture shows it."""
+
+    name: str
+    corners_px: np.ndarray  # (rows * columns, 2)
+
+
+@dataclass(frozen=True)
+class ViewError:
+    """How well one view fits."""
+
+    name: str
+    rms_px: float  # of the reprojection errors
+    tilt_deg: float  # between the board's normal and the optical axis
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What `calibrate` found."""
+
+    calibration: CameraCalibration
+    rms_px: float  # reprojection error over all corners of the used views
+    sigma: dict[str, float]  # standard deviations of fx, fy, cx, cy [px], k1, k2, p1, p2, k3
+    used: tuple[ViewError, ...]
+    dropped: tuple[ViewError, ...]  # outliers: their errors are from before they were dropped
+    warnings: tuple[str, ...]  # what is weak about the pictures, and the cure
+
+
+def find_board(grey, board):
+    """Inner corners (rows * columns, 2) [px] of the board in a picture (height, width) of uint8, or None.
+
+    Found by findChessboardCorners, or by findChessboardCornersSB where that fails (blur, bad light, strong tilt); both
+    are then refined by cornerSubPix. On rendered pictures (640 x 360, noise of 2 grey levels) nearly all corners are
+    right to 0.05 px RMS; those of findChessboardCornersSB alone, also with its accuracy flag, to 0.1 - 0.25 px.
+    """
+    size = (board.columns, board.rows)
+    fast = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+    found, corners = cv2.findChessboardCorners(grey, size, flags=fast)
+    if not found:
+        found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not found:
+        return None
+    grid = corners.reshape(board.rows, board.columns, 2)
+    spacing = min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))
+    radius = int(np.clip(0.4 * spacing, 1, _REFINE_RADIUS_PX))  # the window must hold one corner only
+    corners = cv2.cornerSubPix(grey, corners.reshape(-1, 1, 2), (radius, radius), (-1, -1), _REFINED)
+    return corners.reshape(-1, 2).astype(float)
+
+
+def shown_board(grey):
+    """(columns, rows) of inner corners of whatever checkerboard a picture shows, or None; columns >= rows."""
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, _, grid = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
+    if not found:
+        return None
+    return max(grid.shape[:2]), min(grid.shape[:2])
+
+
+def choose_views(views, board, size_px, count):
+    """The `count` views that differ most in place, size and tilt of the board, best first; all when there are fewer.
+
+    size_px: (width, height) of the pictures.
+    """
+    if len(views) <= count:
+        return list(views)
+    features = np.array([_features(view.corners_px, board, size_px) for view in views])
+    chosen = [int(np.argmax(features[:, 2]))]  # the largest board
+    distance = np.full(len(views), np.inf)
+    while len(chosen) < count:
+        distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return [views[i] for i in chosen]
+
+
+def calibrate(views, board, size_px, name="camera", params=None):
+    """Calibrate a camera. Returns a Calibrated; its P is that of camera_calibration's default (alpha 0: no black rims).
+
+    views: sequence of View.   size_px: (width, height) of all pictures.   name: that of the camera, for the file.
+    Raises CalibrationError when there are too few views or when they do not determine the camera.
+    """
+    params = params or CalibrationParams()
+    if len(views) < params.min_views:
+        raise CalibrationError(
+            "the board was found in %d picture(s), at least %d are needed and %d are good: take more, with the whole "
+            "board in view" % (len(views), params.min_views, params.good_views)
+        )
+    kept = choose_views(views, board, size_px, params.max_views)
+    dropped = []
+    guess = None
+    while True:
+        guess, sigma, errors = _solve(kept, board, size_px, params.radial_terms, guess)
+        rms = np.array([error.rms_px for error in errors])
+        limit = max(params.outlier_ratio * np.median(rms), params.outlier_floor_px)
+        outliers = rms > limit
+        if not outliers.any() or np.count_nonzero(~outliers) < params.min_views:
+            break
+        dropped += [error for error, out in zip(errors, outliers) if out]
+        kept = [view for view, out in zip(kept, outliers) if not out]
+    K, D = guess
+    P, _ = cv2.getOptimalNewCameraMatrix(K, D, size_px, 0.0)
+    try:
+        calibration = CameraCalibration(
+            name=name,
+            width_px=size_px[0],
+            height_px=size_px[1],
+            K=tuple(float(value) for value in K.ravel()),
+            D=tuple(float(value) for value in D),
+            R=(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+            P=tuple(float(value) for value in np.column_stack((P, np.zeros(3))).ravel()),
+        )
+    except ValueError as error:
+        raise CalibrationError("the pictures do not determine the camera (%s): %s" % (error, _TILT_CURE)) from error
+    return Calibrated(
+        calibration=calibration,
+        rms_px=float(np.sqrt(np.mean(rms**2))),
+        sigma=sigma,
+        used=tuple(errors),
+        dropped=tuple(dropped),
+        warnings=tuple(_warnings(kept, errors, dropped, K, sigma, size_px, params)),
+    )
+
+
+_TILT_CURE = "tilt the board to both sides and forward and back, by 30 to 50 degrees, near enough to fill the picture"
+
+
+def _features(corners_px, board, size_px):
+    """(5,) place x, y, size and two tilts of the board in a picture, each of the order of 1.
+
+    The tilts are by how much the distance changes from one edge of the board to the other, as a fraction; they are the
+    perspective part of the homography and need no focal length.
+    """
+    x = np.linspace(-1.0, 1.0, board.columns)
+    y = np.linspace(-1.0, 1.0, board.rows)
+    plane = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    H, _ = cv2.findHomography(plane, corners_px)
+    centre = corners_px.mean(axis=0) / size_px
+    size = np.sqrt(cv2.contourArea(cv2.convexHull(corners_px.astype(np.float32))) / (size_px[0] * size_px[1]))
+    return np.array([centre[0], centre[1], size, 2.0 * H[2, 0] / H[2, 2], 2.0 * H[2, 1] / H[2, 2]])
+
+
+def _solve(views, board, size_px, radial_terms, guess=None):
+    """(K, D), {name: standard deviation} and the list of ViewError of one calibration.
+
+    guess: (K, D) to start from. Without one, some focal length is assumed and at first only that and the radial
+    distortion are sought. OpenCV's own start takes the lens for one without distortion and gives some boards the wrong
+    tilt; the solver then stays where errors are several pixels, with a focal length that may be many times too long.
+    Started again from what it found it finds its way out: that is done until it makes no difference.
+    """
+    points = [board.points_m()] * len(views)
+    corners = [view.corners_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
+    radial = cv2.CALIB_FIX_K3 if radial_terms == 2 else 0
+
+    def start(K, D, fixed):
+        flags = radial | fixed | cv2.CALIB_USE_INTRINSIC_GUESS
+        try:
+            solution = cv2.calibrateCameraExtended(
+                points, corners, size_px, K.copy(), D.copy(), flags=flags, criteria=_CONVERGED
+            )
+        except cv2.error as error:
+            raise CalibrationError("the pictures do not determine the camera: %s" % _TILT_CURE) from error
+        if not (np.isfinite(solution[1]).all() and np.isfinite(solution[2]).all()):
+            raise CalibrationError("the pictures do not determine the camera: %s" % _TILT_CURE)
+        return solution
+
+    if guess is None:
+        focal_px = _START_FOCAL * size_px[0]
+        K = np.array([[focal_px, 0.0, 0.5 * size_px[0]], [0.0, focal_px, 0.5 * size_px[1]], [0.0, 0.0, 1.0]])
+        fixed = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_ASPECT_RATIO
+        guess = start(K, np.zeros(5), fixed)[1:3]
+    last_px = np.inf
+    for _ in range(_MAX_STARTS):
+        rms_px, K, D, turns, _, deviations, _, errors_px = start(guess[0], guess[1], 0)
+        guess = (K, D.ravel()[:5])
+        if rms_px > 0.999 * last_px:
+            break
+        last_px = rms_px
+    normals = [cv2.Rodrigues(turn)[0][2, 2] for turn in turns]
+    tilts_deg = np.degrees(np.arccos(np.clip(np.abs(normals), 0.0, 1.0)))
+    errors = [
+        ViewError(view.name, float(error), float(tilt))
+        for view, error, tilt in zip(views, errors_px.ravel(), tilts_deg)
+    ]
+    return guess, dict(zip(_INTRINSICS, deviations.ravel().tolist())), errors
+
+
+def _warnings(views, errors, dropped, K, sigma, size_px, params):
+    """Yield what is weak about the pictures, each with its cure."""
+    if len(views) < params.good_views:
+        yield "only %d views: take at least %d that differ in place, distance and tilt" % (
+            len(views),
+            params.good_views,
+        )
+    if len(dropped) > len(views) // 4:
+        yield "%d of %d views did not fit: keep board and camera still, and check that the board is flat" % (
+            len(dropped),
+            len(views) + len(dropped),
+        )
+    tilted = sum(error.tilt_deg >= params.good_tilt_deg for error in errors)
+    if tilted < max(3, len(errors) // 4):
+        yield "only %d of %d views are tilted by %g degrees or more: %s" % (
+            tilted,
+            len(errors),
+            params.good_tilt_deg,
+            _TILT_CURE,
+        )
+    corners_px = np.concatenate([view.corners_px for view in views])
+    reach_px = params.corner_reach * np.hypot(*size_px)
+    ends = [(x, y) for y in (0, size_px[1] - 1) for x in (0, size_px[0] - 1)]
+    bare = [name for name, end in zip(_CORNER_NAMES, ends) if np.linalg.norm(corners_px - end, axis=1).min() > reach_px]
+    if bare:
+        yield "the board was never near the picture's corner(s) %s, where the lens distorts most: show it there" % (
+            ", ".join(bare)
+        )
+    focal_px = float(np.sqrt(K[0, 0] * K[1, 1]))
+    vague = [
+        "%s +- %.1f px" % (key, sigma[key]) for key in _INTRINSICS[:4] if sigma[key] > params.sigma_limit * focal_px
+    ]
+    if vague:
+        yield "uncertain: %s: %s" % (", ".join(vague), _TILT_CURE)

@@ -1,0 +1,115 @@
+"""Paints as boxes in OpenCV's 8-bit HSV (thesis 4.4.5): hue 0..179 (half degrees), saturation and value 0..255.
+
+HSV is the hexcone, V = max, S = (max - min) / max: the formulas printed in the thesis are those of HLS.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from risc_lab.lab.yaml_reader import errors_of
+
+HUES = 180  # of an 8-bit picture
+SIDE_MIN_PX = 8  # a smaller picture holds nothing
+
+
+@dataclass(frozen=True)
+class HsvRange:
+    """All colours that count as one paint. Limits are inclusive; a hue range with first > last wraps through red."""
+
+    hue: tuple[int, int]
+    saturation: tuple[int, int] = (0, 255)
+    value: tuple[int, int] = (0, 255)
+
+    def __post_init__(self):
+        for name, limit in (("hue", HUES - 1), ("saturation", 255), ("value", 255)):
+            low, high = getattr(self, name)
+            if not (0 <= low <= limit and 0 <= high <= limit):
+                raise ValueError("'%s' must be two numbers in 0..%d, found %r" % (name, limit, [low, high]))
+        for name in ("saturation", "value"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError("'%s' must be [lowest, highest], found %r: swap them" % (name, [low, high]))
+
+
+class Planes:
+    """Hue, saturation and value of one picture, and its masks; what several paints share is computed once."""
+
+    def __init__(self, bgr):
+        """bgr: (h, w, 3) uint8."""
+        self._planes = cv2.split(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV))
+        self._within = {}
+
+    @property
+    def hue(self):
+        """(h, w) uint8 in 0..179."""
+        return self._planes[0]
+
+    def mask(self, paint):
+        """(h, w) uint8: 255 where the picture has this paint (an HsvRange)."""
+        vivid = paint.saturation + paint.value
+        if vivid not in self._within:
+            self._within[vivid] = cv2.bitwise_and(self._range(1, *paint.saturation), self._range(2, *paint.value))
+        return cv2.bitwise_and(self._hue_within(*paint.hue), self._within[vivid])
+
+    def _hue_within(self, first, last):
+        if first <= last:
+            return self._range(0, first, last)
+        return cv2.bitwise_or(self._range(0, first, HUES - 1), self._range(0, 0, last))
+
+    def _range(self, plane, low, high):
+        key = (plane, low, high)
+        if key not in self._within:
+            self._within[key] = cv2.inRange(self._planes[plane], low, high)
+        return self._within[key]
+
+
+def as_bgr(image):
+    """The picture as (h, w, 3) uint8 BGR; None for one that is grey or too small to hold anything.
+
+    Raises ValueError for what is no picture.
+    """
+    image = np.asarray(image)
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3, 4)):
+        raise ValueError(
+            "a picture must be uint8 of shape (h, w, 3), BGR, found %s of shape %s" % (image.dtype, image.shape)
+        )
+    if min(image.shape[:2]) < SIDE_MIN_PX or image.ndim == 2 or image.shape[2] == 1:
+        return None
+    return np.ascontiguousarray(image[:, :, :3])
+
+
+def shrunk(bgr, factor):
+    """The picture in which blobs are searched: smaller, which also averages its noise."""
+    if factor == 1:
+        return bgr
+    height, width = (side // factor for side in bgr.shape[:2])
+    return cv2.resize(bgr[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
+
+
+def colours_from_section(section):
+    """dict name -> HsvRange of a yaml_reader.Section. Raises ValueError that names the key."""
+    return {name: _colour(section.section(name)) for name in section.keys()}
+
+
+def _colour(section):
+    limits = {}
+    with errors_of(section.where):
+        for key, default in (("hue", None), ("saturation", (0, 255)), ("value", (0, 255))):
+            numbers = section.vector(key, 2, default)
+            limits[key] = tuple(map(int, numbers))
+            if limits[key] != numbers:
+                raise ValueError("'%s' must be whole numbers, found %r" % (key, list(numbers)))
+        section.done()
+        return HsvRange(**limits)
+
+
+def check_paints(colours, item, keys):
+    """Raises ValueError for the first of these fields of an item (which has a name) that is none of the colours."""
+    for key in keys:
+        paint = getattr(item, key)
+        if paint not in colours:
+            raise ValueError(
+                "%s: '%s' is %r, which is no colour; known are %s" % (item.name, key, paint, ", ".join(colours))
+            )

@@ -1,0 +1,111 @@
+"""A mask by colour, to find the thresholds of a paint, and their way into a landmarks file. Needs no ROS."""
+
+import os
+import pathlib
+import re
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import yaml
+
+from risc_lab.lab.landmark_catalogue import landmarks_file
+from risc_lab.lab.ranges import check_ranges
+from risc_visual.vision.colours import HUES, HsvRange, Planes
+from risc_visual.vision.landmark_config import landmarks_from_dict
+
+_SIGMA_PX = 2.0  # of the blur, as in the original release
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """Thresholds of one paint, inclusive; the defaults are those of the original release's green."""
+
+    hue_high: int = 78
+    hue_low: int = 54  # above hue_high: the range wraps through red
+    saturation_high: int = 196
+    saturation_low: int = 26
+    value_high: int = 255
+    value_low: int = 84
+    kernel: int = 1  # [px] radius of the kernel that closes holes in the mask
+    blur: int = 1  # [px] radius of the blur of the mask
+    colour: str = "green"  # whose thresholds `save` writes
+    file: str = ""  # landmarks file that `save` writes
+
+    def __post_init__(self):
+        check_ranges(self, kernel=(0, 20), blur=(0, 100))
+        self.paint()
+
+    def paint(self):
+        """HsvRange of the thresholds. The sliders go to 180 as the original's, the hue of a picture only to 179."""
+        hue = min(self.hue_low, HUES - 1), min(self.hue_high, HUES - 1)
+        return HsvRange(hue, (self.saturation_low, self.saturation_high), (self.value_low, self.value_high))
+
+
+def make_mask(bgr, settings):
+    """(h, w) uint8, 255 where the picture (h, w, 3) has the paint, holes closed and borders blurred."""
+    mask = Planes(bgr).mask(settings.paint())
+    if settings.kernel:
+        size = 2 * settings.kernel + 1
+        mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    if settings.blur:
+        size = 2 * settings.blur + 1
+        mask = cv2.GaussianBlur(mask, (size, size), _SIGMA_PX)
+    return mask
+
+
+def draw_mask(bgr, mask):
+    """The picture, grey where the mask is 0, with the outlines of the mask."""
+    grey = cv2.cvtColor(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR) // 2
+    painted = mask > 127
+    drawn = np.where(painted[:, :, None], bgr, grey)
+    outlines, _ = cv2.findContours(painted.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+    cv2.drawContours(drawn, outlines, -1, (255, 255, 255), 1)
+    return drawn
+
+
+def save_colour(path, name, paint):
+    """Write an HsvRange into a landmarks file, whose other lines stay as they are; a new file begins as the package's.
+
+    Returns the absolute path: a node that roslaunch starts is not in the user's folder. Raises ValueError with cause
+    and cure, and then the file is what it was.
+    """
+    if not str(path):
+        raise ValueError("no file to write: give the parameter ~file, e.g. _file:=my_landmarks.yaml")
+    if not re.fullmatch(r"\w+", name):
+        raise ValueError("%r is no name of a colour: letters, digits and _" % name)
+    path = pathlib.Path(path).expanduser().absolute()
+    source = path if path.exists() else landmarks_file()
+    try:
+        text = source.read_text(encoding="utf-8")
+        limits = ", ".join("%s: [%d, %d]" % (key, *getattr(paint, key)) for key in ("hue", "saturation", "value"))
+        text = _with_colour(text, name, "{%s}" % limits)
+        config = landmarks_from_dict(yaml.safe_load(text), str(path))
+        if config.colours.get(name) != paint:
+            raise ValueError(
+                "%s: cannot place '%s' under 'colours': write each colour on a line of its own" % (path, name)
+            )
+        # Under another name first: a full disk must not leave half a file.
+        new = path.with_name(path.name + ".new")
+        new.write_text(text, encoding="utf-8")
+        os.replace(str(new), str(path))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ValueError("cannot write %s: %s" % (path, " ".join(str(error).split()))) from error
+    return path
+
+
+def _with_colour(text, name, value):
+    """The file's text with this line under `colours`."""
+    block = re.search(r"^colours:[^\n]*\n((?:[ \t]+[^\n]*\n|[ \t]*\n|#[^\n]*\n)*)", text, re.MULTILINE)
+    if block is None:
+        return text
+    lines, count = re.subn(
+        r"^([ \t]+)%s:[ \t]*\{[^}\n]*\}" % re.escape(name),
+        r"\g<1>%s: %s" % (name, value),
+        block.group(1),
+        flags=re.MULTILINE,
+    )
+    if not count:
+        indent = re.match(r"[ \t]*", block.group(1)).group(0) or "  "
+        lines = "%s%s: %s\n%s" % (indent, name, value, block.group(1))
+    return text[: block.start(1)] + lines + text[block.end(1) :]

@@ -1,0 +1,70 @@
+"""Thresholds and segmentation by colour: every pixel is painted as one of 24 hues, black or white.
+
+Hue bins count from 1 as in the original release: red 1, orange 2-3, yellow 5, green 8-12, blue 14-19, pink 24.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from risc_visual.vision.templates.checks import within
+
+BINS = 24
+BLACK, WHITE = 0, 255  # values of `hue_bins` beside 1..24
+
+
+@dataclass(frozen=True)
+class SegmentationSettings:
+    """Settings of the segmentation; the defaults are those of the original release."""
+
+    saturation_high: int = 255  # of what counts as coloured, 0..255
+    saturation_low: int = 0
+    value_high: int = 255
+    value_low: int = 0
+    blur: int = 0  # [px] radius of a box blur before everything else
+    first_bin: int = 24  # of the mask; a range may go over the end: 24 to 2 is pink, red and orange
+    last_bin: int = 24
+
+    def __post_init__(self):
+        for key in ("saturation_high", "saturation_low", "value_high", "value_low"):
+            within(self, key, 0, 255)
+        within(self, "blur", 0, 100)
+        within(self, "first_bin", 1, BINS)
+        within(self, "last_bin", 1, BINS)
+
+
+def hue_bins(picture, settings):
+    """Bin of every pixel, (h, w) uint8: 1..24 by hue, BLACK when too dark, WHITE when too pale or too bright."""
+    if settings.blur:
+        picture = cv2.blur(picture, (2 * settings.blur + 1, 2 * settings.blur + 1))
+    hue, saturation, value = cv2.split(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV))
+    bins = _BIN_OF_HUE[hue]
+    pale = (saturation < settings.saturation_low) | (saturation > settings.saturation_high)
+    bins[pale | (value > settings.value_high)] = WHITE
+    bins[value < settings.value_low] = BLACK
+    return bins
+
+
+def paint(bins):
+    """Picture (h, w, 3) of `hue_bins`."""
+    return _PAINTS[bins]
+
+
+def mask_of_bins(bins, first, last):
+    """(h, w) uint8: 255 where the bin is in first..last, which may go over the end (24..2)."""
+    inside = (bins >= first) & (bins <= last) if first <= last else (bins >= first) | (bins <= last)
+    return np.where(inside & (bins >= 1) & (bins <= BINS), 255, 0).astype(np.uint8)
+
+
+def _make_paints():
+    paints = np.zeros((256, 3), np.uint8)
+    hue = ((np.arange(BINS) + 0.5) * 180.0 / BINS).astype(np.uint8)  # the middle of each bin
+    hsv = np.stack((hue, np.full(BINS, 255, np.uint8), np.full(BINS, 255, np.uint8)), axis=1)
+    paints[1 : BINS + 1] = cv2.cvtColor(hsv[None], cv2.COLOR_HSV2BGR)[0]
+    paints[WHITE] = 255
+    return paints
+
+
+_BIN_OF_HUE = (np.arange(256) * BINS // 180 + 1).clip(1, BINS).astype(np.uint8)
+_PAINTS = _make_paints()
