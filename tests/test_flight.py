@@ -82,7 +82,7 @@ def test_three_vehicles_fly_their_circles_and_land(circles):
 
 def test_summary_has_every_key_of_the_design(circles):
     summary = circles[2]
-    assert summary["experiment"] == "circles3" and summary["simulated"]["plant"] == "honest"
+    assert summary["experiment"] == "circles3" and summary["simulated"]["plant"] == "perturbed"
     assert summary["duration_s"] > 15.0
     for figures in summary["vehicles"].values():
         assert {"position_rmse_m", "position_max_m", "settle_s", "lag_s"} <= set(figures)

@@ -102,7 +102,7 @@ def main():
     parser.add_argument("--duration", type=float, default=40.0, help="[s] on the course")
     args = parser.parse_args()
     out = args.out or ROOT / "flights" / datetime.datetime.now().strftime("bench_%Y%m%d-%H%M%S")
-    print("%d vehicles, honest plant, 2 mm noise, %d seeds, another heading for each (simulated)"
+    print("%d vehicles, perturbed plant, 2 mm noise, %d seeds, another heading for each (simulated)"
           % (args.vehicles, len(args.seeds)))  # fmt: skip
     print("%-9s %6s %7s %12s %11s %7s %6s %10s %12s %9s" % ("course", "delay", "passed", "RMSE median", "RMSE worst",
           "frames", "lost", "p99 state", "p99 cmd_vel", "lab late"), flush=True)  # fmt: skip

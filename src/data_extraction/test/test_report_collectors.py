@@ -28,7 +28,7 @@ from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.origin import Origin, parameter_hash, read_beside
 from data_extraction.report.snapshots import SnapshotCollector, picture_topics
 from data_extraction.samples import Arrivals, Samples
-from risc_control.failsafe import Rung, SafetyLimits
+from risc_control.failsafe import FailsafeLevel, SafetyLimits
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import fleet_from_dict
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_rois, Risc_roi, Risc_rois, States
@@ -181,7 +181,12 @@ def test_rungs_last_until_the_next_change_or_the_end(play):
     ]
     rows = [("/risc1/safety", String(text), T0_S + t_s) for t_s, text in texts]
     spans = play(LadderCollector(), rows).spans(T0_S + 5.0)["risc1"]
-    assert [span.rung for span in spans] == [Rung.OK, Rung.HOLD, Rung.OK, Rung.LAND]
+    assert [span.level for span in spans] == [
+        FailsafeLevel.OK,
+        FailsafeLevel.HOLD,
+        FailsafeLevel.OK,
+        FailsafeLevel.LAND,
+    ]
     assert [span.reason for span in spans] == ["", "state 120 ms old", "", "x"]
     lengths_s = [span.end_s - span.begin_s for span in spans]
     assert lengths_s == pytest.approx([2.0, 0.5, 1.5, 1.0], abs=1e-6)
@@ -194,8 +199,8 @@ def test_of_very_many_rungs_every_landing_is_kept_and_none_is_stretched(play):
     collector = play(LadderCollector(), rows)
     spans = collector.spans(T0_S + 10_000.0)["risc1"]
     assert len(spans) == 2001
-    assert (spans[-2].rung, spans[-2].begin_s, spans[-2].end_s) == (Rung.HOLD, T0_S + 1999.0, T0_S + 2000.0)
-    assert (spans[-1].rung, spans[-1].begin_s, spans[-1].end_s) == (Rung.LAND, T0_S + 2101.0, T0_S + 2103.0)
+    assert (spans[-2].level, spans[-2].begin_s, spans[-2].end_s) == (FailsafeLevel.HOLD, T0_S + 1999.0, T0_S + 2000.0)
+    assert (spans[-1].level, spans[-1].begin_s, spans[-1].end_s) == (FailsafeLevel.LAND, T0_S + 2101.0, T0_S + 2103.0)
     assert collector.left_out == 50 + 2, "holds after the 2000th change, the landing's other reason, the last hold"
 
 

@@ -177,7 +177,7 @@ FLEET = {
 }  # fmt: skip
 SUMMARY = {
     "experiment": "coop",
-    "simulated": {"plant": "honest", "marker_noise_m": 0.002, "command_delay_s": 0.1},
+    "simulated": {"plant": "perturbed", "marker_noise_m": 0.002, "command_delay_s": 0.1},
     "passed": False,
     "reasons": ["Raven: was still 0.90 m up at the end"],
 }
@@ -339,7 +339,7 @@ def test_what_was_not_judged_is_not_said_to_be(tmp_path):
 
 
 def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
-    """The last 5 s have no frame; nothing else changes, and no vehicle leaves the lowest rung."""
+    """The last 5 s have no frame; nothing else changes, and no vehicle leaves the lowest failsafe level."""
     silent = ("/mocap_data", "/cortex_raw", "/ground_truth", "/trajectory")
     rows = [row for row in full_rows() if row[1] in (*silent, "/diagnostics", "/risc1/ardrone/navdata")]
     rows = [row for row in rows if row[0] < 15.0 or row[1] not in silent] + [(1.0, "/risc1/safety", String("ok"))]
@@ -350,7 +350,7 @@ def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
     assert "1 gaps of more than 100 ms" in page.text
     assert "The last frame came 4.9 s before the end of the bag; that is counted as a gap." in page.text
     assert "they count from the start of the node" in page.text
-    assert "No vehicle left the lowest rung." in page.text and "low on battery" not in page.text
+    assert "No vehicle left the lowest failsafe level." in page.text and "low on battery" not in page.text
     assert "look-ahead" in next(row for row in page.rows if "nearest to the net" in row)
 
 

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from risc_control.failsafe import Freshness, Rung, SafetyLadder, SafetyLimits
+from risc_control.failsafe import FailsafeLevel, Freshness, SafetyLadder, SafetyLimits
 from risc_control.separation import ALONE, Look
 
 INSIDE = (0.5, -0.5, 1.0)
@@ -45,22 +45,22 @@ class Flight:
 
 def test_normal_flight_is_ok():
     verdict = Flight().run(5.0)
-    assert (verdict.rung, verdict.text) == (Rung.OK, "ok")
+    assert (verdict.level, verdict.text) == (FailsafeLevel.OK, "ok")
 
 
 @pytest.mark.parametrize("what", ["state", "controls"])
 def test_loss_holds_then_lands(what):
     flight = Flight()
     flight.alive.remove(what)
-    assert flight.run(0.09).rung == Rung.OK
+    assert flight.run(0.09).level == FailsafeLevel.OK
     verdict = flight.run(0.02)
-    assert verdict.rung == Rung.HOLD
+    assert verdict.level == FailsafeLevel.HOLD
     assert verdict.text.startswith("hold: %s 1" % what)
-    assert flight.run(0.35).rung == Rung.HOLD
+    assert flight.run(0.35).level == FailsafeLevel.HOLD
     verdict = flight.run(0.05)
-    assert verdict.rung == Rung.LAND
+    assert verdict.level == FailsafeLevel.LAND
     assert verdict.text.startswith("land: %s 50" % what)
-    assert [reaction.rung for reaction in flight.ladder.reactions] == [Rung.HOLD, Rung.LAND]
+    assert [reaction.level for reaction in flight.ladder.reactions] == [FailsafeLevel.HOLD, FailsafeLevel.LAND]
     for reaction in flight.ladder.reactions:
         assert 0.0 < reaction.beyond_s <= 0.0051, "noticed at the first look after the limit"
 
@@ -68,9 +68,9 @@ def test_loss_holds_then_lands(what):
 def test_hold_ends_at_once_when_fresh_again():
     flight = Flight()
     flight.alive.remove("state")
-    assert flight.run(0.3).rung == Rung.HOLD
+    assert flight.run(0.3).level == FailsafeLevel.HOLD
     flight.alive.add("state")
-    assert flight.run(0.005).rung == Rung.OK
+    assert flight.run(0.005).level == FailsafeLevel.OK
 
 
 def test_land_stays_when_fresh_again_until_landed():
@@ -78,17 +78,17 @@ def test_land_stays_when_fresh_again_until_landed():
     flight.alive.remove("state")
     flight.run(0.6)
     flight.alive.add("state")
-    assert flight.run(1.0, obeys=True).rung == Rung.LAND
-    assert flight.run(0.005, airborne=False).rung == Rung.OK
+    assert flight.run(1.0, obeys=True).level == FailsafeLevel.LAND
+    assert flight.run(0.005, airborne=False).level == FailsafeLevel.OK
 
 
 def test_land_ends_when_the_operator_takes_over():
     flight = Flight()
     flight.alive.remove("state")
-    assert flight.run(0.6).rung == Rung.LAND
+    assert flight.run(0.6).level == FailsafeLevel.LAND
     flight.autonomous = False
     flight.ladder.take_over()
-    assert flight.run(1.0).rung == Rung.OK, "in manual mode the operator's eyes replace mocap"
+    assert flight.run(1.0).level == FailsafeLevel.OK, "in manual mode the operator's eyes replace mocap"
 
 
 def test_old_stamps_are_losses_even_when_messages_arrive():
@@ -96,9 +96,9 @@ def test_old_stamps_are_losses_even_when_messages_arrive():
     ladder.note_navdata(90.0, 10.0)
     ladder.note_state(INSIDE, AT_REST, 0.3, 10.0)  # a network that delivers late
     ladder.note_controls(0.3, 10.0)
-    assert ladder.update(10.0, True, True).rung == Rung.HOLD
+    assert ladder.update(10.0, True, True).level == FailsafeLevel.HOLD
     ladder.note_state(INSIDE, AT_REST, 150.0, 10.1)  # the backlog after a cable was pulled
-    assert ladder.update(10.1, True, True).rung == Rung.LAND
+    assert ladder.update(10.1, True, True).level == FailsafeLevel.LAND
 
 
 def test_stamps_in_the_future_do_not_count_and_say_why():
@@ -128,27 +128,27 @@ def test_before_the_first_message():
 def test_silent_vehicle_lands():
     flight = Flight()
     flight.alive.remove("navdata")
-    assert flight.run(0.99).rung == Rung.OK
+    assert flight.run(0.99).level == FailsafeLevel.OK
     assert flight.run(0.02).text == "land: navdata silent for 1.0 s"
     off = Flight(SafetyLimits(navdata_timeout_s=0.0))
     off.alive.remove("navdata")
-    assert off.run(5.0).rung == Rung.OK
+    assert off.run(5.0).level == FailsafeLevel.OK
 
 
 @pytest.mark.parametrize("autonomous", [True, False])
 def test_lost_joystick_lands_in_both_modes(autonomous):
     flight = Flight(SafetyLimits(joystick_timeout=1.0), autonomous)
     flight.alive.remove("joystick")
-    assert flight.run(0.99).rung == Rung.OK
+    assert flight.run(0.99).level == FailsafeLevel.OK
     assert flight.run(0.02).text == "land: joystick silent for 1.0 s"
     flight.alive.add("joystick")
-    assert flight.run(1.0).rung == Rung.LAND, "stays until landed or taken over"
+    assert flight.run(1.0).level == FailsafeLevel.LAND, "stays until landed or taken over"
 
 
 def test_a_silent_joystick_is_no_loss_where_somebody_says_so():
     flight = Flight(SafetyLimits(joystick_timeout=0.0))
     flight.alive.remove("joystick")
-    assert flight.run(30.0).rung == Rung.OK
+    assert flight.run(30.0).level == FailsafeLevel.OK
 
 
 def test_a_joystick_that_is_lost_is_missed_beside_others():
@@ -156,18 +156,18 @@ def test_a_joystick_that_is_lost_is_missed_beside_others():
     flight = Flight()
     for _ in range(2):
         flight.ladder.note_joystick(flight.now_s, "/joy_node")
-    assert flight.run(0.99).rung == Rung.OK
+    assert flight.run(0.99).level == FailsafeLevel.OK
     assert flight.run(0.02).text == "land: joystick /joy_node silent for 1.0 s"
     flight.ladder.take_over()
-    assert flight.run(5.0).rung == Rung.OK, "the operator knows of it"
+    assert flight.run(5.0).level == FailsafeLevel.OK, "the operator knows of it"
     flight.ladder.note_joystick(flight.now_s, "/joy_node")
-    assert flight.run(1.1).rung == Rung.LAND, "it was there again"
+    assert flight.run(1.1).level == FailsafeLevel.LAND, "it was there again"
 
 
 def test_whoever_sends_one_joystick_message_owes_no_second():
     flight = Flight()
     flight.ladder.note_joystick(flight.now_s, "/rostopic_1_2")
-    assert flight.run(5.0).rung == Rung.OK
+    assert flight.run(5.0).level == FailsafeLevel.OK
 
 
 def test_a_joystick_that_goes_on_the_ground_is_missed_for_a_minute_but_lands_nobody():
@@ -180,16 +180,16 @@ def test_a_joystick_that_goes_on_the_ground_is_missed_for_a_minute_but_lands_nob
     assert flight.ladder.lost_joystick(flight.now_s) == "/joy_node"
     flight.now_s += 60.0
     assert flight.ladder.lost_joystick(flight.now_s) is None
-    assert flight.run(5.0).rung == Rung.OK
+    assert flight.run(5.0).level == FailsafeLevel.OK
 
 
 @pytest.mark.parametrize("position", [(2.35, 0, 1), (-2.35, 0, 1), (0, 1.9, 1), (0, -1.9, 1), (0, 0, 2.9)])
 def test_fence_lands_after_some_frames(position):
     flight = Flight()
     flight.position = position
-    assert flight.run(0.045).rung == Rung.OK
+    assert flight.run(0.045).level == FailsafeLevel.OK
     verdict = flight.run(0.02)
-    assert verdict.rung == Rung.LAND
+    assert verdict.level == FailsafeLevel.LAND
     assert "fence at (%.2f, %.2f, %.2f)" % position in verdict.text
     assert "fence" in flight.ladder.autonomy_problem(flight.now_s)
 
@@ -198,7 +198,7 @@ def test_fence_lands_after_some_frames(position):
 def test_inside_the_fence(position):
     flight = Flight()
     flight.position = position
-    assert flight.run(1.0).rung == Rung.OK
+    assert flight.run(1.0).level == FailsafeLevel.OK
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_inside_the_fence(position):
 def test_a_fast_vehicle_lands_before_it_is_at_the_fence(position, velocity, lands):
     flight = Flight()
     flight.position, flight.velocity = position, velocity
-    assert (flight.run(0.1).rung == Rung.LAND) is lands
+    assert (flight.run(0.1).level == FailsafeLevel.LAND) is lands
 
 
 def test_one_false_position_is_no_escape():
@@ -223,7 +223,7 @@ def test_one_false_position_is_no_escape():
     flight.position = (9.0, 0.0, 1.0)
     flight.run(0.005)
     flight.position = INSIDE
-    assert flight.run(0.2).rung == Rung.OK
+    assert flight.run(0.2).level == FailsafeLevel.OK
     flight.position = (9.0, 0.0, 1.0)
     flight.run(0.005)
     flight.alive.remove("state")  # and neither is one followed by silence
@@ -236,14 +236,14 @@ NEAR = Look(holds=True, reason="0.55 m from Raven")
 def test_one_that_is_too_near_to_others_holds_then_lands():
     flight, limits = Flight(), SafetyLimits()
     flight.look = NEAR
-    assert flight.run(limits.separation_delay_s - 0.01).rung == Rung.OK, "one false measurement is no reason"
+    assert flight.run(limits.separation_delay_s - 0.01).level == FailsafeLevel.OK, "one false measurement is no reason"
     verdict = flight.run(0.02)
-    assert (verdict.rung, verdict.reason) == (Rung.HOLD, NEAR.reason)
-    assert flight.run(limits.separation_land_s - 0.02).rung == Rung.HOLD
-    assert flight.run(0.04).rung == Rung.LAND
+    assert (verdict.level, verdict.reason) == (FailsafeLevel.HOLD, NEAR.reason)
+    assert flight.run(limits.separation_land_s - 0.02).level == FailsafeLevel.HOLD
+    assert flight.run(0.04).level == FailsafeLevel.LAND
     flight.look = ALONE
-    assert flight.run(1.0, obeys=True).rung == Rung.LAND
-    assert flight.run(0.005, airborne=False).rung == Rung.OK
+    assert flight.run(1.0, obeys=True).level == FailsafeLevel.LAND
+    assert flight.run(0.005, airborne=False).level == FailsafeLevel.OK
 
 
 def test_one_that_has_held_does_not_chase_after_its_reference():
@@ -251,8 +251,8 @@ def test_one_that_has_held_does_not_chase_after_its_reference():
     flight.look = NEAR
     flight.run(0.2)
     flight.look = ALONE
-    assert flight.run(0.5).rung == Rung.HOLD
-    assert flight.run(0.5).rung == Rung.LAND
+    assert flight.run(0.5).level == FailsafeLevel.HOLD
+    assert flight.run(0.5).level == FailsafeLevel.LAND
 
 
 def test_nobody_lands_on_one_that_is_below_unless_it_stays_there():
@@ -260,32 +260,32 @@ def test_nobody_lands_on_one_that_is_below_unless_it_stays_there():
     flight.look = NEAR._replace(above=True, way=1, aside=(0.0, 1.0))
     flight.run(0.5)
     assert flight.ladder.apart(flight.now_s) == NEAR._replace(above=True, way=1), "aside only when it is time to land"
-    assert flight.run(limits.separation_wait_s - 0.5).rung == Rung.HOLD
+    assert flight.run(limits.separation_wait_s - 0.5).level == FailsafeLevel.HOLD
     assert flight.ladder.apart(flight.now_s) == flight.look
-    assert flight.run(0.2).rung == Rung.LAND and flight.ladder.apart(flight.now_s) is None
+    assert flight.run(0.2).level == FailsafeLevel.LAND and flight.ladder.apart(flight.now_s) is None
     flight = Flight()
     flight.look = Look(holds=True, above=True)
     flight.run(3.0)
     flight.look = ALONE
-    assert flight.run(0.01).rung == Rung.LAND
+    assert flight.run(0.01).level == FailsafeLevel.LAND
 
 
 def test_manual_mode_leaves_the_others_to_the_operator():
     flight = Flight(autonomous=False)
     flight.look = NEAR._replace(way=1)
-    assert flight.run(3.0).rung == Rung.OK and flight.ladder.apart(flight.now_s) is None
+    assert flight.run(3.0).level == FailsafeLevel.OK and flight.ladder.apart(flight.now_s) is None
     assert flight.ladder.autonomy_problem(flight.now_s) == NEAR.reason
 
 
 def test_the_operator_takes_over_from_one_that_holds_because_of_others():
     flight = Flight()
     flight.look = NEAR
-    assert flight.run(0.5).rung == Rung.HOLD
+    assert flight.run(0.5).level == FailsafeLevel.HOLD
     flight.autonomous = False
     flight.ladder.take_over()
-    assert flight.run(1.0).rung == Rung.OK
+    assert flight.run(1.0).level == FailsafeLevel.OK
     flight.autonomous, flight.look = True, ALONE
-    assert flight.run(3.0).rung == Rung.OK, "what was is over"
+    assert flight.run(3.0).level == FailsafeLevel.OK, "what was is over"
 
 
 def test_what_it_flies_on_comes_before_the_others():
@@ -294,7 +294,7 @@ def test_what_it_flies_on_comes_before_the_others():
     flight.run(0.2)
     flight.alive.remove("controls")
     flight.run(0.2)
-    assert flight.ladder.verdict.rung == Rung.HOLD and flight.ladder.verdict.reason.startswith("controls")
+    assert flight.ladder.verdict.level == FailsafeLevel.HOLD and flight.ladder.verdict.reason.startswith("controls")
     assert flight.ladder.apart(flight.now_s) is None
     assert flight.run(0.35).reason.startswith("controls 5")
     flight = Flight()
@@ -304,19 +304,19 @@ def test_what_it_flies_on_comes_before_the_others():
     flight.run(0.2)
     flight.look = ALONE
     flight.alive.add("state")
-    assert flight.run(0.3).rung == Rung.HOLD, "its loss was short, but it had held before"
+    assert flight.run(0.3).level == FailsafeLevel.HOLD, "its loss was short, but it had held before"
 
 
 def test_low_battery_lands():
     flight = Flight()
     flight.battery = 10.4
-    assert flight.run(0.1).rung == Rung.OK
+    assert flight.run(0.1).level == FailsafeLevel.OK
     flight.battery = 10.0
-    assert flight.run(0.495).rung == Rung.OK
+    assert flight.run(0.495).level == FailsafeLevel.OK
     assert flight.run(0.02).text == "land: battery at 10 %"
     off = Flight(SafetyLimits(battery_min_pct=0.0))
     off.battery = 0.0
-    assert off.run(1.0).rung == Rung.OK
+    assert off.run(1.0).level == FailsafeLevel.OK
 
 
 def test_one_false_battery_report_is_no_empty_battery():
@@ -328,7 +328,7 @@ def test_one_false_battery_report_is_no_empty_battery():
         if silence:
             flight.alive.remove("navdata")  # silence does not make it more true
         flight.battery = 80.0
-        assert flight.run(0.5).rung == Rung.OK
+        assert flight.run(0.5).level == FailsafeLevel.OK
 
 
 def test_reports_without_a_battery_change_nothing_about_it():
@@ -347,8 +347,8 @@ def test_a_requested_landing_lands_in_every_mode_until_it_stands(autonomous):
     flight.ladder.request_landing(flight.now_s)
     assert flight.run(0.005).text == "land: landing was requested"
     assert flight.run(10.0, obeys=True).text == "land: landing was requested", "everything is fresh, and it still lands"
-    assert flight.run(0.005, airborne=False).rung == Rung.OK
-    assert flight.run(1.0).rung == Rung.OK, "the next flight is not landed"
+    assert flight.run(0.005, airborne=False).level == FailsafeLevel.OK
+    assert flight.run(1.0).level == FailsafeLevel.OK, "the next flight is not landed"
 
 
 def test_a_requested_landing_ends_when_the_operator_takes_over():
@@ -356,7 +356,7 @@ def test_a_requested_landing_ends_when_the_operator_takes_over():
     flight.ladder.request_landing(flight.now_s)
     flight.run(0.1)
     flight.ladder.take_over()
-    assert flight.run(1.0).rung == Rung.OK
+    assert flight.run(1.0).level == FailsafeLevel.OK
 
 
 def test_a_requested_landing_without_effect_becomes_the_operators():
@@ -369,12 +369,12 @@ def test_a_requested_landing_without_effect_becomes_the_operators():
 def test_a_request_lands_from_hold_and_leaves_another_landing_its_reason():
     flight = Flight()
     flight.alive.remove("state")
-    assert flight.run(0.3).rung == Rung.HOLD
+    assert flight.run(0.3).level == FailsafeLevel.HOLD
     flight.ladder.request_landing(flight.now_s)
     assert flight.run(0.005).text == "land: landing was requested"
     lost = Flight()
     lost.alive.remove("navdata")
-    assert lost.run(1.5).rung == Rung.LAND
+    assert lost.run(1.5).level == FailsafeLevel.LAND
     lost.ladder.request_landing(lost.now_s)
     assert lost.run(0.5).text == "land: navdata silent for 1.0 s"
 
@@ -393,20 +393,20 @@ def test_manual_mode_needs_nothing_but_the_joystick():
     flight = Flight(autonomous=False)
     flight.alive = {"joystick"}
     flight.position, flight.battery = (5.0, 5.0, 5.0), 1.0
-    assert flight.run(10.0).rung == Rung.OK
+    assert flight.run(10.0).level == FailsafeLevel.OK
 
 
 def test_on_the_ground_nothing_is_lost():
     flight = Flight()
     flight.alive.clear()
-    assert flight.run(5.0, airborne=False).rung == Rung.OK
+    assert flight.run(5.0, airborne=False).level == FailsafeLevel.OK
 
 
 def test_landing_without_effect_becomes_the_operators():
     flight = Flight()
     flight.alive.remove("state")
     verdict = flight.run(0.6)
-    assert (verdict.rung, verdict.operator) == (Rung.LAND, False)
+    assert (verdict.level, verdict.operator) == (FailsafeLevel.LAND, False)
     assert not flight.run(1.8).operator
     verdict = flight.run(0.3)
     assert verdict.operator
@@ -426,7 +426,7 @@ def test_the_call_for_the_operator_ends_when_it_obeys():
     flight.alive.remove("state")
     assert flight.run(3.0).operator
     verdict = flight.run(0.005, obeys=True)
-    assert (verdict.rung, verdict.operator) == (Rung.LAND, False)
+    assert (verdict.level, verdict.operator) == (FailsafeLevel.LAND, False)
     assert "emergency stop" not in verdict.text
 
 

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from scipy.integrate import solve_ivp
 
-from risc_control.failsafe import Rung
+from risc_control.failsafe import FailsafeLevel
 from risc_control.joystick import Sticks
 from risc_control.separation import ALONE, Look
 from risc_control.vehicle_pilot import (
@@ -130,10 +130,10 @@ def test_no_take_off_while_a_joystick_is_lost():
 def test_a_simulator_needs_no_joystick():
     desk = Desk(Simulation=True, joystick_timeout=1.0)
     desk.run(5.0)
-    assert desk.pilot.ladder.verdict.rung == Rung.OK
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK
     desk.joy()
     desk.run(1.1)
-    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND
 
 
 def test_without_navdata_the_button_lands():
@@ -166,10 +166,10 @@ def test_landed_counts_again_some_time_after_a_takeoff_without_effect():
     assert desk.pilot.airborne
     desk.run(2.9)
     assert desk.pilot.airborne
-    assert desk.pilot.ladder.verdict.rung == Rung.LAND, "the joystick fell silent, and it may be in the air"
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND, "the joystick fell silent, and it may be in the air"
     desk.run(0.2)
     assert not desk.pilot.airborne
-    assert desk.pilot.ladder.verdict.rung == Rung.OK
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK
     desk.pilot.on_joy([0] * 11, [0.0] * 8, desk.now_s)
     assert desk.press(TAKEOFF_LAND).takeoff
 
@@ -295,10 +295,10 @@ def test_a_toggle_that_went_down_in_a_late_message_does_not_take_back_the_ladder
     desk = Desk().fly(autonomous=True)
     desk.alive = {"navdata"}
     desk.run(0.7)
-    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND
     for age_s in (0.4, 0.2):
         desk.pilot.on_joy([int(k == TOGGLE) for k in range(11)], [0.0] * 8, desk.now_s, age_s)
-    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND
 
 
 def test_a_joystick_whose_clock_was_set_back_is_obeyed_again_soon():
@@ -604,7 +604,7 @@ def test_loss_of_states_holds_then_lands_then_rests():
     desk.alive.add("state")
     desk.flight_state = FlightState.LANDING
     desk.run(1.0)
-    assert desk.pilot.ladder.verdict.rung == Rung.LAND, "sticky"
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND, "sticky"
     desk.flight_state = FlightState.LANDED
     desk.run(0.1)
     since = len(desk.orders)
@@ -619,7 +619,7 @@ def test_hold_ends_on_the_first_fresh_controls():
     desk.control = OwnControl(0.1, 0.0, 0.0, HOVER_N)
     desk.alive -= {"state", "controls"}
     desk.run(0.3)
-    assert desk.pilot.ladder.verdict.rung == Rung.HOLD
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.HOLD
     desk.alive |= {"state", "controls"}
     sent = desk.run(0.05)
     assert sent[-1][1].left == pytest.approx(0.1)
@@ -629,7 +629,7 @@ def test_operator_takes_over_from_a_landing():
     desk = Desk().fly(autonomous=True)
     desk.alive.remove("state")
     desk.run(0.7)
-    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND
     assert desk.press(TOGGLE).mode is False
     since = len(desk.orders)
     axes = [0.0] * 8
@@ -643,9 +643,9 @@ def test_operator_takes_over_from_a_landing():
 def test_operator_takes_over_from_a_landing_in_manual_mode():
     desk = Desk(joystick_timeout=1.0).fly()
     desk.run(1.5)
-    assert desk.pilot.ladder.verdict.rung == Rung.LAND
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND
     desk.press(TOGGLE)
-    assert desk.pilot.ladder.verdict.rung == Rung.OK
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK
     assert not desk.pilot.autonomous
 
 
@@ -692,7 +692,7 @@ def test_one_that_is_too_near_holds_brakes_and_gives_way(psi_deg, way):
             assert sticks.forward < -0.1 and sticks.left == pytest.approx(0.5 * sticks.forward)
             assert (sticks.up, sticks.turn_left) == (0.3 * way, 0.0)
     desk.run(1.0)
-    assert desk.pilot.ladder.verdict.rung == Rung.LAND and desk.count("land")
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND and desk.count("land")
     assert desk.run(0.3)[-1][1] == Sticks(0.0, 0.0, 0.0, 0.0), "landing is the vehicle's own affair"
 
 
@@ -747,7 +747,7 @@ def test_packets_without_a_battery_are_no_empty_battery():
     desk = Desk().fly(autonomous=True)
     desk.flight_state, desk.battery = FlightState.UNKNOWN, 0.0
     desk.run(5.0)
-    assert desk.pilot.ladder.verdict.rung == Rung.OK
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK
     desk.flight_state, desk.battery = FlightState.FLYING, 90.0
     assert desk.run(0.2), "flies on"
 
@@ -820,7 +820,7 @@ def test_a_request_to_a_silent_vehicle_is_ordered_and_called_unsure():
     desk.alive.remove("navdata")
     desk.run(2.0)
     done, text = request(desk)
-    assert (done, desk.pilot.ladder.verdict.rung) == (False, Rung.LAND)
+    assert (done, desk.pilot.ladder.verdict.level) == (False, FailsafeLevel.LAND)
     assert text == "landing (landing was requested), but the vehicle is silent"
 
 

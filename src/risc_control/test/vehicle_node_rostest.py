@@ -147,8 +147,8 @@ class VehicleNodeTest(unittest.TestCase):
         held = [m for t, m in commands if t < land_s][-3:] + [m for t, m in commands if t > land_s]
         self.assertTrue(all(map(is_zero, held)), held)
         found = [text.groups() for text in (LOSS.match(m.data) for m in world.messages(vehicle, "safety")) if text]
-        self.assertEqual([rung for rung, _ in itertools.groupby(found, lambda f: f[0])][-2:], ["hold", "land"])
-        self.assertTrue(all(float(age_ms) >= 1e3 * LIMIT_S[rung] for rung, age_ms in found), found)
+        self.assertEqual([level for level, _ in itertools.groupby(found, lambda f: f[0])][-2:], ["hold", "land"])
+        self.assertTrue(all(float(age_ms) >= 1e3 * LIMIT_S[level] for level, age_ms in found), found)
 
     def test_5_only_the_lost_vehicle_holds_and_recovers(self):
         world = self.world

@@ -1,4 +1,4 @@
-"""Whole flights offline: accuracy on honest plants at any yaw, delay, reproducibility."""
+"""Whole flights offline: accuracy on perturbed plant at any yaw, delay, reproducibility."""
 
 import math
 
@@ -85,7 +85,7 @@ def test_many_flights_at_once_are_the_same_flights():
 
 
 def test_gusts_and_an_ideal_plant_without_noise():
-    ideal = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, honest=False, noise=False))
+    ideal = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, perturbed=False, noise=False))
     assert ideal.rmse_m[0] < 0.006
     gusty = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, gusts=True))
     assert ideal.rmse_m[0] < gusty.rmse_m[0] < 0.1

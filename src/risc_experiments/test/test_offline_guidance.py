@@ -1,4 +1,4 @@
-"""Hows_controller.py and virtual_target.py without ROS: estimator, references, guidance, pilot, honest vehicle."""
+"""Hows_controller.py and virtual_target.py without ROS: estimator, references, guidance, pilot, perturbed vehicle."""
 
 import math
 
@@ -26,7 +26,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     flight = offline.Flight(vehicles=1, psi_rad=math.radians(PSI_DEG))
     fleet, types, vehicle_types = offline._lab(flight)
     templates = load_templates()
-    world = World(fleet, types, templates, seed=flight.seed, honest=True, step_s=offline.FRAME_S)
+    world = World(fleet, types, templates, seed=flight.seed, perturbed=True, step_s=offline.FRAME_S)
     cameras = MocapCameras(CameraParams(), seed=np.random.SeedSequence(flight.seed))
     name, place = fleet.vehicles[0].template, fleet.vehicles[0]
     estimator = StatesEstimator(templates, vehicles=[name])

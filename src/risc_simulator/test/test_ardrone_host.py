@@ -184,7 +184,7 @@ def make_world(n=1, yaw_rad=0.0):
         (),
     )
     templates = {name: Template(name, "vehicle", ("a", "b", "c", "d"), MARKERS) for name in names}
-    return World(fleet, {"ardrone": VEHICLE_TYPE}, templates, honest=False)
+    return World(fleet, {"ardrone": VEHICLE_TYPE}, templates, perturbed=False)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The honest plant: how far vehicles are from their nominal type, and that draws belong to one vehicle only."""
+"""The perturbed plant: how far vehicles are from their nominal type, and that draws belong to one vehicle only."""
 
 import dataclasses
 
@@ -72,7 +72,7 @@ def test_delay_stays_positive():
 def test_ideal_is_nominal_and_uses_no_randomness():
     rng = np.random.default_rng(1)
     before = rng.bit_generator.state
-    plant = draw_plant(ARDRONE, rng, honest=False)
+    plant = draw_plant(ARDRONE, rng, perturbed=False)
     assert plant == nominal_plant(ARDRONE)
     assert rng.bit_generator.state == before
     assert (plant.mass_kg, plant.thrust_scale, plant.roll) == (ARDRONE.mass_kg, 1.0, ARDRONE.roll)

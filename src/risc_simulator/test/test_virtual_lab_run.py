@@ -218,7 +218,7 @@ def test_options_reach_the_lab(net):
     assert (fleet.mocap.host, fleet.vehicles[0].address, len(fleet.vehicles)) == ("127.99.0.1", "127.99.1.1", 1)
     assert (fleet.mocap.rate_hz, fleet.mocap.stream_port, fleet.mocap.interface) == (120.0, 5000, "127.0.0.1")
     fleet = configure_fleet(make_fleet(net), rate_hz=120.0)
-    lab = VirtualLab(fleet, honest=False, command_delay_s=0.3, exact_markers=True)
+    lab = VirtualLab(fleet, perturbed=False, command_delay_s=0.3, exact_markers=True)
     try:
         lab.run(duration_s=0.1)
         assert lab.world.vehicles["risc2"].plant.command_delay_s == 0.3
@@ -267,7 +267,7 @@ def test_radio_loss_reaches_every_vehicle(net, clock):
 
 
 def test_least_separation_and_collisions_are_told(net):
-    lab = VirtualLab(make_fleet(net), honest=False)
+    lab = VirtualLab(make_fleet(net), perturbed=False)
     try:
         first, second = lab.world.vehicles.values()
         first.fly_at((0.0, 0.4, 1.0))
@@ -282,7 +282,7 @@ def test_least_separation_and_collisions_are_told(net):
         assert "0.40 m" in summary(statistics) and "risc1 collided with risc2 at" in summary(statistics)
     finally:
         lab.close()
-    lab = VirtualLab(make_fleet(net, 1), honest=False)
+    lab = VirtualLab(make_fleet(net, 1), perturbed=False)
     try:
         lab.world.vehicles["risc1"].fly_at((0.0, 0.0, 1.0))
         lab.run(duration_s=0.05)

@@ -31,7 +31,7 @@ def make_fleet(n=1, yaw=0.0):
 
 
 def make_world(n=1, yaw=0.0, **options):
-    options.setdefault("honest", False)
+    options.setdefault("perturbed", False)
     return World(make_fleet(n, yaw), TYPES, TEMPLATES, **options)
 
 
@@ -58,7 +58,7 @@ def test_stands_still_until_told():
 
 
 def test_take_off_hover_land():
-    world = make_world(seed=3, honest=True)
+    world = make_world(seed=3, perturbed=True)
     vehicle = world.vehicles["risc1"]
     vehicle.schedule(1.0, FlightAction.TAKE_OFF)
     phases, heights = {}, []
@@ -138,7 +138,7 @@ def test_hover_brakes_and_keeps_height():
 @pytest.mark.parametrize("seed", range(4))
 def test_height_is_held_while_gaz_is_at_rest(seed):
     """As after a take-off, tilted to and fro with a climb rate of exactly 0: the climb loop alone drifts."""
-    world, vehicle = flying((0, 0, 1.2), seed=seed, honest=True)
+    world, vehicle = flying((0, 0, 1.2), seed=seed, perturbed=True)
     for k in range(12):
         vehicle.schedule(4.0 + 0.5 * k, Setpoint(pitch_rad=0.12 * (-1) ** k, yaw_rate_rad_s=0.3))
     heights_m, thetas = [], []
@@ -241,7 +241,7 @@ def test_net_stops_the_flight_and_tells(setpoint, yaw, axis, limit):
 
 def test_another_net_is_another_limit():
     fleet = dataclasses.replace(make_fleet(), arena=Arena(4.0, 3.0, 5.0))
-    world = World(fleet, TYPES, TEMPLATES, honest=False)
+    world = World(fleet, TYPES, TEMPLATES, perturbed=False)
     vehicle = world.vehicles["risc1"]
     vehicle.fly_at((0.0, 0.0, 4.0), 0.0)
     vehicle.schedule(0.0, Setpoint(pitch_rad=-0.3))
@@ -276,7 +276,7 @@ def test_diving_into_the_floor_is_a_crash_and_touching_it_is_not():
 def test_landing_brakes_by_optical_flow_on_the_way_down():
     """From 0.6 m/s: the time constant is 1 / (0.15 rad s/m * g) = 0.68 s, so 0.41 m; coasting would be 1.5 m."""
     for seed in range(6):
-        world, vehicle = flying((-1.5, 0.0, 1.5), seed=seed, honest=True)
+        world, vehicle = flying((-1.5, 0.0, 1.5), seed=seed, perturbed=True)
         vehicle.schedule(0.0, Setpoint(pitch_rad=-0.04))
         while vehicle.state.velocity_m_s[0] < 0.6:
             world.step_to(world.time_s + world.step_s)
@@ -415,7 +415,7 @@ def fly_a_tour(world):
 
 def fly_the_golden_flight():
     """Everything that can happen to a vehicle: see golden/README.md."""
-    world = make_world(3, seed=5, honest=True, gusts=True)
+    world = make_world(3, seed=5, perturbed=True, gusts=True)
     first, second, third = world.vehicles.values()
     rng = np.random.default_rng(8)
     for k, vehicle in enumerate((first, second, third)):
@@ -458,23 +458,23 @@ def test_the_golden_flight_is_flown_as_ever():
 
 
 def test_same_seed_same_bits_other_seed_other_flight():
-    first = fly_a_tour(make_world(3, seed=5, honest=True, gusts=True))
-    np.testing.assert_array_equal(first, fly_a_tour(make_world(3, seed=5, honest=True, gusts=True)))
-    assert np.abs(first - fly_a_tour(make_world(3, seed=6, honest=True, gusts=True))).max() > 0.01
+    first = fly_a_tour(make_world(3, seed=5, perturbed=True, gusts=True))
+    np.testing.assert_array_equal(first, fly_a_tour(make_world(3, seed=5, perturbed=True, gusts=True)))
+    assert np.abs(first - fly_a_tour(make_world(3, seed=6, perturbed=True, gusts=True))).max() > 0.01
 
 
 def test_a_vehicle_does_not_depend_on_who_else_flies():
-    alone = fly_a_tour(make_world(1, seed=5, honest=True, gusts=True))
-    company = fly_a_tour(make_world(4, seed=5, honest=True, gusts=True))
+    alone = fly_a_tour(make_world(1, seed=5, perturbed=True, gusts=True))
+    company = fly_a_tour(make_world(4, seed=5, perturbed=True, gusts=True))
     np.testing.assert_array_equal(alone[:, 0], company[:, 0])
-    plants = [make_world(n, seed=9, honest=True).vehicles["risc1"].plant for n in (1, 3, 5)]
+    plants = [make_world(n, seed=9, perturbed=True).vehicles["risc1"].plant for n in (1, 3, 5)]
     assert plants[0] == plants[1] == plants[2]
-    five = [v.plant for v in make_world(5, seed=9, honest=True).vehicles.values()]
+    five = [v.plant for v in make_world(5, seed=9, perturbed=True).vehicles.values()]
     assert len({plant.mass_kg for plant in five}) == 5
 
 
 def test_looking_changes_nothing_and_the_size_of_the_strides_neither():
-    quiet, watched = make_world(2, seed=2, honest=True), make_world(2, seed=2, honest=True)
+    quiet, watched = make_world(2, seed=2, perturbed=True), make_world(2, seed=2, perturbed=True)
     for world in (quiet, watched):
         for vehicle in world.vehicles.values():
             vehicle.schedule(0.013, FlightAction.TAKE_OFF)
@@ -518,7 +518,7 @@ def test_time_stands_on_the_grid():
 
 def test_trim_forgets_a_thrust_error():
     """A wrong thrust makes the climb rate wrong at first and, by the slow integral, right in the end."""
-    world = make_world(seed=5, honest=True)
+    world = make_world(seed=5, perturbed=True)
     vehicle = world.vehicles["risc1"]
     plant = vehicle.plant
     expected = (plant.thrust_scale * plant.nominal_mass_kg / plant.mass_kg - 1) * GRAVITY_M_S2 * 0.3

@@ -207,7 +207,7 @@ class DrawNodesTest(unittest.TestCase):
         self.publishers["/risc2/safety"].publish("hold: state 120 ms old")
         wanted = {"controller_status": "Raven: hold: state 120 ms old"}
         self.fly_until(lambda: self.texts("/Ctrl_Status") == wanted, "the text of the safety")
-        self.fly_until(lambda: self.texts("/Quad_Labels").get("Raven") == "Raven: HOLD", "the rung at the vehicle")
+        self.fly_until(lambda: self.texts("/Quad_Labels").get("Raven") == "Raven: HOLD", "the level at the vehicle")
         self.publishers["/risc2/safety"].publish("ok")
         self.fly_until(lambda: self.texts("/Quad_Labels").get("Raven") == "Raven", "the end of the hold")
 

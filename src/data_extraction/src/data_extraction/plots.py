@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first)
 import numpy as np  # noqa: E402
 
-from risc_control.failsafe import Rung  # noqa: E402
+from risc_control.failsafe import FailsafeLevel  # noqa: E402
 
 _HEIGHT_M = 2.5  # of the arena, as far as it is shown
 _MOST_POINTS = 2500  # of one line: more cannot be told apart on paper
@@ -19,7 +19,7 @@ _MARGIN_M = 0.15  # outside the net, that a plan shows
 _FEW = 6  # vehicles that have a colour and a line in a legend each; of more,
 _WORST = 3  # so many
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
-RUNG_COLOURS = {Rung.OK: "#cfe3d4", Rung.HOLD: "#e0a526", Rung.LAND: "#b3261e"}
+LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
 STYLE = {
     "figure.dpi": 130,
     "font.size": 9,
@@ -273,16 +273,16 @@ def drop_map(drops, edges_x_m, edges_y_m, arena):
 
 
 def ladder(spans, zero_s):
-    """Rungs of every vehicle's loss ladder over time. spans: {vehicle: [report.ladder.Span]}; zero_s: time 0."""
+    """Levels of every vehicle's loss ladder over time. spans: {vehicle: [report.ladder.Span]}; zero_s: time 0."""
     figure, axes = plt.subplots(figsize=(9.0, 1.2 + 0.4 * len(spans)), layout="constrained")
     for row, vehicle in enumerate(spans):
         for span in spans[vehicle]:
             # what is shorter than a pixel must still be seen
             width_s = max(span.end_s - span.begin_s, 0.0)
-            axes.broken_barh([(span.begin_s - zero_s, width_s)], (row - 0.3, 0.6), facecolors=RUNG_COLOURS[span.rung],
-                             edgecolors=RUNG_COLOURS[span.rung], lw=0.0 if span.rung == 0 else 1.5)  # fmt: skip
-    for rung, colour in RUNG_COLOURS.items():
-        axes.plot([], [], "s", color=colour, label=rung.name.lower())
+            axes.broken_barh([(span.begin_s - zero_s, width_s)], (row - 0.3, 0.6), facecolors=LEVEL_COLOURS[span.level],
+                             edgecolors=LEVEL_COLOURS[span.level], lw=0.0 if span.level == 0 else 1.5)  # fmt: skip
+    for level, colour in LEVEL_COLOURS.items():
+        axes.plot([], [], "s", color=colour, label=level.name.lower())
     axes.set_yticks(range(len(spans)), list(spans))
     axes.set(xlabel="time [s]", ylim=(len(spans) - 0.5, -0.5))
     axes.grid(axis="y", visible=False)

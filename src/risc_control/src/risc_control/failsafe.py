@@ -1,13 +1,13 @@
 """The loss ladder of one vehicle: what happens when what it flies on goes silent, or it leaves the room. No ROS.
 
-Rungs, from the bottom:
+Levels, from the bottom:
     OK    nothing to do.
     HOLD  level and hold altitude (zero acceleration, thesis 7.7). Ends at once when everything is fresh again.
     LAND  land, ordered again and again until the vehicle reports that it stands. Stays, even when everything is fresh
           again, until then or until the operator takes over.
 A vehicle that must hold because of others (`separation`) gives way upwards or downwards while that is not enough, and
 lands when it has held for `separation_land_s`; beside one that is straight below, or after `separation_wait_s`.
-The top rung, the emergency stop, is the operator's: the ladder only says when it is time to think of it.
+The top level, the emergency stop, is the operator's: the ladder only says when it is time to think of it.
 
 In manual mode the operator's eyes fly: mocap, controls, fence, the other vehicles, battery and telemetry do not act
 then, only the loss of the joystick does. A landing may be asked for in any mode (`request_landing`): a LAND like any
@@ -28,13 +28,13 @@ from risc_lab.lab.arena import Arena
 from risc_lab.message_age import MessageAges
 
 
-class Rung(enum.IntEnum):
+class FailsafeLevel(enum.IntEnum):
     OK = 0
     HOLD = 1
     LAND = 2
 
 
-_OK, _HOLD, _LAND = Rung  # the members of an enumeration are slow to look up, and this is asked in every frame
+_OK, _HOLD, _LAND = FailsafeLevel  # the members of an enumeration are slow to look up, and this is asked in every frame
 _JOYSTICK_MEMORY_S = 60.0  # on the ground a joystick is missed for so long
 _FINE = (_OK, "", "", None)  # what `SafetyLadder._judge` says of a flight without trouble
 
@@ -166,24 +166,24 @@ class Lasting:
 class Verdict:
     """Where on the ladder the vehicle stands."""
 
-    rung: Rung
-    reason: str  # "" when OK; numbers in it are those of the moment the rung was entered
+    level: FailsafeLevel
+    reason: str  # "" when OK; numbers in it are those of the moment the level was entered
     operator: bool = False  # LAND has no effect: the emergency stop is the operator's
 
     @functools.cached_property
     def text(self):
         """What goes out on the safety topic, e.g. "hold: state 120 ms old"."""
-        if self.rung == _OK:
+        if self.level == _OK:
             return "ok"
-        text = "%s: %s" % (self.rung.name.lower(), self.reason)
+        text = "%s: %s" % (self.level.name.lower(), self.reason)
         return text + "; it does not land: the emergency stop is the operator's" if self.operator else text
 
 
 @dataclass(frozen=True)
 class Reaction:
-    """How fast a rung was entered: age of the newest good message, and the part of it beyond the threshold."""
+    """How fast a level was entered: age of the newest good message, and the part of it beyond the threshold."""
 
-    rung: Rung
+    level: FailsafeLevel
     age_s: float
     beyond_s: float
 
@@ -200,7 +200,7 @@ class SafetyLadder:
             ("controls", self.controls, limits.controls_hold_s, limits.controls_land_s),
         )
         self.verdict = Verdict(_OK, "")
-        self.reactions = []  # the newest Reaction of each rung that was entered for age, oldest first
+        self.reactions = []  # the newest Reaction of each level that was entered for age, oldest first
         self._navdata_s = None
         self._joystick_s = now_s  # newest message of any joystick; silence counts from the start
         self._joysticks_once = set()  # senders that were heard once: beside others, they owe no second message
@@ -240,7 +240,7 @@ class SafetyLadder:
         """The newest `separation.Look` while it holds because of other vehicles, else None. Nobody is sent aside before
         it is time to land: first all come to a stop.
         """
-        if self.verdict.rung != _HOLD or self._kind != "separation":
+        if self.verdict.level != _HOLD or self._kind != "separation":
             return None
         stops = now_s - self._apart_since_s < self.limits.separation_land_s
         return self._look._replace(aside=ALONE.aside) if stops else self._look
@@ -290,12 +290,12 @@ class SafetyLadder:
 
     def autonomy_problem(self, now_s, needs_navdata=True):
         """Why the vehicle must not fly by itself now, in a few words; "" when it may."""
-        rung, _, reason, _ = self._judge(now_s, True, needs_navdata)
-        return reason if rung > _OK else ""
+        level, _, reason, _ = self._judge(now_s, True, needs_navdata)
+        return reason if level > _OK else ""
 
     def request_landing(self, now_s):
         """Somebody wants it down: LAND, in every mode. One that lands already keeps its reason."""
-        if self.verdict.rung != _LAND:
+        if self.verdict.level != _LAND:
             self._set(_LAND, "request", "landing was requested", None, now_s)
 
     def take_over(self):
@@ -314,35 +314,35 @@ class SafetyLadder:
             self._joysticks_s = {name: s for name, s in self._joysticks_s.items() if not self._is_silent(s, now_s)}
         self._airborne = airborne
         if not airborne:
-            if self.verdict.rung != _OK:
+            if self.verdict.level != _OK:
                 self.take_over()
             return self.verdict
-        if self.verdict.rung == _LAND:
+        if self.verdict.level == _LAND:
             if obeys and self.navdata_is_fresh(now_s):
                 self._land_since_s = now_s
             without_effect = now_s - self._land_since_s > self.limits.operator_after_s
             if without_effect != self.verdict.operator:
                 self.verdict = Verdict(_LAND, self.verdict.reason, without_effect)
             return self.verdict
-        rung, kind, reason, reaction = self._judge(now_s, autonomous, needs_navdata)
-        if rung != self.verdict.rung or kind != self._kind:
-            self._set(rung, kind, reason, reaction, now_s)
+        level, kind, reason, reaction = self._judge(now_s, autonomous, needs_navdata)
+        if level != self.verdict.level or kind != self._kind:
+            self._set(level, kind, reason, reaction, now_s)
         return self.verdict
 
-    def _set(self, rung, kind, reason, reaction, now_s):
+    def _set(self, level, kind, reason, reaction, now_s):
         self._kind = kind
-        if rung == _OK:
+        if level == _OK:
             self._apart_since_s = None
         elif kind == "separation" and self._apart_since_s is None:
             self._apart_since_s, self._apart_reason = now_s, reason
-        self._land_since_s = now_s if rung == _LAND else None
-        entered = rung > self.verdict.rung
-        self.verdict = Verdict(rung, reason)
+        self._land_since_s = now_s if level == _LAND else None
+        entered = level > self.verdict.level
+        self.verdict = Verdict(level, reason)
         if entered and reaction is not None and math.isfinite(reaction[0]):
-            self.reactions = [old for old in self.reactions if old.rung != rung] + [Reaction(rung, *reaction)]
+            self.reactions = [old for old in self.reactions if old.level != level] + [Reaction(level, *reaction)]
 
     def _judge(self, now_s, autonomous, needs_navdata):
-        """(rung, rule, reason, (age, age beyond the threshold) or None) by the first rule of the highest rung."""
+        """(level, rule, reason, (age, age beyond the threshold) or None) by the first rule of the highest level."""
         limits = self.limits
         age_s = now_s - (min(self._joysticks_s.values()) if self._joysticks_s else self._joystick_s)
         if 0.0 < limits.joystick_timeout < age_s:
@@ -372,7 +372,7 @@ class SafetyLadder:
         # No way back: its reference has gone on, and it would chase after it through the others.
         held_s = 0.0 if self._apart_since_s is None else now_s - self._apart_since_s
         waits = self._look.above and held_s < limits.separation_wait_s
-        rung = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD
-        if rung <= hold[0]:
+        level = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD
+        if level <= hold[0]:
             return hold
-        return rung, "separation", self._look.reason or self._apart_reason, None
+        return level, "separation", self._look.reason or self._apart_reason, None

@@ -9,7 +9,7 @@ import math
 from collections import defaultdict, deque, namedtuple
 from dataclasses import dataclass, field, fields
 
-from risc_control.failsafe import Rung, SafetyLadder, SafetyLimits, fence_of
+from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits, fence_of
 from risc_control.joystick import (
     CENTRED,
     CLOCK_MEMORY_S,
@@ -43,7 +43,7 @@ class FlightState(enum.IntEnum):
 
 
 # members of enumerations are slow to look up, and these are asked for in every frame
-_OK, _LAND, _LANDING = Rung.OK, Rung.LAND, FlightState.LANDING
+_OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
 _TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
@@ -325,7 +325,7 @@ class VehiclePilot:
         if self._params.Simulation and reset != self._simulator_reset:
             self._simulator_reset = orders.simulator_reset = reset
         # a belated one was meant for autonomous mode, not to take back a landing that the ladder began meanwhile
-        ends_it = self.autonomous and self.ladder.verdict.rung < _LAND and Button.TOGGLE_AUTONOMOUS in joy.belated
+        ends_it = self.autonomous and self.ladder.verdict.level < _LAND and Button.TOGGLE_AUTONOMOUS in joy.belated
         if Button.TOGGLE_AUTONOMOUS in joy.pressed or ends_it:
             self._toggle(orders, now_s)
         if Button.SHUT_DOWN in down:
@@ -379,7 +379,7 @@ class VehiclePilot:
         if not self.autonomous or self._ended:
             return orders
         self._judge(orders, now_s)
-        if self.ladder.verdict.rung == _OK and self._takes_commands() and self._slots.due(now_s):
+        if self.ladder.verdict.level == _OK and self._takes_commands() and self._slots.due(now_s):
             self._send(self._map(own, now_s), stamp_s, orders, now_s)
         return orders
 
@@ -392,7 +392,7 @@ class VehiclePilot:
         self._judge(orders, now_s)
         if self._status_slots.due(now_s):
             orders.status = self.autonomous
-        safe = not self.autonomous or self.ladder.verdict.rung > _OK
+        safe = not self.autonomous or self.ladder.verdict.level > _OK
         if orders.command is None and safe and self._takes_commands() and self._slots.due(now_s):
             self._send_safe(orders, now_s)
         return orders
@@ -498,7 +498,7 @@ class VehiclePilot:
             self.ladder.take_over()
             self._set_mode(False, orders, "joystick")
             return
-        if self.ladder.verdict.rung > _OK:
+        if self.ladder.verdict.level > _OK:
             self.ladder.take_over()
             orders.say("info", "operator takes over, manual")
             return
@@ -529,7 +529,7 @@ class VehiclePilot:
         orders.say("info", "%s mode (%s)" % ("autonomous" if autonomous else "manual", why))
 
     def _judge(self, orders, now_s, land=False):
-        """Run the ladder; a new rung is acted on at once, not at the next slot. land: somebody asks for a landing."""
+        """Run the ladder; a new level is acted on at once, not at the next slot. land: somebody asks for a landing."""
         ladder = self.ladder
         before = ladder.verdict
         if land:
@@ -538,14 +538,14 @@ class VehiclePilot:
         verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, not self._params.Simulation)
         if verdict.text != self._safety_text:
             self._safety_text = orders.safety = verdict.text
-            if verdict.rung > before.rung or verdict.operator:
+            if verdict.level > before.level or verdict.operator:
                 orders.say("error" if verdict.operator else "warn", verdict.text)
-            elif before.rung > _OK:
+            elif before.level > _OK:
                 orders.say("info", "safety: %s" % verdict.text)
-        if verdict.rung == _LAND and now_s - self._land_s >= self._params.land_repeat_s:
+        if verdict.level == _LAND and now_s - self._land_s >= self._params.land_repeat_s:
             self._land_s = now_s
             orders.land = True
-        if verdict.rung > before.rung and self._takes_commands():
+        if verdict.level > before.level and self._takes_commands():
             self._slots.restart(now_s)
             self._send_safe(orders, now_s)
 
@@ -561,7 +561,7 @@ class VehiclePilot:
 
     def _send_safe(self, orders, now_s):
         """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""
-        holds = self.ladder.verdict.rung > _OK
+        holds = self.ladder.verdict.level > _OK
         orders.level_only = holds and not self._params.hold_auto_hover
         sticks = CENTRED if holds else self._sticks()
         look = self.ladder.apart(now_s)

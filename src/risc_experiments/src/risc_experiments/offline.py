@@ -22,7 +22,7 @@ import numpy as np
 from ardrone_autonomy.link import LOST_S
 from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
-from risc_control.failsafe import Rung
+from risc_control.failsafe import FailsafeLevel
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
@@ -88,7 +88,7 @@ class Flight:
     duration_s: float = 20.0  # on the course after settling
     delay_s: float | None = None  # link delay, told to the controller as nominal; None = that of the vehicle type
     psi_rad: float | None = None  # constant yaw instead of the course's own
-    honest: bool = True
+    perturbed: bool = True
     gusts: bool = False
     noise: bool = True  # of the cameras
     controller: str = "full"
@@ -124,7 +124,9 @@ def fly(flight):
     started = time.perf_counter()
     fleet, types, vehicle_types = _lab(flight)
     templates = load_templates(fleet=fleet)
-    world = World(fleet, types, templates, seed=flight.seed, honest=flight.honest, gusts=flight.gusts, step_s=FRAME_S)
+    world = World(
+        fleet, types, templates, seed=flight.seed, perturbed=flight.perturbed, gusts=flight.gusts, step_s=FRAME_S
+    )
     cameras = MocapCameras(
         CameraParams.of_arena(fleet.arena) if flight.noise else CameraParams.ideal(),
         seed=np.random.SeedSequence(flight.seed, spawn_key=(_CAMERA_STREAM,)),
@@ -283,7 +285,7 @@ class _Chain:
 
     def send(self, orders, now_s):
         """Hand what was ordered to the radio; a landing takes as long as a command."""
-        if orders.safety is not None and (self.said or self.pilot.ladder.verdict.rung > Rung.OK):
+        if orders.safety is not None and (self.said or self.pilot.ladder.verdict.level > FailsafeLevel.OK):
             self.said.append((now_s, orders.safety))
         if orders.land:
             self._vehicle.schedule(now_s + self._vehicle.plant.command_delay_s, FlightAction.LAND)
@@ -403,7 +405,7 @@ def main(argv=None):
             duration_s=args.duration,
             delay_s=delay_s,
             psi_rad=math.radians(YAW_BY_SEED_DEG * seed if args.psi is None else args.psi),
-            honest=not args.ideal,
+            perturbed=not args.ideal,
             gusts=args.gusts,
             controller=args.controller,
         )
@@ -446,7 +448,7 @@ def main(argv=None):
         progress.say("offline: %s" % (error if str(error) else "interrupted"))
         return 130 if isinstance(error, KeyboardInterrupt) else 1
     if args.json:
-        figures = {"simulated": True, "controller": args.controller, "honest": not args.ideal, "flights": rows}
+        figures = {"simulated": True, "controller": args.controller, "perturbed": not args.ideal, "flights": rows}
         args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     return 1 if failed else 0
 

@@ -209,7 +209,7 @@ class Operator:
         watched.autonomous, watched.status_s = autonomous, now_s
 
     def on_safety(self, name, text):
-        """The vehicle's loss ladder changed rungs: "ok", "hold: ...", "land: ..."."""
+        """The vehicle's loss ladder changed levels: "ok", "hold: ...", "land: ..."."""
         self.vehicles[name].safety = text
 
     def on_trajectory_phase(self, name, phase):

@@ -105,7 +105,7 @@ def simulation_model(args, folder):
     type_name = load_fleet(folder / "fleet.yaml").vehicles[0].type
     delay_s = load_vehicle_type(type_name).command_delay_s if args.delay is None else args.delay
     return {
-        "plant": "ideal" if args.ideal else "honest",
+        "plant": "ideal" if args.ideal else "perturbed",
         "gusts": args.gusts,
         "seed": args.seed,
         "marker_noise_m": CameraParams().noise_std_m,

@@ -1,7 +1,7 @@
 """How fast the virtual lab is: `python3 -m risc_simulator.bench [--json FILE]`.
 
 World and cameras offline, as fast as they go, on one core: every vehicle is in the air and gets a new setpoint at the
-rate of its radio, as in a flight; plants are honest. Then the whole lab in real time, with a client for each vehicle
+rate of its radio, as in a flight; plants are perturbed. Then the whole lab in real time, with a client for each vehicle
 in another process: what part of a core it takes.
 """
 

@@ -56,7 +56,7 @@ class VirtualLab:
         self,
         fleet,
         seed=0,
-        honest=True,
+        perturbed=True,
         gusts=False,
         command_delay_s=None,
         exact_markers=False,
@@ -67,7 +67,7 @@ class VirtualLab:
         interface="",
         cameras_ahead=False,
     ):
-        """fleet: Fleet. honest: vehicles differ from their nominal type. gusts: moving air.
+        """fleet: Fleet. perturbed: vehicles differ from their nominal type. gusts: moving air.
         command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
         live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
         radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
@@ -78,7 +78,7 @@ class VirtualLab:
         """
         self.fleet = fleet
         self.radio_loss = radio_loss
-        self.seed, self.honest, self.gusts = seed, honest, gusts
+        self.seed, self.perturbed, self.gusts = seed, perturbed, gusts
         self._period_s = 1.0 / fleet.mocap.rate_hz
         self._send_after_s = fleet.mocap.reported_delay_s
         self._frames_per_second = max(1, int(fleet.mocap.rate_hz))
@@ -99,7 +99,7 @@ class VirtualLab:
             vehicle_types,
             templates,
             seed=seed,
-            honest=honest,
+            perturbed=perturbed,
             gusts=gusts,
             step_s=self._period_s / self._cycles_per_frame,
         )
@@ -150,7 +150,7 @@ class VirtualLab:
 
     def describe(self):
         """Lines for people: what listens where, and what flies."""
-        mode = "honest plants, seed %d" % self.seed if self.honest else "ideal plants, seed %d" % self.seed
+        mode = "perturbed plant, seed %d" % self.seed if self.perturbed else "ideal plants, seed %d" % self.seed
         lines = ["virtual lab '%s': %s%s" % (self.fleet.name, mode, ", gusts" if self.gusts else "")]
         if self.radio_loss:
             lines[0] += ", radio loses %g %% of the commands' slots and of navdata" % (100.0 * self.radio_loss)
@@ -327,7 +327,7 @@ class VirtualLab:
             "simulated": True,
             "fleet": self.fleet.name,
             "seed": self.seed,
-            "honest": self.honest,
+            "perturbed": self.perturbed,
             "gusts": self.gusts,
             "radio_loss": self.radio_loss,
             "frames": self.frame - self.frames_skipped,
@@ -496,7 +496,7 @@ def main(arguments=None):
         lab = VirtualLab(
             fleet,
             seed=options.seed,
-            honest=not options.ideal,
+            perturbed=not options.ideal,
             gusts=options.gusts,
             command_delay_s=options.delay,
             exact_markers=options.exact_markers,

@@ -92,10 +92,10 @@ class Vehicle:
 class World:
     """All vehicles and landmarks. One thread at a time."""
 
-    def __init__(self, fleet, vehicle_types, templates, seed=0, honest=True, gusts=False, step_s=0.005):
+    def __init__(self, fleet, vehicle_types, templates, seed=0, perturbed=True, gusts=False, step_s=0.005):
         """fleet: Fleet. vehicle_types: VehicleType by the name used in the fleet. templates: Template by name.
 
-        honest: true plants are drawn around the nominal ones. gusts: moving air. step_s: grid (see test_quadrotor.py
+        perturbed: true plants are drawn around the nominal ones. gusts: moving air. step_s: grid (see test_quadrotor.py
         for what it costs in accuracy). Raises ValueError when fleet, types and templates do not fit each other.
         """
         if not 0.0 < step_s <= 0.02:
@@ -118,8 +118,8 @@ class World:
             vehicle_type = _look_up(vehicle_types, fleet_vehicle.type, "vehicle type")
             firmware_class = _look_up(_FIRMWARE, vehicle_type.name, "on-board logic for vehicle type")
             markers_m = _look_up(templates, fleet_vehicle.template, "mocap template").markers_m
-            plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), honest)
-            firmware = firmware_class(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), honest, REST_HEIGHT_M)
+            plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), perturbed)
+            firmware = firmware_class(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), perturbed, REST_HEIGHT_M)
             vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, markers_m, plant, firmware))
             x, y, _ = fleet_vehicle.start_position_m  # height is the floor's: it stands
             if abs(x) > net.half_x_m or abs(y) > net.half_y_m:

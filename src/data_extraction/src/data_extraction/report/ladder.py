@@ -5,19 +5,19 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from data_extraction.report.naming import vehicle_of
-from risc_control.failsafe import Rung
+from risc_control.failsafe import FailsafeLevel
 
 SAFETY = "/safety"
 _MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
 
 
 class Span(NamedTuple):
-    """A time on one rung."""
+    """A time on one level."""
 
     vehicle: str  # namespace
     begin_s: float  # receipt
     end_s: float
-    rung: Rung
+    level: FailsafeLevel
     reason: str  # "" when OK
 
     @property
@@ -28,7 +28,7 @@ class Span(NamedTuple):
 
 @dataclass
 class _Vehicle:
-    """One vehicle's rungs so far."""
+    """One vehicle's levels so far."""
 
     text: str | None = None  # of the newest message
     rows: list[list] = field(default_factory=list)  # [begin, end, text]; end None = it lasts
@@ -39,7 +39,7 @@ class LadderCollector:
 
     def __init__(self):
         self._vehicles = {}
-        self.left_out = 0  # changes to a higher rung, or to another reason there, beyond those that were kept
+        self.left_out = 0  # changes to a higher level, or to another reason there, beyond those that were kept
 
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
@@ -53,17 +53,17 @@ class LadderCollector:
         if vehicle.text == message.data:
             return
         vehicle.text = message.data
-        rung, rows = _parsed(message.data)[0], vehicle.rows
+        level, rows = _parsed(message.data)[0], vehicle.rows
         lasting = rows[-1] if rows and rows[-1][1] is None else None
-        if len(rows) >= _MOST_SPANS and lasting and rung == _parsed(lasting[2])[0] == Rung.LAND:
+        if len(rows) >= _MOST_SPANS and lasting and level == _parsed(lasting[2])[0] == FailsafeLevel.LAND:
             self.left_out += 1  # another reason for the same landing
             return
         if lasting:
             lasting[1] = receipt_s
-        if len(rows) < _MOST_SPANS or rung == Rung.LAND:
+        if len(rows) < _MOST_SPANS or level == FailsafeLevel.LAND:
             rows.append([receipt_s, None, message.data])
         else:
-            self.left_out += rung != Rung.OK
+            self.left_out += level != FailsafeLevel.OK
 
     def spans(self, end_s):
         """{vehicle: [Span, ...]} in the order of time; the last lasts until the end of the bag, at end_s."""
@@ -77,7 +77,7 @@ class LadderCollector:
 
 
 def _parsed(text):
-    """(Rung, reason) of a Verdict's text, e.g. 'hold: state 120 ms old'."""
+    """(FailsafeLevel, reason) of a Verdict's text, e.g. 'hold: state 120 ms old'."""
     word, _, reason = text.partition(":")
-    rung = next((rung for rung in Rung if rung.name.lower() == word.strip()), None)
-    return (Rung.LAND, text) if rung is None else (rung, reason.strip())
+    level = next((level for level in FailsafeLevel if level.name.lower() == word.strip()), None)
+    return (FailsafeLevel.LAND, text) if level is None else (level, reason.strip())

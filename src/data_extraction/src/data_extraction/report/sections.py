@@ -13,11 +13,11 @@ from data_extraction.report.events import head_and_tail
 from data_extraction.report.gates import GATES
 from data_extraction.report.kinds import expected
 from data_extraction.report.naming import vehicle_of
-from risc_control.failsafe import Rung
+from risc_control.failsafe import FailsafeLevel
 
 UNKNOWN = "unknown"
 _MOST_ROWS = 60  # of a table of events
-_MOST_RUNGS = 25  # of a table of the loss ladder
+_MOST_CHANGES = 25  # of a table of the loss ladder
 _FAILED = "failed: "  # how the operator's results begin
 _LEAST_CORES = 0.001  # that are worth a row
 _TEXTS = 99  # columns that are numeric: none
@@ -365,33 +365,35 @@ def ladder(material, _summary):
     if not material.ladder:
         return Missing("Loss ladder", "no vehicle's safety topic was recorded")
     section = Section("ladder", "Loss ladder")
-    caption = "Rung of every vehicle over time: ok, hold (level, altitude held), land."
+    caption = "Failsafe level of every vehicle over time: ok, hold (level, altitude held), land."
     if material.ladder_left_out:
         caption += " Nothing is drawn where there were more changes than are kept."
     section.figures.append(_figure(plots.ladder(material.ladder, material.zero_s), caption))
-    left = [span for spans in material.ladder.values() for span in spans if span.rung != Rung.OK]
+    left = [span for spans in material.ladder.values() for span in spans if span.level != FailsafeLevel.OK]
     if not left:
-        section.texts.append("No vehicle left the lowest rung.")
+        section.texts.append("No vehicle left the lowest failsafe level.")
         return section
     kinds = {}
     for span in left:
-        kinds.setdefault((span.vehicle, span.rung, span.kind), []).append(span.end_s - span.begin_s)
+        kinds.setdefault((span.vehicle, span.level, span.kind), []).append(span.end_s - span.begin_s)
     rows = [
-        [vehicle, rung.name.lower(), kind, "%d" % len(lengths_s), _clock(max(lengths_s), 2), _clock(sum(lengths_s), 2)]
-        for (vehicle, rung, kind), lengths_s in sorted(kinds.items())
+        [vehicle, level.name.lower(), kind, "%d" % len(lengths_s), _clock(max(lengths_s), 2), _clock(sum(lengths_s), 2)]
+        for (vehicle, level, kind), lengths_s in sorted(kinds.items())
     ]
-    columns = ["vehicle", "rung", "reason", "times", "longest", "altogether"]
-    section.tables.append(Table("Why and for how long vehicles were on higher rungs.", columns, rows, numeric=3))
-    left.sort(key=lambda span: (-span.rung, span.begin_s))
-    listed = sorted(left[:_MOST_RUNGS], key=lambda span: span.begin_s)
+    columns = ["vehicle", "level", "reason", "times", "longest", "altogether"]
+    section.tables.append(
+        Table("Why and for how long vehicles were on higher failsafe levels.", columns, rows, numeric=3)
+    )
+    left.sort(key=lambda span: (-span.level, span.begin_s))
+    listed = sorted(left[:_MOST_CHANGES], key=lambda span: span.begin_s)
     rows = [
         [
-            _clock(span.begin_s - material.zero_s, 2), span.vehicle, span.rung.name.lower(), span.reason,
+            _clock(span.begin_s - material.zero_s, 2), span.vehicle, span.level.name.lower(), span.reason,
             _clock(span.end_s - span.begin_s, 2),
         ]
         for span in listed
     ]  # fmt: skip
-    columns = ["time", "vehicle", "rung", "reason", "lasted"]
+    columns = ["time", "vehicle", "level", "reason", "lasted"]
     section.tables.append(Table("Ladder events.", columns, rows, numeric=4))
     left_out = len(left) - len(listed) + material.ladder_left_out
     if left_out:

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_control.controller_stream import ControllerStream
-from risc_control.failsafe import Rung
+from risc_control.failsafe import FailsafeLevel
 from risc_control.joystick import Button
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.separation import ALONE, Separation
@@ -421,7 +421,7 @@ class _Vehicle:
             ages_s = pilot.ladder.state.age_s(now_s), pilot.ladder.controls.age_s(now_s)
             behind_s = pilot.ladder.state.clock_behind_s
             autonomous, flight_state = pilot.autonomous, pilot.flight_state
-        status.summary({Rung.OK: 0, Rung.HOLD: 1, Rung.LAND: 2}[verdict.rung], verdict.text)
+        status.summary({FailsafeLevel.OK: 0, FailsafeLevel.HOLD: 1, FailsafeLevel.LAND: 2}[verdict.level], verdict.text)
         status.add("vehicle", self.name)
         status.add("computer", socket.gethostname())
         status.add("mode", "autonomous" if autonomous else "manual")
@@ -439,7 +439,7 @@ class _Vehicle:
         status.add("clock behind that of the states, at least (ms)", "%.1f" % (1e3 * behind_s))
         status.add("oldest state answered by a command (ms)", "%.1f" % (1e3 * answer_max_s))
         for reaction in reactions:
-            label = "last %s: " % reaction.rung.name.lower()
+            label = "last %s: " % reaction.level.name.lower()
             status.add(label + "age when it was ordered (ms)", "%.0f" % (1e3 * reaction.age_s))
             status.add(label + "reaction after the limit (ms)", "%.1f" % (1e3 * reaction.beyond_s))
         return status

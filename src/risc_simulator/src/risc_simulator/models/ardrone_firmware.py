@@ -59,7 +59,7 @@ class ArdroneFirmware:
     wake_s: from this time on wake() must be called at the start of every step.
     """
 
-    def __init__(self, vehicle_type, rng, honest, rest_height_m):
+    def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
         """vehicle_type: VehicleType. rng: Generator of this vehicle alone. rest_height_m: of its centre, standing."""
         self.phase = FlightPhase.LANDED
         self.command = (0.0, 0.0, 0.0, 0.0)
@@ -72,7 +72,9 @@ class ArdroneFirmware:
         self._battery_pct, self._battery_time_s = 100.0, 0.0
         self._setpoint = Setpoint(hover=True)
         self._phase_start_s = 0.0
-        scale, bias_forward, bias_right = np.clip(rng.standard_normal(3), -2.0, 2.0).tolist() if honest else (0, 0, 0)
+        scale, bias_forward, bias_right = (
+            np.clip(rng.standard_normal(3), -2.0, 2.0).tolist() if perturbed else (0, 0, 0)
+        )
         self._flow = (
             1.0 + FLOW_SCALE_SPREAD * scale,
             FLOW_BIAS_SPREAD_M_S * bias_forward,

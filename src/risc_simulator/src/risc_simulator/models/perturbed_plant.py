@@ -1,6 +1,6 @@
 """The true vehicle behind the nominal one: parameters drawn around a vehicle type's values.
 
-Controllers know only the nominal type. An honest virtual lab flies vehicles whose mass, thrust, attitude loops, drag
+Controllers know only the nominal type. A virtual lab flies vehicles whose mass, thrust, attitude loops, drag
 and link delay differ from it, as every real airframe does.
 """
 
@@ -63,14 +63,14 @@ def nominal_plant(vehicle_type):
     )
 
 
-def draw_plant(vehicle_type, rng, honest=True):
+def draw_plant(vehicle_type, rng, perturbed=True):
     """PlantParams of one vehicle of this type.
 
     rng: numpy Generator of this vehicle alone, so that a draw does not depend on who else flies.
-    honest=False gives the nominal vehicle (the generator is not used).
+    perturbed=False gives the nominal vehicle (the generator is not used).
     """
     plant = nominal_plant(vehicle_type)
-    if not honest:
+    if not perturbed:
         return plant
     mass, thrust, roll, pitch, drag, delay = np.clip(rng.standard_normal(6), -_CUT_SIGMA, _CUT_SIGMA).tolist()
     return replace(

@@ -76,7 +76,7 @@ def make_lab(params):
     return VirtualLab(
         fleet,
         seed=params["seed"],
-        honest=not params["ideal"],
+        perturbed=not params["ideal"],
         gusts=params["gusts"],
         command_delay_s=given("delay"),
         exact_markers=params["exact_markers"],

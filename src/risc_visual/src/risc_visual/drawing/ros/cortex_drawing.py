@@ -28,7 +28,7 @@ class CortexDrawing:
         self._text_lifetime_s = TEXT_PERIODS / params.status_hz
         self._lock = threading.Lock()
         self._safety = {}  # line -> what the vehicle's safety says when it is not content
-        self._rungs = {}  # name -> (rung of the safety ladder, when it was said [s])
+        self._levels = {}  # name -> (level of the safety ladder, when it was said [s])
 
     def vehicles(self, msg, now_s):
         """Cortex -> (vehicles and pendulums, their names). now_s: ROS time, that of the header of `mode`."""
@@ -79,9 +79,9 @@ class CortexDrawing:
         with self._lock:
             safety = self._safety.get(line, "")
             if safety:
-                self._rungs[name] = (safety.partition(":")[0].upper(), head.stamp.to_sec())
+                self._levels[name] = (safety.partition(":")[0].upper(), head.stamp.to_sec())
             else:
-                self._rungs.pop(name, None)
+                self._levels.pop(name, None)
         return markers.mode_marker(head, line, name, autonomous, safety, self._text_lifetime_s)
 
     def battery(self, head, line, name, percent):
@@ -89,7 +89,7 @@ class CortexDrawing:
         return markers.battery_marker(head, line, name, percent, self._text_lifetime_s)
 
     def _rungs_at(self, now_s):
-        """dict name -> rung of the vehicles that still speak: what a vehicle said last is not true for ever."""
+        """dict name -> level of the vehicles that still speak: what a vehicle said last is not true for ever."""
         with self._lock:
-            said = dict(self._rungs)
-        return {name: rung for name, (rung, said_s) in said.items() if is_news(said_s, now_s, self._text_lifetime_s)}
+            said = dict(self._levels)
+        return {name: level for name, (level, said_s) in said.items() if is_news(said_s, now_s, self._text_lifetime_s)}

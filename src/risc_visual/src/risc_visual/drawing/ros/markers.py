@@ -186,18 +186,18 @@ def vehicle_markers(head, views, lifetime_s):
     return found
 
 
-def vehicle_labels(head, views, alpha, lifetime_s, rungs=None):
+def vehicle_labels(head, views, alpha, lifetime_s, levels=None):
     """Every vehicle's name above it: ns = name, id = index + 1.
 
-    rungs: dict name -> rung of the safety ladder, e.g. "LAND", of those vehicles whose safety is not content.
+    levels: dict name -> level of the safety ladder, e.g. "LAND", of those vehicles whose safety is not content.
     """
     found = []
     for view in views:
         x, y, z = view.position_m
         text = view.name + (" (lost)" if view.lost else "")
         rgba = (1.0, 1.0, 1.0, alpha)
-        if rungs and view.name in rungs:
-            text, rgba = "%s: %s" % (text, rungs[view.name]), RED[:3] + (alpha,)
+        if levels and view.name in levels:
+            text, rgba = "%s: %s" % (text, levels[view.name]), RED[:3] + (alpha,)
         found.append(text_marker(head, view.name, view.index + 1, text, (x, y, z + 0.3), 0.17, rgba, lifetime_s))
     return found
 
