@@ -12,6 +12,9 @@ import numpy as np
 _POINTS_MIN = 6  # of a fit
 _ROUNDS = 3  # of the robust fit; more change nothing that could be measured
 _LEAST_LIMIT = 0.75  # [px] distances that count in any case
+_PRIOR_PX, _PRIOR_COUNT = 0.05, 10  # what is known of the noise of an edge point beforehand, worth so many points
+
+_SYSTEMATIC = 5e-4  # error of the middle of an outline / its size, however many points there are
 
 
 class Ellipse(NamedTuple):
@@ -203,3 +206,41 @@ def circle_centres(conic, ring_scale):
         ring = (rxy * ryz - ryy * rxz) / determinant, (rxy * rxz - rxx * ryz) / determinant
         found.append(((px / pz, py / pz), ring))
     return found
+
+
+def centre_covariance(ellipse, points, off_px, focal_px, apart, share, turn=None):
+    """Covariance (xx, xy, yy) [px^2] of where the centre of a tilted circle is seen, `circle_centres` between both.
+
+    ellipse, points (n, 2), off_px (n,): the measured outline, its points and their distances. focal_px: of the camera.
+    apart: (2,) [px] from the second to the first hypothesis, share: probability of the first. turn: (2, 2) Jacobian of
+    the picture's pixels by undistorted ones (in which `apart` is); None: the same. None for points that do not
+    determine an ellipse.
+
+    Three parts. The middle of the outline: to first order an ellipse's points are off by h = (cos t, sin t, 1, cos 2t,
+    sin 2t) times (shift along both axes, size, two changes of shape), in units of the semi-axes, so that the
+    covariance of these is sigma^2 (sum h h' w^2)^-1, with w pixels across the outline for a unit. The shift to the
+    image of the centre: kappa tau for a tilt with the sine tau, kappa = a b / f, and the shape tells tau^2. Which of
+    both tilts it is: the variance of a choice.
+    """
+    axes = ellipse.axes()
+    a, b = ellipse.semi_major, ellipse.semi_minor
+    near = np.abs(off_px) <= max(_LEAST_LIMIT, 4.0 * _median(np.abs(off_px)))
+    u, v = ((points[near] - (ellipse.x, ellipse.y)) @ (axes / (a * a, b * b))).T
+    radius = np.hypot(u, v)
+    u, v = u / radius, v / radius
+    rows = np.stack((u, v, np.ones_like(u), u * u - v * v, 2.0 * u * v)) / np.hypot(u / a, v / b)
+    solved, inverse = cv2.invert(rows @ rows.T, flags=cv2.DECOMP_CHOLESKY)
+    if not solved or len(u) <= 5:
+        return None
+    off = off_px[near]
+    sigma2 = (float(off @ off) + _PRIOR_COUNT * _PRIOR_PX**2) / (len(off) - 5 + _PRIOR_COUNT)
+    middle = sigma2 * axes @ inverse[:2, :2] @ axes.T + np.eye(2) * (_SYSTEMATIC * b) ** 2
+    kappa = a * b / focal_px
+    spread = 2.0 * (1.0 + (b / a) ** 2) * math.sqrt(sigma2 * inverse[3, 3])  # of tau^2
+    tau = 0.5 * math.hypot(*apart) / kappa
+    shift = np.outer(apart, apart) * (share * (1.0 - share))
+    shift += np.eye(2) * (kappa * spread) ** 2 / (4.0 * tau**2 + 2.0 * spread)
+    if turn is not None:
+        shift = turn @ shift @ turn.T
+    (xx, xy), (_, yy) = (middle + shift).tolist()
+    return xx, xy, yy
