@@ -208,39 +208,44 @@ def circle_centres(conic, ring_scale):
     return found
 
 
-def centre_covariance(ellipse, points, off_px, focal_px, apart, share, turn=None):
+def harmonics(directions):
+    """(n, 5) by how much a point at each place of an ellipse moves outwards, in units of the semi-axes.
+
+    directions: (n, 2) unit vectors (cos t, sin t), the places on the unit circle. When the ellipse moves along both
+    axes, grows, and changes its shape in two ways: (cos t, sin t, 1, cos 2t, sin 2t).
+    """
+    u, v = directions.T
+    return np.column_stack((u, v, np.ones_like(u), u * u - v * v, 2.0 * u * v)).astype(float)
+
+
+def centre_covariance(ellipse, rows, rms_px, focal_px, apart, share, turn=None):
     """Covariance (xx, xy, yy) [px^2] of where the centre of a tilted circle is seen, `circle_centres` between both.
 
-    ellipse, points (n, 2), off_px (n,): the measured outline, its points and their distances. focal_px: of the camera.
-    apart: (2,) [px] from the second to the first hypothesis, share: probability of the first. turn: (2, 2) Jacobian of
-    the picture's pixels by undistorted ones (in which `apart` is); None: the same. None for points that do not
-    determine an ellipse.
+    ellipse: the outline. rows: (n, 5) `harmonics` of its measured points, rms_px: of their distances from it.
+    focal_px: of the camera. apart: (2,) [px] from the second to the first hypothesis, share: probability of the first.
+    turn: (2, 2) Jacobian of the picture's pixels by undistorted ones (in which `apart` is); None: the same. None for
+    points that do not determine an ellipse.
 
-    Three parts. The middle of the outline: to first order an ellipse's points are off by h = (cos t, sin t, 1, cos 2t,
-    sin 2t) times (shift along both axes, size, two changes of shape), in units of the semi-axes, so that the
-    covariance of these is sigma^2 (sum h h' w^2)^-1, with w pixels across the outline for a unit. The shift to the
-    image of the centre: kappa tau for a tilt with the sine tau, kappa = a b / f, and the shape tells tau^2. Which of
-    both tilts it is: the variance of a choice.
+    Three parts. The middle of the outline: sigma^2 (sum h h' w^2)^-1 with h of `harmonics` and w pixels across the
+    outline for a unit there, and what no number of points helps against. The shift to the image of the centre: kappa
+    tau for a tilt with the sine tau, kappa = a b / f, where the shape tells tau^2. Which of both tilts it is: the
+    variance of a choice.
     """
-    axes = ellipse.axes()
-    a, b = ellipse.semi_major, ellipse.semi_minor
-    near = np.abs(off_px) <= max(_LEAST_LIMIT, 4.0 * _median(np.abs(off_px)))
-    u, v = ((points[near] - (ellipse.x, ellipse.y)) @ (axes / (a * a, b * b))).T
-    radius = np.hypot(u, v)
-    u, v = u / radius, v / radius
-    rows = np.stack((u, v, np.ones_like(u), u * u - v * v, 2.0 * u * v)) / np.hypot(u / a, v / b)
-    solved, inverse = cv2.invert(rows @ rows.T, flags=cv2.DECOMP_CHOLESKY)
-    if not solved or len(u) <= 5:
+    count, (a, b) = len(rows), ellipse[2:4]
+    if count <= 5:
         return None
-    off = off_px[near]
-    sigma2 = (float(off @ off) + _PRIOR_COUNT * _PRIOR_PX**2) / (len(off) - 5 + _PRIOR_COUNT)
-    middle = sigma2 * axes @ inverse[:2, :2] @ axes.T + np.eye(2) * (_SYSTEMATIC * b) ** 2
+    weighted = rows / (np.square(rows[:, :2]) @ (a**-2, b**-2))[:, None]
+    solved, inverse = cv2.invert(rows.T @ weighted, flags=cv2.DECOMP_CHOLESKY)
+    if not solved:
+        return None
+    sigma2 = (count * rms_px**2 + _PRIOR_COUNT * _PRIOR_PX**2) / (count - 5 + _PRIOR_COUNT)
+    axes = ellipse.axes()
+    covariance = sigma2 * axes @ inverse[:2, :2] @ axes.T
     kappa = a * b / focal_px
     spread = 2.0 * (1.0 + (b / a) ** 2) * math.sqrt(sigma2 * inverse[3, 3])  # of tau^2
     tau = 0.5 * math.hypot(*apart) / kappa
-    shift = np.outer(apart, apart) * (share * (1.0 - share))
-    shift += np.eye(2) * (kappa * spread) ** 2 / (4.0 * tau**2 + 2.0 * spread)
-    if turn is not None:
-        shift = turn @ shift @ turn.T
-    (xx, xy), (_, yy) = (middle + shift).tolist()
-    return xx, xy, yy
+    noise, choice = (kappa * spread) ** 2 / (4.0 * tau**2 + 2.0 * spread), share * (1.0 - share)
+    xx, xy, yy = choice * apart[0] ** 2 + noise, choice * apart[0] * apart[1], choice * apart[1] ** 2 + noise
+    shift = np.array(((xx, xy), (xy, yy)))
+    (xx, xy), (_, yy) = (covariance + (shift if turn is None else turn @ shift @ turn.T)).tolist()
+    return xx + (_SYSTEMATIC * b) ** 2, xy, yy + (_SYSTEMATIC * b) ** 2

@@ -23,6 +23,7 @@ from risc_visual.vision.ellipses import (
     ellipse_of_moments,
     fit_ellipse,
     fit_grown,
+    harmonics,
     unit_circle,
 )
 
@@ -62,9 +63,11 @@ class _Outline(NamedTuple):
 
     ellipse: Ellipse
     points: np.ndarray  # (n, 2) [px] on it
-    off_px: np.ndarray  # (n,) distances of the points
+    rms_px: float  # distance of the points
     arc: float  # share of it that was found
     misfit: float  # rms distance of the points / what is allowed
+    start: Ellipse | None = None  # on whose rays the points were measured,
+    rays: np.ndarray | None = None  # (rays,) and on which of them
 
 
 class Detection(NamedTuple):
@@ -102,6 +105,8 @@ class LandmarkDetector:
         self._ring = _on_rays(self._circle, 1.0 + band * np.array([0.3, 0.45, 0.6, 0.75]))
         centre = _on_rays(self._circle[::2], np.array([0.15, 0.35, 0.55, 0.75]))
         self._disc = np.concatenate((self._ring, centre))
+        self._rows = np.column_stack((self._disc.reshape(-1, 2), np.ones(self._disc[..., 0].size, np.float32)))
+        self._harmonics = harmonics(self._circle)
         self._by_centre = {}
         for kind in config.landmarks:
             self._by_centre.setdefault(kind.centre, []).append(kind)
@@ -183,22 +188,24 @@ class LandmarkDetector:
         """Detection of a blob of the right colour if it is this landmark, else None."""
         limits = self._limits
         points = _at(start, self._disc)
-        around, core_points = points[:_RAYS], points[_RAYS:]
+        around = points[:_RAYS]
         painted = _sample_mask(masks[kind.ring], around, limits.shrink)
         if self._share(painted, around, start, bgr.shape)[0] < 0.6 * limits.ring_min:
             return None
-        core_bgr, ring_bgr = _sample(bgr, core_points), _sample(bgr, around)
-        core, ring = cv2.mean(core_bgr)[:3], cv2.mean(ring_bgr, painted)[:3]
+        colours = _sample(bgr, points)
+        core, ring = cv2.mean(colours[_RAYS:])[:3], cv2.mean(colours[:_RAYS], painted)[:3]
         vivid = _vividness(core, ring)
         if vivid < limits.vivid_min:
             return None
         core, ring = np.array(core, dtype=np.float32), np.array(ring, dtype=np.float32)
+        pure = _sample_mask(masks[kind.centre], points[_RAYS:], limits.shrink)
         size_px = math.sqrt(start.semi_major * start.semi_minor)
-        pure = _sample_mask(masks[kind.centre], core_points, limits.shrink)
-        slope = _slope_of_light(core_bgr, core, self._disc[_RAYS:], pure, size_px)
-        core_on_rays = core * (1.0 + self._circle @ slope)[:, None]
-        slope = _slope_of_light(ring_bgr, ring, self._ring, painted, size_px)
-        inner = self._centre_outline(bgr, start, core_on_rays, ring * (1.0 + self._circle @ slope)[:, None])
+        slopes = np.stack((
+            _slope_of_light(colours[_RAYS:], core, pure, self._rows[4 * _RAYS :], size_px),
+            _slope_of_light(colours[:_RAYS], ring, painted, self._rows[: 4 * _RAYS], size_px),
+        ), axis=1)  # fmt: skip
+        light = self._circle @ slopes
+        inner = self._centre_outline(bgr, start, core, ring, light)
         if inner is None or inner.arc < limits.arc_min or inner.misfit > 1.0:
             return None
         ellipse = inner.ellipse
@@ -246,19 +253,20 @@ class LandmarkDetector:
             return 0.0, count / _RAYS
         return np.count_nonzero(hits & inside) / count, count / _RAYS
 
-    def _centre_outline(self, bgr, start, core, ring):
+    def _centre_outline(self, bgr, start, core, ring, light):
         """_Outline of the centre near the ellipse `start`; None if there is none."""
         band = self._scale - 1.0
         reach = min(0.5 * band, max(_REACH_PX / start.semi_minor, 0.15))
-        points, good, _ = self._edge(bgr, start, reach, core, ring)
+        points, good, _ = self._edge(bgr, start, reach, core, ring, light)
         if np.count_nonzero(good) < _WHOLE * _RAYS:  # a part is hidden: the blob is not quite where the disc is
-            points, good, _ = self._edge(bgr, start, 0.6 * band, core, ring)
+            points, good, _ = self._edge(bgr, start, 0.6 * band, core, ring, light)
             start = _rough_ellipse(points[good], start)
             if start is None:
                 return None
             reach = min(0.5 * band, max(_REACH_PX / start.semi_minor, 0.15))
-            points, good, _ = self._edge(bgr, start, reach, core, ring)
-        return self._outline(points[good])
+            points, good, _ = self._edge(bgr, start, reach, core, ring, light)
+        outline = self._outline(points[good])
+        return outline and outline._replace(start=start, rays=good)
 
     def _ring_outline(self, bgr, inner, circle, ring):
         """(ideal Ellipse of the ring, None where background or neighbours hide it; share of rays with a contrast).
@@ -293,13 +301,14 @@ class LandmarkDetector:
         allowed = self._limits.misfit_max * math.sqrt(ellipse.semi_major * ellipse.semi_minor) + _MISFIT_PX
         spread = np.abs(distances)
         near = distances[spread <= max(0.5, 2.0 * allowed)]
-        misfit = math.sqrt(float(near @ near) / len(near)) / allowed if len(near) else math.inf
-        return _Outline(ellipse, points, distances, len(near) / _RAYS, misfit)
+        rms_px = math.sqrt(float(near @ near) / len(near)) if len(near) else math.inf
+        return _Outline(ellipse, points, rms_px, len(near) / _RAYS, rms_px / allowed)
 
-    def _edge(self, bgr, ellipse, reach, inside, outside=None):
+    def _edge(self, bgr, ellipse, reach, inside, outside=None, light=None):
         """Where the colour changes from `inside` to `outside` between 1 - reach and 1 + reach times the ellipse.
 
-        inside, outside: (3,) or (rays, 3) float32 BGR; None: what is beyond on each ray.
+        inside, outside: (3,) float32 BGR; None: what is beyond on each ray. light: (rays, 2) by which share it is
+        brighter there on each of both; with an outside.
         Returns points (rays, 2), whether they are good (rays,), whether the two colours differ (rays,) or ().
         """
         count = int(min(24, max(8, 1.6 * reach * (ellipse.semi_major + ellipse.semi_minor))))
@@ -311,11 +320,18 @@ class LandmarkDetector:
         if outside is None:
             outside = colours[:, count:].sum(axis=1) / np.float32(len(_BEYOND))
             colours = colours[:, :count]
-        contrast = inside - outside
-        square = (contrast * contrast).sum(axis=1)
-        weights = contrast / np.maximum(square, np.float32(1.0))[:, None]
-        share = np.matmul(colours, weights[:, :, None])[:, :, 0]
-        share -= (outside * weights).sum(axis=1)[:, None]
+            contrast = inside - outside
+            square = (contrast * contrast).sum(axis=1)
+            weights = contrast / np.maximum(square, np.float32(1.0))[:, None]
+            share = np.matmul(colours, weights[:, :, None])[:, :, 0]
+            share -= (outside * weights).sum(axis=1)[:, None]
+        else:
+            contrast = inside - outside
+            square = contrast @ contrast
+            weights = contrast / max(1.0, square)
+            share = cv2.transform(colours, np.append(weights, -(outside @ weights))[None])
+            low, high = light[:, 1] * (outside @ weights), 1.0 + light[:, 0] * (inside @ weights)
+            share = (share - low[:, None]) / (high - low)[:, None]
         np.maximum(share, 0.0, out=share)
         np.minimum(share, 1.0, out=share)
         first, last, whole = (share @ averages).T
@@ -367,10 +383,8 @@ class LandmarkDetector:
         if self._camera is None or not hypotheses:
             return (x, y), None
         (first, _), (second, _) = hypotheses
-        apart = first[0] - second[0], first[1] - second[1]
-        return (x, y), centre_covariance(
-            inner.ellipse, inner.points, inner.off_px, math.sqrt(fx * fy), apart, share, turn
-        )
+        apart, rows = (first[0] - second[0], first[1] - second[1]), self._harmonics[inner.rays]
+        return (x, y), centre_covariance(inner.start, rows, inner.rms_px, math.sqrt(fx * fy), apart, share, turn)
 
     def _ideal(self, points):
         """Where a camera without distortion would see what is at points (n, 2) px."""
@@ -429,18 +443,18 @@ def _of_unknown(circle, hypotheses, ring, spread_px, least):
     return circle.x - shift_x / total, circle.y - shift_y / total
 
 
-def _slope_of_light(colours, mean, pattern, painted, size_px):
-    """By which share (2,) the light on a paint grows to the right and downwards on a disc with radius 1.
+def _slope_of_light(colours, mean, painted, rows, size_px):
+    """By which share (2,) the light on a paint grows per radius of a disc, to the right and downwards in its plane.
 
-    Without it, a brighter half of a disc would look larger. colours (n, m, 3) of pattern (n, m, 2), mean: (3,) of the
-    painted ones. size_px: radius of the disc. Small discs tell little of it, and neighbours' colours blur into them.
+    Without it, a brighter half of a disc would look larger. colours: of one paint where it is `painted`; mean: (3,) of
+    these; rows: (n, 3) of the points' places on a disc with radius 1, and 1. Small discs tell little of the light, and
+    neighbours' colours blur into them: a flat light is expected.
     """
-    chosen = painted.ravel() > 0
-    rows = np.column_stack((pattern.reshape(-1, 2)[chosen], np.ones(np.count_nonzero(chosen), np.float32)))
-    light = colours.reshape(-1, 3)[chosen] @ (mean / (mean @ mean)) - np.float32(1.0)
-    square = rows.T @ rows
+    seen = colours.reshape(-1, 3).astype(np.float32) @ (mean / (mean @ mean)) - np.float32(1.0)
+    weighted = rows * (painted.reshape(-1, 1) * np.float32(1.0 / 255.0))
+    square = weighted.T @ rows
     square[[0, 1], [0, 1]] += (_LIGHT_NOISE / (_LIGHT_SLOPE * size_px)) ** 2
-    return cv2.solve(square, rows.T @ light, flags=cv2.DECOMP_CHOLESKY)[1][:2, 0]
+    return cv2.solve(square, weighted.T @ seen, flags=cv2.DECOMP_CHOLESKY)[1][:2, 0]
 
 
 def _vividness(core, ring):
