@@ -20,7 +20,7 @@ class VideoLauncher:
     """Video for all vehicles of one lab. Used from the lab's thread."""
 
     def __init__(self, fleet, seed, listeners):
-        """listeners: the TCP listeners of the vehicles, None without cameras, in fleet order; they stay the caller's."""
+        """listeners: TCP listeners of the vehicles, None without cameras, in fleet order; they stay the caller's."""
         self._fleet, self._seed, self._listeners = fleet, seed, listeners
         self._index = {vehicle.namespace: index for index, vehicle in enumerate(fleet.vehicles)}
         self.board = Blackboard(len(listeners))
