@@ -12,6 +12,7 @@ import functools
 import heapq
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
@@ -116,6 +117,7 @@ class World:
         vehicles = []
         for i, fleet_vehicle in enumerate(fleet.vehicles):
             vehicle_type = _look_up(vehicle_types, fleet_vehicle.type, "vehicle type")
+            vehicle_type = replace(vehicle_type, **dict(fleet_vehicle.overrides))
             firmware_class = _look_up(_FIRMWARE, vehicle_type.name, "on-board logic for vehicle type")
             markers_m = _look_up(templates, fleet_vehicle.template, "mocap template").markers_m
             plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), perturbed)
