@@ -4,7 +4,7 @@ import concurrent.futures
 import traceback
 
 from risc_doctor import (
-    clock,
+    clock_agreement,
     cortex,
     disk,
     joystick,
@@ -13,15 +13,15 @@ from risc_doctor import (
     ports,
     ros_environment,
     ros_graph,
+    sourced_workspace,
     vehicles,
-    workspace,
 )
 from risc_doctor.findings import red, yellow
 from risc_doctor.ros_master import MasterError
 
 # name -> (what it looks at, function of a Situation that returns findings); in the order of the report
 CHECKS = {
-    "workspace": ("revision and content of the workspace, and whether it is the sourced one", workspace.check),
+    "workspace": ("revision and content of the workspace, and whether it is the sourced one", sourced_workspace.check),
     "network": ("network cards, subnets, the way to Cortex and to the vehicles", network.check),
     "subnets": ("whether each network card is in a network of its own", network.check_subnets),
     "multicast": ("the group of the mocap stream", network.check_multicast),
@@ -30,7 +30,7 @@ CHECKS = {
     "templates": ("bodies of Cortex against the fleet and templates.yaml", cortex.check_templates),
     "axes": ("the mocap frame: size, handedness, up, place", cortex.check_axes),
     "load": ("whether this computer has time for a flight", load.check),
-    "clock": ("what keeps the clock; age of the stamps", clock.check),
+    "clock": ("what keeps the clock; age of the stamps", clock_agreement.check),
     "vehicles": ("vehicles: reachable, state, battery", vehicles.check),
     "joystick": ("joysticks: there, readable, buttons and axes", joystick.check),
     "disk": ("room and write speed for the bag", disk.check),

@@ -4,8 +4,9 @@ Time is world time in seconds from 0, on a fixed grid. Actions are applied at th
 theirs. Everything outside (positions, velocities) is in the cortex frame; inside it is the state of
 models/quadrotor.py.
 
-One compiled call moves all vehicles, over as many steps as nothing happens; what happens (actions, an empty battery,
-the ends of a take-off's parts, touching the floor, the net or another vehicle) is decided here.
+One compiled call moves all vehicles of a type (models/integrator.py), over as many steps as nothing happens; what
+happens (actions, an empty battery, the ends of a take-off's parts, touching the floor, the net or another vehicle) is
+decided here. Vehicles of several types move in turn, a step at a time.
 """
 
 import functools
@@ -16,30 +17,36 @@ from dataclasses import replace
 
 import numpy as np
 
-from risc_lab.compiled import compiled, record
+from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_cortex
-from risc_simulator.models.ardrone_firmware import ArdroneFirmware, Hold
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
-from risc_simulator.models.on_board import ON_BOARD_FIELDS, hold, level_motion, trim_climb
-from risc_simulator.models.perturbed_plant import draw_plant, stack_plants
-from risc_simulator.models.quadrotor import QUADROTOR_FIELDS, U, X, differentiate, runge_kutta
+from risc_simulator.models.integrator import (
+    COLLISION_DISTANCE_M,
+    COLLISION_M2,
+    GUST_TIME_CONSTANT_S,
+    REST_HEIGHT_M,
+    closest,
+    integrator,
+)
+from risc_simulator.models.perturbed_plant import draw_plant, fill_records
+from risc_simulator.models.quadrotor import U, X, level_motion
+from risc_simulator.vehicles import virtual_type
 
-__all__ = ["Crash", "FlightAction", "FlightPhase", "Setpoint", "Vehicle", "VehicleState", "World"]
+__all__ = [
+    "COLLISION_DISTANCE_M",
+    "Crash",
+    "FlightAction",
+    "FlightPhase",
+    "REST_HEIGHT_M",
+    "Setpoint",
+    "Vehicle",
+    "VehicleState",
+    "World",
+]
 
 NET_REBOUND_M_S = 0.5
-REST_HEIGHT_M = 0.08  # of a vehicle's centre above the floor when it stands
-COLLISION_DISTANCE_M = 0.5  # between centres, in any direction: indoor hulls are 0.52 m across and give way a little
-
 GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehicles' downwash
-GUST_TIME_CONSTANT_S = 1.5  # first-order (Dryden-like) correlation
 _GUST_BLOCK = 1024  # steps drawn at once
-_COLLISION_M2 = COLLISION_DISTANCE_M**2
-_TOUCH_M2 = 1e-12  # what rounding may do to the square of a distance
-
-_FIRMWARE = {"ardrone": ArdroneFirmware}  # on-board logic by the name of the vehicle type
-
-# What a vehicle is, what its on-board logic has decided, and whether it is beyond the floor or the net.
-_VEHICLE = record(*QUADROTOR_FIELDS, *ON_BOARD_FIELDS, ("touches", bool))
 
 # What each random stream of a vehicle is for; the numbers are part of what a seed means.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
@@ -48,11 +55,12 @@ _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
 class Vehicle:
     """One vehicle of the world, as hosts and studies see it."""
 
-    def __init__(self, world, index, fleet_vehicle, vehicle_type, markers_m, plant, firmware):
+    def __init__(self, world, index, fleet_vehicle, vehicle_type, virtual, markers_m, plant, firmware):
         self.namespace = fleet_vehicle.namespace
         self.name = self.template = fleet_vehicle.template  # its name in motion capture and on every topic
         self.markers_m = markers_m  # (n, 3) markers it carries, body axes (forward, right, down)
         self.type = vehicle_type  # VehicleType: the nominal vehicle
+        self.virtual = virtual  # vehicles.VirtualType: its equations and its host
         self.plant = plant  # PlantParams: the true one
         self.firmware = firmware
         self._world, self._index = world, index
@@ -90,6 +98,19 @@ class Vehicle:
         self._world._place_in_flight(self._index, position_m, yaw_rad)
 
 
+class _Kind:
+    """The vehicles of one type: their columns in the state, and their records."""
+
+    def __init__(self, name, vehicles, columns):
+        self.columns = np.array(columns, dtype=np.uintp)
+        vehicles = [vehicles[i] for i in columns]
+        self.integrator = integrator(name, **vehicles[0].virtual.equations)
+        self.records = np.zeros(len(columns), dtype=vehicles[0].virtual.record)
+        fill_records(self.records, [vehicle.plant for vehicle in vehicles])
+        for c, vehicle in enumerate(vehicles):
+            vehicle.firmware.configure(self.records[c : c + 1])
+
+
 class World:
     """All vehicles and landmarks. One thread at a time."""
 
@@ -118,11 +139,11 @@ class World:
         for i, fleet_vehicle in enumerate(fleet.vehicles):
             vehicle_type = _look_up(vehicle_types, fleet_vehicle.type, "vehicle type")
             vehicle_type = replace(vehicle_type, **dict(fleet_vehicle.overrides))
-            firmware_class = _look_up(_FIRMWARE, vehicle_type.name, "on-board logic for vehicle type")
+            virtual = virtual_type(vehicle_type.name)
             markers_m = _look_up(templates, fleet_vehicle.template, "mocap template").markers_m
             plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), perturbed)
-            firmware = firmware_class(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), perturbed, REST_HEIGHT_M)
-            vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, markers_m, plant, firmware))
+            firmware = virtual.Firmware(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), perturbed, REST_HEIGHT_M)
+            vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, virtual, markers_m, plant, firmware))
             x, y, _ = fleet_vehicle.start_position_m  # height is the floor's: it stands
             if abs(x) > net.half_x_m or abs(y) > net.half_y_m:
                 raise ValueError(
@@ -148,14 +169,11 @@ class World:
         )
         self._markers_m = np.concatenate([self._body_markers_m] + landmarks_m)
 
-        self._records = np.zeros(n, dtype=_VEHICLE)
-        bodies = stack_plants([vehicle.plant for vehicle in vehicles])
-        for name in bodies.dtype.names:
-            self._records[name] = bodies[name]
-        for vehicle, one in zip(vehicles, self._records):
-            vehicle.firmware.configure(one)
-        self._lifted, self._holds = self._records["lifted"], self._records["holds"]
-        self._hold_values = [self._records[name] for name in Hold._fields]
+        self._lifted, self._touches = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        kinds = {}
+        for i, vehicle in enumerate(vehicles):
+            kinds.setdefault(vehicle.type.name, []).append(i)
+        self._kinds = [_Kind(name, vehicles, columns) for name, columns in kinds.items()]
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
         self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
         self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
@@ -210,24 +228,33 @@ class World:
 
     def _advance(self, steps):
         """Advance by so many steps, or fewer if something happens."""
-        steps, least_m2, anyone_touched = _advance(
-            self._x,
-            self._u,
-            self._records,
-            self.step_s,
-            steps,
-            self._gust_block,
-            self._steps % _GUST_BLOCK,
-            self._net_m,
-        )
-        self._steps += steps
-        if anyone_touched:
-            for i in np.flatnonzero(self._records["touches"]).tolist():
+        alone = len(self._kinds) == 1
+        anyone_touches = False
+        for kind in self._kinds:
+            made, least_m2, touching = kind.integrator.advance(
+                self._x,
+                self._u,
+                self._lifted,
+                self._touches,
+                kind.columns,
+                kind.records,
+                self.step_s,
+                steps if alone else min(steps, 1),
+                self._gust_block,
+                self._steps % _GUST_BLOCK,
+                self._net_m,
+                alone,
+            )
+            anyone_touches |= touching
+        self._steps += made
+        if anyone_touches:
+            for i in np.flatnonzero(self._touches).tolist():
                 self._meet_wall_or_floor(i)
-            least_m2 = min(least_m2, _closest(self._x, self._records))
+        if anyone_touches or not alone:
+            least_m2 = min(least_m2, closest(self._x, self._lifted))
         if least_m2 < self._least_squared_m2:
             self._least_squared_m2 = least_m2
-        if least_m2 < _COLLISION_M2:
+        if least_m2 < COLLISION_M2:
             self._meet_each_other()
 
     def _load_compiled(self):
@@ -235,7 +262,7 @@ class World:
         self._advance(0)
         self.truth()
         self.markers_m()
-        _closest(self._x, self._records)
+        closest(self._x, self._lifted)
         level_motion(self._x[:, 0])
 
     # ------------------------------------------------------------------ what vehicles are told
@@ -251,11 +278,12 @@ class World:
         while self._agenda and self._agenda[0][0] <= time_s:
             _, _, i, action = heapq.heappop(self._agenda)
             firmware = self._vehicles[i].firmware
-            phase, hold_before = firmware.phase, firmware.hold
+            phase = firmware.phase
             firmware.apply(action, time_s, self._motions[i])
-            if firmware.phase is phase and firmware.hold is hold_before is None:
-                self._commands[i] = firmware.command
-            else:
+            command = firmware.tell()
+            if command is not None:
+                self._commands[i] = command
+            if firmware.phase is not phase:
                 self._take_over(i)
 
     def _check_batteries(self, time_s):
@@ -274,13 +302,9 @@ class World:
     def _take_over(self, i):
         """Bring what the firmware decided into the arrays."""
         firmware = self._vehicles[i].firmware
-        held = firmware.hold
-        self._holds[i] = held is not None
-        if held is None or not held.brakes:
-            self._commands[i] = firmware.command
-        if held is not None:
-            for values, value in zip(self._hold_values, held):
-                values[i] = value
+        command = firmware.tell()
+        if command is not None:
+            self._commands[i] = command
         self._motors[i] = firmware.motors_on and firmware.lifted
         if not firmware.motors_on:
             self._u[U.CLIMB_TRIM, i] = 0.0
@@ -328,7 +352,7 @@ class World:
         in_air = np.flatnonzero(self._lifted)
         first, second = (in_air[chosen] for chosen in np.triu_indices(len(in_air), 1))
         apart_m = self._x[: X.H + 1, first] - self._x[: X.H + 1, second]
-        near = (apart_m**2).sum(axis=0) < _COLLISION_M2
+        near = (apart_m**2).sum(axis=0) < COLLISION_M2
         for i, j in zip(first[near].tolist(), second[near].tolist()):
             self._collide(i, j)
 
@@ -377,13 +401,14 @@ class World:
         """
         self._differentiate()
         rows = np.empty((self._x.shape[1], 12))
-        _tell_truth(self._x, self._slope, self._records, rows)
+        _tell_truth(self._x, self._slope, self._lifted, rows)
         return rows
 
     def _differentiate(self):
         """Slopes and thrusts at world time, once."""
         if self._slope_at != self._steps:
-            differentiate(self._x, self._u, self._records, self._slope, self._thrust_n)
+            for kind in self._kinds:
+                kind.integrator.differentiate(self._x, self._u, kind.columns, kind.records, self._slope, self._thrust_n)
             self._slope_at = self._steps
 
     def _state(self, i):
@@ -418,68 +443,6 @@ class World:
 
 
 @compiled
-def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, net_m):
-    """Up to so many steps of all vehicles; ends with a step in which something has happened.
-
-    x (12, n), u (9, n), vehicles (n,) records.  gust_block: (k, 3, n) innovations of the wind, from row gust_at on;
-    (0, 3, n): no gusts.  net_m: half its extent in x and in y, and its height.
-    Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf when there are no two),
-    and whether any touches: then the distances after the last step are still to be looked at.
-    """
-    work = np.empty((5, 12))
-    gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
-    least_m2 = math.inf
-    for k in range(steps):
-        anyone_touches = False
-        for i in range(x.shape[1]):
-            inputs, vehicle = u[:, i], vehicles[i]
-            if len(gust_block):
-                for axis in range(3):
-                    inputs[U.WIND_N + axis] = gust_keep * inputs[U.WIND_N + axis] + gust_block[gust_at + k, axis, i]
-            vehicle.touches = False
-            if vehicle.lifted:
-                state = x[:, i]
-                if vehicle.holds:
-                    hold(state, inputs, vehicle)
-                climb_m_s = runge_kutta(state, inputs, vehicle, step_s, work)
-                if inputs[U.MOTORS] != 0.0:
-                    trim_climb(inputs, climb_m_s, vehicle, step_s)
-                vehicle.touches = _is_beyond(state, net_m)
-                anyone_touches |= vehicle.touches
-        if anyone_touches:
-            return k + 1, least_m2, True
-        least_m2 = min(least_m2, _closest(x, vehicles))
-        if least_m2 < _COLLISION_M2:
-            return k + 1, least_m2, False
-    return steps, least_m2, False
-
-
-@compiled
-def _is_beyond(x, net_m):
-    """Whether a vehicle is below the height at which it stands, or beyond the net (half x, half y, height)."""
-    half_x_m, half_y_m, top_m = net_m
-    height_m = x[X.H] - 0.5 * (REST_HEIGHT_M + top_m)
-    return (
-        x[X.P_N] ** 2 - half_x_m**2 > _TOUCH_M2
-        or x[X.P_E] ** 2 - half_y_m**2 > _TOUCH_M2
-        or height_m**2 - (0.5 * (top_m - REST_HEIGHT_M)) ** 2 > _TOUCH_M2
-    )
-
-
-@compiled
-def _closest(x, vehicles):
-    """Least squared distance of two vehicles in the air [m^2], inf when there are no two."""
-    least_m2 = math.inf
-    for i in range(x.shape[1]):
-        if vehicles[i].lifted:
-            for j in range(i):
-                if vehicles[j].lifted:
-                    north, east, up = x[X.P_N, i] - x[X.P_N, j], x[X.P_E, i] - x[X.P_E, j], x[X.H, i] - x[X.H, j]
-                    least_m2 = min(least_m2, north * north + east * east + up * up)
-    return least_m2
-
-
-@compiled
 def _place_markers(x, first_marker, body_markers_m, markers_m):
     """Markers of the vehicles, cortex frame. body_markers_m: (m, 3) body axes; vehicle i's begin at first_marker[i]."""
     for i in range(x.shape[1]):
@@ -497,10 +460,10 @@ def _place_markers(x, first_marker, body_markers_m, markers_m):
 
 
 @compiled
-def _tell_truth(x, slope, vehicles, rows):
+def _tell_truth(x, slope, lifted, rows):
     """See World.truth. East is right, the cortex frame's y points left."""
     for i in range(x.shape[1]):
-        moves = 1.0 if vehicles[i].lifted else 0.0
+        moves = 1.0 if lifted[i] else 0.0
         for j in range(3):
             sign = -1.0 if j == 1 else 1.0
             rows[i, j] = sign * x[X.P_N + j, i]

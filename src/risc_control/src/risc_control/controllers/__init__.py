@@ -114,7 +114,7 @@ class ControlLoop:
     """A controller with its parameters, its references in time, and the way to /controls."""
 
     def __init__(self, controller, vehicle_types, params=None):
-        """controller: a name of the REGISTRY, or a class.  params: None = those of its YAML file, of a class its own."""
+        """controller: a name of the REGISTRY, or a class.  params: None = of its YAML file, of a class its defaults."""
         if isinstance(controller, str):
             params = params or default_params(controller)
             controller = REGISTRY.module(controller).Controller

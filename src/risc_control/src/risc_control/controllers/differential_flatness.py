@@ -142,7 +142,7 @@ class Controller(controllers.Controller):
         self._stamp_s = -np.inf
 
     def step(self, t, states, reference, params):
-        """As `controllers.Controller`. Where somebody else flies, the integrators rest at 0 and nothing counts as sent."""
+        """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
         history, observer = self._history, self._observer

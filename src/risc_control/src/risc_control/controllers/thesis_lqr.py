@@ -1,4 +1,4 @@
-"""What the thesis describes (7.7-7.10): LQR on a double integrator, feed-forward of the acceleration, the present state.
+"""What the thesis describes (7.7-7.10): LQR on a double integrator, feed-forward of the acceleration, present state.
 
 For teaching, and to measure what the rest of `differential_flatness` is worth. Errors are reference - actual and
 feedback is +K (errata 6, 7).
