@@ -43,7 +43,7 @@ OTHER = differential_flatness.Params(
 )
 CASES = {  # controller, what the vehicles have otherwise, other parameters
     "full": (differential_flatness, {}, OTHER),
-    "late": (differential_flatness, dict(command_delay_s=0.3, tilt_max_rad=0.2, climb_max_m_s=0.5), OTHER),
+    "late": (differential_flatness, {"command_delay_s": 0.3, "tilt_max_rad": 0.2, "climb_max_m_s": 0.5}, OTHER),
     "thesis": (
         thesis_lqr,
         {},

@@ -87,6 +87,8 @@ class Flight:
     noise: bool = True  # of the cameras
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
     params: object = None  # its PARAMS; None = those of its YAML file
+    types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
+    overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
@@ -347,7 +349,9 @@ def _lab(flight):
     fleet = default_fleet(flight.vehicles, flight.trajectory, _fleet_files())
     if flight.psi_rad is not None:
         fleet = replace(fleet, vehicles=tuple(replace(v, start_yaw_rad=flight.psi_rad) for v in fleet.vehicles))
-    fleet = fleet.with_overrides(command_delay_s=flight.delay_s)
+    if flight.types:
+        fleet = replace(fleet, vehicles=tuple(replace(v, type=t) for v, t in zip(fleet.vehicles, flight.types)))
+    fleet = fleet.with_overrides(**flight.overrides).with_overrides(command_delay_s=flight.delay_s)
     types = {name: load_vehicle_type(name) for name in {vehicle.type for vehicle in fleet.vehicles}}
     return fleet, types, [vehicle.vehicle_type for vehicle in fleet.vehicles]
 

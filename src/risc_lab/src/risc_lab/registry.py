@@ -5,6 +5,8 @@ import pkgutil
 
 from risc_lab.lab.yaml_reader import MEMBERS_VARIABLE, Section, config_files, load_yaml, member_folders
 
+VARIABLE = MEMBERS_VARIABLE
+
 
 class Registry:
     """Finds the members of a kind by name: each is one Python file and one YAML file.

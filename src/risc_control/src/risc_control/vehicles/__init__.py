@@ -72,7 +72,7 @@ CLIMB_LOOP = record(("gain", float), ("damping_1_s", float), ("most", float))
 class Adapter:
     """One vehicle of a type, as its vehicle node flies it.
 
-    own: `vehicle_pilot.OwnState`, the newest state of the vehicle.  Sticks: what it takes, as fractions of its full
+    own: `vehicle_pilot.OwnState`, the newest state of the vehicle; None before the first.  Sticks: what it takes, as fractions of its full
     scales; the meaning of `up` is the type's.
     """
 

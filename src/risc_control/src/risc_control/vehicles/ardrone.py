@@ -38,11 +38,8 @@ class Adapter(vehicles.Adapter):
 
     @staticmethod
     def climb_loop(vehicle_type):
-        return (
-            1.0 / vehicle_type.climb_time_constant_s,
-            1.0 / vehicle_type.climb_time_constant_s,
-            vehicle_type.climb_max_m_s,
-        )
+        per_s = 1.0 / vehicle_type.climb_time_constant_s
+        return per_s, per_s, vehicle_type.climb_max_m_s
 
     def answer(self, controls, own, own_s, now_s):
         """Eqs 5.3-5.4 for the climb rate, at the moment the command takes effect; the rest are fractions already."""
