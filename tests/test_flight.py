@@ -20,6 +20,7 @@ from data_extraction.flatten import seconds
 from data_extraction.report.origin import parameter_hash
 from risc_estimation.ros.params import NodeParams
 from risc_experiments.stop import end_flight
+from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import MARK, marked_processes
 
 pytestmark = pytest.mark.alone
@@ -42,7 +43,7 @@ def frames_passed_over(path):
             if topic == "/operator/result":
                 break
             if topic == "/operator/phase":
-                begun |= message.data.startswith("takeoff")
+                begun |= message.phase == OperatorPhase.TAKEOFF
                 continue
             if not begun:
                 continue
