@@ -8,6 +8,7 @@ turns. Here things must happen at all, in the right order and with the right con
 import itertools
 import os
 import signal
+import socket
 import time
 import unittest
 
@@ -33,7 +34,7 @@ from vehicle_world import (
 )
 
 from risc_control.ros.vehicle_node import VehicleNode
-from risc_maap_msgs.msg import Safety
+from risc_maap_msgs.msg import Safety, VehicleNodeStatus
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 LIMIT_S = {"hold": 0.5, "land": 2.0}  # of states and controls, as in vehicle_node.test
@@ -213,6 +214,13 @@ class VehicleNodeTest(unittest.TestCase):
         self.assertEqual(world.messages("risc2", "ardrone/land"), [], "the others fly on")
         world.flight_state["risc1"] = LANDED
         world.wait("risc1", "safety", lambda m: m.level == Safety.OK)
+
+    def test_7_the_status_of_the_node(self):
+        world, told = self.world, []
+        world.fly_by_controls()
+        rospy.Subscriber("/risc2/node_status", VehicleNodeStatus, told.append)
+        wait_for(lambda: told and 0.0 < told[-1].oldest_state_s < 5.0, "the age of a state that was answered")
+        self.assertEqual((told[-1].name, told[-1].computer), (TEMPLATES["risc2"], socket.gethostname()))
 
     def test_8_without_a_master_that_answers_the_ladder_goes_on(self):
         """A base station beyond a cable that is out: connections stay, answers do not come."""
