@@ -170,7 +170,8 @@ class VirtualOperator:
             for name, watched in self._operator.vehicles.items():
                 status.add("%s flight state (navdata)" % name, watched.flight_state)
                 status.add("%s mode" % name, "autonomous" if watched.autonomous else "manual")
-                status.add("%s trajectory phase" % name, watched.trajectory_phase)
+                phase = watched.trajectory_phase
+                status.add("%s trajectory phase" % name, "none yet" if phase is None else phase.name.lower())
         return status
 
 

@@ -207,7 +207,7 @@ class Operator:
 
     def on_trajectory_phase(self, name, phase):
         """The trajectory node says where the vehicle is on its way. phase: of trajectory_manager, or its number."""
-        self.vehicles[name].trajectory_phase = phase
+        self.vehicles[name].trajectory_phase = Trajectory(phase)
 
     def request_landing(self, reason, now_s):
         """Land everything now; the flight counts as failed."""
