@@ -262,6 +262,8 @@ def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
     assert recorded >= {"/%s/ardrone/%s" % (name, topic) for name in ("risc1", "risc2") for topic in own}
     assert recorded >= {"/risc1/cmd_vel", "/risc2/cmd_vel", "/controls", "/trajectory", "/cortex_raw", "/ground_truth"}
     assert recorded >= {"/angles", "/land_rois", "/states3", "/tf", "/tf_static"}
+    assert recorded >= {"/mocap_status", "/estimator_status", "/controller_report", "/risc1/node_status"}
+    assert recorded >= {"/trajectory_phase", "/risc1/safety", "/operator/phase", "/operator/result"}
     assert pathlib.Path(folder, "plots", "bearings.png").stat().st_size > 10000
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert 'id="bearings"' in page and page.count("data:image/jpeg") >= 2, "pictures of each camera"
