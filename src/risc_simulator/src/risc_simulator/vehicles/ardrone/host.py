@@ -31,7 +31,6 @@ import numpy as np
 from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
 from ardrone_autonomy.protocol.navdata import ControlState, State
-from ardrone_autonomy.protocol.profiles import NO_LIMIT_MM, ConfigurationStore
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.notices import Notices
@@ -39,7 +38,9 @@ from risc_simulator.socket_host import VehicleHost
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S, LOW_BATTERY_PCT
 from risc_simulator.vehicles.ardrone.ftp import FtpServer
 from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
+from risc_simulator.vehicles.ardrone.profiles import NO_LIMIT_MM, ConfigurationStore
 from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
+from risc_simulator.vehicles.ardrone.wire import SequenceGate, parse_datagram
 
 _LOG = logging.getLogger(__name__)
 
@@ -182,7 +183,7 @@ class ArdroneHost(VehicleHost):
         self._notices = Notices(_LOG, vehicle.namespace)
 
         # link
-        self._gate = at.SequenceGate()
+        self._gate = SequenceGate()
         self._last_at_s = None  # of the last accepted command; None before the first and after a loss
         self._com_watchdog = True  # state bit 30
         self._com_lost_s = None  # since when state bit 13 is set
@@ -478,7 +479,7 @@ class ArdroneHost(VehicleHost):
     def _on_at_datagram(self, data, sender, now_s):
         self._due_s = -math.inf  # one that a fault has kept back comes between two cycles
         self._counts["at_datagrams"] += 1
-        commands, malformed = at.parse_datagram(data)
+        commands, malformed = parse_datagram(data)
         if malformed:
             self._counts["at_malformed"] += malformed
             self._notices.complaint("sends malformed commands", sender, repr(data[:60]))
