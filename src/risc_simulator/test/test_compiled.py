@@ -54,6 +54,7 @@ def run(*arguments, **environment):
     "file, pattern",
     [
         ("test_world.py", "golden or at_rest"),
+        ("test_members.py", "exchange or own_equations"),
         ("test_mocap_cameras.py", "as_ever"),
         ("../../cortex_ros/test/test_wire.py", "fast_encoder"),
     ],

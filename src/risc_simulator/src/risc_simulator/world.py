@@ -4,9 +4,10 @@ Time is world time in seconds from 0, on a fixed grid. Actions are applied at th
 theirs. Everything outside (positions, velocities) is in the cortex frame; inside it is the state of
 models/quadrotor.py.
 
-One compiled call moves all vehicles of a type (models/integrator.py), over as many steps as nothing happens; what
-happens (actions, an empty battery, the ends of a take-off's parts, touching the floor, the net or another vehicle) is
-decided here. Vehicles of several types move in turn, a step at a time.
+The world is a list of systems: a vehicle, with what is attached to it. One compiled call moves all systems of a kind
+(models/integrator.py), over as many steps as nothing happens; what happens (actions, an empty battery, the ends of a
+take-off's parts, touching the floor, the net or another vehicle) is decided here. Systems of several kinds move in
+turn, a step at a time.
 """
 
 import functools
@@ -17,8 +18,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from risc_lab.compiled import compiled
+from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_cortex
+from risc_simulator.bodies import load_body
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.models.integrator import (
     COLLISION_DISTANCE_M,
@@ -63,6 +65,7 @@ class Vehicle:
         self.virtual = virtual  # vehicles.VirtualType: its equations and its host
         self.plant = plant  # PlantParams: the true one
         self.firmware = firmware
+        self.attached = fleet_vehicle.attached  # AttachedBody or None
         self._world, self._index = world, index
 
     def schedule(self, time_s, action):
@@ -78,6 +81,11 @@ class Vehicle:
     def state(self):
         """VehicleState at world time."""
         return self._world._state(self._index)
+
+    @property
+    def body_state(self):
+        """State of what is attached to it (see its module in bodies), at world time; () when nothing is."""
+        return self._world._x[len(X) :, self._index].copy()
 
     @property
     def height_m(self):
@@ -98,17 +106,50 @@ class Vehicle:
         self._world._place_in_flight(self._index, position_m, yaw_rad)
 
 
-class _Kind:
-    """The vehicles of one type: their columns in the state, and their records."""
+@functools.cache
+def _equations(type_name, body_name):
+    """(Integrator, dtype of the records, Body or None) of a kind of system: a type of vehicle and what it carries."""
+    virtual = virtual_type(type_name)
+    if not body_name:
+        return integrator(type_name, **virtual.equations), record(*virtual.fields), None
+    body = load_body(body_name)
+    compiled_for = integrator("%s_%s" % (type_name, body_name), body.size, **virtual.equations, couple=body.couple)
+    return compiled_for, record(*virtual.fields, ("body", body.record)), body
 
-    def __init__(self, name, vehicles, columns):
+
+class _Kind:
+    """The systems of one kind: their columns in the state, and the records of their vehicles."""
+
+    def __init__(self, type_name, body_name, columns):
         self.columns = np.array(columns, dtype=np.uintp)
-        vehicles = [vehicles[i] for i in columns]
-        self.integrator = integrator(name, **vehicles[0].virtual.equations)
-        self.records = np.zeros(len(columns), dtype=vehicles[0].virtual.record)
+        self.integrator, dtype, self.body = _equations(type_name, body_name)
+        self.records = np.zeros(len(columns), dtype=dtype)
+        if self.body is not None:
+            self.records["body"] = self.body.values
+
+    def prepare(self, vehicles):
+        """Write what the vehicles are into their records."""
         fill_records(self.records, [vehicle.plant for vehicle in vehicles])
         for c, vehicle in enumerate(vehicles):
             vehicle.firmware.configure(self.records[c : c + 1])
+
+
+class _Carried:
+    """What one vehicle carries."""
+
+    def __init__(self, kind, c, template):
+        self.column, self.template = int(kind.columns[c]), template
+        self._body, self._record = kind.body, kind.records[c]
+
+    def rest(self, x):
+        """Put it where it is while the vehicle stands. x: state of all."""
+        self._body.rest(x[:, self.column], self._record)
+
+    def markers_m(self, x):
+        """(k, 3) its markers, cortex frame."""
+        position_m, axes = np.zeros(3), np.eye(3)
+        self._body.place(x[:, self.column], self._record, position_m, axes)
+        return position_m + self.template.markers_m @ axes.T
 
 
 class World:
@@ -133,12 +174,20 @@ class World:
         net = self._net = fleet.arena
         self._net_m = net.half_x_m, net.half_y_m, net.height_m
         n = len(fleet.vehicles)
-        self._x = np.zeros((len(X), n))
+        types = [
+            replace(_look_up(vehicle_types, vehicle.type, "vehicle type"), **dict(vehicle.overrides))
+            for vehicle in fleet.vehicles
+        ]
+        kinds = {}  # {(name of the type, of what it carries): columns}
+        for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
+            carried = fleet_vehicle.attached.body if fleet_vehicle.attached else ""
+            kinds.setdefault((vehicle_type.name, carried), []).append(i)
+        self._kinds = [_Kind(name, carried, i) for (name, carried), i in kinds.items()]
+        rows = len(X) + max((kind.body.size for kind in self._kinds if kind.body), default=0)
+        self._x = np.zeros((rows, n))
         self._u = np.zeros((len(U), n))
         vehicles = []
-        for i, fleet_vehicle in enumerate(fleet.vehicles):
-            vehicle_type = _look_up(vehicle_types, fleet_vehicle.type, "vehicle type")
-            vehicle_type = replace(vehicle_type, **dict(fleet_vehicle.overrides))
+        for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
             virtual = virtual_type(vehicle_type.name)
             markers_m = _look_up(templates, fleet_vehicle.template, "mocap template").markers_m
             plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), perturbed)
@@ -159,27 +208,37 @@ class World:
             + np.array(mark.position_m)
             for mark in fleet.landmarks
         ]
-        #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, then landmarks
-        self.layout = tuple((vehicle.template, len(vehicle.markers_m)) for vehicle in vehicles) + tuple(
-            (mark.name, len(markers_m)) for mark, markers_m in zip(fleet.landmarks, landmarks_m)
+        for kind in self._kinds:
+            kind.prepare([vehicles[i] for i in kind.columns])
+        carried = [
+            _Carried(kind, c, _look_up(templates, vehicles[i].attached.template, "mocap template"))
+            for kind in self._kinds
+            if kind.body
+            for c, i in enumerate(kind.columns)
+        ]
+        self._carried = {one.column: one for one in carried}
+        #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, landmarks, what vehicles carry
+        self.layout = (
+            *((vehicle.template, len(vehicle.markers_m)) for vehicle in vehicles),
+            *((mark.name, len(markers_m)) for mark, markers_m in zip(fleet.landmarks, landmarks_m)),
+            *((one.template.name, len(one.template.markers_m)) for one in carried),
         )
         self._first_marker = np.cumsum([0] + [len(vehicle.markers_m) for vehicle in vehicles])
         self._body_markers_m = np.concatenate(
             [np.reshape(vehicle.markers_m, (-1, 3)) for vehicle in vehicles] + [np.empty((0, 3))]
         )
-        self._markers_m = np.concatenate([self._body_markers_m] + landmarks_m)
+        self._markers_m = np.concatenate([self._body_markers_m, *landmarks_m, *(c.template.markers_m for c in carried)])
+        self._first_carried = len(self._markers_m) - sum(len(one.template.markers_m) for one in carried)
+        for one in carried:
+            one.rest(self._x)
 
         self._lifted, self._touches = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-        kinds = {}
-        for i, vehicle in enumerate(vehicles):
-            kinds.setdefault(vehicle.type.name, []).append(i)
-        self._kinds = [_Kind(name, vehicles, columns) for name, columns in kinds.items()]
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
         self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
         self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
         self._wake_s = math.inf  # and the first of them
         self._steps_per_second = max(1, int(round(1.0 / step_s)))
-        self._slope, self._thrust_n = np.empty((len(X), n)), np.empty(n)
+        self._slope, self._thrust_n = np.empty((rows, n)), np.empty(n)
         self._slope_at = -1  # step whose slopes and thrusts these are
 
         self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n)]
@@ -305,6 +364,8 @@ class World:
         command = firmware.tell()
         if command is not None:
             self._commands[i] = command
+        if i in self._carried and not firmware.lifted:
+            self._carried[i].rest(self._x)
         self._motors[i] = firmware.motors_on and firmware.lifted
         if not firmware.motors_on:
             self._u[U.CLIMB_TRIM, i] = 0.0
@@ -382,6 +443,8 @@ class World:
         self._x[: X.H + 1, i] = x, -y, z
         self._x[X.PSI, i] = yaw_rad
         self._commands[i] = 0.0
+        if i in self._carried:
+            self._carried[i].rest(self._x)
         self._vehicles[i].firmware.fly_at(self.time_s, z)
         self._take_over(i)
         self._slope_at = -1
@@ -391,6 +454,11 @@ class World:
     def markers_m(self):
         """(m, 3) exact markers of all bodies in the order of `layout`, cortex frame. The next call overwrites them."""
         _place_markers(self._x, self._first_marker, self._body_markers_m, self._markers_m)
+        first = self._first_carried
+        for carried in self._carried.values():
+            markers_m = carried.markers_m(self._x)
+            self._markers_m[first : first + len(markers_m)] = markers_m
+            first += len(markers_m)
         return self._markers_m
 
     def truth(self):
@@ -414,7 +482,7 @@ class World:
     def _state(self, i):
         x = self._x[:, i]
         self._differentiate()
-        p_n, p_e, h, u, v, w, phi, theta, psi, p, q, r = x.tolist()
+        p_n, p_e, h, u, v, w, phi, theta, psi, p, q, r = x[: len(X)].tolist()
         slope = self._slope[:, i].tolist()
         firmware, plant = self._vehicles[i].firmware, self._vehicles[i].plant
         sin_phi, cos_phi, sin_theta, cos_theta = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)

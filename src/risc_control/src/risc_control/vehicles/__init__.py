@@ -72,8 +72,8 @@ CLIMB_LOOP = record(("gain", float), ("damping_1_s", float), ("most", float))
 class Adapter:
     """One vehicle of a type, as its vehicle node flies it.
 
-    own: `vehicle_pilot.OwnState`, the newest state of the vehicle; None before the first.  Sticks: what it takes, as fractions of its full
-    scales; the meaning of `up` is the type's.
+    own: `vehicle_pilot.OwnState`, the newest state of the vehicle; None before the first.  Sticks: what it takes, as
+    fractions of its full scales; the meaning of `up` is the type's.
     """
 
     HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture

@@ -32,6 +32,14 @@ class MocapEndpoint:
 
 
 @dataclass(frozen=True)
+class AttachedBody:
+    """What a vehicle carries that moves by itself, e.g. a pendulum (virtual lab only)."""
+
+    body: str  # name among the bodies, see risc_simulator.bodies
+    template: str  # mocap template of its markers
+
+
+@dataclass(frozen=True)
 class FleetVehicle:
     """One vehicle of the fleet."""
 
@@ -44,6 +52,7 @@ class FleetVehicle:
     start_yaw_rad: float  # + clockwise from above, as States.psi
     camera_mount: str = ""  # where the front camera sits, see lab.calibration; "" = the type's nominal place
     overrides: tuple[tuple[str, float], ...] = ()  # (field, value) that it has otherwise than its type
+    attached: AttachedBody | None = None
 
     @property
     def vehicle_type(self):
@@ -130,6 +139,7 @@ class Fleet:
                     "camera_mount": v.camera_mount,
                     "start": {"position_m": list(v.start_position_m), "yaw_deg": math.degrees(v.start_yaw_rad)},
                     "overrides": dict(v.overrides),
+                    **({"attached": dict(vars(v.attached))} if v.attached else {}),
                 }
                 for v in self.vehicles
             ],
@@ -167,6 +177,8 @@ def fleet_from_dict(content, where="fleet"):
         # one driver too many at an address would fly somebody else's vehicle
         for key in ("namespace", "template") + (() if fleet.own_networks else ("address",)):
             check_different(fleet.vehicles, key, "vehicles")
+        attached = [vehicle.attached for vehicle in fleet.vehicles if vehicle.attached]
+        check_different([*fleet.vehicles, *attached], "template", "vehicles or attached bodies")
         check_different(fleet.landmarks, "name", "landmarks")
     return fleet
 
@@ -205,6 +217,7 @@ def _vehicle(section):
         start_position_m=start.vector("position_m", 3),
         start_yaw_rad=math.radians(start.number("yaw_deg", 0.0)),
         overrides=_overrides(section.section("overrides", {})),
+        attached=_attached(section.section("attached")) if "attached" in section.keys() else None,
     )
     start.done()
     section.done()
@@ -217,6 +230,12 @@ def _overrides(section):
     found = tuple((name, section.number(name, minimum=0.0)) for name in OVERRIDABLE if name in section.keys())
     section.done()
     return found
+
+
+def _attached(section):
+    attached = AttachedBody(section.text("body"), section.text("template"))
+    section.done()
+    return attached
 
 
 def _landmark(section):

@@ -1,9 +1,9 @@
-"""Steps of coupled systems: a vehicle, what its type runs on board, and later what is attached to it.
+"""Steps of coupled systems: a vehicle, what its type runs on board, and what is attached to it.
 
-The functions here are plain Python in terms of the equations of one kind of system: `slope`, `before_step` and
-`after_step`. `integrator` compiles them for a kind: copies in which the names stand for that kind's own functions, so
-that the compiler sees through all of them and a new kind costs the others nothing. With NUMBA_DISABLE_JIT=1 the same
-copies run as plain Python.
+The functions here are plain Python in terms of the equations of one kind of system: `slope`, `couple`, `before_step`
+and `after_step`. `integrator` compiles them for a kind: copies in which the names stand for that kind's own functions,
+so that the compiler sees through all of them and a new kind costs the others nothing. With NUMBA_DISABLE_JIT=1 the
+same copies run as plain Python.
 """
 
 import functools
@@ -27,7 +27,12 @@ _TOUCH_M2 = 1e-12  # what rounding may do to the square of a distance
 
 # --- the equations of one kind of system -----------------------------------------------------------------------------
 
-ROWS = len(X)  # of its state
+ROWS = len(X)  # of its state: the vehicle's twelve, then those of the attached body
+
+
+@compiled
+def couple(x, vehicle, x_dot):
+    """What is attached (vehicle.body: its record): its own rows of x_dot, and its force on those of the vehicle."""
 
 
 @compiled
@@ -43,6 +48,13 @@ def after_step(inputs, climb_m_s, vehicle, step_s):
 # --- the same for all kinds ------------------------------------------------------------------------------------------
 
 
+def system_slope(x, inputs, vehicle, x_dot):
+    """x_dot (ROWS,) of the vehicle and of what is attached to it. Returns the demanded thrust [N]."""
+    thrust_n = slope(x, inputs, vehicle, x_dot)
+    couple(x, vehicle, x_dot)
+    return thrust_n
+
+
 def runge_kutta(x, inputs, vehicle, step_s, work):
     """One step of the classical fourth-order method, inputs held: x (ROWS,) is changed in place.
 
@@ -51,16 +63,16 @@ def runge_kutta(x, inputs, vehicle, step_s, work):
     at, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
     for j in range(ROWS):
         at[j] = x[j]
-    slope(at, inputs, vehicle, k1)
+    system_slope(at, inputs, vehicle, k1)
     for j in range(ROWS):
         at[j] = x[j] + 0.5 * step_s * k1[j]
-    slope(at, inputs, vehicle, k2)
+    system_slope(at, inputs, vehicle, k2)
     for j in range(ROWS):
         at[j] = x[j] + 0.5 * step_s * k2[j]
-    slope(at, inputs, vehicle, k3)
+    system_slope(at, inputs, vehicle, k3)
     for j in range(ROWS):
         at[j] = x[j] + step_s * k3[j]
-    slope(at, inputs, vehicle, k4)
+    system_slope(at, inputs, vehicle, k4)
     for j in range(ROWS):
         x[j] += step_s / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
     return k1[X.H]
@@ -111,7 +123,7 @@ def differentiate(x, u, columns, vehicles, x_dot, thrust_n):
         i = columns[c]
         for j in range(ROWS):
             at[j] = x[j, i]
-        thrust_n[i] = slope(at, u[:, i], vehicles[c], k)
+        thrust_n[i] = system_slope(at, u[:, i], vehicles[c], k)
         for j in range(ROWS):
             x_dot[j, i] = k[j]
 
@@ -152,16 +164,16 @@ class Integrator(NamedTuple):
 
 
 @functools.cache
-def integrator(name="quadrotor", **functions):
-    """Integrator of a kind of system. functions: those that stand for slope, before_step and after_step.
+def integrator(name="quadrotor", size=0, **functions):
+    """Integrator of a kind of system. size: rows of the attached body. functions: what stands for those of these names.
 
     The compiled code is kept under the name and the text of the files that the functions come from.
     """
-    namespace = {**globals(), **functions}
+    namespace = {**globals(), **functions, "ROWS": len(X) + size}
     paths = sorted({inspect.getsourcefile(getattr(f, "py_func", f)) for f in functions.values()})
     text = b"".join(pathlib.Path(path).read_bytes() for path in paths)
     label = "%s_%s" % (name, hashlib.sha256(text).hexdigest()[:8])
-    for function in (runge_kutta, advance, differentiate):
+    for function in (system_slope, runge_kutta, advance, differentiate):
         copy = types.FunctionType(function.__code__, namespace, function.__name__)
         copy.__qualname__ = "%s_%s" % (function.__name__, label)
         namespace[function.__name__] = compiled(copy)

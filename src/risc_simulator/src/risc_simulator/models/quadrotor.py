@@ -134,3 +134,17 @@ def level_motion(x):
     forward = math.cos(theta) * u + math.sin(theta) * down2
     right = math.cos(phi) * v - math.sin(phi) * w
     return climb, forward, right
+
+
+@compiled
+def push(x, vehicle, north_n, east_n, up_n, x_dot):
+    """What a force [N] at the vehicle's centre adds to its x_dot."""
+    sf, cf = math.sin(x[X.PHI]), math.cos(x[X.PHI])
+    st, ct = math.sin(x[X.THETA]), math.cos(x[X.THETA])
+    sp, cp = math.sin(x[X.PSI]), math.cos(x[X.PSI])
+    forward_n = north_n * ct * cp + east_n * ct * sp + up_n * st
+    right_n = north_n * (sf * st * cp - cf * sp) + east_n * (sf * st * sp + cf * cp) - up_n * sf * ct
+    down_n = north_n * (cf * st * cp + sf * sp) + east_n * (cf * st * sp - sf * cp) - up_n * cf * ct
+    x_dot[X.U] += forward_n / vehicle.mass_kg
+    x_dot[X.V] += right_n / vehicle.mass_kg
+    x_dot[X.W] += down_n / vehicle.mass_kg

@@ -14,9 +14,6 @@ virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_ME
 import functools
 from typing import NamedTuple
 
-import numpy as np
-
-from risc_lab.compiled import record
 from risc_lab.registry import Registry
 from risc_simulator.models import integrator
 from risc_simulator.models.quadrotor import QUADROTOR_FIELDS
@@ -30,7 +27,7 @@ class VirtualType(NamedTuple):
 
     Firmware: type
     Host: type
-    record: np.dtype
+    fields: tuple  # of its record, see risc_lab.compiled
     equations: dict  # {name in integrator.py: function}
 
 
@@ -42,7 +39,7 @@ def virtual_type(name):
         return VirtualType(
             module.Firmware,
             module.Host,
-            record(*QUADROTOR_FIELDS, *getattr(module, "FIELDS", ())),
+            (*QUADROTOR_FIELDS, *getattr(module, "FIELDS", ())),
             {name: getattr(module, name, getattr(integrator, name)) for name in _EQUATIONS},
         )
     except AttributeError as error:
