@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from risc_control.mappings.ardrone import full_scales
+from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.vehicle_types import load_vehicle_type
-from risc_visual.drawing.cast import phases_from_text
+from risc_lab.phases import OperatorPhase
+from risc_visual.drawing.cast import phase_words
 
 POSITION = ("x_m", "y_m", "z_m")  # cortex frame, as all positions and velocities here
 DESIRED_POSITION = ("x_desired_m", "y_desired_m", "z_desired_m")
@@ -112,7 +113,7 @@ def full_scales_deg(params, fleet_vehicles=()):
 
     NED sense, so for an AR.Drone they are negative: its fractions are + left and + forward. For the vehicles of a
     fleet the result is the angle that its controllers wanted: they divide it by the gain of the type's attitude loop
-    (risc_control.mappings.ardrone). The original's controllers knew no gains, so without a fleet it is the fraction
+    (risc_control.vehicles). The original's controllers knew no gains, so without a fleet it is the fraction
     of euler_angle_max and nothing else. That limit is the type's when it is not set, 20 degrees for the AR.Drone: the
     original's plots took 0.78537 rad for every vehicle, which is right for its IRIS+ only.
     """
@@ -122,12 +123,11 @@ def full_scales_deg(params, fleet_vehicles=()):
         if kind == IRIS:
             angle_rad = override or IRIS_EULER_ANGLE_MAX_RAD
             return math.degrees(angle_rad), math.degrees(angle_rad)
-        vehicle_type = load_vehicle_type(kind)
+        vehicle_type = load_vehicle_type(kind, {"tilt_max_rad": override} if override else {})
         if not with_gains:
-            angle_rad = override or vehicle_type.tilt_max_rad
-            return -math.degrees(angle_rad), -math.degrees(angle_rad)
-        full = full_scales([vehicle_type], override)[0]
-        return math.degrees(full.phi_rad), math.degrees(full.theta_rad)
+            return -math.degrees(vehicle_type.tilt_max_rad), -math.degrees(vehicle_type.tilt_max_rad)
+        unit = adapter_class(vehicle_type).units(vehicle_type)
+        return math.degrees(unit.roll_rad), math.degrees(unit.pitch_rad)
 
     of_fleet = {vehicle.template: scale(params.vehicle_type or vehicle.type, True) for vehicle in fleet_vehicles}
     return of_fleet, scale(params.vehicle_type or "ardrone", False)
@@ -191,19 +191,15 @@ class Recorder:
             if all(map(math.isfinite, values)):
                 self._logs[owner].commands.add(time_s, values)
 
-    def course(self, receipt_s, text):
-        """What the trajectory node says it flies."""
-        self._course = text
+    def phases(self, receipt_s, message):
+        """TrajectoryPhases: what the trajectory node flies, and does with each vehicle."""
+        self._course = message.course
+        self._phases.update(phase_words(message.vehicles))
         self._mark_all(receipt_s)
 
-    def phases(self, receipt_s, text):
-        """What the trajectory node does with each vehicle: 'fluffy_II: course; Raven: hold'."""
-        self._phases.update(phases_from_text(text))
-        self._mark_all(receipt_s)
-
-    def operator_phase(self, receipt_s, text):
-        """What the operator does, 'fly: on course': a phase for vehicles of which no trajectory node says anything."""
-        self._operator = text.partition(":")[0].strip()
+    def operator(self, receipt_s, message):
+        """OperatorState: its phase is that of vehicles of which no trajectory node says anything."""
+        self._operator = OperatorPhase(message.phase).name.lower()
         self._mark_all(receipt_s)
 
     def finish(self):
