@@ -125,7 +125,7 @@ class Wire:
         if not self.acting:
             return deliver(datagram, address, now_s)
         self.acting = tuple(fault for fault in self.acting if now_s < fault[1])
-        arriving = [(0.0, bytes(datagram))]
+        arriving = [(0.0, bytes(datagram) if isinstance(datagram, bytearray) else datagram)]
         for start_s, _, act in self.acting:
             if start_s <= now_s:
                 arriving = [
