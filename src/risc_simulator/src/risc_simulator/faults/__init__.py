@@ -120,7 +120,7 @@ class Wire:
     def carry(self, datagram, address, now_s, deliver):
         """Let a datagram pass at lab time now_s. deliver: called with (datagram, address, time) when it arrives.
 
-        Returns what deliver said, or False when nothing has arrived yet.
+        Returns what deliver said, True for what arrives later, False for what is lost.
         """
         if not self.acting:
             return deliver(datagram, address, now_s)
@@ -137,6 +137,7 @@ class Wire:
         for later_s, data in arriving:
             if later_s > 0.0:
                 self._wires._delay(now_s + later_s, deliver, data, address)
+                result = True
             else:
                 result = deliver(data, address, now_s)
         self.counts["sent"] += 1
