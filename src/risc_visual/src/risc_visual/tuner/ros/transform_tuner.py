@@ -29,6 +29,7 @@ from risc_lab.vehicle_frames import body_frame
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
 from risc_visual.cfg import TransformTunerConfig
 from risc_visual.drawing.ros import markers
+from risc_visual.drawing.ros.marker_publisher import MarkerPublisher
 from risc_visual.ros.conversions import landmarks_from_msg
 from risc_visual.ros.health import Health
 from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, TunerParams
@@ -120,7 +121,7 @@ class TransformTunerNode:
         self._lock = threading.Lock()  # windows and frames: handles, sliders, services and topics have a thread each
         namespace = rospy.resolve_name(NAMESPACE)
         mounts = {item.template: item.tuner.mount for item in self._tuned}
-        self._text = rospy.Publisher(namespace + "/text", MarkerArray, queue_size=1)
+        self._text = MarkerPublisher(namespace + "/text", MarkerArray, queue_size=1)
         self._handles = HandleServer(namespace)
         self._health = Health("transform_tuner", ("/cortex_raw", "/states3", "/angles"))
         self._frames = VehicleTransforms(mounts)
