@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 
 from data_extraction.bags import Bag
+from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes
@@ -56,6 +57,7 @@ KEY = (
 )  # topic and namespace
 RECORDED = (*TEXTS, VEHICLES, REFERENCES, "/Quad_trajectory")
 VEHICLE_REACH_M = (0.36, 0.12)  # across and up and down: of nose and rotors from its centre, and a little more
+HANDLES_REACH_M = (0.45, 0.45)  # with what turns and moves its camera
 THING_REACH_M = (0.1, 0.1)  # of a landmark, a waypoint
 
 
@@ -257,28 +259,30 @@ def take_pictures(bag_path, views, at_s, out, fleet=None, title="", progress=Non
 
 
 def newest_markers(path):
-    """{(topic, namespace, id): Marker} of a bag of what was drawn."""
-    found = {}
+    """{(topic, namespace, id): Marker} of a bag of what was drawn: what rviz shows at its end."""
+    found, now_s = {}, 0.0
     with Bag(path) as bag:
-        for topic, _, message in bag.messages([topic for topic in RECORDED if topic in bag.topics]):
-            for marker in getattr(message, "markers", None) or [message]:
-                found[topic, marker.ns, marker.id] = marker
-    return found
+        for topic, now_s, message in bag.messages([topic for topic in RECORDED if topic in bag.topics]):
+            for marker in getattr(message, "markers", [message]):
+                lifetime_s = seconds(marker.lifetime) or np.inf
+                found[topic, marker.ns, marker.id] = marker, now_s + lifetime_s
+    return {key: marker for key, (marker, until_s) in found.items() if until_s >= now_s}
 
 
 def layout_of(view, drawn, time_text=""):
     """captions.Layout of a View with an orbit camera. drawn: as of `newest_markers`."""
-    shown = set(marker_topics(view.config))
+    shown, tuner = set(marker_topics(view.config)), has_display(view.config, HANDLES)
     names = []
     for (topic, ns, _), marker in drawn.items():
         below = topic == REFERENCES and ns == REFERENCE_NAMES and topic in shown
         if topic in NAMES or topic == GRID or below:
             offset_m = 0.0 if topic == GRID else -LABEL_ABOVE_M if below else LABEL_ABOVE_M
-            reach_m = VEHICLE_REACH_M if topic == VEHICLE_NAMES else THING_REACH_M
+            reach_m = THING_REACH_M
+            if topic == VEHICLE_NAMES:
+                reach_m = HANDLES_REACH_M if tuner else VEHICLE_REACH_M
             at = marker.pose.position
             names.append(_name(view, marker, (at.x, at.y, at.z - offset_m), reach_m, topic))
-    rows = _rows(drawn, shown, has_display(view.config, HANDLES), time_text)
-    return captions.lay_out(names, rows, view.size_px, view.scheme)
+    return captions.lay_out(names, _rows(drawn, shown, tuner, time_text), view.size_px, view.scheme)
 
 
 def _name(view, marker, at_m, reach_m, topic):

@@ -39,7 +39,7 @@ LABEL_ABOVE_M = 0.3  # a name is so far above what it names (below a reference)
 _TEXT_M = 0.3  # height of a text that stands alone
 _LINE_M = 0.2  # height of one that is a line among others
 _LEAST_M = 1e-3  # diameter of what rviz could not draw, were it smaller
-_TRAIL_M = 0.025  # width of a path
+FLOWN_M, DESIRED_M = 0.04, 0.02  # widths of paths: the desired one is seen on the one flown
 _OLDEST_ALPHA = 0.25  # of a path's oldest piece; the newest is opaque
 
 
@@ -328,7 +328,7 @@ def _status_marker(head, ns, corner_m, line, outwards, name, text, rgba, lifetim
 # ---------------------------------------------------------------- paths
 
 
-def trail_markers(head, ns, index, pieces, rgb, lifetime_s):
+def trail_markers(head, ns, index, pieces, rgb, width_m, lifetime_s):
     """Pieces of one path (`Trail.to_send`) as line strips that pale with age; ids are this path's own."""
     return [
         marker(
@@ -337,7 +337,7 @@ def trail_markers(head, ns, index, pieces, rgb, lifetime_s):
             index * MAX_PIECES + slot,
             Marker.LINE_STRIP,
             (0.0, 0.0, 0.0),
-            (_TRAIL_M, 0.0, 0.0),
+            (width_m, 0.0, 0.0),
             # in steps, so that the shared colour objects stay few
             rgb + (round(1.0 - (1.0 - _OLDEST_ALPHA) * min(1.0, age), 2),),
             lifetime_s,
