@@ -1,14 +1,14 @@
 // cortex_decode_bench: how long it takes to decode a large frame (16 bodies with 5 markers each).
 
+#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
-#include <cstdlib>
 #include <iomanip>
 #include <iostream>
 #include <string>
 #include <vector>
 
-#include "cortex_ros/protocol.hpp"
+#include "encode.hpp"
 
 namespace {
 
@@ -38,22 +38,16 @@ double percentile(const std::vector<double>& sorted, double fraction) {
 
 }  // namespace
 
-// Usage: cortex_decode_bench [iterations] [--json]
 int main(int argc, char** argv) {
   using Clock = std::chrono::steady_clock;
   bool json = false;
   long iterations = 200000;
-  for (int i = 1; i < argc; ++i) {
-    if (std::string(argv[i]) == "--json") {
-      json = true;
-    } else {
-      iterations = std::strtol(argv[i], nullptr, 10);
-    }
-  }
-  if (iterations < 1) {
-    std::cerr << "usage: cortex_decode_bench [iterations >= 1] [--json]\n";
-    return 2;
-  }
+  CLI::App app("How long it takes to decode a frame of 16 bodies with 5 markers each.");
+  app.add_option("iterations", iterations, "number of frames")
+      ->check(CLI::Range(1, 1000000000))
+      ->capture_default_str();
+  app.add_flag("--json", json, "print the result as JSON");
+  CLI11_PARSE(app, argc, argv);
 
   const cortex_ros::Bytes bytes = large_frame();
   std::vector<double> times_us(static_cast<std::size_t>(iterations));

@@ -13,52 +13,28 @@ namespace {
 // anything is allocated for it.
 constexpr std::size_t kMarkerBytes = 12;
 constexpr std::size_t kSegmentBytes = 56;
-constexpr std::size_t kDofBytes = 8;
 constexpr std::size_t kForceBytes = 28;
 constexpr std::size_t kAnalogBytes = 2;
 constexpr std::size_t kEncoderBytes = 8;
-constexpr std::size_t kLensBytes = 8;
 constexpr std::size_t kMinNameBytes = 1;        // the NUL
 constexpr std::size_t kMinSegmentDefBytes = 5;  // empty name, parent
 constexpr std::size_t kMinBodyBytes = 13;       // empty name, three counts
-constexpr std::size_t kIdentityBytes = kProgramNameBytes + 4;
-constexpr std::size_t kMinRecordingBytes = 12;  // three numbers; the file name may be absent
 constexpr std::size_t kQuietSpareBytes = 4;  // this many left-over bytes or fewer end a frame without a fault
 constexpr std::size_t kNoLimit = std::numeric_limits<std::size_t>::max();
 
-constexpr std::int32_t kTagAngleEncoders = 11;
-constexpr std::int32_t kTagRecordingStatus = 12;
-constexpr std::int32_t kTagLensEncoders = 13;
-
-// The wire is little-endian whatever the machine is. Compilers turn these into single loads and stores.
-template <typename Unsigned>
-Unsigned load(const std::uint8_t* p) {
-  Unsigned value = 0;
-  for (std::size_t i = 0; i < sizeof(Unsigned); ++i) {
-    value = static_cast<Unsigned>(value | static_cast<Unsigned>(static_cast<Unsigned>(p[i]) << (8 * i)));
+// The wire is little-endian whatever the machine is. Compilers turn this into a single load.
+template <typename Number>
+Number load(const std::uint8_t* p) {
+  using Bits = std::conditional_t<sizeof(Number) == 8, std::uint64_t,
+                                  std::conditional_t<sizeof(Number) == 4, std::uint32_t, std::uint16_t>>;
+  static_assert(sizeof(Number) == sizeof(Bits));
+  Bits bits = 0;
+  for (std::size_t i = 0; i < sizeof bits; ++i) {
+    bits = static_cast<Bits>(bits | static_cast<Bits>(Bits{p[i]} << (8 * i)));
   }
-  return value;
-}
-
-template <typename To, typename From>
-To same_bits(const From& from) {
-  static_assert(sizeof(To) == sizeof(From), "bit copies need equal sizes");
-  To to;
-  std::memcpy(&to, &from, sizeof to);
-  return to;
-}
-
-std::int16_t load_i16(const std::uint8_t* p) {
-  return same_bits<std::int16_t>(load<std::uint16_t>(p));
-}
-std::int32_t load_i32(const std::uint8_t* p) {
-  return same_bits<std::int32_t>(load<std::uint32_t>(p));
-}
-float load_f32(const std::uint8_t* p) {
-  return same_bits<float>(load<std::uint32_t>(p));
-}
-double load_f64(const std::uint8_t* p) {
-  return same_bits<double>(load<std::uint64_t>(p));
+  Number number;
+  std::memcpy(&number, &bits, sizeof number);
+  return number;
 }
 
 [[noreturn]] void fail(const std::string& message) {
@@ -95,10 +71,11 @@ class Reader {
 
   Reader window(std::size_t size, const char* what) { return Reader(take(size, what), size); }
 
-  std::uint16_t u16(const char* what) { return load<std::uint16_t>(take(2, what)); }
-  std::uint32_t u32(const char* what) { return load<std::uint32_t>(take(4, what)); }
-  std::int32_t i32(const char* what) { return load_i32(take(4, what)); }
-  float f32(const char* what) { return load_f32(take(4, what)); }
+  template <typename Number>
+  Number get(const char* what) {
+    return load<Number>(take(sizeof(Number), what));
+  }
+  std::int32_t i32(const char* what) { return get<std::int32_t>(what); }
 
   // Number of list elements that follow, each at least element_bytes long.
   std::size_t count(const char* what, std::size_t element_bytes, std::size_t limit = kNoLimit) {
@@ -164,38 +141,67 @@ Identity decode_identity(Reader& in) {
   return identity;
 }
 
-std::vector<std::string> decode_names(Reader& in, const char* count_name, const char* name) {
-  std::vector<std::string> names(in.count(count_name, kMinNameBytes));
-  for (std::string& entry : names) {
-    entry = in.text(name);
+// A count, then that many elements of at least min_bytes.
+template <typename Read>
+auto decode_list(Reader& in, const char* count_name, std::size_t min_bytes, Read read) {
+  std::vector<decltype(read())> list(in.count(count_name, min_bytes));
+  for (auto& element : list) {
+    element = read();
   }
-  return names;
+  return list;
 }
 
-std::vector<SegmentDef> decode_segment_defs(Reader& in) {
-  std::vector<SegmentDef> segments(in.count("segment count", kMinSegmentDefBytes));
-  for (SegmentDef& segment : segments) {
-    segment.name = in.text("segment name");
-    segment.parent = in.i32("segment parent");
+std::vector<std::string> decode_names(Reader& in, const char* count_name, const char* name) {
+  return decode_list(in, count_name, kMinNameBytes, [&] { return in.text(name); });
+}
+
+template <typename Body>
+std::vector<Body> decode_bodies(Reader& in, Body (*decode_one)(Reader&)) {
+  std::vector<Body> bodies(in.count("body count", kMinBodyBytes, kMaxBodies));
+  for (std::size_t i = 0; i < bodies.size(); ++i) {
+    bodies[i] = within("body", i, [&] { return decode_one(in); });
   }
-  return segments;
+  return bodies;
+}
+
+template <typename Number>
+std::vector<Number> decode_numbers(Reader& in, std::size_t n, const char* what) {
+  const std::uint8_t* p = in.take(n * sizeof(Number), what);
+  std::vector<Number> numbers(n);
+  for (Number& number : numbers) {
+    number = load<Number>(p);
+    p += sizeof(Number);
+  }
+  return numbers;
+}
+
+// n elements that are nothing but these numbers.
+template <typename Element, typename... Numbers>
+std::vector<Element> decode_elements(Reader& in, std::size_t n, const char* what,
+                                     Numbers Element::*... members) {
+  const std::uint8_t* p = in.take(n * (sizeof(Numbers) + ...), what);
+  std::vector<Element> elements(n);
+  for (Element& element : elements) {
+    ((element.*members = load<Numbers>(p), p += sizeof(Numbers)), ...);
+  }
+  return elements;
 }
 
 BodyDef decode_body_def(Reader& in) {
   BodyDef body;
   body.name = in.text("body name", kMaxBodyNameBytes);
   body.markers = decode_names(in, "marker count", "marker name");
-  body.segments = decode_segment_defs(in);
+  body.segments = decode_list(in, "segment count", kMinSegmentDefBytes, [&] {
+    std::string name = in.text("segment name");
+    return SegmentDef{std::move(name), in.i32("segment parent")};
+  });
   body.dofs = decode_names(in, "dof count", "dof name");
   return body;
 }
 
 BodyDefs decode_body_defs(Reader& in) {
   BodyDefs defs;
-  defs.bodies.resize(in.count("body count", kMinBodyBytes, kMaxBodies));
-  for (std::size_t i = 0; i < defs.bodies.size(); ++i) {
-    defs.bodies[i] = within("body", i, [&] { return decode_body_def(in); });
-  }
+  defs.bodies = decode_bodies(in, decode_body_def);
   defs.analog_channels = decode_names(in, "analog channel count", "analog channel name");
   defs.force_plates = static_cast<std::int32_t>(in.non_negative("force plate count"));
   defs.trailing = in.rest();
@@ -203,39 +209,12 @@ BodyDefs decode_body_defs(Reader& in) {
 }
 
 std::vector<Marker> decode_markers(Reader& in, const char* what) {
-  const std::size_t n = in.count(what, kMarkerBytes);
-  const std::uint8_t* p = in.take(n * kMarkerBytes, what);
-  std::vector<Marker> markers(n);
-  for (Marker& marker : markers) {
-    marker.x = load_f32(p);
-    marker.y = load_f32(p + 4);
-    marker.z = load_f32(p + 8);
-    p += kMarkerBytes;
-  }
-  return markers;
+  return decode_elements(in, in.count(what, kMarkerBytes), what, &Marker::x, &Marker::y, &Marker::z);
 }
 
 std::vector<Segment> decode_segments(Reader& in, std::size_t n) {
-  const std::uint8_t* p = in.take(n * kSegmentBytes, "segments");
-  std::vector<Segment> segments(n);
-  for (Segment& segment : segments) {
-    for (double* field :
-         {&segment.x, &segment.y, &segment.z, &segment.ax, &segment.ay, &segment.az, &segment.length}) {
-      *field = load_f64(p);
-      p += 8;
-    }
-  }
-  return segments;
-}
-
-std::vector<double> decode_doubles(Reader& in, std::size_t n, const char* what) {
-  const std::uint8_t* p = in.take(n * sizeof(double), what);
-  std::vector<double> values(n);
-  for (double& value : values) {
-    value = load_f64(p);
-    p += sizeof(double);
-  }
-  return values;
+  return decode_elements(in, n, "segments", &Segment::x, &Segment::y, &Segment::z, &Segment::ax, &Segment::ay,
+                         &Segment::az, &Segment::length);
 }
 
 Body decode_body(Reader& in) {
@@ -243,57 +222,48 @@ Body decode_body(Reader& in) {
   body.name = in.text("body name", kMaxBodyNameBytes);
   body.markers = decode_markers(in, "marker count");
   body.segments = decode_segments(in, in.count("segment count", kSegmentBytes));
-  body.dofs = decode_doubles(in, in.count("dof count", kDofBytes), "dofs");
+  body.dofs = decode_numbers<double>(in, in.count("dof count", sizeof(double)), "dofs");
   return body;
 }
 
-// rows * columns elements. The product of two i32 fits 64 bits; a zero factor makes any other factor legal.
-std::size_t element_count(Reader& in, std::size_t rows, std::size_t columns, std::size_t element_bytes,
-                          const char* what) {
+// The head of a block of rows * columns samples.
+struct BlockSize {
+  std::int32_t rows;
+  std::int32_t columns;
+  std::size_t samples;
+};
+
+// The product of two i32 fits 64 bits; a zero factor makes any other factor legal.
+BlockSize decode_block_size(Reader& in, const char* rows_name, const char* columns_name,
+                            std::size_t sample_bytes, const char* what) {
+  const std::size_t rows = in.non_negative(rows_name);
+  const std::size_t columns = in.non_negative(columns_name);
   const std::uint64_t n = static_cast<std::uint64_t>(rows) * static_cast<std::uint64_t>(columns);
-  if (n > in.left() / element_bytes) {
+  if (n > in.left() / sample_bytes) {
     fail(std::string(what) + ": " + std::to_string(rows) + " x " + std::to_string(columns) + " samples of " +
-         std::to_string(element_bytes) + " bytes, " + std::to_string(in.left()) + " left");
+         std::to_string(sample_bytes) + " bytes, " + std::to_string(in.left()) + " left");
   }
-  return static_cast<std::size_t>(n);
+  return {static_cast<std::int32_t>(rows), static_cast<std::int32_t>(columns), static_cast<std::size_t>(n)};
 }
 
 AnalogBlock decode_analog(Reader& in) {
-  const std::size_t channels = in.non_negative("analog channel count");
-  const std::size_t sample_count = in.non_negative("analog sample count");
-  const std::size_t n = element_count(in, channels, sample_count, kAnalogBytes, "analog block");
-  AnalogBlock block{static_cast<std::int32_t>(channels), static_cast<std::int32_t>(sample_count), {}};
-  const std::uint8_t* p = in.take(n * kAnalogBytes, "analog block");
-  block.samples.resize(n);
-  for (std::int16_t& sample : block.samples) {
-    sample = load_i16(p);
-    p += kAnalogBytes;
-  }
-  return block;
+  const BlockSize size =
+      decode_block_size(in, "analog channel count", "analog sample count", kAnalogBytes, "analog block");
+  return {size.rows, size.columns, decode_numbers<std::int16_t>(in, size.samples, "analog block")};
 }
 
 ForceBlock decode_forces(Reader& in) {
-  const std::size_t plates = in.non_negative("force plate count");
-  const std::size_t sample_count = in.non_negative("force sample count");
-  const std::size_t n = element_count(in, plates, sample_count, kForceBytes, "force block");
-  ForceBlock block{static_cast<std::int32_t>(plates), static_cast<std::int32_t>(sample_count), {}};
-  const std::uint8_t* p = in.take(n * kForceBytes, "force block");
-  block.samples.resize(n);
-  for (Force& force : block.samples) {
-    for (float* field : {&force.x, &force.y, &force.z, &force.fx, &force.fy, &force.fz, &force.mz}) {
-      *field = load_f32(p);
-      p += 4;
-    }
-  }
-  return block;
+  const BlockSize size =
+      decode_block_size(in, "force plate count", "force sample count", kForceBytes, "force block");
+  return {size.rows, size.columns,
+          decode_elements(in, size.samples, "force block", &Force::x, &Force::y, &Force::z, &Force::fx,
+                          &Force::fy, &Force::fz, &Force::mz)};
 }
 
 AngleEncoders decode_angle_encoders(Reader in) {
-  const std::size_t encoders = in.non_negative("encoder count");
-  const std::size_t sample_count = in.non_negative("encoder sample count");
-  const std::size_t n = element_count(in, encoders, sample_count, kEncoderBytes, "encoder block");
-  AngleEncoders item{static_cast<std::int32_t>(encoders), static_cast<std::int32_t>(sample_count), {}};
-  item.samples = decode_doubles(in, n, "encoder block");
+  const BlockSize size =
+      decode_block_size(in, "encoder count", "encoder sample count", kEncoderBytes, "encoder block");
+  AngleEncoders item{size.rows, size.columns, decode_numbers<double>(in, size.samples, "encoder block")};
   in.expect_end("the encoder block");
   return item;
 }
@@ -309,18 +279,6 @@ RecordingStatus decode_recording_status(Reader in) {
   return item;
 }
 
-LensEncoders decode_lens_encoders(Reader in, std::size_t bodies) {
-  const std::uint8_t* p = in.take(bodies * kLensBytes, "lens encoders");
-  LensEncoders item;
-  item.lenses.resize(bodies);
-  for (Lens& lens : item.lenses) {
-    lens.zoom = load_i32(p);
-    lens.focus = load_i32(p + 4);
-    p += kLensBytes;
-  }
-  return item;
-}
-
 // content holds the item's own L bytes and nothing behind them.
 TaggedItem decode_item(std::int32_t tag, Reader content, std::size_t bodies) {
   switch (tag) {
@@ -329,17 +287,15 @@ TaggedItem decode_item(std::int32_t tag, Reader content, std::size_t bodies) {
     case kTagRecordingStatus:
       return decode_recording_status(content);
     case kTagLensEncoders:
-      return decode_lens_encoders(content, bodies);
+      return LensEncoders{decode_elements(content, bodies, "lens encoders", &Lens::zoom, &Lens::focus)};
     default:
       return UnknownItem{tag, content.rest()};
   }
 }
 
 void decode_delay(Reader& in, FrameOfData& frame) {
-  DelaySection section;
-  section.ignored_word = in.u32("word before the delay");
-  section.delay_s = in.f32("delay");
-  frame.delay = section;
+  const auto ignored_word = in.get<std::uint32_t>("word before the delay");
+  frame.delay = DelaySection{ignored_word, in.get<float>("delay")};
 }
 
 void decode_next_item(Reader& in, FrameOfData& frame) {
@@ -377,10 +333,7 @@ void decode_optional_sections(Reader& in, FrameOfData& frame) {
 FrameOfData decode_frame(Reader& in) {
   FrameOfData frame;
   frame.frame = in.i32("frame number");
-  frame.bodies.resize(in.count("body count", kMinBodyBytes, kMaxBodies));
-  for (std::size_t i = 0; i < frame.bodies.size(); ++i) {
-    frame.bodies[i] = within("body", i, [&] { return decode_body(in); });
-  }
+  frame.bodies = decode_bodies(in, decode_body);
   frame.unidentified = decode_markers(in, "unidentified marker count");
   frame.analog = decode_analog(in);
   frame.forces = decode_forces(in);
@@ -389,18 +342,17 @@ FrameOfData decode_frame(Reader& in) {
 }
 
 PushBasePosition decode_push(Reader& in) {
-  const std::uint16_t hierarchy_bytes = in.u16("hierarchy size");
-  const std::uint16_t pose_bytes = in.u16("pose size");
+  const std::uint16_t hierarchy_bytes = in.get<std::uint16_t>("hierarchy size");
+  const std::uint16_t pose_bytes = in.get<std::uint16_t>("pose size");
   Reader hierarchy = in.window(hierarchy_bytes, "hierarchy");
   Reader pose = in.window(pose_bytes, "pose");
   in.expect_end("the pose");
 
   PushBasePosition push;
-  push.hierarchy.resize(hierarchy.count("segment count", kMinSegmentDefBytes));
-  for (PushSegment& segment : push.hierarchy) {
-    segment.parent = hierarchy.i32("segment parent");
-    segment.name = hierarchy.text("segment name");
-  }
+  push.hierarchy = decode_list(hierarchy, "segment count", kMinSegmentDefBytes, [&] {
+    const std::int32_t parent = hierarchy.i32("segment parent");
+    return PushSegment{parent, hierarchy.text("segment name")};
+  });
   hierarchy.expect_end("the hierarchy");
 
   push.pose = decode_segments(pose, push.hierarchy.size());
@@ -450,317 +402,35 @@ Packet decode_payload(std::uint16_t command, Reader& in) {
   return UnknownPacket{command, in.rest()};
 }
 
-class Writer {
- public:
-  void u16(std::uint16_t value) { store(value); }
-  void u32(std::uint32_t value) { store(value); }
-  void i16(std::int16_t value) { store(same_bits<std::uint16_t>(value)); }
-  void i32(std::int32_t value) { store(same_bits<std::uint32_t>(value)); }
-  void f32(float value) { store(same_bits<std::uint32_t>(value)); }
-  void f64(double value) { store(same_bits<std::uint64_t>(value)); }
-
-  void count(std::size_t n) {
-    // Any count above the payload limit cannot be followed by its elements anyway.
-    if (n > kMaxPayloadBytes) {
-      fail("a list of " + std::to_string(n) + " elements does not fit a packet");
-    }
-    i32(static_cast<std::int32_t>(n));
+void append(Bytes& out, const std::string& text, const char* what, std::size_t limit = kNoLimit) {
+  if (text.find('\0') != std::string::npos) {
+    fail(std::string(what) + " has a NUL inside");
   }
-
-  template <typename Iterator>
-  void raw(Iterator first, Iterator last) {
-    bytes_.insert(bytes_.end(), first, last);
+  if (text.size() > limit) {
+    fail(std::string(what) + " of " + std::to_string(text.size()) + " bytes is above the limit of " +
+         std::to_string(limit));
   }
+  out.insert(out.end(), text.begin(), text.end());
+}
 
-  void text(const std::string& value, const char* what, std::size_t limit = kNoLimit) {
-    if (value.find('\0') != std::string::npos) {
-      fail(std::string(what) + " has a NUL inside");
-    }
-    if (value.size() > limit) {
-      fail(std::string(what) + " of " + std::to_string(value.size()) + " bytes is above the limit of " +
-           std::to_string(limit));
-    }
-    raw(value.begin(), value.end());
-    bytes_.push_back(0);
+Bytes packet(Command command, const Bytes& payload = {}) {
+  if (payload.size() > kMaxPayloadBytes) {
+    fail("payload of " + std::to_string(payload.size()) + " bytes is above the limit of " +
+         std::to_string(kMaxPayloadBytes));
   }
-
-  Bytes& bytes() { return bytes_; }
-
- private:
-  template <typename Unsigned>
-  void store(Unsigned value) {
-    for (std::size_t i = 0; i < sizeof(Unsigned); ++i) {
-      bytes_.push_back(static_cast<std::uint8_t>(value >> (8 * i)));
-    }
+  Bytes out;
+  for (const std::size_t value : {static_cast<std::size_t>(command), payload.size()}) {
+    out.push_back(static_cast<std::uint8_t>(value & 0xff));
+    out.push_back(static_cast<std::uint8_t>(value >> 8));
   }
-
-  Bytes bytes_;
-};
-
-void put_names(Writer& out, const std::vector<std::string>& names, const char* what) {
-  out.count(names.size());
-  for (const std::string& name : names) {
-    out.text(name, what);
-  }
+  out.insert(out.end(), payload.begin(), payload.end());
+  return out;
 }
-
-void put_markers(Writer& out, const std::vector<Marker>& markers) {
-  out.count(markers.size());
-  for (const Marker& marker : markers) {
-    out.f32(marker.x);
-    out.f32(marker.y);
-    out.f32(marker.z);
-  }
-}
-
-void put_segments(Writer& out, const std::vector<Segment>& segments) {
-  for (const Segment& segment : segments) {
-    for (double field :
-         {segment.x, segment.y, segment.z, segment.ax, segment.ay, segment.az, segment.length}) {
-      out.f64(field);
-    }
-  }
-}
-
-void put_block_counts(Writer& out, std::int32_t rows, std::int32_t columns, std::size_t size,
-                      const char* what) {
-  if (rows < 0 || columns < 0 ||
-      static_cast<std::uint64_t>(rows) * static_cast<std::uint64_t>(columns) != size) {
-    fail(std::string(what) + ": " + std::to_string(rows) + " x " + std::to_string(columns) +
-         " samples announced, " + std::to_string(size) + " given");
-  }
-  out.i32(rows);
-  out.i32(columns);
-}
-
-void put_body_count(Writer& out, std::size_t n) {
-  if (n > kMaxBodies) {
-    fail("body count " + std::to_string(n) + " is above the limit of " + std::to_string(kMaxBodies));
-  }
-  out.count(n);
-}
-
-void put(Writer& out, const Identity& identity) {
-  Writer name;
-  name.text(identity.name, "program name", kProgramNameBytes - 1);
-  name.bytes().resize(kProgramNameBytes, 0);
-  out.raw(name.bytes().begin(), name.bytes().end());
-  out.raw(identity.version.begin(), identity.version.end());
-}
-
-void put(Writer& out, const HelloWorld& packet) {
-  put(out, packet.identity);
-}
-void put(Writer& out, const HereIAm& packet) {
-  put(out, packet.identity);
-}
-void put(Writer& out, const AreYouThere& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const UnrecognizedRequest& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const UnrecognizedCommand& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const UnknownPacket& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const GeneralReply& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const Comment& packet) {
-  out.text(packet.text, "text");
-}
-void put(Writer& out, const GeneralRequest& packet) {
-  out.text(packet.text, "text");
-}
-void put(Writer&, const RequestBodyDefs&) {}
-void put(Writer&, const RequestFrame&) {}
-
-void put(Writer& out, const BodyDef& body) {
-  out.text(body.name, "body name", kMaxBodyNameBytes);
-  put_names(out, body.markers, "marker name");
-  out.count(body.segments.size());
-  for (const SegmentDef& segment : body.segments) {
-    out.text(segment.name, "segment name");
-    out.i32(segment.parent);
-  }
-  put_names(out, body.dofs, "dof name");
-}
-
-void put(Writer& out, const BodyDefs& defs) {
-  put_body_count(out, defs.bodies.size());
-  for (const BodyDef& body : defs.bodies) {
-    put(out, body);
-  }
-  put_names(out, defs.analog_channels, "analog channel name");
-  if (defs.force_plates < 0) {
-    fail("force plate count is negative");
-  }
-  out.i32(defs.force_plates);
-  out.raw(defs.trailing.begin(), defs.trailing.end());
-}
-
-void put(Writer& out, const Body& body) {
-  out.text(body.name, "body name", kMaxBodyNameBytes);
-  put_markers(out, body.markers);
-  out.count(body.segments.size());
-  put_segments(out, body.segments);
-  out.count(body.dofs.size());
-  for (double dof : body.dofs) {
-    out.f64(dof);
-  }
-}
-
-void put(Writer& out, const AnalogBlock& block) {
-  put_block_counts(out, block.channels, block.sample_count, block.samples.size(), "analog block");
-  for (std::int16_t sample : block.samples) {
-    out.i16(sample);
-  }
-}
-
-void put(Writer& out, const ForceBlock& block) {
-  put_block_counts(out, block.plates, block.sample_count, block.samples.size(), "force block");
-  for (const Force& force : block.samples) {
-    for (float field : {force.x, force.y, force.z, force.fx, force.fy, force.fz, force.mz}) {
-      out.f32(field);
-    }
-  }
-}
-
-void put(Writer& out, const AngleEncoders& item) {
-  put_block_counts(out, item.encoders, item.sample_count, item.samples.size(), "encoder block");
-  for (double sample : item.samples) {
-    out.f64(sample);
-  }
-}
-
-void put(Writer& out, const RecordingStatus& item) {
-  out.i32(item.recording);
-  out.i32(item.first_frame);
-  out.i32(item.last_frame);
-  out.text(item.capture_file, "capture file name", kMaxCaptureNameBytes);
-}
-
-void put(Writer& out, const LensEncoders& item) {
-  for (const Lens& lens : item.lenses) {
-    out.i32(lens.zoom);
-    out.i32(lens.focus);
-  }
-}
-
-void put(Writer& out, const UnknownItem& item) {
-  out.raw(item.content.begin(), item.content.end());
-}
-
-std::int32_t tag_of(const AngleEncoders&) {
-  return kTagAngleEncoders;
-}
-std::int32_t tag_of(const RecordingStatus&) {
-  return kTagRecordingStatus;
-}
-std::int32_t tag_of(const LensEncoders&) {
-  return kTagLensEncoders;
-}
-std::int32_t tag_of(const UnknownItem& item) {
-  return item.tag;
-}
-
-void put_item(Writer& out, const TaggedItem& item, std::size_t bodies) {
-  const auto* lenses = std::get_if<LensEncoders>(&item);
-  if (lenses != nullptr && lenses->lenses.size() != bodies) {
-    fail("lens encoders: " + std::to_string(lenses->lenses.size()) + " entries for " +
-         std::to_string(bodies) + " bodies");
-  }
-  Writer content;
-  std::visit([&](const auto& value) { put(content, value); }, item);
-  out.i32(std::visit([](const auto& value) { return tag_of(value); }, item));
-  out.count(content.bytes().size());
-  out.raw(content.bytes().begin(), content.bytes().end());
-}
-
-void put(Writer& out, const FrameOfData& frame) {
-  out.i32(frame.frame);
-  put_body_count(out, frame.bodies.size());
-  for (const Body& body : frame.bodies) {
-    put(out, body);
-  }
-  put_markers(out, frame.unidentified);
-  put(out, frame.analog);
-  put(out, frame.forces);
-  if (!frame.delay) {
-    if (!frame.items.empty()) {
-      fail("tagged items can only follow a delay section");
-    }
-    return;
-  }
-  out.u32(frame.delay->ignored_word);
-  out.f32(frame.delay->delay_s);
-  for (const TaggedItem& item : frame.items) {
-    put_item(out, item, frame.bodies.size());
-  }
-}
-
-void put(Writer& out, const PushBasePosition& push) {
-  if (push.pose.size() != push.hierarchy.size()) {
-    fail("pose of " + std::to_string(push.pose.size()) + " segments for a hierarchy of " +
-         std::to_string(push.hierarchy.size()));
-  }
-  Writer hierarchy;
-  hierarchy.count(push.hierarchy.size());
-  for (const PushSegment& segment : push.hierarchy) {
-    hierarchy.i32(segment.parent);
-    hierarchy.text(segment.name, "segment name");
-  }
-  Writer pose;
-  put_segments(pose, push.pose);
-  pose.raw(push.extra.begin(), push.extra.end());
-  if (4 + hierarchy.bytes().size() + pose.bytes().size() > kMaxPayloadBytes) {
-    fail("base position of " + std::to_string(push.pose.size()) + " segments does not fit a packet");
-  }
-  out.u16(static_cast<std::uint16_t>(hierarchy.bytes().size()));
-  out.u16(static_cast<std::uint16_t>(pose.bytes().size()));
-  out.raw(hierarchy.bytes().begin(), hierarchy.bytes().end());
-  out.raw(pose.bytes().begin(), pose.bytes().end());
-}
-
-// The order of the alternatives of Packet, as far as they have a fixed code.
-constexpr Command kCommands[] = {
-    Command::kHelloWorld,
-    Command::kAreYouThere,
-    Command::kHereIAm,
-    Command::kComment,
-    Command::kRequestBodyDefs,
-    Command::kBodyDefs,
-    Command::kRequestFrame,
-    Command::kFrameOfData,
-    Command::kGeneralRequest,
-    Command::kGeneralReply,
-    Command::kUnrecognizedRequest,
-    Command::kPushBasePosition,
-    Command::kUnrecognizedCommand,
-};
-static_assert(std::size(kCommands) + 1 == std::variant_size_v<Packet>,
-              "every packet but the unknown one has a code");
 
 }  // namespace
 
 bool Marker::missing() const {
   return x == kMissingCoordinate || !std::isfinite(x) || !std::isfinite(y) || !std::isfinite(z);
-}
-
-double FrameOfData::sane_delay_s(double max_delay_s) const {
-  if (!delay) {
-    return 0.0;
-  }
-  const double reported = static_cast<double>(delay->delay_s);
-  return reported >= 0.0 && reported <= max_delay_s ? reported : 0.0;  // a NaN fails both comparisons
-}
-
-std::uint16_t command_of(const Packet& packet) {
-  const auto* unknown = std::get_if<UnknownPacket>(&packet);
-  return unknown != nullptr ? unknown->command : static_cast<std::uint16_t>(kCommands[packet.index()]);
 }
 
 std::size_t declared_size(const std::uint8_t* data, std::size_t size) {
@@ -790,28 +460,36 @@ Packet decode(const Bytes& datagram) {
   return decode(datagram.data(), datagram.size());
 }
 
-Bytes encode(const Packet& packet) {
-  Writer out;
-  out.u16(command_of(packet));
-  out.u16(0);  // the length, known at the end
-  std::visit([&](const auto& value) { put(out, value); }, packet);
-  Bytes& bytes = out.bytes();
-  const std::size_t payload = bytes.size() - kHeaderBytes;
-  if (payload > kMaxPayloadBytes) {
-    fail("payload of " + std::to_string(payload) + " bytes is above the limit of " +
-         std::to_string(kMaxPayloadBytes));
-  }
-  bytes[2] = static_cast<std::uint8_t>(payload & 0xff);
-  bytes[3] = static_cast<std::uint8_t>(payload >> 8);
-  return std::move(bytes);
+Bytes encode(const HelloWorld& hello) {
+  Bytes payload;
+  append(payload, hello.identity.name, "program name", kProgramNameBytes - 1);
+  payload.resize(kProgramNameBytes, 0);
+  payload.insert(payload.end(), hello.identity.version.begin(), hello.identity.version.end());
+  return packet(Command::kHelloWorld, payload);
+}
+
+Bytes encode(const RequestBodyDefs&) {
+  return packet(Command::kRequestBodyDefs);
+}
+
+Bytes encode(const RequestFrame&) {
+  return packet(Command::kRequestFrame);
+}
+
+Bytes encode(const GeneralRequest& request) {
+  Bytes payload;
+  append(payload, request.text, "text");
+  payload.push_back(0);
+  return packet(Command::kGeneralRequest, payload);
 }
 
 std::optional<float> as_float(const GeneralReply& reply) {
-  return reply.payload.size() < 4 ? std::nullopt : std::make_optional(load_f32(reply.payload.data()));
+  return reply.payload.size() < 4 ? std::nullopt : std::make_optional(load<float>(reply.payload.data()));
 }
 
 std::optional<std::int32_t> as_int(const GeneralReply& reply) {
-  return reply.payload.size() < 4 ? std::nullopt : std::make_optional(load_i32(reply.payload.data()));
+  return reply.payload.size() < 4 ? std::nullopt
+                                  : std::make_optional(load<std::int32_t>(reply.payload.data()));
 }
 
 }  // namespace cortex_ros
