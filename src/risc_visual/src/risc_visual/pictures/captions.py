@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 PANEL = 0.21  # of the picture's width
+_EVEN_PX = 16  # the scene's width is a multiple: drawing in software likes it
 _EM = 1.0 / 56.0  # height of letters / height of the picture
 _EM_MIN_PX = 9
 _SMALL = 0.8  # numbers on the floor and paragraphs / the other texts
@@ -98,7 +99,7 @@ class Layout:
 def scene_size(size_px):
     """(width, height) [px] of the scene in a picture of this size."""
     width, height = size_px
-    return width - round(PANEL * width), height
+    return round((1.0 - PANEL) * width / _EVEN_PX) * _EVEN_PX, height
 
 
 def em_px(size_px):

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
+from risc_lab.lab.arena import Arena
 from risc_visual.drawing.airframes import PAINT
 from risc_visual.drawing.trails import MAX_PIECES
 
@@ -36,6 +37,7 @@ _TYPES = {
 }
 _NO_TURN = Quaternion(0.0, 0.0, 0.0, 1.0)
 LABEL_ABOVE_M = 0.3  # a name is so far above what it names (below a reference)
+_BEHIND_M = 0.8
 _TEXT_M = 0.3  # height of a text that stands alone
 _LINE_M = 0.2  # height of one that is a line among others
 _LEAST_M = 1e-3  # diameter of what rviz could not draw, were it smaller
@@ -389,9 +391,10 @@ def waypoint_labels(head, index, waypoints, alpha, lifetime_s):
     return found
 
 
-def title_marker(head, text, lifetime_s):
-    """What is flown: a text over the arena."""
-    return text_marker(head, "trajectory_name", 0, text, (0.0, 0.0, 3.0), _TEXT_M, ORANGE, lifetime_s)
+def title_marker(head, text, lifetime_s, arena=Arena()):
+    """What is flown: a text behind the far wall, where it covers no vehicle, seen from behind or from above."""
+    at_m = (arena.half_x_m + _BEHIND_M, 0.0, arena.height_m)
+    return text_marker(head, "trajectory_name", 0, text, at_m, _TEXT_M, ORANGE, lifetime_s)
 
 
 def _turned(quaternion, vector, origin):
