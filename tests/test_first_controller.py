@@ -1,4 +1,4 @@
-"""docs/first_controller.md, done as it says: its files are written, its controller flies offline, its flight is valid."""
+"""docs/first_controller.md, done as it says: its files are written, its controller and its flight are valid."""
 
 import json
 import os
