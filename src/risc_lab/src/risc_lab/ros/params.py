@@ -13,7 +13,7 @@ from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import fleet_from_dict, laboratory_vehicles
 from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS, legacy_overrides, load_vehicle_type
 
-_ELSEWHERE = frozenset(("diagnostic_period",))  # read by diagnostic_updater
+_ELSEWHERE = frozenset(("diagnostic_period", "full_scales"))  # for diagnostic_updater, and from controllers to others
 _asked = set()  # private parameters that this process has asked for
 
 
