@@ -125,7 +125,7 @@ class EstimatorCounts:
 
 
 ROWS = record(("first", int), ("count", int))  # the markers of a body in those of the frame
-VEHICLE = record(("markers", int), ("has_attitude", bool))  # number of its template's; not a rod's tip
+VEHICLE = record(("markers", int), ("has_attitude", bool))  # number of its template's; not of an attached body
 
 
 class Vehicles(NamedTuple):
@@ -177,7 +177,7 @@ class StatesEstimator:
     def __init__(self, templates, params=None, vehicles=()):
         """templates: dict name -> risc_lab.lab.templates.Template.   vehicles: names listed from the start on.
 
-        Raises ValueError if a listed vehicle has no template of kind vehicle or pendulum_tip, or if such a template
+        Raises ValueError if a listed vehicle has no template, or that of a landmark, or if a template of another kind
         has fewer than three markers.
         """
         self.params = params = params or EstimatorParams()
@@ -349,7 +349,7 @@ class StatesEstimator:
             self._landmark_names += (name,)
             self._landmarks = _with_row(self._landmarks, known=known, offsets_m=markers)
         else:
-            known = np.array([(len(template.markers_m), template.kind != "pendulum_tip")], dtype=VEHICLE)
+            known = np.array([(len(template.markers_m), template.kind == "vehicle")], dtype=VEHICLE)
             self._names += (name,)
             self._vehicles = _with_row(self._vehicles, known=known, templates_m=markers)
             self._position_fit.add_body()

@@ -6,7 +6,7 @@ import numpy as np
 
 from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
 
-KINDS = ("vehicle", "landmark", "pendulum_tip")
+VEHICLE, LANDMARK, ATTACHED = KINDS = ("vehicle", "landmark", "attached")
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +17,7 @@ class Template:
     kind: str  # one of KINDS
     marker_names: tuple[str, ...]
     # (n, 3) marker positions [m] from the object's reference point.
-    # vehicle: body axes (x nose, y right, z down); landmark, pendulum_tip: cortex axes as mounted.
+    # vehicle: body axes (x nose, y right, z down); landmark, attached: cortex axes as mounted.
     markers_m: np.ndarray
 
     def __eq__(self, other):
@@ -35,6 +35,13 @@ def load_templates(path=None, fleet=None):
     if path is None:
         path = package_file("risc_lab", "config/templates.yaml")
     return dict(templates_from_dict(load_yaml(path), str(path)), **(fleet.templates if fleet else {}))
+
+
+def attached_bodies(templates):
+    """Names of the bodies that hang on vehicles, such as the tip of a pendulum: motion capture sees them, nobody flies
+    them.
+    """
+    return frozenset(name for name, template in templates.items() if template.kind == ATTACHED)
 
 
 def templates_from_dict(content, where="templates"):
@@ -65,7 +72,7 @@ def _template(name, section, shapes, where):
     if geometry not in shapes:
         raise ValueError("%s, %s: unknown geometry %r; known are %s" % (where, name, geometry, ", ".join(shapes)))
     marker_names, markers_m = shapes[geometry]
-    if kind == "vehicle":
+    if kind != LANDMARK:
         _check_rigid(markers_m, "%s, geometry %s" % (where, geometry))
     return Template(name, kind, marker_names, markers_m)
 
@@ -80,7 +87,7 @@ def _geometry(section):
 
 
 def _check_rigid(markers_m, where):
-    """An attitude needs three markers that are not on one line."""
+    """A pose needs three markers that are not on one line."""
     spread_m = np.linalg.svd(markers_m - markers_m.mean(axis=0), compute_uv=False)
     if len(markers_m) < 3 or spread_m[1] < 0.02:
-        raise ValueError("%s: a vehicle needs at least 3 markers well off one line" % where)
+        raise ValueError("%s: a vehicle, or a body attached to one, needs at least 3 markers well off one line" % where)
