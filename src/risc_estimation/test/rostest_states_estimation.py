@@ -16,8 +16,8 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Header
 
+from risc_estimation.pose_fit import pack_bodies
 from risc_estimation.ros.conversions import mocap_message
-from risc_estimation.state_estimator import pack_bodies
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data

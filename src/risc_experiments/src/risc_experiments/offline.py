@@ -36,7 +36,8 @@ from risc_control.vehicle_pilot import (
     VehiclePilot,
     params_from_dict,
 )
-from risc_estimation.state_estimator import EstimatorParams, StatesEstimator
+from risc_estimation.pose_fit import PoseFitParams
+from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.fleets import default_fleet
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_templates, load_vehicle_type
@@ -132,7 +133,7 @@ def fly(flight):
         seed=np.random.SeedSequence(flight.seed, spawn_key=(_CAMERA_STREAM,)),
     )
     names = [vehicle.template for vehicle in fleet.vehicles]
-    estimator = StatesEstimator(templates, EstimatorParams().within(fleet.arena), vehicles=names)
+    estimator = StatesEstimator(templates, PoseFitParams().within(fleet.arena), vehicles=names)
     yaw = None if flight.psi_rad is None else YawProgram((flight.psi_rad,))
     course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
     manager = make_manager(fleet.vehicles, course)
