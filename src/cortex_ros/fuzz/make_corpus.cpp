@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "cortex_ros/protocol.hpp"
+#include "encode.hpp"
 
 namespace {
 

@@ -17,9 +17,10 @@ constexpr Time kMaxWait = std::chrono::milliseconds(50);
 constexpr Time kRestartHoldOff = std::chrono::seconds(1);  // between two set-ups that announcements provoke
 constexpr Time kPauseTimeout = std::chrono::milliseconds(100);
 constexpr int kPauseTries = 2;
-constexpr int kQuietPolls = 20;  // this many polls without a new frame: the host stands still
+constexpr int kQuietPolls = 20;  // this many polls without a new frame: the host is paused
 constexpr Time kQuietPollPeriod = std::chrono::milliseconds(100);
-constexpr std::size_t kMaxReports = 16;  // of each kind: what strangers send must not fill log and memory
+constexpr std::size_t kMaxReports =
+    16;  // of each kind: packets from other computers must not fill log and memory
 constexpr double kMinFrameRateHz = 1.0;
 constexpr double kMaxFrameRateHz = 10000.0;
 constexpr double kMinMillimetresPerUnit = 1e-3;  // a micrometre
@@ -74,7 +75,8 @@ Mode mode_from_text(const std::string& text) {
 std::string host_from_text(const std::string& text) {
   if (text.empty()) {
     throw std::invalid_argument(
-        "host is missing: write the Cortex computer's address or name, or broadcast to ask all networks");
+        "host is missing: set it to the Cortex computer's address or name, or to broadcast to search all "
+        "networks");
   }
   return text == "broadcast" ? "" : text;
 }
@@ -137,11 +139,7 @@ void Client::request(const std::string& text, std::function<void(const Packet*)>
 
 Statistics Client::statistics() const {
   const std::lock_guard<std::mutex> lock(statistics_mutex_);
-  Statistics copy = statistics_;
-  if (last_frame_) {
-    copy.last_frame_age = clock_.monotonic() - *last_frame_;
-  }
-  return copy;
+  return statistics_;
 }
 
 template <typename Change>
@@ -179,7 +177,7 @@ void Client::handle(const Datagram& datagram, Channel channel) {
   }
   last_heard_ = clock_.monotonic();
   if (datagram.truncated) {
-    refuse("datagram longer than " + std::to_string(datagram.size) + " bytes was cut");
+    refuse("datagram longer than " + std::to_string(datagram.size) + " bytes was truncated");
     return;
   }
   std::optional<Packet> packet;
@@ -201,7 +199,7 @@ void Client::refuse(const std::string& what) {
   events_.on_malformed(what);
 }
 
-// Two riddles that a foreign answer to our hello explains: a host with two interfaces that answers from the
+// Two mistakes that an answer from another address explains: a host with two interfaces that answers from the
 // one that we did not call, and a second host on the network where we took whichever answered first.
 void Client::hint_at_other_host(const Datagram& datagram, Channel channel) {
   const bool window =
@@ -226,19 +224,19 @@ void Client::hint_at_other_host(const Datagram& datagram, Channel channel) {
                                     " is not: set the parameter 'host' to the right one");
     }
   } catch (const ProtocolError&) {
-    // A stranger's packet: already counted as foreign, and not worth a word.
+    // Not from the host, and already counted as foreign.
     return;
   }
 }
 
 void Client::handle_answer_to_hello(const Identity& identity, const Endpoint& source) {
-  // Other programs speak the protocol too. Who configured a host knows better than its program number.
+  // Other programs speak the protocol, too. A host that the user has named may be any of them.
   if (discovering() && identity.version[0] != kCortexProgramId) {
     update_statistics([](Statistics& s) { ++s.foreign; });
     hint_once(source.address, "program '" + identity.name + "' at " + to_string(source) +
                                   " answers the search but is not Cortex (program number " +
                                   std::to_string(identity.version[0]) +
-                                  "): passed over. To use it set the parameter 'host' to its address");
+                                  "): ignored. To use it, set the parameter 'host' to its address");
     return;
   }
   connect(source, identity);
@@ -265,7 +263,7 @@ void Client::dispatch(const Packet& packet, const Datagram& datagram, Channel ch
   const bool requested = channel == Channel::kCommand && requests_.offer(packet, now);
   const bool answer = requested || (channel == Channel::kCommand && polls_.offer(packet, now));
   if (const auto* frame = std::get_if<FrameOfData>(&packet)) {
-    if (!requested) {  // a frame that somebody asked for by text is his: it may hold base poses, not markers
+    if (!requested) {  // the answer to a text request may hold base poses, not markers
       handle_frame(*frame, datagram, channel);
     }
   } else if (const auto* comment = std::get_if<Comment>(&packet)) {
@@ -282,8 +280,8 @@ void Client::dispatch(const Packet& packet, const Datagram& datagram, Channel ch
 }
 
 // A host that has just started says so; it knows nothing of the live mode that its predecessor was put into.
-// So it is asked anew. Anyone can send such a packet in the host's name: it must not cost a single frame, and
-// what was known stays known until the host itself says otherwise.
+// So its settings are read again. Anyone can send such a packet in the host's name: it must not cost a single
+// frame, and what was known stays known until the host itself says otherwise.
 void Client::handle_announcement(const Identity& identity) {
   if (identity.version[0] != kCortexProgramId) {
     return;
@@ -297,47 +295,34 @@ void Client::handle_announcement(const Identity& identity) {
 }
 
 void Client::handle_frame(const FrameOfData& frame, const Datagram& datagram, Channel channel) {
-  const Time now = clock_.monotonic();
-  const Source source = channel == Channel::kStream ? Source::kStream : Source::kPoll;
-  if (source == Source::kStream) {
-    last_stream_frame_ = now;
+  const Feed feed = channel == Channel::kStream ? Feed::kStream : Feed::kPoll;
+  if (feed == Feed::kStream) {
+    last_stream_frame_ = clock_.monotonic();
   }
   if (stop_) {
-    return;  // nobody wants it any more
+    return;  // run() is about to end
   }
   if (phase_ != Phase::kRunning) {
     update_statistics([](Statistics& s) { ++s.early; });
     return;
   }
-  hand_on(frame, datagram, source, now);
-  // After the frame: whoever logs this may be slow.
+  hand_on(frame, datagram, feed);
+  // After the frame: logging may be slow.
   if (!frame.faults.empty()) {
     update_statistics([&](Statistics& s) { s.faulty_items += frame.faults.size(); });
     events_.on_malformed("frame " + std::to_string(frame.frame) + ": " + frame.faults.front());
   }
 }
 
-void Client::hand_on(const FrameOfData& frame, const Datagram& datagram, Source source, Time now) {
-  const FrameOrder order = sequence_.classify(frame.frame);
-  if (order == FrameOrder::kDuplicate || order == FrameOrder::kLate) {
-    const bool poll = source == Source::kPoll;
-    polls_without_news_ += poll ? 1 : 0;
-    update_statistics([&](Statistics& s) {
-      s.late += order == FrameOrder::kLate ? 1 : 0;
-      s.duplicates += order == FrameOrder::kDuplicate && !poll ? 1 : 0;
-    });
+void Client::hand_on(const FrameOfData& frame, const Datagram& datagram, Feed feed) {
+  if (feed == Feed::kPoll && newest_ == frame.frame) {
+    ++polls_without_news_;
     return;
   }
   polls_without_news_ = 0;
-  const bool restart = order == FrameOrder::kRestart;
-  update_statistics([&](Statistics& s) {
-    ++s.frames;
-    s.lost += static_cast<std::uint64_t>(sequence_.gap());
-    s.restarts += restart ? 1 : 0;
-    last_frame_ = now;
-  });
+  newest_ = frame.frame;
   const bool kernel = options_.kernel_timestamps && datagram.kernel_time;
-  events_.on_frame({frame, kernel ? *datagram.kernel_time : clock_.wall(), source, restart});
+  events_.on_frame({frame, kernel ? *datagram.kernel_time : clock_.wall(), feed});
 }
 
 // ---- connection
@@ -353,7 +338,7 @@ void Client::report_once(const std::string& problem) {
   }
 }
 
-// Ports and texts are the strangers' choice, so their address alone tells them apart.
+// Only the address tells senders apart: ports and texts are theirs to choose.
 void Client::hint_once(Address about, const std::string& hint) {
   if (hinted_.size() < kMaxReports && hinted_.insert(about.network_order).second) {
     events_.on_problem(hint);
@@ -389,7 +374,7 @@ bool Client::ready_to_search() {
   } catch (const NetworkError& error) {
     obstacle = error.what();
     if (error.error_number() == EADDRNOTAVAIL) {
-      obstacle += ". Cure: give this computer's network card that address, or correct 'local_address'";
+      obstacle += ". To fix it, give this computer's network card that address, or correct 'local_address'";
     }
   }
   update_statistics([&](Statistics& s) { s.obstacle = obstacle; });
@@ -431,11 +416,11 @@ void Client::connect(const Endpoint& host, const Identity& identity) {
     s.host = to_string(host);
   });
   prepare_stream();
-  sequence_.reset();
+  newest_.reset();
   requests_.clear();
   begin_setup();
   if (known) {
-    start_running();  // its frames can be read by what is known, while it is asked anew
+    start_running();  // its frames can be read by what is known, while they are read again
     events_.on_host_up(info_);
   } else {
     phase_ = Phase::kFirstSetUp;
@@ -491,10 +476,10 @@ void Client::start_running() {
   polls_without_news_ = 0;
   last_stream_frame_ = now;  // the stream gets its time to begin
   next_poll_ = now;
-  source_ = options_.mode == Mode::kPoll || !stream_ ? Source::kPoll : Source::kStream;
+  feed_ = options_.mode == Mode::kPoll || !stream_ ? Feed::kPoll : Feed::kStream;
   update_statistics([&](Statistics& s) {
     s.host_up = true;
-    s.source = source_;
+    s.feed = feed_;
   });
 }
 
@@ -528,13 +513,13 @@ void Client::open_stream_socket() {
     // Bound to any address, because some hosts send the stream by unicast.
     stream_.emplace(Endpoint{Address(), options_.stream_port}, UdpSocket::Share::kYes);
   } catch (const NetworkError& error) {
-    const std::string cure =
+    const std::string fix =
         error.error_number() == EACCES
             ? "configure a stream port above 1023 here and at the host, or grant the program "
               "CAP_NET_BIND_SERVICE "
               "(setcap cap_net_bind_service=+ep), or lower net.ipv4.ip_unprivileged_port_start"
             : "end the program that holds the port, or configure another stream port here and at the host";
-    report_once(std::string("no stream, polling instead: ") + error.what() + ". Cure: " + cure);
+    report_once(std::string("no stream, polling instead: ") + error.what() + ". To fix it, " + fix);
   }
 }
 
@@ -549,8 +534,9 @@ void Client::join_group() {
         local_.any() ? source_address_towards(host_->address).value_or(Address()) : local_;
     stream_->join(*parse_address(options_.stream_group), interface);
   } catch (const NetworkError& error) {
-    report_once(std::string("no multicast stream: ") + error.what() +
-                ". Cure: set the parameter 'local_address' to this computer's address on the host's network");
+    report_once(
+        std::string("no multicast stream: ") + error.what() +
+        ". To fix it, set the parameter 'local_address' to this computer's address on the host's network");
   }
 }
 
@@ -571,7 +557,7 @@ void Client::tick() {
   }
   watch_host(now);
   if (phase_ == Phase::kRunning) {
-    choose_source(now);
+    choose_feed(now);
     poll_if_due(now);
   }
   flush_requests(now);
@@ -589,20 +575,20 @@ void Client::watch_host(Time now) {
   }
 }
 
-void Client::choose_source(Time now) {
+void Client::choose_feed(Time now) {
   const bool no_stream = now - last_stream_frame_ >= options_.stream_timeout;
   const bool poll = options_.mode == Mode::kPoll || !stream_ || (options_.mode == Mode::kAuto && no_stream);
-  const Source chosen = poll ? Source::kPoll : Source::kStream;
-  if (chosen == source_) {
+  const Feed chosen = poll ? Feed::kPoll : Feed::kStream;
+  if (chosen == feed_) {
     return;
   }
-  source_ = chosen;
+  feed_ = chosen;
   next_poll_ = now;
-  update_statistics([&](Statistics& s) { s.source = chosen; });
-  events_.on_source(chosen);
+  update_statistics([&](Statistics& s) { s.feed = chosen; });
+  events_.on_feed(chosen);
 }
 
-// A host that stands still (paused) needs no 200 questions a second.
+// A paused host need not be asked 200 times a second.
 Time Client::poll_period() const {
   return polls_without_news_ >= kQuietPolls
              ? kQuietPollPeriod
@@ -610,7 +596,7 @@ Time Client::poll_period() const {
 }
 
 void Client::poll_if_due(Time now) {
-  if (source_ != Source::kPoll || now < next_poll_ || !polls_.idle()) {
+  if (feed_ != Feed::kPoll || now < next_poll_ || !polls_.idle()) {
     return;
   }
   next_poll_ += poll_period();
@@ -642,7 +628,7 @@ Time Client::time_to_next_event(Time now) const {
     next = std::min(next, next_hello_);
   } else {
     next = std::min(next, requests_.next_event().value_or(next));
-    const bool polling = phase_ == Phase::kRunning && source_ == Source::kPoll;
+    const bool polling = phase_ == Phase::kRunning && feed_ == Feed::kPoll;
     next = std::min(next, polls_.next_event().value_or(polling ? next_poll_ : next));
   }
   return std::max(next - now, Time{0});

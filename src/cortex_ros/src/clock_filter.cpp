@@ -15,6 +15,11 @@ double as_ns(Time time) {
 
 }  // namespace
 
+double believed_delay_s(std::optional<double> reported_s, double max_s) {
+  const double delay_s = reported_s.value_or(0.0);
+  return delay_s >= 0.0 && delay_s <= max_s ? delay_s : 0.0;  // a NaN fails both comparisons
+}
+
 void ClockFilter::set_period(Time period) {
   if (as_ns(period) == period_ns_) {
     return;  // a host that tells its rate again must not unsettle the stamps

@@ -1,34 +1,26 @@
 #include "cortex_ros/conversions.hpp"
 
 #include <algorithm>
-#include <limits>
+#include <cmath>
 
 namespace cortex_ros {
-namespace {
 
-void fill_marker(const Marker& marker, double metres_per_unit, double missing_m,
-                 risc_msgs::Mocap_marker& out) {
-  const bool missing = marker.missing();
-  out.x = missing ? missing_m : static_cast<double>(marker.x) * metres_per_unit;
-  out.y = missing ? missing_m : static_cast<double>(marker.y) * metres_per_unit;
-  out.z = missing ? missing_m : static_cast<double>(marker.z) * metres_per_unit;
-}
-
-}  // namespace
-
-void fill_markers(const FrameOfData& frame, double metres_per_unit, MissingMarkers missing,
-                  risc_msgs::Mocap_data& out) {
-  const double missing_m =
-      missing == MissingMarkers::kNan ? std::numeric_limits<double>::quiet_NaN() : kLegacyMissingM;
+void fill_markers(const MocapFrame& frame, MissingMarkers missing, risc_msgs::Mocap_data& out) {
   out.Obj.resize(frame.bodies.size());
   for (std::size_t i = 0; i < frame.bodies.size(); ++i) {
-    const Body& body = frame.bodies[i];
+    const MocapBody& body = frame.bodies[i];
     risc_msgs::Mocap_markers& object = out.Obj[i];
     object.name = body.name;
-    object.residual = 0.0;  // not on the wire
+    object.residual = body.residual_m;
     object.marker.resize(body.markers.size());
     for (std::size_t k = 0; k < body.markers.size(); ++k) {
-      fill_marker(body.markers[k], metres_per_unit, missing_m, object.marker[k]);
+      Position position = body.markers[k];
+      if (missing == MissingMarkers::kLegacyValue && std::isnan(position.x)) {
+        position = {kLegacyMissingM, kLegacyMissingM, kLegacyMissingM};
+      }
+      object.marker[k].x = position.x;
+      object.marker[k].y = position.y;
+      object.marker[k].z = position.z;
     }
   }
 }

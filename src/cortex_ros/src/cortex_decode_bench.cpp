@@ -1,8 +1,8 @@
 // cortex_decode_bench: how long it takes to decode a large frame (16 bodies with 5 markers each).
 
+#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
-#include <cstdlib>
 #include <iomanip>
 #include <iostream>
 #include <string>
@@ -16,20 +16,33 @@ constexpr int kBodies = 16;
 constexpr int kMarkers = 5;
 constexpr int kWarmUp = 2000;
 
+// As on the wire: little-endian, which is what this computer is, too.
 cortex_ros::Bytes large_frame() {
-  cortex_ros::FrameOfData frame;
-  frame.frame = 123456;
+  cortex_ros::Bytes out;
+  const auto put = [&out](const auto&... values) {
+    const auto put_one = [&out](const auto& value) {
+      const auto* bytes = reinterpret_cast<const std::uint8_t*>(&value);
+      out.insert(out.end(), bytes, bytes + sizeof value);
+    };
+    (put_one(values), ...);
+  };
+  put(cortex_ros::Command::kFrameOfData, std::uint16_t{0}, 123456, kBodies);
   for (int i = 0; i < kBodies; ++i) {
-    cortex_ros::Body body;
-    body.name = "vehicle_number_" + std::to_string(i);
+    const std::string name = "vehicle_number_" + std::to_string(i);
+    out.insert(out.end(), name.c_str(), name.c_str() + name.size() + 1);
+    put(kMarkers);
     for (int k = 0; k < kMarkers; ++k) {
       const auto offset = static_cast<float>(i * kMarkers + k);
-      body.markers.push_back({1000.5f + offset, -2000.25f - offset, 1500.0f + offset});
+      put(1000.5f + offset, -2000.25f - offset, 1500.0f + offset);
     }
-    frame.bodies.push_back(body);
+    put(0, 0);  // segments, degrees of freedom
   }
-  frame.delay = cortex_ros::DelaySection{0, 0.003f};
-  return cortex_ros::encode(frame);
+  put(0, 0, 0, 0, 0);  // unidentified markers, analog block, force block
+  put(0, 0.003f);      // delay
+  const std::size_t payload = out.size() - cortex_ros::kHeaderBytes;
+  out[2] = static_cast<std::uint8_t>(payload & 0xff);
+  out[3] = static_cast<std::uint8_t>(payload >> 8);
+  return out;
 }
 
 double percentile(const std::vector<double>& sorted, double fraction) {
@@ -38,22 +51,16 @@ double percentile(const std::vector<double>& sorted, double fraction) {
 
 }  // namespace
 
-// Usage: cortex_decode_bench [iterations] [--json]
 int main(int argc, char** argv) {
   using Clock = std::chrono::steady_clock;
   bool json = false;
   long iterations = 200000;
-  for (int i = 1; i < argc; ++i) {
-    if (std::string(argv[i]) == "--json") {
-      json = true;
-    } else {
-      iterations = std::strtol(argv[i], nullptr, 10);
-    }
-  }
-  if (iterations < 1) {
-    std::cerr << "usage: cortex_decode_bench [iterations >= 1] [--json]\n";
-    return 2;
-  }
+  CLI::App app("How long it takes to decode a frame of 16 bodies with 5 markers each.");
+  app.add_option("iterations", iterations, "number of frames")
+      ->check(CLI::Range(1, 1000000000))
+      ->capture_default_str();
+  app.add_flag("--json", json, "print the result as JSON");
+  CLI11_PARSE(app, argc, argv);
 
   const cortex_ros::Bytes bytes = large_frame();
   std::vector<double> times_us(static_cast<std::size_t>(iterations));

@@ -1,5 +1,6 @@
 // cortex_dump: packets of a Cortex host, or of a file, as JSON lines. Needs no ROS master.
 
+#include <CLI/CLI.hpp>
 #include <csignal>
 #include <cstdint>
 #include <fstream>
@@ -9,114 +10,55 @@
 #include <string>
 
 #include "cortex_ros/client.hpp"
+#include "cortex_ros/frame_sequence.hpp"
 #include "cortex_ros/json.hpp"
 
 namespace cortex_ros {
 namespace {
 
-const char kHelp[] = R"(usage: cortex_dump --host HOST [options]              frames of a running host
-       cortex_dump --host HOST --bodies [options]     its body definitions, once
-       cortex_dump --file PACKET.bin                  a recorded file (- is standard input)
-
-Prints one JSON object per packet and line, in the units of the wire (marker positions usually in mm). "type" names
-the packet; a frame has frame, delay_s (null: absent), bodies [{name, markers [[x, y, z] | null], segments, dofs}],
-unidentified, analog, forces, items and faults (optional parts that were dropped). A lost marker is null.
-A file may hold several packets one after the other. A malformed packet prints {"error": ...} and makes the exit code 1.
-
-  --file PATH             read packets from PATH
-  --bodies                print the body definitions of the host and exit
-  --host HOST             the host's address or name; broadcast: ask every network of this computer
-  --local-address ADDR    own address on the host's network  (default: the kernel's choice)
-  --command-port PORT     the host's command port            (default 1510)
-  --stream-group GROUP    multicast group of the stream      (default 225.1.1.1)
-  --stream-port PORT      port of the stream                 (default 1001; below 1024 needs a privilege)
-  --mode auto|stream|poll where frames come from             (default auto: the stream, else polling)
-  --live                  send LiveMode to the host          (default: leave the host as it is)
-  --count N               exit after N frames                (default: until interrupted)
-  --timeout S             exit with code 1 when nothing came for S seconds  (default 5; 0 waits for ever)
-  --help                  this text
-
-exit codes: 0 done, 1 malformed packet or no answer, 2 wrong use
-)";
+constexpr char kDescription[] =
+    R"(Prints packets of a Cortex host (--host) or of a file (--file): one JSON object per packet and line, in the units of
+the wire (marker positions usually in mm). "type" names the packet; a frame has frame, delay_s (null: absent), bodies
+[{name, markers [[x, y, z] | null], segments, dofs}], unidentified, analog, forces, items and faults (optional parts
+that were dropped). A lost marker is null. A malformed packet prints {"error": ...} and makes the exit code 1.)";
 
 constexpr int kExitFault = 1;
 constexpr int kExitUsage = 2;
 
-// Wrong use is an invalid_argument throughout, as the client's own.
-using UsageError = std::invalid_argument;
-
 struct Arguments {
   ClientOptions client;
   std::string file;
-  bool help = false;
+  std::string mode = "auto";
   bool bodies = false;
   std::uint64_t count = 0;  // 0: no limit
   double timeout_s = 5.0;
 };
 
-double to_number(const std::string& option, const std::string& text, double least, double most) {
-  std::size_t used = 0;
-  double value = 0.0;
-  try {
-    value = std::stod(text, &used);
-  } catch (const std::logic_error&) {  // what stod throws for no number and for one out of range
-    used = 0;
-  }
-  if (used == 0 || used != text.size() || !(value >= least && value <= most)) {
-    throw UsageError(option + " needs a number from " + std::to_string(static_cast<long long>(least)) +
-                     " to " + std::to_string(static_cast<long long>(most)) + ", not '" + text + "'");
-  }
-  return value;
-}
-
-std::uint16_t to_port(const std::string& option, const std::string& text) {
-  return static_cast<std::uint16_t>(to_number(option, text, 1, 65535));
-}
-
-Arguments parse(int argc, char** argv) {
-  Arguments arguments;
+void add_options(CLI::App& app, Arguments& arguments) {
+  const CLI::Range port(1, 65535);
   ClientOptions& client = arguments.client;
   client.live_on_start = false;
-  for (int i = 1; i < argc; ++i) {
-    const std::string option = argv[i];
-    const auto value = [&]() -> std::string {
-      if (++i >= argc) {
-        throw UsageError(option + " needs a value");
-      }
-      return argv[i];
-    };
-    if (option == "--help" || option == "-h") {
-      arguments.help = true;
-    } else if (option == "--bodies") {
-      arguments.bodies = true;
-    } else if (option == "--live") {
-      client.live_on_start = true;
-    } else if (option == "--file") {
-      arguments.file = value();
-    } else if (option == "--host") {
-      client.host = value();
-    } else if (option == "--local-address") {
-      client.local_address = value();
-    } else if (option == "--command-port") {
-      client.command_port = to_port(option, value());
-    } else if (option == "--stream-group") {
-      client.stream_group = value();
-    } else if (option == "--stream-port") {
-      client.stream_port = to_port(option, value());
-    } else if (option == "--mode") {
-      client.mode = mode_from_text(value());
-    } else if (option == "--count") {
-      arguments.count = static_cast<std::uint64_t>(to_number(option, value(), 1, 1e15));
-    } else if (option == "--timeout") {
-      arguments.timeout_s = to_number(option, value(), 0, 1e6);
-    } else {
-      throw UsageError("unknown option '" + option + "'");
-    }
-  }
-  if (!arguments.help && arguments.file.empty()) {
-    client.host = host_from_text(client.host);
-  }
-  return arguments;
+  app.option_defaults()->always_capture_default();
+  app.add_option("--file", arguments.file,
+                 "read packets from a file, which may hold several one after the other; -: standard input");
+  app.add_flag("--bodies", arguments.bodies, "print the body definitions of the host and exit");
+  app.add_option("--host", client.host,
+                 "the host's address or name; broadcast: ask every network of this computer");
+  app.add_option("--local-address", client.local_address,
+                 "own address on the host's network; empty: the kernel's choice");
+  app.add_option("--command-port", client.command_port, "the host's command port")->check(port);
+  app.add_option("--stream-group", client.stream_group, "multicast group of the stream");
+  app.add_option("--stream-port", client.stream_port, "port of the stream; below 1024 it needs a privilege")
+      ->check(port);
+  app.add_option("--mode", arguments.mode,
+                 "where frames come from: auto (the stream, else polling), stream, poll");
+  app.add_flag("--live", client.live_on_start, "send LiveMode to the host, which is left as it is otherwise");
+  app.add_option("--count", arguments.count, "exit after this many frames (0: when interrupted)")
+      ->check(CLI::Range(1, 1000000000));
+  app.add_option("--timeout", arguments.timeout_s,
+                 "[s] exit with code 1 when nothing arrives for this long; 0: wait for ever")
+      ->check(CLI::Range(0.0, 1e6));
+  app.footer("exit codes: 0 done, 1 malformed packet or no answer, 2 wrong use");
 }
 
 void print_line(const std::string& json) {
@@ -137,7 +79,7 @@ Bytes read_file(const std::string& path) {
       return read_all(in);
     }
   } catch (const std::ios_base::failure&) {
-    // A folder, for one, opens but does not read: the same complaint.
+    // A folder opens but cannot be read: the same error.
   }
   throw ProtocolError("cannot read " + path);
 }
@@ -202,6 +144,10 @@ class Dumper : public ClientEvents {
     if (arguments_.bodies || finished()) {
       return;
     }
+    const FrameOrder order = sequence_.classify(received.frame.frame);
+    if (order == FrameOrder::kDuplicate || order == FrameOrder::kLate) {
+      return;
+    }
     print(to_json(received.frame));
     ++frames_;
   }
@@ -227,13 +173,16 @@ class Dumper : public ClientEvents {
     print(error_json(what));
   }
 
-  void on_host_down(const std::string& why) override { std::cerr << "cortex_dump: " << why << std::endl; }
+  void on_host_down(const std::string& why) override {
+    sequence_.reset();
+    std::cerr << "cortex_dump: " << why << std::endl;
+  }
   void on_problem(const std::string& text) override { std::cerr << "cortex_dump: " << text << std::endl; }
 
   void explain_silence() const {
     const Statistics now = client_.statistics();
     std::cerr << "cortex_dump: nothing new from " << now.host << " for " << arguments_.timeout_s << " s: "
-              << (now.host_up ? "the host is there but stands still (--live starts its live mode)"
+              << (now.host_up ? "the host answers, but sends no new frames (--live starts its live mode)"
                               : "is the host on, and are --host and the ports right?")
               << std::endl;
   }
@@ -249,18 +198,17 @@ class Dumper : public ClientEvents {
     return arguments_.timeout_s > 0.0 && to_seconds(clock_.monotonic() - last_output_) > arguments_.timeout_s;
   }
 
-  static volatile std::sig_atomic_t stopped_;
+  static inline volatile std::sig_atomic_t stopped_ = 0;
 
   const Arguments& arguments_;
   const SystemClock clock_;
   Time last_output_ = clock_.monotonic();
+  FrameSequence sequence_;
   std::uint64_t frames_ = 0;
   bool bodies_printed_ = false;
   bool fault_ = false;
   Client client_;
 };
-
-volatile std::sig_atomic_t Dumper::stopped_ = 0;
 
 int dump_host(const Arguments& arguments) {
   Dumper dumper(arguments);
@@ -271,13 +219,23 @@ int dump_host(const Arguments& arguments) {
 }
 
 int run(int argc, char** argv) {
+  CLI::App app(kDescription, "cortex_dump");
+  Arguments arguments;
+  add_options(app, arguments);
   try {
-    const Arguments arguments = parse(argc, argv);
-    if (arguments.help) {
-      std::cout << kHelp;
-      return 0;
+    app.parse(argc, argv);
+    if (!arguments.file.empty()) {
+      return dump_file(arguments.file);
     }
-    return arguments.file.empty() ? dump_host(arguments) : dump_file(arguments.file);
+    arguments.client.host = host_from_text(arguments.client.host);
+    arguments.client.mode = mode_from_text(arguments.mode);
+    return dump_host(arguments);
+  } catch (const CLI::CallForHelp&) {
+    std::cout << app.help();
+    return 0;
+  } catch (const CLI::ParseError& error) {
+    std::cerr << "cortex_dump: " << error.what() << " (--help tells more)" << std::endl;
+    return kExitUsage;
   } catch (const std::invalid_argument& error) {
     std::cerr << "cortex_dump: " << error.what() << " (--help tells more)" << std::endl;
     return kExitUsage;

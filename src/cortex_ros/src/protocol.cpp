@@ -26,10 +26,6 @@ constexpr std::size_t kMinRecordingBytes = 12;  // three numbers; the file name 
 constexpr std::size_t kQuietSpareBytes = 4;  // this many left-over bytes or fewer end a frame without a fault
 constexpr std::size_t kNoLimit = std::numeric_limits<std::size_t>::max();
 
-constexpr std::int32_t kTagAngleEncoders = 11;
-constexpr std::int32_t kTagRecordingStatus = 12;
-constexpr std::int32_t kTagLensEncoders = 13;
-
 // The wire is little-endian whatever the machine is. Compilers turn these into single loads and stores.
 template <typename Unsigned>
 Unsigned load(const std::uint8_t* p) {
@@ -450,317 +446,35 @@ Packet decode_payload(std::uint16_t command, Reader& in) {
   return UnknownPacket{command, in.rest()};
 }
 
-class Writer {
- public:
-  void u16(std::uint16_t value) { store(value); }
-  void u32(std::uint32_t value) { store(value); }
-  void i16(std::int16_t value) { store(same_bits<std::uint16_t>(value)); }
-  void i32(std::int32_t value) { store(same_bits<std::uint32_t>(value)); }
-  void f32(float value) { store(same_bits<std::uint32_t>(value)); }
-  void f64(double value) { store(same_bits<std::uint64_t>(value)); }
-
-  void count(std::size_t n) {
-    // Any count above the payload limit cannot be followed by its elements anyway.
-    if (n > kMaxPayloadBytes) {
-      fail("a list of " + std::to_string(n) + " elements does not fit a packet");
-    }
-    i32(static_cast<std::int32_t>(n));
+void append(Bytes& out, const std::string& text, const char* what, std::size_t limit = kNoLimit) {
+  if (text.find('\0') != std::string::npos) {
+    fail(std::string(what) + " has a NUL inside");
   }
-
-  template <typename Iterator>
-  void raw(Iterator first, Iterator last) {
-    bytes_.insert(bytes_.end(), first, last);
+  if (text.size() > limit) {
+    fail(std::string(what) + " of " + std::to_string(text.size()) + " bytes is above the limit of " +
+         std::to_string(limit));
   }
+  out.insert(out.end(), text.begin(), text.end());
+}
 
-  void text(const std::string& value, const char* what, std::size_t limit = kNoLimit) {
-    if (value.find('\0') != std::string::npos) {
-      fail(std::string(what) + " has a NUL inside");
-    }
-    if (value.size() > limit) {
-      fail(std::string(what) + " of " + std::to_string(value.size()) + " bytes is above the limit of " +
-           std::to_string(limit));
-    }
-    raw(value.begin(), value.end());
-    bytes_.push_back(0);
+Bytes packet(Command command, const Bytes& payload = {}) {
+  if (payload.size() > kMaxPayloadBytes) {
+    fail("payload of " + std::to_string(payload.size()) + " bytes is above the limit of " +
+         std::to_string(kMaxPayloadBytes));
   }
-
-  Bytes& bytes() { return bytes_; }
-
- private:
-  template <typename Unsigned>
-  void store(Unsigned value) {
-    for (std::size_t i = 0; i < sizeof(Unsigned); ++i) {
-      bytes_.push_back(static_cast<std::uint8_t>(value >> (8 * i)));
-    }
+  Bytes out;
+  for (const std::size_t value : {static_cast<std::size_t>(command), payload.size()}) {
+    out.push_back(static_cast<std::uint8_t>(value & 0xff));
+    out.push_back(static_cast<std::uint8_t>(value >> 8));
   }
-
-  Bytes bytes_;
-};
-
-void put_names(Writer& out, const std::vector<std::string>& names, const char* what) {
-  out.count(names.size());
-  for (const std::string& name : names) {
-    out.text(name, what);
-  }
+  out.insert(out.end(), payload.begin(), payload.end());
+  return out;
 }
-
-void put_markers(Writer& out, const std::vector<Marker>& markers) {
-  out.count(markers.size());
-  for (const Marker& marker : markers) {
-    out.f32(marker.x);
-    out.f32(marker.y);
-    out.f32(marker.z);
-  }
-}
-
-void put_segments(Writer& out, const std::vector<Segment>& segments) {
-  for (const Segment& segment : segments) {
-    for (double field :
-         {segment.x, segment.y, segment.z, segment.ax, segment.ay, segment.az, segment.length}) {
-      out.f64(field);
-    }
-  }
-}
-
-void put_block_counts(Writer& out, std::int32_t rows, std::int32_t columns, std::size_t size,
-                      const char* what) {
-  if (rows < 0 || columns < 0 ||
-      static_cast<std::uint64_t>(rows) * static_cast<std::uint64_t>(columns) != size) {
-    fail(std::string(what) + ": " + std::to_string(rows) + " x " + std::to_string(columns) +
-         " samples announced, " + std::to_string(size) + " given");
-  }
-  out.i32(rows);
-  out.i32(columns);
-}
-
-void put_body_count(Writer& out, std::size_t n) {
-  if (n > kMaxBodies) {
-    fail("body count " + std::to_string(n) + " is above the limit of " + std::to_string(kMaxBodies));
-  }
-  out.count(n);
-}
-
-void put(Writer& out, const Identity& identity) {
-  Writer name;
-  name.text(identity.name, "program name", kProgramNameBytes - 1);
-  name.bytes().resize(kProgramNameBytes, 0);
-  out.raw(name.bytes().begin(), name.bytes().end());
-  out.raw(identity.version.begin(), identity.version.end());
-}
-
-void put(Writer& out, const HelloWorld& packet) {
-  put(out, packet.identity);
-}
-void put(Writer& out, const HereIAm& packet) {
-  put(out, packet.identity);
-}
-void put(Writer& out, const AreYouThere& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const UnrecognizedRequest& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const UnrecognizedCommand& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const UnknownPacket& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const GeneralReply& packet) {
-  out.raw(packet.payload.begin(), packet.payload.end());
-}
-void put(Writer& out, const Comment& packet) {
-  out.text(packet.text, "text");
-}
-void put(Writer& out, const GeneralRequest& packet) {
-  out.text(packet.text, "text");
-}
-void put(Writer&, const RequestBodyDefs&) {}
-void put(Writer&, const RequestFrame&) {}
-
-void put(Writer& out, const BodyDef& body) {
-  out.text(body.name, "body name", kMaxBodyNameBytes);
-  put_names(out, body.markers, "marker name");
-  out.count(body.segments.size());
-  for (const SegmentDef& segment : body.segments) {
-    out.text(segment.name, "segment name");
-    out.i32(segment.parent);
-  }
-  put_names(out, body.dofs, "dof name");
-}
-
-void put(Writer& out, const BodyDefs& defs) {
-  put_body_count(out, defs.bodies.size());
-  for (const BodyDef& body : defs.bodies) {
-    put(out, body);
-  }
-  put_names(out, defs.analog_channels, "analog channel name");
-  if (defs.force_plates < 0) {
-    fail("force plate count is negative");
-  }
-  out.i32(defs.force_plates);
-  out.raw(defs.trailing.begin(), defs.trailing.end());
-}
-
-void put(Writer& out, const Body& body) {
-  out.text(body.name, "body name", kMaxBodyNameBytes);
-  put_markers(out, body.markers);
-  out.count(body.segments.size());
-  put_segments(out, body.segments);
-  out.count(body.dofs.size());
-  for (double dof : body.dofs) {
-    out.f64(dof);
-  }
-}
-
-void put(Writer& out, const AnalogBlock& block) {
-  put_block_counts(out, block.channels, block.sample_count, block.samples.size(), "analog block");
-  for (std::int16_t sample : block.samples) {
-    out.i16(sample);
-  }
-}
-
-void put(Writer& out, const ForceBlock& block) {
-  put_block_counts(out, block.plates, block.sample_count, block.samples.size(), "force block");
-  for (const Force& force : block.samples) {
-    for (float field : {force.x, force.y, force.z, force.fx, force.fy, force.fz, force.mz}) {
-      out.f32(field);
-    }
-  }
-}
-
-void put(Writer& out, const AngleEncoders& item) {
-  put_block_counts(out, item.encoders, item.sample_count, item.samples.size(), "encoder block");
-  for (double sample : item.samples) {
-    out.f64(sample);
-  }
-}
-
-void put(Writer& out, const RecordingStatus& item) {
-  out.i32(item.recording);
-  out.i32(item.first_frame);
-  out.i32(item.last_frame);
-  out.text(item.capture_file, "capture file name", kMaxCaptureNameBytes);
-}
-
-void put(Writer& out, const LensEncoders& item) {
-  for (const Lens& lens : item.lenses) {
-    out.i32(lens.zoom);
-    out.i32(lens.focus);
-  }
-}
-
-void put(Writer& out, const UnknownItem& item) {
-  out.raw(item.content.begin(), item.content.end());
-}
-
-std::int32_t tag_of(const AngleEncoders&) {
-  return kTagAngleEncoders;
-}
-std::int32_t tag_of(const RecordingStatus&) {
-  return kTagRecordingStatus;
-}
-std::int32_t tag_of(const LensEncoders&) {
-  return kTagLensEncoders;
-}
-std::int32_t tag_of(const UnknownItem& item) {
-  return item.tag;
-}
-
-void put_item(Writer& out, const TaggedItem& item, std::size_t bodies) {
-  const auto* lenses = std::get_if<LensEncoders>(&item);
-  if (lenses != nullptr && lenses->lenses.size() != bodies) {
-    fail("lens encoders: " + std::to_string(lenses->lenses.size()) + " entries for " +
-         std::to_string(bodies) + " bodies");
-  }
-  Writer content;
-  std::visit([&](const auto& value) { put(content, value); }, item);
-  out.i32(std::visit([](const auto& value) { return tag_of(value); }, item));
-  out.count(content.bytes().size());
-  out.raw(content.bytes().begin(), content.bytes().end());
-}
-
-void put(Writer& out, const FrameOfData& frame) {
-  out.i32(frame.frame);
-  put_body_count(out, frame.bodies.size());
-  for (const Body& body : frame.bodies) {
-    put(out, body);
-  }
-  put_markers(out, frame.unidentified);
-  put(out, frame.analog);
-  put(out, frame.forces);
-  if (!frame.delay) {
-    if (!frame.items.empty()) {
-      fail("tagged items can only follow a delay section");
-    }
-    return;
-  }
-  out.u32(frame.delay->ignored_word);
-  out.f32(frame.delay->delay_s);
-  for (const TaggedItem& item : frame.items) {
-    put_item(out, item, frame.bodies.size());
-  }
-}
-
-void put(Writer& out, const PushBasePosition& push) {
-  if (push.pose.size() != push.hierarchy.size()) {
-    fail("pose of " + std::to_string(push.pose.size()) + " segments for a hierarchy of " +
-         std::to_string(push.hierarchy.size()));
-  }
-  Writer hierarchy;
-  hierarchy.count(push.hierarchy.size());
-  for (const PushSegment& segment : push.hierarchy) {
-    hierarchy.i32(segment.parent);
-    hierarchy.text(segment.name, "segment name");
-  }
-  Writer pose;
-  put_segments(pose, push.pose);
-  pose.raw(push.extra.begin(), push.extra.end());
-  if (4 + hierarchy.bytes().size() + pose.bytes().size() > kMaxPayloadBytes) {
-    fail("base position of " + std::to_string(push.pose.size()) + " segments does not fit a packet");
-  }
-  out.u16(static_cast<std::uint16_t>(hierarchy.bytes().size()));
-  out.u16(static_cast<std::uint16_t>(pose.bytes().size()));
-  out.raw(hierarchy.bytes().begin(), hierarchy.bytes().end());
-  out.raw(pose.bytes().begin(), pose.bytes().end());
-}
-
-// The order of the alternatives of Packet, as far as they have a fixed code.
-constexpr Command kCommands[] = {
-    Command::kHelloWorld,
-    Command::kAreYouThere,
-    Command::kHereIAm,
-    Command::kComment,
-    Command::kRequestBodyDefs,
-    Command::kBodyDefs,
-    Command::kRequestFrame,
-    Command::kFrameOfData,
-    Command::kGeneralRequest,
-    Command::kGeneralReply,
-    Command::kUnrecognizedRequest,
-    Command::kPushBasePosition,
-    Command::kUnrecognizedCommand,
-};
-static_assert(std::size(kCommands) + 1 == std::variant_size_v<Packet>,
-              "every packet but the unknown one has a code");
 
 }  // namespace
 
 bool Marker::missing() const {
   return x == kMissingCoordinate || !std::isfinite(x) || !std::isfinite(y) || !std::isfinite(z);
-}
-
-double FrameOfData::sane_delay_s(double max_delay_s) const {
-  if (!delay) {
-    return 0.0;
-  }
-  const double reported = static_cast<double>(delay->delay_s);
-  return reported >= 0.0 && reported <= max_delay_s ? reported : 0.0;  // a NaN fails both comparisons
-}
-
-std::uint16_t command_of(const Packet& packet) {
-  const auto* unknown = std::get_if<UnknownPacket>(&packet);
-  return unknown != nullptr ? unknown->command : static_cast<std::uint16_t>(kCommands[packet.index()]);
 }
 
 std::size_t declared_size(const std::uint8_t* data, std::size_t size) {
@@ -790,20 +504,27 @@ Packet decode(const Bytes& datagram) {
   return decode(datagram.data(), datagram.size());
 }
 
-Bytes encode(const Packet& packet) {
-  Writer out;
-  out.u16(command_of(packet));
-  out.u16(0);  // the length, known at the end
-  std::visit([&](const auto& value) { put(out, value); }, packet);
-  Bytes& bytes = out.bytes();
-  const std::size_t payload = bytes.size() - kHeaderBytes;
-  if (payload > kMaxPayloadBytes) {
-    fail("payload of " + std::to_string(payload) + " bytes is above the limit of " +
-         std::to_string(kMaxPayloadBytes));
-  }
-  bytes[2] = static_cast<std::uint8_t>(payload & 0xff);
-  bytes[3] = static_cast<std::uint8_t>(payload >> 8);
-  return std::move(bytes);
+Bytes encode(const HelloWorld& hello) {
+  Bytes payload;
+  append(payload, hello.identity.name, "program name", kProgramNameBytes - 1);
+  payload.resize(kProgramNameBytes, 0);
+  payload.insert(payload.end(), hello.identity.version.begin(), hello.identity.version.end());
+  return packet(Command::kHelloWorld, payload);
+}
+
+Bytes encode(const RequestBodyDefs&) {
+  return packet(Command::kRequestBodyDefs);
+}
+
+Bytes encode(const RequestFrame&) {
+  return packet(Command::kRequestFrame);
+}
+
+Bytes encode(const GeneralRequest& request) {
+  Bytes payload;
+  append(payload, request.text, "text");
+  payload.push_back(0);
+  return packet(Command::kGeneralRequest, payload);
 }
 
 std::optional<float> as_float(const GeneralReply& reply) {

@@ -1,30 +1,23 @@
 #include "cortex_ros/request_queue.hpp"
 
-#include <stdexcept>
-#include <string>
+#include <string_view>
 #include <utility>
 
 namespace cortex_ros {
 
 namespace {
 // The one text request, alone or with an argument, that a frame answers instead of a general reply.
-const std::string kFrameRequest = "GetFrameOfData";
+constexpr std::string_view kFrameRequest = "GetFrameOfData";
 }  // namespace
 
-void RequestQueue::push(const Packet& request, int tries, Time timeout, Done done) {
-  Kind kind = Kind::kText;
-  if (const auto* text = std::get_if<GeneralRequest>(&request)) {
-    if (text->text.compare(0, kFrameRequest.size(), kFrameRequest) == 0) {
-      kind = Kind::kTextFrame;
-    }
-  } else if (std::holds_alternative<RequestBodyDefs>(request)) {
-    kind = Kind::kBodyDefs;
-  } else if (std::holds_alternative<RequestFrame>(request)) {
-    kind = Kind::kFrame;
-  } else {
-    throw std::invalid_argument("RequestQueue: the packet is not a request");
+void RequestQueue::push(const Question& question, int tries, Time timeout, Done done) {
+  Kind kind = std::holds_alternative<RequestFrame>(question) ? Kind::kFrame : Kind::kBodyDefs;
+  if (const auto* request = std::get_if<GeneralRequest>(&question)) {
+    const bool frame = request->text.compare(0, kFrameRequest.size(), kFrameRequest) == 0;
+    kind = frame ? Kind::kTextFrame : Kind::kText;
   }
-  waiting_.push_back({kind, encode(request), tries, timeout, std::move(done)});
+  const Bytes bytes = std::visit([](const auto& request) { return encode(request); }, question);
+  waiting_.push_back({kind, bytes, tries, timeout, std::move(done)});
 }
 
 bool RequestQueue::answers(Kind kind, const Packet& packet) {

@@ -17,6 +17,7 @@
 
 #include "cortex_ros/net.hpp"
 #include "cortex_ros/protocol.hpp"
+#include "encode.hpp"
 
 // Loopback has 16 million addresses: each test takes its own, so that tests in parallel never meet.
 inline std::string own_loopback_address() {

@@ -1,11 +1,9 @@
 // The golden packets and their sidecar files.
 #pragma once
 
-#include <boost/property_tree/json_parser.hpp>
-#include <boost/property_tree/ptree.hpp>
 #include <fstream>
 #include <iterator>
-#include <sstream>
+#include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -14,7 +12,7 @@
 
 namespace golden {
 
-using Tree = boost::property_tree::ptree;
+using Json = nlohmann::json;
 
 inline const std::vector<std::string>& names() {
   static const std::vector<std::string> kNames = {
@@ -46,35 +44,8 @@ inline cortex_ros::Bytes bytes(const std::string& name) {
   return cortex_ros::Bytes(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
 }
 
-inline Tree sidecar(const std::string& name) {
-  Tree tree;
-  boost::property_tree::read_json(std::string(GOLDEN_DIR) + "/" + name + ".json", tree);
-  return tree;
-}
-
-inline Tree parse_json(const std::string& text) {
-  Tree tree;
-  std::istringstream in(text);
-  boost::property_tree::read_json(in, tree);
-  return tree;
-}
-
-// The elements of a JSON array, which property_tree keeps as children without a name.
-template <typename Value>
-std::vector<Value> values(const Tree& array) {
-  std::vector<Value> out;
-  for (const auto& child : array) {
-    out.push_back(child.second.get_value<Value>());
-  }
-  return out;
-}
-
-inline std::vector<Tree> elements(const Tree& array) {
-  std::vector<Tree> out;
-  for (const auto& child : array) {
-    out.push_back(child.second);
-  }
-  return out;
+inline Json sidecar(const std::string& name) {
+  return Json::parse(std::ifstream(std::string(GOLDEN_DIR) + "/" + name + ".json"));
 }
 
 }  // namespace golden

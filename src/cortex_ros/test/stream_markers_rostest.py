@@ -206,7 +206,7 @@ class StreamMarkersTest(unittest.TestCase):
         self.node.send_signal(signal.SIGTERM)
         output = self.node.communicate(timeout=PATIENCE_S)[0]
         self.assertEqual(self.node.returncode, 0)
-        self.assertEqual(output.count("Cortex host is down"), 1, output)
+        self.assertEqual(output.count("cortex host is down"), 1, output)
         self.assertEqual(output.count("is back"), 1, output)
 
     def test_legacy_arguments_and_legacy_value(self):
@@ -256,6 +256,7 @@ class StreamMarkersTest(unittest.TestCase):
     def test_bad_parameters_end_the_node_with_a_reason(self):
         for params, reason in (
             ({"host": None}, "host is missing"),
+            ({"source": "sundial"}, "must be one of: cortex"),
             ({"mode": "steam"}, "mode must be auto, stream or poll"),
             ({"command_port": 70000}, "must be a port from 1 to 65535"),
             ({"stream_group": "10.0.0.1"}, "not a multicast address"),

@@ -39,17 +39,14 @@ class Recorder : public ClientEvents {
  public:
   struct Frame {
     std::int32_t number;
-    Source source;
+    Feed feed;
     Time receipt;
-    bool restart;
   };
 
-  void on_frame(const ReceivedFrame& f) override {
-    add(frames_, {f.frame.frame, f.source, f.receipt, f.restart});
-  }
+  void on_frame(const ReceivedFrame& f) override { add(frames_, {f.frame.frame, f.feed, f.receipt}); }
   void on_host_up(const HostInfo& info) override { add(ups_, info); }
   void on_host_down(const std::string& why) override { add(downs_, why); }
-  void on_source(Source source) override { add(sources_, source); }
+  void on_feed(Feed feed) override { add(feeds_, feed); }
   void on_comment(const std::string& text) override { add(comments_, text); }
   void on_malformed(const std::string& what) override { add(malformed_, what); }
   void on_problem(const std::string& text) override { add(problems_, text); }
@@ -57,7 +54,7 @@ class Recorder : public ClientEvents {
   std::vector<Frame> frames() const { return copy(frames_); }
   std::vector<HostInfo> ups() const { return copy(ups_); }
   std::vector<std::string> downs() const { return copy(downs_); }
-  std::vector<Source> sources() const { return copy(sources_); }
+  std::vector<Feed> feeds() const { return copy(feeds_); }
   std::vector<std::string> comments() const { return copy(comments_); }
   std::vector<std::string> malformed() const { return copy(malformed_); }
   std::vector<std::string> problems() const { return copy(problems_); }
@@ -78,7 +75,7 @@ class Recorder : public ClientEvents {
   std::vector<Frame> frames_;
   std::vector<HostInfo> ups_;
   std::vector<std::string> downs_;
-  std::vector<Source> sources_;
+  std::vector<Feed> feeds_;
   std::vector<std::string> comments_, malformed_, problems_;
 };
 
@@ -265,10 +262,8 @@ TEST_F(ClientTest, NoFrameIsLostWhileAnAnnouncedHostIsAskedAnew) {
   ASSERT_EQ(frames.size() - before, static_cast<std::size_t>(number - first));
   for (std::size_t i = before; i < frames.size(); ++i) {
     EXPECT_EQ(frames[i].number, first + static_cast<std::int32_t>(i - before));
-    EXPECT_FALSE(frames[i].restart);
   }
   const Statistics now = client.statistics();
-  EXPECT_EQ(now.lost, then.lost);
   EXPECT_EQ(now.early, then.early);
   EXPECT_GE(now.announcements, 2u);
   EXPECT_EQ(client.events().ups()[1].millimetres_per_unit, client.events().ups()[0].millimetres_per_unit)
@@ -582,7 +577,7 @@ TEST_F(ClientTest, MulticastStreamReachesSeveralClients) {
   std::int32_t number = 1;
   ASSERT_TRUE(stream_until_seen(first, group(), number));
   EXPECT_TRUE(wait_until([&] { return !second.events().frames().empty(); }));
-  EXPECT_EQ(first.events().frames()[0].source, Source::kStream);
+  EXPECT_EQ(first.events().frames()[0].feed, Feed::kStream);
   EXPECT_TRUE(host_->could_send());
 }
 
@@ -612,7 +607,7 @@ TEST_F(ClientTest, GroupsOfOtherProgramsAreNotHeard) {
   }
 }
 
-TEST_F(ClientTest, GapsDuplicatesLateOnesAndRestartsAreCounted) {
+TEST_F(ClientTest, FramesAreHandedOnAsTheyCame) {
   start_host();
   ClientOptions o = options();
   o.mode = Mode::kStream;
@@ -620,22 +615,18 @@ TEST_F(ClientTest, GapsDuplicatesLateOnesAndRestartsAreCounted) {
   ASSERT_TRUE(client.up());
   std::int32_t number = 1000;
   ASSERT_TRUE(stream_until_seen(client, group(), number));
-  // Everything that was sent so far has to be through before counting begins.
-  ASSERT_TRUE(wait_until([&] { return client.events().frames().back().number == number - 1; }));
-  const Statistics before = client.statistics();
-  for (std::int32_t i : {5000, 5001, 5001, 5004, 5003, 5005, 12, 13}) {
+  const std::vector<std::int32_t> numbers = {5000, 5001, 5001, 5004, 5003, 5005, 12, 13};
+  for (std::int32_t i : numbers) {
     host_->stream(simple_frame(i), group());
   }
   ASSERT_TRUE(wait_until([&] { return client.events().frames().back().number == 13; }));
-  const Statistics after = client.statistics();
-  EXPECT_EQ(after.frames - before.frames, 6u);
-  EXPECT_EQ(after.lost - before.lost, static_cast<std::uint64_t>(5000 - number) + 2u);
-  EXPECT_EQ(after.duplicates - before.duplicates, 1u);
-  EXPECT_EQ(after.late - before.late, 1u);
-  EXPECT_EQ(after.restarts - before.restarts, 1u);
-  const std::vector<Recorder::Frame> frames = client.events().frames();
-  EXPECT_TRUE(frames[frames.size() - 2].restart);
-  EXPECT_FALSE(frames.back().restart);
+  std::vector<std::int32_t> handed_on;
+  for (const Recorder::Frame& frame : client.events().frames()) {
+    handed_on.push_back(frame.number);
+  }
+  ASSERT_GE(handed_on.size(), numbers.size());
+  handed_on.erase(handed_on.begin(), handed_on.end() - static_cast<std::ptrdiff_t>(numbers.size()));
+  EXPECT_EQ(handed_on, numbers);
 }
 
 TEST_F(ClientTest, FramesCarryTheKernelsReceiptTime) {
@@ -655,15 +646,15 @@ TEST_F(ClientTest, PollsWhileNoStreamComesAndReturnsToIt) {
   RunningClient client(options());
   ASSERT_TRUE(client.up());
   ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= 5; }));
-  EXPECT_EQ(client.events().frames().back().source, Source::kPoll);
-  EXPECT_EQ(client.events().sources().at(0), Source::kPoll);
+  EXPECT_EQ(client.events().frames().back().feed, Feed::kPoll);
+  EXPECT_EQ(client.events().feeds().at(0), Feed::kPoll);
   std::int32_t number = 100000;
   ASSERT_TRUE(wait_until([&] {
     host_->stream(simple_frame(number++), group());
     std::this_thread::sleep_for(milliseconds(3));
-    return client.events().sources().size() >= 2;
+    return client.events().feeds().size() >= 2;
   }));
-  EXPECT_EQ(client.events().sources()[1], Source::kStream);
+  EXPECT_EQ(client.events().feeds()[1], Feed::kStream);
 }
 
 TEST_F(ClientTest, PollModeUsesNoStream) {
@@ -672,10 +663,10 @@ TEST_F(ClientTest, PollModeUsesNoStream) {
   o.mode = Mode::kPoll;
   RunningClient client(o);
   ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= 5; }));
-  EXPECT_EQ(client.statistics().source, Source::kPoll);
+  EXPECT_EQ(client.statistics().feed, Feed::kPoll);
   EXPECT_NO_THROW(UdpSocket({Address(), stream_port_}, UdpSocket::Share::kNo)) << "the port was not touched";
   for (const Recorder::Frame& frame : client.events().frames()) {
-    EXPECT_EQ(frame.source, Source::kPoll);
+    EXPECT_EQ(frame.feed, Feed::kPoll);
   }
 }
 
@@ -692,8 +683,7 @@ TEST_F(ClientTest, AHostThatStandsStillIsPolledLess) {
   const int polls = host_->received("12") - before;
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start;
   EXPECT_LE(polls, 3.0 + 10.0 * elapsed.count()) << "200 Hz would be 100 polls and more";
-  EXPECT_EQ(client.events().frames().size(), 1u);
-  EXPECT_EQ(client.statistics().duplicates, 0u);
+  EXPECT_EQ(client.events().frames().size(), 1u) << "a poll without news is no frame";
 }
 
 TEST_F(ClientTest, PollsThatAreNotAnsweredAreCounted) {
@@ -720,7 +710,7 @@ TEST_F(ClientTest, ATakenStreamPortIsExplainedAndPollingGoesOn) {
   ASSERT_TRUE(wait_until([&] { return client.events().frames().size() >= 3; }));
   ASSERT_EQ(client.events().problems().size(), 1u);
   EXPECT_NE(client.events().problems()[0].find("end the program that holds the port"), std::string::npos);
-  EXPECT_EQ(client.statistics().source, Source::kPoll);
+  EXPECT_EQ(client.statistics().feed, Feed::kPoll);
 }
 
 TEST_F(ClientTest, AStreamThatRunsAlreadyIsEvidenceOfTheHost) {

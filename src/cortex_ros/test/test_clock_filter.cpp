@@ -330,4 +330,13 @@ TEST(FromSeconds, SaturatesWhatDoesNotFit) {
   EXPECT_LT(from_seconds(9.2e9), Time::max());
 }
 
+TEST(BelievedDelay, NonsenseIsZero) {
+  const double infinity = std::numeric_limits<double>::infinity();
+  for (double delay_s : {std::nan(""), infinity, -infinity, -0.001, 0.6, 1e30}) {
+    EXPECT_EQ(believed_delay_s(delay_s, 0.5), 0.0) << delay_s;
+  }
+  EXPECT_EQ(believed_delay_s(0.25, 0.5), 0.25);
+  EXPECT_EQ(believed_delay_s(std::nullopt, 0.5), 0.0);
+}
+
 }  // namespace

@@ -1,10 +1,11 @@
-// Frames to messages: units, lost markers, order.
+// Frames of Cortex to those of any source, and these to messages: units, lost markers, order.
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "cortex_ros/conversions.hpp"
+#include "cortex_ros/sources/cortex.hpp"
 
 namespace {
 
@@ -21,9 +22,16 @@ FrameOfData two_bodies() {
   return frame;
 }
 
-TEST(Conversions, EveryAxisBecomesMetres) {
+risc_msgs::Mocap_data to_message(const FrameOfData& frame, double metres_per_unit, MissingMarkers missing) {
+  MocapFrame neutral;
+  to_mocap_frame(frame, metres_per_unit, neutral);
   risc_msgs::Mocap_data message;
-  fill_markers(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan, message);
+  fill_markers(neutral, missing, message);
+  return message;
+}
+
+TEST(Conversions, EveryAxisBecomesMetres) {
+  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan);
   ASSERT_EQ(message.Obj.size(), 2u);
   EXPECT_EQ(message.Obj[0].name, "fluffy_II");
   EXPECT_EQ(message.Obj[0].residual, 0.0);
@@ -36,35 +44,53 @@ TEST(Conversions, EveryAxisBecomesMetres) {
 }
 
 TEST(Conversions, TheProductIsADoubleOne) {
-  risc_msgs::Mocap_data message;
-  fill_markers(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan, message);
+  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan);
   EXPECT_EQ(message.Obj[0].marker[2].x, 1000.5 * 0.001) << "single precision would give 1.0005000829696655";
   EXPECT_DOUBLE_EQ(message.Obj[0].marker[2].y, -0.05025);
 }
 
 TEST(Conversions, AnotherHostUnitIsScaled) {
-  risc_msgs::Mocap_data message;
-  fill_markers(two_bodies(), 25.4 * kMetresPerMillimetre, MissingMarkers::kNan, message);
+  const risc_msgs::Mocap_data message =
+      to_message(two_bodies(), 25.4 * kMetresPerMillimetre, MissingMarkers::kNan);
   EXPECT_DOUBLE_EQ(message.Obj[0].marker[0].x, 25.4);
 }
 
 TEST(Conversions, LostMarkersStayInPlace) {
-  risc_msgs::Mocap_data message;
-  fill_markers(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan, message);
+  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan);
   EXPECT_TRUE(std::isnan(message.Obj[0].marker[1].x));
   EXPECT_TRUE(std::isnan(message.Obj[0].marker[1].y));
   EXPECT_TRUE(std::isnan(message.Obj[0].marker[1].z));
-  fill_markers(two_bodies(), kMetresPerMillimetre, MissingMarkers::kLegacyValue, message);
-  EXPECT_EQ(message.Obj[0].marker[1].x, 9999.999);
-  EXPECT_EQ(message.Obj[0].marker[1].z, 9999.999);
-  EXPECT_DOUBLE_EQ(message.Obj[0].marker[2].x, 1.0005);
+  const risc_msgs::Mocap_data legacy =
+      to_message(two_bodies(), kMetresPerMillimetre, MissingMarkers::kLegacyValue);
+  EXPECT_EQ(legacy.Obj[0].marker[1].x, 9999.999);
+  EXPECT_EQ(legacy.Obj[0].marker[1].z, 9999.999);
+  EXPECT_DOUBLE_EQ(legacy.Obj[0].marker[2].x, 1.0005);
 }
 
 TEST(Conversions, AReusedMessageKeepsNothing) {
+  MocapFrame frame;
   risc_msgs::Mocap_data message;
-  fill_markers(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan, message);
-  fill_markers(FrameOfData(), kMetresPerMillimetre, MissingMarkers::kNan, message);
+  to_mocap_frame(two_bodies(), kMetresPerMillimetre, frame);
+  fill_markers(frame, MissingMarkers::kNan, message);
+  to_mocap_frame(FrameOfData(), kMetresPerMillimetre, frame);
+  fill_markers(frame, MissingMarkers::kNan, message);
   EXPECT_TRUE(message.Obj.empty());
+  EXPECT_TRUE(frame.unidentified.empty());
+}
+
+TEST(Conversions, NumberDelayAndUnidentifiedMarkersAreKept) {
+  FrameOfData frame = two_bodies();
+  frame.frame = 77;
+  frame.unidentified = {{1.0f, 2.0f, 3.0f}};
+  MocapFrame out;
+  to_mocap_frame(frame, kMetresPerMillimetre, out);
+  EXPECT_EQ(out.number, 77);
+  EXPECT_FALSE(out.delay_s.has_value());
+  ASSERT_EQ(out.unidentified.size(), 1u);
+  EXPECT_DOUBLE_EQ(out.unidentified[0].z, 0.003);
+  frame.delay = DelaySection{0, 0.25f};
+  to_mocap_frame(frame, kMetresPerMillimetre, out);
+  EXPECT_EQ(out.delay_s, 0.25);
 }
 
 TEST(Conversions, Stamps) {

@@ -11,37 +11,38 @@
 namespace {
 
 using namespace cortex_ros;  // NOLINT
-using golden::elements;
-using golden::parse_json;
-using golden::Tree;
-using golden::values;
+using golden::Json;
 
-TEST(JsonQuote, EscapesWhatJsonDemands) {
-  EXPECT_EQ(json_quote("plain"), "\"plain\"");
-  EXPECT_EQ(json_quote("a\"b\\c"), "\"a\\\"b\\\\c\"");
-  EXPECT_EQ(json_quote("\n\t\x01\x7f"), "\"\\u000a\\u0009\\u0001\\u007f\"");
-  EXPECT_EQ(json_quote(std::string("\0", 1)), "\"\\u0000\"");
+Json parsed(const Packet& packet) {
+  return Json::parse(to_json(packet));
 }
 
-TEST(JsonQuote, PassesUtf8AndTranscribesOtherBytes) {
-  EXPECT_EQ(json_quote("\xc3\xa9 \xe2\x82\xac \xf0\x9f\x9a\x81"),
-            "\"\xc3\xa9 \xe2\x82\xac \xf0\x9f\x9a\x81\"");
+TEST(Json, TextIsValidWhateverTheWireBrought) {
   const std::map<std::string, std::string> cases = {
-      {"\xff", "\"\\u00ff\""},                                   // never part of UTF-8
-      {"\xe9t\xe9", "\"\\u00e9t\\u00e9\""},                      // Latin-1
-      {"\xc3", "\"\\u00c3\""},                                   // cut
-      {"\xc0\xaf", "\"\\u00c0\\u00af\""},                        // overlong
-      {"\xe0\x80\xaf", "\"\\u00e0\\u0080\\u00af\""},             // overlong
-      {"\xed\xa0\x80", "\"\\u00ed\\u00a0\\u0080\""},             // surrogate
-      {"\xf4\x90\x80\x80", "\"\\u00f4\\u0090\\u0080\\u0080\""},  // beyond Unicode
+      {"plain", "plain"},
+      {"a\"b\\c", "a\"b\\c"},
+      {"\n\t\x01\x7f", "\n\t\x01\x7f"},
+      {"\xc3\xa9 \xe2\x82\xac \xf0\x9f\x9a\x81", "\xc3\xa9 \xe2\x82\xac \xf0\x9f\x9a\x81"},
+      {"\xff", "\u00ff"},                                // never part of UTF-8
+      {"\xe9t\xe9", "\u00e9t\u00e9"},                    // Latin-1
+      {"\xc3", "\u00c3"},                                // cut
+      {"\xc0\xaf", "\u00c0\u00af"},                      // overlong
+      {"\xe0\x80\xaf", "\u00e0\u0080\u00af"},            // overlong
+      {"\xed\xa0\x80", "\u00ed\u00a0\u0080"},            // surrogate
+      {"\xf4\x90\x80\x80", "\u00f4\u0090\u0080\u0080"},  // beyond Unicode
   };
   for (const auto& [bytes, expected] : cases) {
-    EXPECT_EQ(json_quote(bytes), expected);
+    EXPECT_EQ(parsed(Comment{bytes})["text"], expected);
   }
+  EXPECT_EQ(Json::parse(error_json("bad \"\xff\"")), Json({{"error", "bad \"\u00ff\""}}));
 }
 
-TEST(Json, ErrorIsAnObject) {
-  EXPECT_EQ(parse_json(error_json("bad \"thing\"")).get<std::string>("error"), "bad \"thing\"");
+TEST(Json, NumbersHaveTheDigitsOfTheirExactValue) {
+  FrameOfData frame;
+  frame.bodies.resize(1);
+  frame.bodies[0].dofs = {1.0, -2.5, 0.1, double{0.008f}, 1e300};
+  EXPECT_NE(to_json(frame).find("[1,-2.5,0.1,0.00800000037997961,1e+300]"), std::string::npos)
+      << to_json(frame);
 }
 
 TEST(Json, TypesOfTheGoldenPackets) {
@@ -65,58 +66,51 @@ TEST(Json, TypesOfTheGoldenPackets) {
   for (const std::string& name : golden::names()) {
     const std::string text = to_json(decode(golden::bytes(name)));
     EXPECT_EQ(text.find('\n'), std::string::npos) << "one line";
-    EXPECT_EQ(parse_json(text).get<std::string>("type"), types.at(name));
+    EXPECT_EQ(Json::parse(text)["type"], types.at(name));
   }
-  EXPECT_EQ(parse_json(to_json(AreYouThere())).get<std::string>("type"), "are_you_there");
-  EXPECT_EQ(parse_json(to_json(UnrecognizedCommand())).get<std::string>("type"), "unrecognized_command");
-  EXPECT_EQ(parse_json(to_json(PushBasePosition())).get<std::string>("type"), "push_baseposition");
-  const Tree unknown = parse_json(to_json(UnknownPacket{33, {0xab, 0x01}}));
-  EXPECT_EQ(unknown.get<std::string>("type"), "unknown");
-  EXPECT_EQ(unknown.get<int>("command"), 33);
-  EXPECT_EQ(unknown.get<std::string>("payload_hex"), "ab01");
+  EXPECT_EQ(parsed(AreYouThere())["type"], "are_you_there");
+  EXPECT_EQ(parsed(UnrecognizedCommand())["type"], "unrecognized_command");
+  EXPECT_EQ(parsed(PushBasePosition())["type"], "push_baseposition");
+  EXPECT_EQ(to_json(UnknownPacket{33, {0xab, 0x01}}),
+            R"({"type":"unknown","command":33,"payload_hex":"ab01"})");
 }
 
 TEST(Json, FrameEqualsTheSidecar) {
-  const Tree json = parse_json(to_json(decode(golden::bytes("frame_all_sections"))));
-  const Tree expected = golden::sidecar("frame_all_sections").get_child("frame_of_data");
-  EXPECT_EQ(json.get<int>("frame"), expected.get<int>("frame"));
-  EXPECT_EQ(json.get<double>("delay_s"), expected.get<double>("delay"));
-  const std::vector<Tree> bodies = elements(json.get_child("bodies"));
-  const std::vector<Tree> expected_bodies = elements(expected.get_child("bodies"));
-  ASSERT_EQ(bodies.size(), expected_bodies.size());
-  for (std::size_t i = 0; i < bodies.size(); ++i) {
-    EXPECT_EQ(bodies[i].get<std::string>("name"), expected_bodies[i].get<std::string>("name"));
-    EXPECT_EQ(values<double>(bodies[i].get_child("dofs")),
-              values<double>(expected_bodies[i].get_child("dofs")));
-    EXPECT_EQ(elements(bodies[i].get_child("segments")).size(),
-              elements(expected_bodies[i].get_child("segments")).size());
+  const Json json = parsed(decode(golden::bytes("frame_all_sections")));
+  const Json expected = golden::sidecar("frame_all_sections")["frame_of_data"];
+  EXPECT_EQ(json["frame"], expected["frame"]);
+  EXPECT_EQ(json["delay_s"], expected["delay"]);
+  ASSERT_EQ(json["bodies"].size(), expected["bodies"].size());
+  for (std::size_t i = 0; i < json["bodies"].size(); ++i) {
+    for (const char* key : {"name", "dofs", "segments"}) {
+      EXPECT_EQ(json["bodies"][i][key], expected["bodies"][i][key]);
+    }
   }
-  const std::vector<Tree> markers = elements(bodies[0].get_child("markers"));
+  const Json markers = json["bodies"][0]["markers"];
   ASSERT_EQ(markers.size(), 3u);
-  EXPECT_EQ(values<double>(markers[0]), (std::vector<double>{1.5, 2.5, 3.5}));
-  EXPECT_EQ(markers[1].get_value<std::string>(), "null");
-  EXPECT_EQ(values<double>(elements(json.get_child("unidentified"))[1]),
-            (std::vector<double>{-7.5, -8.5, -9.5}));
-  EXPECT_EQ(values<int>(json.get_child("analog.data")), (std::vector<int>{0, 1, -1, 32767, -32768, 123}));
+  EXPECT_EQ(markers[0], Json({1.5, 2.5, 3.5}));
+  EXPECT_TRUE(markers[1].is_null());
+  EXPECT_EQ(json["unidentified"], expected["unidentified"]);
+  EXPECT_EQ(json["analog"]["data"], expected["analog"]["samples"]);
+  EXPECT_EQ(json["forces"]["data"], expected["forces"]["data"]);
   std::vector<int> tags;
-  for (const Tree& item : elements(json.get_child("items"))) {
-    tags.push_back(item.get<int>("tag"));
+  for (const Json& item : json["items"]) {
+    tags.push_back(item["tag"]);
   }
   EXPECT_EQ(tags, (std::vector<int>{11, 777, 12, 13}));
 }
 
 TEST(Json, AbsentDelayAndNonFiniteNumbersAreNull) {
   FrameOfData frame;
-  EXPECT_EQ(parse_json(to_json(frame)).get<std::string>("delay_s"), "null");
+  EXPECT_TRUE(parsed(frame)["delay_s"].is_null());
   frame.delay = DelaySection{0, std::numeric_limits<float>::infinity()};
   frame.bodies.resize(1);
   frame.bodies[0].dofs = {std::numeric_limits<double>::quiet_NaN(), 0.1};
   frame.faults = {"something"};
-  const Tree json = parse_json(to_json(frame));
-  EXPECT_EQ(json.get<std::string>("delay_s"), "null");
-  const Tree dofs = elements(json.get_child("bodies"))[0].get_child("dofs");
-  EXPECT_EQ(values<std::string>(dofs), (std::vector<std::string>{"null", "0.1"}));
-  EXPECT_EQ(values<std::string>(json.get_child("faults")), (std::vector<std::string>{"something"}));
+  const Json json = parsed(frame);
+  EXPECT_TRUE(json["delay_s"].is_null());
+  EXPECT_EQ(json["bodies"][0]["dofs"], Json({nullptr, 0.1}));
+  EXPECT_EQ(json["faults"], Json({"something"}));
 }
 
 }  // namespace

@@ -206,8 +206,4 @@ TEST_F(RequestQueueTest, MayBePushedFromAnAnswer) {
   EXPECT_EQ(text_of(queue_.update(milliseconds(50))), "B");
 }
 
-TEST_F(RequestQueueTest, OnlyRequestsCanBePushed) {
-  EXPECT_THROW(queue_.push(Comment{"x"}, 1, nullptr), std::invalid_argument);
-}
-
 }  // namespace

@@ -11,7 +11,6 @@
 #include <string>
 
 #include "cortex_ros/clock.hpp"
-#include "cortex_ros/frame_sequence.hpp"
 #include "cortex_ros/net.hpp"
 #include "cortex_ros/protocol.hpp"
 #include "cortex_ros/request_queue.hpp"
@@ -30,10 +29,11 @@ Mode mode_from_text(const std::string& text);  // "auto", "stream", "poll"; else
 // host); empty throws std::invalid_argument, since nothing is sent to computers that the user has not named.
 std::string host_from_text(const std::string& text);
 
-enum class Source { kStream, kPoll };
+// How frames come.
+enum class Feed { kStream, kPoll };
 
 struct ClientOptions {
-  std::string host;           // dotted quad or name; empty: whoever answers the broadcast
+  std::string host;           // dotted quad or name; empty: the first that answers the broadcast
   std::string local_address;  // own address on the network of the host; empty: the kernel's choice
   std::uint16_t command_port = 1510;
   std::string stream_group = "225.1.1.1";  // empty: join no group, take a unicast stream only
@@ -70,44 +70,39 @@ struct HostInfo {
 struct ReceivedFrame {
   const FrameOfData& frame;
   Time receipt;  // wall time at which its datagram arrived
-  Source source;
-  bool restart;  // its number does not continue the numbers before
+  Feed feed;
 };
 
 struct Statistics {
   bool host_up = false;
   std::string host;  // address:port, or what is being searched for
-  Source source = Source::kStream;
-  std::uint64_t frames = 0;        // handed on
-  std::uint64_t lost = 0;          // gaps in the frame numbers
-  std::uint64_t duplicates = 0;    // from the stream; a poll that finds nothing new is not one
-  std::uint64_t late = 0;          // overtaken by a newer frame, dropped
-  std::uint64_t early = 0;         // dropped because the host's unit was not known yet
-  std::uint64_t restarts = 0;      // of the frame numbers
+  Feed feed = Feed::kStream;
+  std::uint64_t early = 0;         // frames dropped because the host's unit was not known yet
   std::uint64_t malformed = 0;     // packets of the host that could not be decoded
   std::uint64_t faulty_items = 0;  // optional parts dropped from good frames
   std::uint64_t foreign = 0;       // datagrams that did not come from the host
-  std::uint64_t stale = 0;         // answers that nobody waited for
+  std::uint64_t stale = 0;         // answers to no open request
   std::uint64_t poll_timeouts = 0;
   std::uint64_t connects = 0;       // times that the host was found
   std::uint64_t announcements = 0;  // times that it announced itself although it was there
   std::string obstacle;             // why the search cannot even begin; empty: it can
-  std::optional<Time> last_frame_age;
 };
 
 // All calls come from the thread that runs the client. References are good during the call only.
 class ClientEvents {
  public:
   virtual ~ClientEvents() = default;
+  // Every frame of the host, as it came: late ones and duplicates, too (see frame_sequence.hpp). Only a poll
+  // that finds the frame of the poll before is not one.
   virtual void on_frame(const ReceivedFrame& frame) = 0;
-  // Frames follow. Comes again, without an on_host_down() before, when the host was asked anew because it had
-  // announced itself; frames went on meanwhile, by what was known.
+  // Frames follow. Comes again, without an on_host_down() before, when the host was asked again because it
+  // had announced itself; frames went on meanwhile, by what was known.
   virtual void on_host_up(const HostInfo&) {}
   virtual void on_host_down(const std::string& /*why*/) {}   // once per absence
-  virtual void on_source(Source) {}                          // changed while the host is up
+  virtual void on_feed(Feed) {}                              // changed while the host is up
   virtual void on_comment(const std::string& /*text*/) {}    // text from the host
   virtual void on_malformed(const std::string& /*what*/) {}  // a packet, or part of a frame, was refused
-  virtual void on_problem(const std::string& /*text*/) {}    // something to cure; each text once
+  virtual void on_problem(const std::string& /*text*/) {}    // something for the user to fix; each text once
 };
 
 class Client {
@@ -136,7 +131,7 @@ class Client {
   enum class Phase {
     kSearching,
     kFirstSetUp,  // frames cannot be read: the host's unit is not known
-    kRunning,     // frames are handed on, also while the host is asked anew
+    kRunning,     // frames are handed on, also while the host is asked again
   };
   enum class Channel { kCommand, kStream };
 
@@ -150,7 +145,7 @@ class Client {
   void dispatch_while_searching(const Packet& packet, const Datagram& datagram, Channel channel);
   void handle_answer_to_hello(const Identity& identity, const Endpoint& source);
   void handle_frame(const FrameOfData& frame, const Datagram& datagram, Channel channel);
-  void hand_on(const FrameOfData& frame, const Datagram& datagram, Source source, Time now);
+  void hand_on(const FrameOfData& frame, const Datagram& datagram, Feed feed);
   void handle_announcement(const Identity& identity);
   void refuse(const std::string& what);
 
@@ -172,7 +167,7 @@ class Client {
   // What is due.
   void tick();
   void watch_host(Time now);
-  void choose_source(Time now);
+  void choose_feed(Time now);
   void poll_if_due(Time now);
   Time poll_period() const;
   void flush_requests(Time now);
@@ -203,7 +198,6 @@ class Client {
   bool setting_up_ = false;  // the questions of a set-up are under way, whatever the phase
   RequestQueue requests_;
   RequestQueue polls_;  // apart from the others: frames must not wait for answers to questions
-  FrameSequence sequence_;
   bool down_reported_ = false;
   std::set<std::string> reported_;
   std::set<in_addr_t> hinted_;  // addresses that a hint was given about
@@ -216,10 +210,10 @@ class Client {
   Time found_at_{0};
   Time last_setup_{0};
   Time last_stream_frame_{0};
-  Source source_ = Source::kStream;
+  Feed feed_ = Feed::kStream;
   Time next_poll_{0};
   int polls_without_news_ = 0;
-  std::optional<Time> last_frame_;
+  std::optional<std::int32_t> newest_;  // frame number
 
   mutable std::mutex statistics_mutex_;
   Statistics statistics_;

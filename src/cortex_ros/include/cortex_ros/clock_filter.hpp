@@ -8,6 +8,9 @@
 
 namespace cortex_ros {
 
+// The delay that a host reports, or 0 when it is absent, not finite, negative or above max_s.
+double believed_delay_s(std::optional<double> reported_s, double max_s);
+
 // The host reports how long it took from exposure to sending, so  receipt - delay  is the exposure time, late
 // by whatever the network took. On a quiet network that is some 0.1 ms. When frames are bunched (a switch, a
 // busy kernel, radio) it is many milliseconds, and a velocity computed from such stamps is nonsense.
@@ -40,13 +43,13 @@ class ClockFilter {
     Time patience = std::chrono::milliseconds(150);  // without support for longer: something has jumped
     Time far_up = std::chrono::milliseconds(50);     // the same from this far above the envelope:
     Time far_up_patience = std::chrono::milliseconds(20);  // a host that paused looks like this
-    Time max_silence = std::chrono::seconds(1);            // after a longer one the filter starts anew
+    Time max_silence = std::chrono::seconds(1);            // after a longer one the filter starts again
   };
 
   ClockFilter() : ClockFilter(Options()) {}
   explicit ClockFilter(const Options& options) : options_(options) {}
 
-  // Time between two frame numbers; zero: unknown, no filtering. A change starts the filter anew.
+  // Time between two frame numbers; zero: unknown, no filtering. A change restarts the filter.
   void set_period(Time period);
 
   // Exposure time of a frame that was received at `receipt` (wall time) and reported `delay` (>= 0). Strictly

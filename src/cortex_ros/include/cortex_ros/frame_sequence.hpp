@@ -10,11 +10,11 @@ enum class FrameOrder {
   kNew,        // the next one, or one after a gap
   kDuplicate,  // the number of the newest frame again
   kLate,       // overtaken by a newer frame on the network
-  kRestart,    // the host counts anew (new take, live mode off and on), or jumped too far for a loss
+  kRestart,  // the host starts counting again (new take, live mode off and on), or jumped too far for a loss
 };
 
-// The protocol has no sequence number but the frame number, which may restart at any time. So a step back is
-// ambiguous: a short one is taken for reordering by the network, unless several follow each other.
+// A frame number counts exposures and may restart at any time. So a step back is ambiguous: a short one is
+// taken for reordering by the network, unless several follow each other.
 class FrameSequence {
  public:
   static constexpr std::int64_t kLateWindow = 8;   // frames; further back is a restart

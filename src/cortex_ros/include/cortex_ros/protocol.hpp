@@ -27,7 +27,10 @@ constexpr std::size_t kMaxBodies = 100;
 constexpr std::size_t kMaxBodyNameBytes = 127;     // without the NUL
 constexpr std::size_t kMaxCaptureNameBytes = 255;  // without the NUL
 constexpr std::size_t kProgramNameBytes = 128;     // fixed field, NUL inside
-constexpr std::uint8_t kCortexProgramId = 1;       // first version byte of a Cortex host
+constexpr std::int32_t kTagAngleEncoders = 11;     // of the items that may follow a frame
+constexpr std::int32_t kTagRecordingStatus = 12;
+constexpr std::int32_t kTagLensEncoders = 13;
+constexpr std::uint8_t kCortexProgramId = 1;  // first version byte of a Cortex host
 constexpr float kMissingCoordinate =
     9999999.0f;  // "no camera saw this marker", in x (hosts put it in y, z too)
 
@@ -187,11 +190,8 @@ struct FrameOfData {
   std::vector<TaggedItem> items;      // only with a delay: the wire cannot say otherwise
 
   // Optional parts that were dropped because they do not hold together, one text each. The bodies in front of
-  // them are good. Not on the wire: encode() ignores it.
+  // them are good. Not on the wire.
   std::vector<std::string> faults;
-
-  // The reported delay, or 0 when it is absent, not finite, negative or above max_delay_s.
-  double sane_delay_s(double max_delay_s) const;
 };
 
 struct PushSegment {
@@ -217,16 +217,16 @@ using Packet = std::variant<HelloWorld, AreYouThere, HereIAm, Comment, RequestBo
 Packet decode(const std::uint8_t* data, std::size_t size);
 Packet decode(const Bytes& datagram);
 
-// One datagram. Throws ProtocolError when the value has no wire form: NUL inside a string, name too long,
-// counts that disagree, more than kMaxPayloadBytes, items without a delay section.
-Bytes encode(const Packet& packet);
+// What a client sends, one datagram each. Throws ProtocolError when the value has no wire form: NUL inside a
+// string, name too long, more than kMaxPayloadBytes.
+Bytes encode(const HelloWorld& hello);
+Bytes encode(const RequestBodyDefs& request);
+Bytes encode(const RequestFrame& request);
+Bytes encode(const GeneralRequest& request);
 
 // Length of the packet that starts at data (header included), as its header declares it; for files that hold
 // several packets one after the other. Throws ProtocolError when there are fewer than kHeaderBytes bytes.
 std::size_t declared_size(const std::uint8_t* data, std::size_t size);
-
-// The command code that a packet has on the wire.
-std::uint16_t command_of(const Packet& packet);
 
 // The usual contents of a GeneralReply; empty when the payload is too short.
 std::optional<float> as_float(const GeneralReply& reply);

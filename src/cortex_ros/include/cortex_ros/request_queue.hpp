@@ -4,6 +4,7 @@
 #include <deque>
 #include <functional>
 #include <optional>
+#include <variant>
 
 #include "cortex_ros/clock.hpp"
 #include "cortex_ros/protocol.hpp"
@@ -27,10 +28,10 @@ class RequestQueue {
   RequestQueue() = default;
   explicit RequestQueue(Timing timing) : timing_(timing) {}
 
-  // The packet must be a RequestBodyDefs, RequestFrame or GeneralRequest.
-  void push(const Packet& request, int tries, Time timeout, Done done);
-  void push(const Packet& request, int tries, Done done) {
-    push(request, tries, timing_.timeout, std::move(done));
+  using Question = std::variant<RequestBodyDefs, RequestFrame, GeneralRequest>;
+  void push(const Question& question, int tries, Time timeout, Done done);
+  void push(const Question& question, int tries, Done done) {
+    push(question, tries, timing_.timeout, std::move(done));
   }
 
   // Gives up on what is overdue, then returns the packet to send now, if there is one.

@@ -1,0 +1,93 @@
+// The node's own part, the same for every source: order of the frames, stamps, messages, diagnostics, log.
+#pragma once
+
+#include <diagnostic_updater/diagnostic_updater.h>
+#include <ros/ros.h>
+
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "cortex_ros/clock_filter.hpp"
+#include "cortex_ros/conversions.hpp"
+#include "cortex_ros/frame_sequence.hpp"
+#include "cortex_ros/parameters.hpp"
+#include "cortex_ros/sources/mocap_source.hpp"
+
+namespace cortex_ros {
+
+// Frames of the source that the parameter `source` names -> mocap_data and mocap_time.
+class MocapPublisher : private SourceEvents {
+ public:
+  // Throws std::invalid_argument for a bad parameter.
+  MocapPublisher(ros::NodeHandle& node, Parameters& parameters);
+  ~MocapPublisher() override;
+
+ private:
+  struct Settings {
+    std::string source = "cortex";
+    double max_delay_s = 0.5;
+    bool missing_as_nan = true;
+    bool filter_stamps = true;
+    std::string frame_id = "cortex";
+  };
+  // What the frame path knows and the diagnostics show.
+  struct Health {
+    std::uint64_t frames = 0;  // handed on
+    std::uint64_t lost = 0;    // gaps in the frame numbers
+    std::uint64_t duplicates = 0;
+    std::uint64_t late = 0;      // overtaken by a newer frame, dropped
+    std::uint64_t restarts = 0;  // of the frame numbers
+    std::optional<Time> last_frame;
+    std::size_t unidentified = 0;  // markers of the last frame
+    double reported_delay_s = 0.0;
+    double stamp_correction_s = 0.0;
+    bool stamps_filtered = false;
+    std::string remarks;   // on the host's settings; empty: none
+    bool refused = false;  // its up axis is not z
+  };
+
+  static Settings read_settings(Parameters& parameters);
+
+  void on_frame(const MocapFrame& frame) override;
+  void on_host_up(const MocapHost& host) override;
+  void on_host_down(const std::string& why) override;
+  void on_log(LogLevel level, const std::string& text) override;
+  void on_frequent_log(LogLevel level, const std::string& text) override;
+
+  bool is_new(const MocapFrame& frame);
+  void publish(const MocapFrame& frame, Time exposure);
+  void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
+  void summarize(diagnostic_updater::DiagnosticStatusWrapper& status, const SourceStatus& source,
+                 const Health& health, double rate_hz) const;
+
+  const Settings settings_;
+  const SystemClock clock_;
+  ros::Publisher markers_;
+  ros::Publisher time_;
+
+  // Touched by the source's thread only.
+  FrameSequence sequence_;
+  ClockFilter stamps_;
+  bool is_up_ = false;
+  bool was_down_ = false;
+  bool refused_ = false;
+  std::string logged_remarks_;
+
+  std::mutex health_mutex_;
+  Health health_;
+
+  // Touched by the spinner's thread only.
+  diagnostic_updater::Updater diagnostics_;
+  ros::WallTimer diagnostics_timer_;
+  std::map<std::string, std::uint64_t> last_counts_;
+  Time last_time_{0};
+
+  std::unique_ptr<MocapSource> source_;
+  std::thread worker_;
+};
+
+}  // namespace cortex_ros

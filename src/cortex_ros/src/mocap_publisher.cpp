@@ -1,0 +1,215 @@
+#include "cortex_ros/mocap_publisher.hpp"
+
+#include <sensor_msgs/TimeReference.h>
+
+#include <stdexcept>
+#include <vector>
+
+namespace cortex_ros {
+namespace {
+
+// Frames held up on the way arrive in one go, faster than roscpp's sending thread empties the queue: the ten
+// places of the original release overflow after a stall of 50 ms. This is half a second at 200 Hz.
+constexpr int kQueueSize = 100;
+constexpr double kLogPeriodS = 5.0;
+constexpr double kStaleFrameS = 0.5;
+constexpr double kMaxMaxDelayS = 10.0;
+constexpr char kUpAxis = 'z';
+
+ros::console::Level to_ros_level(LogLevel level) {
+  return level == LogLevel::kInfo      ? ros::console::levels::Info
+         : level == LogLevel::kWarning ? ros::console::levels::Warn
+                                       : ros::console::levels::Error;
+}
+
+}  // namespace
+
+MocapPublisher::Settings MocapPublisher::read_settings(Parameters& parameters) {
+  Settings settings;
+  double diagnostic_period_s = 1.0;  // belongs to diagnostic_updater, which reads it itself
+  parameters.read("source", settings.source);
+  parameters.read("max_delay", settings.max_delay_s);
+  parameters.read("missing_as_nan", settings.missing_as_nan);
+  parameters.read("filter_stamps", settings.filter_stamps);
+  parameters.read("frame_id", settings.frame_id);
+  parameters.read("diagnostic_period", diagnostic_period_s);
+  if (!(settings.max_delay_s >= 0.0 && settings.max_delay_s <= kMaxMaxDelayS)) {
+    throw std::invalid_argument("parameter max_delay must be from 0 to 10 s");
+  }
+  return settings;
+}
+
+MocapPublisher::MocapPublisher(ros::NodeHandle& node, Parameters& parameters)
+    : settings_(read_settings(parameters)),
+      markers_(node.advertise<risc_msgs::Mocap_data>("mocap_data", kQueueSize)),
+      time_(node.advertise<sensor_msgs::TimeReference>("mocap_time", kQueueSize)),
+      source_(make_source(settings_.source, parameters, *this, clock_)) {
+  for (const std::string& key : parameters.unread()) {
+    ROS_WARN("parameter %s is unknown to stream_markers with source '%s' and has no effect", key.c_str(),
+             settings_.source.c_str());
+  }
+  diagnostics_.setHardwareID(settings_.source + " " + source_->status().host);
+  diagnostics_.add("mocap stream", this, &MocapPublisher::diagnose);
+  diagnostics_timer_ = node.createWallTimer(
+      ros::WallDuration(1.0), [this](const ros::WallTimerEvent&) { diagnostics_.force_update(); });
+  // The receive thread publishes by itself: a frame waits for no spinner and no rate.
+  worker_ = std::thread([this] { source_->run(); });
+}
+
+MocapPublisher::~MocapPublisher() {
+  source_->stop();
+  worker_.join();
+}
+
+bool MocapPublisher::is_new(const MocapFrame& frame) {
+  const FrameOrder order = sequence_.classify(frame.number);
+  const std::lock_guard<std::mutex> lock(health_mutex_);
+  if (order == FrameOrder::kDuplicate || order == FrameOrder::kLate) {
+    ++(order == FrameOrder::kLate ? health_.late : health_.duplicates);
+    return false;
+  }
+  ++health_.frames;
+  health_.lost += static_cast<std::uint64_t>(sequence_.gap());
+  health_.restarts += order == FrameOrder::kRestart ? 1 : 0;
+  health_.last_frame = clock_.monotonic();
+  health_.unidentified = frame.unidentified.size();
+  return true;
+}
+
+void MocapPublisher::on_frame(const MocapFrame& frame) {
+  if (!is_new(frame) || refused_) {
+    return;
+  }
+  const Time delay = from_seconds(believed_delay_s(frame.delay_s, settings_.max_delay_s));
+  const Time exposure = stamps_.stamp(frame.number, frame.receipt, delay);
+  publish(frame, exposure);
+  const std::lock_guard<std::mutex> lock(health_mutex_);
+  health_.reported_delay_s = to_seconds(delay);
+  health_.stamp_correction_s = to_seconds(frame.receipt - delay - exposure);
+  health_.stamps_filtered = stamps_.locked();
+}
+
+void MocapPublisher::publish(const MocapFrame& frame, Time exposure) {
+  const auto markers = boost::make_shared<risc_msgs::Mocap_data>();
+  markers->header.stamp = to_ros_time(exposure);
+  markers->header.frame_id = settings_.frame_id;
+  fill_markers(frame, settings_.missing_as_nan ? MissingMarkers::kNan : MissingMarkers::kLegacyValue,
+               *markers);
+  markers_.publish(markers);
+
+  const auto time = boost::make_shared<sensor_msgs::TimeReference>();
+  time->header = markers->header;
+  time->time_ref = to_ros_time(frame.receipt);
+  time->source = std::to_string(frame.number);
+  time_.publish(time);
+}
+
+void MocapPublisher::on_host_up(const MocapHost& host) {
+  const bool filter = settings_.filter_stamps && host.frame_rate_hz > 0.0;
+  stamps_.set_period(filter ? from_seconds(1.0 / host.frame_rate_hz) : Time{0});
+  if (is_up_) {
+    // This thread receives the frames: packets that anyone can send must not keep it busy with logging.
+    on_frequent_log(LogLevel::kInfo, "the host's settings were read again: " + host.description);
+  } else {
+    on_log(LogLevel::kInfo,
+           settings_.source + " host " + (was_down_ ? "is back: " : "found: ") + host.description);
+  }
+  is_up_ = true;
+  was_down_ = false;
+  refused_ = host.up_axis != kUpAxis;
+
+  std::string remarks;
+  for (const std::string& remark : host.remarks) {
+    remarks += (remarks.empty() ? "" : "; ") + remark;
+  }
+  if (refused_) {
+    remarks += (remarks.empty() ? "" : "; ") + std::string("the host's up axis is ") + host.up_axis +
+               ": nothing is published, because every vehicle would lie on its side; set z up in the host";
+  }
+  if (!remarks.empty() && remarks != logged_remarks_) {
+    on_log(refused_ ? LogLevel::kError : LogLevel::kWarning, remarks);
+  }
+  logged_remarks_ = remarks;
+  const std::lock_guard<std::mutex> lock(health_mutex_);
+  health_.remarks = remarks;
+  health_.refused = refused_;
+}
+
+void MocapPublisher::on_host_down(const std::string& why) {
+  is_up_ = false;
+  was_down_ = true;
+  sequence_.reset();
+  on_log(LogLevel::kError, settings_.source + " host is down: " + why + ". Still trying.");
+}
+
+void MocapPublisher::on_log(LogLevel level, const std::string& text) {
+  ROS_LOG(to_ros_level(level), ROSCONSOLE_DEFAULT_NAME, "%s", text.c_str());
+}
+
+void MocapPublisher::on_frequent_log(LogLevel level, const std::string& text) {
+  // Each of these counts its own period.
+  if (level == LogLevel::kInfo) {
+    ROS_INFO_THROTTLE(kLogPeriodS, "%s", text.c_str());
+  } else {
+    ROS_WARN_THROTTLE(kLogPeriodS, "%s", text.c_str());
+  }
+}
+
+void MocapPublisher::diagnose(diagnostic_updater::DiagnosticStatusWrapper& status) {
+  const SourceStatus source = source_->status();
+  const Health health = [this] {
+    const std::lock_guard<std::mutex> lock(health_mutex_);
+    return health_;
+  }();
+  const Time time = clock_.monotonic();
+  const bool first = last_time_ == Time{0};
+  const double rate_hz =
+      first ? 0.0
+            : static_cast<double>(health.frames - last_counts_["frames"]) / to_seconds(time - last_time_);
+  last_time_ = time;
+  std::vector<Counter> counters = {{"frames", health.frames},
+                                   {"lost", health.lost, "frames lost"},
+                                   {"duplicates", health.duplicates},
+                                   {"late", health.late},
+                                   {"frame number restarts", health.restarts}};
+  counters.insert(counters.end(), source.counters.begin(), source.counters.end());
+
+  summarize(status, source, health, rate_hz);
+  status.add("host", source.host);
+  status.add("mode", source.mode);
+  status.addf("rate [Hz]", "%.1f", rate_hz);
+  status.add("age of last frame [s]",
+             health.last_frame ? std::to_string(to_seconds(time - *health.last_frame)) : "none");
+  for (const Counter& counter : counters) {
+    status.add(counter.name, counter.count);
+    if (source.up && !counter.warning.empty() && counter.count != last_counts_[counter.name]) {
+      status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, counter.warning);
+    }
+    last_counts_[counter.name] = counter.count;
+  }
+  status.add("unidentified markers", health.unidentified);
+  status.addf("reported delay [s]", "%.6f", health.reported_delay_s);
+  status.addf("stamp correction [s]", "%.6f", health.stamp_correction_s);
+  status.add("stamps filtered", health.stamps_filtered ? "yes" : "no");
+}
+
+void MocapPublisher::summarize(diagnostic_updater::DiagnosticStatusWrapper& status,
+                               const SourceStatus& source, const Health& health, double rate_hz) const {
+  using Level = diagnostic_msgs::DiagnosticStatus;
+  if (!source.up) {
+    status.summary(Level::ERROR, "host down: " + source.why_down);
+    return;
+  }
+  status.summaryf(Level::OK, "%.0f Hz by %s", rate_hz, source.mode.c_str());
+  if (!health.remarks.empty()) {
+    status.mergeSummary(health.refused ? Level::ERROR : Level::WARN, health.remarks);
+  }
+  for (const std::string& warning : source.warnings) {
+    status.mergeSummary(Level::WARN, warning);
+  }
+  if (!health.last_frame || to_seconds(clock_.monotonic() - *health.last_frame) > kStaleFrameS) {
+    status.mergeSummary(Level::WARN, "no new frames: is the host paused?");
+  }
+}
+
+}  // namespace cortex_ros

@@ -1,0 +1,34 @@
+#include "cortex_ros/sources/mocap_source.hpp"
+
+#include <map>
+#include <stdexcept>
+
+namespace cortex_ros {
+namespace {
+
+// Made by the first file that registers a source, in whatever order they are initialised.
+std::map<std::string, MakeSource>& registry() {
+  static std::map<std::string, MakeSource> sources;
+  return sources;
+}
+
+}  // namespace
+
+RegisteredSource::RegisteredSource(const std::string& name, MakeSource make) {
+  registry()[name] = make;
+}
+
+std::unique_ptr<MocapSource> make_source(const std::string& name, Parameters& parameters,
+                                         SourceEvents& events, const Clock& clock) {
+  const auto found = registry().find(name);
+  if (found == registry().end()) {
+    std::string names;
+    for (const auto& [known, make] : registry()) {
+      names += (names.empty() ? "" : ", ") + known;
+    }
+    throw std::invalid_argument("parameter source is '" + name + "'; must be one of: " + names);
+  }
+  return found->second(parameters, events, clock);
+}
+
+}  // namespace cortex_ros
