@@ -8,6 +8,7 @@ import yaml
 pytest.importorskip("rospy")
 
 from risc_estimation.pose_fit import ARENA_KEYS, PoseFitParams  # noqa: E402
+from risc_estimation.ros import params  # noqa: E402
 from risc_estimation.ros.params import AngleParams, NodeParams, SyntheticNodeParams  # noqa: E402
 from risc_estimation.synthetic_bearings import SyntheticParams  # noqa: E402
 from risc_lab.lab.arena import Arena  # noqa: E402
@@ -68,14 +69,26 @@ def test_config_files_hold_every_setting_at_its_default(name):
     values = yaml.safe_load((CONFIG / (name + ".yaml")).read_text(encoding="utf-8"))
     instances, unknown = params_from_dict(FILES[name], values)
     assert unknown == []
-    assert instances == [params() for params in FILES[name]]
+    assert instances == [kind() for kind in FILES[name]]
     known = {key for params in instances for key in vars(params)}
     assert set(values) == known - set(ARENA_KEYS), "the arena is the net of the fleet file"
 
 
 def test_the_arena_is_the_net_unless_it_is_set():
-    params = PoseFitParams(arena_y_m=1.0, tilt_max_rad=1.2).within(Arena(6.0, 5.0, 4.0))
-    assert (params.arena_x_m, params.arena_y_m, params.arena_z_max_m, params.tilt_max_rad) == (6.0, 5.0, 4.0, 1.2)
-    params = PoseFitParams(arena_y_m=1.0).within(Arena(6.0, 5.0, 4.0), keep=("arena_y_m",))
-    assert (params.arena_x_m, params.arena_y_m) == (6.0, 1.0)
+    changed = PoseFitParams(arena_y_m=1.0, tilt_max_rad=1.2).within(Arena(6.0, 5.0, 4.0))
+    assert (changed.arena_x_m, changed.arena_y_m, changed.arena_z_max_m, changed.tilt_max_rad) == (6.0, 5.0, 4.0, 1.2)
+    changed = PoseFitParams(arena_y_m=1.0).within(Arena(6.0, 5.0, 4.0), keep=("arena_y_m",))
+    assert (changed.arena_x_m, changed.arena_y_m) == (6.0, 1.0)
     assert PoseFitParams().within(Arena()) == PoseFitParams()
+
+
+def test_settings_of_the_filter_may_be_private_parameters(monkeypatch):
+    given = {"filter": "thesis", "max_gap_s": 0.2, "silence_s": 0.3}
+    monkeypatch.setattr(params, "has_private", given.__contains__)
+    monkeypatch.setattr(params, "private", lambda name, default: given.get(name, default))
+    velocity_filter, keys = params.load_filter()
+    assert (velocity_filter.params.max_gap_s, velocity_filter.params.position_order) == (0.2, 1)
+    assert "max_gap_s" in keys and "silence_s" not in keys
+    given["filter"] = "kalmann"
+    with pytest.raises(ValueError, match="known are: .*least_squares, thesis"):
+        params.load_filter()

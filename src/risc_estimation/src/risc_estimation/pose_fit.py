@@ -94,15 +94,15 @@ class _Plan(NamedTuple):
 class Poses:
     """Raw poses of the newest frame, a row a body. Cortex frame, SI units. Valid until the next frame: copy what stays.
 
-    `flags` (2, n) and `measured` (2, n, 3) hold `present` and `inside`, `position_m` and `angles_rad`, for compiled
-    code, to which every array that is passed costs time. A body whose markers were not believed is not present; it keeps the numbers, and the stamp, of its last pose that
-    was. Bodies join at the end, when they are first seen.
+    A body whose markers were not believed is not present; it keeps the numbers, and the stamp, of its last pose that
+    was. Bodies join at the end, when they are first seen. `flags` (2, n) is `present` and `inside`, `measured` (2, n,
+    3) `position_m` and `angles_rad`: for compiled code, where every array that is passed costs time.
     """
 
     def __init__(self, bodies, marker_noise_m):
         self.stamp_s = -math.inf  # of the newest frame: time of exposure [s]
         self.names = ()
-        self._bodies, self._marker_noise_m = bodies, marker_noise_m
+        self._marker_noise_m = marker_noise_m
         self.take(bodies)
 
     def take(self, bodies):

@@ -176,9 +176,10 @@ def pose_covariance(template, visible, rotation, noise_m, covariance):
             both = b[j] * attitude[k, column] - b[k] * attitude[j, column]
             covariance[row, 3 + column] = covariance[3 + column, row] = both
     for row in range(3):
-        for column in range(3):
+        for column in range(row + 1):
             m, n = (column + 1) % 3, (column + 2) % 3
-            covariance[row, column] = b[m] * covariance[row, 3 + n] - b[n] * covariance[row, 3 + m]
+            both = b[m] * covariance[row, 3 + n] - b[n] * covariance[row, 3 + m]
+            covariance[row, column] = covariance[column, row] = both
         covariance[row, row] += variance_m2 / count
 
 

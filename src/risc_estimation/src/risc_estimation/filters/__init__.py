@@ -1,13 +1,9 @@
 """Filters of the estimator, by name: raw poses with covariance, residual and stamp in, states with covariance out.
 
-The second stage of `risc_estimation.state_estimator`. A filter is one file here, with two classes
-
-    Params      frozen dataclass: a field (float, int, bool or str) for each key of the YAML file
-    Filter      subclass of `VelocityFilter`
-
-and one YAML file of the same name in config/filters, which holds all values with meaning and unit. Filters from
-elsewhere: see `risc_lab.registry`. What runs in every frame is compiled, one call for all bodies, see
-`risc_lab/compiled.py`.
+The second stage of `risc_estimation.state_estimator`. A filter is one file here with a class `Filter`, and
+config/filters/NAME.yaml with its settings. Filters from elsewhere, e.g. a student's: filters/NAME.py and
+filters/NAME.yaml in a folder of RISC_MAAP_MEMBERS, see `risc_lab.registry`. `./maap fly --estimator NAME` flies it.
+What runs in every frame is compiled, one call for all bodies, see `risc_lab/compiled.py`.
 """
 
 import enum
@@ -35,10 +31,11 @@ class Status(enum.IntEnum):
 class VelocityFilter:
     """Interface of all filters. Rows are bodies, in the order in which they were added. SI units, cortex frame."""
 
+    PARAMS = None  # frozen dataclass, a field (float, int, bool or str) for each key of the YAML file
     late_s = 0.0  # [s] poses may be older by so much than the newest that it has been given; 0 = only newer ones come
 
     def __init__(self, params):
-        """params: Params of the module."""
+        """params: PARAMS."""
         self.params = params
         self.states = np.zeros((0, len(S)))  # (bodies, 12), columns `S`; the last known where not visible, first 0
         self.visible = np.zeros(0, dtype=bool)  # (bodies,) the states are those of the newest frame, and to fly by
@@ -78,7 +75,7 @@ def make_filter(name=DEFAULT, given=None):
     """
     module = REGISTRY.module(name)
     settings = REGISTRY.settings(name)
-    params = Section({**settings, **(given or {})}, "filter %s" % name).settings(module.Params)
+    params = Section({**settings, **(given or {})}, "filter %s" % name).settings(module.Filter.PARAMS)
     return module.Filter(params)
 
 

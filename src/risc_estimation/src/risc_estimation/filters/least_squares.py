@@ -53,6 +53,8 @@ class Filter(VelocityFilter):
     vehicle is visible again with its first good frame.
     """
 
+    PARAMS = Params
+
     def __init__(self, params):
         super().__init__(params)
         self._settings = np.zeros(1, dtype=SETTINGS)
