@@ -13,6 +13,7 @@ TRACKED = subprocess.run(
 ).stdout.split()
 PAGES = sorted(name for name in TRACKED if name.endswith(".md") and name != "CHANGELOG.md" and (ROOT / name).is_file())
 FRONT_PAGE_LINES = 90  # two screens
+COLUMNS = 120
 
 LINK = re.compile(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"")
 CODE = re.compile(r"^```.*?^```|^ {4}\S.*?$|`[^`]+`", re.MULTILINE | re.DOTALL)
@@ -60,7 +61,7 @@ def is_there(name):
 
 def is_the_readers(name):
     """Whether it is a file that the reader has or makes."""
-    return re.search(r"(^|/)my[_.][^/]*$|^flights/", name) is not None
+    return re.search(r"(^|/)(my[_.]|[A-Z_]+\.)[^/]*$|^flights/|^my_", name) is not None
 
 
 def package(name):
@@ -124,6 +125,13 @@ def test_launch_files_know_their_arguments(page):
 
 def test_the_front_page_is_short():
     assert len(text("README.md").splitlines()) <= FRONT_PAGE_LINES
+
+
+@pytest.mark.parametrize("page", [name for name in PAGES if name.endswith("README.md") and "/test/" not in name])
+def test_pages_are_wrapped(page):
+    """But for tables, code and pictures."""
+    prose = re.sub(r"^```.*?^```", "", text(page), flags=re.MULTILINE | re.DOTALL)
+    assert [line for line in prose.splitlines() if len(line) > COLUMNS and not re.match(r"\||    |!\[", line)] == []
 
 
 @pytest.mark.parametrize("folder", [path[: -len("/package.xml")] for path in TRACKED if path.endswith("/package.xml")])

@@ -255,7 +255,7 @@ def test_a_workspace_that_is_not_built_says_so(tmp_path):
 
 
 def test_the_install_space_gets_it_too(tmp_path):
-    script = ROOT / "build/risc_experiments/cmake_install.cmake"
+    script = ROOT / "build/risc_doctor/cmake_install.cmake"
     command = ["cmake", "-DCMAKE_INSTALL_PREFIX=/ws/install", "-P", str(script)]
     subprocess.run(command, env=dict(BARE, DESTDIR=str(tmp_path)), stdout=subprocess.DEVNULL, check=True)
     installed = tmp_path / "ws/install/coop.sh"

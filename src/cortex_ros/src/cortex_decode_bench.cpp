@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "cortex_ros/protocol.hpp"
+#include "encode.hpp"
 
 namespace {
 
@@ -16,33 +16,20 @@ constexpr int kBodies = 16;
 constexpr int kMarkers = 5;
 constexpr int kWarmUp = 2000;
 
-// As on the wire: little-endian, which is what this computer is, too.
 cortex_ros::Bytes large_frame() {
-  cortex_ros::Bytes out;
-  const auto put = [&out](const auto&... values) {
-    const auto put_one = [&out](const auto& value) {
-      const auto* bytes = reinterpret_cast<const std::uint8_t*>(&value);
-      out.insert(out.end(), bytes, bytes + sizeof value);
-    };
-    (put_one(values), ...);
-  };
-  put(cortex_ros::Command::kFrameOfData, std::uint16_t{0}, 123456, kBodies);
+  cortex_ros::FrameOfData frame;
+  frame.frame = 123456;
   for (int i = 0; i < kBodies; ++i) {
-    const std::string name = "vehicle_number_" + std::to_string(i);
-    out.insert(out.end(), name.c_str(), name.c_str() + name.size() + 1);
-    put(kMarkers);
+    cortex_ros::Body body;
+    body.name = "vehicle_number_" + std::to_string(i);
     for (int k = 0; k < kMarkers; ++k) {
       const auto offset = static_cast<float>(i * kMarkers + k);
-      put(1000.5f + offset, -2000.25f - offset, 1500.0f + offset);
+      body.markers.push_back({1000.5f + offset, -2000.25f - offset, 1500.0f + offset});
     }
-    put(0, 0);  // segments, degrees of freedom
+    frame.bodies.push_back(body);
   }
-  put(0, 0, 0, 0, 0);  // unidentified markers, analog block, force block
-  put(0, 0.003f);      // delay
-  const std::size_t payload = out.size() - cortex_ros::kHeaderBytes;
-  out[2] = static_cast<std::uint8_t>(payload & 0xff);
-  out[3] = static_cast<std::uint8_t>(payload >> 8);
-  return out;
+  frame.delay = cortex_ros::DelaySection{0, 0.003f};
+  return cortex_ros::encode(frame);
 }
 
 double percentile(const std::vector<double>& sorted, double fraction) {

@@ -11,6 +11,7 @@
 #include <cerrno>
 #include <cstring>
 #include <memory>
+#include <regex>
 #include <utility>
 
 namespace cortex_ros {
@@ -90,27 +91,12 @@ std::string to_string(const Endpoint& endpoint) {
 }
 
 bool is_well_formed_host(const std::string& text) {
-  if (parse_address(text)) {
-    return true;
-  }
-  constexpr std::size_t kMaxName = 253;  // RFC 1035
-  constexpr std::size_t kMaxLabel = 63;
-  if (text.empty() || text.size() > kMaxName) {
-    return false;
-  }
-  std::size_t label = 0;
-  bool digits_only = true;
-  for (const char c : text) {
-    const bool digit = c >= '0' && c <= '9';
-    const bool letter = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '-' || c == '_';
-    if (c == '.' ? label == 0 : !(digit || letter) || label == kMaxLabel) {
-      return false;
-    }
-    label = c == '.' ? 0 : label + 1;
-    digits_only = c == '.' || (digit && (label == 1 || digits_only));
-  }
+  constexpr std::size_t kMaxName = 253;  // RFC 1035, as the 63 below
+  static const std::regex labels(R"(([A-Za-z0-9_-]{1,63}\.)*[A-Za-z0-9_-]{1,63})");
   // A last label of digits only is an address with a mistake in it, such as 192.168.1.300.
-  return label > 0 && !digits_only;
+  static const std::regex number(R"((.*\.)?[0-9]+)");
+  return parse_address(text) ||
+         (text.size() <= kMaxName && std::regex_match(text, labels) && !std::regex_match(text, number));
 }
 
 std::optional<Address> parse_address(const std::string& text) {

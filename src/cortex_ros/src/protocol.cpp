@@ -13,48 +13,28 @@ namespace {
 // anything is allocated for it.
 constexpr std::size_t kMarkerBytes = 12;
 constexpr std::size_t kSegmentBytes = 56;
-constexpr std::size_t kDofBytes = 8;
 constexpr std::size_t kForceBytes = 28;
 constexpr std::size_t kAnalogBytes = 2;
 constexpr std::size_t kEncoderBytes = 8;
-constexpr std::size_t kLensBytes = 8;
 constexpr std::size_t kMinNameBytes = 1;        // the NUL
 constexpr std::size_t kMinSegmentDefBytes = 5;  // empty name, parent
 constexpr std::size_t kMinBodyBytes = 13;       // empty name, three counts
-constexpr std::size_t kIdentityBytes = kProgramNameBytes + 4;
-constexpr std::size_t kMinRecordingBytes = 12;  // three numbers; the file name may be absent
 constexpr std::size_t kQuietSpareBytes = 4;  // this many left-over bytes or fewer end a frame without a fault
 constexpr std::size_t kNoLimit = std::numeric_limits<std::size_t>::max();
 
-// The wire is little-endian whatever the machine is. Compilers turn these into single loads and stores.
-template <typename Unsigned>
-Unsigned load(const std::uint8_t* p) {
-  Unsigned value = 0;
-  for (std::size_t i = 0; i < sizeof(Unsigned); ++i) {
-    value = static_cast<Unsigned>(value | static_cast<Unsigned>(static_cast<Unsigned>(p[i]) << (8 * i)));
+// The wire is little-endian whatever the machine is. Compilers turn this into a single load.
+template <typename Number>
+Number load(const std::uint8_t* p) {
+  using Bits = std::conditional_t<sizeof(Number) == 8, std::uint64_t,
+                                  std::conditional_t<sizeof(Number) == 4, std::uint32_t, std::uint16_t>>;
+  static_assert(sizeof(Number) == sizeof(Bits));
+  Bits bits = 0;
+  for (std::size_t i = 0; i < sizeof bits; ++i) {
+    bits = static_cast<Bits>(bits | static_cast<Bits>(Bits{p[i]} << (8 * i)));
   }
-  return value;
-}
-
-template <typename To, typename From>
-To same_bits(const From& from) {
-  static_assert(sizeof(To) == sizeof(From), "bit copies need equal sizes");
-  To to;
-  std::memcpy(&to, &from, sizeof to);
-  return to;
-}
-
-std::int16_t load_i16(const std::uint8_t* p) {
-  return same_bits<std::int16_t>(load<std::uint16_t>(p));
-}
-std::int32_t load_i32(const std::uint8_t* p) {
-  return same_bits<std::int32_t>(load<std::uint32_t>(p));
-}
-float load_f32(const std::uint8_t* p) {
-  return same_bits<float>(load<std::uint32_t>(p));
-}
-double load_f64(const std::uint8_t* p) {
-  return same_bits<double>(load<std::uint64_t>(p));
+  Number number;
+  std::memcpy(&number, &bits, sizeof number);
+  return number;
 }
 
 [[noreturn]] void fail(const std::string& message) {
@@ -91,10 +71,11 @@ class Reader {
 
   Reader window(std::size_t size, const char* what) { return Reader(take(size, what), size); }
 
-  std::uint16_t u16(const char* what) { return load<std::uint16_t>(take(2, what)); }
-  std::uint32_t u32(const char* what) { return load<std::uint32_t>(take(4, what)); }
-  std::int32_t i32(const char* what) { return load_i32(take(4, what)); }
-  float f32(const char* what) { return load_f32(take(4, what)); }
+  template <typename Number>
+  Number get(const char* what) {
+    return load<Number>(take(sizeof(Number), what));
+  }
+  std::int32_t i32(const char* what) { return get<std::int32_t>(what); }
 
   // Number of list elements that follow, each at least element_bytes long.
   std::size_t count(const char* what, std::size_t element_bytes, std::size_t limit = kNoLimit) {
@@ -160,38 +141,67 @@ Identity decode_identity(Reader& in) {
   return identity;
 }
 
-std::vector<std::string> decode_names(Reader& in, const char* count_name, const char* name) {
-  std::vector<std::string> names(in.count(count_name, kMinNameBytes));
-  for (std::string& entry : names) {
-    entry = in.text(name);
+// A count, then that many elements of at least min_bytes.
+template <typename Read>
+auto decode_list(Reader& in, const char* count_name, std::size_t min_bytes, Read read) {
+  std::vector<decltype(read())> list(in.count(count_name, min_bytes));
+  for (auto& element : list) {
+    element = read();
   }
-  return names;
+  return list;
 }
 
-std::vector<SegmentDef> decode_segment_defs(Reader& in) {
-  std::vector<SegmentDef> segments(in.count("segment count", kMinSegmentDefBytes));
-  for (SegmentDef& segment : segments) {
-    segment.name = in.text("segment name");
-    segment.parent = in.i32("segment parent");
+std::vector<std::string> decode_names(Reader& in, const char* count_name, const char* name) {
+  return decode_list(in, count_name, kMinNameBytes, [&] { return in.text(name); });
+}
+
+template <typename Body>
+std::vector<Body> decode_bodies(Reader& in, Body (*decode_one)(Reader&)) {
+  std::vector<Body> bodies(in.count("body count", kMinBodyBytes, kMaxBodies));
+  for (std::size_t i = 0; i < bodies.size(); ++i) {
+    bodies[i] = within("body", i, [&] { return decode_one(in); });
   }
-  return segments;
+  return bodies;
+}
+
+template <typename Number>
+std::vector<Number> decode_numbers(Reader& in, std::size_t n, const char* what) {
+  const std::uint8_t* p = in.take(n * sizeof(Number), what);
+  std::vector<Number> numbers(n);
+  for (Number& number : numbers) {
+    number = load<Number>(p);
+    p += sizeof(Number);
+  }
+  return numbers;
+}
+
+// n elements that are nothing but these numbers.
+template <typename Element, typename... Numbers>
+std::vector<Element> decode_elements(Reader& in, std::size_t n, const char* what,
+                                     Numbers Element::*... members) {
+  const std::uint8_t* p = in.take(n * (sizeof(Numbers) + ...), what);
+  std::vector<Element> elements(n);
+  for (Element& element : elements) {
+    ((element.*members = load<Numbers>(p), p += sizeof(Numbers)), ...);
+  }
+  return elements;
 }
 
 BodyDef decode_body_def(Reader& in) {
   BodyDef body;
   body.name = in.text("body name", kMaxBodyNameBytes);
   body.markers = decode_names(in, "marker count", "marker name");
-  body.segments = decode_segment_defs(in);
+  body.segments = decode_list(in, "segment count", kMinSegmentDefBytes, [&] {
+    std::string name = in.text("segment name");
+    return SegmentDef{std::move(name), in.i32("segment parent")};
+  });
   body.dofs = decode_names(in, "dof count", "dof name");
   return body;
 }
 
 BodyDefs decode_body_defs(Reader& in) {
   BodyDefs defs;
-  defs.bodies.resize(in.count("body count", kMinBodyBytes, kMaxBodies));
-  for (std::size_t i = 0; i < defs.bodies.size(); ++i) {
-    defs.bodies[i] = within("body", i, [&] { return decode_body_def(in); });
-  }
+  defs.bodies = decode_bodies(in, decode_body_def);
   defs.analog_channels = decode_names(in, "analog channel count", "analog channel name");
   defs.force_plates = static_cast<std::int32_t>(in.non_negative("force plate count"));
   defs.trailing = in.rest();
@@ -199,39 +209,12 @@ BodyDefs decode_body_defs(Reader& in) {
 }
 
 std::vector<Marker> decode_markers(Reader& in, const char* what) {
-  const std::size_t n = in.count(what, kMarkerBytes);
-  const std::uint8_t* p = in.take(n * kMarkerBytes, what);
-  std::vector<Marker> markers(n);
-  for (Marker& marker : markers) {
-    marker.x = load_f32(p);
-    marker.y = load_f32(p + 4);
-    marker.z = load_f32(p + 8);
-    p += kMarkerBytes;
-  }
-  return markers;
+  return decode_elements(in, in.count(what, kMarkerBytes), what, &Marker::x, &Marker::y, &Marker::z);
 }
 
 std::vector<Segment> decode_segments(Reader& in, std::size_t n) {
-  const std::uint8_t* p = in.take(n * kSegmentBytes, "segments");
-  std::vector<Segment> segments(n);
-  for (Segment& segment : segments) {
-    for (double* field :
-         {&segment.x, &segment.y, &segment.z, &segment.ax, &segment.ay, &segment.az, &segment.length}) {
-      *field = load_f64(p);
-      p += 8;
-    }
-  }
-  return segments;
-}
-
-std::vector<double> decode_doubles(Reader& in, std::size_t n, const char* what) {
-  const std::uint8_t* p = in.take(n * sizeof(double), what);
-  std::vector<double> values(n);
-  for (double& value : values) {
-    value = load_f64(p);
-    p += sizeof(double);
-  }
-  return values;
+  return decode_elements(in, n, "segments", &Segment::x, &Segment::y, &Segment::z, &Segment::ax, &Segment::ay,
+                         &Segment::az, &Segment::length);
 }
 
 Body decode_body(Reader& in) {
@@ -239,57 +222,48 @@ Body decode_body(Reader& in) {
   body.name = in.text("body name", kMaxBodyNameBytes);
   body.markers = decode_markers(in, "marker count");
   body.segments = decode_segments(in, in.count("segment count", kSegmentBytes));
-  body.dofs = decode_doubles(in, in.count("dof count", kDofBytes), "dofs");
+  body.dofs = decode_numbers<double>(in, in.count("dof count", sizeof(double)), "dofs");
   return body;
 }
 
-// rows * columns elements. The product of two i32 fits 64 bits; a zero factor makes any other factor legal.
-std::size_t element_count(Reader& in, std::size_t rows, std::size_t columns, std::size_t element_bytes,
-                          const char* what) {
+// The head of a block of rows * columns samples.
+struct BlockSize {
+  std::int32_t rows;
+  std::int32_t columns;
+  std::size_t samples;
+};
+
+// The product of two i32 fits 64 bits; a zero factor makes any other factor legal.
+BlockSize decode_block_size(Reader& in, const char* rows_name, const char* columns_name,
+                            std::size_t sample_bytes, const char* what) {
+  const std::size_t rows = in.non_negative(rows_name);
+  const std::size_t columns = in.non_negative(columns_name);
   const std::uint64_t n = static_cast<std::uint64_t>(rows) * static_cast<std::uint64_t>(columns);
-  if (n > in.left() / element_bytes) {
+  if (n > in.left() / sample_bytes) {
     fail(std::string(what) + ": " + std::to_string(rows) + " x " + std::to_string(columns) + " samples of " +
-         std::to_string(element_bytes) + " bytes, " + std::to_string(in.left()) + " left");
+         std::to_string(sample_bytes) + " bytes, " + std::to_string(in.left()) + " left");
   }
-  return static_cast<std::size_t>(n);
+  return {static_cast<std::int32_t>(rows), static_cast<std::int32_t>(columns), static_cast<std::size_t>(n)};
 }
 
 AnalogBlock decode_analog(Reader& in) {
-  const std::size_t channels = in.non_negative("analog channel count");
-  const std::size_t sample_count = in.non_negative("analog sample count");
-  const std::size_t n = element_count(in, channels, sample_count, kAnalogBytes, "analog block");
-  AnalogBlock block{static_cast<std::int32_t>(channels), static_cast<std::int32_t>(sample_count), {}};
-  const std::uint8_t* p = in.take(n * kAnalogBytes, "analog block");
-  block.samples.resize(n);
-  for (std::int16_t& sample : block.samples) {
-    sample = load_i16(p);
-    p += kAnalogBytes;
-  }
-  return block;
+  const BlockSize size =
+      decode_block_size(in, "analog channel count", "analog sample count", kAnalogBytes, "analog block");
+  return {size.rows, size.columns, decode_numbers<std::int16_t>(in, size.samples, "analog block")};
 }
 
 ForceBlock decode_forces(Reader& in) {
-  const std::size_t plates = in.non_negative("force plate count");
-  const std::size_t sample_count = in.non_negative("force sample count");
-  const std::size_t n = element_count(in, plates, sample_count, kForceBytes, "force block");
-  ForceBlock block{static_cast<std::int32_t>(plates), static_cast<std::int32_t>(sample_count), {}};
-  const std::uint8_t* p = in.take(n * kForceBytes, "force block");
-  block.samples.resize(n);
-  for (Force& force : block.samples) {
-    for (float* field : {&force.x, &force.y, &force.z, &force.fx, &force.fy, &force.fz, &force.mz}) {
-      *field = load_f32(p);
-      p += 4;
-    }
-  }
-  return block;
+  const BlockSize size =
+      decode_block_size(in, "force plate count", "force sample count", kForceBytes, "force block");
+  return {size.rows, size.columns,
+          decode_elements(in, size.samples, "force block", &Force::x, &Force::y, &Force::z, &Force::fx,
+                          &Force::fy, &Force::fz, &Force::mz)};
 }
 
 AngleEncoders decode_angle_encoders(Reader in) {
-  const std::size_t encoders = in.non_negative("encoder count");
-  const std::size_t sample_count = in.non_negative("encoder sample count");
-  const std::size_t n = element_count(in, encoders, sample_count, kEncoderBytes, "encoder block");
-  AngleEncoders item{static_cast<std::int32_t>(encoders), static_cast<std::int32_t>(sample_count), {}};
-  item.samples = decode_doubles(in, n, "encoder block");
+  const BlockSize size =
+      decode_block_size(in, "encoder count", "encoder sample count", kEncoderBytes, "encoder block");
+  AngleEncoders item{size.rows, size.columns, decode_numbers<double>(in, size.samples, "encoder block")};
   in.expect_end("the encoder block");
   return item;
 }
@@ -305,18 +279,6 @@ RecordingStatus decode_recording_status(Reader in) {
   return item;
 }
 
-LensEncoders decode_lens_encoders(Reader in, std::size_t bodies) {
-  const std::uint8_t* p = in.take(bodies * kLensBytes, "lens encoders");
-  LensEncoders item;
-  item.lenses.resize(bodies);
-  for (Lens& lens : item.lenses) {
-    lens.zoom = load_i32(p);
-    lens.focus = load_i32(p + 4);
-    p += kLensBytes;
-  }
-  return item;
-}
-
 // content holds the item's own L bytes and nothing behind them.
 TaggedItem decode_item(std::int32_t tag, Reader content, std::size_t bodies) {
   switch (tag) {
@@ -325,17 +287,15 @@ TaggedItem decode_item(std::int32_t tag, Reader content, std::size_t bodies) {
     case kTagRecordingStatus:
       return decode_recording_status(content);
     case kTagLensEncoders:
-      return decode_lens_encoders(content, bodies);
+      return LensEncoders{decode_elements(content, bodies, "lens encoders", &Lens::zoom, &Lens::focus)};
     default:
       return UnknownItem{tag, content.rest()};
   }
 }
 
 void decode_delay(Reader& in, FrameOfData& frame) {
-  DelaySection section;
-  section.ignored_word = in.u32("word before the delay");
-  section.delay_s = in.f32("delay");
-  frame.delay = section;
+  const auto ignored_word = in.get<std::uint32_t>("word before the delay");
+  frame.delay = DelaySection{ignored_word, in.get<float>("delay")};
 }
 
 void decode_next_item(Reader& in, FrameOfData& frame) {
@@ -373,10 +333,7 @@ void decode_optional_sections(Reader& in, FrameOfData& frame) {
 FrameOfData decode_frame(Reader& in) {
   FrameOfData frame;
   frame.frame = in.i32("frame number");
-  frame.bodies.resize(in.count("body count", kMinBodyBytes, kMaxBodies));
-  for (std::size_t i = 0; i < frame.bodies.size(); ++i) {
-    frame.bodies[i] = within("body", i, [&] { return decode_body(in); });
-  }
+  frame.bodies = decode_bodies(in, decode_body);
   frame.unidentified = decode_markers(in, "unidentified marker count");
   frame.analog = decode_analog(in);
   frame.forces = decode_forces(in);
@@ -385,18 +342,17 @@ FrameOfData decode_frame(Reader& in) {
 }
 
 PushBasePosition decode_push(Reader& in) {
-  const std::uint16_t hierarchy_bytes = in.u16("hierarchy size");
-  const std::uint16_t pose_bytes = in.u16("pose size");
+  const std::uint16_t hierarchy_bytes = in.get<std::uint16_t>("hierarchy size");
+  const std::uint16_t pose_bytes = in.get<std::uint16_t>("pose size");
   Reader hierarchy = in.window(hierarchy_bytes, "hierarchy");
   Reader pose = in.window(pose_bytes, "pose");
   in.expect_end("the pose");
 
   PushBasePosition push;
-  push.hierarchy.resize(hierarchy.count("segment count", kMinSegmentDefBytes));
-  for (PushSegment& segment : push.hierarchy) {
-    segment.parent = hierarchy.i32("segment parent");
-    segment.name = hierarchy.text("segment name");
-  }
+  push.hierarchy = decode_list(hierarchy, "segment count", kMinSegmentDefBytes, [&] {
+    const std::int32_t parent = hierarchy.i32("segment parent");
+    return PushSegment{parent, hierarchy.text("segment name")};
+  });
   hierarchy.expect_end("the hierarchy");
 
   push.pose = decode_segments(pose, push.hierarchy.size());
@@ -528,11 +484,12 @@ Bytes encode(const GeneralRequest& request) {
 }
 
 std::optional<float> as_float(const GeneralReply& reply) {
-  return reply.payload.size() < 4 ? std::nullopt : std::make_optional(load_f32(reply.payload.data()));
+  return reply.payload.size() < 4 ? std::nullopt : std::make_optional(load<float>(reply.payload.data()));
 }
 
 std::optional<std::int32_t> as_int(const GeneralReply& reply) {
-  return reply.payload.size() < 4 ? std::nullopt : std::make_optional(load_i32(reply.payload.data()));
+  return reply.payload.size() < 4 ? std::nullopt
+                                  : std::make_optional(load<std::int32_t>(reply.payload.data()));
 }
 
 }  // namespace cortex_ros

@@ -1,6 +1,7 @@
 // The golden packets and their sidecar files.
 #pragma once
 
+#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <nlohmann/json.hpp>
@@ -14,25 +15,14 @@ namespace golden {
 
 using Json = nlohmann::json;
 
-inline const std::vector<std::string>& names() {
-  static const std::vector<std::string> kNames = {
-      "bodydefs_2",
-      "bodydefs_2_trailing",
-      "comment",
-      "frame_2bodies",
-      "frame_2bodies_base_layout",
-      "frame_all_sections",
-      "general_reply_empty",
-      "general_reply_framerate",
-      "general_request_framerate",
-      "general_request_livemode",
-      "hello_world_client",
-      "here_i_am_host",
-      "request_bodydefs",
-      "request_frame",
-      "unrecognized_request",
-  };
-  return kNames;
+inline std::vector<std::string> names() {
+  std::vector<std::string> names;
+  for (const auto& entry : std::filesystem::directory_iterator(GOLDEN_DIR)) {
+    if (entry.path().extension() == ".bin") {
+      names.push_back(entry.path().stem());
+    }
+  }
+  return names;
 }
 
 inline cortex_ros::Bytes bytes(const std::string& name) {

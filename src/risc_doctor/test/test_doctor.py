@@ -138,8 +138,7 @@ def test_a_bridge_that_waits_for_containers_is_no_cable_that_is_out(monkeypatch,
         (tmp_path / name / "operstate").write_text("down\n")
     (tmp_path / "docker0" / "bridge").mkdir()
     monkeypatch.setattr(interfaces, "_CARDS", tmp_path)
-    monkeypatch.setattr(interfaces.netifaces, "interfaces", lambda: ["docker0", "eth0"])
-    monkeypatch.setattr(interfaces.netifaces, "ifaddresses", lambda name: {})
+    monkeypatch.setattr(interfaces.psutil, "net_if_addrs", lambda: {"docker0": [], "eth0": []})
     assert [card.connected for card in read_interfaces()] == [True, False]
 
 
@@ -630,8 +629,8 @@ def test_maap_builds_nothing_before_the_doctor_looks(tmp_path):
 def test_a_doctor_that_cannot_run_names_the_cure(package, cure, tmp_path):
     """`machines deploy` brings the workspace to a laptop before somebody installs its packages there."""
     (tmp_path / "apt-packages.txt").write_text(package + "\n")
-    done = doctor_of_shell(tmp_path, "echo line; echo Traceback >&2; echo 'No module named netifaces' >&2; exit 1")
-    complaint = "maap: the doctor cannot run here (No module named netifaces): run ./maap %s\n" % cure
+    done = doctor_of_shell(tmp_path, "echo line; echo Traceback >&2; echo 'No module named psutil' >&2; exit 1")
+    complaint = "maap: the doctor cannot run here (No module named psutil): run ./maap %s\n" % cure
     assert (done.returncode, done.stdout, done.stderr) == (1, "", complaint)
 
 

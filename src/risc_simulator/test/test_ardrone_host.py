@@ -25,9 +25,9 @@ from hypothesis import strategies as st
 from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
-from risc_simulator import ardrone_host
-from risc_simulator.ardrone_host import ArdroneHost, Ports
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint, VehicleState
+from risc_simulator.vehicles.ardrone import host as ardrone_host
+from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
 from risc_simulator.world import World
 
 ADDRESS = "127.93.%d.%d" % (os.getpid() // 250 % 250, 1 + os.getpid() % 250)  # tests may run side by side

@@ -10,14 +10,14 @@ import pytest
 HERE = pathlib.Path(__file__).parent
 
 IN_FLIGHT = """
-import sys
+import gc
 import test_world
+from numba.core.dispatcher import Dispatcher
 from cortex_ros.wire import FrameEncoder
 from risc_simulator.models.mocap_cameras import MocapCameras
 
 def compiled():
-    modules = [module for name, module in sys.modules.items() if name.startswith("risc_simulator")]
-    return {id(f): len(f.signatures) for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
+    return {id(f): len(f.signatures) for f in gc.get_objects() if isinstance(f, Dispatcher)}
 
 make = test_world.make_world
 
@@ -54,6 +54,7 @@ def run(*arguments, **environment):
     "file, pattern",
     [
         ("test_world.py", "golden or at_rest"),
+        ("test_members.py", "exchange or own_equations"),
         ("test_mocap_cameras.py", "as_ever"),
         ("../../cortex_ros/test/test_wire.py", "fast_encoder"),
     ],

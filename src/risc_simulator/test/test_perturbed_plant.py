@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from risc_lab.compiled import record
 from risc_lab.lab import load_vehicle_type
 from risc_simulator.models import perturbed_plant as plant_module
-from risc_simulator.models.perturbed_plant import draw_plant, nominal_plant, stack_plants
+from risc_simulator.models.perturbed_plant import draw_plant, fill_records, nominal_plant
+from risc_simulator.models.quadrotor import QUADROTOR_FIELDS
 
 ARDRONE = load_vehicle_type("ardrone")
 
@@ -85,6 +87,7 @@ def test_what_the_vehicle_believes_stays_nominal():
 
 def test_stack_keeps_order():
     plants = draws(3)
-    stacked = stack_plants(plants)
+    stacked = np.zeros(len(plants), dtype=record(*QUADROTOR_FIELDS))
+    fill_records(stacked, plants)
     np.testing.assert_array_equal(stacked["mass_kg"], [plant.mass_kg for plant in plants])
     np.testing.assert_array_equal(stacked["inertia_y_kg_m2"], [ARDRONE.inertia_kg_m2[1]] * 3)

@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from risc_lab.compiled import record
 from risc_lab.frames import GRAVITY_M_S2, euler_rates_from_body_rates, rotation_body_to_ned
 from risc_lab.lab import AttitudeLoop, VehicleType
-from risc_simulator.models.perturbed_plant import nominal_plant, stack_plants
-from risc_simulator.models.quadrotor import U, X, advance, differentiate
+from risc_simulator.models.integrator import integrator
+from risc_simulator.models.perturbed_plant import fill_records, nominal_plant
+from risc_simulator.models.quadrotor import QUADROTOR_FIELDS, U, X
 
 ARDRONE = VehicleType(
     name="ardrone",
@@ -38,6 +40,19 @@ def inputs(n=1, **rows):
     return u
 
 
+def stack_plants(plants):
+    bodies = np.zeros(len(plants), dtype=record(*QUADROTOR_FIELDS))
+    fill_records(bodies, plants)
+    return bodies
+
+
+def advance(x, u, bodies, step_s):
+    """One step of all of them, in the air and with all the room of the world."""
+    n, nowhere = x.shape[1], (1e9, 1e9, 2e9)
+    flags, columns = np.ones((2, n), dtype=bool), np.arange(n, dtype=np.uintp)
+    integrator().advance(x, u, *flags, columns, bodies, step_s, 1, np.empty((0, 3, n)), 0, nowhere, False)
+
+
 def derivative(x, u, bodies):
     """x_dot (12, n)."""
     return evaluate(x, u, bodies)[0]
@@ -46,7 +61,7 @@ def derivative(x, u, bodies):
 def evaluate(x, u, bodies):
     """x_dot (12, n) and the demanded thrusts (n,)."""
     x_dot, thrust_n = np.empty_like(x), np.empty(x.shape[1])
-    differentiate(x, u, bodies, x_dot, thrust_n)
+    integrator().differentiate(x, u, np.arange(x.shape[1], dtype=np.uintp), bodies, x_dot, thrust_n)
     return x_dot, thrust_n
 
 

@@ -12,7 +12,7 @@ import pytest
 from ardrone_autonomy.protocol.video import StreamParser
 from risc_lab.lab import FleetVehicle, load_templates, load_vehicle_type
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
-from risc_simulator.ardrone_host import ArdroneHost, Ports
+from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
 from risc_simulator.video.blackboard import BITRATES_KBIT_S, BOTTOM, FRONT, RATES_HZ, Blackboard, Snapshot
 from risc_simulator.video.host import VideoHost
 from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
@@ -97,12 +97,12 @@ def test_what_is_due_waits_for_no_camera_that_draws(monkeypatch):
     )
     board = Blackboard(3)
     host = VideoHost(Fleet("three", MocapEndpoint(ADDRESS), vehicles), 1, board, listeners)
-    for listener, station in zip(listeners, host._stations):
+    for listener, station in zip(listeners, host._stations.values()):
         wait_for(listener)
         station.on_readable(listener)
     done = []
     monkeypatch.setattr(VideoHost, "_expose", lambda _host, index, *_: done.append("draw %d" % index))
-    for index, station in enumerate(host._stations):
+    for index, station in host._stations.items():
         monkeypatch.setattr(station, "send", lambda *_, index=index, **__: done.append("send %d" % index))
     for _ in range(2):  # the first tells the lab that somebody watches
         board.publish(time.monotonic(), 1.0, np.zeros((3, 12)))

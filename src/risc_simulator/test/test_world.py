@@ -10,7 +10,7 @@ from risc_lab.frames import GRAVITY_M_S2, euler_rates_from_body_rates
 from risc_lab.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_simulator import world as world_module
-from risc_simulator.models import ardrone_firmware as firmware
+from risc_simulator.vehicles.ardrone import firmware
 from risc_simulator.world import REST_HEIGHT_M, FlightAction, FlightPhase, Setpoint, World
 
 GOLDEN = pathlib.Path(__file__).parent / "golden"
@@ -545,7 +545,7 @@ def test_errors_name_cause_and_cure():
         world.vehicles["risc1"].fly_at((5, 0, 1))
     with pytest.raises(ValueError, match="no mocap template 'fluffy_II'; known are"):
         World(make_fleet(), TYPES, {})
-    with pytest.raises(ValueError, match="no on-board logic for vehicle type 'submarine'"):
+    with pytest.raises(ValueError, match="unknown name 'submarine' among the virtual_vehicles; known are: ardrone"):
         World(make_fleet(), {"ardrone": dataclasses.replace(TYPES["ardrone"], name="submarine")}, TEMPLATES)
     with pytest.raises(ValueError, match="step_s"):
         make_world(step_s=0.1)

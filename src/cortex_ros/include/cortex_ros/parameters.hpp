@@ -2,12 +2,15 @@
 // are known.
 #pragma once
 
+#include <xmlrpcpp/XmlRpcException.h>
 #include <xmlrpcpp/XmlRpcValue.h>
 
 #include <cstdint>
 #include <map>
 #include <set>
+#include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 namespace cortex_ros {
@@ -21,19 +24,32 @@ class Parameters {
   void set(const std::string& key, const std::string& value) { values_[key] = XmlRpc::XmlRpcValue(value); }
 
   // Leaves `value` alone when the parameter is not set. Throws std::invalid_argument for a wrong type.
-  void read(const std::string& key, bool& value);
-  void read(const std::string& key, double& value);
-  void read(const std::string& key, std::string& value);
+  template <typename Value>
+  void read(const std::string& key, Value& value) {
+    read_.insert(key);
+    const auto found = values_.find(key);
+    if (found == values_.end()) {
+      return;
+    }
+    try {
+      if constexpr (std::is_same_v<Value, double>) {
+        if (found->second.getType() == XmlRpc::XmlRpcValue::TypeInt) {
+          value = static_cast<int&>(found->second);
+          return;
+        }
+      }
+      value = static_cast<Value&>(found->second);
+    } catch (const XmlRpc::XmlRpcException&) {
+      throw std::invalid_argument("parameter " + key + " has the wrong type");
+    }
+  }
+
   void read_port(const std::string& key, std::uint16_t& port);  // 1 to 65535
 
   // Set, but not read: misspelt, most likely.
   std::vector<std::string> unread() const;
 
  private:
-  XmlRpc::XmlRpcValue* find(const std::string& key);
-  template <typename Value>
-  void read_as(const std::string& key, XmlRpc::XmlRpcValue::Type type, Value& value);
-
   std::map<std::string, XmlRpc::XmlRpcValue> values_;
   std::set<std::string> read_;
 };

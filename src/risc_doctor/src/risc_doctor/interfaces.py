@@ -5,10 +5,9 @@ import pathlib
 import socket
 from dataclasses import dataclass
 
-import netifaces
+import psutil
 
 _LOOPBACK = ipaddress.IPv4Network("127.0.0.0/8")
-_UP, _MULTICAST = 0x1, 0x1000  # IFF_UP, IFF_MULTICAST
 _CARDS = pathlib.Path("/sys/class/net")
 _NO_LINK = ("down", "lowerlayerdown", "dormant")  # of operstate
 _ANY_PORT = 9  # connecting a UDP socket sends nothing
@@ -36,16 +35,17 @@ class Interface:
 
 def read_interfaces():
     """All network cards of this computer, as a list of `Interface`. A bridge of containers is connected without any."""
-    found = []
-    for name in netifaces.interfaces():
-        folder = _CARDS / name.partition(":")[0]
-        flags = int(_read(folder / "flags") or "0x1003", 16)
+    cards, found = psutil.net_if_stats(), []
+    for name, entries in psutil.net_if_addrs().items():
+        card = name.partition(":")[0]  # eth0:1 is a second address of eth0
+        folder, flags = _CARDS / card, cards[card].flags.split(",") if card in cards else ()
         addresses = tuple(
-            ipaddress.IPv4Interface("%s/%s" % (entry["addr"], entry.get("netmask", "255.255.255.255")))
-            for entry in netifaces.ifaddresses(name).get(netifaces.AF_INET, ())
+            ipaddress.IPv4Interface("%s/%s" % (entry.address, entry.netmask or "255.255.255.255"))
+            for entry in entries
+            if entry.family == socket.AF_INET
         )
         connected = (folder / "bridge").is_dir() or _read(folder / "operstate") not in _NO_LINK
-        found.append(Interface(name, addresses, bool(flags & _UP), connected, bool(flags & _MULTICAST)))
+        found.append(Interface(name, addresses, "up" in flags, connected, "multicast" in flags))
     return found
 
 

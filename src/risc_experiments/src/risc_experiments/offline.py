@@ -45,10 +45,10 @@ from risc_experiments.workers import in_order
 from risc_lab.lab import load_templates, load_vehicle_type
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.states import S, States
-from risc_simulator.models.ardrone_firmware import LOST_HOVER_S
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.models.radio_link import RadioLink
+from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S
 from risc_simulator.world import World
 
 FRAME_S = 0.005

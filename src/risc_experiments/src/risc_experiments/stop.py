@@ -1,10 +1,11 @@
 """`./maap stop`: land and end every flight on this computer, also one whose `./maap fly` was killed."""
 
 import argparse
-import pathlib
 import signal
 import sys
 import time
+
+import psutil
 
 from risc_lab.ros.launching import all_marked_processes, end_processes, marked_processes, send_signal, wait_until
 
@@ -48,15 +49,15 @@ def end_flight(identity):
 def _command(pid):
     """Command line of a process, "" when it has ended."""
     try:
-        return pathlib.Path("/proc/%d/cmdline" % pid).read_bytes().replace(b"\0", b" ").decode(errors="replace")
-    except OSError:
+        return " ".join(psutil.Process(pid).cmdline())
+    except psutil.Error:
         return ""
 
 
 def _parent(pid):
     try:
-        return int(pathlib.Path("/proc/%d/stat" % pid).read_text(errors="replace").rpartition(")")[2].split()[1])
-    except OSError:
+        return psutil.Process(pid).ppid()
+    except psutil.Error:
         return 0
 
 

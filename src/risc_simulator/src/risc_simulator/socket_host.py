@@ -1,5 +1,6 @@
 """What the hosts of the virtual lab have in common: sockets that are waited for."""
 
+import math
 import select
 
 
@@ -62,3 +63,39 @@ class SocketHost:
         for sock in self._waiting.readable():
             if sock.fileno() >= 0:  # an earlier one of this round may have closed it
                 self.on_readable(sock, now_s)
+
+
+class VehicleHost(SocketHost):
+    """What one vehicle is on the wire. Constructed with (vehicle, address, seed, radio_loss), see VirtualLab.
+
+    vehicle: world.Vehicle.  address: IPv4 address of this computer to listen on.  Raises OSError naming the cause and
+    the cure when that cannot be used; nothing that arrives later raises.
+    Beside on_readable() and close() a type gives tick(now_s), called once per cycle after the world has moved, and
+    describe(): a line for people.
+    """
+
+    video_listener = None  # the TCP listener for video, bound; None: it has no camera
+
+    def __init__(self):
+        super().__init__()
+        self._now_s = 0.0  # lab time that it was last told
+        self._lost_until_s = -math.inf  # injected
+
+    def attach_video(self, video):
+        """Let a camera process serve the video clients.  video: video.launcher.VehicleVideo."""
+
+    def watch_streams(self):
+        """Who serves the video clients may have changed: wait for what is to be served now."""
+
+    def lose_link(self, duration_s):
+        """From now on nothing passes in either direction, for this long."""
+        self._lost_until_s = self._now_s + duration_s
+
+    @property
+    def link_lost(self):
+        """An injected loss is in force."""
+        return self._now_s < self._lost_until_s
+
+    def statistics(self):
+        """Counts since the start, with the `notices` of its Notices, for JSON."""
+        return {"notices": {"events": {}, "complaints": {}}}

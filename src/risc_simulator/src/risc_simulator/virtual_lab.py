@@ -30,7 +30,6 @@ import numpy as np
 
 from risc_lab.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
-from risc_simulator.ardrone_host import ArdroneHost
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
 from risc_simulator.socket_host import SocketSet
@@ -131,9 +130,8 @@ class VirtualLab:
             self._hosts.append(self.cortex_host)
             self.vehicle_hosts = {}
             for vehicle in fleet.vehicles:
-                host = ArdroneHost(
-                    self.world.vehicles[vehicle.namespace], vehicle.address, seed=seed, radio_loss=radio_loss
-                )
+                body = self.world.vehicles[vehicle.namespace]
+                host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=radio_loss)
                 self.vehicle_hosts[vehicle.namespace] = host
                 self._hosts.append(host)
             self._video = VideoLauncher(fleet, seed, [host.video_listener for host in self.vehicle_hosts.values()])

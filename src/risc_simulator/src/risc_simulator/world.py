@@ -4,8 +4,10 @@ Time is world time in seconds from 0, on a fixed grid. Actions are applied at th
 theirs. Everything outside (positions, velocities) is in the cortex frame; inside it is the state of
 models/quadrotor.py.
 
-One compiled call moves all vehicles, over as many steps as nothing happens; what happens (actions, an empty battery,
-the ends of a take-off's parts, touching the floor, the net or another vehicle) is decided here.
+The world is a list of systems: a vehicle, with what is attached to it. One compiled call moves all systems of a kind
+(models/integrator.py), over as many steps as nothing happens; what happens (actions, an empty battery, the ends of a
+take-off's parts, touching the floor, the net or another vehicle) is decided here. Systems of several kinds move in
+turn, a step at a time.
 """
 
 import functools
@@ -17,28 +19,35 @@ import numpy as np
 
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_cortex
-from risc_simulator.models.ardrone_firmware import ArdroneFirmware, Hold
+from risc_simulator.bodies import load_body
 from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
-from risc_simulator.models.on_board import ON_BOARD_FIELDS, hold, level_motion, trim_climb
-from risc_simulator.models.perturbed_plant import draw_plant, stack_plants
-from risc_simulator.models.quadrotor import QUADROTOR_FIELDS, U, X, differentiate, runge_kutta
+from risc_simulator.models.integrator import (
+    COLLISION_DISTANCE_M,
+    COLLISION_M2,
+    GUST_TIME_CONSTANT_S,
+    REST_HEIGHT_M,
+    closest,
+    integrator,
+)
+from risc_simulator.models.perturbed_plant import draw_plant, fill_records
+from risc_simulator.models.quadrotor import U, X, level_motion
+from risc_simulator.vehicles import virtual_type
 
-__all__ = ["Crash", "FlightAction", "FlightPhase", "Setpoint", "Vehicle", "VehicleState", "World"]
+__all__ = [
+    "COLLISION_DISTANCE_M",
+    "Crash",
+    "FlightAction",
+    "FlightPhase",
+    "REST_HEIGHT_M",
+    "Setpoint",
+    "Vehicle",
+    "VehicleState",
+    "World",
+]
 
 NET_REBOUND_M_S = 0.5
-REST_HEIGHT_M = 0.08  # of a vehicle's centre above the floor when it stands
-COLLISION_DISTANCE_M = 0.5  # between centres, in any direction: indoor hulls are 0.52 m across and give way a little
-
 GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehicles' downwash
-GUST_TIME_CONSTANT_S = 1.5  # first-order (Dryden-like) correlation
 _GUST_BLOCK = 1024  # steps drawn at once
-_COLLISION_M2 = COLLISION_DISTANCE_M**2
-_TOUCH_M2 = 1e-12  # what rounding may do to the square of a distance
-
-_FIRMWARE = {"ardrone": ArdroneFirmware}  # on-board logic by the name of the vehicle type
-
-# What a vehicle is, what its on-board logic has decided, and whether it is beyond the floor or the net.
-_VEHICLE = record(*QUADROTOR_FIELDS, *ON_BOARD_FIELDS, ("touches", bool))
 
 # What each random stream of a vehicle is for; the numbers are part of what a seed means.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
@@ -47,13 +56,15 @@ _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
 class Vehicle:
     """One vehicle of the world, as hosts and studies see it."""
 
-    def __init__(self, world, index, fleet_vehicle, vehicle_type, markers_m, plant, firmware):
+    def __init__(self, world, index, fleet_vehicle, vehicle_type, virtual, markers_m, plant, firmware):
         self.namespace = fleet_vehicle.namespace
         self.name = self.template = fleet_vehicle.template  # its name in motion capture and on every topic
         self.markers_m = markers_m  # (n, 3) markers it carries, body axes (forward, right, down)
         self.type = vehicle_type  # VehicleType: the nominal vehicle
+        self.virtual = virtual  # vehicles.VirtualType: its equations and its host
         self.plant = plant  # PlantParams: the true one
         self.firmware = firmware
+        self.attached = fleet_vehicle.attached  # AttachedBody or None
         self._world, self._index = world, index
 
     def schedule(self, time_s, action):
@@ -69,6 +80,11 @@ class Vehicle:
     def state(self):
         """VehicleState at world time."""
         return self._world._state(self._index)
+
+    @property
+    def body_state(self):
+        """State of what is attached to it (see its module in bodies), at world time; () when nothing is."""
+        return self._world._x[len(X) :, self._index].copy()
 
     @property
     def height_m(self):
@@ -87,6 +103,52 @@ class Vehicle:
     def fly_at(self, position_m, yaw_rad=0.0):
         """Put the vehicle into the air at this place (cortex frame), hovering: a start for offline studies."""
         self._world._place_in_flight(self._index, position_m, yaw_rad)
+
+
+@functools.cache
+def _equations(type_name, body_name):
+    """(Integrator, dtype of the records, Body or None) of a kind of system: a type of vehicle and what it carries."""
+    virtual = virtual_type(type_name)
+    if not body_name:
+        return integrator(type_name, **virtual.equations), record(*virtual.fields), None
+    body = load_body(body_name)
+    compiled_for = integrator("%s_%s" % (type_name, body_name), body.size, **virtual.equations, couple=body.couple)
+    return compiled_for, record(*virtual.fields, ("body", body.record)), body
+
+
+class _Kind:
+    """The systems of one kind: their columns in the state, and the records of their vehicles."""
+
+    def __init__(self, type_name, body_name, columns):
+        self.columns = np.array(columns, dtype=np.uintp)
+        self.integrator, dtype, self.body = _equations(type_name, body_name)
+        self.records = np.zeros(len(columns), dtype=dtype)
+        if self.body is not None:
+            self.records["body"] = self.body.values
+
+    def prepare(self, vehicles):
+        """Write what the vehicles are into their records."""
+        fill_records(self.records, [vehicle.plant for vehicle in vehicles])
+        for c, vehicle in enumerate(vehicles):
+            vehicle.firmware.configure(self.records[c : c + 1])
+
+
+class _Carried:
+    """What one vehicle carries."""
+
+    def __init__(self, kind, c, template):
+        self.column, self.template = int(kind.columns[c]), template
+        self._body, self._record = kind.body, kind.records[c]
+
+    def rest(self, x):
+        """Put it where it is while the vehicle stands. x: state of all."""
+        self._body.rest(x[:, self.column], self._record)
+
+    def markers_m(self, x):
+        """(k, 3) its markers, cortex frame."""
+        position_m, axes = np.zeros(3), np.eye(3)
+        self._body.place(x[:, self.column], self._record, position_m, axes)
+        return position_m + self.template.markers_m @ axes.T
 
 
 class World:
@@ -111,16 +173,22 @@ class World:
         net = self._net = fleet.arena
         self._net_m = net.half_x_m, net.half_y_m, net.height_m
         n = len(fleet.vehicles)
-        self._x = np.zeros((len(X), n))
+        types = [_look_up(vehicle_types, vehicle.type, "vehicle type") for vehicle in fleet.vehicles]
+        kinds = {}  # {(name of the type, of what it carries): columns}
+        for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
+            carried = fleet_vehicle.attached.body if fleet_vehicle.attached else ""
+            kinds.setdefault((vehicle_type.name, carried), []).append(i)
+        self._kinds = [_Kind(name, carried, i) for (name, carried), i in kinds.items()]
+        rows = len(X) + max((kind.body.size for kind in self._kinds if kind.body), default=0)
+        self._x = np.zeros((rows, n))
         self._u = np.zeros((len(U), n))
         vehicles = []
-        for i, fleet_vehicle in enumerate(fleet.vehicles):
-            vehicle_type = _look_up(vehicle_types, fleet_vehicle.type, "vehicle type")
-            firmware_class = _look_up(_FIRMWARE, vehicle_type.name, "on-board logic for vehicle type")
+        for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
+            virtual = virtual_type(vehicle_type.name)
             markers_m = _look_up(templates, fleet_vehicle.template, "mocap template").markers_m
             plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), perturbed)
-            firmware = firmware_class(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), perturbed, REST_HEIGHT_M)
-            vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, markers_m, plant, firmware))
+            firmware = virtual.Firmware(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), perturbed, REST_HEIGHT_M)
+            vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, virtual, markers_m, plant, firmware))
             x, y, _ = fleet_vehicle.start_position_m  # height is the floor's: it stands
             if abs(x) > net.half_x_m or abs(y) > net.half_y_m:
                 raise ValueError(
@@ -136,30 +204,37 @@ class World:
             + np.array(mark.position_m)
             for mark in fleet.landmarks
         ]
-        #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, then landmarks
-        self.layout = tuple((vehicle.template, len(vehicle.markers_m)) for vehicle in vehicles) + tuple(
-            (mark.name, len(markers_m)) for mark, markers_m in zip(fleet.landmarks, landmarks_m)
+        for kind in self._kinds:
+            kind.prepare([vehicles[i] for i in kind.columns])
+        carried = [
+            _Carried(kind, c, _look_up(templates, vehicles[i].attached.template, "mocap template"))
+            for kind in self._kinds
+            if kind.body
+            for c, i in enumerate(kind.columns)
+        ]
+        self._carried = {one.column: one for one in carried}
+        #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, landmarks, what vehicles carry
+        self.layout = (
+            *((vehicle.template, len(vehicle.markers_m)) for vehicle in vehicles),
+            *((mark.name, len(markers_m)) for mark, markers_m in zip(fleet.landmarks, landmarks_m)),
+            *((one.template.name, len(one.template.markers_m)) for one in carried),
         )
         self._first_marker = np.cumsum([0] + [len(vehicle.markers_m) for vehicle in vehicles])
         self._body_markers_m = np.concatenate(
             [np.reshape(vehicle.markers_m, (-1, 3)) for vehicle in vehicles] + [np.empty((0, 3))]
         )
-        self._markers_m = np.concatenate([self._body_markers_m] + landmarks_m)
+        self._markers_m = np.concatenate([self._body_markers_m, *landmarks_m, *(c.template.markers_m for c in carried)])
+        self._first_carried = len(self._markers_m) - sum(len(one.template.markers_m) for one in carried)
+        for one in carried:
+            one.rest(self._x)
 
-        self._records = np.zeros(n, dtype=_VEHICLE)
-        bodies = stack_plants([vehicle.plant for vehicle in vehicles])
-        for name in bodies.dtype.names:
-            self._records[name] = bodies[name]
-        for vehicle, one in zip(vehicles, self._records):
-            vehicle.firmware.configure(one)
-        self._lifted, self._holds = self._records["lifted"], self._records["holds"]
-        self._hold_values = [self._records[name] for name in Hold._fields]
+        self._lifted, self._touches = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
         self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
         self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
         self._wake_s = math.inf  # and the first of them
         self._steps_per_second = max(1, int(round(1.0 / step_s)))
-        self._slope, self._thrust_n = np.empty((len(X), n)), np.empty(n)
+        self._slope, self._thrust_n = np.empty((rows, n)), np.empty(n)
         self._slope_at = -1  # step whose slopes and thrusts these are
 
         self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n)]
@@ -208,24 +283,33 @@ class World:
 
     def _advance(self, steps):
         """Advance by so many steps, or fewer if something happens."""
-        steps, least_m2, anyone_touched = _advance(
-            self._x,
-            self._u,
-            self._records,
-            self.step_s,
-            steps,
-            self._gust_block,
-            self._steps % _GUST_BLOCK,
-            self._net_m,
-        )
-        self._steps += steps
-        if anyone_touched:
-            for i in np.flatnonzero(self._records["touches"]).tolist():
+        alone = len(self._kinds) == 1
+        anyone_touches = False
+        for kind in self._kinds:
+            made, least_m2, touching = kind.integrator.advance(
+                self._x,
+                self._u,
+                self._lifted,
+                self._touches,
+                kind.columns,
+                kind.records,
+                self.step_s,
+                steps if alone else min(steps, 1),
+                self._gust_block,
+                self._steps % _GUST_BLOCK,
+                self._net_m,
+                alone,
+            )
+            anyone_touches |= touching
+        self._steps += made
+        if anyone_touches:
+            for i in np.flatnonzero(self._touches).tolist():
                 self._meet_wall_or_floor(i)
-            least_m2 = min(least_m2, _closest(self._x, self._records))
+        if anyone_touches or not alone:
+            least_m2 = min(least_m2, closest(self._x, self._lifted))
         if least_m2 < self._least_squared_m2:
             self._least_squared_m2 = least_m2
-        if least_m2 < _COLLISION_M2:
+        if least_m2 < COLLISION_M2:
             self._meet_each_other()
 
     def _load_compiled(self):
@@ -233,7 +317,7 @@ class World:
         self._advance(0)
         self.truth()
         self.markers_m()
-        _closest(self._x, self._records)
+        closest(self._x, self._lifted)
         level_motion(self._x[:, 0])
 
     # ------------------------------------------------------------------ what vehicles are told
@@ -249,11 +333,12 @@ class World:
         while self._agenda and self._agenda[0][0] <= time_s:
             _, _, i, action = heapq.heappop(self._agenda)
             firmware = self._vehicles[i].firmware
-            phase, hold_before = firmware.phase, firmware.hold
+            phase = firmware.phase
             firmware.apply(action, time_s, self._motions[i])
-            if firmware.phase is phase and firmware.hold is hold_before is None:
-                self._commands[i] = firmware.command
-            else:
+            command = firmware.tell()
+            if command is not None:
+                self._commands[i] = command
+            if firmware.phase is not phase:
                 self._take_over(i)
 
     def _check_batteries(self, time_s):
@@ -272,13 +357,11 @@ class World:
     def _take_over(self, i):
         """Bring what the firmware decided into the arrays."""
         firmware = self._vehicles[i].firmware
-        held = firmware.hold
-        self._holds[i] = held is not None
-        if held is None or not held.brakes:
-            self._commands[i] = firmware.command
-        if held is not None:
-            for values, value in zip(self._hold_values, held):
-                values[i] = value
+        command = firmware.tell()
+        if command is not None:
+            self._commands[i] = command
+        if i in self._carried and not firmware.lifted:
+            self._carried[i].rest(self._x)
         self._motors[i] = firmware.motors_on and firmware.lifted
         if not firmware.motors_on:
             self._u[U.CLIMB_TRIM, i] = 0.0
@@ -326,7 +409,7 @@ class World:
         in_air = np.flatnonzero(self._lifted)
         first, second = (in_air[chosen] for chosen in np.triu_indices(len(in_air), 1))
         apart_m = self._x[: X.H + 1, first] - self._x[: X.H + 1, second]
-        near = (apart_m**2).sum(axis=0) < _COLLISION_M2
+        near = (apart_m**2).sum(axis=0) < COLLISION_M2
         for i, j in zip(first[near].tolist(), second[near].tolist()):
             self._collide(i, j)
 
@@ -356,6 +439,8 @@ class World:
         self._x[: X.H + 1, i] = x, -y, z
         self._x[X.PSI, i] = yaw_rad
         self._commands[i] = 0.0
+        if i in self._carried:
+            self._carried[i].rest(self._x)
         self._vehicles[i].firmware.fly_at(self.time_s, z)
         self._take_over(i)
         self._slope_at = -1
@@ -365,6 +450,11 @@ class World:
     def markers_m(self):
         """(m, 3) exact markers of all bodies in the order of `layout`, cortex frame. The next call overwrites them."""
         _place_markers(self._x, self._first_marker, self._body_markers_m, self._markers_m)
+        first = self._first_carried
+        for carried in self._carried.values():
+            markers_m = carried.markers_m(self._x)
+            self._markers_m[first : first + len(markers_m)] = markers_m
+            first += len(markers_m)
         return self._markers_m
 
     def truth(self):
@@ -375,19 +465,20 @@ class World:
         """
         self._differentiate()
         rows = np.empty((self._x.shape[1], 12))
-        _tell_truth(self._x, self._slope, self._records, rows)
+        _tell_truth(self._x, self._slope, self._lifted, rows)
         return rows
 
     def _differentiate(self):
         """Slopes and thrusts at world time, once."""
         if self._slope_at != self._steps:
-            differentiate(self._x, self._u, self._records, self._slope, self._thrust_n)
+            for kind in self._kinds:
+                kind.integrator.differentiate(self._x, self._u, kind.columns, kind.records, self._slope, self._thrust_n)
             self._slope_at = self._steps
 
     def _state(self, i):
         x = self._x[:, i]
         self._differentiate()
-        p_n, p_e, h, u, v, w, phi, theta, psi, p, q, r = x.tolist()
+        p_n, p_e, h, u, v, w, phi, theta, psi, p, q, r = x[: len(X)].tolist()
         slope = self._slope[:, i].tolist()
         firmware, plant = self._vehicles[i].firmware, self._vehicles[i].plant
         sin_phi, cos_phi, sin_theta, cos_theta = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
@@ -416,68 +507,6 @@ class World:
 
 
 @compiled
-def _advance(x, u, vehicles, step_s, steps, gust_block, gust_at, net_m):
-    """Up to so many steps of all vehicles; ends with a step in which something has happened.
-
-    x (12, n), u (9, n), vehicles (n,) records.  gust_block: (k, 3, n) innovations of the wind, from row gust_at on;
-    (0, 3, n): no gusts.  net_m: half its extent in x and in y, and its height.
-    Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf when there are no two),
-    and whether any touches: then the distances after the last step are still to be looked at.
-    """
-    work = np.empty((5, 12))
-    gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
-    least_m2 = math.inf
-    for k in range(steps):
-        anyone_touches = False
-        for i in range(x.shape[1]):
-            inputs, vehicle = u[:, i], vehicles[i]
-            if len(gust_block):
-                for axis in range(3):
-                    inputs[U.WIND_N + axis] = gust_keep * inputs[U.WIND_N + axis] + gust_block[gust_at + k, axis, i]
-            vehicle.touches = False
-            if vehicle.lifted:
-                state = x[:, i]
-                if vehicle.holds:
-                    hold(state, inputs, vehicle)
-                climb_m_s = runge_kutta(state, inputs, vehicle, step_s, work)
-                if inputs[U.MOTORS] != 0.0:
-                    trim_climb(inputs, climb_m_s, vehicle, step_s)
-                vehicle.touches = _is_beyond(state, net_m)
-                anyone_touches |= vehicle.touches
-        if anyone_touches:
-            return k + 1, least_m2, True
-        least_m2 = min(least_m2, _closest(x, vehicles))
-        if least_m2 < _COLLISION_M2:
-            return k + 1, least_m2, False
-    return steps, least_m2, False
-
-
-@compiled
-def _is_beyond(x, net_m):
-    """Whether a vehicle is below the height at which it stands, or beyond the net (half x, half y, height)."""
-    half_x_m, half_y_m, top_m = net_m
-    height_m = x[X.H] - 0.5 * (REST_HEIGHT_M + top_m)
-    return (
-        x[X.P_N] ** 2 - half_x_m**2 > _TOUCH_M2
-        or x[X.P_E] ** 2 - half_y_m**2 > _TOUCH_M2
-        or height_m**2 - (0.5 * (top_m - REST_HEIGHT_M)) ** 2 > _TOUCH_M2
-    )
-
-
-@compiled
-def _closest(x, vehicles):
-    """Least squared distance of two vehicles in the air [m^2], inf when there are no two."""
-    least_m2 = math.inf
-    for i in range(x.shape[1]):
-        if vehicles[i].lifted:
-            for j in range(i):
-                if vehicles[j].lifted:
-                    north, east, up = x[X.P_N, i] - x[X.P_N, j], x[X.P_E, i] - x[X.P_E, j], x[X.H, i] - x[X.H, j]
-                    least_m2 = min(least_m2, north * north + east * east + up * up)
-    return least_m2
-
-
-@compiled
 def _place_markers(x, first_marker, body_markers_m, markers_m):
     """Markers of the vehicles, cortex frame. body_markers_m: (m, 3) body axes; vehicle i's begin at first_marker[i]."""
     for i in range(x.shape[1]):
@@ -495,10 +524,10 @@ def _place_markers(x, first_marker, body_markers_m, markers_m):
 
 
 @compiled
-def _tell_truth(x, slope, vehicles, rows):
+def _tell_truth(x, slope, lifted, rows):
     """See World.truth. East is right, the cortex frame's y points left."""
     for i in range(x.shape[1]):
-        moves = 1.0 if vehicles[i].lifted else 0.0
+        moves = 1.0 if lifted[i] else 0.0
         for j in range(3):
             sign = -1.0 if j == 1 else 1.0
             rows[i, j] = sign * x[X.P_N + j, i]

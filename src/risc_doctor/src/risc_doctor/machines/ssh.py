@@ -105,12 +105,21 @@ def resolve(computer):
     return options.get("hostname", computer.address), options
 
 
+def known_host_keys():
+    """The host keys that roslaunch believes, as paramiko.HostKeys."""
+    keys = paramiko.HostKeys()
+    for path in ("/etc/ssh/ssh_known_hosts", os.path.expanduser("~/.ssh/known_hosts")):
+        with contextlib.suppress(OSError):
+            keys.load(path)
+    return keys
+
+
 def connect(computer):
     """Log in with a key, as roslaunch 1.15 does it. Returns a Session. Raises MachineError."""
     address, options = resolve(computer)
     client = paramiko.SSHClient()
     complaint = ssh_check_known_hosts(client, address, computer.port, computer.user)
-    known = client._system_host_keys  # roslaunch looks there, too
+    known = known_host_keys()
     if complaint:
         raise MachineError(_unknown_host(complaint, known, computer, address))
     login = {"timeout": CONNECT_S, "banner_timeout": CONNECT_S, "auth_timeout": 2.0 * CONNECT_S}

@@ -31,6 +31,14 @@ class MocapEndpoint:
 
 
 @dataclass(frozen=True)
+class AttachedBody:
+    """What a vehicle carries that moves by itself, e.g. a pendulum (virtual lab only)."""
+
+    body: str  # name among the bodies, see risc_simulator.bodies
+    template: str  # mocap template of its markers
+
+
+@dataclass(frozen=True)
 class FleetVehicle:
     """One vehicle of the fleet."""
 
@@ -42,6 +50,7 @@ class FleetVehicle:
     start_position_m: tuple[float, float, float]  # where it stands before take-off; cortex frame
     start_yaw_rad: float  # + clockwise from above, as States.psi
     camera_mount: str = ""  # where the front camera sits, see lab.calibration; "" = the type's nominal place
+    attached: AttachedBody | None = None
 
 
 @dataclass(frozen=True)
@@ -103,6 +112,7 @@ class Fleet:
                     "calibration": v.calibration,
                     "camera_mount": v.camera_mount,
                     "start": {"position_m": list(v.start_position_m), "yaw_deg": math.degrees(v.start_yaw_rad)},
+                    **({"attached": dict(vars(v.attached))} if v.attached else {}),
                 }
                 for v in self.vehicles
             ],
@@ -140,6 +150,8 @@ def fleet_from_dict(content, where="fleet"):
         # one driver too many at an address would fly somebody else's vehicle
         for key in ("namespace", "template") + (() if fleet.own_networks else ("address",)):
             check_different(fleet.vehicles, key, "vehicles")
+        attached = [vehicle.attached for vehicle in fleet.vehicles if vehicle.attached]
+        check_different([*fleet.vehicles, *attached], "template", "vehicles or attached bodies")
         check_different(fleet.landmarks, "name", "landmarks")
     return fleet
 
@@ -177,12 +189,19 @@ def _vehicle(section):
         camera_mount=section.text("camera_mount", ""),
         start_position_m=start.vector("position_m", 3),
         start_yaw_rad=math.radians(start.number("yaw_deg", 0.0)),
+        attached=_attached(section.section("attached")) if "attached" in section.keys() else None,
     )
     start.done()
     section.done()
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", vehicle.namespace):
         raise ValueError("vehicle namespace %r is no ROS name (letter, then letters, digits, _)" % vehicle.namespace)
     return vehicle
+
+
+def _attached(section):
+    attached = AttachedBody(section.text("body"), section.text("template"))
+    section.done()
+    return attached
 
 
 def _landmark(section):

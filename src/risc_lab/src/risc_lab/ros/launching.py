@@ -10,6 +10,8 @@ import subprocess
 import time
 import uuid
 
+import psutil
+
 MARK = "RISC_MAAP_FLIGHT"  # every process of a flight carries its identity in this environment variable
 _PORTS = range(15000, 30000)  # of TCP, for masters and pages
 _ATTEMPTS = 50  # to find one that is free
@@ -127,18 +129,14 @@ def marked_processes(identity):
 
 def all_marked_processes():
     """{identity: {process id: command}} of all flights, without the caller."""
-    mark = MARK.encode() + b"="
     found = {}
-    for entry in pathlib.Path("/proc").glob("[0-9]*"):
-        if int(entry.name) == os.getpid():
+    for process in psutil.process_iter():
+        if process.pid == os.getpid():
             continue
-        try:
-            for variable in (entry / "environ").read_bytes().split(b"\0"):
-                if variable.startswith(mark):
-                    command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-                    found.setdefault(variable[len(mark) :].decode(), {})[int(entry.name)] = command
-        except (FileNotFoundError, ProcessLookupError, PermissionError):
-            continue  # it ended while we looked, or it belongs to somebody else
+        with contextlib.suppress(psutil.Error):  # it ended while we looked, or it belongs to another user
+            identity = process.environ().get(MARK)
+            if identity:
+                found.setdefault(identity, {})[process.pid] = " ".join(process.cmdline())
     return found
 
 

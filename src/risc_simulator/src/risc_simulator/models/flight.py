@@ -67,3 +67,62 @@ class Crash:
     namespace: str
     position_m: np.ndarray  # (3,) cortex frame
     reason: str
+
+
+class Firmware:
+    """On-board logic of one vehicle: turns actions into the commands of its loops. The world calls it.
+
+    phase: FlightPhase.   command: four numbers, the first rows of the input (enum U, or as the type's own loops
+    understand them).   motors_on: rotors turn.   lifted: they carry the vehicle; False while it stands.
+    wake_s: from this time on wake() is called at the start of every step.
+    A type overrides what it does otherwise; apply() it must.
+    """
+
+    phase = FlightPhase.LANDED
+    command = (0.0, 0.0, 0.0, 0.0)
+    motors_on = lifted = False
+    wake_s = math.inf
+
+    def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
+        """vehicle_type: VehicleType. rng: Generator of this vehicle alone. rest_height_m: of its centre, standing."""
+
+    def configure(self, record):
+        """Write the constants of this vehicle into its record, an array (1,) with the FIELDS of the type, to keep."""
+
+    def tell(self):
+        """Bring what was decided into the record. Returns the command to be obeyed; None: leave the inputs alone."""
+        return self.command
+
+    def apply(self, action, time_s, vertical_motion):
+        """Obey a Setpoint or a FlightAction, as far as the phase allows it; the rest is ignored, as on the vehicle.
+
+        vertical_motion: function that gives height [m] and climb rate [m/s] at time_s.
+        """
+        raise NotImplementedError
+
+    def wake(self, time_s, vertical_motion):
+        """See wake_s."""
+
+    def touch_down(self, time_s, impact_m_s):
+        """The floor is reached at this downward speed. Returns why it is a crash, or "" when it is none."""
+        if self.phase is not FlightPhase.FLYING:
+            self.lifted = False
+        return ""
+
+    def crash(self, time_s):
+        """It flew into something: motors off. It falls until touch_down()."""
+        self.phase, self.motors_on = FlightPhase.EMERGENCY, False
+
+    def fly_at(self, time_s, height_m):
+        """Start in the air (offline studies)."""
+        self.phase, self.motors_on, self.lifted = FlightPhase.FLYING, True, True
+
+    def battery_pct(self, time_s):
+        """Charge in percent at this time, never below 0."""
+        return 100.0
+
+    def set_battery_pct(self, pct, time_s):
+        """Put in another battery, or (a fault to be injected) a tired one."""
+
+    def check_battery(self, time_s):
+        """Called about once a second: an empty battery lands the vehicle."""

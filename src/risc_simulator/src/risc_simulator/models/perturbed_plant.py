@@ -10,7 +10,6 @@ import numpy as np
 
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import AttitudeLoop
-from risc_simulator.models.quadrotor import QUADROTOR
 
 # One standard deviation of each property; draws are cut at two of them.
 MASS_SPREAD = 0.03  # battery, hull and markers
@@ -99,9 +98,8 @@ _POSITIVE = (
 )
 
 
-def stack_plants(plants):
-    """QUADROTOR records of a sequence of PlantParams, in this order. Raises ValueError."""
-    bodies = np.zeros(len(plants), dtype=QUADROTOR)
+def fill_records(bodies, plants):
+    """Write a sequence of PlantParams into records with QUADROTOR_FIELDS, in this order. Raises ValueError."""
     for body, plant in zip(bodies, plants):
         body.mass_kg = plant.mass_kg
         body.nominal_mass_kg = plant.nominal_mass_kg
@@ -122,4 +120,3 @@ def stack_plants(plants):
     for name in _POSITIVE:
         if not np.all(bodies[name] > 0.0):
             raise ValueError("%s must be positive, got %r" % (name, bodies[name].tolist()))
-    return bodies

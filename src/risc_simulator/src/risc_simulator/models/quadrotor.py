@@ -1,9 +1,8 @@
-"""Quadrotor: equations 6.1-6.4 with the on-board loops, compiled: scalar code for one vehicle, looped over the fleet.
+"""Quadrotor: equations 6.1-6.4 with the on-board loops, compiled: scalar code for one vehicle (see integrator.py).
 
 State (12, n): one row per quantity (enum X), one column per vehicle. Position is North, East, Up; velocity is in body
 axes (forward, right, down); angles are NED Euler angles (roll + right wing down, pitch + nose up, yaw + clockwise from
-above). Input (9, n): enum U. What a vehicle is: a record
-QUADROTOR, or one that has these fields among others.
+above). Input (9, n): enum U. What a vehicle is: a record that has QUADROTOR_FIELDS among others.
 
 The loops: commanded angle c gives angle'' = wn^2 (gain c - angle) - 2 zeta wn angle'; yaw rate and vertical speed
 follow their commands as first-order lags.
@@ -12,9 +11,7 @@ follow their commands as first-order lags.
 import math
 from enum import IntEnum
 
-import numpy as np
-
-from risc_lab.compiled import compiled, record
+from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2
 
 
@@ -69,7 +66,6 @@ QUADROTOR_FIELDS = (
     ("thrust_max_n", float),
     ("tumble_damping_1_s", float),  # air damping of the body rates while the motors stand
 )
-QUADROTOR = record(*QUADROTOR_FIELDS)
 
 
 @compiled
@@ -130,44 +126,25 @@ def slope(x, inputs, body, x_dot):
 
 
 @compiled
-def runge_kutta(x, inputs, body, step_s, work):
-    """One step of the classical fourth-order method, inputs held: x (12,) is changed in place.
-
-    work: (5, 12), overwritten. Returns h' at the start of the step [m/s].
-    """
-    at, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
-    for j in range(12):
-        at[j] = x[j]
-    slope(at, inputs, body, k1)
-    for j in range(12):
-        at[j] = x[j] + 0.5 * step_s * k1[j]
-    slope(at, inputs, body, k2)
-    for j in range(12):
-        at[j] = x[j] + 0.5 * step_s * k2[j]
-    slope(at, inputs, body, k3)
-    for j in range(12):
-        at[j] = x[j] + step_s * k3[j]
-    slope(at, inputs, body, k4)
-    for j in range(12):
-        x[j] += step_s / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
-    return k1[X.H]
+def level_motion(x):
+    """Climb rate, and velocity forward and to the right along the heading, level [m/s], of a state (12,)."""
+    u, v, w, phi, theta = x[X.U], x[X.V], x[X.W], x[X.PHI], x[X.THETA]
+    down2 = math.sin(phi) * v + math.cos(phi) * w  # along the down axis of frame vehicle-2
+    climb = math.sin(theta) * u - math.cos(theta) * down2
+    forward = math.cos(theta) * u + math.sin(theta) * down2
+    right = math.cos(phi) * v - math.sin(phi) * w
+    return climb, forward, right
 
 
 @compiled
-def advance(x, u, bodies, step_s):
-    """One step of all vehicles: x (12, n) is changed in place. u: (9, n). bodies: (n,) records QUADROTOR."""
-    work = np.empty((5, 12))
-    for i in range(x.shape[1]):
-        runge_kutta(x[:, i], u[:, i], bodies[i], step_s, work)
-
-
-@compiled
-def differentiate(x, u, bodies, x_dot, thrust_n):
-    """x_dot (12, n) and the demanded thrusts (n,) of all vehicles, written there."""
-    at, k = np.empty(12), np.empty(12)
-    for i in range(x.shape[1]):
-        for j in range(12):
-            at[j] = x[j, i]
-        thrust_n[i] = slope(at, u[:, i], bodies[i], k)
-        for j in range(12):
-            x_dot[j, i] = k[j]
+def push(x, vehicle, north_n, east_n, up_n, x_dot):
+    """What a force [N] at the vehicle's centre adds to its x_dot."""
+    sf, cf = math.sin(x[X.PHI]), math.cos(x[X.PHI])
+    st, ct = math.sin(x[X.THETA]), math.cos(x[X.THETA])
+    sp, cp = math.sin(x[X.PSI]), math.cos(x[X.PSI])
+    forward_n = north_n * ct * cp + east_n * ct * sp + up_n * st
+    right_n = north_n * (sf * st * cp - cf * sp) + east_n * (sf * st * sp + cf * cp) - up_n * sf * ct
+    down_n = north_n * (cf * st * cp + sf * sp) + east_n * (cf * st * sp - sf * cp) - up_n * cf * ct
+    x_dot[X.U] += forward_n / vehicle.mass_kg
+    x_dot[X.V] += right_n / vehicle.mass_kg
+    x_dot[X.W] += down_n / vehicle.mass_kg

@@ -33,13 +33,18 @@ class VideoHost:
     """All stations on one schedule."""
 
     def __init__(self, fleet, seed, board, listeners):
-        """board: Blackboard. listeners: bound TCP sockets in fleet order. Raises ValueError for bad camera files."""
+        """board: Blackboard. listeners: bound TCP sockets in fleet order, None of a vehicle without cameras.
+
+        Raises ValueError for bad camera files.
+        """
         self._board = board
         self._last_unwatched = 0  # number of the newest pose when nobody watched: the lab shows no others then
         scene, imaging = load_scene(fleet)
         self._names = [vehicle.namespace for vehicle in fleet.vehicles]
-        self._stations = []
+        self._stations = {}  # by the vehicle's place in the fleet
         for index, (vehicle, listener) in enumerate(zip(fleet.vehicles, listeners)):
+            if listener is None:
+                continue
             eyes = {
                 FRONT: front_eye(vehicle, scene, imaging, seed_of(seed, index, FRONT)),
                 BOTTOM: bottom_eye(scene, imaging, seed_of(seed, index, BOTTOM)),
@@ -48,17 +53,17 @@ class VideoHost:
             station = Station(listener, eyes, latency_s, Notices(_LOG, vehicle.namespace))
             station.pictures = int(board.pictures[index])  # of a camera process before this one
             station.skipped = int(board.skipped[index])
-            self._stations.append(station)
+            self._stations[index] = station
 
     def serve(self, stop_fd):
         """Until stop_fd can be read."""
         self._board.ready[...] = 1
         while True:
             wait_s = self._work()
-            readers = {sock: station for station in self._stations for sock in station.sockets()}
+            readers = {sock: station for station in self._stations.values() for sock in station.sockets()}
             writers = [
                 sock
-                for index, station in enumerate(self._stations)
+                for index, station in self._stations.items()
                 if self._board.link_up[index]
                 for sock in station.blocked()
             ]
@@ -71,7 +76,7 @@ class VideoHost:
 
     def close(self):
         """Close all sockets."""
-        for station in self._stations:
+        for station in self._stations.values():
             station.close()
 
     def _work(self):
@@ -80,12 +85,12 @@ class VideoHost:
         board = self._board
         if not board.watchers.any():
             self._last_unwatched = int(board.newest)
-        for index, station in enumerate(self._stations):
+        for index, station in self._stations.items():
             board.watchers[index] = station.watchers
         snapshot = board.snapshot() if int(board.newest) != self._last_unwatched else None
         now_s = time.monotonic()
         wake_s = now_s + (_IDLE_S if snapshot is not None else _POSE_S)
-        for index, station in enumerate(self._stations):
+        for index, station in self._stations.items():
             is_on = snapshot is not None and bool(board.enabled[index])
             due_s = station.due_s(float(board.rate_hz[index]), now_s, is_on)
             if due_s is not None:
@@ -108,7 +113,7 @@ class VideoHost:
 
     def _send(self):
         """Send what has arrived, of all cameras: none waits for what is drawn or counted for another."""
-        for index, station in enumerate(self._stations):
+        for index, station in self._stations.items():
             station.send(time.monotonic(), bool(self._board.link_up[index]))
 
     def _expose(self, index, station, snapshot):
@@ -137,7 +142,7 @@ def main():
     try:
         fleet = fleet_from_dict(job["fleet"])
         board = Blackboard(len(fleet.vehicles), job["board_fd"])
-        listeners = [socket.socket(fileno=fd) for fd in job["listener_fds"]]
+        listeners = [None if fd is None else socket.socket(fileno=fd) for fd in job["listener_fds"]]
         host = VideoHost(fleet, job["seed"], board, listeners)
     except ValueError as error:
         _LOG.error("%s", error)

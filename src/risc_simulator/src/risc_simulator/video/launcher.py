@@ -20,7 +20,7 @@ class VideoLauncher:
     """Video for all vehicles of one lab. Used from the lab's thread."""
 
     def __init__(self, fleet, seed, listeners):
-        """listeners: the TCP listeners of the vehicles, in fleet order; they stay the caller's."""
+        """listeners: TCP listeners of the vehicles, None without cameras, in fleet order; they stay the caller's."""
         self._fleet, self._seed, self._listeners = fleet, seed, listeners
         self._index = {vehicle.namespace: index for index, vehicle in enumerate(fleet.vehicles)}
         self.board = Blackboard(len(listeners))
@@ -46,14 +46,14 @@ class VideoLauncher:
     @property
     def may_start(self):
         """Whether `start` would start the camera process: it does not run, and has not just ended."""
-        return not self.running and time.monotonic() >= self._rest_until_s
+        return not self.running and any(self._listeners) and time.monotonic() >= self._rest_until_s
 
     def start(self):
         """Start the camera process if it may. A computer that cannot start it now is asked again later."""
         if not self.may_start:
             return
         self.board.ready[...] = 0
-        descriptors = [listener.fileno() for listener in self._listeners]
+        descriptors = [listener and listener.fileno() for listener in self._listeners]
         job = {
             "fleet": self._fleet.to_dict(),
             "seed": self._seed,
@@ -64,7 +64,7 @@ class VideoLauncher:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", _MODULE],
                 stdin=subprocess.PIPE,
-                pass_fds=[self.board.fd, *descriptors],
+                pass_fds=[self.board.fd, *(fd for fd in descriptors if fd is not None)],
                 start_new_session=True,  # Ctrl-C is for the lab, whose end ends this process
             )
         except OSError as error:  # no memory, too many processes: the lab goes on

@@ -1,15 +1,12 @@
 """What runs on board in every step, compiled: hovering by optical flow, height hold, the slow trim of the climb loop.
 
-When it runs, and with which numbers, is decided by the on-board logic of the vehicle's type (ardrone_firmware.py).
+When it runs, and with which numbers, is decided by firmware.py.
 """
 
-import math
-
 from risc_lab.compiled import compiled
-from risc_simulator.models.quadrotor import U, X
+from risc_simulator.models.quadrotor import U, X, level_motion
 
-ON_BOARD_FIELDS = (
-    ("lifted", bool),  # the rotors carry the vehicle; False: it stands
+FIELDS = (
     ("holds", bool),  # it keeps its height by itself; False: the commands stay as they are
     ("height_m", float),  # to be held, with a climb rate within these limits
     ("climb_min_m_s", float),
@@ -27,19 +24,10 @@ ON_BOARD_FIELDS = (
 
 
 @compiled
-def level_motion(x):
-    """Climb rate, and velocity forward and to the right along the heading, level [m/s], of a state (12,)."""
-    u, v, w, phi, theta = x[X.U], x[X.V], x[X.W], x[X.PHI], x[X.THETA]
-    down2 = math.sin(phi) * v + math.cos(phi) * w  # along the down axis of frame vehicle-2
-    climb = math.sin(theta) * u - math.cos(theta) * down2
-    forward = math.cos(theta) * u + math.sin(theta) * down2
-    right = math.cos(phi) * v - math.sin(phi) * w
-    return climb, forward, right
-
-
-@compiled
-def hold(x, inputs, vehicle):
+def before_step(x, inputs, vehicle):
     """Commands of a vehicle that holds by itself, for the step that starts in state x (12,), to inputs (9,)."""
+    if not vehicle.holds:
+        return
     if vehicle.brakes:
         _, forward_m_s, right_m_s = level_motion(x)
         inputs[U.ROLL] = -_brake(right_m_s, vehicle.flow_bias_right_m_s, vehicle)
@@ -56,7 +44,7 @@ def _brake(velocity_m_s, bias_m_s, vehicle):
 
 
 @compiled
-def trim_climb(inputs, climb_m_s, vehicle, step_s):
+def after_step(inputs, climb_m_s, vehicle, step_s):
     """The slow integral on the climb error; climb_m_s: climb rate at the start of the step."""
     trim = inputs[U.CLIMB_TRIM] + vehicle.climb_integral_1_s2 * step_s * (inputs[U.CLIMB] - climb_m_s)
     inputs[U.CLIMB_TRIM] = max(-vehicle.climb_trim_limit_m_s2, min(vehicle.climb_trim_limit_m_s2, trim))

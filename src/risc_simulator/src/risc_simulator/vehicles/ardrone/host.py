@@ -32,14 +32,14 @@ from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
 from ardrone_autonomy.protocol.navdata import ControlState, State
 from ardrone_autonomy.protocol.profiles import NO_LIMIT_MM, ConfigurationStore
-from risc_simulator.ardrone_ftp import FtpServer
-from risc_simulator.ardrone_navdata import Frame, NavdataWriter
-from risc_simulator.models.ardrone_firmware import LOST_HOVER_S, LOW_BATTERY_PCT
-from risc_simulator.models.ardrone_sensors import ArdroneSensors
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.notices import Notices
-from risc_simulator.socket_host import SocketHost
+from risc_simulator.socket_host import VehicleHost
+from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S, LOW_BATTERY_PCT
+from risc_simulator.vehicles.ardrone.ftp import FtpServer
+from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
+from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
 
 _LOG = logging.getLogger(__name__)
 
@@ -134,7 +134,7 @@ _COUNTS = (
 )
 
 
-class ArdroneHost(SocketHost):
+class ArdroneHost(VehicleHost):
     """One aircraft.
 
     vehicle: world.Vehicle (namespace, name, plant.command_delay_s, type.command_rate_hz, phase, state, height_m,
@@ -177,8 +177,7 @@ class ArdroneHost(SocketHost):
         self._last_at_s = None  # of the last accepted command; None before the first and after a loss
         self._com_watchdog = True  # state bit 30
         self._com_lost_s = None  # since when state bit 13 is set
-        self._lost_until_s, self._link_up = -math.inf, True  # injected
-        self._now_s = 0.0
+        self._link_up = True
         self._due_s = -math.inf  # before this time tick() has nothing to do, while the phase stays the same
 
         # piloting
@@ -234,7 +233,6 @@ class ArdroneHost(SocketHost):
         return self._sockets["video"]
 
     def attach_video(self, video):
-        """Let a camera process serve the video clients.  video: video.launcher.VehicleVideo."""
         self._video = video
         self._obey_configuration()
         self.watch_streams()
@@ -351,15 +349,6 @@ class ArdroneHost(SocketHost):
         )
 
     # --- for the lab's operator -----------------------------------------------------------------------------------
-
-    def lose_link(self, duration_s):
-        """From now on nothing passes in either direction, for this long."""
-        self._lost_until_s = self._now_s + duration_s
-
-    @property
-    def link_lost(self):
-        """An injected loss is in force."""
-        return self._now_s < self._lost_until_s
 
     def _switch_link(self, link_up):
         self._link_up = link_up

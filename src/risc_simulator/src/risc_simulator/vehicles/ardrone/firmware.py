@@ -1,8 +1,7 @@
 """On-board logic of an AR.Drone 2.0: flight phases, hover by optical flow, height hold, battery.
 
-One object per vehicle, called by the world when something happens. It turns actions and setpoints into the commands of
-the on-board loops (attitude, yaw rate, climb), whose dynamics are part of models/quadrotor.py, or lets the vehicle hold
-by itself (models/on_board.py). Another type of vehicle is another class with the same methods.
+It turns actions and setpoints into the commands of the on-board loops (attitude, yaw rate, climb), whose dynamics are
+part of models/quadrotor.py, or lets the vehicle hold by itself (on_board.py).
 """
 
 import math
@@ -10,7 +9,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
+from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase, Setpoint
 
 SPIN_UP_S = 0.8  # motors turn, vehicle still stands
 TAKE_OFF_HEIGHT_M = 0.9  # above the floor
@@ -41,7 +40,7 @@ LOST_HOVER_S = 2.0  # from the loss of the link until it does
 GROUND_DRAIN_RATIO = 0.1  # computer and radio alone, of what flying takes
 
 # Go to a height with a climb rate within these limits; brakes: by optical flow, and keep the heading, instead of what
-# tilt and yaw rate were asked for. See models/on_board.py.
+# tilt and yaw rate were asked for. See on_board.py.
 Hold = namedtuple("Hold", "height_m climb_min_m_s climb_max_m_s brakes")
 _DESCEND = Hold(0.0, -LANDING_DESCENT_M_S, -LANDING_DESCENT_M_S, brakes=True)
 _WAKE_EARLY_S = 1e-6  # what rounding may make of a time on the grid of steps
@@ -49,24 +48,17 @@ _WAKE_EARLY_S = 1e-6  # what rounding may make of a time on the grid of steps
 _IN_FLIGHT = (FlightPhase.TAKING_OFF, FlightPhase.HOVERING, FlightPhase.FLYING, FlightPhase.LANDING)
 
 
-class ArdroneFirmware:
+class ArdroneFirmware(Firmware):
     """One AR.Drone's on-board logic.
 
     command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told as far as hold leaves it to them.
     hold: Hold while the vehicle keeps its height by itself: hovering, landing, or flying with a climb rate of exactly 0
         (gaz at rest), where the rest of the command is still obeyed. Else None.
-    motors_on: rotors turn. lifted: they carry the vehicle (False while it stands, also during spin-up).
-    wake_s: from this time on wake() must be called at the start of every step.
     """
 
     def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
-        """vehicle_type: VehicleType. rng: Generator of this vehicle alone. rest_height_m: of its centre, standing."""
-        self.phase = FlightPhase.LANDED
-        self.command = (0.0, 0.0, 0.0, 0.0)
-        self.motors_on = False
-        self.lifted = False
+        super().__init__(vehicle_type, rng, perturbed, rest_height_m)
         self.hold = None
-        self.wake_s = math.inf
         self._take_off_height_m = max(TAKE_OFF_HEIGHT_M, rest_height_m + 0.5)
         self._battery_life_s = vehicle_type.battery_life_s
         self._battery_pct, self._battery_time_s = 100.0, 0.0
@@ -81,31 +73,37 @@ class ArdroneFirmware:
             FLOW_BIAS_SPREAD_M_S * bias_right,
         )
 
-    def configure(self, vehicle):
-        """Write the constants of this vehicle into its record (ON_BOARD_FIELDS)."""
-        vehicle.height_gain_1_s = HEIGHT_GAIN_1_S
-        vehicle.flow_gain_rad_per_m_s, vehicle.flow_tilt_max_rad = FLOW_GAIN_RAD_PER_M_S, FLOW_TILT_MAX_RAD
-        vehicle.flow_scale, vehicle.flow_bias_forward_m_s, vehicle.flow_bias_right_m_s = self._flow
-        vehicle.climb_integral_1_s2, vehicle.climb_trim_limit_m_s2 = CLIMB_INTEGRAL_1_S2, CLIMB_TRIM_LIMIT_M_S2
+    def configure(self, record):
+        """Write the constants of this vehicle into its record (1,), on_board.FIELDS; `tell` will change the rest."""
+        one = record[0]
+        one.height_gain_1_s = HEIGHT_GAIN_1_S
+        one.flow_gain_rad_per_m_s, one.flow_tilt_max_rad = FLOW_GAIN_RAD_PER_M_S, FLOW_TILT_MAX_RAD
+        one.flow_scale, one.flow_bias_forward_m_s, one.flow_bias_right_m_s = self._flow
+        one.climb_integral_1_s2, one.climb_trim_limit_m_s2 = CLIMB_INTEGRAL_1_S2, CLIMB_TRIM_LIMIT_M_S2
+        self._holds, self._hold_values = record["holds"], [record[name] for name in Hold._fields]
+
+    def tell(self):
+        """Bring what is held into the record. Returns the command to be obeyed; None: it brakes by itself."""
+        held = self.hold
+        self._holds[0] = held is not None
+        if held is None:
+            return self.command
+        for cell, value in zip(self._hold_values, held):
+            cell[0] = value
+        return None if held.brakes else self.command
 
     # ------------------------------------------------------------------ battery
 
     def battery_pct(self, time_s):
-        """Charge in percent at this time, never below 0."""
         life_s = self._battery_life_s if self.motors_on else self._battery_life_s / GROUND_DRAIN_RATIO
         return max(0.0, self._battery_pct - 100.0 * (time_s - self._battery_time_s) / life_s)
 
     def set_battery_pct(self, pct, time_s):
-        """Put in another battery, or (a fault to be injected) a tired one."""
         self._battery_pct, self._battery_time_s = min(100.0, max(0.0, pct)), time_s
 
     # ------------------------------------------------------------------ events
 
     def apply(self, action, time_s, vertical_motion):
-        """Obey a Setpoint or a FlightAction, as far as the phase allows it; the rest is ignored, as on the vehicle.
-
-        vertical_motion: function that gives height [m] and climb rate [m/s] at time_s.
-        """
         if isinstance(action, Setpoint):
             self._setpoint = action
             if self.phase in (FlightPhase.HOVERING, FlightPhase.FLYING):
@@ -128,7 +126,6 @@ class ArdroneFirmware:
             raise TypeError("expected a Setpoint or a FlightAction, got %r" % (action,))
 
     def touch_down(self, time_s, impact_m_s):
-        """The floor is reached at this downward speed. Returns why it is a crash, or "" when it is none."""
         if self.phase is FlightPhase.EMERGENCY:
             self.lifted = False
             return ""
@@ -141,17 +138,14 @@ class ArdroneFirmware:
         return ""
 
     def crash(self, time_s):
-        """It flew into something: motors off. It falls until touch_down()."""
         self._enter(FlightPhase.EMERGENCY, time_s)
 
     def fly_at(self, time_s, height_m):
-        """Start in the air, hovering (offline studies)."""
         self.lifted = True
         self._setpoint = Setpoint(hover=True)
         self._hover(time_s, height_m)
 
     def check_battery(self, time_s):
-        """Called about once a second: an empty battery lands the vehicle."""
         if self.battery_pct(time_s) <= EMPTY_BATTERY_PCT:
             self.apply(FlightAction.LAND, time_s, None)
 

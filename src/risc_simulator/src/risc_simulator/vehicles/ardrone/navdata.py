@@ -7,7 +7,7 @@ What has no counterpart in the virtual lab (detections, trackers, wind, USB reco
 import math
 
 from ardrone_autonomy.protocol.navdata import NavdataEncoder, Tag, seconds_to_time
-from risc_simulator.models.ardrone_sensors import TEMPERATURE_TENTHS_C
+from risc_simulator.vehicles.ardrone.sensors import TEMPERATURE_TENTHS_C
 
 _RAD = math.pi / 180.0
 _ACCELEROMETER_ZERO = 2048

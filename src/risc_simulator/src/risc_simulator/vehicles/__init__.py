@@ -1,0 +1,46 @@
+"""Vehicle types, virtual side: each is a module (or a package) here, under the name that fleet files call the type.
+
+A type is a module with
+    Firmware    its on-board logic, a models.flight.Firmware: actions in, commands of the loops out
+    Host        what it is on the wire, a socket_host.VehicleHost: commands in; sensors, status and pictures out
+and, compiled (risc_lab.compiled), where it differs from a plain quadrotor (models/integrator.py has these names, too)
+    FIELDS      (name, type) of what its equations read from a record beside models.quadrotor.QUADROTOR_FIELDS
+    slope       (x, inputs, vehicle, x_dot) -> thrust: equations of motion with its attitude loops
+    before_step (x, inputs, vehicle), after_step (inputs, climb_m_s, vehicle, step_s): what runs on board in every step
+The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types). One from elsewhere is
+virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
+"""
+
+import functools
+from typing import NamedTuple
+
+from risc_lab.registry import Registry
+from risc_simulator.models import integrator
+from risc_simulator.models.quadrotor import QUADROTOR_FIELDS
+
+REGISTRY = Registry("virtual_vehicles", __name__)
+_EQUATIONS = ("slope", "before_step", "after_step")
+
+
+class VirtualType(NamedTuple):
+    """What the world and the lab know of a type."""
+
+    Firmware: type
+    Host: type
+    fields: tuple  # of its record, see risc_lab.compiled
+    equations: dict  # {name in integrator.py: function}
+
+
+@functools.cache
+def virtual_type(name):
+    """VirtualType of this name. Raises ValueError for an unknown one, or when something is missing in its module."""
+    module = REGISTRY.module(name)
+    try:
+        return VirtualType(
+            module.Firmware,
+            module.Host,
+            (*QUADROTOR_FIELDS, *getattr(module, "FIELDS", ())),
+            {name: getattr(module, name, getattr(integrator, name)) for name in _EQUATIONS},
+        )
+    except AttributeError as error:
+        raise ValueError("virtual vehicle %r (%s): %s" % (name, module.__file__, error)) from error

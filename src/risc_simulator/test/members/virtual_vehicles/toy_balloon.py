@@ -1,0 +1,62 @@
+"""A vehicle type for tests: UDP, one text a datagram in ("up 0.3"), its height back."""
+
+import socket
+
+from risc_lab.compiled import compiled
+from risc_simulator.models import flight
+from risc_simulator.models.flight import FlightAction
+from risc_simulator.models.quadrotor import U, X
+from risc_simulator.socket_host import VehicleHost
+
+PORT = 4040
+FIELDS = (("buoyancy_m_s2", float),)
+
+
+@compiled
+def slope(x, inputs, vehicle, x_dot):
+    """It keeps upright and where it is; h'' = (climb command - h') / tau + buoyancy."""
+    x_dot[:] = 0.0
+    up_m_s2 = (inputs[U.CLIMB] + x[X.W]) / vehicle.climb_time_constant_s + vehicle.buoyancy_m_s2
+    x_dot[X.H] = -x[X.W]
+    x_dot[X.W] = -up_m_s2
+    return vehicle.mass_kg * up_m_s2
+
+
+class Firmware(flight.Firmware):
+    """It flies when told a climb rate and falls when told to land."""
+
+    def configure(self, record):
+        record["buoyancy_m_s2"] = 0.0
+
+    def apply(self, action, time_s, vertical_motion):
+        if action is FlightAction.LAND:
+            self.crash(time_s)
+        else:
+            self.command = (0.0, 0.0, 0.0, action.climb_m_s)
+            self.fly_at(time_s, 0.0)
+
+
+class Host(VehicleHost):
+    """Answers each "up NUMBER" with the height [m]."""
+
+    def __init__(self, vehicle, address, seed=0, radio_loss=0.0):
+        super().__init__()
+        self._vehicle = vehicle
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((address, PORT))
+        self._waiting.add(self._socket)
+
+    def on_readable(self, sock, now_s):
+        data, sender = sock.recvfrom(64)
+        self._vehicle.schedule(now_s, flight.Setpoint(climb_m_s=float(data.split()[1])))
+        sock.sendto(b"%.3f" % self._vehicle.height_m, sender)
+
+    def tick(self, now_s):
+        self._now_s = now_s
+
+    def describe(self):
+        return "%s: a balloon" % self._vehicle.namespace
+
+    def close(self):
+        self._socket.close()
+        self._waiting.close()
