@@ -164,7 +164,7 @@ def fly(flight):
         world.step_to(time_s)
         seen = cameras.observe(time_s, world.layout, world.markers_m())
         estimate = estimator.update(time_s, seen.layout, seen.markers_m)
-        states = States(estimate.visible, estimate.states)
+        states = States(estimate.visible[: len(names)], estimate.states[: len(names)])  # attached bodies come after
         if loss is not None and time_s >= settled_s + loss.after_s:
             if loss.what == "state":
                 states.visible[loss.vehicle] = False
@@ -185,8 +185,8 @@ def fly(flight):
         output = controller.update(time_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
         looks = {}
         if frame % TICK_EVERY == 0:
-            separation.see(estimate.names, states.visible, states.x, time_s)
-            separation.refer(estimate.names, _by_vehicle(reference.derivatives[:3]), time_s)
+            separation.see(names, states.visible, states.x, time_s)
+            separation.refer(names, _by_vehicle(reference.derivatives[:3]), time_s)
             looks = separation.look(now_s)
         looks = [looks.get(name, ALONE) for name in names]
         step_chains(chains, frame, time_s, now_s, states, output.fractions, looks)

@@ -72,7 +72,7 @@ def _template(name, section, shapes, where):
     if geometry not in shapes:
         raise ValueError("%s, %s: unknown geometry %r; known are %s" % (where, name, geometry, ", ".join(shapes)))
     marker_names, markers_m = shapes[geometry]
-    if kind != LANDMARK:
+    if kind == VEHICLE:
         _check_rigid(markers_m, "%s, geometry %s" % (where, geometry))
     return Template(name, kind, marker_names, markers_m)
 
@@ -87,7 +87,7 @@ def _geometry(section):
 
 
 def _check_rigid(markers_m, where):
-    """A pose needs three markers that are not on one line."""
+    """An attitude needs three markers that are not on one line."""
     spread_m = np.linalg.svd(markers_m - markers_m.mean(axis=0), compute_uv=False)
     if len(markers_m) < 3 or spread_m[1] < 0.02:
-        raise ValueError("%s: a vehicle, or a body attached to one, needs at least 3 markers well off one line" % where)
+        raise ValueError("%s: a vehicle needs at least 3 markers well off one line" % where)
