@@ -16,6 +16,7 @@ from data_extraction.csv_export import export
 from data_extraction.flight_metrics import FlightCollector
 from data_extraction.surroundings import Surroundings
 from risc_lab.lab import fleet_from_dict
+from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import (
     Angle,
     Angles,
@@ -113,6 +114,9 @@ def bag_file(tmp_path_factory):
             orange = Angle(name="Orange", visible=True, azim=3.0, elev=1.0) if k == 100 else lost("Orange")
             observed = Angles(name="risc1", landmarks=[green, orange], quads=[lost("Raven")])
             write("/angles", Observed_angles(Obj=[observed]), t_s)
+            deviation_px = FOCAL_PX * np.radians(NOISE_DEG)
+            exact = Detection(name="green", visible=green.visible, covariance=[deviation_px**2, 0, 0, deviation_px**2])
+            write("/detections", Detections(name="risc1", landmarks=[exact]), t_s)
     return path
 
 
@@ -137,6 +141,8 @@ def test_bias_and_noise_are_found_when_the_delay_is_known(result):
     assert green["elevation_bias_deg"] == pytest.approx(BIAS_DEG[1], abs=0.01)
     assert green["azimuth_rms_deg"] == pytest.approx(np.hypot(BIAS_DEG[0], NOISE_DEG), abs=0.01)
     assert green["elevation_rms_deg"] == pytest.approx(np.hypot(BIAS_DEG[1], NOISE_DEG), abs=0.01)
+    biased = np.sqrt(1.0 + (np.square(BIAS_DEG) / NOISE_DEG**2).sum() / 2.0)
+    assert green["normalised_rms"] == pytest.approx(biased, rel=0.1), "1 without the bias"
     assert green["gross"] == 0 and green["false_alarms"] == 0
     assert green["count"] + green["partial_count"] == pytest.approx(0.9 * 587, abs=3)
 

@@ -15,6 +15,7 @@ from std_msgs.msg import Header
 
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import load_calibration
+from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import Observed_angles, Observed_rois, Risc_roi, Risc_rois
 
 PACKAGE = "risc_estimation"
@@ -38,10 +39,16 @@ class AngleEstimationNodeTest(unittest.TestCase):
             rospy.Subscriber("/diagnostics", DiagnosticArray, cls.keep, cls.diagnostics),
         ]
         cls.pub = rospy.Publisher("/land_rois", Observed_rois, queue_size=100)
+        cls.exact = rospy.Publisher("/detections", Detections, queue_size=100)
         cls.info = rospy.Publisher("/risc2/ardrone/camera_info", CameraInfo, queue_size=10)
         cls.stamp_s = 1000.0 + math.floor(rospy.get_time())
         deadline_s = time.monotonic() + PATIENCE_S
-        while cls.pub.get_num_connections() < 2 or not all(s.get_num_connections() for s in cls.subscribers):
+
+        def connected():
+            both = all(publisher.get_num_connections() >= 2 for publisher in (cls.pub, cls.exact))
+            return both and all(subscriber.get_num_connections() for subscriber in cls.subscribers)
+
+        while not connected():
             if time.monotonic() > deadline_s:
                 raise AssertionError("the nodes did not connect within %g s" % PATIENCE_S)
             time.sleep(0.02)
@@ -109,6 +116,34 @@ class AngleEstimationNodeTest(unittest.TestCase):
         self.assertEqual([entry.name for entry in rectified.Obj], ["risc1", "fluffy_II"])
         first, second = (entry.landmarks[0].azim for entry in rectified.Obj)
         self.assertGreater(second - first, 1.0)
+
+    def test_exact_detections_are_not_rounded_and_every_image_has_one_answer(self):
+        type(self).stamp_s += 10.0
+        pixels = [(300.37 + 0.013 * k, 120.61) for k in range(20)]
+        for k, (x, y) in enumerate(pixels):
+            header = Header(stamp=rospy.Time.from_sec(self.stamp_s + 0.033 * k), frame_id="risc1/camera")
+            exact = Detections(header, "risc1", [Detection(name="green", visible=True, x=x, y=y)], [])
+            rounded = Observed_rois(header, [Risc_rois("risc1", [roi("green", round(x), round(y))], [])])
+            messages = [(self.exact, exact), (self.pub, rounded)]
+            for publisher, message in reversed(messages) if k % 2 else messages:
+                publisher.publish(message)
+            time.sleep(0.03)
+
+        def answers():
+            return [m for m in self.raw if abs(m.header.stamp.to_sec() - self.stamp_s - 0.33) < 0.5]
+
+        with self.arrived:
+            self.assertTrue(self.arrived.wait_for(lambda: len(answers()) >= len(pixels), PATIENCE_S), "no answer")
+        time.sleep(0.3)
+        with self.arrived:
+            found = answers()
+        type(self).stamp_s += 10.0
+        self.assertEqual(len({message.header.stamp for message in found}), len(found), "an image was answered twice")
+        camera = Camera(load_calibration("risc1.yaml"))
+        again = [
+            camera.pixels_of_bearings(*np.radians((a.azim, a.elev))) for a in (m.Obj[0].landmarks[0] for m in found)
+        ]
+        np.testing.assert_allclose(again, pixels, atol=0.005)
 
     def test_without_a_calibration_nothing_is_visible_and_it_is_said(self):
         deadline_s = time.monotonic() + PATIENCE_S

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from risc_estimation.bearings import (
+    ImageSource,
     RectifiedCamera,
     Region,
     bearings_of_regions,
@@ -18,6 +19,7 @@ from risc_lab.camera import Camera
 from risc_lab.lab.calibration import CameraCalibration, load_calibration
 
 LEGACY = ("risc1.yaml", "risc2.yaml", "risc3.yaml", "albatross_ardrone_front.yaml")
+T0_NS = 1_700_000_000_123_456_789
 PLAIN = CameraCalibration.from_intrinsics("plain", (640, 360), (600.0, 610.0), (320.0, 180.0))
 
 
@@ -162,3 +164,39 @@ def test_camera_info_is_the_calibration_file():
 def test_camera_info_that_we_do_not_do_is_refused(changes, reason):
     with pytest.raises(ValueError, match="camera risc1: .*" + reason):
         calibration_from_info(camera_info(**changes), "risc1")
+
+
+def answered(messages):
+    """Those of messages (observer, image, exact) that are taken. Images: 15 a second."""
+    source = ImageSource()
+    return [m for m in messages if source.take(m[0], T0_NS + int(m[1] * 1e9 / 15), m[2])]
+
+
+def test_an_old_bag_has_only_regions_and_all_are_used():
+    assert len(answered([("risc1", k, False) for k in range(100)])) == 100
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_exact_detections_win_and_no_image_is_answered_twice(first):
+    messages = [("risc1", k, exact) for k in range(100) for exact in (first, not first)]
+    taken = answered(messages)
+    assert [k for _, k, _ in taken] == list(range(100))
+    assert [exact for _, _, exact in taken].count(False) == (0 if first else 1), "until the first came"
+
+
+def test_regions_of_images_that_were_answered_come_late():
+    messages = [("risc1", k, True) for k in range(10)] + [("risc1", k, False) for k in range(10)]
+    assert [exact for _, _, exact in answered(messages)] == [True] * 10
+
+
+def test_observers_are_apart_and_regions_serve_again_when_no_more_detections_come():
+    messages = [m for k in range(30) for m in (("risc1", k, True), ("risc1", k, False), ("risc2", k, False))]
+    taken = answered(messages + [("risc1", k, False) for k in range(30, 90)])
+    assert [exact for name, _, exact in taken if name == "risc2"] == [False] * 30
+    later = [k for name, k, exact in taken if name == "risc1" and not exact]
+    assert later == list(range(45, 90)), "a second after the last"
+
+
+def test_a_bag_is_played_again():
+    messages = [("risc1", k, exact) for k in range(40) for exact in (True, False)]
+    assert [exact for _, _, exact in answered(messages + messages)] == [True] * 80

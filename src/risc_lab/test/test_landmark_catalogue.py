@@ -1,4 +1,4 @@
-"""Names and sizes of landmarks: those of the file that the detector reads, and a wrong file is named."""
+"""Names and sizes of landmarks stand in one file, and a wrong file is named."""
 
 import pytest
 import yaml
@@ -9,10 +9,10 @@ from risc_lab.lab.yaml_reader import package_file
 
 
 def content():
-    return yaml.safe_load(package_file("risc_visual", "config/landmarks.yaml").read_text(encoding="utf-8"))
+    return yaml.safe_load(package_file("risc_lab", "config/landmarks.yaml").read_text(encoding="utf-8"))
 
 
-def test_both_names_and_the_sizes_are_those_of_the_detectors_file():
+def test_both_names_and_the_sizes():
     catalogue = load_landmark_catalogue()
     assert catalogue.template_of_region == {
         "green": "Green_pink",
@@ -27,7 +27,7 @@ def test_both_names_and_the_sizes_are_those_of_the_detectors_file():
     assert (disc.diameter_m, disc.ring_diameter_m) == (0.20, 0.30)
 
 
-def test_what_only_the_detector_needs_may_be_missing(tmp_path):
+def test_a_file_need_not_have_more_than_landmarks(tmp_path):
     short = {key: value for key, value in content().items() if key == "landmarks"}
     (tmp_path / "my.yaml").write_text(yaml.safe_dump(short))
     assert load_landmark_catalogue(tmp_path / "my.yaml") == load_landmark_catalogue()

@@ -57,7 +57,7 @@ def test_the_set_spans_what_it_promises(samples):
     seen = np.array([truth.seen_fraction for truth in truths])
     assert ((seen > 0.1) & (seen < 0.9)).any() and (seen > 0.99).mean() > 0.5
     assert {c["landmarks"] for c in conditions} == {0, 1, 2, 3, 4}
-    assert {truth.name for truth in truths} == set(dataset.TEMPLATES)
+    assert {truth.name for truth in truths} == {kind.name for kind in load_style().catalogue.landmarks}
     assert {c["calibration"] for c in conditions} == set(dataset.CALIBRATIONS)
     for kind in ("panels", "balls", "vehicles"):
         assert {min(c[kind], 1) for c in conditions} == {0, 1}
@@ -79,7 +79,7 @@ def test_centres_have_the_paint_of_their_landmark(samples):
             continue
         x, y = np.round(truth.centre_px).astype(int)
         found = sample.image[y - 2 : y + 3, x - 2 : x + 3].reshape(-1, 3).mean(axis=0)
-        paint = np.array(style.landmark_bgr[truth.name][0]) * sample.conditions["gain"]
+        paint = np.array(style.disc(truth.name, (0, 0, 1), (1, 0, 0)).centre_bgr) * sample.conditions["gain"]
         # vignette takes up to 35 %, the colour of the light changes blue and red by up to 15 %
         assert (found <= np.minimum(1.2 * paint, 255.0) + 6.0).all()
         assert (found >= np.minimum(0.5 * paint, 250.0) - 6.0).all()

@@ -168,7 +168,7 @@ def test_colours_of_centre_and_ring_and_none_from_behind():
     front = style.disc("Green_pink", (2.0, 0.0, 1.5), (-1.0, 0.0, 0.0))
     picture = renderer(scene=replace(DARK, discs=(front,))).render(pose())
     scale = PINHOLE.K[0, 0] / 2.0
-    centre, ring = style.landmark_bgr["Green_pink"]
+    centre, ring = front.centre_bgr, front.ring_bgr
     assert np.array_equal(picture[180, 320], centre)
     assert np.array_equal(picture[180, int(320 + 0.125 * scale)], ring)
     assert np.array_equal(picture[180, int(320 + 0.16 * scale)], BLACK)

@@ -11,6 +11,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64, String
 
+from risc_maap_msgs.msg import WireFault
 from risc_msgs.msg import Cortex
 
 HOST = ("127.213.0.1", 1510)
@@ -84,7 +85,10 @@ class VirtualLabTest(unittest.TestCase):
     def test_faults(self):
         publishers = {
             name: rospy.Publisher("/virtual_lab/" + name, kind, queue_size=5)
-            for name, kind in (("mocap_silence", Float64), ("hide", String), ("link_loss", String), ("battery", String))
+            for name, kind in (
+                *(("mocap_silence", Float64), ("wire_fault", WireFault)),
+                *(("hide", String), ("link_loss", String), ("battery", String)),
+            )
         }
         self.wait_until(lambda: all(p.get_num_connections() for p in publishers.values()), "nobody listens")
         self.assertTrue(self.host_answers(15.0))
@@ -96,6 +100,12 @@ class VirtualLabTest(unittest.TestCase):
         publishers["mocap_silence"].publish(4.0)
         self.wait_until(lambda: not self.host_answers(), "the host still answers")
         self.wait_until(self.host_answers, "the host does not come back")
+        publishers["wire_fault"].publish("fire", "*", 0.5, 1.0)
+        publishers["wire_fault"].publish("drop", "nobody/*", 0.5, 1.0)
+        publishers["wire_fault"].publish("blackhole", "cortex/requests", 1.0, 0.0)
+        self.wait_until(lambda: not self.host_answers(), "requests still arrive")
+        publishers["wire_fault"].publish("", "cortex/*", 0.0, 0.0)
+        self.wait_until(self.host_answers, "the fault does not end")
         self.collect(10)  # bad orders did not end the node
 
 

@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 from disc_pictures import camera, exposed, paint_disc, wall
 
+from risc_maap_msgs.msg import Detections
 from risc_msgs.msg import Observed_rois
 from risc_visual.vision.colours import HsvRange
 from risc_visual.vision.landmark_config import load_landmarks
@@ -52,7 +53,7 @@ class LandmarkNodesTest(unittest.TestCase):
         rospy.init_node(NAME)
         cls.bridge = CvBridge()
         cls.lock = threading.Lock()
-        cls.rois, cls.quads, cls.logged, cls.health = [], [], [], {}
+        cls.rois, cls.exact, cls.quads, cls.logged, cls.health = [], [], [], [], {}
         cls.publishers = {
             name: rospy.Publisher("/%s/ardrone/image_rect_color" % name, Image, queue_size=1)
             for name in ("risc1", "risc2", "risc3")
@@ -60,6 +61,7 @@ class LandmarkNodesTest(unittest.TestCase):
         cls.raw = rospy.Publisher("/risc3/ardrone/image_raw", Image, queue_size=1)
         cls.info = rospy.Publisher("/risc3/ardrone/camera_info", CameraInfo, queue_size=1, latch=True)
         rospy.Subscriber("/land_rois", Observed_rois, cls.keep, cls.rois, queue_size=100)
+        rospy.Subscriber("/detections", Detections, cls.keep, cls.exact, queue_size=100)
         rospy.Subscriber("/quad_rois", Observed_rois, cls.keep, cls.quads, queue_size=100)
         rospy.Subscriber("/rosout", rosgraph_msgs.msg.Log, cls.keep, cls.logged, queue_size=100)
         rospy.Subscriber("/diagnostics", DiagnosticArray, cls.note, queue_size=100)
@@ -243,6 +245,35 @@ class LandmarkNodesTest(unittest.TestCase):
         self.wait(lambda: float(told("risc3")["rate [Hz]"]) > 0.0 or calibrated() is None, "a rate")
         for key in ("age of last picture [s]", "work on a picture [ms]", "longest work on a picture [ms]"):
             self.assertGreaterEqual(float(told("risc3")[key]), 0.0)
+
+    def test_7_exact_centres_stand_beside_with_ellipse_and_covariance(self):
+        calibration = camera()  # of the scene: pictures without distortion
+        info = CameraInfo(
+            width=calibration.width_px, height=calibration.height_px, distortion_model="plumb_bob", D=[0.0] * 5,
+            K=calibration.K.ravel(), R=np.eye(3).ravel(), P=np.column_stack((calibration.K, np.zeros(3))).ravel(),
+        )  # fmt: skip
+        publisher = rospy.Publisher("/risc1/ardrone/camera_info", CameraInfo, queue_size=1, latch=True)
+        publisher.publish(info)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline_s:
+            message = self.message(self.picture)
+            entry = self.answer("risc1", message).Obj[0]
+            with self.lock:
+                exact = [m for m in self.exact if m.header.stamp == message.header.stamp][0]
+            if exact.landmarks[LANDMARKS.index("green")].covariance[0] > 0.0:
+                break
+        self.assertEqual((exact.name, exact.header.frame_id), ("risc1", "risc1/camera"))
+        self.assertEqual([item.name for item in exact.landmarks], LANDMARKS)
+        for item, region in zip(exact.landmarks, entry.landmarks):
+            self.assertEqual((item.visible, round(item.x), round(item.y)), (region.visible, region.x, region.y))
+            if item.visible:
+                self.assertLess(np.hypot(*(self.truth[item.name] - (item.x, item.y))), 0.15)
+                covariance = np.reshape(item.covariance, (2, 2))
+                self.assertTrue((covariance == covariance.T).all() and (np.linalg.eigvalsh(covariance) > 0.0).all())
+                self.assertLess(np.sqrt(covariance.max()), 0.2)
+                longer = max(region.width, region.height)
+                self.assertAlmostEqual(2.0 * item.semi_major, longer, places=3)
+                self.assertFalse(item.partial)
 
     def test_7_old_pictures_are_dropped(self):
         """A burst that is faster than the work: the last one is answered, and not all of the others before it."""

@@ -102,8 +102,8 @@ def test_overlays(pictures):
 
 def test_another_configuration(pictures):
     folder, _ = pictures
-    config = yaml.safe_load(package_file("risc_visual", "config/landmarks.yaml").read_text(encoding="utf-8"))
-    config["landmarks"] = [dict(config["landmarks"][0], roi_name="lawn")]
+    config = yaml.safe_load(package_file("risc_visual", "config/landmark_detector.yaml").read_text(encoding="utf-8"))
+    config["landmarks"] = [{"name": "Green_pink", "roi_name": "lawn", "centre": "green", "ring": "pink"}]
     (folder / "my.yaml").write_text(yaml.safe_dump(config))
     _, out, _ = run("two.png", "--json", "--config", "my.yaml", folder=folder)
     assert [item["name"] for item in json.loads(out)["detections"]] == ["lawn"]

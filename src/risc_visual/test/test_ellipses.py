@@ -6,12 +6,14 @@ import pytest
 
 from risc_visual.vision.ellipses import (
     Ellipse,
+    centre_covariance,
     circle_centres,
     distances,
     ellipse_of_moments,
     ellipse_of_spread,
     fit_ellipse,
     fit_grown,
+    harmonics,
     unit_circle,
 )
 
@@ -134,3 +136,50 @@ def test_the_centre_of_a_circle_is_one_of_two_and_its_ring_tells_which(tilt_deg,
         assert errors[1 - best] > 5e-3
         other = 1000.0 * np.array(found[1 - best][1])
         assert np.hypot(*(other - (ring.x, ring.y))) > 5.0
+
+
+def harmonics_of(points, ellipse):
+    lengths = ellipse.semi_major**2, ellipse.semi_minor**2
+    local = (points - (ellipse.x, ellipse.y)) @ (ellipse.axes() / lengths)
+    return harmonics(local / np.linalg.norm(local, axis=1)[:, None])
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 20.0, 50.0])
+@pytest.mark.parametrize("share", [0.6, 1.0])
+@pytest.mark.parametrize("sigma_px", [0.05, 0.15])
+def test_covariance_of_the_centre_of_a_tilted_circle(tilt_deg, share, sigma_px):
+    focal, middle = 600.0, np.array([0.3, -0.2, 2.0])
+    c, s = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
+    rim = 0.12 * unit_circle(32) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0]]) + middle
+    points, truth = focal * rim[:, :2] / rim[:, 2:], focal * middle[:2] / middle[2]
+    across = points - points.mean(axis=0)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    to_normal = np.diag((focal, focal, 1.0))
+    rng, squares = np.random.default_rng(5), []
+    for _ in range(300):
+        noisy = points + sigma_px * rng.standard_normal((32, 1)) * across
+        if share < 1.0:
+            keep = np.arange(32) < share * 32
+            noisy = noisy[keep]
+        fitted, off_px = fit_ellipse(noisy)
+        found = [focal * np.array(centre) for centre, _ in circle_centres(to_normal @ fitted.conic() @ to_normal, 1.5)]
+        found.sort(key=lambda centre: np.hypot(*(centre - truth)))
+        rows, rms_px = harmonics_of(noisy, fitted), np.sqrt((off_px**2).mean())
+        xx, xy, yy = centre_covariance(fitted, rows, rms_px, focal, found[0] - found[1], 1.0)
+        error = found[0] - truth
+        squares.append(error @ np.linalg.solve([[xx, xy], [xy, yy]], error) / 2.0)
+    assert 0.3 < np.mean(squares) < (1.5 if share == 1.0 else 2.0), (
+        "on the safe side where the better of two tilts is taken"
+    )
+
+
+def test_covariance_of_a_choice_and_of_a_lens():
+    circle = Ellipse(100.0, 100.0, 40.0, 40.0, 0.0)
+    rows = harmonics_of(outline(circle, 32), circle)
+    args = circle, rows, 0.0, 600.0, (3.0, 0.0)
+    xx, xy, yy = centre_covariance(*args, 0.5)
+    sure_xx, _, sure_yy = centre_covariance(*args, 1.0)
+    assert (xx - sure_xx, xy, yy - sure_yy) == pytest.approx((2.25, 0.0, 0.0)), "half of 3 px to one side or the other"
+    wider = centre_covariance(*args, 0.5, np.diag((2.0, 1.0)))
+    assert wider[0] - xx == pytest.approx(3.0 * 2.25, rel=0.01)
+    assert centre_covariance(circle, rows[:5], 0.0, 600.0, (3.0, 0.0), 0.5) is None

@@ -8,6 +8,7 @@ import pytest
 import yaml
 from disc_pictures import KINDS, PAINTS, camera, exposed, paint_disc, wall
 
+from risc_lab.lab.landmark_catalogue import landmarks_file
 from risc_lab.lab.yaml_reader import package_file
 from risc_visual.vision.landmark_config import DetectorParams, landmarks_from_dict, load_landmarks
 from risc_visual.vision.landmark_detector import LandmarkDetector
@@ -16,7 +17,9 @@ CONFIG = load_landmarks()
 
 
 def content():
-    return yaml.safe_load(package_file("risc_visual", "config/landmarks.yaml").read_text(encoding="utf-8"))
+    """Of a file that has everything: the detector's settings and landmarks of its own."""
+    files = package_file("risc_visual", "config/landmark_detector.yaml"), landmarks_file()
+    return {key: value for file in files for key, value in yaml.safe_load(file.read_text(encoding="utf-8")).items()}
 
 
 def find(picture, eye=None, config=CONFIG):

@@ -70,7 +70,7 @@ def test_a_new_file_is_the_package_s_with_the_colour(tmp_path):
     assert saved.colours.pop("pink") == PAINT
     shipped.colours.pop("pink")
     assert saved == shipped
-    before = package_file("risc_visual", "config/landmarks.yaml").read_text(encoding="utf-8").splitlines()
+    before = package_file("risc_visual", "config/landmark_detector.yaml").read_text(encoding="utf-8").splitlines()
     after = path.read_text(encoding="utf-8").splitlines()
     assert sum(a != b for a, b in zip(before, after)) == 1
     assert len(before) == len(after)
@@ -106,7 +106,7 @@ def test_a_colour_is_added_and_changed_and_the_rest_stays(tmp_path):
 )
 def test_what_cannot_be_saved_is_told_and_changes_nothing(tmp_path, file, name, told):
     (tmp_path / "list.yaml").write_text("[1, 2]\n")
-    content = yaml.safe_load(package_file("risc_visual", "config/landmarks.yaml").read_text(encoding="utf-8"))
+    content = yaml.safe_load(package_file("risc_visual", "config/landmark_detector.yaml").read_text(encoding="utf-8"))
     (tmp_path / "block.yaml").write_text(yaml.safe_dump(content))
     before = {path: path.read_text() for path in tmp_path.iterdir()}
     with pytest.raises(ValueError, match=told):

@@ -13,7 +13,7 @@ from risc_estimation.bearings import make_camera
 from risc_estimation.expected_bearings import Observer, bearings_of_points, look
 from risc_lab.frames import wrap_angle
 
-ANGLES = "/angles"
+ANGLES, DETECTIONS = "/angles", "/detections"
 GROUND_TRUTH, MOCAP_STATES = "/ground_truth", "/cortex_raw"
 GROSS_ERROR_DEG = 3.0  # more is a mistaken identity, not a measurement error
 LEAST_DIAMETER_PX = 14.0  # of a landmark's middle (or of a vehicle): what is smaller is not expected to be found
@@ -30,6 +30,7 @@ class _Row(NamedTuple):
     visible: bool
     azimuth_deg: float
     elevation_deg: float
+    covariance_px: tuple[float, float, float] | None = None  # [px^2] xx, xy, yy of its detection; None: not known
 
 
 @dataclass
@@ -41,6 +42,7 @@ class TargetBearings:
     stamps_s: list[float] = field(default_factory=list)  # of the bearings below
     errors_deg: list[tuple] = field(default_factory=list)  # (azimuth, elevation), measured minus true; all detections
     whole: list[bool] = field(default_factory=list)  # the object was fully in the picture
+    normalised: list[float] = field(default_factory=list)  # see `_normalised`; NaN without a covariance
     pictures: int = 0  # whose true pose is known
     in_view: int = 0  # of them, those in which it was fully to be seen; 0 when the camera is not known
     seen: int = 0  # of these, those in which it was found
@@ -55,13 +57,17 @@ class TargetBearings:
         """Numbers for the summary; None where there is nothing to tell."""
         judged, everything = self.judged_deg, np.array(self.errors_deg).reshape(-1, 2)
         bias, rms = _bias(judged), _rms(judged)
-        partial = everything[~np.array(self.whole, dtype=bool)]
+        whole = np.array(self.whole, dtype=bool)
+        partial = everything[~whole]
+        normalised = np.array(self.normalised)[whole & (np.abs(everything) <= GROSS_ERROR_DEG).all(axis=1)]
+        normalised = normalised[np.isfinite(normalised)]
         return {
             "count": len(judged),
             "azimuth_bias_deg": bias[0],
             "elevation_bias_deg": bias[1],
             "azimuth_rms_deg": rms[0],
             "elevation_rms_deg": rms[1],
+            "normalised_rms": float(np.sqrt(normalised.mean())) if len(normalised) else None,
             "gross": int((np.abs(judged) > GROSS_ERROR_DEG).any(axis=1).sum()),
             "in_view": self.in_view,
             "seen_percent": round(100.0 * self.seen / self.in_view, 2) if self.in_view else None,
@@ -118,6 +124,7 @@ class BearingCollector:
         self._surroundings = Surroundings(fleet, (GROUND_TRUTH, MOCAP_STATES))
         self._rows = {}  # observer, as on /angles -> Samples: those of a _Row, its name as an index into the next
         self._names = {}  # of objects, as on /angles -> index
+        self._covariances = {}  # observer -> Samples: stamp, index of the name, xx, xy, yy
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
@@ -129,12 +136,19 @@ class BearingCollector:
                     for angle in angles:
                         index = self._names.setdefault(angle.name, len(self._names))
                         rows.append((stamp_s, index, is_quad, angle.visible, angle.azim, angle.elev))
+        elif topic == DETECTIONS:
+            stamp_s = seconds(message.header.stamp)
+            rows = self._covariances.setdefault(message.name, Samples(5))
+            for item in (*message.landmarks, *message.quads):
+                if item.visible and item.covariance[0] > 0.0:
+                    index = self._names.setdefault(item.name, len(self._names))
+                    rows.append((stamp_s, index, item.covariance[0], item.covariance[1], item.covariance[3]))
         else:
             self._surroundings(topic, receipt_s, message)
 
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
-        return topic == ANGLES or self._surroundings.wants(topic)
+        return topic in (ANGLES, DETECTIONS) or self._surroundings.wants(topic)
 
     def landmarks(self):
         """{name: place (3,) [m], cortex frame} of the landmarks that motion capture saw."""
@@ -160,10 +174,13 @@ class BearingCollector:
         samples = []
         names = list(self._names)
         for name, compact in sorted(self._rows.items()):
+            known = self._covariances[name].table().tolist() if name in self._covariances else []
+            covariances = {(stamp_s, index): tuple(numbers) for stamp_s, index, *numbers in known}
             rows = [
-                _Row(stamp_s, names[int(index)], bool(is_quad), bool(visible), azimuth_deg, elevation_deg)
+                _Row(stamp_s, names[int(index)], bool(is_quad), bool(visible), azimuth_deg, elevation_deg,
+                     covariances.get((stamp_s, index)))
                 for stamp_s, index, is_quad, visible, azimuth_deg, elevation_deg in compact.table().tolist()
-            ]
+            ]  # fmt: skip
             try:
                 vehicle = surroundings.vehicle(name)
                 observer = self._observer(vehicle)
@@ -220,7 +237,7 @@ class BearingCollector:
                     continue
                 target = targets.setdefault(name, TargetBearings(name, row.is_quad))
                 true = bearings_of_points(places[name], position_m, R, observer.mount)
-                _count(target, row, np.degrees(true), sightings.get(name))
+                _count(target, row, np.degrees(true), sightings.get(name), observer.camera)
         if unknown:
             notes.append("%s: nobody knows where %s was" % (vehicle, ", ".join(sorted(unknown))))
         return targets
@@ -268,7 +285,7 @@ class BearingCollector:
         return round(float(found.x), 5), float(found.fun)
 
 
-def _count(target, row, true_deg, sighting):
+def _count(target, row, true_deg, sighting, camera):
     """Enter one row into a target's bearings. sighting: what should have been seen; None = the camera is not known."""
     target.pictures += 1
     whole = sighting is None or (sighting.fraction >= WHOLE and sighting.diameter_px >= LEAST_DIAMETER_PX)
@@ -284,6 +301,19 @@ def _count(target, row, true_deg, sighting):
     target.stamps_s.append(row.stamp_s)
     target.errors_deg.append(tuple(error.tolist()))
     target.whole.append(whole)
+    target.normalised.append(_normalised(row, error, camera))
+
+
+def _normalised(row, error_deg, camera):
+    """Error against its covariance: e' C^-1 e / 2, 1 on average when C is right; NaN when that is not known."""
+    if row.covariance_px is None or camera is None:
+        return np.nan
+    pixel = camera.pixels_of_bearings(*np.radians((row.azimuth_deg, row.elevation_deg)))
+    ends = np.array(camera.bearings(pixel + 0.5 * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])))
+    slope = ends[:, ::2] - ends[:, 1::2]  # of azimuth and elevation by x and y
+    xx, xy, yy = row.covariance_px
+    error = np.linalg.solve(slope, np.radians(error_deg))  # [px]
+    return float(error @ np.linalg.solve(((xx, xy), (xy, yy)), error) / 2.0)
 
 
 def _bias(errors):

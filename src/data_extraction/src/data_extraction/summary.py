@@ -97,17 +97,18 @@ def table(summary):
 
 
 def _bearing_lines(bearings):
-    heading = ("bearing", "count", "azimuth", "elevation", "az. RMS", "el. RMS", "found", "false")
-    yield "%-26s %7s %11s %11s %10s %10s %8s %6s" % heading
+    heading = ("bearing", "count", "azimuth", "elevation", "az. RMS", "el. RMS", "/ sigma", "found", "false")
+    yield "%-26s %7s %11s %11s %10s %10s %8s %8s %6s" % heading
     for vehicle, targets in bearings["vehicles"].items():
         for name, figures in targets.items():
-            yield "%-26s %7d %11s %11s %10s %10s %8s %6d" % (
+            yield "%-26s %7d %11s %11s %10s %10s %8s %8s %6d" % (
                 "%s: %s" % (vehicle, name),
                 figures["count"],
                 *(
                     _unit(figures[key + "_deg"], 1.0, "deg", 3)
                     for key in ("azimuth_bias", "elevation_bias", "azimuth_rms", "elevation_rms")
                 ),
+                _unit(figures["normalised_rms"], 1.0, "", 2).strip(),
                 _unit(figures["seen_percent"], 1.0, "%", 0),
                 figures["false_alarms"],
             )

@@ -4,6 +4,7 @@ Pictures are raw (the lens' distortion is in them) or rectified (image_proc has 
 the projection matrix P of the calibration). Which of the two is always said, never guessed. Needs no ROS.
 """
 
+from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ from risc_lab.lab.calibration import (
 
 # Optical axes (x right, y down, z along the axis) of vectors in camera axes (x along the axis, y right, z down).
 _CAMERA_TO_OPTICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+_RECENT_IMAGES = 16  # that may come late from the other topic
+_EXACT_LASTS_NS = 1_000_000_000  # after exact detections regions are not used for so long, before a bag without goes on
 _ROUND_TRIP_PX = 0.1  # a pixel that is not found again this closely lies where the lens model folds
 
 
@@ -70,6 +73,26 @@ class RectifiedCamera(Camera):
     def rays(self, pixels):
         """As Camera.rays."""
         return super().rays(pixels) @ self._R_camera_to_rectified
+
+
+class ImageSource:
+    """Which topic answers an image: exact detections where an observer sends them, else regions in whole pixels.
+
+    Never both for one image, in whichever order they come.
+    """
+
+    def __init__(self):
+        self._recent_ns = {}  # (observer, exact) -> stamps: exact detections that came, regions that were used
+
+    def take(self, observer, stamp_ns, exact):
+        """Whether to answer an image of this stamp from this message. exact: it holds exact detections."""
+        others_ns = self._recent_ns.get((observer, not exact), ())
+        taken = stamp_ns not in others_ns
+        if not exact and others_ns:
+            taken &= abs(stamp_ns - others_ns[-1]) > _EXACT_LASTS_NS
+        if exact or taken:
+            self._recent_ns.setdefault((observer, exact), deque(maxlen=_RECENT_IMAGES)).append(stamp_ns)
+        return taken
 
 
 def make_camera(calibration, rectified):

@@ -13,6 +13,7 @@ TOPICS = {
     "/states3": "Landmarks",
     "/angles": "Observed_angles",
     "/land_rois": "Observed_rois",
+    "/detections": "Detections",
     "/diagnostics": "DiagnosticArray",
     "/rosout": "Log",
 }

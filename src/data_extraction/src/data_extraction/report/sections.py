@@ -475,13 +475,15 @@ def bearings(material, _summary):
                 _unit(figures[key + "_deg"], 1.0, "°", 3)
                 for key in ("azimuth_bias", "elevation_bias", "azimuth_rms", "elevation_rms")
             ),
+            _unit(figures["normalised_rms"], 1.0, "", 2).strip(),
             _unit(figures["seen_percent"], 1.0, "%", 0),
             "%d" % figures["false_alarms"],
         ]
         for vehicle, targets in statistics.figures()["vehicles"].items()
         for name, figures in targets.items()
     ]
-    columns = ["bearing", "count", "azimuth bias", "elevation bias", "azimuth RMS", "elevation RMS", "found", "false"]
+    columns = ["bearing", "count", "azimuth bias", "elevation bias", "azimuth RMS", "elevation RMS"]
+    columns += ["error / sigma", "found", "false"]
     caption = "Bearings of what was fully in the picture, against %s; landmarks from %s." % (
         statistics.truth,
         statistics.landmarks_from,

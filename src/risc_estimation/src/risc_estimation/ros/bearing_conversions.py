@@ -7,7 +7,7 @@ from risc_msgs.msg import Angle, Angles, Observed_angles
 
 
 def regions_from_msg(rois):
-    """List of Risc_roi -> list of Region."""
+    """List of Risc_roi or of Detection -> list of Region."""
     return [Region(roi.name, roi.visible, roi.x, roi.y) for roi in rois]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint
+from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.lab.templates import Template
 
 MOST_VEHICLES = 250  # addresses end in a byte
@@ -14,7 +15,7 @@ ROOM_M = 1.5  # from the outermost start to the net: a circle of 0.35 m, the fen
 
 _NAMES = ("fluffy_II", "albatross", "Raven", "Condor", "Kahn")  # of the laboratory; the others are ardrone6 and so on
 _WITH_CAMERA = 3  # how many of them have a calibration
-_LANDMARKS = (("Green_pink", 1, 0.8), ("Pink_blue", 1, -0.8), ("Orange_blue", -1, 0.8), ("Blue_green", -1, -0.8))
+_CORNERS = ((1, 0.8), (1, -0.8), (-1, 0.8), (-1, -0.8))  # end of the net, y [m]; for the laboratory's first landmarks
 _FROM_NET_M = 0.19  # how far inside the net a landmark hangs,
 _LANDMARK_HEIGHT_M = 1.5
 
@@ -61,8 +62,10 @@ def generated_fleet(vehicles, room_m=ROOM_M):
             for k, (name, (x, y)) in enumerate(zip(names, places), start=1)
         ),
         landmarks=tuple(
-            FleetLandmark(name, (side * (half_x_m - _FROM_NET_M), y, _LANDMARK_HEIGHT_M), math.pi if side > 0 else 0.0)
-            for name, side, y in _LANDMARKS
+            FleetLandmark(
+                kind.name, (side * (half_x_m - _FROM_NET_M), y, _LANDMARK_HEIGHT_M), math.pi if side > 0 else 0.0
+            )
+            for kind, (side, y) in zip(load_landmark_catalogue().landmarks, _CORNERS)
         ),
         arena=Arena(half_x_m, half_y_m),
         templates={template.name: template for template in _templates(names[len(_NAMES) :])},

@@ -65,12 +65,12 @@ class LandmarkCatalogue:
 
 
 def landmarks_file():
-    """Path of the landmarks' file that ships with risc_visual (which depends on this package, not the reverse)."""
-    return package_file("risc_visual", "config/landmarks.yaml")
+    """Path of the laboratory's landmarks."""
+    return package_file("risc_lab", "config/landmarks.yaml")
 
 
 def load_landmark_catalogue(path=None):
-    """Read a landmarks' file, None = that of risc_visual; its keys that concern detection alone are passed over.
+    """Read a landmarks' file, None = the laboratory's; its keys that concern others alone are passed over.
 
     Raises ValueError that names the file, the key and what is wrong.
     """

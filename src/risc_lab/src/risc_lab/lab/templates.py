@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from risc_lab.lab import landmark_catalogue
 from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
 
 VEHICLE, LANDMARK, ATTACHED = KINDS = ("vehicle", "landmark", "attached")
@@ -30,11 +31,14 @@ class Template:
 def load_templates(path=None, fleet=None):
     """Templates by name, from `path` or from risc_lab/config/templates.yaml. Raises ValueError.
 
-    fleet: a Fleet, whose own templates are added.
+    The landmarks that the file does not have are added from the laboratory's (config/landmarks.yaml). fleet: a Fleet,
+    whose own templates are added.
     """
     if path is None:
         path = package_file("risc_lab", "config/templates.yaml")
-    return dict(templates_from_dict(load_yaml(path), str(path)), **(fleet.templates if fleet else {}))
+    known = templates_from_dict(load_yaml(path), str(path))
+    return {**known, **{name: item for name, item in _landmarks().items() if name not in known},
+            **(fleet.templates if fleet else {})}  # fmt: skip
 
 
 def attached_bodies(templates):
@@ -62,6 +66,15 @@ def templates_to_dict(templates):
         },
         "templates": {name: {"kind": template.kind, "geometry": name} for name, template in templates.items()},
     }
+
+
+def _landmarks():
+    """Templates of the laboratory's landmarks, which share the places of their markers."""
+    path = landmark_catalogue.landmarks_file()
+    root = Section(load_yaml(path), str(path))
+    markers = _geometry(root.section("markers"))
+    kinds = landmark_catalogue.catalogue_from_section(root).landmarks
+    return {kind.name: Template(kind.name, "landmark", *markers) for kind in kinds}
 
 
 def _template(name, section, shapes, where):

@@ -12,6 +12,7 @@ from risc_lab.frames import wrap_angle
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.ticker import Ticker
+from risc_maap_msgs.msg import WireFault
 
 _DEG_PER_RAD = math.degrees(1.0)
 
@@ -49,6 +50,8 @@ class VirtualLabNode:
             "~board", String, lambda msg: self._on_fault(msg, lab.wave_board), queue_size=10, tcp_nodelay=True
         )
 
+        rospy.Subscriber("~wire_fault", WireFault, self._on_wire_fault, queue_size=10, tcp_nodelay=True)
+
     def after_frame(self):
         """Carry out orders, then tell the truth about the frame that has just gone out."""
         while not self._orders.empty():
@@ -84,6 +87,9 @@ class VirtualLabNode:
             rospy.logerr("fault injection: a duration in seconds is needed, got %r", msg.data)
             return
         self._orders.put((self._lab.silence_mocap, (msg.data,)))
+
+    def _on_wire_fault(self, msg):
+        self._orders.put((self._lab.inject, (msg.fault, msg.channel, msg.severity, msg.duration_s or math.inf)))
 
     def _on_light(self, msg):
         self._orders.put((self._lab.set_light, (msg.data,)))

@@ -25,7 +25,6 @@ CALIBRATIONS = {  # focal lengths, centre [px], k1, k2, p1, p2, k3; the first fo
     "wide": ((455.0, 455.0), (322.0, 176.0), (-0.28, 0.08, 0.0, 0.0, 0.0)),  # gives the smallest discs
     "pinhole": ((580.0, 580.0), (319.5, 179.5), (0.0, 0.0, 0.0, 0.0, 0.0)),  # as a rectified picture
 }
-TEMPLATES = ("Green_pink", "Pink_blue", "Orange_blue", "Blue_green")
 DISTANCE_M = (0.7, 4.0)
 OBLIQUENESS_RAD = (0.0, math.radians(70.0))
 GAIN = (0.3, 2.0)  # drawn evenly on a logarithmic scale
@@ -37,7 +36,6 @@ _PLACE_TRIES = 60
 _WHOLE_SHARE = 0.65  # of landmarks that are put wholly into the picture; the others may be cut by its border
 _BEYOND_BORDER = 0.06  # of the picture: how far outside their centres may be
 _HUES = {"green": 66.0, "blue": 98.0, "pink": 167.0, "orange": 15.0}
-_RING_OF_CENTRE = {"green": "pink", "pink": "blue", "orange": "blue", "blue": "green"}
 
 
 @dataclass(frozen=True)
@@ -125,11 +123,11 @@ def _discs(rng, style, camera, pose):
     """Landmarks in or at the border of the picture that do not hide one another."""
     count = rng.choice(len(_COUNT_SHARES), p=_COUNT_SHARES)
     discs, circles_px = [], []
-    for template in rng.permutation(TEMPLATES)[:count]:
+    for template in rng.permutation([kind.name for kind in style.catalogue.landmarks])[:count]:
         distance_m = math.sqrt(rng.uniform(DISTANCE_M[0] ** 2, DISTANCE_M[1] ** 2))  # as often as there is room
         obliqueness = rng.uniform(*OBLIQUENESS_RAD)
         leaning = rng.uniform(0.0, 2.0 * math.pi) if rng.random() < 0.3 else rng.choice((0.0, math.pi))
-        reach_px = 0.6 * style.ring_diameter_m * camera.K[0, 0] / distance_m
+        reach_px = 0.6 * style.catalogue.ring_diameter_m * camera.K[0, 0] / distance_m
         margin_px = np.array(SIZE_PX) * -_BEYOND_BORDER
         if rng.random() < _WHOLE_SHARE:
             margin_px = np.minimum(reach_px, 0.45 * np.array(SIZE_PX))
@@ -156,7 +154,7 @@ def _props(rng, style, discs, pose):
     """
     position = np.asarray(pose.position_m)
     balls = [str(rng.choice(sorted(_HUES))) for _ in range(rng.choice(3, p=(0.6, 0.28, 0.12)))]
-    forbidden = {_RING_OF_CENTRE[hue] for hue in balls}
+    forbidden = {kind.ring for kind in style.catalogue.landmarks if kind.centre in balls}
     props = []
     panels = occluders = 0
     for disc in discs:

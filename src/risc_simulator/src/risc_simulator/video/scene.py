@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
+from risc_lab.lab.landmark_catalogue import LandmarkCatalogue, load_landmark_catalogue
 from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
 
 CIRCLE_POINTS = 64  # corners of a disc's outline: area and diameter 0.16 % and 0.08 % small, which is mended below
@@ -292,30 +293,36 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneStyle:
-    """Content of config/scene.yaml: a scene without landmarks, what landmarks look like, and the imaging."""
+    """Content of config/scene.yaml: a scene without landmarks, how paints look, and the imaging; and the landmarks."""
 
     scene: Scene
     imaging: ImagingParams
-    landmark_bgr: dict[str, tuple[Bgr, Bgr]]  # template: centre, ring
-    centre_diameter_m: float
-    ring_diameter_m: float
+    paints: dict[str, Bgr]
+    catalogue: LandmarkCatalogue
 
     def disc(self, template, position_m, normal):
-        """Disc of a landmark. Raises ValueError for a template without paints."""
-        if template not in self.landmark_bgr:
+        """Disc of a landmark. Raises ValueError for one that is not known, and for a paint that is not."""
+        kinds = {kind.name: kind for kind in self.catalogue.landmarks}
+        if template not in kinds:
             raise ValueError(
-                "landmark %s has no paints: add it to discs, landmarks of risc_simulator/config/scene.yaml (known: %s)"
-                % (template, ", ".join(sorted(self.landmark_bgr)))
+                "landmark %s is not known: add it to risc_lab/config/landmarks.yaml (known: %s)"
+                % (template, ", ".join(sorted(kinds)))
             )
-        centre_bgr, ring_bgr = self.landmark_bgr[template]
+        kind = kinds[template]
+        for key in ("centre", "ring"):
+            if getattr(kind, key) not in self.paints:
+                raise ValueError(
+                    "landmark %s: '%s' is '%s', which is not among the paints of risc_simulator/config/scene.yaml: %s"
+                    % (template, key, getattr(kind, key), ", ".join(sorted(self.paints)))
+                )
         return Disc(
             template,
             tuple(position_m),
             tuple(normal),
-            centre_bgr,
-            ring_bgr,
-            self.centre_diameter_m,
-            self.ring_diameter_m,
+            self.paints[kind.centre],
+            self.paints[kind.ring],
+            self.catalogue.centre_diameter_m,
+            self.catalogue.ring_diameter_m,
         )
 
 
@@ -368,11 +375,6 @@ def style_from_dict(content, where="scene"):
     paints_section = root.section("paints")
     paints = {name: _colour(paints_section, name, where) for name in paints_section.keys()}
     discs = root.section("discs")
-    landmarks_section = discs.section("landmarks")
-    landmarks = {
-        name: _landmark(landmarks_section.section(name), paints, "%s, landmarks, %s" % (where, name))
-        for name in landmarks_section.keys()
-    }
     hulls, boards = root.section("hulls"), root.section("boards")
     style = SceneStyle(
         scene=Scene(
@@ -391,14 +393,11 @@ def style_from_dict(content, where="scene"):
             board_margin_squares=boards.number("margin_squares", minimum=0.0, maximum=10.0),
         ),
         imaging=_imaging(root.section("imaging"), where),
-        landmark_bgr=landmarks,
-        centre_diameter_m=discs.number("centre_diameter_m", minimum=0.005, maximum=5.0),
-        ring_diameter_m=discs.number("ring_diameter_m", minimum=0.01, maximum=5.0),
+        paints=paints,
+        catalogue=load_landmark_catalogue(),
     )
     for section in (discs, hulls, boards, root):
         section.done()
-    if not style.ring_diameter_m > style.centre_diameter_m:
-        raise ValueError("%s, discs: ring_diameter_m must be greater than centre_diameter_m" % where)
     return style
 
 
@@ -537,19 +536,6 @@ def _colour(section, key, where):
             % (where, key, list(hsv))
         )
     return bgr_of_hsv(hsv)
-
-
-def _landmark(section, paints, where):
-    colours = []
-    for key in ("centre", "ring"):
-        name = section.text(key)
-        if name not in paints:
-            raise ValueError(
-                "%s: '%s' is '%s', which is not among the paints (%s)" % (where, key, name, ", ".join(sorted(paints)))
-            )
-        colours.append(paints[name])
-    section.done()
-    return tuple(colours)
 
 
 def _hull_colours(section, where):

@@ -12,6 +12,9 @@ import numpy as np
 _POINTS_MIN = 6  # of a fit
 _ROUNDS = 3  # of the robust fit; more change nothing that could be measured
 _LEAST_LIMIT = 0.75  # [px] distances that count in any case
+_PRIOR_PX, _PRIOR_COUNT = 0.05, 10  # what is known of the noise of an edge point beforehand, worth so many points
+
+_SYSTEMATIC = 5e-4  # error of the middle of an outline / its size, however many points there are
 
 
 class Ellipse(NamedTuple):
@@ -203,3 +206,46 @@ def circle_centres(conic, ring_scale):
         ring = (rxy * ryz - ryy * rxz) / determinant, (rxy * rxz - rxx * ryz) / determinant
         found.append(((px / pz, py / pz), ring))
     return found
+
+
+def harmonics(directions):
+    """(n, 5) by how much a point at each place of an ellipse moves outwards, in units of the semi-axes.
+
+    directions: (n, 2) unit vectors (cos t, sin t), the places on the unit circle. When the ellipse moves along both
+    axes, grows, and changes its shape in two ways: (cos t, sin t, 1, cos 2t, sin 2t).
+    """
+    u, v = directions.T
+    return np.column_stack((u, v, np.ones_like(u), u * u - v * v, 2.0 * u * v)).astype(float)
+
+
+def centre_covariance(ellipse, rows, rms_px, focal_px, apart, share, turn=None):
+    """Covariance (xx, xy, yy) [px^2] of where the centre of a tilted circle is seen, `circle_centres` between both.
+
+    ellipse: the outline. rows: (n, 5) `harmonics` of its measured points, rms_px: of their distances from it.
+    focal_px: of the camera. apart: (2,) [px] from the second to the first hypothesis, share: probability of the first.
+    turn: (2, 2) Jacobian of the picture's pixels by undistorted ones (in which `apart` is); None: the same. None for
+    points that do not determine an ellipse.
+
+    Three parts. The middle of the outline: sigma^2 (sum h h' w^2)^-1 with h of `harmonics` and w pixels across the
+    outline for a unit there, and what no number of points helps against. The shift to the image of the centre: kappa
+    tau for a tilt with the sine tau, kappa = a b / f, where the shape tells tau^2. Which of both tilts it is: the
+    variance of a choice.
+    """
+    count, (a, b) = len(rows), ellipse[2:4]
+    if count <= 5:
+        return None
+    weighted = rows / (np.square(rows[:, :2]) @ (a**-2, b**-2))[:, None]
+    solved, inverse = cv2.invert(rows.T @ weighted, flags=cv2.DECOMP_CHOLESKY)
+    if not solved:
+        return None
+    sigma2 = (count * rms_px**2 + _PRIOR_COUNT * _PRIOR_PX**2) / (count - 5 + _PRIOR_COUNT)
+    axes = ellipse.axes()
+    covariance = sigma2 * axes @ inverse[:2, :2] @ axes.T
+    kappa = a * b / focal_px
+    spread = 2.0 * (1.0 + (b / a) ** 2) * math.sqrt(sigma2 * inverse[3, 3])  # of tau^2
+    tau = 0.5 * math.hypot(*apart) / kappa
+    noise, choice = (kappa * spread) ** 2 / (4.0 * tau**2 + 2.0 * spread), share * (1.0 - share)
+    xx, xy, yy = choice * apart[0] ** 2 + noise, choice * apart[0] * apart[1], choice * apart[1] ** 2 + noise
+    shift = np.array(((xx, xy), (xy, yy)))
+    (xx, xy), (_, yy) = (covariance + (shift if turn is None else turn @ shift @ turn.T)).tolist()
+    return xx + (_SYSTEMATIC * b) ** 2, xy, yy + (_SYSTEMATIC * b) ** 2

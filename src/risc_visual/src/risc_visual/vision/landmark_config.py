@@ -1,18 +1,18 @@
-"""What the landmarks look like and how to look for them: config/landmarks.yaml. Needs no ROS."""
+"""What the landmarks look like and how to look for them: config/landmark_detector.yaml. Needs no ROS."""
 
 from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from risc_lab.lab.landmark_catalogue import LandmarkCatalogue, catalogue_from_section, landmarks_file
+from risc_lab.lab.landmark_catalogue import LandmarkCatalogue, catalogue_from_section, load_landmark_catalogue
 from risc_lab.lab.ranges import check_ranges
-from risc_lab.lab.yaml_reader import Section, errors_of, load_yaml
+from risc_lab.lab.yaml_reader import Section, errors_of, load_yaml, package_file
 from risc_visual.vision.colours import HsvRange, check_paints, colours_from_section
 
 
 @dataclass(frozen=True)
 class DetectorParams:
-    """Thresholds of the detector; config/landmarks.yaml explains and holds the same values."""
+    """Thresholds of the detector; config/landmark_detector.yaml explains and holds the same values."""
 
     shrink: int = 2
     diameter_min_px: float = 7.0
@@ -48,17 +48,27 @@ class LandmarksConfig(LandmarkCatalogue):
         return self.ring_diameter_m / self.centre_diameter_m
 
 
+def detector_file():
+    """Path of the detector's settings that ship with this package."""
+    return package_file("risc_visual", "config/landmark_detector.yaml")
+
+
 def load_landmarks(path=None):
-    """LandmarksConfig of a file, or of risc_visual/config/landmarks.yaml. Raises ValueError naming file and key."""
-    path = landmarks_file() if path is None else path
+    """LandmarksConfig of a file, or of risc_visual/config/landmark_detector.yaml. Raises ValueError: file and key."""
+    path = detector_file() if path is None else path
     return landmarks_from_dict(load_yaml(path), str(path))
 
 
 def landmarks_from_dict(content, where="landmarks"):
-    """LandmarksConfig from the content of its YAML file. Raises ValueError that names the key."""
+    """LandmarksConfig from the content of its YAML file. Raises ValueError that names the key.
+
+    A file that lists no landmarks means those of the laboratory.
+    """
     root = Section(content, where)
     colours = colours_from_section(root.section("colours"))
-    catalogue = catalogue_from_section(root)
+    own = {"landmarks", "discs"} & set(root.keys())
+    catalogue = catalogue_from_section(root) if own else load_landmark_catalogue()
+    root.content("markers", {})  # of the laboratory's file: nothing to see
     detector = root.section("detector", {}).settings(DetectorParams)
     root.done()
     with errors_of(where):

@@ -16,12 +16,14 @@ import numpy as np
 from risc_visual.vision.colours import Planes, as_bgr, shrunk
 from risc_visual.vision.ellipses import (
     Ellipse,
+    centre_covariance,
     circle_centres,
     direct_ellipse,
     distances,
     ellipse_of_moments,
     fit_ellipse,
     fit_grown,
+    harmonics,
     unit_circle,
 )
 
@@ -39,9 +41,15 @@ _CONTRAST_MIN = 6.0  # least distance in BGR of two colours between which an edg
 _FOREIGN = 0.7  # distance of a colour from the expected one / contrast of the edge, from which it is another
 _WHOLE = 0.9  # share of the rays that meet the outline of a disc whose blob is good enough to start with
 _ARC_WHOLE = 0.8  # share of the outline that is measured of a disc that nothing hides
+_MISFIT_WHOLE = 0.2  # greatest misfit of a disc that nothing hides; beyond it, errors of the points go together
+_DOUBT = 4.0  # covariance of what is hidden in part / what its outline alone would say
 _OUTLIER_PX = 1.0  # what is farther from a rough outline is none of it
 _MISFIT_PX = 0.5  # that any outline may have
 _SCALE_TOLERANCE = 0.15  # of the ratio of both outlines
+
+# Light: deviations that are expected.
+_LIGHT_SLOPE = 0.0008  # [1/px] of its slope across the picture
+_LIGHT_NOISE = 0.03  # of one sample
 
 # Where the centre of a disc is seen.
 _SIGMA_PX = 0.15  # of the middle of a measured outline
@@ -55,8 +63,11 @@ class _Outline(NamedTuple):
 
     ellipse: Ellipse
     points: np.ndarray  # (n, 2) [px] on it
+    rms_px: float  # distance of the points
     arc: float  # share of it that was found
     misfit: float  # rms distance of the points / what is allowed
+    start: Ellipse | None = None  # on whose rays the points were measured,
+    rays: np.ndarray | None = None  # (rays,) and on which of them
 
 
 class Detection(NamedTuple):
@@ -71,6 +82,7 @@ class Detection(NamedTuple):
     score: float  # 0..1: how much of the perimeter has the ring's colour, how well the outline is an ellipse
     partial: bool  # cut by the border of the picture, or hidden in part
     outline: Ellipse  # [px] of the centre paint; its middle is not (x, y) for a disc that is seen obliquely
+    covariance: tuple[float, float, float] | None  # [px^2] of (x, y): xx, xy, yy; None: not known without a camera
 
 
 class LandmarkDetector:
@@ -93,6 +105,8 @@ class LandmarkDetector:
         self._ring = _on_rays(self._circle, 1.0 + band * np.array([0.3, 0.45, 0.6, 0.75]))
         centre = _on_rays(self._circle[::2], np.array([0.15, 0.35, 0.55, 0.75]))
         self._disc = np.concatenate((self._ring, centre))
+        self._rows = np.column_stack((self._disc.reshape(-1, 2), np.ones(self._disc[..., 0].size, np.float32)))
+        self._harmonics = harmonics(self._circle)
         self._by_centre = {}
         for kind in config.landmarks:
             self._by_centre.setdefault(kind.centre, []).append(kind)
@@ -174,16 +188,24 @@ class LandmarkDetector:
         """Detection of a blob of the right colour if it is this landmark, else None."""
         limits = self._limits
         points = _at(start, self._disc)
-        around, core = points[:_RAYS], points[_RAYS:]
+        around = points[:_RAYS]
         painted = _sample_mask(masks[kind.ring], around, limits.shrink)
         if self._share(painted, around, start, bgr.shape)[0] < 0.6 * limits.ring_min:
             return None
-        core, ring = cv2.mean(_sample(bgr, core))[:3], cv2.mean(_sample(bgr, around), painted)[:3]
+        colours = _sample(bgr, points)
+        core, ring = cv2.mean(colours[_RAYS:])[:3], cv2.mean(colours[:_RAYS], painted)[:3]
         vivid = _vividness(core, ring)
         if vivid < limits.vivid_min:
             return None
         core, ring = np.array(core, dtype=np.float32), np.array(ring, dtype=np.float32)
-        inner = self._centre_outline(bgr, start, core, ring)
+        pure = _sample_mask(masks[kind.centre], points[_RAYS:], limits.shrink)
+        size_px = math.sqrt(start.semi_major * start.semi_minor)
+        slopes = np.stack((
+            _slope_of_light(colours[_RAYS:], core, pure, self._rows[4 * _RAYS :], size_px),
+            _slope_of_light(colours[:_RAYS], ring, painted, self._rows[: 4 * _RAYS], size_px),
+        ), axis=1)  # fmt: skip
+        light = self._circle @ slopes
+        inner = self._centre_outline(bgr, start, core, ring, light)
         if inner is None or inner.arc < limits.arc_min or inner.misfit > 1.0:
             return None
         ellipse = inner.ellipse
@@ -206,13 +228,16 @@ class LandmarkDetector:
             sure = inner.misfit <= 0.5 and vivid >= 0.5 * (1.0 + limits.vivid_min)
             if inside == 1.0 or not sure or ellipse.semi_minor < limits.diameter_min_px:
                 return None
-        x, y = self._centre(bgr.shape[1], bgr.shape[0], circle, outer)
+        (x, y), covariance = self._centre(bgr.shape[1], bgr.shape[0], inner, circle, outer)
         if not math.isfinite(x + y):  # outside of what the lens model describes
-            x, y = ellipse.x, ellipse.y
+            (x, y), covariance = ellipse[:2], None
         width, height, angle = ellipse.rectangle()
         score = share * inner.arc * (1.0 - 0.5 * inner.misfit) * (1.0 if outer is not None else 0.8)
-        partial = inside < 1.0 or inner.arc < _ARC_WHOLE
-        return Detection(kind.roi_name, x, y, width, height, angle, score, partial, ellipse)
+        partial = inside < 1.0 or inner.arc < _ARC_WHOLE or inner.misfit > _MISFIT_WHOLE
+        if covariance is not None and partial:
+            doubt = _DOUBT * max(1.0, inner.misfit / _MISFIT_WHOLE) ** 4
+            covariance = tuple(doubt * value for value in covariance)
+        return Detection(kind.roi_name, x, y, width, height, angle, score, partial, ellipse, covariance)
 
     def _share(self, painted, points, ellipse, shape):
         """(share of the perimeter that has the ring's colour, of what is in the picture; share that is in it).
@@ -228,19 +253,20 @@ class LandmarkDetector:
             return 0.0, count / _RAYS
         return np.count_nonzero(hits & inside) / count, count / _RAYS
 
-    def _centre_outline(self, bgr, start, core, ring):
+    def _centre_outline(self, bgr, start, core, ring, light):
         """_Outline of the centre near the ellipse `start`; None if there is none."""
         band = self._scale - 1.0
         reach = min(0.5 * band, max(_REACH_PX / start.semi_minor, 0.15))
-        points, good, _ = self._edge(bgr, start, reach, core, ring)
+        points, good, _ = self._edge(bgr, start, reach, core, ring, light)
         if np.count_nonzero(good) < _WHOLE * _RAYS:  # a part is hidden: the blob is not quite where the disc is
-            points, good, _ = self._edge(bgr, start, 0.6 * band, core, ring)
+            points, good, _ = self._edge(bgr, start, 0.6 * band, core, ring, light)
             start = _rough_ellipse(points[good], start)
             if start is None:
                 return None
             reach = min(0.5 * band, max(_REACH_PX / start.semi_minor, 0.15))
-            points, good, _ = self._edge(bgr, start, reach, core, ring)
-        return self._outline(points[good])
+            points, good, _ = self._edge(bgr, start, reach, core, ring, light)
+        outline = self._outline(points[good])
+        return outline and outline._replace(start=start, rays=good)
 
     def _ring_outline(self, bgr, inner, circle, ring):
         """(ideal Ellipse of the ring, None where background or neighbours hide it; share of rays with a contrast).
@@ -275,13 +301,14 @@ class LandmarkDetector:
         allowed = self._limits.misfit_max * math.sqrt(ellipse.semi_major * ellipse.semi_minor) + _MISFIT_PX
         spread = np.abs(distances)
         near = distances[spread <= max(0.5, 2.0 * allowed)]
-        misfit = math.sqrt(float(near @ near) / len(near)) / allowed if len(near) else math.inf
-        return _Outline(ellipse, points, len(near) / _RAYS, misfit)
+        rms_px = math.sqrt(float(near @ near) / len(near)) if len(near) else math.inf
+        return _Outline(ellipse, points, rms_px, len(near) / _RAYS, rms_px / allowed)
 
-    def _edge(self, bgr, ellipse, reach, inside, outside=None):
+    def _edge(self, bgr, ellipse, reach, inside, outside=None, light=None):
         """Where the colour changes from `inside` to `outside` between 1 - reach and 1 + reach times the ellipse.
 
-        inside, outside: (3,) float32 BGR; None: what is beyond on each ray.
+        inside, outside: (3,) float32 BGR; None: what is beyond on each ray. light: (rays, 2) by which share it is
+        brighter there on each of both; with an outside.
         Returns points (rays, 2), whether they are good (rays,), whether the two colours differ (rays,) or ().
         """
         count = int(min(24, max(8, 1.6 * reach * (ellipse.semi_major + ellipse.semi_minor))))
@@ -303,6 +330,8 @@ class LandmarkDetector:
             square = contrast @ contrast
             weights = contrast / max(1.0, square)
             share = cv2.transform(colours, np.append(weights, -(outside @ weights))[None])
+            low, high = light[:, 1] * (outside @ weights), 1.0 + light[:, 0] * (inside @ weights)
+            share = (share - low[:, None]) / (high - low)[:, None]
         np.maximum(share, 0.0, out=share)
         np.minimum(share, 1.0, out=share)
         first, last, whole = (share @ averages).T
@@ -317,10 +346,11 @@ class LandmarkDetector:
             good &= _inside(points + directions * (0.5 * reach), bgr.shape)
         return points, good, differs
 
-    def _centre(self, width, height, circle, ring):
-        """(x, y) [px] where the centre of the disc is seen; NaN outside of what the lens model describes.
+    def _centre(self, width, height, inner, circle, ring):
+        """((x, y) [px] where the centre of the disc is seen, its covariance as Detection's).
 
-        circle, ring: Ellipses of centre and ring, without distortion; ring may be None.
+        NaN outside of what the lens model describes. inner: _Outline of the centre; circle, ring: Ellipses of centre
+        and ring, without distortion; ring may be None.
         """
         if self._camera is None:
             focal = _NOMINAL_FOCAL * width
@@ -332,18 +362,29 @@ class LandmarkDetector:
             [(fx * x + skew * y + cx, fy * y + cy) for x, y in pair]
             for pair in circle_centres(K.T @ circle.conic() @ K, self._scale)
         ]
-        if not hypotheses or (ring is None and self._camera is None):
+        share = 0.5  # of the first hypothesis
+        if not hypotheses:
             x, y = circle.x, circle.y
+        elif self._camera is not None:
+            share = 0.5 if ring is None else _share_of_first(hypotheses, ring)
+            x, y = _between(hypotheses, share)
         elif ring is None:
-            x, y = _between(hypotheses, 1.0, 1.0)
-        elif self._camera is None:
+            x, y = circle.x, circle.y
+        else:
             spread_px = _DISTORTED * circle.semi_major**2 / width
             x, y = _of_unknown(circle, hypotheses, ring, spread_px, 1.0 / (self._scale**2 - 1.0))
-        else:
-            x, y = _of_known(hypotheses, ring)
+        turn = None  # from pixels without distortion to those of the picture
         if self._distorted:
-            x, y = self._camera.project(np.array([1.0, (x - cx - skew * (y - cy) / fy) / fx, (y - cy) / fy]))
-        return float(x), float(y)
+            ideal = np.array([(x, y), (x + 1.0, y), (x, y + 1.0)]) - (cx, cy)
+            right, down = (ideal[:, 0] - skew / fy * ideal[:, 1]) / fx, ideal[:, 1] / fy
+            pixels = self._camera.project(np.column_stack((np.ones(3), right, down)))
+            x, y = pixels[0].tolist()
+            turn = (pixels[1:] - pixels[0]).T
+        if self._camera is None or not hypotheses:
+            return (x, y), None
+        (first, _), (second, _) = hypotheses
+        apart, rows = (first[0] - second[0], first[1] - second[1]), self._harmonics[inner.rays]
+        return (x, y), centre_covariance(inner.start, rows, inner.rms_px, math.sqrt(fx * fy), apart, share, turn)
 
     def _ideal(self, points):
         """Where a camera without distortion would see what is at points (n, 2) px."""
@@ -359,17 +400,16 @@ class LandmarkDetector:
         return fit_ellipse(self._ideal(inner.points))[0] or inner.ellipse
 
 
-def _between(hypotheses, first, second):
-    """Mean of the centres of two hypotheses with these weights."""
+def _between(hypotheses, share):
+    """Mean of the centres of two hypotheses; share: weight of the first."""
     ((x, y), _), ((u, v), _) = hypotheses
-    return (first * x + second * u) / (first + second), (first * y + second * v) / (first + second)
+    return share * x + (1.0 - share) * u, share * y + (1.0 - share) * v
 
 
-def _of_known(hypotheses, ring):
-    """Centre of the disc: which of the two tilts is it? Undecided between both where the ring does not tell."""
-    squares = [(x - ring.x) ** 2 + (y - ring.y) ** 2 for _, (x, y) in hypotheses]
-    least = min(squares)
-    return _between(hypotheses, *[math.exp(-0.5 * (square - least) / _SIGMA_PX**2) for square in squares])
+def _share_of_first(hypotheses, ring):
+    """Which of the two tilts is it? Probability of the first; 0.5 where the ring does not tell."""
+    first, second = [(x - ring.x) ** 2 + (y - ring.y) ** 2 for _, (x, y) in hypotheses]
+    return 1.0 / (1.0 + math.exp(min(0.5 * (first - second) / _SIGMA_PX**2, 700.0)))
 
 
 def _of_unknown(circle, hypotheses, ring, spread_px, least):
@@ -401,6 +441,20 @@ def _of_unknown(circle, hypotheses, ring, spread_px, least):
     if total == 0.0:
         return circle.x, circle.y
     return circle.x - shift_x / total, circle.y - shift_y / total
+
+
+def _slope_of_light(colours, mean, painted, rows, size_px):
+    """By which share (2,) the light on a paint grows per radius of a disc, to the right and downwards in its plane.
+
+    Without it, a brighter half of a disc would look larger. colours: of one paint where it is `painted`; mean: (3,) of
+    these; rows: (n, 3) of the points' places on a disc with radius 1, and 1. Small discs tell little of the light, and
+    neighbours' colours blur into them: a flat light is expected.
+    """
+    seen = colours.reshape(-1, 3).astype(np.float32) @ (mean / (mean @ mean)) - np.float32(1.0)
+    weighted = rows * (painted.reshape(-1, 1) * np.float32(1.0 / 255.0))
+    square = weighted.T @ rows
+    square[[0, 1], [0, 1]] += (_LIGHT_NOISE / (_LIGHT_SLOPE * size_px)) ** 2
+    return cv2.solve(square, weighted.T @ seen, flags=cv2.DECOMP_CHOLESKY)[1][:2, 0]
 
 
 def _vividness(core, ring):

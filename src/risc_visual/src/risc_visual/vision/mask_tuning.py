@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 import yaml
 
-from risc_lab.lab.landmark_catalogue import landmarks_file
 from risc_lab.lab.ranges import check_ranges
 from risc_visual.vision.colours import HUES, HsvRange, Planes
-from risc_visual.vision.landmark_config import landmarks_from_dict
+from risc_visual.vision.landmark_config import detector_file, landmarks_from_dict
 
 _SIGMA_PX = 2.0  # of the blur, as in the original release
 
@@ -75,7 +74,7 @@ def save_colour(path, name, paint):
     if not re.fullmatch(r"\w+", name):
         raise ValueError("%r is no name of a colour: letters, digits and _" % name)
     path = pathlib.Path(path).expanduser().absolute()
-    source = path if path.exists() else landmarks_file()
+    source = path if path.exists() else detector_file()
     try:
         text = source.read_text(encoding="utf-8")
         limits = ", ".join("%s: [%d, %d]" % (key, *getattr(paint, key)) for key in ("hue", "saturation", "value"))

@@ -55,7 +55,7 @@ def main(arguments=None):
     parser.add_argument("--json", action="store_true", help="one JSON object a picture and line instead of a table")
     parser.add_argument("--overlay", type=pathlib.Path, metavar="DIR", help="write pictures with what was found here")
     parser.add_argument(
-        "--config", metavar="YAML", help="landmarks, paints, thresholds (default: config/landmarks.yaml)"
+        "--config", metavar="YAML", help="landmarks, paints, thresholds (default: config/landmark_detector.yaml)"
     )
     parser.add_argument("--calibration", metavar="YAML", help="of the camera: centres of tilted discs are then exact")
     options = parser.parse_args(arguments)

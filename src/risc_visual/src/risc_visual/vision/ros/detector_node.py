@@ -16,8 +16,9 @@ from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.paced_subscriber import PICTURES_BYTES, PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, load_params
 from risc_lab.ros.ticker import Ticker
+from risc_maap_msgs.msg import Detections
 from risc_msgs.msg import Observed_rois
-from risc_visual.ros.conversions import rois_of_picture
+from risc_visual.ros.conversions import detections_of_picture, rois_of_picture
 from risc_visual.vision.colours import SIDE_MIN_PX, Planes, shrunk
 from risc_visual.vision.landmark_config import load_landmarks
 from risc_visual.vision.landmark_detector import LandmarkDetector
@@ -53,12 +54,12 @@ class LookoutParams:
 
 
 class Lookout:
-    """Every vehicle's newest picture -> one Observed_rois with what that vehicle sees."""
+    """Every vehicle's newest picture -> one Observed_rois, and one Detections, with what that vehicle sees."""
 
     def __init__(self, topic, landmarks, overlay=None):
-        """topic: of the regions. landmarks: look for landmarks; else for vehicles only. overlay: default of ~overlay.
+        """topic: of the regions. landmarks: look for landmarks; else for vehicles only, without Detections.
 
-        Raises ValueError that names a wrong parameter.
+        overlay: default of ~overlay. Raises ValueError that names a wrong parameter.
         """
         params = load_params(LookoutParams)[0]
         fleet = {vehicle.namespace: vehicle for vehicle in fleet_vehicles()}
@@ -70,6 +71,7 @@ class Lookout:
         self._vehicles = None
         if looks_for_vehicles:
             self._vehicles = VehicleDetector(load_vehicles(params.vehicles_file or None), self._others)
+        self._exact = rospy.Publisher("detections", Detections, queue_size=10, tcp_nodelay=True) if landmarks else None
         self._publisher = rospy.Publisher(topic, Observed_rois, queue_size=10, tcp_nodelay=True)
         self._updater = make_updater("none")
         overlay = params.overlay if overlay is None or params.overlay != LookoutParams.overlay else overlay
@@ -97,7 +99,10 @@ class Lookout:
     def publish(self, namespace, header, landmarks, vehicles):
         """Tell what a vehicle sees: every landmark and, if they are looked for, every other vehicle; seen or not."""
         others = [] if self._vehicles is None else [name for name in self._others if name != namespace]
-        self._publisher.publish(rois_of_picture(header, namespace, self._names, landmarks, others, vehicles))
+        seen = header, namespace, self._names, landmarks, others, vehicles
+        if self._exact is not None:  # first: whoever uses it needs no region of the same picture
+            self._exact.publish(detections_of_picture(*seen))
+        self._publisher.publish(rois_of_picture(*seen))
 
     def draw(self, picture, landmarks, vehicles):
         """Draw what was found into the picture."""
