@@ -185,8 +185,8 @@ def fly(flight):
         output = controller.update(time_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
         looks = {}
         if frame % TICK_EVERY == 0:
-            separation.see(names, states.visible, states.x, time_s)
-            separation.refer(names, _by_vehicle(reference.derivatives[:3]), time_s)
+            separation.see(estimate.names[: len(names)], states.visible, states.x, time_s)
+            separation.refer(estimate.names[: len(names)], _by_vehicle(reference.derivatives[:3]), time_s)
             looks = separation.look(now_s)
         looks = [looks.get(name, ALONE) for name in names]
         step_chains(chains, frame, time_s, now_s, states, output.fractions, looks)
