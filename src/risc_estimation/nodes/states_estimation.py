@@ -4,6 +4,7 @@
 See risc_estimation.state_estimator.
 """
 
+import math
 import sys
 import threading
 import time
@@ -24,7 +25,7 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import has_private, known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import BodyPoses
+from risc_maap_msgs.msg import BodyPoses, Counter, EstimatorStatus
 
 
 class StatesEstimationNode:
@@ -57,6 +58,7 @@ class StatesEstimationNode:
         self._landmarks_pub = rospy.Publisher("states3", LandmarksArrays, queue_size=100, tcp_nodelay=True)
         self._poses_pub = rospy.Publisher("mocap_poses", BodyPoses, queue_size=100, tcp_nodelay=True)
         self._frame, self._messages = MocapArrays(), EstimateMessages()
+        self._status_pub = rospy.Publisher("estimator_status", EstimatorStatus, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("mocap")
         self._diagnostics.add("states estimation", self._diagnose)
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
@@ -102,6 +104,7 @@ class StatesEstimationNode:
         rospy.logwarn("no mocap frame for %.0f ms: every vehicle is invisible", 1e3 * self._silence_s)
 
     def _diagnose(self, status):
+        """Diagnostics for people; what other programs use of it goes out as an EstimatorStatus."""
         now_s = time.monotonic()
         with self._lock:
             counts = self._estimator.counts
@@ -115,6 +118,12 @@ class StatesEstimationNode:
         new_refused, new_passed_over = refused - self._reported_refused, passed_over - self._reported_passed_over
         self._reported_passed_over = passed_over
         self._reported_frames, self._reported_refused, self._reported_s = counts.frames, refused, now_s
+        told = EstimatorStatus(rate_hz=rate_hz, vehicles=known, visible=visible, passed_over=passed_over)
+        told.header.stamp = rospy.Time.now()
+        told.age_s = math.nan if last_s is None else now_s - last_s
+        told.counters = [Counter(*item) for item in numbers if item[0] != "frames"]
+        told.frames, told.unknown_bodies = counts.frames, sorted(unknown)
+        self._status_pub.publish(told)
         for name in sorted(set(unknown) - self._told_unknown):
             self._told_unknown.add(name)
             rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)

@@ -9,9 +9,9 @@ import unittest
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 
-from risc_maap_msgs.msg import WireFault
+from risc_maap_msgs.msg import Fault, WireFault
 from risc_msgs.msg import Cortex
 
 HOST = ("127.213.0.1", 1510)
@@ -87,12 +87,12 @@ class VirtualLabTest(unittest.TestCase):
             name: rospy.Publisher("/virtual_lab/" + name, kind, queue_size=5)
             for name, kind in (
                 *(("mocap_silence", Float64), ("wire_fault", WireFault)),
-                *(("hide", String), ("link_loss", String), ("battery", String)),
+                *(("hide", Fault), ("link_loss", Fault), ("battery", Fault)),
             )
         }
         self.wait_until(lambda: all(p.get_num_connections() for p in publishers.values()), "nobody listens")
         self.assertTrue(self.host_answers(15.0))
-        for bad in ("", "risc1", "risc9 1.0", "risc1 -1", "risc1 soon"):
+        for bad in (Fault(), Fault("", 1.0), Fault("risc9", 1.0), Fault("risc1", -1.0), Fault("risc1", float("inf"))):
             publishers["link_loss"].publish(bad)
             publishers["hide"].publish(bad)
             publishers["battery"].publish(bad)

@@ -27,7 +27,7 @@ from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
 from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
-from risc_control.trajectory_manager import Phase, make_manager, phase_text
+from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.vehicle_pilot import (
     FlightState,
     OwnControl,
@@ -204,7 +204,7 @@ def fly(flight):
             raise RuntimeError("%s %s after %.1f s (%r)" % (crash.namespace, crash.reason, crash.time_s, flight))
         if settled_s == math.inf and time_s >= LONGEST_WAY_S:
             manual = ", ".join(name for name, chain in zip(names, chains) if not chain.pilot.autonomous) or "none"
-            phases = phase_text(names, reference.phases)
+            phases = ", ".join("%s: %s" % (name, phase.name) for name, phase in zip(names, reference.phases))
             raise RuntimeError(
                 "not on the course after %g s (%s; not autonomous: %s; %r)" % (time_s, phases, manual, flight)
             )
@@ -295,7 +295,7 @@ class _Chain:
     def send(self, orders, now_s):
         """Hand what was ordered to the radio; a landing takes as long as a command."""
         if orders.safety is not None and (self.said or self.pilot.ladder.verdict.level > FailsafeLevel.OK):
-            self.said.append((now_s, orders.safety))
+            self.said.append((now_s, orders.safety.text))
         if orders.land:
             self._vehicle.schedule(now_s + self._vehicle.plant.command_delay_s, FlightAction.LAND)
         if orders.command is not None:

@@ -75,10 +75,10 @@ def flown(args, rest, progress, argv):
         result = fly.fly(flight, folder, progress, interrupted)
         if isinstance(result, fly.TooSlow):
             result = fly.fly_slower("risc_experiments.screenshot", argv, folder, result, progress, interrupted)
-    if result != "ok":
+    if result:
         raise fly.FlightError(
             "no pictures of a flight that failed: %s (./maap screenshot %s/flight.bag makes them all the same)"
-            % (result.replace("failed: ", "", 1), folder)
+            % (result, folder)
         )
     return folder
 

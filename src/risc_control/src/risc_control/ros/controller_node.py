@@ -23,6 +23,7 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import dataclass_from_params, known_fleet, limit, number, private, vehicles, warn_of_unknown
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
+from risc_maap_msgs.msg import ControllerReport, TrackingError
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 
@@ -63,6 +64,7 @@ class ControllerNode:
         self._reader, self._message = StatesReader(self.names), ControlsMessage(self.names)
         self._trajectories = TrajectoriesArrays()
         self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
+        self._report = rospy.Publisher("/controller_report", ControllerReport, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater(", ".join(self.names))
         self._diagnostics.add("controller", self._diagnose)
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
@@ -193,6 +195,7 @@ class ControllerNode:
         return both[0], both[1], usable
 
     def _diagnose(self, status):
+        """Diagnostics for people; what other programs use of it goes out as a ControllerReport."""
         with self._lock:
             now_s = time.monotonic()
             elapsed_s = max(now_s - self._reported_s, 1e-3)
@@ -211,6 +214,10 @@ class ControllerNode:
         status.add("oldest state answered (ms)", "%.1f" % (1e3 * age_s))
         status.add("longest cycle (ms)", "%.2f" % (1e3 * cycle_s))
         errors_m = _errors_m(*answered) if answered else [np.nan] * len(self.names)
+        report = ControllerReport(oldest_state_s=age_s)
+        report.header.stamp = rospy.Time.now()
+        report.vehicles = [TrackingError(*item) for item in zip(self.names, errors_m)]
+        self._report.publish(report)
         for name, error_m in zip(self.names, errors_m):
             status.add("position error of %s (mm)" % name, "%.1f" % (1e3 * error_m))
         status.add("autonomous", ", ".join(np.array(self.names)[self._autonomous].tolist()) or "none")

@@ -19,7 +19,9 @@ import yaml
 
 from data_extraction.bags import Bag
 from data_extraction.progress import Progress
+from data_extraction.report.kinds import fits
 from risc_lab.lab.yaml_reader import package_file
+from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes
 from risc_visual.pictures.orbit_view import has_display, load_config, marker_topics, picture_config, saved_view
 from risc_visual.pictures.virtual_screen import VirtualScreen, save_picture
@@ -67,10 +69,10 @@ def moment_of(bag):
     """
     begin_s, end_s = bag.start_s, bag.start_s + bag.duration_s
     found_s = 0.5 * (begin_s + end_s)
-    if "/operator/phase" in bag.topics:
-        phases = [(receipt_s, message.data) for _, receipt_s, message in bag.messages(["/operator/phase"])]
+    if "/operator/phase" in bag.topics and fits("/operator/phase", bag.types["/operator/phase"]):
+        phases = [(receipt_s, message.phase) for _, receipt_s, message in bag.messages(["/operator/phase"])]
         flying = [
-            (start_s, stop_s) for (start_s, text), (stop_s, _) in zip(phases, phases[1:]) if text.startswith("fly")
+            (start_s, stop_s) for (start_s, phase), (stop_s, _) in zip(phases, phases[1:]) if phase == OperatorPhase.FLY
         ]
         if flying:
             begin_s, end_s = flying[0][0], flying[-1][1] - BEFORE_END_S
@@ -129,7 +131,7 @@ def take_pictures(bag_path, views, at_s, out, fleet=None, title="", progress=Non
     """
     progress = progress or Progress()
     with Bag(bag_path) as bag:
-        recorded, duration_s = set(bag.topics), bag.duration_s
+        recorded, duration_s = {topic for topic, kind in bag.types.items() if fits(topic, kind)}, bag.duration_s
     if at_s > duration_s:
         raise ValueError("%s is %.1f s long: there is no picture at %.1f s" % (bag_path, duration_s, at_s))
     drawn = recorded.intersection(DRAWN)
