@@ -204,7 +204,7 @@ def fly(flight):
             raise RuntimeError("%s %s after %.1f s (%r)" % (crash.namespace, crash.reason, crash.time_s, flight))
         if settled_s == math.inf and time_s >= LONGEST_WAY_S:
             manual = ", ".join(name for name, chain in zip(names, chains) if not chain.pilot.autonomous) or "none"
-            phases = ", ".join("%s: %s" % (name, phase.name) for name, phase in zip(names, reference.phases))
+            phases = ", ".join("%s: %s" % (name, phase.name.lower()) for name, phase in zip(names, reference.phases))
             raise RuntimeError(
                 "not on the course after %g s (%s; not autonomous: %s; %r)" % (time_s, phases, manual, flight)
             )
