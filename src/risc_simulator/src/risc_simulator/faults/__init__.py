@@ -120,12 +120,12 @@ class Wire:
     def carry(self, datagram, address, now_s, deliver):
         """Let a datagram pass at lab time now_s. deliver: called with (datagram, address, time) when it arrives.
 
-        Returns what deliver said, or False when nothing has arrived yet.
+        Returns what deliver said, True for what arrives later, False for what is lost.
         """
         if not self.acting:
             return deliver(datagram, address, now_s)
         self.acting = tuple(fault for fault in self.acting if now_s < fault[1])
-        arriving = [(0.0, bytes(datagram))]
+        arriving = [(0.0, bytes(datagram) if isinstance(datagram, bytearray) else datagram)]
         for start_s, _, act in self.acting:
             if start_s <= now_s:
                 arriving = [
@@ -137,6 +137,7 @@ class Wire:
         for later_s, data in arriving:
             if later_s > 0.0:
                 self._wires._delay(now_s + later_s, deliver, data, address)
+                result = True
             else:
                 result = deliver(data, address, now_s)
         self.counts["sent"] += 1
