@@ -11,7 +11,7 @@ from risc_visual.drawing.ros import markers
 from risc_visual.ros.conversions import bodies_from_mocap, landmarks_from_msg, poses_from_cortex
 
 TEXT_PERIODS = 3.0  # without news after which a text vanishes
-_SPHERE_ALPHA = 0.4  # of landmarks
+_SPHERE_ALPHA = 0.7  # of landmarks
 
 
 class CortexDrawing:
