@@ -72,7 +72,7 @@ def test_fifty_vehicles_keep_their_ids_whatever_the_order_and_whoever_is_lost():
 
 def test_paths_of_fifty_vehicles_have_ids_of_their_own_and_a_bounded_life():
     names = ["vehicle_%d" % k for k in range(50)]
-    paths = PathDrawing("quad_line", (1.0, 0.0, 0.0), TrailParams(10.0), 25.0, Index(names))
+    paths = PathDrawing("quad_line", (1.0, 0.0, 0.0), 0.04, TrailParams(10.0), 25.0, Index(names))
     alive = {}
     for step in range(100):
         head = markers.header(genpy.Time.from_sec(100.0 + 0.04 * step))
@@ -135,7 +135,7 @@ def test_landmarks_have_the_colour_of_their_kind():
     msg = Landmarks(Header(stamp=genpy.Time(100)), [Landmark("Pink_blue", 2.3, 0.8, 1.5), Landmark("pole", 0, 0, 0)])
     spheres, labels = drawing().landmarks(msg)
     assert [(m.ns, m.color.r, m.color.g, m.color.b, m.color.a) for m in spheres] == [
-        ("Pink_blue", 1.0, 0.0, 0.5, 0.4),
+        ("Pink_blue", 1.0, 0.0, 0.5, 0.7),
         ("pole", 1.0, 1.0, 1.0, 0.4),
     ]
     assert [m.text for m in labels] == ["Pink_blue", "pole"]

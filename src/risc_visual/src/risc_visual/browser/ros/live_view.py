@@ -23,7 +23,8 @@ from risc_msgs.msg import Trajectories
 from risc_visual.browser.landing import ask_all
 from risc_visual.browser.live_status import LiveStatus, Mocap, Report, Vehicle
 from risc_visual.browser.marker_scene import FIXED_FRAME, Action, Look, MarkerScene, MarkerValue, Placement, Shape
-from risc_visual.browser.page import SHAPES, BrowserPanel, BrowserScene, open_server
+from risc_visual.browser.page import SHAPES, BrowserPanel, BrowserScene
+from risc_visual.browser.page_server import open_server
 from risc_visual.drawing.cast import phase_words
 from risc_visual.drawing.scenery import load_scenery
 from risc_visual.ros.conversions import verdict_from_msg
