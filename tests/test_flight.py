@@ -20,6 +20,7 @@ from data_extraction.flatten import seconds
 from data_extraction.report.origin import parameter_hash
 from risc_estimation.ros.params import NodeParams
 from risc_experiments.stop import end_flight
+from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import MARK, marked_processes
 
 pytestmark = pytest.mark.alone
@@ -42,7 +43,7 @@ def frames_passed_over(path):
             if topic == "/operator/result":
                 break
             if topic == "/operator/phase":
-                begun |= message.data.startswith("takeoff")
+                begun |= message.phase == OperatorPhase.TAKEOFF
                 continue
             if not begun:
                 continue
@@ -261,6 +262,8 @@ def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
     assert recorded >= {"/%s/ardrone/%s" % (name, topic) for name in ("risc1", "risc2") for topic in own}
     assert recorded >= {"/risc1/cmd_vel", "/risc2/cmd_vel", "/controls", "/trajectory", "/cortex_raw", "/ground_truth"}
     assert recorded >= {"/angles", "/land_rois", "/states3", "/tf", "/tf_static"}
+    assert recorded >= {"/mocap_status", "/estimator_status", "/controller_report", "/risc1/node_status"}
+    assert recorded >= {"/trajectory_phase", "/risc1/safety", "/operator/phase", "/operator/result"}
     assert pathlib.Path(folder, "plots", "bearings.png").stat().st_size > 10000
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert 'id="bearings"' in page and page.count("data:image/jpeg") >= 2, "pictures of each camera"

@@ -18,12 +18,12 @@ import roslaunch
 import rospy
 import yaml
 from launch_parameters import unroll
-from std_msgs.msg import String
 
 from risc_doctor import ros_master
 from risc_experiments.report import LATE_LIMIT_MS
 from risc_lab.lab import load_fleet
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
+from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 from risc_visual.pictures import rviz_pictures
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -476,9 +476,10 @@ def starts(name, folder):
 def test_files_start_and_end_without_a_trace(tmp_path, names):
     """All nodes of each file live, with the virtual lab where it has one and no joystick plugged in; after Ctrl-C
     nothing is left. FLOWN does so below."""
+    phases = TrajectoryPhases(vehicles=[VehiclePhase("fluffy_II", VehiclePhase.COURSE)])
     with rosbag.Bag(str(tmp_path / "long.bag"), "w") as bag:
         for second in (1, 600):  # played for longer than the test looks
-            bag.write("/trajectory_phase", String("fluffy_II: course"), rospy.Time(second))
+            bag.write("/trajectory_phase", phases, rospy.Time(second))
     picture = b"P6 64 48 255\n" + bytes(64 * 48 * 3)
     (tmp_path / "picture.ppm").write_bytes(picture)
     elsewhere = sorted(name for name, argv in ELSEWHERE.items() if argv is not None)
@@ -514,7 +515,7 @@ def chase(folder):
     target, truth, said, let_go_s, home_s = [], [], [], math.inf, math.inf
     with rosbag.Bag(str(bag)) as recorded:
         for topic, message, stamp in recorded.read_messages(
-            ["/trajectory", "/ground_truth", "/range", "/trajectory_course", "/trajectory_phase"]
+            ["/trajectory", "/ground_truth", "/range", "/trajectory_phase"]
         ):
             if topic == "/trajectory":
                 target.append((message.header.stamp.to_sec(), message.Obj[0].x, message.Obj[0].y))
@@ -522,10 +523,10 @@ def chase(folder):
                 truth.append((message.header.stamp.to_sec(), message.Obj[0].x, message.Obj[0].y))
             elif topic == "/range":
                 said.append((stamp.to_sec(), message.data))
-            elif topic == "/trajectory_course" and message.data == "NGC":
-                let_go_s = stamp.to_sec()
-            elif topic == "/trajectory_phase" and stamp.to_sec() > let_go_s and not message.data.endswith(": course"):
-                home_s = min(home_s, stamp.to_sec())  # it chases no more, and a way home is planned
+            elif message.course == "NGC":
+                let_go_s = min(let_go_s, stamp.to_sec())
+                if message.vehicles[0].phase != VehiclePhase.COURSE:
+                    home_s = min(home_s, stamp.to_sec())  # it chases no more, and a way home is planned
     target, truth = np.array(target), np.array(truth)
     settled = truth[(truth[:, 0] > let_go_s + 11.0) & (truth[:, 0] < home_s - 0.1)]
     places = np.column_stack([np.interp(settled[:, 0], target[:, 0], target[:, axis]) for axis in (1, 2)])

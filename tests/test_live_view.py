@@ -21,6 +21,7 @@ import yaml
 from flying import judged
 
 from data_extraction.bags import Bag
+from risc_control.failsafe import FailsafeLevel, Rule
 from risc_lab.lab import load_fleet
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 
@@ -233,10 +234,10 @@ def look_at(flight, folder):
     with Bag(flight.bag) as bag:
         seen["safety"] = {name: [] for name in VEHICLES}
         for topic, _, message in bag.messages(["/%s/safety" % name for name in VEHICLES]):
-            seen["safety"][topic.split("/")[1]].append(message.data)
+            seen["safety"][topic.split("/")[1]].append((message.level, message.rule))
         for _, _, message in bag.messages(["/ground_truth"]):
             seen["heights_m"] = {entry.name: entry.z for entry in message.Obj}
-        seen["results"] = [message.data for _, _, message in bag.messages(["/operator/result"])]
+        seen["results"] = [message.reason for _, _, message in bag.messages(["/operator/result"])]
     return seen
 
 
@@ -280,11 +281,11 @@ def test_the_page_loads_nothing_from_elsewhere(seen):
 def test_land_all_lands_all_by_their_safety(seen):
     for name, template in VEHICLES.items():
         said = seen["safety"][name]
-        assert [text for text in said if text.startswith("land")] == ["land: landing was requested"]
-        assert said[-1] == "ok", "it has landed"
+        assert [rule for level, rule in said if level == FailsafeLevel.LAND] == [Rule.REQUEST]
+        assert said[-1] == (FailsafeLevel.OK, Rule.NONE), "it has landed"
         assert seen["heights_m"][template] < 0.1, "it stands on the floor"
     (result,) = seen["results"]  # its begin is of whom the operator heard first: of the button, or of the vehicles
-    assert re.match("failed: (landing was requested|no vehicle flies any more)", result), result
+    assert re.match("landing was requested|no vehicle flies any more", result), result
 
 
 def test_a_view_that_dies_ends_no_flight(seen):

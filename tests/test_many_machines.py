@@ -143,12 +143,11 @@ def state_ages(hosts, vehicle):
 
 
 def computers_of(bag_path):
-    """{vehicle: Computer} of a bag's diagnostics."""
+    """{vehicle: Computer} of a bag."""
     collector = ComputerCollector()
     with Bag(bag_path) as bag:
-        for _, _, message in bag.messages(["/diagnostics"]):
-            for status in message.status:
-                collector.take(status)
+        for message in bag.messages(filter(collector.wants, bag.topics)):
+            collector(*message)
     return collector.computers()
 
 

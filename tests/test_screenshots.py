@@ -20,13 +20,12 @@ from risc_experiments.screenshot import main
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import load_calibration, load_mount
-from risc_lab.lab.yaml_reader import package_file
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States, Trajectories, Trajectory
 from risc_visual.drawing.airframes import vehicle_colour
-from risc_visual.drawing.palette import ray_colours, sphere_colours
+from risc_visual.drawing.palette import on_white, ray_colours, sphere_colours
 from risc_visual.drawing.scenery import load_scenery
-from risc_visual.pictures.orbit_view import load_config, orbit_view_from_dict, saved_view
-from risc_visual.pictures.rviz_pictures import VIEWS
+from risc_visual.pictures.captions import LIGHT, scene_size
+from risc_visual.pictures.rviz_pictures import views_from
 from risc_visual.pictures.virtual_screen import missing_programs
 from risc_visual.vision.landmark_config import load_landmarks
 
@@ -44,6 +43,7 @@ AT_S = 7.07  # of the picture: between two messages
 SEEN_S = 7.0  # when the cameras last saw something, long enough before that it is drawn
 PICTURE_STEPS = 5  # from one picture of the cameras to the next
 SIZE = (1280, 900)
+SCENE = scene_size(SIZE)  # without the panel of texts
 STARTS = (("oblique",), ("top", "rays"), ("tuner",))
 TOP, RAYS, TUNER = (pytest.param(name, marks=pytest.mark.release) for name in ("top", "rays", "tuner"))
 TIMEOUT_S = 900.0
@@ -126,7 +126,7 @@ def bag_file(tmp_path_factory, fleet):
 
 @pytest.fixture(scope="module")
 def picture_of(bag_file):
-    """picture_of(view): (picture (height, width, 3) RGB, OrbitView) as the command makes them."""
+    """picture_of(view): (scene (height, width, 3) RGB, OrbitView, panel) as the command makes them."""
     out = bag_file.parent / "pictures"
 
     @functools.cache
@@ -137,11 +137,11 @@ def picture_of(bag_file):
         assert done.returncode == 0, done.stdout
         found = {}
         for name in names:
-            config, saved = VIEWS[name]
-            view = saved_view(load_config(package_file("risc_visual", "config/" + config)), saved)
             picture = cv2.imread(str(out / (name + ".png")))[:, :, ::-1].astype(float)
             assert picture.shape == (SIZE[1], SIZE[0], 3)
-            found[name] = picture, orbit_view_from_dict(view, config)
+            (view,) = views_from([name], SIZE)
+            assert view.scene_px == SCENE
+            found[name] = picture[:, : SCENE[0]], view.camera, picture[:, SCENE[0] :]
         return found
 
     # one start of rviz for each; the tuner has another node for the frames
@@ -165,14 +165,14 @@ def brightest_around(picture, pixels, reach=1):
 def along(ends_m, view, count=100):
     """(n, 2) pixels along a line between two points, those that are in the picture."""
     part = np.linspace(0.0, 1.0, count)[:, None]
-    pixels = view.project(ends_m[0] + part * (ends_m[1] - ends_m[0]), *SIZE)
-    inside = ((pixels >= 12) & (pixels <= np.subtract(SIZE, 13))).all(axis=1)
+    pixels = view.project(ends_m[0] + part * (ends_m[1] - ends_m[0]), *SCENE)
+    inside = ((pixels >= 12) & (pixels <= np.subtract(SCENE, 13))).all(axis=1)
     return pixels[inside]
 
 
 @pytest.mark.parametrize("name", ["oblique", TOP])
 def test_the_net_is_where_the_projection_says(picture_of, name):
-    picture, view = picture_of(name)
+    picture, view, _ = picture_of(name)
     ends_m = load_scenery().net.edges().reshape(-1, 2, 3)
     checked = 0
     for edge in ends_m[np.any(ends_m[:, :, 2] > 0.0, axis=1)]:  # those on the floor are among the floor's lines
@@ -191,17 +191,17 @@ def test_the_net_is_where_the_projection_says(picture_of, name):
 
 @pytest.mark.parametrize("name", ["oblique", TOP, RAYS])
 def test_every_vehicle_is_in_its_place_and_nowhere_else(picture_of, fleet, name):
-    picture, view = picture_of(name)
+    picture, view, _ = picture_of(name)
     positions_m, _ = flight()(AT_S - 0.5 / RATE_HZ)
-    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    y, x = np.mgrid[: SCENE[1], : SCENE[0]]
     landmark = np.zeros(x.shape, dtype=bool)  # orange glass over grey is yellow
     for mark in fleet.landmarks:
-        centre = view.project(mark.position_m, *SIZE)
+        centre = view.project(mark.position_m, *SCENE)
         landmark |= np.hypot(x - centre[0], y - centre[1]) <= LANDMARK_PX
     for i, vehicle in enumerate(fleet.vehicles):
-        centre = view.project(positions_m[i], *SIZE)
+        centre = view.project(positions_m[i], *SCENE)
         near_m = positions_m[i] + REACH_M * np.vstack((np.eye(3), -np.eye(3)))
-        reach = np.linalg.norm(view.project(near_m, *SIZE) - centre, axis=1).max()
+        reach = np.linalg.norm(view.project(near_m, *SCENE) - centre, axis=1).max()
         near = np.hypot(x - centre[0], y - centre[1]) <= reach
         hull = np.hypot(x - centre[0], y - centre[1]) <= 0.25 * reach
         coloured = alike(picture, vehicle_colour(i), **PAINT)
@@ -213,7 +213,7 @@ def test_every_vehicle_is_in_its_place_and_nowhere_else(picture_of, fleet, name)
 @pytest.mark.parametrize("name", [RAYS, TUNER])
 def test_rays_hit_their_spheres(picture_of, fleet, name):
     """From every camera to every landmark that it sees whole: the ray's colour along the line, none of it beside."""
-    picture, view = picture_of(name)
+    picture, view, _ = picture_of(name)
     positions_m, yaws_rad = flight()(SEEN_S)
     landmarks = load_landmarks()
     place_m = {mark.name: np.array(mark.position_m) for mark in fleet.landmarks}
@@ -235,14 +235,26 @@ def test_rays_hit_their_spheres(picture_of, fleet, name):
                 assert coloured[y, x].mean() < 0.2, (i, item.name)
     assert checked >= 3
     for landmark, at_m in place_m.items():
-        x, y = np.round(view.project(at_m, *SIZE)).astype(int)
+        x, y = np.round(view.project(at_m, *SCENE)).astype(int)
         sphere = picture[y - 4 : y + 5, x - 4 : x + 5]
         assert alike(sphere, sphere_colours(landmarks)[landmark], **SPHERE).mean() > 0.8, landmark
 
 
 @pytest.mark.release
 def test_the_tuner_says_by_how_much_rays_miss(picture_of):
-    assert alike(picture_of("tuner")[0], TUNER_TEXT_RGB, **PAINT).sum() > 500
+    assert alike(picture_of("tuner")[2], TUNER_TEXT_RGB, **PAINT).sum() > 500
+
+
+@pytest.mark.release
+def test_a_light_picture_is_light_and_shows_the_same(bag_file, tmp_path):
+    arguments = ["--fleet", str(FLEET), "--at", str(AT_S), "--out", str(tmp_path), "--views", "top", "--light"]
+    assert main([str(bag_file), *arguments]) == 0
+    picture = cv2.imread(str(tmp_path / "top.png"))[:, :, ::-1].astype(float)
+    scene = picture[:, : scene_size((1280, 900))[0]]
+    assert (scene.reshape(-1, 3) == LIGHT.ground).all(axis=1).mean() > 0.4
+    assert np.percentile(picture.mean(axis=2), 10) > 180, "nothing dark but lines, letters and vehicles"
+    for i in range(3):
+        assert alike(scene, on_white(vehicle_colour(i)), 12.0, 60.0).sum() > 100
 
 
 @pytest.mark.release  # without the flight: test_screenshot.py

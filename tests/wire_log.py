@@ -11,7 +11,8 @@ import socket
 import struct
 import sys
 
-from ardrone_autonomy.protocol import AT_PORT, at
+from ardrone_autonomy.protocol import AT_PORT
+from risc_simulator.vehicles.ardrone.wire import parse_datagram
 
 IPV4, UDP = 0x0800, 17
 SO_TIMESTAMPNS = 35  # Linux: name of the option and of what comes with each packet; `socket` does not have it
@@ -32,11 +33,11 @@ def receive(sock):
 
 
 def at_commands(packet):
-    """AT commands in an IPv4 packet: list of at.Command, [] when it is something else."""
+    """AT commands in an IPv4 packet: list of AtCommand, [] when it is something else."""
     header = 4 * (packet[0] & 15)
     if packet[9] != UDP or int.from_bytes(packet[header + 2 : header + 4], "big") != AT_PORT:
         return []
-    return at.parse_datagram(packet[header + 8 :])[0]
+    return parse_datagram(packet[header + 8 :])[0]
 
 
 def main(arguments):

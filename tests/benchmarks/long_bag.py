@@ -20,7 +20,7 @@ LAP_S = 6  # after which everything repeats but the stamps
 START_S = 1_500_000_000
 VEHICLES = ("fluffy_II", "albatross", "Raven")
 PICTURE_TOPIC = "/risc1/ardrone/image_raw"
-MESSAGES = pathlib.Path(__file__).resolve().parents[2] / "src" / "risc_msgs" / "msg"
+SOURCES = pathlib.Path(__file__).resolve().parents[2] / "src"
 _STAMP = struct.Struct("<II")
 _STAMP_AT = 4  # bytes of a message with a header: after its sequence number
 
@@ -29,8 +29,9 @@ def type_store():
     """rosbags type store that knows the workspace's own messages."""
     store = get_typestore(Stores.ROS1_NOETIC)
     types = {}
-    for path in MESSAGES.glob("*.msg"):
-        types.update(get_types_from_msg(path.read_text(encoding="utf-8"), "risc_msgs/msg/" + path.stem))
+    for package in ("risc_msgs", "risc_maap_msgs"):
+        for path in (SOURCES / package / "msg").glob("*.msg"):
+            types.update(get_types_from_msg(path.read_text(encoding="utf-8"), package + "/msg/" + path.stem))
     store.register(types)
     return store
 
@@ -58,16 +59,18 @@ class LongBag:
         }
         bearings = bytearray(self._raw("risc_msgs/msg/Observed_angles", self._bearings()))
         picture = bytearray(self._raw("sensor_msgs/msg/Image", self._picture(*picture_px)))
-        pictures = 0
+        pictures, phases = 0, "risc_maap_msgs/msg/TrajectoryPhases"
         with self._writer:
             for topic, (kind, _) in laps.items():
                 self._connect(topic, kind)
             self._connect("/mocap_time", "sensor_msgs/msg/TimeReference")
-            self._connect("/trajectory_phase", "std_msgs/msg/String")
+            self._connect("/trajectory_phase", phases)
             self._connect("/angles", "risc_msgs/msg/Observed_angles")
             self._connect(PICTURE_TOPIC, "sensor_msgs/msg/Image")
-            phase = self._new("std_msgs/msg/String", data="; ".join(name + ": course" for name in VEHICLES))
-            self._put("/trajectory_phase", START_S * 10**9, self._raw("std_msgs/msg/String", phase))
+            vehicle = self._store.types["risc_maap_msgs/msg/VehiclePhase"]
+            on_course = [vehicle(name, vehicle.COURSE) for name in VEHICLES]
+            phase = self._new(phases, course="circles3", vehicles=on_course)
+            self._put("/trajectory_phase", START_S * 10**9, self._raw(phases, phase))
             for k in range(round(duration_s * RATE_HZ)):
                 stamp_ns = START_S * 10**9 + k * (10**9 // RATE_HZ)
                 for place, (topic, table) in enumerate(tables.items()):

@@ -1,7 +1,9 @@
 #include "cortex_ros/mocap_publisher.hpp"
 
+#include <risc_maap_msgs/MocapStatus.h>
 #include <sensor_msgs/TimeReference.h>
 
+#include <limits>
 #include <stdexcept>
 #include <vector>
 
@@ -43,6 +45,7 @@ MocapPublisher::MocapPublisher(ros::NodeHandle& node, Parameters& parameters)
     : settings_(read_settings(parameters)),
       markers_(node.advertise<risc_msgs::Mocap_data>("mocap_data", kQueueSize)),
       time_(node.advertise<sensor_msgs::TimeReference>("mocap_time", kQueueSize)),
+      status_(node.advertise<risc_maap_msgs::MocapStatus>("mocap_status", kQueueSize)),
       source_(make_source(settings_.source, parameters, *this, clock_)) {
   for (const std::string& key : parameters.unread()) {
     ROS_WARN("parameter %s is unknown to stream_markers with source '%s' and has no effect", key.c_str(),
@@ -173,6 +176,22 @@ void MocapPublisher::diagnose(diagnostic_updater::DiagnosticStatusWrapper& statu
                                    {"late", health.late},
                                    {"frame number restarts", health.restarts}};
   counters.insert(counters.end(), source.counters.begin(), source.counters.end());
+
+  risc_maap_msgs::MocapStatus told;
+  told.header.stamp = ros::Time::now();
+  told.up = source.up;
+  told.rate_hz = rate_hz;
+  told.age_s =
+      health.last_frame ? to_seconds(time - *health.last_frame) : std::numeric_limits<double>::quiet_NaN();
+  told.frames = health.frames;
+  for (const Counter& counter : counters) {
+    if (counter.name != "frames") {
+      told.counters.emplace_back();
+      told.counters.back().name = counter.name;
+      told.counters.back().count = counter.count;
+    }
+  }
+  status_.publish(told);
 
   summarize(status, source, health, rate_hz);
   status.add("host", source.host);

@@ -19,6 +19,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import TimeReference
 
+from risc_maap_msgs.msg import MocapStatus
 from risc_msgs.msg import Mocap_data
 
 MISSING = 9999999.0
@@ -139,13 +140,14 @@ class StreamMarkersTest(unittest.TestCase):
         self.markers = Inbox("/mocap_data", Mocap_data)
         self.times = Inbox("/mocap_time", TimeReference)
         self.diagnostics = Inbox("/diagnostics", DiagnosticArray)
+        self.statuses = Inbox("/mocap_status", MocapStatus)
 
     def tearDown(self):
         if self.node is not None and self.node.poll() is None:
             self.node.send_signal(signal.SIGINT)
             self.node.wait(PATIENCE_S)
         self.host.close()
-        for inbox in (self.markers, self.times, self.diagnostics):
+        for inbox in (self.markers, self.times, self.diagnostics, self.statuses):
             inbox.subscriber.unregister()
 
     def start_node(self, *arguments, **params):
@@ -191,6 +193,10 @@ class StreamMarkersTest(unittest.TestCase):
         self.assertEqual(values["malformed"], "0")
         self.assertAlmostEqual(float(values["reported delay [s]"]), DELAY_S, places=5)
         self.assertIn(b"LiveMode", self.host.heard)
+        told = self.statuses.wait_for(lambda m: m.up and m.rate_hz > 0.0 and m.frames)
+        self.assertLess(told.age_s, 5.0)
+        counters = {counter.name: counter.count for counter in told.counters}
+        self.assertEqual((counters["malformed"], counters["duplicates"]), (0, 0))
 
     def test_survives_the_loss_of_the_host(self):
         self.start_node()

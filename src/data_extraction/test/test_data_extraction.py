@@ -10,12 +10,13 @@ import rosbag
 import rospy
 from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import TimeReference
-from std_msgs.msg import String
 
 from data_extraction import plots, summary
 from data_extraction.bags import Bag, BagError
 from data_extraction.csv_export import export, file_name
 from data_extraction.flight_metrics import FlightCollector, Series, best_fit_lag, evaluate, settling_time
+from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
+from risc_maap_msgs.msg import OperatorState, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Controls, Cortex, Mocap_data, States, Trajectories, Trajectory
 
 T0_S = 1000.0
@@ -46,8 +47,11 @@ def flight_bag(tmp_path_factory):
         def write(topic, message, t_s):
             bag.write(topic, message, rospy.Time.from_sec(t_s))
 
-        write("/trajectory_phase", String("fluffy_II: approach"), T0_S)
-        write("/trajectory_phase", String("fluffy_II: course"), T0_S + 5.0)
+        def tell(phase, t_s):
+            write("/trajectory_phase", TrajectoryPhases(vehicles=[VehiclePhase("fluffy_II", phase)]), t_s)
+
+        tell(TrajectoryPhase.APPROACH, T0_S)
+        tell(TrajectoryPhase.COURSE, T0_S + 5.0)
         for k in range(6000):
             t_s = T0_S + 0.005 * k
             reference = Trajectory(name="fluffy_II", psi=np.pi)
@@ -64,7 +68,7 @@ def flight_bag(tmp_path_factory):
             write("/controls", stamped(Controls(), t_s), receipt_s + 0.003)
             if k % 7 == 0:
                 write("/risc1/cmd_vel_stamped", stamped(TwistStamped(), t_s), receipt_s + 0.004)
-        write("/trajectory_phase", String("fluffy_II: home"), T0_S + 30.0)
+        tell(TrajectoryPhase.HOME, T0_S + 30.0)
     return path
 
 
@@ -112,7 +116,7 @@ def test_lost_frame_is_counted(flight):
     assert flight.mocap.rate_hz == pytest.approx(200.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("phases", [(), ("waiting: no battery level yet", "takeoff", "fly")])
+@pytest.mark.parametrize("phases", [(), (OperatorPhase.WAITING, OperatorPhase.TAKEOFF, OperatorPhase.FLY)])
 def test_frames_that_are_lost_before_and_after_the_flight_do_not_count(tmp_path, phases):
     """While programs start and end, the computer is busy. A bag without phases begins with its first states."""
     begins = 41 if phases else 0
@@ -121,9 +125,9 @@ def test_frames_that_are_lost_before_and_after_the_flight_do_not_count(tmp_path,
             t_s = T0_S + 0.005 * k
             now = rospy.Time.from_sec(t_s)
             if k % 41 == 0 and k // 41 < len(phases):
-                bag.write("/operator/phase", String(phases[k // 41]), now)
+                bag.write("/operator/phase", OperatorState(phase=phases[k // 41]), now)
             if k == 101:
-                bag.write("/operator/result", String("ok"), now)
+                bag.write("/operator/result", OperatorState(result=OperatorResult.OK), now)
             bag.write("/mocap_time", stamped(TimeReference(source=str(k)), t_s), now)
             if begins <= k < 101 and k != 60 or k % 4 == 1:
                 bag.write("/cortex_raw", stamped(Cortex(Obj=[states("fluffy_II", t_s)]), t_s), now)
@@ -146,6 +150,8 @@ def test_export_and_read_back(flight_bag, tmp_path):
     files = export(flight_bag, tmp_path)
     assert set(files) == {"/trajectory", "/trajectory_phase", "/ground_truth", "/mocap_time", "/mocap_data",
                           "/cortex_raw", "/controls", "/risc1/cmd_vel_stamped"}  # fmt: skip
+    with files["/trajectory_phase"][0].open() as file:
+        assert list(csv.DictReader(file).fieldnames)[-2:] == ["course", "fluffy_II.phase"], "no constants"
     path, rows = files["/cortex_raw"]
     with path.open() as file:
         table = list(csv.DictReader(file))

@@ -10,7 +10,6 @@ import rosbag
 import rospy
 import yaml
 from cv_bridge import CvBridge
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, String
@@ -28,9 +27,20 @@ from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.origin import Origin, parameter_hash, read_beside
 from data_extraction.report.snapshots import SnapshotCollector, picture_topics
 from data_extraction.samples import Arrivals, Samples
-from risc_control.failsafe import FailsafeLevel, SafetyLimits
+from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimits
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import fleet_from_dict
+from risc_lab.phases import OperatorResult, TrajectoryPhase
+from risc_maap_msgs.msg import (
+    Counter,
+    EstimatorStatus,
+    MocapStatus,
+    OperatorState,
+    Safety,
+    TrajectoryPhases,
+    VehicleNodeStatus,
+    VehiclePhase,
+)
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_rois, Risc_roi, Risc_rois, States
 
 T0_S = 1000.0
@@ -171,15 +181,15 @@ def test_the_fence_is_that_of_the_flights_parameters(play):
     assert Origin(parameters=None, fleet=fleet).fence_limits() == {}
 
 
+def safety(level, rule, reason):
+    return Safety(level=getattr(Safety, level), rule=getattr(Safety, rule), reason=reason)
+
+
 def test_rungs_last_until_the_next_change_or_the_end(play):
-    texts = [
-        (0.0, "ok"),
-        (2.0, "hold: state 120 ms old"),
-        (2.4, "hold: state 120 ms old"),
-        (2.5, "ok"),
-        (4.0, "land: x"),
-    ]
-    rows = [("/risc1/safety", String(text), T0_S + t_s) for t_s, text in texts]
+    held = safety("HOLD", "STATE", "state 120 ms old")
+    landed = Safety(level=Safety.LAND, rule=Safety.REQUEST, reason="x", operator=True)
+    told = [(0.0, Safety()), (2.0, held), (2.4, held), (2.5, Safety()), (4.0, landed)]
+    rows = [("/risc1/safety", message, T0_S + t_s) for t_s, message in told]
     spans = play(LadderCollector(), rows).spans(T0_S + 5.0)["risc1"]
     assert [span.level for span in spans] == [
         FailsafeLevel.OK,
@@ -187,15 +197,17 @@ def test_rungs_last_until_the_next_change_or_the_end(play):
         FailsafeLevel.OK,
         FailsafeLevel.LAND,
     ]
-    assert [span.reason for span in spans] == ["", "state 120 ms old", "", "x"]
+    assert [span.reason for span in spans] == ["", "state 120 ms old", "", "x" + WITHOUT_EFFECT]
+    assert [span.rule for span in spans] == [Rule.NONE, Rule.STATE, Rule.NONE, Rule.REQUEST]
     lengths_s = [span.end_s - span.begin_s for span in spans]
     assert lengths_s == pytest.approx([2.0, 0.5, 1.5, 1.0], abs=1e-6)
 
 
 def test_of_very_many_rungs_every_landing_is_kept_and_none_is_stretched(play):
-    texts = ["hold: %d" % k if k % 2 else "ok" for k in range(2101)]
-    texts += ["land: 20 % left", "land: 19 % left", "ok", "hold: x"]
-    rows = [("/risc1/safety", String(text), T0_S + k) for k, text in enumerate(texts)]
+    told = [safety("HOLD", "STATE", str(k)) if k % 2 else Safety() for k in range(2101)]
+    told += [safety("LAND", "BATTERY", text) for text in ("20 % left", "19 % left")]
+    told += [Safety(), safety("HOLD", "STATE", "x")]
+    rows = [("/risc1/safety", message, T0_S + k) for k, message in enumerate(told)]
     collector = play(LadderCollector(), rows)
     spans = collector.spans(T0_S + 10_000.0)["risc1"]
     assert len(spans) == 2001
@@ -204,46 +216,35 @@ def test_of_very_many_rungs_every_landing_is_kept_and_none_is_stretched(play):
     assert collector.left_out == 50 + 2, "holds after the 2000th change, the landing's other reason, the last hold"
 
 
-def diagnostics(t_s, **values):
-    pairs = [KeyValue(key.replace("__", " "), str(value)) for key, value in values.items()]
-    status = DiagnosticStatus(name="states_estimation: states estimation", values=pairs)
-    return "/diagnostics", DiagnosticArray(status=[status, DiagnosticStatus(name="risc1: vehicle Raven")]), t_s
+def estimator(t_s, frames, unknown=(), **counters):
+    counters = [Counter(*item) for item in counters.items()]
+    return "/estimator_status", EstimatorStatus(frames=frames, counters=counters, unknown_bodies=list(unknown)), t_s
 
 
 def test_gates_count_over_restarts_of_their_node(play):
     rows = [
-        diagnostics(T0_S, frames=100, misfits=3, tilted=0, unknown__bodies="none"),
-        diagnostics(T0_S + 1.0, frames=300, misfits=7, tilted=0, unknown__bodies="Condor"),
-        diagnostics(T0_S + 2.0, frames=50, misfits=1, tilted=2, unknown__bodies="none"),
+        estimator(T0_S, 100, misfits=3, tilted=0),
+        estimator(T0_S + 1.0, 300, ["Condor"], misfits=7, tilted=0, of_no_gate=5),
+        estimator(T0_S + 2.0, 50, misfits=1, tilted=2),
+        ("/mocap_status", MocapStatus(frames=9, counters=[Counter("malformed", 4)]), T0_S),
     ]
     counts = play(GateCollector(), rows).counts()
-    assert set(counts) == {"states estimation"}
-    estimator = counts["states estimation"]
-    assert estimator.frames == 350
-    assert estimator.refused == {"misfits": 8, "tilted": 2}
-    assert estimator.unknown == "Condor"
+    assert (counts["mocap_status"].frames, counts["mocap_status"].refused) == (9, {"malformed": 4})
+    counted = counts["estimator_status"]
+    assert counted.frames == 350
+    assert counted.refused == {"misfits": 8, "tilted": 2}
+    assert counted.unknown == "Condor"
 
 
 def test_computers_that_fly_are_named_with_their_worst_figures(play):
-    def status(computer, oldest_ms, behind_ms, node="risc1/joystick_controller"):
-        values = {"computer": computer, "oldest state answered by a command (ms)": oldest_ms,
-                  "clock behind that of the states, at least (ms)": behind_ms}  # fmt: skip
-        pairs = [KeyValue(key, str(value)) for key, value in values.items()]
-        return (
-            "/diagnostics",
-            DiagnosticArray(status=[DiagnosticStatus(name=node + ": vehicle Raven", values=pairs)]),
-            T0_S,
-        )
+    def status(computer, oldest_s, behind_s, group="/risc1"):
+        told = VehicleNodeStatus(computer=computer, oldest_state_s=oldest_s, clock_behind_s=behind_s)
+        return group + "/node_status", told, T0_S
 
-    rows = [
-        status("risc2", 12.5, 0.0),
-        status("risc2", 30.0, 48.1),
-        status("risc2", 8.0, 1.0),
-        diagnostics(T0_S, frames=1),
-    ]
-    rows.append(status("base", 5.0, 0.0, node="joystick_controller"))
+    rows = [status("risc2", 0.0125, 0.0), status("risc2", 0.03, 0.048), status("risc2", 0.008, 0.001)]
+    rows.append(status("base", 0.005, 0.0, group=""))
     assert play(ComputerCollector(), rows).computers() == {
-        "risc1": Computer("risc2", 30.0, 48.1),
+        "risc1": Computer("risc2", 30.0, 48.0),
         "vehicle": Computer("base", 5.0, 0.0),
     }
 
@@ -263,8 +264,12 @@ def test_events_are_what_changes(play):
     def joy(t_s, *pressed):
         return "/risc1/joy", Joy(buttons=[int(index in pressed) for index in range(8)]), T0_S + t_s
 
+    def phases(t_s, of_kahn):
+        told = [VehiclePhase("Raven", TrajectoryPhase.COURSE), VehiclePhase("Kahn", of_kahn)]
+        return "/trajectory_phase", TrajectoryPhases(vehicles=told), T0_S + t_s
+
     rows = [
-        ("/operator/phase", String("waiting"), T0_S),
+        *(("/operator/phase", OperatorState(), T0_S + t_s) for t_s in (0.0, 0.05, 5.5)),
         joy(0.1),
         joy(0.2, 6),
         joy(0.3, 6),
@@ -272,11 +277,11 @@ def test_events_are_what_changes(play):
         *(("/risc1/ardrone/land", Empty(), T0_S + 1.0 + 0.2 * k) for k in range(5)),
         ("/risc1/controller_status", Bool(False), T0_S + 3.0),
         ("/risc1/controller_status", Bool(True), T0_S + 3.1),
-        ("/trajectory_phase", String("Raven: course; Kahn: hold"), T0_S + 4.0),
-        ("/trajectory_phase", String("Raven: course; Kahn: home"), T0_S + 4.1),
+        phases(4.0, TrajectoryPhase.HOLD),
+        phases(4.1, TrajectoryPhase.HOME),
         ("/rosout", Log(level=Log.INFO, name="/a", msg="fine"), T0_S + 5.0),
         ("/rosout", Log(level=Log.WARN, name="/a", msg="not so fine"), T0_S + 5.1),
-        ("/operator/result", String("ok"), T0_S + 6.0),
+        ("/operator/result", OperatorState(result=OperatorResult.OK), T0_S + 6.0),
     ]
     events = play(EventCollector(), rows).events
     assert [(event.source, event.text, event.count) for event in events] == [
@@ -294,21 +299,21 @@ def test_events_are_what_changes(play):
 
 @pytest.mark.parametrize("count", [450, 2000])
 def test_of_many_events_the_first_and_the_last_are_kept(play, count):
-    rows = [("/operator/phase", String("phase %d" % k), T0_S + k) for k in range(count)]
+    rows = [("/operator/phase", OperatorState(text="%d" % k), T0_S + k) for k in range(count)]
     collector = play(EventCollector(), rows)
     texts = [event.text for event in collector.events]
-    assert texts == ["phase %d" % k for k in (*range(200), *range(count - 200, count))]
+    assert texts == ["waiting: %d" % k for k in (*range(200), *range(count - 200, count))]
     assert collector.left_out == count - 400
 
 
 def test_warnings_are_left_out_before_phases(play):
     texts = ["warning " + "x" * k for k in range(1500)]
     rows = [("/rosout", Log(level=Log.WARN, name="/a", msg=text), T0_S + k) for k, text in enumerate(texts)]
-    rows += [("/operator/phase", String("phase %d" % k), T0_S + 700.5 + k) for k in range(10)]
+    rows += [("/operator/phase", OperatorState(text="%d" % k), T0_S + 700.5 + k) for k in range(10)]
     rows.append(("/risc1/ardrone/land", Empty(), T0_S + 710.9))
     collector = play(EventCollector(), sorted(rows, key=lambda row: row[2]))
     kept = [event.text for event in head_and_tail(collector.events, 60) if not event.is_minor]
-    assert kept == ["phase %d" % k for k in range(10)] + ["landing ordered"]
+    assert kept == ["waiting: %d" % k for k in range(10)] + ["landing ordered"]
     assert (len(collector.events), collector.left_out) == (400, 1111)
 
 

@@ -11,7 +11,6 @@ import rosbag
 import rospy
 import yaml
 from cv_bridge import CvBridge
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo, TimeReference
@@ -21,6 +20,8 @@ from ardrone_autonomy.msg import Navdata
 from data_extraction.report import pdf
 from data_extraction.report.__main__ import main, make
 from data_extraction.report.origin import parameter_hash
+from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
+from risc_maap_msgs.msg import Counter, EstimatorStatus, OperatorState, Safety, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import (
     Angle,
     Angles,
@@ -114,11 +115,12 @@ def full_rows():
         width=160, height=90, distortion_model="plumb_bob", D=[0.0] * 5, K=K, R=np.eye(3).ravel().tolist(),
         P=[150.0, 0.0, 80.0, 0.0, 0.0, 150.0, 45.0, 0.0, 0.0, 0.0, 1.0, 0.0],
     )  # fmt: skip
-    yield 0.0, "/trajectory_phase", String("; ".join(name + ": course" for name in NAMES))
-    yield 0.0, "/operator/phase", String("fly")
-    yield 0.0, "/risc1/safety", String("ok")
-    yield 8.0, "/risc1/safety", String("hold: state 120 ms old <b>")
-    yield 8.2, "/risc1/safety", String("ok")
+    phases = [VehiclePhase(name, TrajectoryPhase.COURSE) for name in NAMES]
+    yield 0.0, "/trajectory_phase", TrajectoryPhases(vehicles=phases)
+    yield 0.0, "/operator/phase", OperatorState(phase=OperatorPhase.FLY)
+    yield 0.0, "/risc1/safety", Safety()
+    yield 8.0, "/risc1/safety", Safety(level=Safety.HOLD, rule=Safety.STATE, reason="state 120 ms old <b>")
+    yield 8.2, "/risc1/safety", Safety()
     yield 0.5, "/risc1/controller_status", Bool(True)
     for k in range(4000):
         t_s = 0.005 * k
@@ -148,13 +150,8 @@ def full_rows():
             yield t_s, "/land_rois", Observed_rois(Obj=[Risc_rois("risc1", [found], [])])
             yield t_s, "/angles", Observed_angles(Obj=[Angles("risc1", [Angle("green", True, 5.0, 2.0)], [])])
         if k % 200 == 0:
-            pairs = [KeyValue("frames", str(k)), KeyValue("misfits", "3")]
-            yield (
-                t_s,
-                "/diagnostics",
-                DiagnosticArray(status=[DiagnosticStatus(name="x: states estimation", values=pairs)]),
-            )
-    yield 20.0, "/operator/result", String("ok")
+            yield t_s, "/estimator_status", EstimatorStatus(frames=k, counters=[Counter("misfits", 3)])
+    yield 20.0, "/operator/result", OperatorState(phase=OperatorPhase.DONE, result=OperatorResult.OK)
 
 
 def write_bag(path, rows, unstamped=()):
@@ -262,7 +259,7 @@ def test_a_poor_bag_says_what_is_missing(tmp_path):
     assert "parameters (SHA-256) unknown" in page.text
     for reason in (
         "there is no /trajectory in the bag", "the times of the datagrams were not recorded (/mocap_time)",
-        "the estimator's counters were not recorded (/diagnostics)", "no vehicle's safety topic was recorded",
+        "the estimator's counters were not recorded (/estimator_status)", "no vehicle's safety topic was recorded",
         "no pictures were recorded", "no bearings",
     ):  # fmt: skip
         assert reason in page.text, reason
@@ -300,8 +297,22 @@ def test_topics_of_other_types_are_named_and_left_out(tmp_path):
     page = read(tmp_path / "report.html")
     assert {"map", "ladder", "fence"} <= set(page.ids) and "tracking" not in page.ids
     assert "/trajectory was not read: it is of type nav_msgs/Path, the lab's is of type Trajectories." in page.text
-    assert "/robot/safety was not read: it is of type std_msgs/Bool, the lab's is of type String." in page.text
+    assert "/robot/safety was not read: it is of type std_msgs/Bool, the lab's is of type Safety." in page.text
     assert "/joy was not read" in page.text and page.text.count("was not read") == 3
+
+
+def test_a_bag_from_when_phases_were_text_is_read_without_them(tmp_path):
+    texts = {
+        "/trajectory_phase": "fluffy_II: course; albatross: course", "/risc1/safety": "ok", "/operator/phase": "fly",
+        "/operator/result": "ok",
+    }  # fmt: skip
+    rows = [(t_s, topic, String(texts[topic]) if topic in texts else message) for t_s, topic, message in full_rows()]
+    write_bag(tmp_path / "older.bag", rows)
+    make(tmp_path / "older.bag", folder=tmp_path)
+    page = read(tmp_path / "report.html")
+    assert "all of the time with a reference was judged" in page.text and "ladder" not in page.ids
+    for topic in texts:
+        assert topic + " was not read: it is of type std_msgs/String" in page.text
 
 
 @pytest.mark.parametrize(
@@ -341,8 +352,8 @@ def test_what_was_not_judged_is_not_said_to_be(tmp_path):
 def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
     """The last 5 s have no frame; nothing else changes, and no vehicle leaves the lowest failsafe level."""
     silent = ("/mocap_data", "/cortex_raw", "/ground_truth", "/trajectory")
-    rows = [row for row in full_rows() if row[1] in (*silent, "/diagnostics", "/risc1/ardrone/navdata")]
-    rows = [row for row in rows if row[0] < 15.0 or row[1] not in silent] + [(1.0, "/risc1/safety", String("ok"))]
+    rows = [row for row in full_rows() if row[1] in (*silent, "/estimator_status", "/risc1/ardrone/navdata")]
+    rows = [row for row in rows if row[0] < 15.0 or row[1] not in silent] + [(1.0, "/risc1/safety", Safety())]
     write_bag(tmp_path / "end.bag", sorted(rows, key=lambda row: row[0]))
     (tmp_path / "flight.yaml").write_text("arguments:\nversions:\n")
     make(tmp_path / "end.bag", folder=tmp_path)
@@ -355,13 +366,13 @@ def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
 
 
 def test_of_many_events_the_page_shows_the_end(tmp_path):
-    rows = [(0.1 * k, "/operator/phase", String("phase %d" % k)) for k in range(100)]
-    rows += [(10.0, "/operator/result", String("ok"))]
+    rows = [(0.1 * k, "/operator/phase", OperatorState(text="%d" % k)) for k in range(100)]
+    rows += [(10.0, "/operator/result", OperatorState(result=OperatorResult.OK))]
     write_bag(tmp_path / "many.bag", rows)
     make(tmp_path / "many.bag", folder=tmp_path)
     page = read(tmp_path / "report.html")
     texts = [row[2] for row in page.rows if row[1:2] == ["operator"]]
-    assert len(texts) == 60 and texts[0] == "phase 0" and texts[-1] == "result: ok"
+    assert len(texts) == 60 and texts[0] == "waiting: 0" and texts[-1] == "result: ok"
     assert "41 further events are not listed" in page.text
 
 

@@ -2,6 +2,7 @@
 """The controller nodes on their topics: stamps, names, signs, silence, weights in flight."""
 
 import itertools
+import math
 import threading
 import time
 import unittest
@@ -12,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from dynamic_reconfigure.client import Client
 from std_msgs.msg import Bool
 
+from risc_maap_msgs.msg import ControllerReport
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
 
 NAMES = ("fluffy_II", "albatross")
@@ -175,6 +177,19 @@ class ControllerNodeTest(unittest.TestCase):
         values = {value.key: value.value for value in good[0].values}
         self.assertGreater(float(values["states (Hz)"]), 0.0)
         self.assertEqual(values["autonomous"], "fluffy_II, albatross")
+
+    def test_the_report_tells_how_far_vehicles_are_from_their_references(self):
+        self.lab.offset_m = {NAMES[0]: (0.3, 0.4, 0.0)}
+        self.lab.referenced = NAMES[:1]
+        reports = []
+        rospy.Subscriber("/controller_report", ControllerReport, reports.append)
+
+        def errors_m():
+            return {item.name: item.position_error_m for report in reports[-2:] for item in report.vehicles}
+
+        wait_for(lambda: abs(errors_m().get(NAMES[0], 0.0) - 0.5) < 1e-6, "the error of the first vehicle")
+        wait_for(lambda: math.isnan(errors_m()[NAMES[1]]), "no error of one without a reference")
+        wait_for(lambda: 0.0 < reports[-1].oldest_state_s < 1.0, "an age of states")
 
 
 if __name__ == "__main__":

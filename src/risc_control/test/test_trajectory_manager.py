@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from risc_control.trajectories import COURSES, SAFE_SEPARATION_M, make_course, minimum_separation
-from risc_control.trajectory_manager import Home, Phase, TrajectoryManager, make_manager, phase_text
+from risc_control.trajectory_manager import Home, Phase, TrajectoryManager, make_manager
 from risc_control.transitions import WayLimits, plan_ways
 from risc_lab.lab.fleet import FleetVehicle
 
@@ -392,10 +392,6 @@ def test_without_smooth_start_it_is_on_the_course_at_once():
     manager.set_autonomous("a", True, 102.0)
     assert manager.go_home(102.0) == manager.start(102.0) == []
     assert manager.sample(104.0).derivatives[0, 0, :3] == pytest.approx([-0.8, 0.0, 1.0])
-
-
-def test_phase_text_is_what_the_evaluation_reads():
-    assert phase_text(("a", "b"), (Phase.HOLD, Phase.HOMED)) == "a: hold; b: homed"
 
 
 def test_numbers_must_match():

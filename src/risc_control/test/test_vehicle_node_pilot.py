@@ -8,7 +8,7 @@ import pytest
 import yaml
 from scipy.integrate import solve_ivp
 
-from risc_control.failsafe import FailsafeLevel
+from risc_control.failsafe import FailsafeLevel, Rule
 from risc_control.joystick import Sticks
 from risc_control.separation import ALONE, Look
 from risc_control.vehicle_pilot import (
@@ -611,7 +611,11 @@ def test_loss_of_states_holds_then_lands_then_rests():
     assert not desk.pilot.autonomous
     assert desk.run(1.0) == []
     assert desk.count("land", since) == 0
-    assert [orders.safety.split(":")[0] for _, orders in desk.orders if orders.safety] == ["ok", "hold", "land", "ok"]
+    told = [(o.safety.level, o.safety.rule, o.safety.limit_s) for _, o in desk.orders if o.safety is not None]
+    ok, hold, land = FailsafeLevel
+    assert told == [
+        (ok, Rule.NONE, None), (hold, Rule.STATE, 0.1), (land, Rule.STATE, 0.5), (ok, Rule.NONE, None)
+    ]  # fmt: skip
 
 
 def test_hold_ends_on_the_first_fresh_controls():
@@ -772,7 +776,7 @@ def test_a_request_lands_in_both_modes_until_it_stands(autonomous):
     since = len(desk.orders)
     assert request(desk) == (True, "landing (landing was requested)")
     asked = desk.orders[-1][1]
-    assert (asked.land, asked.safety) == (True, "land: landing was requested"), "at once"
+    assert asked.land and (asked.safety.level, asked.safety.rule) == (FailsafeLevel.LAND, Rule.REQUEST), "at once"
     assert asked.command == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
     sent = desk.run(1.0)
     assert desk.count("land", since) == pytest.approx(6, abs=1), "ordered again every 0.2 s"

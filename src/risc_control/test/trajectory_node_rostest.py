@@ -11,9 +11,11 @@ import unittest
 import rospy
 import rostest
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from risc_control.trajectory_manager import Phase
+from risc_maap_msgs.msg import TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, States, Trajectories
 
 NODES = ("generic", "quadrants", "demo", "circle", "circles3", "target", "knot")
@@ -45,16 +47,14 @@ class Lab:
         self.joy = {node: rospy.Publisher("/%s/joy" % node, Joy, queue_size=10) for node in listening}
         for node in NODES:
             rospy.Subscriber("/%s/trajectory" % node, Trajectories, self.references[node].append, queue_size=100)
-            rospy.Subscriber("/%s/trajectory_phase" % node, String, self._on_phase, callback_args=node)
-            rospy.Subscriber("/%s/trajectory_course" % node, String, self._on_course, callback_args=node)
+            rospy.Subscriber("/%s/trajectory_phase" % node, TrajectoryPhases, self._on_phases, callback_args=node)
         rospy.Subscriber("/demo/controls", Controls, self.controls.append)
         threading.Thread(target=self._run, daemon=True).start()
 
-    def _on_phase(self, message, node):
-        self.phases[node].append(dict(entry.split(": ") for entry in message.data.split("; ")))
-
-    def _on_course(self, message, node):
-        self.courses[node].append(message.data)
+    def _on_phases(self, message, node):
+        self.phases[node].append({vehicle.name: Phase(vehicle.phase).name.lower() for vehicle in message.vehicles})
+        if self.courses[node][-1:] != [message.course]:
+            self.courses[node].append(message.course)
 
     def _run(self):
         rate = rospy.Rate(100)

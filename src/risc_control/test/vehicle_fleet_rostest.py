@@ -15,6 +15,7 @@ from sensor_msgs.msg import Joy
 from vehicle_world import EMERGENCY, FLYING, HOVER_N, LANDED, SHUT_DOWN, World, is_flown, is_zero, same, wait_for
 
 from risc_control.failsafe import SafetyLimits
+from risc_maap_msgs.msg import Safety
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 NAME = "/vehicle_fleet_test"
@@ -66,7 +67,7 @@ class VehicleFleetTest(unittest.TestCase):
         world = self.world
         world.fly_by_controls()
         world.visible["risc2"] = False
-        world.wait("risc2", "safety", lambda m: m.data.startswith("land: state"))
+        world.wait("risc2", "safety", lambda m: (m.level, m.rule) == (Safety.LAND, Safety.STATE))
         self.check_that_others_fly_on()
         self.assertTrue(all(map(is_zero, world.messages("risc2", "cmd_vel"))))
 
@@ -93,8 +94,8 @@ class VehicleFleetTest(unittest.TestCase):
         world.fly_by_controls()
         world.y_m["risc2"] = world.y_m["risc1"] + SafetyLimits.separation_m - 0.05
         for vehicle in ("risc1", "risc2"):
-            world.wait(vehicle, "safety", lambda m: m.data.startswith("land"))
-            self.assertTrue(any(m.data.startswith("hold") for m in world.messages(vehicle, "safety")), vehicle)
+            world.wait(vehicle, "safety", lambda m: (m.level, m.rule) == (Safety.LAND, Safety.SEPARATION))
+            self.assertTrue(any(m.level == Safety.HOLD for m in world.messages(vehicle, "safety")), vehicle)
             world.wait(vehicle, "ardrone/land")
         world.forget()
         wait_for(lambda: len(world.answers("risc3")) >= 20, "commands of the third")
@@ -107,7 +108,7 @@ class VehicleFleetTest(unittest.TestCase):
         limits = SafetyLimits()
         world.y_m["risc2"] = world.y_m["risc1"] + 0.5 * (limits.separation_m + limits.separation_stray_m)
         world.fly_by_controls()
-        self.assertEqual([m for m in world.messages("risc1", "safety") if m.data != "ok"], [])
+        self.assertEqual([m for m in world.messages("risc1", "safety") if m.level != Safety.OK], [])
         world.strays = {"risc2"}
         for vehicle in ("risc1", "risc2"):
             world.wait(vehicle, "ardrone/land")

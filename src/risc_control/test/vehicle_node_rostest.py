@@ -7,8 +7,8 @@ turns. Here things must happen at all, in the right order and with the right con
 
 import itertools
 import os
-import re
 import signal
+import socket
 import time
 import unittest
 
@@ -34,10 +34,10 @@ from vehicle_world import (
 )
 
 from risc_control.ros.vehicle_node import VehicleNode
+from risc_maap_msgs.msg import Safety, VehicleNodeStatus
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 LIMIT_S = {"hold": 0.5, "land": 2.0}  # of states and controls, as in vehicle_node.test
-LOSS = re.compile(r"(hold|land): (?:state|controls) (\d+) ms old")
 RECEIPT_JITTER_S = 1.0  # a stall of this computer between sending and noting the time of receipt
 
 
@@ -127,7 +127,7 @@ class VehicleNodeTest(unittest.TestCase):
         world.forget()
         world.running = True
         world.flight_state["risc1"] = LANDED
-        world.wait("risc1", "safety", lambda m: m.data == "ok")
+        world.wait("risc1", "safety", lambda m: m.level == Safety.OK)
         world.wait("risc1", "controller_status", lambda m: not m.data)
         world.let_pass("risc1")  # what was ordered before has arrived
         world.let_pass("risc1")
@@ -136,30 +136,32 @@ class VehicleNodeTest(unittest.TestCase):
         wait_for(lambda: len(world.messages("risc2", "ardrone/land")) >= 2, "landing of risc2, ordered on and on")
 
     def check_loss(self, vehicle):
-        """Zero commands, then the order to land, not too early; what the texts say of it."""
+        """Zero commands, then the order to land, not too early; what the safety says of it."""
         world = self.world
         commands, landings = world.received[vehicle, "cmd_vel"], world.received[vehicle, "ardrone/land"]
-        world.wait(vehicle, "safety", lambda m: m.data.startswith("land: "))
+        world.wait(vehicle, "safety", lambda m: m.level == Safety.LAND)
         world.wait(vehicle, "ardrone/land")
         land_s = landings[0][0]
         self.assertGreater(land_s - world.sent_s, LIMIT_S["land"] - 1.0 / MOST_HZ)
         wait_for(lambda: commands[-1][0] > land_s, "a command after the order to land")
         held = [m for t, m in commands if t < land_s][-3:] + [m for t, m in commands if t > land_s]
         self.assertTrue(all(map(is_zero, held)), held)
-        found = [text.groups() for text in (LOSS.match(m.data) for m in world.messages(vehicle, "safety")) if text]
-        self.assertEqual([level for level, _ in itertools.groupby(found, lambda f: f[0])][-2:], ["hold", "land"])
-        self.assertTrue(all(float(age_ms) >= 1e3 * LIMIT_S[level] for level, age_ms in found), found)
+        losses = [m for m in world.messages(vehicle, "safety") if m.rule in (Safety.STATE, Safety.CONTROLS)]
+        levels = [level for level, _ in itertools.groupby(m.level for m in losses)]
+        self.assertEqual(levels[-2:], [Safety.HOLD, Safety.LAND])
+        limit_s = {Safety.HOLD: LIMIT_S["hold"], Safety.LAND: LIMIT_S["land"]}
+        self.assertTrue(all(m.age_s >= m.limit_s == limit_s[m.level] for m in losses), losses)
 
     def test_5_only_the_lost_vehicle_holds_and_recovers(self):
         world = self.world
         world.fly_by_controls()
         world.visible["risc2"] = False
-        world.wait("risc2", "safety", lambda m: m.data.startswith("hold: state"))
+        world.wait("risc2", "safety", lambda m: (m.level, m.rule) == (Safety.HOLD, Safety.STATE))
         world.forget()
         for vehicle, fits in (("risc1", is_flown), ("risc2", is_zero), ("risc3", is_flown)):
             wait_for(lambda v=vehicle, f=fits: sum(map(f, world.messages(v, "cmd_vel"))) >= 6, "commands: " + vehicle)
         world.visible["risc2"] = True
-        world.wait("risc2", "safety", lambda m: m.data == "ok")
+        world.wait("risc2", "safety", lambda m: m.level == Safety.OK)
         world.forget()
         world.wait("risc2", "cmd_vel", is_flown)
 
@@ -205,13 +207,20 @@ class VehicleNodeTest(unittest.TestCase):
         world.forget()
         answer = rospy.ServiceProxy("/risc1/land", Trigger)()
         self.assertEqual((answer.success, answer.message), (True, "landing (landing was requested)"))
-        world.wait("risc1", "safety", lambda m: m.data == "land: landing was requested")
+        world.wait("risc1", "safety", lambda m: (m.level, m.rule) == (Safety.LAND, Safety.REQUEST))
         wait_for(lambda: len(world.messages("risc1", "ardrone/land")) >= 3, "landing, ordered again and again")
         world.wait("risc1", "cmd_vel", is_zero)
         world.wait("risc2", "cmd_vel", is_flown)
         self.assertEqual(world.messages("risc2", "ardrone/land"), [], "the others fly on")
         world.flight_state["risc1"] = LANDED
-        world.wait("risc1", "safety", lambda m: m.data == "ok")
+        world.wait("risc1", "safety", lambda m: m.level == Safety.OK)
+
+    def test_7_the_status_of_the_node(self):
+        world, told = self.world, []
+        world.fly_by_controls()
+        rospy.Subscriber("/risc2/node_status", VehicleNodeStatus, told.append)
+        wait_for(lambda: told and 0.0 < told[-1].oldest_state_s < 5.0, "the age of a state that was answered")
+        self.assertEqual((told[-1].name, told[-1].computer), (TEMPLATES["risc2"], socket.gethostname()))
 
     def test_8_without_a_master_that_answers_the_ladder_goes_on(self):
         """A base station beyond a cable that is out: connections stay, answers do not come."""

@@ -7,9 +7,10 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Empty, String
+from std_msgs.msg import Bool, Empty
 
 from ardrone_autonomy.msg import Navdata
+from risc_maap_msgs.msg import Safety
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
 JOY_TO_WAY, EMERGENCY, SHUT_DOWN, TAKEOFF_LAND = 0, 2, 7, 6
@@ -25,7 +26,7 @@ PUBLISHED = {
     "ardrone/land": Empty,
     "ardrone/reset": Empty,
     "controller_status": Bool,
-    "safety": String,
+    "safety": Safety,
 }
 
 

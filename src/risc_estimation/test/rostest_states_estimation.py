@@ -13,13 +13,14 @@ import numpy as np
 import rosgraph
 import rospy
 import rostest
-from diagnostic_msgs.msg import DiagnosticArray
+from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
+from risc_estimation.pose_fit import pack_bodies
 from risc_estimation.ros.conversions import mocap_message
-from risc_estimation.state_estimator import pack_bodies
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
+from risc_maap_msgs.msg import BodyPoses, EstimatorStatus
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data
 
 PACKAGE = "risc_estimation"
@@ -34,12 +35,12 @@ class StatesEstimationNodeTest(unittest.TestCase):
     def setUpClass(cls):
         rospy.init_node(NAME)
         cls.templates = load_templates()
-        cls.states, cls.landmarks, cls.diagnostics = [], [], []
+        cls.states, cls.landmarks, cls.statuses = [], [], []
         cls.arrived = threading.Condition()
         cls.subscribers = [
             rospy.Subscriber("/cortex_raw", Cortex, cls.keep, cls.states),
             rospy.Subscriber("/states3", Landmarks, cls.keep, cls.landmarks),
-            rospy.Subscriber("/diagnostics", DiagnosticArray, cls.keep, cls.diagnostics),
+            rospy.Subscriber("/estimator_status", EstimatorStatus, cls.keep, cls.statuses),
         ]
         cls.pub = rospy.Publisher("/mocap_data", Mocap_data, queue_size=1000, tcp_nodelay=True)
         cls.sent_to_s = 100.0 + math.floor(rospy.get_time())
@@ -72,7 +73,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
                 self.arrived.wait_for(
                     lambda: [msg.header.stamp for msg in self.states[-2:]] == [self.newest] * 2, PATIENCE_S
                 )
-            for kept in (self.states, self.landmarks, self.diagnostics):
+            for kept in (self.states, self.landmarks, self.statuses):
                 del kept[:]
 
     def wait_for(self, count, kept):
@@ -127,6 +128,31 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.assertEqual([entry.name for entry in landmarks[-1].Obj], ["Green_pink"])
         np.testing.assert_allclose([landmarks[-1].Obj[0].x, landmarks[-1].Obj[0].z], [2.0, 1.5], atol=1e-9)
 
+    def test_raw_poses_are_for_whoever_listens(self):
+        heard = []
+        subscriber = rospy.Subscriber("/mocap_poses", BodyPoses, self.keep, heard)
+        try:
+            deadline_s = time.monotonic() + PATIENCE_S
+            while (
+                not heard and time.monotonic() < deadline_s
+            ):  # the node may know of the listener later than it of the node
+                self.send_run(5)
+        finally:
+            subscriber.unregister()
+        fluffy, albatross, raven = heard[0].bodies
+        self.assertEqual((heard[0].header.frame_id, fluffy.name, albatross.name), ("cortex", "fluffy_II", "albatross"))
+        self.assertEqual([body.present for body in heard[0].bodies], [True, False, True])
+        self.assertEqual((fluffy.stamp, albatross.stamp), (heard[0].header.stamp, rospy.Time()))
+        turn = raven.pose.pose.orientation
+        np.testing.assert_allclose(
+            Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix(),
+            rotation_body_to_cortex(math.radians(10), 0, 0),
+            atol=1e-9,
+        )
+        covariance = np.reshape(raven.pose.covariance, (6, 6))
+        self.assertGreater(np.linalg.eigvalsh(covariance).min(), 0.0)
+        self.assertTrue(np.isnan(albatross.pose.covariance).all())
+
     def send_while_the_node_is_held_up(self, frames):
         """Send frames of which the node sees nothing before all have been sent; returns their stamps."""
         uri = rosgraph.Master(NAME).lookupNode("/Mocap_State_Estimator")
@@ -155,14 +181,7 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.assertLess(len(found), 100)
         self.assertTrue(last.visible)
         self.assertAlmostEqual(last.u, 0.4, delta=5e-3)
-        said = [
-            value.value
-            for msg in self.wait_for(2, self.diagnostics)
-            for status in msg.status
-            for value in status.values
-            if value.key == "frames passed over"
-        ]
-        self.assertGreaterEqual(int(said[-1]), 150 - len(found))
+        self.assertGreaterEqual(self.wait_for(2, self.statuses)[-1].passed_over, 150 - len(found))
 
     def test_lost_vehicle_is_invisible_and_keeps_its_numbers(self):
         self.send_run(60)
@@ -185,21 +204,14 @@ class StatesEstimationNodeTest(unittest.TestCase):
         self.assertTrue(all(b > a for a, b in zip(stamps_s, stamps_s[1:])), stamps_s)
         deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
-            values = self.diagnostic_values()
-            if int(values.get("duplicate_stamps", 0)) >= 2 and int(values.get("backward_stamps", 0)) >= 1:
+            status = self.wait_for(1, self.statuses)[-1]
+            refused = {counter.name: counter.count for counter in status.counters}
+            if refused["duplicate_stamps"] >= 2 and refused["backward_stamps"] >= 1:
                 break
             time.sleep(0.1)
         else:
-            self.fail("the refused frames are not in the diagnostics: %r" % values)
-        self.assertEqual(values["unknown bodies"], "stranger")
-
-    def diagnostic_values(self):
-        with self.arrived:
-            for msg in reversed(self.diagnostics):
-                for status in msg.status:
-                    if "states estimation" in status.name:
-                        return {item.key: item.value for item in status.values}
-        return {}
+            self.fail("the refused frames are not counted: %r" % refused)
+        self.assertEqual(status.unknown_bodies, ["stranger"])
 
     def test_silence_is_announced_once_with_the_old_stamp(self):
         stamps = self.send_run(60)

@@ -7,17 +7,19 @@ from dataclasses import fields
 
 import rospy
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
 from risc_lab.lab.fleet import fleet_from_dict
+from risc_lab.phases import OperatorResult
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.ticker import Ticker
+from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases
 
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
 LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
@@ -53,9 +55,9 @@ class VirtualOperator:
         self._lock = threading.Lock()
         self._calling = False
         self._landing = set()  # vehicles whose service is being called
-        self._said = {"phase": None, "result": None}
-        self._phase = rospy.Publisher("/operator/phase", String, queue_size=10, latch=True)
-        self._result = rospy.Publisher("/operator/result", String, queue_size=1, latch=True)
+        self._said = None  # (phase, text, result, reason) of the newest state that was sent
+        self._phase = rospy.Publisher("/operator/phase", OperatorState, queue_size=10, latch=True)
+        self._result = rospy.Publisher("/operator/result", OperatorState, queue_size=1, latch=True)
         self._joys = {name: rospy.Publisher("/%s/joy" % name, Joy, queue_size=10, tcp_nodelay=True) for name in wanted}
         self._diagnostics = make_updater("none")
         self._diagnostics.add("virtual operator", self._diagnose)
@@ -66,8 +68,8 @@ class VirtualOperator:
                 ("controller_status", Bool, self._on_status),
             ):
                 PacedSubscriber("/%s/%s" % (name, topic), message, callback, LOOK_RATE_HZ, (name,))
-            rospy.Subscriber("/%s/safety" % name, String, self._on_safety, name, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber("/trajectory_phase", String, self._on_trajectory_phase, queue_size=10, tcp_nodelay=True)
+            rospy.Subscriber("/%s/safety" % name, Safety, self._on_safety, name, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber("/trajectory_phase", TrajectoryPhases, self._on_phases, queue_size=10, tcp_nodelay=True)
         PacedSubscriber("/cortex_raw", CortexArrays, self._on_states, LOOK_RATE_HZ)
         Ticker(1.0 / JOY_RATE_HZ, self._on_tick, "the operator's clock")
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
@@ -89,15 +91,13 @@ class VirtualOperator:
 
     def _on_safety(self, message, name):
         with self._lock:
-            self._operator.on_safety(name, message.data)
+            self._operator.on_safety(name, message.level, message.reason)
 
-    def _on_trajectory_phase(self, message):
-        """Text like "fluffy_II: course; Raven: approach"."""
+    def _on_phases(self, message):
         with self._lock:
-            for item in message.data.split(";"):
-                template, _, phase = item.partition(":")
-                if template.strip() in self._namespaces:
-                    self._operator.on_trajectory_phase(self._namespaces[template.strip()], phase.strip())
+            for vehicle in message.vehicles:
+                if vehicle.name in self._namespaces:
+                    self._operator.on_trajectory_phase(self._namespaces[vehicle.name], vehicle.phase)
 
     def _on_land(self, _request):
         with self._lock:
@@ -109,7 +109,7 @@ class VirtualOperator:
             now_s = time.monotonic()
             self._operator.step(now_s)
             pressed = {name: watched.pad.next_buttons(BUTTONS) for name, watched in self._operator.vehicles.items()}
-            texts = {"phase": self._operator.phase_text, "result": self._operator.result}
+            self._say(self._state())
             call, self._calling = self._operator.call_home and not self._calling, self._operator.call_home
             landings = [name for name in self._operator.landings() if name not in self._landing]
             self._landing.update(landings)
@@ -118,15 +118,26 @@ class VirtualOperator:
             joy = Joy(axes=[0.0] * AXES, buttons=buttons)
             joy.header.stamp = stamp
             self._joys[name].publish(joy)
-        for what, publisher in (("phase", self._phase), ("result", self._result)):
-            if texts[what] and texts[what] != self._said[what]:
-                self._said[what] = texts[what]
-                publisher.publish(texts[what])
-                rospy.loginfo("operator: %s %s", what, texts[what])
         if call:
             threading.Thread(target=self._call_home, daemon=True).start()
         for name in landings:
             threading.Thread(target=self._call_land, args=(name,), daemon=True).start()
+
+    def _state(self):
+        """(phase, text, result, reason) now; the caller holds the lock."""
+        return self._operator.phase, self._operator.text, self._operator.result, self._operator.reason
+
+    def _say(self, state):
+        """Publish it when it is new; the caller holds the lock, so that no older one follows."""
+        if state == self._said:
+            return
+        self._said, before = state, self._said
+        self._phase.publish(state_message(state))
+        rospy.loginfo("operator: phase %s", self._operator.phase_text)
+        _, _, result, reason = state
+        if result != OperatorResult.RUNNING and (before is None or result != before[2]):
+            self._result.publish(state_message(state))
+            rospy.loginfo("operator: result %s", ": ".join(filter(None, (result.name.lower(), reason))))
 
     def _call_home(self):
         problem = ""
@@ -154,13 +165,21 @@ class VirtualOperator:
 
     def _diagnose(self, status):
         with self._lock:
-            failed = self._operator.result.startswith("failed")
-            status.summary(2 if failed else 0, self._operator.phase_text)
+            self._phase.publish(state_message(self._state()))  # a sign of life
+            status.summary(2 if self._operator.result == OperatorResult.FAILED else 0, self._operator.phase_text)
             for name, watched in self._operator.vehicles.items():
                 status.add("%s flight state (navdata)" % name, watched.flight_state)
                 status.add("%s mode" % name, "autonomous" if watched.autonomous else "manual")
-                status.add("%s trajectory phase" % name, watched.trajectory_phase)
+                phase = watched.trajectory_phase
+                status.add("%s trajectory phase" % name, "none yet" if phase is None else phase.name.lower())
         return status
+
+
+def state_message(state):
+    """OperatorState of (phase, text, result, reason)."""
+    message = OperatorState(None, *state)
+    message.header.stamp = rospy.Time.now()
+    return message
 
 
 def main():

@@ -9,10 +9,11 @@ import unittest
 import rospy
 import rostest
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Empty, String
+from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
+from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross"}
@@ -35,14 +36,14 @@ class World:
         self._ended = False
         self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
         self._controls = rospy.Publisher("/controls", Controls, queue_size=1)
-        self._trajectory = rospy.Publisher("/trajectory_phase", String, queue_size=1)
+        self._trajectory = rospy.Publisher("/trajectory_phase", TrajectoryPhases, queue_size=1)
         self._navdata = {v: rospy.Publisher("/%s/ardrone/navdata" % v, Navdata, queue_size=1) for v in TEMPLATES}
         for vehicle in TEMPLATES:
             rospy.Subscriber("/%s/ardrone/takeoff" % vehicle, Empty, self._on_takeoff, vehicle)
             rospy.Subscriber("/%s/ardrone/land" % vehicle, Empty, self._on_land, vehicle)
             rospy.Subscriber("/%s/controller_status" % vehicle, Bool, self._on_status, vehicle)
-        rospy.Subscriber("/operator/phase", String, lambda m: self.phases.append(m.data))
-        rospy.Subscriber("/operator/result", String, lambda m: self.results.append(m.data))
+        rospy.Subscriber("/operator/phase", OperatorState, self.phases.append)
+        rospy.Subscriber("/operator/result", OperatorState, self.results.append)
         rospy.Service("/trajectory_node/go_home", Trigger, self._on_home)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -82,13 +83,15 @@ class World:
                 controls.Obj.append(Control(template, 0.1, 0.1, 0.1, 4.41))
                 since_s, home_s = self.autonomous_s[vehicle], self.home_s
                 if home_s is not None:
-                    phase = "homed" if now_s > home_s + APPROACH_S else "home"
+                    phase = VehiclePhase.HOMED if now_s > home_s + APPROACH_S else VehiclePhase.HOME
+                elif since_s is None:
+                    phase = VehiclePhase.HOLD
                 else:
-                    phase = "hold" if since_s is None else "course" if now_s > since_s + APPROACH_S else "approach"
-                phases.append("%s: %s" % (template, phase))
+                    phase = VehiclePhase.COURSE if now_s > since_s + APPROACH_S else VehiclePhase.APPROACH
+                phases.append(VehiclePhase(template, phase))
             self._states.publish(states)
             self._controls.publish(controls)
-            self._trajectory.publish("; ".join(phases))
+            self._trajectory.publish(TrajectoryPhases(vehicles=phases))
             rate.sleep()
 
     def end(self):
@@ -132,34 +135,40 @@ class OperatorTest(unittest.TestCase):
         self.addCleanup(operator.wait)
         self.addCleanup(operator.terminate)
 
-    def seen(self, phase):
-        return any(text.split(":")[0] == phase for text in self.world.phases)
+    def wait_for_course(self):
+        wait_for(
+            lambda: any("on course" in m.text for m in self.world.phases), "being on course: %s" % self.world.phases
+        )
 
     def test_1_whole_flight(self):
         world = self.world
         self.start(duration_s=1.0)
         wait_for(lambda: world.results, "a result; phases: %s" % world.phases)
-        self.assertEqual(world.results, ["ok"])
-        wait_for(lambda: world.phases[-1:] == ["done"], "the last phase")  # on a topic of its own
-        order = list(dict.fromkeys(text.split(":")[0] for text in world.phases))
-        expected = ["waiting", "takeoff", "settle", "fly", "home", "land", "done"]
+        (result,) = world.results
+        self.assertEqual((result.phase, result.result), (OperatorState.DONE, OperatorState.OK))
+        wait_for(lambda: world.phases[-1].phase == OperatorState.DONE, "the last phase")  # on a topic of its own
+        order = list(dict.fromkeys(m.phase for m in world.phases))
+        expected = [*range(OperatorState.WAITING, OperatorState.DONE + 1)]
         self.assertIn(order, (expected, expected[1:]))  # the first may be over before the topic is connected
         self.assertEqual(set(world.state.values()), {LANDED})
 
     def test_2_request_to_land(self):
         world = self.world
         self.start(duration_s=100.0)
-        wait_for(lambda: any("on course" in text for text in world.phases), "being on course: %s" % world.phases)
+        self.wait_for_course()
         self.assertTrue(rospy.ServiceProxy("/operator/land", Trigger)().success)
         wait_for(lambda: world.results, "a result")
-        self.assertEqual(world.results, ["failed: landing was requested"])
-        wait_for(lambda: world.phases[-1:] == ["aborted: landing was requested"], "the last phase")
+        (result,) = world.results
+        self.assertEqual((result.result, result.reason), (OperatorState.FAILED, "landing was requested"))
+        wait_for(lambda: world.phases[-1].phase == OperatorState.ABORTED, "the last phase")
+        count = len(world.phases)
+        wait_for(lambda: len(world.phases) > count + 1, "signs of life")
         self.assertEqual(set(world.state.values()), {LANDED})
 
     def test_3_an_operator_that_dies_is_a_lost_joystick(self):
         world = self.world
         self.start(duration_s=100.0)
-        wait_for(lambda: any("on course" in text for text in world.phases), "being on course: %s" % world.phases)
+        self.wait_for_course()
         self.doCleanups()
         wait_for(lambda: set(world.state.values()) == {LANDED}, "landing without the operator")
         self.assertEqual(world.results, [])
@@ -167,13 +176,13 @@ class OperatorTest(unittest.TestCase):
     def test_4_a_silent_vehicle_is_asked_to_land_and_not_by_the_button(self):
         world, presses, safety = self.world, [], []
         self.start(duration_s=100.0)
-        wait_for(lambda: any("on course" in text for text in world.phases), "being on course: %s" % world.phases)
+        self.wait_for_course()
         rospy.Subscriber("/risc2/joy", Joy, lambda message: any(message.buttons) and presses.append(message))
-        rospy.Subscriber("/risc2/safety", String, lambda message: safety.append(message.data))
+        rospy.Subscriber("/risc2/safety", Safety, lambda message: safety.append((message.level, message.rule)))
         world.silent.add("risc2")
-        wait_for(lambda: "land: landing was requested" in safety, "the landing of risc2, safety: %s" % safety)
+        wait_for(lambda: (Safety.LAND, Safety.REQUEST) in safety, "the landing of risc2, safety: %s" % safety)
         wait_for(lambda: world.state["risc2"] == LANDED, "risc2 on the ground")
-        self.assertTrue(any("risc2: silent" in text for text in world.phases), world.phases)
+        self.assertTrue(any("risc2: silent" in m.text for m in world.phases), world.phases)
         world.silent.clear()
         self.assertTrue(rospy.ServiceProxy("/operator/land", Trigger)().success)
         wait_for(lambda: world.results, "a result")

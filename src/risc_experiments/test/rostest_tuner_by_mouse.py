@@ -26,6 +26,7 @@ from risc_lab.lab.calibration import FRONT_MOUNT, load_mount
 from risc_lab.lab.yaml_reader import package_file
 from risc_msgs.msg import Cortex, Landmark, Landmarks, Observed_angles, States
 from risc_visual.drawing.palette import ray_colours
+from risc_visual.pictures.captions import DARK
 from risc_visual.pictures.orbit_view import load_config, marker_topics, orbit_view_from_dict, picture_config, saved_view
 from risc_visual.pictures.virtual_screen import VirtualScreen, missing_programs, save_picture
 from risc_visual.tuner.ros.mount_marker import VIEW_M
@@ -83,7 +84,7 @@ class TunerByMouseTest(unittest.TestCase):
         cls.folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(cls.folder.cleanup)
         path = pathlib.Path(cls.folder.name) / "tuner.rviz"
-        path.write_text(yaml.safe_dump(picture_config(config, current, *SIZE, RVIZ_HZ)), encoding="utf-8")
+        path.write_text(yaml.safe_dump(picture_config(config, current, SIZE, RVIZ_HZ, DARK)), encoding="utf-8")
         cls.screen = VirtualScreen(*SIZE)
         cls.addClassCleanup(cls.screen.close)
         cls.screen.start(["rviz", "--splash-screen", "", "--fullscreen", "--display-config", str(path), "__name:=rviz"])

@@ -71,7 +71,7 @@ def test_a_flight_without_a_reference_still_has_its_report(tmp_path):
             bag.write("/cortex_raw", message, message.header.stamp)
     args = arguments(["--out", str(tmp_path)])
     tried = [{"rate_hz": 250.0, "reason": "too busy"}]
-    assert make_report(args, tmp_path, "failed: nobody took off", Progress(), threading.Event(), tried) == 1
+    assert make_report(args, tmp_path, "nobody took off", Progress(), threading.Event(), tried) == 1
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["passed"] is False and len(summary["reasons"]) == 2
     assert (summary["cpu_cores"], summary["memory_mb"], summary["computer"]) == ({}, {}, {}), "nothing was measured"

@@ -12,9 +12,10 @@ import types
 import pytest
 
 from risc_control.failsafe import SafetyLimits
-from risc_estimation.state_estimator import EstimatorParams
+from risc_estimation.filters import make_filter
 from risc_experiments import fly, headroom
 from risc_experiments.headroom import judge, next_rate_hz, want_of_time
+from risc_lab.phases import OperatorPhase
 
 
 def figures(flight=0.6, other=0.0, steal=0.0, cores=2, idle=0.5):
@@ -106,7 +107,7 @@ def test_rates_go_down_to_the_lowest():
 
 
 def test_at_the_lowest_rate_that_is_offered_the_estimator_bears_lost_frames():
-    params = EstimatorParams()
+    params = make_filter().params
     frames_lost = 2
     samples = int(min(params.position_window_s, params.angle_window_s) * headroom.RATES_HZ[-1]) + 1
     assert samples - frames_lost >= params.min_samples
@@ -153,7 +154,7 @@ def test_a_slower_flight_begins_again_in_a_process_of_its_own(on_the_ground):
 def test_below_the_lowest_rate_the_flight_fails_and_says_why(on_the_ground):
     write_fleet(on_the_ground.path, headroom.RATES_HZ[-1])
     result, _ = fly_slower(on_the_ground.path)
-    assert result.startswith("failed: this computer is too slow") and "too busy at 50 Hz" in result
+    assert result.startswith("this computer is too slow") and "too busy at 50 Hz" in result
     assert not on_the_ground.called and (on_the_ground.path / "flight.bag").exists(), "the report is made of it"
     assert fly.tried_rates() == [{"rate_hz": 50.0, "reason": "too busy"}]
 
@@ -199,7 +200,13 @@ def test_who_is_landing_is_not_told_to_begin_again(tmp_path, monkeypatch):
     monkeypatch.setattr(fly, "Headroom", lambda _: types.SimpleNamespace(look=lambda watch: next(reasons)))
     monkeypatch.setenv(fly.TRIED_RATES, "[]")
     watch = types.SimpleNamespace(
-        result="", phase="waiting", operator_heard=False, errors_mm={}, rate_hz=None, operator_silent=lambda: False
+        failure=None,
+        phase=OperatorPhase.WAITING,
+        text="",
+        operator_heard=False,
+        errors_mm={},
+        rate_hz=None,
+        operator_silent=lambda: False,
     )
     looks = []
 
@@ -211,7 +218,7 @@ def test_who_is_landing_is_not_told_to_begin_again(tmp_path, monkeypatch):
         if looks:
             looks.append("seen")
         if len(looks) > 3:
-            watch.result = "failed: told to land"
+            watch.failure = "told to land"
 
     watch.land = land
     interrupted = threading.Event()
@@ -224,4 +231,4 @@ def test_who_is_landing_is_not_told_to_begin_again(tmp_path, monkeypatch):
         types.SimpleNamespace(show=show, say=lambda text: None),
         interrupted,
     )
-    assert result == "failed: told to land" and not isinstance(result, fly.TooSlow)
+    assert result == "told to land" and not isinstance(result, fly.TooSlow)

@@ -2,11 +2,16 @@
 
 import pytest
 
+from risc_control.failsafe import FailsafeLevel
 from risc_control.vehicle_pilot import FlightState
-from risc_experiments.operator import JOY_RATE_HZ, Joypad, Operator, OperatorParams, Phase, time_limit_s
+from risc_experiments.operator import JOY_RATE_HZ, Joypad, Operator, OperatorParams, time_limit_s
+from risc_lab.phases import OperatorPhase as Phase
+from risc_lab.phases import OperatorResult
+from risc_lab.phases import TrajectoryPhase as Trajectory
 
 TOGGLE, TAKEOFF_LAND, BUMPER = 0, 6, 5
 STEP_S = 1.0 / JOY_RATE_HZ
+OK = (FailsafeLevel.OK, "")  # of the loss ladder
 
 
 class ModelVehicle:
@@ -18,8 +23,8 @@ class ModelVehicle:
     def __init__(self):
         self.state = FlightState.LANDED
         self.autonomous = False
-        self.safety = "ok"
-        self.course = "hold"
+        self.safety = OK
+        self.course = Trajectory.HOLD
         self.seen = self.connected = self.node_alive = True
         self.obeys = {"takeoff", "land", "toggle"}
         self.presses = []
@@ -53,7 +58,7 @@ class ModelVehicle:
                 self.land(now_s)
             elif down == TOGGLE and "toggle" in self.obeys and self.state == FlightState.HOVERING:
                 self.autonomous = not self.autonomous
-                self.course, self._course_s = "approach", now_s + 3.0
+                self.course, self._course_s = Trajectory.APPROACH, now_s + 3.0
         self._down = down
 
     def land(self, now_s):
@@ -65,14 +70,14 @@ class ModelVehicle:
         if self.state == FlightState.TAKING_OFF and now_s >= self._timer_s:
             self.state = FlightState.HOVERING
         if self.state == FlightState.LANDING and now_s >= self._timer_s:
-            self.state, self.safety = FlightState.LANDED, "ok"
-        if self.autonomous and self.course == "approach" and now_s >= self._course_s:
-            self.course = "course"
-        if self.course == "home" and now_s >= self._course_s:
-            self.course = "homed"
+            self.state, self.safety = FlightState.LANDED, OK
+        if self.autonomous and self.course == Trajectory.APPROACH and now_s >= self._course_s:
+            self.course = Trajectory.COURSE
+        if self.course == Trajectory.HOME and now_s >= self._course_s:
+            self.course = Trajectory.HOMED
 
     def home(self, now_s):
-        self.course, self._course_s = "home", now_s + 3.0
+        self.course, self._course_s = Trajectory.HOME, now_s + 3.0
 
     def count(self, button):
         return sum(pressed == button for _, pressed in self.presses)
@@ -100,7 +105,7 @@ class Flight:
                 self.operator.on_navdata(name, vehicle.state, self.now_s)
             if vehicle.node_alive and not vehicle.held_up:
                 self.operator.on_status(name, vehicle.autonomous, self.now_s)
-            self.operator.on_safety(name, vehicle.safety)
+            self.operator.on_safety(name, *vehicle.safety)
             self.operator.on_trajectory_phase(name, vehicle.course)
         self.operator.step(self.now_s)
         if self.operator.call_home:
@@ -133,7 +138,7 @@ class Flight:
 
 def test_a_whole_flight():
     flight = Flight().finish()
-    assert flight.operator.result == "ok"
+    assert flight.operator.result is OperatorResult.OK
     assert flight.operator.phase_text == "done"
     assert flight.phases == [Phase.WAITING, Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME, Phase.LAND, Phase.DONE]
     assert flight.home_calls == 1
@@ -144,12 +149,12 @@ def test_a_whole_flight():
 
 def test_fifty_vehicles():
     flight = Flight(50).finish()
-    assert flight.operator.result == "ok" and len(flight.vehicles) == 50
+    assert flight.operator.result is OperatorResult.OK and len(flight.vehicles) == 50
 
 
 def test_duration_counts_from_when_all_are_on_course():
     flight = Flight(duration=10.0).on_course()
-    assert all(vehicle.course == "course" for vehicle in flight.vehicles.values())
+    assert all(vehicle.course == Trajectory.COURSE for vehicle in flight.vehicles.values())
     begin_s = flight.now_s
     flight.run(Phase.HOME)
     assert flight.now_s - begin_s == pytest.approx(10.0, abs=2 * STEP_S)
@@ -171,7 +176,7 @@ def test_waits_says_for_what_and_gives_up(spoil, text):
     assert text in flight.operator.phase_text
     flight.finish()
     assert flight.operator.phase == Phase.ABORTED
-    assert text in flight.operator.result
+    assert text in flight.operator.reason
     for vehicle in flight.vehicles.values():
         assert TAKEOFF_LAND not in [button for _, button in vehicle.presses] or vehicle is flight.vehicles["risc2"]
 
@@ -183,7 +188,7 @@ def test_starts_when_the_last_one_is_ready():
         flight.step()
     assert flight.operator.phase == Phase.WAITING
     flight.vehicles["risc3"].seen = True
-    assert flight.finish().operator.result == "ok"
+    assert flight.finish().operator.result is OperatorResult.OK
 
 
 def test_presses_again_when_a_takeoff_was_not_heard():
@@ -192,7 +197,7 @@ def test_presses_again_when_a_takeoff_was_not_heard():
     vehicle.obeys.remove("takeoff")
     flight.run(lambda: vehicle.count(TAKEOFF_LAND) == 2)
     vehicle.obeys.add("takeoff")
-    assert flight.finish().operator.result == "ok"
+    assert flight.finish().operator.result is OperatorResult.OK
 
 
 @pytest.mark.parametrize(
@@ -203,7 +208,7 @@ def test_timeouts_land_all(order, text):
     flight = Flight()
     flight.vehicles["risc2"].obeys.remove(order)
     flight.finish()
-    assert flight.operator.result == "failed: " + text
+    assert flight.operator.reason == text
     assert flight.operator.phase_text == "aborted: " + text
     assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
 
@@ -211,13 +216,13 @@ def test_timeouts_land_all(order, text):
 def test_never_on_course_and_never_home():
     flight = Flight()
     for vehicle in flight.vehicles.values():
-        vehicle.go = lambda now_s, v=vehicle: ModelVehicle.go(v, now_s) if v.course != "approach" else None
+        vehicle.go = lambda now_s, v=vehicle: ModelVehicle.go(v, now_s) if v.course != Trajectory.APPROACH else None
     flight.finish()
-    assert "not on course within 40 s: risc1, risc2, risc3" in flight.operator.result
+    assert "not on course within 40 s: risc1, risc2, risc3" in flight.operator.reason
     flight = Flight()
     flight.vehicles["risc3"].home = lambda now_s: None
     flight.finish()
-    assert flight.operator.result == "failed: not home within 40 s: risc3"
+    assert flight.operator.reason == "not home within 40 s: risc3"
     assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
 
 
@@ -225,7 +230,7 @@ def test_without_a_way_home_it_lands_where_it_is():
     flight = Flight()
     flight.home_problem = "no such service"
     flight.finish()
-    assert flight.operator.result == "failed: cannot fly home: no such service"
+    assert flight.operator.reason == "cannot fly home: no such service"
     assert flight.home_calls == 1
 
 
@@ -234,7 +239,7 @@ def test_a_vehicle_that_does_not_land_is_told_again():
     flight.run(Phase.LAND)
     flight.vehicles["risc1"].obeys.remove("land")
     flight.finish()
-    assert flight.operator.result == "failed: risc1 did not land within 30 s"
+    assert flight.operator.reason == "risc1 did not land within 30 s"
     assert flight.vehicles["risc1"].count(TAKEOFF_LAND) == 2, "the button was pressed once, then its service called"
     before = len(flight.vehicles["risc1"].calls)
     assert before > 9
@@ -249,7 +254,7 @@ def test_request_lands_everything(phase):
     flight.operator.request_landing("landing was requested", flight.now_s)
     assert flight.operator.phase_text == "land: landing was requested"
     flight.finish()
-    assert flight.operator.result == "failed: landing was requested"
+    assert flight.operator.reason == "landing was requested"
     assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
 
 
@@ -280,7 +285,7 @@ def test_request_before_takeoff_ends_at_once():
 def test_a_vehicle_landed_by_its_ladder_is_noted_and_the_others_fly_on():
     flight = Flight().on_course()
     vehicle = flight.vehicles["risc2"]
-    vehicle.safety = "land: state 500 ms old"
+    vehicle.safety = (FailsafeLevel.LAND, "state 500 ms old")
     flight.step()
     vehicle.land(flight.now_s)
     flight.step()
@@ -288,7 +293,7 @@ def test_a_vehicle_landed_by_its_ladder_is_noted_and_the_others_fly_on():
     flight.run(Phase.HOME)
     assert flight.vehicles["risc1"].autonomous
     flight.finish()
-    assert flight.operator.result == "failed: risc2 landed by its loss ladder (state 500 ms old)"
+    assert flight.operator.reason == "risc2 landed by its loss ladder (state 500 ms old)"
     for name in ("risc1", "risc3"):
         assert [button for _, button in flight.vehicles[name].presses] == [TAKEOFF_LAND, TOGGLE, TAKEOFF_LAND]
     assert vehicle.count(TAKEOFF_LAND) <= 2, "never pressed when it stands: that would be a take-off"
@@ -297,21 +302,19 @@ def test_a_vehicle_landed_by_its_ladder_is_noted_and_the_others_fly_on():
 
 def test_a_short_hold_does_not_matter():
     flight = Flight().on_course()
-    flight.vehicles["risc2"].safety = "hold: state 110 ms old"
+    flight.vehicles["risc2"].safety = (FailsafeLevel.HOLD, "state 110 ms old")
     for _ in range(5):
         flight.step()
-    flight.vehicles["risc2"].safety = "ok"
-    assert flight.finish().operator.result == "ok"
+    flight.vehicles["risc2"].safety = OK
+    assert flight.finish().operator.result is OperatorResult.OK
 
 
 def test_when_nobody_flies_any_more_it_ends():
     flight = Flight(count=1, duration=1000.0).on_course()
-    flight.vehicles["risc1"].safety = "land: battery at 9 %"
+    flight.vehicles["risc1"].safety = (FailsafeLevel.LAND, "battery at 9 %")
     flight.vehicles["risc1"].land(flight.now_s)
     flight.run(lambda: flight.operator.finished, 10.0)
-    assert flight.operator.result == (
-        "failed: no vehicle flies any more; risc1 landed by its loss ladder (battery at 9 %)"
-    )
+    assert flight.operator.reason == ("no vehicle flies any more; risc1 landed by its loss ladder (battery at 9 %)")
 
 
 @pytest.mark.parametrize("phase", [Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME])
@@ -320,11 +323,11 @@ def test_when_all_ladders_are_asked_to_land_the_flight_ends_with_all_on_the_grou
     flight = Flight().run(phase)
     flight.run(lambda: all(vehicle.state != FlightState.LANDED for vehicle in flight.vehicles.values()))
     for vehicle in flight.vehicles.values():
-        vehicle.safety = "land: landing was requested"
+        vehicle.safety = (FailsafeLevel.LAND, "landing was requested")
         vehicle.land(flight.now_s)
     flight.run(lambda: flight.operator.finished, 10.0)
     asked = "; ".join("%s landed by its loss ladder (landing was requested)" % name for name in flight.vehicles)
-    assert flight.operator.result == "failed: no vehicle flies any more; " + asked
+    assert flight.operator.reason == "no vehicle flies any more; " + asked
     for _ in range(100):
         flight.step()
     assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
@@ -335,7 +338,7 @@ def test_a_vehicle_that_falls_back_to_manual_mode_is_landed():
     flight = Flight().on_course()
     flight.vehicles["risc1"].autonomous = False
     flight.finish()
-    assert flight.operator.result == "failed: risc1 fell back to manual mode"
+    assert flight.operator.reason == "risc1 fell back to manual mode"
     assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
 
 
@@ -378,7 +381,7 @@ def test_a_vehicle_whose_joystick_node_died_is_landed_when_it_is_back():
     flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
     assert flight.operator.phase == Phase.FLY
     flight.finish()
-    assert flight.operator.result == "failed: risc2 lost its joystick node: no controller_status for 2 s"
+    assert flight.operator.reason == "risc2 lost its joystick node: no controller_status for 2 s"
     assert vehicle.state == FlightState.LANDED
 
 
@@ -398,7 +401,7 @@ def test_a_vehicle_that_falls_silent_while_taking_off_is_landed():
     flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
     vehicle.connected = True
     flight.finish()
-    assert flight.operator.result == "failed: risc2 silent: no navdata for 2 s"
+    assert flight.operator.reason == "risc2 silent: no navdata for 2 s"
     assert vehicle.state == FlightState.LANDED
     assert vehicle.count(TAKEOFF_LAND) == 1, "pressed when nobody knows whether it stands, the button may mean take-off"
 
@@ -412,7 +415,8 @@ def test_a_vehicle_that_landed_while_its_computer_was_out_of_reach_stays_on_the_
     begin_s = flight.now_s
     flight.run(lambda: flight.now_s >= begin_s + 1.0)
     vehicle.state = FlightState.LANDED
-    vehicle.safety = "land: no state for 500 ms"  # arrives: each topic has a connection, and this one is back first
+    # arrives: each topic has a connection, and this one is back first
+    vehicle.safety = (FailsafeLevel.LAND, "no state for 500 ms")
     flight.run(lambda: flight.now_s >= begin_s + out_s)
     vehicle.held_up = False
     for _ in range(200):
@@ -420,7 +424,7 @@ def test_a_vehicle_that_landed_while_its_computer_was_out_of_reach_stays_on_the_
         assert vehicle.state == FlightState.LANDED
     assert len(vehicle.calls) == calls
     flight.finish()
-    assert flight.operator.result.startswith("failed: risc2 ")
+    assert flight.operator.reason.startswith("risc2 ")
     assert vehicle.count(TAKEOFF_LAND) == 1
 
 
@@ -481,12 +485,12 @@ def test_no_flight_outlasts_the_time_limit(stuck, bumper_steps):
     flight.run(lambda: flight.now_s > begin_s + 4.9)
     vehicle.seen = stuck != "waiting"
     if stuck == "course":
-        vehicle.go = lambda now_s: ModelVehicle.go(vehicle, now_s) if vehicle.course != "approach" else None
+        vehicle.go = lambda now_s: ModelVehicle.go(vehicle, now_s) if vehicle.course != Trajectory.APPROACH else None
     elif stuck == "home":
         vehicle.home = lambda now_s: None
     flight.finish()
     fails = stuck != "nowhere" and not (stuck == "course" and bumper_steps)  # figures have no approach
-    assert flight.operator.result.startswith("failed: ") == fails
+    assert (flight.operator.result is OperatorResult.FAILED) == fails
     limit_s = time_limit_s(OperatorParams(**params))
     lasted_s = flight.now_s - begin_s
     assert lasted_s <= limit_s + len(Phase) * STEP_S
@@ -497,9 +501,9 @@ def test_no_flight_outlasts_the_time_limit(stuck, bumper_steps):
 def test_bumpers_step_through_the_figures():
     flight = Flight(count=1, bumper_steps=5, duration=10.0, rest=4.0)
     vehicle = flight.vehicles["risc1"]
-    vehicle.go = lambda now_s: ModelVehicle.go(vehicle, now_s) if vehicle.course != "approach" else None
+    vehicle.go = lambda now_s: ModelVehicle.go(vehicle, now_s) if vehicle.course != Trajectory.APPROACH else None
     flight.finish()
-    assert flight.operator.result == "ok"
+    assert flight.operator.result is OperatorResult.OK
     toggled_s = next(t for t, button in vehicle.presses if button == TOGGLE)
     times = [t for t, button in vehicle.presses if button == BUMPER]
     gaps = [b - a for a, b in zip([toggled_s, *times], times)]
@@ -517,7 +521,7 @@ def test_a_bumper_is_pressed_on_all_joysticks_or_on_none():
         flight.step()
     assert pads[1].press(11)  # a button without meaning, when the bumper's time comes
     flight.finish()
-    assert flight.operator.result == "ok"
+    assert flight.operator.result is OperatorResult.OK
     presses = [[t for t, button in vehicle.presses if button == BUMPER] for vehicle in flight.vehicles.values()]
     assert len(presses[0]) == 1 and presses[0] == presses[1]
 

@@ -8,20 +8,24 @@ import time
 import pytest
 import rosbag
 import rospy
-from std_msgs.msg import String
 
 from data_extraction.bags import Bag
 from data_extraction.progress import Progress
 from risc_experiments import screenshot
 from risc_experiments.screenshot import arguments
+from risc_lab.phases import OperatorPhase as Phase
 from risc_lab.ros.launching import any_busy
+from risc_maap_msgs.msg import OperatorState
 from risc_msgs.msg import Angle, Angles, Observed_angles
 from risc_visual.pictures.orbit_view import has_display
 from risc_visual.pictures.rviz_pictures import VIEWS, moment_of, standard_views, views_from
 
 T0_S = 500.0
 PATIENCE_S = 60.0
-PHASES = ((0.0, "waiting"), (1.0, "takeoff"), (2.0, "fly"), (3.0, "fly: on course"), (8.0, "home"), (9.0, "done"))
+PHASES = (
+    (0.0, Phase.WAITING, ""), (1.0, Phase.TAKEOFF, ""), (2.0, Phase.FLY, ""), (3.0, Phase.FLY, "on course"),
+    (8.0, Phase.HOME, ""), (9.0, Phase.DONE, ""),
+)  # fmt: skip
 
 
 def observed(vehicle, count):
@@ -40,7 +44,7 @@ def moment(path, messages):
 
 
 def phases():
-    return [(time_s, "/operator/phase", String(text)) for time_s, text in PHASES]
+    return [(time_s, "/operator/phase", OperatorState(phase=phase, text=text)) for time_s, phase, text in PHASES]
 
 
 def test_the_moment_is_the_end_of_the_course(tmp_path):
@@ -75,7 +79,7 @@ def test_bearings_add_views_and_the_tuner_needs_the_fleet(tmp_path):
 
 def test_the_moment_of_a_bag_without_operator_is_its_middle(tmp_path):
     assert moment(
-        tmp_path / "x.bag", [(0.0, "/chatter", String("a")), (6.0, "/chatter", String("b"))]
+        tmp_path / "x.bag", [(0.0, "/angles", Observed_angles()), (6.0, "/angles", Observed_angles())]
     ) == pytest.approx(3.0)
 
 
@@ -111,7 +115,7 @@ def test_an_experiment_is_flown_before_its_bag_is_drawn(tmp_path, monkeypatch):
     def fly(flight, folder, *_):
         flown.append(flight)
         moment(folder / "flight.bag", phases())
-        return "ok"
+        return ""
 
     monkeypatch.setattr(screenshot, "missing_programs", lambda *_: [])
     monkeypatch.setattr(screenshot.fly, "ROOT", tmp_path)
@@ -130,7 +134,7 @@ def test_on_a_slow_computer_the_flight_for_a_picture_begins_again(tmp_path, monk
     called = []
     monkeypatch.setattr(screenshot.fly, "prepare_folder", lambda _: tmp_path)
     monkeypatch.setattr(screenshot.fly, "fly", lambda *_: screenshot.fly.TooSlow("too busy"))
-    monkeypatch.setattr(screenshot.fly, "fly_slower", lambda *given: called.append(given[:4]) or "failed: too slow")
+    monkeypatch.setattr(screenshot.fly, "fly_slower", lambda *given: called.append(given[:4]) or "too slow")
     with pytest.raises(screenshot.fly.FlightError, match="too slow"):
         screenshot.flown(args, rest, Progress(), argv)
     assert called == [("risc_experiments.screenshot", argv, tmp_path, "too busy")]

@@ -25,6 +25,7 @@ from hypothesis import strategies as st
 from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from risc_simulator.faults import WireFault
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.vehicles.ardrone import host as ardrone_host
 from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
@@ -885,6 +886,41 @@ def test_the_radio_loses_navdata_too(fake_lab):
         assert lab.host.statistics()["datagrams_lost_out"] >= lost
         lab.close()
     assert numbers[0] == numbers[1] != numbers[2]
+
+
+def test_faults_act_on_what_it_hears_and_says(lab):
+    lab.connect()
+    clean = len(lab.run(2.0, ref=IDLE))
+    assert lab.host.statistics()["com_watchdogs"] == 0
+    lab.host.wires.add(WireFault("drop", "risc1/navdata", 0.5, lab.now_s, 2.0))
+    assert 0.4 * clean < len(lab.run(2.0, ref=IDLE)) < 0.6 * clean
+    assert len(lab.run(2.0, ref=IDLE)) == pytest.approx(clean, abs=2), "the window is over"
+    malformed = lab.host.statistics()["at_malformed"]
+    lab.host.wires.add(WireFault("blackhole", "risc1/commands", start_s=lab.now_s, duration_s=0.5))
+    lab.run(0.5, ref=IDLE)
+    assert lab.state & COM_WATCHDOG and lab.host.statistics()["com_watchdogs"] == 1
+    lab.host.wires.add(WireFault("corrupt", "risc1/commands", 1.0, lab.now_s, 2.0))
+    lab.run(2.0, ref=IDLE)
+    assert lab.host.statistics()["at_malformed"] > malformed
+
+
+def test_delayed_commands_are_obeyed_later(lab):
+    lab.connect()
+    delays_s = []
+    for delay_s in (0.0, 0.3):
+        if delay_s:
+            lab.host.wires.add(WireFault("delay", "risc1/commands", delay_s, lab.now_s))
+        sent_s, taken_off = lab.now_s, lab.host.statistics()["take_offs"]
+        lab.client.at("REF,%d" % START)
+        while lab.host.statistics()["take_offs"] == taken_off:
+            lab.run(STEP_S)
+            assert lab.now_s < sent_s + 2.0
+        delays_s.append(lab.now_s - sent_s)
+        lab.client.at("REF,%d" % IDLE)
+        lab.run(10.0)
+        lab.connect()
+        assert lab.vehicle.phase is FlightPhase.LANDED
+    assert delays_s[1] - delays_s[0] == pytest.approx(0.3, abs=1.0 / 30.0 + STEP_S)  # a slot of the radio
 
 
 def test_long_link_loss_lands(lab):

@@ -1,4 +1,4 @@
-"""The waved checkerboard: whole in the picture, smooth, reproducible, and good for a calibration."""
+"""The checkerboard in motion: whole in the picture, smooth, and good for a calibration."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ CAMERAS = ("risc1.yaml", "risc3.yaml", "ardrone_front.yaml", "ardrone_bottom.yam
 @pytest.fixture(scope="module", params=CAMERAS)
 def waved(request):
     camera = Camera(load_calibration(request.param))
-    return camera, Waving(camera, seed=3)
+    return camera, Waving(camera)
 
 
 def held_corners(waving):
@@ -40,7 +40,7 @@ def test_it_goes_everywhere_near_and_far_and_tilted(waved):
 
 
 def test_it_moves_smoothly_and_is_held_still():
-    waving = Waving(Camera(load_calibration("risc2.yaml")), seed=1)
+    waving = Waving(Camera(load_calibration("risc2.yaml")))
     for at_s in waving.held_s:
         before, after = waving.posture(at_s - 0.25), waving.posture(at_s + 0.25)
         assert np.allclose(before[0], after[0]) and np.allclose(before[1], after[1])
@@ -53,19 +53,15 @@ def test_it_moves_smoothly_and_is_held_still():
     assert np.allclose(turns @ np.swapaxes(turns, 1, 2), np.eye(3)) and np.allclose(np.linalg.det(turns), 1.0)
 
 
-def test_it_repeats_and_a_seed_reproduces_it():
-    camera = Camera(load_calibration("risc2.yaml"))
-    first, again, other = (Waving(camera, seed=seed) for seed in (5, 5, 6))
-    for time_s in (0.0, 1.23, 17.0, first.period_s - 0.01):
-        assert np.array_equal(first.posture(time_s)[0], again.posture(time_s)[0])
-        assert np.array_equal(first.posture(time_s)[1], again.posture(time_s)[1])
-        assert np.allclose(first.posture(time_s)[0], first.posture(time_s + first.period_s)[0])
-        assert not np.allclose(first.posture(time_s)[0], other.posture(time_s)[0])
+def test_it_repeats():
+    waving = Waving(Camera(load_calibration("risc2.yaml")))
+    for time_s in (0.0, 1.23, 17.0, waving.period_s - 0.01):
+        assert np.allclose(waving.posture(time_s)[0], waving.posture(time_s + waving.period_s)[0])
 
 
 def test_the_board_is_where_its_corners_are_seen_from_any_camera_pose():
     camera = Camera(load_calibration("risc1.yaml"))
-    waving = Waving(camera, seed=2)
+    waving = Waving(camera)
     pose = CameraPose(np.array([0.3, -1.2, 0.8]), rotation_body_to_cortex(0.1, -0.2, 2.0), np.zeros(3), np.zeros(3))
     for time_s in (0.1, 1.0, 20.0):
         board = waving.board(time_s, pose)
@@ -76,23 +72,9 @@ def test_the_board_is_where_its_corners_are_seen_from_any_camera_pose():
 
 def test_it_shows_its_face():
     camera = Camera(load_calibration("risc2.yaml"))
-    corners = Waving(camera, seed=4).corners_px(0.1).reshape(6, 8, 2)
+    corners = Waving(camera).corners_px(0.1).reshape(6, 8, 2)
     along, down = corners[0, -1] - corners[0, 0], corners[-1, 0] - corners[0, 0]
     assert along[0] * down[1] - along[1] * down[0] > 0.0, "x right and y down, as seen from the front"
-
-
-def test_chosen_postures_tell_more_of_the_lens_than_others():
-    """The reason for the choice: the principal point of a narrow lens that distorts strongly."""
-    camera = Camera(load_calibration("risc1.yaml"))
-    waving = Waving(camera, seed=0)
-    params = WavingParams(postures=60, candidates=60)  # no choice
-    at_random = Waving(camera, seed=0, params=params)
-
-    def sigma_cy(waving):
-        centres, turns = zip(*(waving.posture(time_s) for time_s in waving.held_s))
-        return np.sqrt(np.linalg.inv(waving._information(np.array(centres), np.array(turns)).sum(axis=0))[3, 3])
-
-    assert sigma_cy(waving) < 0.7 * sigma_cy(at_random)
 
 
 def test_pictures_come_with_their_truth_and_reproduce():
@@ -117,15 +99,13 @@ def test_pictures_come_with_their_truth_and_reproduce():
 
 
 def test_a_board_that_cannot_be_shown_is_refused():
-    blind = Camera(CameraCalibration.from_intrinsics("keyhole", (16, 12), (20.0, 20.0), (8.0, 6.0)))
-    params = WavingParams(min_square=0.5)
-    with pytest.raises(ValueError, match="keyhole.*make it smaller"):
-        Waving(blind, params=params)
+    # all that its distortion leaves of the picture is a spot
+    blind = CameraCalibration.from_intrinsics("keyhole", (16, 12), (20.0, 20.0), (-300.0, 6.0))
+    with pytest.raises(ValueError, match=r"keyhole.*make it smaller"):
+        Waving(Camera(blind))
 
 
-@pytest.mark.parametrize(
-    "bad", [{"postures": 1}, {"postures": 70, "candidates": 60}, {"move_s": 0.0}, {"hold_s": -1.0}]
-)
+@pytest.mark.parametrize("bad", [{"move_s": 0.0}, {"hold_s": -1.0}])
 def test_bad_params_are_refused(bad):
     with pytest.raises(ValueError, match="needed"):
         WavingParams(**bad)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from cortex_ros import wire
 from cortex_ros.wire import Command
-from risc_simulator.cortex_host import CortexHost, FaultPlan, LatenessHistogram
+from risc_simulator.cortex_host import CortexHost, LatenessHistogram
+from risc_simulator.faults import WireFault
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
 
 HOST = "127.88.0.1"
@@ -787,78 +788,14 @@ def live(make_lab, listen):
 def test_silence_for_a_while(live):
     lab, stream, client = live
     lab.step(2)
-    lab.host.inject(duration_s=9.5 * PERIOD_S, silent=True)
+    lab.host.wires.add(WireFault("blackhole", "cortex/*", 1.0, lab.now_s, 9.5 * PERIOD_S))
     lab.step(5)
     lab.send(client, HELLO)
     lab.step(15)
     assert received(client) == []  # what came in the meantime is lost
     numbers = [frame.number for frame in frames(stream)]
     assert numbers == [1, 2] + list(range(12, 23))
-    assert lab.host.faults == FaultPlan()
     assert_alive(lab)
-
-
-def test_missing_and_hidden_bodies(live):
-    lab, stream, _ = live
-    lab.host.inject(dropped_bodies=["vehicle_0"], hidden_bodies=["Landmark_A"])
-    lab.step()
-    lab.host.clear_faults()
-    lab.step()
-    faulty, sound = frames(stream)
-    assert [body.name for body in faulty.bodies] == ["vehicle_1", "Landmark_A"]
-    assert np.isnan(faulty.bodies[1].markers_mm).all() and not np.isnan(faulty.bodies[0].markers_mm).any()
-    assert len(sound.bodies) == 3 and not np.isnan(sound.bodies[2].markers_mm).any()
-
-
-def test_all_bodies_missing(live):
-    lab, stream, _ = live
-    lab.host.inject(dropped_bodies=["vehicle_0", "vehicle_1", "Landmark_A"])
-    lab.step()
-    assert frames(stream)[0].bodies == []
-
-
-def test_duplicate_and_absent_replies(live):
-    lab, _, client = live
-    lab.host.inject(reply_copies=2)
-    lab.send(client, HELLO)
-    assert len(received(client)) == 2
-    lab.host.inject(reply_copies=0)
-    lab.send(client, HELLO)
-    assert received(client) == []
-
-
-def test_late_replies(live):
-    lab, _, client = live
-    lab.host.inject(reply_delay_s=0.012)
-    lab.send(client, HELLO)
-    lab.step(2)
-    assert received(client) == []
-    lab.step(1)
-    assert len(received(client)) == 1
-
-
-def test_wrong_reply_type_leaves_the_stream_alone(live):
-    lab, stream, client = live
-    lab.host.inject(reply_command=Command.COMMENT)
-    lab.send(client, wire.encode_packet(Command.REQUEST_BODYDEFS))
-    assert received(client)[0][0][:2] == struct.pack("<H", 3)
-    lab.step()
-    assert len(frames(stream)) == 1
-
-
-@pytest.mark.parametrize("fault", [{"cut_bytes": 10}, {"length_error": 7}, {"length_error": -4}, {"cut_bytes": 100000}])
-def test_truncated_packets_and_wrong_lengths(live, fault):
-    lab, stream, client = live
-    lab.host.inject(**fault)
-    lab.send(client, HELLO)
-    lab.step()
-    for sock in (client, stream):
-        ((datagram, _),) = received(sock)
-        with pytest.raises(wire.MalformedPacketError):
-            wire.decode_packet(datagram)
-    lab.host.clear_faults()
-    lab.step()
-    assert [frame.number for frame in frames(stream)] == [2]
 
 
 def test_frame_number_jumps(live):
@@ -871,23 +808,6 @@ def test_frame_number_jumps(live):
     lab.host.jump_frame_number(2**31 - 3)  # to the end of the wire's range
     lab.step(2)
     assert [frame.number for frame in frames(stream)] == [1, 2, 13, 14, 1, 2, 0, 1]
-
-
-@pytest.mark.parametrize(
-    "fault, message",
-    [
-        ({"silence": True}, "no such fault: silence; choose from .*silent"),
-        ({"hidden_bodies": ["crow"]}, "no such body"),
-        ({"hidden_bodies": "vehicle_0"}, "list of body names"),
-        ({"reply_copies": -1}, "negative"),
-        ({"reply_delay_s": float("nan")}, "negative"),
-        ({"reply_command": 70000}, "16 bits"),
-    ],
-)
-def test_impossible_faults_are_refused(lab, fault, message):
-    with pytest.raises(ValueError, match=message):
-        lab.host.inject(**fault)
-    assert lab.host.faults == FaultPlan()
 
 
 # --- percentiles --------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import fleet_from_dict, load_templates, load_vehicle_type
 from risc_lab.registry import VARIABLE
 from risc_simulator import bodies, vehicles
+from risc_simulator.faults import WireFault
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import FlightAction, FlightPhase, Setpoint, World
 
@@ -33,7 +34,7 @@ def members(monkeypatch):
 
 SPRING = {"body": "toy_spring", "template": "ball"}
 BALL_OFFSETS = {"top": [0.0, 0.0, 0.02], "side": [0.02, 0.0, 0.0]}  # of its markers
-BALL = {"geometries": {"ball": BALL_OFFSETS}, "templates": {"ball": {"kind": "pendulum_tip", "geometry": "ball"}}}
+BALL = {"geometries": {"ball": BALL_OFFSETS}, "templates": {"ball": {"kind": "attached", "geometry": "ball"}}}
 M_KG, K_N_M, LENGTH_M = 0.05, 4.0, 0.3  # as in toy_spring.yaml
 HANGS_M = LENGTH_M + M_KG * GRAVITY_M_S2 / K_N_M
 
@@ -47,6 +48,10 @@ def make_fleet(*vehicles):
         "templates": BALL,
     }
     return fleet_from_dict(content)
+
+
+def balloon():
+    return sys.modules["risc_simulator.vehicles.toy_balloon"]
 
 
 def make_world(*vehicles, drag_n_s_m=None, **options):
@@ -98,7 +103,7 @@ def test_the_lab_speaks_its_wire(clock):
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
             client.settimeout(5.0)
-            address = lab.fleet.vehicles[0].address, sys.modules["risc_simulator.vehicles.toy_balloon"].PORT
+            address = lab.fleet.vehicles[0].address, balloon().PORT
             client.sendto(b"up 0.4", address)
             for _ in range(200):
                 lab.step()
@@ -109,6 +114,22 @@ def test_the_lab_speaks_its_wire(clock):
         assert "risc2: a balloon" in lab.describe()
         assert lab.statistics()["vehicles"]["risc2"]["video"]["pictures"] == 0
         assert not lab.cameras_ready
+    finally:
+        lab.close()
+
+
+def test_a_fault_acts_on_the_datagrams_of_any_host(clock):
+    faults = [WireFault("toy_every", "risc2/heights", 2.0), WireFault("delay", "risc2/commands", 0.05)]
+    lab = VirtualLab(make_fleet(BALLOON), seed=3, wire_faults=faults)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.settimeout(5.0)
+            for _ in range(4):
+                client.sendto(b"up 0.0", (lab.fleet.vehicles[0].address, balloon().PORT))
+                for _ in range(20):
+                    lab.step()
+            assert [client.recv(64) for _ in range(4)] == [b"0.080", b"0.", b"0.080", b"0."]
+        assert lab.wires.statistics()["risc2/commands"] == {"sent": 4, "delivered": 4, "later": 4}
     finally:
         lab.close()
 

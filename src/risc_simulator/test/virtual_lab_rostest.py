@@ -9,8 +9,9 @@ import unittest
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 
+from risc_maap_msgs.msg import Fault, WireFault
 from risc_msgs.msg import Cortex
 
 HOST = ("127.213.0.1", 1510)
@@ -84,11 +85,14 @@ class VirtualLabTest(unittest.TestCase):
     def test_faults(self):
         publishers = {
             name: rospy.Publisher("/virtual_lab/" + name, kind, queue_size=5)
-            for name, kind in (("mocap_silence", Float64), ("hide", String), ("link_loss", String), ("battery", String))
+            for name, kind in (
+                *(("mocap_silence", Float64), ("wire_fault", WireFault)),
+                *(("hide", Fault), ("link_loss", Fault), ("battery", Fault)),
+            )
         }
         self.wait_until(lambda: all(p.get_num_connections() for p in publishers.values()), "nobody listens")
         self.assertTrue(self.host_answers(15.0))
-        for bad in ("", "risc1", "risc9 1.0", "risc1 -1", "risc1 soon"):
+        for bad in (Fault(), Fault("", 1.0), Fault("risc9", 1.0), Fault("risc1", -1.0), Fault("risc1", float("inf"))):
             publishers["link_loss"].publish(bad)
             publishers["hide"].publish(bad)
             publishers["battery"].publish(bad)
@@ -96,6 +100,12 @@ class VirtualLabTest(unittest.TestCase):
         publishers["mocap_silence"].publish(4.0)
         self.wait_until(lambda: not self.host_answers(), "the host still answers")
         self.wait_until(self.host_answers, "the host does not come back")
+        publishers["wire_fault"].publish("fire", "*", 0.5, 1.0)
+        publishers["wire_fault"].publish("drop", "nobody/*", 0.5, 1.0)
+        publishers["wire_fault"].publish("blackhole", "cortex/requests", 1.0, 0.0)
+        self.wait_until(lambda: not self.host_answers(), "requests still arrive")
+        publishers["wire_fault"].publish("", "cortex/*", 0.0, 0.0)
+        self.wait_until(self.host_answers, "the fault does not end")
         self.collect(10)  # bad orders did not end the node
 
 

@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import rospy
 from sensor_msgs.msg import Joy
-from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.joystick import ButtonPresses
 from risc_control.ros.joystick_buttons import origin
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, load_params, number
+from risc_maap_msgs.msg import OperatorState, TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, Trajectories
 from risc_visual.pictures import df_plots_bag
 from risc_visual.pictures.df_pages import PageWriter
@@ -54,15 +54,11 @@ class DFPlots:
             # Of any age: plots move nothing, and a bag that is played is old.
             presses = ButtonPresses((params.plot_button,), math.inf)
             rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber(
-            "/trajectory_phase", String, self._on_text, self._recorder.phases, queue_size=10, tcp_nodelay=True
-        )
-        rospy.Subscriber(
-            "/trajectory_course", String, self._on_text, self._recorder.course, queue_size=10, tcp_nodelay=True
-        )
-        rospy.Subscriber(
-            "/operator/phase", String, self._on_text, self._recorder.operator_phase, queue_size=10, tcp_nodelay=True
-        )
+        for topic, kind, take in (
+            ("/trajectory_phase", TrajectoryPhases, self._recorder.phases),
+            ("/operator/phase", OperatorState, self._recorder.operator),
+        ):
+            rospy.Subscriber(topic, kind, self._on_phase, take, queue_size=10, tcp_nodelay=True)
         for topic, kind, take in (
             ("/trajectory", Trajectories, self._recorder.references),
             ("/controls", Controls, self._recorder.commands),
@@ -94,9 +90,9 @@ class DFPlots:
             take(rospy.get_time(), message.header.stamp.to_sec(), message.Obj)
         self._health.drawn(topic)
 
-    def _on_text(self, message, take):
+    def _on_phase(self, message, take):
         with self._lock:
-            take(rospy.get_time(), message.data)
+            take(rospy.get_time(), message)
 
     def _on_joy(self, message, presses):
         if presses.update(message.buttons, sender=origin(message)[1]).in_time:

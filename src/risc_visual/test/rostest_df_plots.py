@@ -15,9 +15,10 @@ import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Header, String
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
 PACKAGE = "risc_visual"
@@ -45,15 +46,17 @@ class Flight:
         self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
         self._references = rospy.Publisher("/trajectory", Trajectories, queue_size=1)
         self._commands = rospy.Publisher("/controls", Controls, queue_size=1)
-        self.phase = rospy.Publisher("/trajectory_phase", String, queue_size=10, latch=True)
-        self.course = rospy.Publisher("/trajectory_course", String, queue_size=10, latch=True)
+        self._phases = rospy.Publisher("/trajectory_phase", TrajectoryPhases, queue_size=10, latch=True)
         self.joy = rospy.Publisher("/risc1/joy", Joy, queue_size=10)
         threading.Thread(target=self._run, daemon=True).start()
 
     @property
     def is_heard(self):
-        topics = (self._states, self._references, self._commands, self.phase, self.course, self.joy)
+        topics = (self._states, self._references, self._commands, self._phases, self.joy)
         return all(publisher.get_num_connections() for publisher in topics)
+
+    def tell(self, course, phase):
+        self._phases.publish(TrajectoryPhases(course=course, vehicles=[VehiclePhase("fluffy_II", phase)]))
 
     def press(self):
         for value in (0, 1, 1, 0):
@@ -118,8 +121,7 @@ class DFPlotsTest(unittest.TestCase):
         wait_for(lambda: self.levels.get("DF_Plots") == DiagnosticStatus.WARN, "a warning that nothing comes")
 
     def test_2_the_button_of_the_vehicles_joystick_asks_for_the_plots(self):
-        self.flight.course.publish("circle")
-        self.flight.phase.publish("fluffy_II: course")
+        self.flight.tell("circle", VehiclePhase.COURSE)
         self.flight.flying.set()
         time.sleep(4.0)
         self.flight.press()
@@ -150,7 +152,7 @@ class DFPlotsTest(unittest.TestCase):
     def test_3_a_segment_that_is_over_gets_its_page_unasked(self):
         (table,) = self.files("circle", ".csv")
         before = len(self.rows(table))
-        self.flight.phase.publish("fluffy_II: home")
+        self.flight.tell("circle", VehiclePhase.HOME)
         wait_for(lambda: len(self.rows(table)) > before, "the whole of the segment")
 
     def test_4_the_service_draws_the_one_under_way(self):
@@ -162,7 +164,7 @@ class DFPlotsTest(unittest.TestCase):
         self.assertEqual(len(self.files("circle", ".png")), 1, "the first segment has kept its name")
 
     def test_5_what_was_not_drawn_is_drawn_at_the_end(self):
-        self.flight.course.publish("flat8")
+        self.flight.tell("flat8", VehiclePhase.HOME)
         time.sleep(3.0)
         self.assertEqual(self.files("flat8_home", ".csv"), [])
         rosnode.kill_nodes([NODE])

@@ -12,10 +12,11 @@ import rostest
 import tf2_ros
 import yaml
 from geometry_msgs.msg import Twist, TwistStamped, Vector3
-from std_msgs.msg import Bool, Header, String
+from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
+from risc_maap_msgs.msg import Safety
 from risc_msgs.msg import (
     Angle,
     Angles,
@@ -44,7 +45,7 @@ INPUTS = {
     "/states3": Landmarks,
     "/trajectory": Trajectories,
     "/risc2/controller_status": Bool,
-    "/risc2/safety": String,
+    "/risc2/safety": Safety,
     "/risc2/ardrone/navdata": Navdata,
     "/risc2/position_cov": TwistStamped,
     "/angles": Observed_angles,
@@ -198,17 +199,18 @@ class DrawNodesTest(unittest.TestCase):
         )
 
     def test_4_texts_of_a_vehicle(self):
-        self.publishers["/risc2/safety"].publish("ok")
+        self.publishers["/risc2/safety"].publish(Safety())
         for topic, ns, text in (
             ("/Ctrl_Status", "controller_status", "Raven: Autonomous"),
             ("/Battery_Status", "battery_status", "Raven: 60%"),
         ):
             self.fly_until(lambda topic=topic, wanted={ns: text}: self.texts(topic) == wanted, text)
-        self.publishers["/risc2/safety"].publish("hold: state 120 ms old")
+        hold = Safety(level=Safety.HOLD, rule=Safety.STATE, reason="state 120 ms old")
+        self.publishers["/risc2/safety"].publish(hold)
         wanted = {"controller_status": "Raven: hold: state 120 ms old"}
         self.fly_until(lambda: self.texts("/Ctrl_Status") == wanted, "the text of the safety")
         self.fly_until(lambda: self.texts("/Quad_Labels").get("Raven") == "Raven: HOLD", "the level at the vehicle")
-        self.publishers["/risc2/safety"].publish("ok")
+        self.publishers["/risc2/safety"].publish(Safety())
         self.fly_until(lambda: self.texts("/Quad_Labels").get("Raven") == "Raven", "the end of the hold")
 
     def test_5_a_lost_vehicle_is_shown_as_lost(self):

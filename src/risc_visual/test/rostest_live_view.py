@@ -16,14 +16,22 @@ import rosgraph
 import rospy
 import rostest
 import tf2_ros
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, TransformStamped
 from page_client import PageClient, wait_for
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
+from risc_maap_msgs.msg import (
+    ControllerReport,
+    EstimatorStatus,
+    OperatorState,
+    Safety,
+    TrackingError,
+    TrajectoryPhases,
+    VehiclePhase,
+)
 from risc_msgs.msg import Trajectories
 from risc_visual.drawing.ros import markers
 from risc_visual.drawing.scenery import load_scenery
@@ -38,13 +46,14 @@ OUTPUTS = {
     "angle_lines": MarkerArray,
     "/risc1/controller_status": Bool,
     "/risc1/ardrone/navdata": Navdata,
-    "/risc1/safety": String,
+    "/risc1/safety": Safety,
     "/trajectory": Trajectories,
-    "/trajectory_phase": String,
-    "/operator/phase": String,
-    "/diagnostics": DiagnosticArray,
+    "/trajectory_phase": TrajectoryPhases,
+    "/operator/phase": OperatorState,
+    "/controller_report": ControllerReport,
+    "/estimator_status": EstimatorStatus,
 }
-LATCHED = ("net", "/risc1/safety", "/operator/phase", "/trajectory_phase")
+LATCHED = ("net", "/risc1/safety", "/trajectory_phase")
 
 
 def free_port():
@@ -73,12 +82,9 @@ class LiveViewTest(unittest.TestCase):
             for topic, kind in OUTPUTS.items()
         }
         cls.topics["net"].publish(markers.net_markers(load_scenery().net, 0.0))
-        for topic, text in (
-            ("/risc1/safety", "hold: state 120 ms old"),
-            ("/operator/phase", "fly: on course"),
-            ("/trajectory_phase", "fluffy_II: course; Raven: hold"),
-        ):
-            cls.topics[topic].publish(text)
+        phases = VehiclePhase("fluffy_II", VehiclePhase.COURSE), VehiclePhase("Raven", VehiclePhase.HOLD)
+        cls.topics["/risc1/safety"].publish(Safety(level=Safety.HOLD, rule=Safety.STATE, reason="state 120 ms old"))
+        cls.topics["/trajectory_phase"].publish(TrajectoryPhases(vehicles=phases))
         cls.asked = []
         rospy.Service("/risc1/land", Trigger, cls.on_land)
         wait_for(cls.port_is_open, "the page")
@@ -169,12 +175,11 @@ class LiveViewTest(unittest.TestCase):
 
     def test_4_the_panel_says_what_the_vehicles_say_and_what_is_silent(self):
         page = self.open_page()
-        values = {"position error of fluffy_II (mm)": "23.4"}, {"rate [Hz]": "200.0", "vehicles visible": "2 of 2"}
-        names = "controller: controller", "states_estimation: states estimation", "operator: virtual operator"
-        statuses = [
-            DiagnosticStatus(name=name, values=[KeyValue(*item) for item in content.items()])
-            for name, content in zip(names, (*values, {}))
-        ]
+        reports = {
+            "/controller_report": ControllerReport(vehicles=[TrackingError("fluffy_II", 0.0234)]),
+            "/estimator_status": EstimatorStatus(rate_hz=200.0, visible=2, vehicles=2),
+            "/operator/phase": OperatorState(phase=OperatorState.FLY, text="on course"),
+        }
         wanted = {
             "autonomous</span>",
             "safety: hold: state 120 ms old",
@@ -188,7 +193,8 @@ class LiveViewTest(unittest.TestCase):
             self.topics["/risc1/controller_status"].publish(True)
             self.topics["/risc1/ardrone/navdata"].publish(Navdata(state=3, batteryPercent=60.0))
             self.topics["/trajectory"].publish(Trajectories())
-            self.topics["/diagnostics"].publish(DiagnosticArray(status=statuses))
+            for topic, report in reports.items():
+                self.topics[topic].publish(report)
             return all(text in page.text() for text in wanted)
 
         wait_for(all_is_there, page.text)

@@ -1,4 +1,7 @@
-"""risc_visual.browser.page: the server and the scene of the page. The page in a browser: tests/test_live_view.py."""
+"""The server of the page, also what it uses of viser and websockets that may move, and its scene.
+
+The page in a browser: tests/test_live_view.py.
+"""
 
 import socket
 import urllib.error
@@ -16,11 +19,10 @@ from risc_visual.browser.page import (
     SHAPES,
     BrowserPanel,
     BrowserScene,
-    is_page_of_others,
     net_of_sheet,
-    open_server,
     text_picture,
 )
+from risc_visual.browser.page_server import is_page_of_others, open_server
 
 GROUP = "/net/Net"
 POINTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))

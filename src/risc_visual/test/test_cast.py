@@ -1,11 +1,13 @@
 """Who is drawn, where, and as what."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from risc_visual.drawing.airframes import AIRFRAMES, PAINT, vehicle_colour
-from risc_visual.drawing.cast import Cast, Index, Pose, phases_from_text, reference_marks, rod_foot, title_text
+from risc_visual.drawing.cast import Cast, Index, Pose, phase_words, reference_marks, rod_foot, title_text
 
 NAN = float("nan")
 
@@ -111,8 +113,8 @@ def test_references_are_marked_at_rest_or_when_their_vehicle_is_away():
 
 
 def test_title_says_it_in_one_word_if_it_can():
-    assert phases_from_text("fluffy_II: course; Raven: approach") == {"fluffy_II": "course", "Raven": "approach"}
-    assert phases_from_text("nothing of the kind") == {}
+    vehicles = [SimpleNamespace(name="fluffy_II", phase=2), SimpleNamespace(name="Raven", phase=1)]
+    assert phase_words(vehicles) == {"fluffy_II": "course", "Raven": "approach"}
     assert title_text("circles3", {"a": "course", "b": "course"}) == "circles3\ncourse"
     assert title_text("", {"a": "course", "b": "home"}) == "a: course\nb: home"
     assert title_text("", {"a": "Circle"}) == "a: Circle"

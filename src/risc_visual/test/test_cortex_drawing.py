@@ -8,6 +8,7 @@ import pytest
 from geometry_msgs.msg import Twist, TwistStamped, Vector3
 from std_msgs.msg import Header
 
+from risc_control.failsafe import FailsafeLevel, Verdict
 from risc_lab.lab.fleet import FleetVehicle
 from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
@@ -71,7 +72,7 @@ def test_fifty_vehicles_keep_their_ids_whatever_the_order_and_whoever_is_lost():
 
 def test_paths_of_fifty_vehicles_have_ids_of_their_own_and_a_bounded_life():
     names = ["vehicle_%d" % k for k in range(50)]
-    paths = PathDrawing("quad_line", (1.0, 0.0, 0.0), TrailParams(10.0), 25.0, Index(names))
+    paths = PathDrawing("quad_line", (1.0, 0.0, 0.0), 0.04, TrailParams(10.0), 25.0, Index(names))
     alive = {}
     for step in range(100):
         head = markers.header(genpy.Time.from_sec(100.0 + 0.04 * step))
@@ -88,14 +89,14 @@ def test_paths_of_fifty_vehicles_have_ids_of_their_own_and_a_bounded_life():
 
 def test_the_rung_of_the_ladder_stands_at_the_vehicle_and_in_its_line():
     scene = drawing([vehicle(1), vehicle(2)])
-    scene.note_safety(0, "land: battery at 8 %")
-    scene.note_safety(1, "ok")
+    scene.note_safety(0, Verdict(FailsafeLevel.LAND, "battery at 8 %"))
+    scene.note_safety(1, Verdict(FailsafeLevel.OK, ""))
     assert scene.mode(HEAD, 0, "vehicle_1", True).text == "vehicle_1: land: battery at 8 %"
     assert scene.mode(HEAD, 1, "vehicle_2", False).text == "vehicle_2: Manual"
     labels = {m.ns: m for m in scene.vehicles(cortex(["vehicle_1", "vehicle_2"]), NOW_S)[1]}
     assert {name: m.text for name, m in labels.items()} == {"vehicle_1": "vehicle_1: LAND", "vehicle_2": "vehicle_2"}
     assert (labels["vehicle_1"].color.r, labels["vehicle_1"].color.g) == (1.0, 0.0)
-    scene.note_safety(0, "ok")
+    scene.note_safety(0, Verdict(FailsafeLevel.OK, ""))
     scene.mode(HEAD, 0, "vehicle_1", True)
     assert scene.vehicles(cortex(["vehicle_1"]), NOW_S)[1][0].text == "vehicle_1"
 
@@ -104,7 +105,7 @@ def test_the_rung_of_the_ladder_stands_at_the_vehicle_and_in_its_line():
 def test_the_rung_of_a_vehicle_that_says_nothing_more_is_no_news(later_s, text):
     """By the clock of ROS alone: a bag may be played slowly, or from the beginning."""
     scene = drawing([vehicle(1)], status_hz=2.0)
-    scene.note_safety(0, "hold: state 120 ms old")
+    scene.note_safety(0, Verdict(FailsafeLevel.HOLD, "state 120 ms old"))
     scene.mode(HEAD, 0, "vehicle_1", True)
     now_s = NOW_S + later_s
     assert scene.vehicles(cortex(["vehicle_1"], stamp_s=now_s), now_s)[1][0].text == text
@@ -112,7 +113,7 @@ def test_the_rung_of_a_vehicle_that_says_nothing_more_is_no_news(later_s, text):
 
 def test_a_rung_lasts_while_a_bag_is_played_slowly():
     scene = drawing([vehicle(1)], status_hz=1e3)  # a text lives 3 ms
-    scene.note_safety(0, "hold: state 120 ms old")
+    scene.note_safety(0, Verdict(FailsafeLevel.HOLD, "state 120 ms old"))
     scene.mode(HEAD, 0, "vehicle_1", True)
     time.sleep(0.01)
     assert scene.vehicles(cortex(["vehicle_1"]), NOW_S + 0.001)[1][0].text == "vehicle_1: HOLD"
@@ -134,7 +135,7 @@ def test_landmarks_have_the_colour_of_their_kind():
     msg = Landmarks(Header(stamp=genpy.Time(100)), [Landmark("Pink_blue", 2.3, 0.8, 1.5), Landmark("pole", 0, 0, 0)])
     spheres, labels = drawing().landmarks(msg)
     assert [(m.ns, m.color.r, m.color.g, m.color.b, m.color.a) for m in spheres] == [
-        ("Pink_blue", 1.0, 0.0, 0.5, 0.4),
+        ("Pink_blue", 1.0, 0.0, 0.5, 0.7),
         ("pole", 1.0, 1.0, 1.0, 0.4),
     ]
     assert [m.text for m in labels] == ["Pink_blue", "pole"]

@@ -12,12 +12,13 @@ import rosbag
 import rospy
 import yaml
 from programs import run_program
-from std_msgs.msg import String
 
 from data_extraction.bags import BagError
 from risc_lab.lab import load_fleet
 from risc_lab.lab.yaml_reader import package_file
+from risc_lab.phases import OperatorPhase, TrajectoryPhase
 from risc_lab.ros.params import params_from_dict
+from risc_maap_msgs.msg import OperatorState, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 from risc_visual.pictures.df_pages import PageWriter, file_stem, page, path_limits_m
 from risc_visual.pictures.df_plots import (
@@ -105,15 +106,21 @@ def test_full_scale_of_the_commands():
         full_scales_deg(PlotParams(vehicle_type="boat"))
 
 
+def told(course, phase):
+    """TrajectoryPhases of fluffy_II, and of another vehicle that holds."""
+    vehicles = [VehiclePhase("Raven", TrajectoryPhase.HOLD), VehiclePhase("fluffy_II", phase)]
+    return TrajectoryPhases(course=course, vehicles=vehicles)
+
+
 def test_a_segment_for_each_course_and_phase():
     recorder = Recorder(PlotParams())
-    recorder.operator_phase(T0_S, "fly: figure 1")
-    for begin_s, course, phase in ((0.0, "origin", "hold"), (3.0, "slanted8", "approach"), (6.0, "slanted8", "course")):
-        recorder.course(T0_S + begin_s, course)
-        recorder.phases(T0_S + begin_s, "Raven: hold; fluffy_II: %s" % phase)
+    recorder.operator(T0_S, OperatorState(phase=OperatorPhase.FLY))
+    hold, approach, course, home, _ = TrajectoryPhase
+    for begin_s, name, phase in ((0.0, "origin", hold), (3.0, "slanted8", approach), (6.0, "slanted8", course)):
+        recorder.phases(T0_S + begin_s, told(name, phase))
         fly(recorder, begin_s, begin_s + 3.0)
     fly(recorder, 9.0, 9.5)
-    recorder.phases(T0_S + 9.5, "fluffy_II: home")
+    recorder.phases(T0_S + 9.5, told("slanted8", home))
     fly(recorder, 9.5, 10.0)  # too short for a page
     assert (recorder.ended, [s.label for s in recorder.segments(growing=False)]) == (2, ["slanted8 approach"])
     recorder.finish()
@@ -124,8 +131,9 @@ def test_a_segment_for_each_course_and_phase():
 
 def test_the_operator_counts_where_no_trajectory_node_speaks():
     recorder = Recorder(PlotParams())
-    for begin_s, text in ((0.0, "takeoff: risc1"), (2.0, "fly: on course for 3 s"), (4.0, "fly: figure 2")):
-        recorder.operator_phase(T0_S + begin_s, text)
+    takeoff, fly_ = OperatorPhase.TAKEOFF, OperatorPhase.FLY
+    for begin_s, phase, text in ((0.0, takeoff, ""), (2.0, fly_, ""), (4.0, fly_, "figure 2")):
+        recorder.operator(T0_S + begin_s, OperatorState(phase=phase, text=text))
         fly(recorder, begin_s, begin_s + 2.0)
     recorder.finish()
     assert [s.label for s in recorder.segments()] == ["takeoff", "fly"]
@@ -241,7 +249,7 @@ def test_parameters():
 @pytest.fixture(scope="module")
 def segment():
     recorder = Recorder(PlotParams())
-    recorder.phases(T0_S, "fluffy_II: course")
+    recorder.phases(T0_S, told("", TrajectoryPhase.COURSE))
     fly(recorder, 0.0, 3.0)
     fly(recorder, 4.0, 6.0)
     recorder.finish()
@@ -324,8 +332,8 @@ def write_bag(path, seconds, phases=(), legacy=False, skip=()):
             if topic not in skip:
                 bag.write(topic, message, rospy.Time.from_sec(t_s))
 
-        for t_s, topic, text in phases:
-            write(topic, String(text), T0_S + t_s)
+        for t_s, phase in phases:
+            write("/trajectory_phase", told("flat8", phase), T0_S + t_s)
         for k in range(int(200 * seconds)):
             t_s = 0.005 * k
             now_s = T0_S + t_s
@@ -337,8 +345,7 @@ def write_bag(path, seconds, phases=(), legacy=False, skip=()):
 
 
 def test_pages_from_a_bag(tmp_path):
-    phases = [(0.0, "/trajectory_course", "flat8"), (0.0, "/trajectory_phase", "fluffy_II: approach"),
-              (2.0, "/trajectory_phase", "fluffy_II: course")]  # fmt: skip
+    phases = [(0.0, TrajectoryPhase.APPROACH), (2.0, TrajectoryPhase.COURSE)]
     bag = write_bag(tmp_path / "flight.bag", 6.0, phases)
     segments, files = plot_bag(bag, tmp_path / "out", PlotParams(), load_fleet(FLEET))
     assert [s.label for s in segments] == ["flat8 approach", "flat8"]

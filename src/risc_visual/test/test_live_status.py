@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
+from risc_control.failsafe import FailsafeLevel, Verdict
 from risc_visual.browser.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, Mocap, Report, Vehicle
 
 FLYING = 3
@@ -18,12 +19,12 @@ class Panel:
 
     def __init__(self):
         self.status = LiveStatus([Vehicle("risc1", "fluffy_II", 0), Vehicle("risc2", "albatross", 1)])
-        self.values = {("phase", ""): "fly: on course for 30 s", ("operator", ""): True, ("references", ""): True}
-        self.values["mocap", ""] = Mocap(200.0, "2 of 2")
+        self.values = {("operator", ""): "fly: on course for 30 s", ("references", ""): True}
+        self.values["mocap", ""] = Mocap(200.0, 2, 2)
         for name, template in (("risc1", "fluffy_II"), ("risc2", "albatross")):
             self.values["mode", name] = True
             self.values["navdata", name] = Report(FLYING, 87.0)
-            self.values["safety", name] = "ok"
+            self.values["safety", name] = Verdict(FailsafeLevel.OK, "")
             self.values["error_m", name] = 0.0234
             self.values["course", template] = "course"
         self.now_s = 300.0
@@ -110,7 +111,7 @@ def test_an_error_that_is_none_is_not_shown():
 
 def test_the_rung_of_the_ladder_and_its_reason_stand_out():
     panel = Panel()
-    panel.values["safety", "risc2"] = "land: landing was requested"
+    panel.values["safety", "risc2"] = Verdict(FailsafeLevel.LAND, "landing was requested")
     panel.values["mode", "risc2"] = False
     panel.hear()
     assert panel.told_as("bad") == ["safety: land: landing was requested"]
@@ -159,8 +160,8 @@ def test_no_answer_is_lost_when_several_come_at_once():
 
 def test_texts_from_outside_are_no_html():
     panel = Panel()
-    panel.values["safety", "risc1"] = "<script>alert(1)</script>"
-    panel.values["phase", ""] = "<b>&"
+    panel.values["safety", "risc1"] = Verdict(FailsafeLevel.HOLD, "<script>alert(1)</script>")
+    panel.values["operator", ""] = "<b>&"
     panel.hear()
     panel.status.note_answer("<i>", False, "<i>")
     assert not {"script", "i"} & {item.tag for item in panel.tree().iter()}

@@ -35,7 +35,7 @@ def everything_that_is_drawn():
     found += markers.pendulum_markers(HEAD, "Pendulum_tip", AT_M, AT_M, 1.0)
     found += markers.landmark_markers(HEAD, [("Green_pink", AT_M)], 1.0, {})
     found += markers.landmark_labels(HEAD, [("Green_pink", AT_M)], 0.8, 1.0)
-    found += markers.trail_markers(HEAD, "quad_line", 0, [(3, [AT_M, AT_M], 0.5)], (1.0, 0.0, 0.0), 1.0)
+    found += markers.trail_markers(HEAD, "quad_line", 0, [(3, [AT_M, AT_M], 0.5)], (1.0, 0.0, 0.0), 0.04, 1.0)
     found += markers.reference_markers(HEAD, 0, "fluffy_II", AT_M, True, 1.0)
     found += [
         markers.covariance_marker(HEAD, AT_M, (0.1, 0.1, 0.1), 1.0),

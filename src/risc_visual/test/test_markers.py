@@ -59,7 +59,7 @@ def everything():
         "Battery_Status": [markers.battery_marker(HEAD, k, name, 70.0, 1.5) for k, name in enumerate(("a", "b"))],
         "Cov_Quad": [markers.covariance_marker(HEAD, (0, 0, 1), (1e-4, 4e-4, 9e-4), 1.0)],
         "desired_trajectory": markers.trail_markers(
-            HEAD, "traj_line", 1, [(3, [(0, 0, 1), (0, 1, 1)], 0.5)], (0, 1, 0), 3.0
+            HEAD, "traj_line", 1, [(3, [(0, 0, 1), (0, 1, 1)], 0.5)], (0, 1, 0), 0.02, 3.0
         )
         + markers.reference_markers(HEAD, 0, "Raven", (0, 0, 1), True, 0.5),
         "desired_trajectory_name": [markers.title_marker(HEAD, "Circle", 1.5)],
@@ -159,9 +159,9 @@ def test_battery_turns_from_green_to_red(percent, red, green):
 
 def test_path_pales_with_age():
     pieces = [(0, [(0, 0, 1), (0, 1, 1)], 1.0), (1, [(0, 1, 1), (0, 2, 1)], 0.0)]
-    old, new = markers.trail_markers(HEAD, "quad_line", 0, pieces, markers.RED[:3], 3.0)
+    old, new = markers.trail_markers(HEAD, "quad_line", 0, pieces, markers.RED[:3], 0.04, 3.0)
     assert (new.color.r, new.color.g, new.color.b, new.color.a) == (1, 0, 0, 1)
-    assert old.color.a == 0.25 and old.scale.x == 0.01
+    assert old.color.a == 0.25 and old.scale.x == 0.04
 
 
 def test_covariance_is_three_sigma_wide():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from risc_lab.lab.yaml_reader import package_file
+from risc_visual.pictures.captions import LIGHT
 from risc_visual.pictures.orbit_view import (
     OrbitView,
     load_config,
@@ -61,15 +62,31 @@ def test_views_that_cannot_be_are_refused(changes):
         OrbitView(**dict({"distance_m": 1.0, "pitch_rad": 0.0, "yaw_rad": 0.0}, **changes))
 
 
+@pytest.mark.parametrize("size", [SIZE, (300, 900)])
+@pytest.mark.parametrize("pitch_rad", [0.1, 0.6, np.pi / 2])
+def test_a_fitted_view_is_filled(size, pitch_rad):
+    box = np.array([(x, y, z) for x in (-2.5, 2.5) for y in (-2.0, 2.0) for z in (0.0, 3.0)])
+    view = OrbitView(distance_m=1.0, pitch_rad=pitch_rad, yaw_rad=2.6).fitted(box, *size, margin=0.05)
+    pixels = view.project(box, *size)
+    free = np.minimum(pixels.min(axis=0), np.array(size) - 1 - pixels.max(axis=0)) / size
+    assert free.min() == pytest.approx(0.05, abs=0.005)
+    assert pixels.min(axis=0) + pixels.max(axis=0) == pytest.approx(np.array(size) - 1, abs=2.0), "in the middle"
+    assert (view.pitch_rad, view.yaw_rad) == (pitch_rad, 2.6), "from the same side"
+    assert orbit_view_from_dict(view.as_dict({"Class": "rviz/Orbit"})) == view
+
+
 def test_shipped_configuration_becomes_one_for_pictures():
     config = load_config(package_file("risc_visual", "config/Diff_flat.rviz"))
     top = saved_view(config, "Top")
-    made = picture_config(config, top, *SIZE, 5)
+    made = picture_config(config, top, SIZE, 5, LIGHT, ("/net",), ("traj_name",))
     assert orbit_view_from_dict(made["Visualization Manager"]["Views"]["Current"]).pitch_rad > 1.5
     assert made["Window Geometry"] == {"X": 0, "Y": 0, "Width": 1280, "Height": 900} and made["Panels"] == []
     assert made["Visualization Manager"]["Global Options"]["Frame Rate"] == 5
     assert made["Visualization Manager"]["Global Options"]["Fixed Frame"] == "cortex"
-    assert marker_topics(made) == marker_topics(config) and "/Quad_Markers" in marker_topics(config)
+    assert set(marker_topics(config)) - set(marker_topics(made)) == {"/net"} and "/Quad_Markers" in marker_topics(made)
+    manager = made["Visualization Manager"]
+    assert manager["Global Options"]["Background Color"] == "255; 255; 255"
+    assert all(item.get("Namespaces", {"traj_name": False}) == {"traj_name": False} for item in manager["Displays"])
     assert saved_view(config)["Distance"] == config["Visualization Manager"]["Views"]["Current"]["Distance"]
     with pytest.raises(ValueError, match="Bottom.*Flight, Top"):
         saved_view(config, "Bottom")

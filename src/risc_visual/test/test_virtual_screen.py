@@ -30,27 +30,6 @@ xlib.XSync(display, 0)
 time.sleep(60)
 """
 
-# An X server on a busy computer: it listens for a while before it has a screen.
-SLOW_SERVER = """#!%s
-import contextlib, os, signal, socket, struct, sys, time
-signal.signal(signal.SIGTERM, lambda *_: sys.exit())
-path = "/tmp/.X11-unix/X" + sys.argv[1][1:]
-os.makedirs(os.path.dirname(path), exist_ok=True)
-listener = socket.socket(socket.AF_UNIX)
-listener.bind(path)
-try:
-    listener.listen()
-    time.sleep(0.5)
-    with open(sys.argv[sys.argv.index("-fbdir") + 1] + "/Xvfb_screen0", "wb") as file:
-        file.write(struct.pack(">25I", 100, 7, 2, 24, 2, 2, 0, 0, 32, 0, 32, 32, 8, *12 * [0]) + bytes(16))
-    while True:
-        with contextlib.suppress(BrokenPipeError), listener.accept()[0] as client:
-            client.recv(12)
-            client.sendall(bytes([1]))
-finally:
-    os.unlink(path)
-"""
-
 needs_screen = pytest.mark.skipif(
     bool(missing_programs()), reason="no Xvfb: './maap screenshot' installs what pictures need"
 )
@@ -113,15 +92,6 @@ def test_an_empty_screen_is_no_picture():
         assert not shows_something(screen.picture())
         with pytest.raises(ScreenError, match="shows nothing of what it should"):
             screen.steady_picture(steady_s=0.2, timeout_s=1.0)
-
-
-def test_a_screen_that_is_there_has_a_picture(monkeypatch, tmp_path):
-    server = tmp_path / "Xvfb"
-    server.write_text(SLOW_SERVER % sys.executable)
-    server.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    with VirtualScreen(2, 2) as screen:
-        assert screen.picture().shape == (2, 2, 3)
 
 
 def test_missing_programs_are_named(monkeypatch, tmp_path):

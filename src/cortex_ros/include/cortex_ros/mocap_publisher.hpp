@@ -19,7 +19,8 @@
 
 namespace cortex_ros {
 
-// Frames of the source that the parameter `source` names -> mocap_data and mocap_time.
+// Frames of the source that the parameter `source` names -> mocap_data and mocap_time; once a second
+// mocap_status.
 class MocapPublisher : private SourceEvents {
  public:
   // Throws std::invalid_argument for a bad parameter.
@@ -68,6 +69,7 @@ class MocapPublisher : private SourceEvents {
   const SystemClock clock_;
   ros::Publisher markers_;
   ros::Publisher time_;
+  ros::Publisher status_;
 
   // Touched by the source's thread only.
   FrameSequence sequence_;

@@ -32,7 +32,7 @@ def seconds(time):
 
 def _add_fields(row, prefix, message):
     for field in dataclasses.fields(message):
-        if not field.name.startswith("__"):
+        if not _is_constant(field):
             _add(row, prefix, field.name, getattr(message, field.name))
 
 
@@ -84,4 +84,9 @@ def _inner_fields(label, item, own_name):
 
 
 def _is_time(value):
-    return {field.name for field in dataclasses.fields(value) if not field.name.startswith("__")} == {"sec", "nanosec"}
+    return {field.name for field in dataclasses.fields(value) if not _is_constant(field)} == {"sec", "nanosec"}
+
+
+def _is_constant(field):
+    """Whether a field belongs to the class: rosbags gives the constants of a message so, and its type."""
+    return str(field.type).startswith("ClassVar")

@@ -10,6 +10,7 @@ from data_extraction.bearing_errors import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
 from data_extraction.samples import Arrivals, Samples
 from risc_lab.lab.arena import Arena
+from risc_lab.phases import OperatorPhase, TrajectoryPhase
 
 SETTLED_ERROR_M = 0.05  # settled: the position error stays below this ...
 SETTLED_HOLD_S = 1.0  # ... for this long
@@ -120,7 +121,7 @@ class FlightCollector:
         self._commands = {}  # {topic of commands: Arrivals}
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
-        self._phases = []
+        self._phases = []  # (receipt, {vehicle: whether it is on its course})
         # Programs start before the operator's first phase that is not waiting, and end after its result.
         self._begun_s, self._over_s = -np.inf, np.inf
 
@@ -147,9 +148,10 @@ class FlightCollector:
             if _stamp_ns(message):
                 self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)
         elif topic.endswith("trajectory_phase"):
-            self._phases.append((receipt_s, message.data))
+            on_course = {item.name: item.phase == TrajectoryPhase.COURSE for item in message.vehicles}
+            self._phases.append((receipt_s, on_course))
         elif topic == "/operator/phase":
-            if self._begun_s == -np.inf and not message.data.startswith("waiting"):
+            if self._begun_s == -np.inf and message.phase != OperatorPhase.WAITING:
                 self._begun_s = receipt_s
         elif topic == "/operator/result":
             self._over_s = min(self._over_s, receipt_s)
@@ -260,11 +262,11 @@ class FlightCollector:
     def _course_spans(self, name):
         """[(begin, end)] of receipt times during which the trajectory node said that the vehicle is on its course."""
         spans, begin = [], None
-        for receipt_s, text in self._phases:
-            phase = dict(_phase_entries(text)).get(name)
-            if phase == "course" and begin is None:
+        for receipt_s, on_course in self._phases:
+            is_on = on_course.get(name)
+            if is_on and begin is None:
                 begin = receipt_s
-            elif phase is not None and phase != "course" and begin is not None:
+            elif is_on is False and begin is not None:
                 spans.append((begin, receipt_s))
                 begin = None
         if begin is not None:
@@ -369,14 +371,6 @@ def _since(stamps_ns, receipts_s, arrivals):
     arrived_ns, arrivals_s = arrivals.first()
     _, ours, theirs = np.intersect1d(stamps_ns, arrived_ns, assume_unique=True, return_indices=True)
     return arrivals_s[theirs] - receipts_s[ours]
-
-
-def _phase_entries(text):
-    """('fluffy_II', 'course'), ... of 'fluffy_II: course; Raven: hold' (also one a line)."""
-    for entry in text.replace("\n", ";").split(";"):
-        name, _, phase = entry.partition(":")
-        if phase:
-            yield name.strip(), phase.strip()
 
 
 def _series(table, clock):

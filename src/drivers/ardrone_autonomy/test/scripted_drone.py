@@ -10,8 +10,9 @@ import threading
 import time
 
 from ardrone_autonomy.protocol import AT_PORT, NAVDATA_PORT, at, navdata
-from ardrone_autonomy.protocol.navdata import ControlState, NavdataEncoder, State, Tag
-from ardrone_autonomy.protocol.profiles import ConfigurationStore
+from ardrone_autonomy.protocol.navdata import ControlState, State, Tag
+from risc_simulator.vehicles.ardrone.profiles import ConfigurationStore
+from risc_simulator.vehicles.ardrone.wire import NavdataEncoder, SequenceGate, parse_datagram
 
 PERIOD_S = 0.005
 TAKE_OFF_S = 0.3
@@ -64,7 +65,7 @@ class ScriptedDrone:
         self._client = None
         self._ids = None
         self._ack = False
-        self._gate = at.SequenceGate()
+        self._gate = SequenceGate()
         self._sequence = 0
         self._phase_since_s = time.monotonic()
         self._select = self._start = False
@@ -106,7 +107,7 @@ class ScriptedDrone:
                     self.wake_ups += 1
                     self._client = sender
                 else:
-                    for command in at.parse_datagram(data).commands:
+                    for command in parse_datagram(data).commands:
                         self._obey(command)
             if time.monotonic() >= next_s:
                 next_s += PERIOD_S

@@ -12,7 +12,7 @@ import av
 import numpy as np
 
 from ardrone_autonomy.protocol import VIDEO_PORT
-from ardrone_autonomy.protocol.video import StreamWriter
+from risc_simulator.video.stream_writer import StreamWriter
 
 CODED_PX = (640, 368)
 RATE_HZ = 30.0

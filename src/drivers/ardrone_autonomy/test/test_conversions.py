@@ -11,9 +11,10 @@ pytest.importorskip("ardrone_autonomy.msg", reason="the messages are not generat
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
-from ardrone_autonomy.protocol.navdata import ALL_TAGS, LAYOUTS, Navdata, NavdataEncoder, Tag
+from ardrone_autonomy.protocol.navdata import ALL_TAGS, LAYOUTS, Navdata, Tag
 from ardrone_autonomy.ros import conversions
 from ardrone_autonomy.ros.params import OPTION_NAMES
+from risc_simulator.vehicles.ardrone.wire import NavdataEncoder
 
 COVARIANCES = ((1.0,) * 9, (2.0,) * 9, (3.0,) * 9)
 

@@ -6,7 +6,8 @@ from ardrone_autonomy import link as link_module
 from ardrone_autonomy.link import DroneLink, Phase
 from ardrone_autonomy.piloting import HOVER, Sticks
 from ardrone_autonomy.protocol import at
-from ardrone_autonomy.protocol.navdata import ControlState, NavdataEncoder, State, Tag
+from ardrone_autonomy.protocol.navdata import ControlState, State, Tag
+from risc_simulator.vehicles.ardrone.wire import NavdataEncoder, parse_datagram
 
 WRITES = [("general:navdata_demo", "FALSE"), ("custom:session_id", "0badcafe"), ("control:outdoor", "TRUE")]
 FORWARD = Sticks(1, 0.0, -0.5, 0.0, 0.0)
@@ -50,7 +51,7 @@ class Bench:
         self.client = True
 
     def _on_command(self, data):
-        parsed = at.parse_datagram(data)
+        parsed = parse_datagram(data)
         assert not parsed.malformed
         self.datagrams.append(self.now_s)
         for command in parsed.commands:

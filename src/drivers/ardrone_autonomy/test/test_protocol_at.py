@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol import at
+from risc_simulator.vehicles.ardrone.wire import SequenceGate, parse_datagram
 
 GOLDEN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "golden")
 
@@ -27,7 +28,7 @@ def same(actual, expected):
 def test_golden_commands_both_ways(golden):
     sequence = int(golden["text"].split("=")[1].split(",")[0])
     assert at.encode(golden["name"], sequence, *golden["arguments"]) == golden["text"].encode() + b"\r"
-    (command,), malformed = at.parse_datagram(golden["text"].encode() + b"\r")
+    (command,), malformed = parse_datagram(golden["text"].encode() + b"\r")
     assert malformed == 0
     assert (command.name, command.sequence) == (golden["name"], sequence)
     assert same(command.arguments, golden["arguments"]), command
@@ -36,7 +37,7 @@ def test_golden_commands_both_ways(golden):
 def test_all_of_them_in_one_datagram_with_any_line_end():
     for end in ("\r", "\n", "\r\n", "\r\0", " \r"):
         text = end.join(c["text"] for c in COMMANDS)  # the last one without any end
-        commands, malformed = at.parse_datagram(text.encode())
+        commands, malformed = parse_datagram(text.encode())
         assert malformed == 0
         assert [c.name for c in commands] == [c["name"] for c in COMMANDS]
 
@@ -60,7 +61,7 @@ def test_float_patterns(value, pattern):
 
 
 def test_minus_zero_and_unsigned_patterns_are_accepted():
-    (command,), _ = at.parse_datagram(b"AT*PCMD=1,1,-2147483648,2147483648,3212836864,0\r")
+    (command,), _ = parse_datagram(b"AT*PCMD=1,1,-2147483648,2147483648,3212836864,0\r")
     assert command.arguments == (1, 0.0, 0.0, -1.0, 0.0)
     assert math.copysign(1.0, command.arguments[1]) == 1.0
 
@@ -127,7 +128,7 @@ def test_what_cannot_be_sent_is_refused(call):
     ],
 )
 def test_malformed_lines_are_counted_and_do_not_hide_their_neighbours(line):
-    commands, malformed = at.parse_datagram(b"AT*FTRIM=1\r" + line + b"\rAT*COMWDG=2\r")
+    commands, malformed = parse_datagram(b"AT*FTRIM=1\r" + line + b"\rAT*COMWDG=2\r")
     assert malformed == 1
     assert [c.name for c in commands] == ["FTRIM", "COMWDG"]
 
@@ -146,18 +147,18 @@ def test_malformed_lines_are_counted_and_do_not_hide_their_neighbours(line):
     ],
 )
 def test_tolerance(line, name, arguments):
-    (command,), malformed = at.parse_datagram(line + b"\r")
+    (command,), malformed = parse_datagram(line + b"\r")
     assert malformed == 0
     assert (command.name, command.arguments) == (name, arguments)
 
 
 def test_empty_datagrams_hold_nothing():
     for data in (b"", b"\r", b"\n\r\n", b"\0\0"):
-        assert at.parse_datagram(data) == ([], 0)
+        assert parse_datagram(data) == ([], 0)
 
 
 def test_sequence_rules():
-    gate = at.SequenceGate()
+    gate = SequenceGate()
     assert gate.accept(7)  # a first command may have any number
     assert [gate.accept(n) for n in (7, 6, 8, 8, 100, 9)] == [False, False, True, False, True, False]
     assert gate.accept(1) and gate.accept(2) and not gate.accept(2)  # 1 always resets
@@ -184,7 +185,7 @@ def test_sequence_counter_starts_at_one():
     )
 )
 def test_nothing_received_raises(data):
-    commands, malformed = at.parse_datagram(data)
+    commands, malformed = parse_datagram(data)
     assert malformed >= 0
     for command in commands:
         assert 0 <= command.sequence < 2**32
@@ -205,7 +206,7 @@ def test_round_trip(data):
     name = data.draw(st.sampled_from(sorted(at.SIGNATURES)))
     arguments = tuple(data.draw(_ARGUMENTS[kind]) for kind in at.SIGNATURES[name])
     sequence = data.draw(st.integers(0, 2**31))
-    (command,), malformed = at.parse_datagram(at.encode(name, sequence, *arguments))
+    (command,), malformed = parse_datagram(at.encode(name, sequence, *arguments))
     assert malformed == 0
     assert command == (name, sequence, arguments)
     for kind, value in zip(at.SIGNATURES[name], arguments):

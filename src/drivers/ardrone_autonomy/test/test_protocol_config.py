@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol import config
 from ardrone_autonomy.protocol.config import Category, ConfigError, Kind
-from ardrone_autonomy.protocol.profiles import ConfigurationStore
+from risc_simulator.vehicles.ardrone.profiles import ConfigurationStore
 
 SESSION, USER, APPLICATION = "00aabbcc", "cea48d22", "e182b69b"
 IDS = (SESSION, USER, APPLICATION)

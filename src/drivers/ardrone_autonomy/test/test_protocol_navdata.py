@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol import navdata
-from ardrone_autonomy.protocol.navdata import Navdata, NavdataEncoder, NavdataError, State, Tag
+from ardrone_autonomy.protocol.navdata import Navdata, NavdataError, State, Tag
+from risc_simulator.vehicles.ardrone.wire import NavdataEncoder, seconds_to_time
 
 GOLDEN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "golden")
 
@@ -211,7 +212,7 @@ def test_wake_up():
 
 @pytest.mark.parametrize("seconds, raw", [(0.0, 0), (1.0, 1 << 21), (2.5, 2 << 21 | 500000), (2049.0, 1 << 21)])
 def test_time(seconds, raw):
-    assert navdata.seconds_to_time(seconds) == raw
+    assert seconds_to_time(seconds) == raw
     assert navdata.time_to_seconds(raw) == pytest.approx(seconds % 2048.0, abs=1e-9)
 
 

@@ -13,10 +13,10 @@ from ardrone_autonomy.protocol.video import (
     PaveError,
     PaveHeader,
     StreamParser,
-    StreamWriter,
     pack_header,
     parse_header,
 )
+from risc_simulator.video.stream_writer import StreamWriter, nal_units
 
 # Put down by hand from the table of the protocol: (offset, format, value).
 FIELDS_BY_HAND = {
@@ -146,10 +146,10 @@ def test_what_fits_no_field_is_not_packed():
 
 # --- NAL units and the writer ----------------------------------------------------------------------------------------
 def test_nal_units():
-    assert video.nal_units(IDR) == [(7, 0, 10), (8, 10, 17), (5, 17, len(IDR))]
-    assert video.nal_units(P) == [(1, 0, len(P))]
+    assert nal_units(IDR) == [(7, 0, 10), (8, 10, 17), (5, 17, len(IDR))]
+    assert nal_units(P) == [(1, 0, len(P))]
     for nothing in (b"", b"\0\0\1", b"\0\0\0\1", b"abcdefgh"):
-        assert video.nal_units(nothing) == []
+        assert nal_units(nothing) == []
 
 
 @pytest.mark.parametrize("header_bytes", video.HEADER_SIZES)

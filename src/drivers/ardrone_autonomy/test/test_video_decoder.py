@@ -6,8 +6,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scripted_video import COLOURS, PICTURES_PER_IDR, bar_number, drawing, encoded, seen_channel
 
-from ardrone_autonomy.protocol.video import Codec, FrameType, StreamParser, StreamWriter, nal_units
+from ardrone_autonomy.protocol.video import Codec, FrameType, StreamParser
 from ardrone_autonomy.video_decoder import PictureDecoder
+from risc_simulator.video.stream_writer import StreamWriter, nal_units
 
 
 def packets_of(units, **writer):

@@ -9,9 +9,10 @@ from scripted_video import PICTURES_PER_IDR, RATE_HZ, ScriptedVideo, bar_number,
 
 from ardrone_autonomy import video_stream
 from ardrone_autonomy.protocol import VIDEO_PORT
-from ardrone_autonomy.protocol.video import Codec, FrameType, StreamWriter, parse_header
+from ardrone_autonomy.protocol.video import Codec, FrameType, parse_header
 from ardrone_autonomy.video_clock import LEAST_STEP_S
 from ardrone_autonomy.video_stream import VideoStream
+from risc_simulator.video.stream_writer import StreamWriter
 
 LIMIT_S = 20.0
 

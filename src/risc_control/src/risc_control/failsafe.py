@@ -21,7 +21,7 @@ time since.
 import enum
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from risc_control.separation import ALONE
 from risc_lab.lab.arena import Arena
@@ -34,9 +34,24 @@ class FailsafeLevel(enum.IntEnum):
     LAND = 2
 
 
+class Rule(enum.IntEnum):
+    """What set the level: the numbers of risc_maap_msgs/Safety, as are those of `FailsafeLevel`."""
+
+    NONE = 0
+    JOYSTICK = 1
+    STATE = 2
+    CONTROLS = 3
+    NAVDATA = 4
+    FENCE = 5
+    BATTERY = 6
+    SEPARATION = 7
+    REQUEST = 8
+
+
+WITHOUT_EFFECT = "; it does not land: the emergency stop is the operator's"  # behind the reason of such a verdict
 _OK, _HOLD, _LAND = FailsafeLevel  # the members of an enumeration are slow to look up, and this is asked in every frame
 _JOYSTICK_MEMORY_S = 60.0  # on the ground a joystick is missed for so long
-_FINE = (_OK, "", "", None)  # what `SafetyLadder._judge` says of a flight without trouble
+_FINE = (_OK, Rule.NONE, "", None)  # what `SafetyLadder._judge` says of a flight without trouble
 
 
 def fence_of(arena):
@@ -167,16 +182,19 @@ class Verdict:
     """Where on the ladder the vehicle stands."""
 
     level: FailsafeLevel
-    reason: str  # "" when OK; numbers in it are those of the moment the level was entered
+    reason: str  # for people; "" when OK; numbers in it are those of the moment the level was entered
     operator: bool = False  # LAND has no effect: the emergency stop is the operator's
+    rule: Rule = Rule.NONE
+    age_s: float | None = None  # of the newest good message that the rule looked at, then; None = no such rule
+    limit_s: float | None = None  # beyond which the level is entered
 
     @functools.cached_property
     def text(self):
-        """What goes out on the safety topic, e.g. "hold: state 120 ms old"."""
+        """For people, e.g. "hold: state 120 ms old"."""
         if self.level == _OK:
             return "ok"
         text = "%s: %s" % (self.level.name.lower(), self.reason)
-        return text + "; it does not land: the emergency stop is the operator's" if self.operator else text
+        return text + WITHOUT_EFFECT if self.operator else text
 
 
 @dataclass(frozen=True)
@@ -196,8 +214,8 @@ class SafetyLadder:
         self.state = Freshness("state", limits.clock_tolerance_s)
         self.controls = Freshness("controls", limits.clock_tolerance_s)
         self._losses = (  # what it flies on, and how old that may be
-            ("state", self.state, limits.state_hold_s, limits.state_land_s),
-            ("controls", self.controls, limits.controls_hold_s, limits.controls_land_s),
+            (Rule.STATE, self.state, limits.state_hold_s, limits.state_land_s),
+            (Rule.CONTROLS, self.controls, limits.controls_hold_s, limits.controls_land_s),
         )
         self.verdict = Verdict(_OK, "")
         self.reactions = []  # the newest Reaction of each level that was entered for age, oldest first
@@ -213,7 +231,6 @@ class SafetyLadder:
         self._near = Lasting()
         self._apart_since_s, self._apart_reason = None, ""  # it holds or lands because of other vehicles
         self._position_m = None
-        self._kind = ""  # which rule set the verdict
         self._land_since_s = None
         margin_m, sides = limits.fence_margin_m, zip(limits.fence_min_m, limits.fence_max_m)
         self._room_m = tuple((low + margin_m, high - margin_m) for low, high in sides)  # x, y, z; where it may be
@@ -240,7 +257,7 @@ class SafetyLadder:
         """The newest `separation.Look` while it holds because of other vehicles, else None. Nobody is sent aside before
         it is time to land: first all come to a stop.
         """
-        if self.verdict.level != _HOLD or self._kind != "separation":
+        if self.verdict.level != _HOLD or self.verdict.rule != Rule.SEPARATION:
             return None
         stops = now_s - self._apart_since_s < self.limits.separation_land_s
         return self._look._replace(aside=ALONE.aside) if stops else self._look
@@ -296,12 +313,12 @@ class SafetyLadder:
     def request_landing(self, now_s):
         """Somebody wants it down: LAND, in every mode. One that lands already keeps its reason."""
         if self.verdict.level != _LAND:
-            self._set(_LAND, "request", "landing was requested", None, now_s)
+            self._set(_LAND, Rule.REQUEST, "landing was requested", None, now_s)
 
     def take_over(self):
         """The operator flies: whatever was decided is taken back, and joysticks that are silent are missed no more."""
         self._joysticks_s.clear()
-        self._set(_OK, "", "", None, 0.0)
+        self._set(*_FINE, 0.0)
 
     def update(self, now_s, autonomous, airborne, obeys=False, needs_navdata=True):
         """Judge the situation. Returns the `Verdict`, which is also kept in `self.verdict`.
@@ -322,51 +339,52 @@ class SafetyLadder:
                 self._land_since_s = now_s
             without_effect = now_s - self._land_since_s > self.limits.operator_after_s
             if without_effect != self.verdict.operator:
-                self.verdict = Verdict(_LAND, self.verdict.reason, without_effect)
+                self.verdict = replace(self.verdict, operator=without_effect)
             return self.verdict
-        level, kind, reason, reaction = self._judge(now_s, autonomous, needs_navdata)
-        if level != self.verdict.level or kind != self._kind:
-            self._set(level, kind, reason, reaction, now_s)
+        level, rule, reason, age = self._judge(now_s, autonomous, needs_navdata)
+        if level != self.verdict.level or rule != self.verdict.rule:
+            self._set(level, rule, reason, age, now_s)
         return self.verdict
 
-    def _set(self, level, kind, reason, reaction, now_s):
-        self._kind = kind
+    def _set(self, level, rule, reason, age, now_s):
         if level == _OK:
             self._apart_since_s = None
-        elif kind == "separation" and self._apart_since_s is None:
+        elif rule == Rule.SEPARATION and self._apart_since_s is None:
             self._apart_since_s, self._apart_reason = now_s, reason
         self._land_since_s = now_s if level == _LAND else None
         entered = level > self.verdict.level
-        self.verdict = Verdict(level, reason)
-        if entered and reaction is not None and math.isfinite(reaction[0]):
-            self.reactions = [old for old in self.reactions if old.level != level] + [Reaction(level, *reaction)]
+        age_s, limit_s = age or (None, None)
+        self.verdict = Verdict(level, reason, rule=rule, age_s=age_s, limit_s=limit_s)
+        if entered and age is not None and math.isfinite(age_s):
+            reaction = Reaction(level, age_s, age_s - limit_s)
+            self.reactions = [old for old in self.reactions if old.level != level] + [reaction]
 
     def _judge(self, now_s, autonomous, needs_navdata):
-        """(level, rule, reason, (age, age beyond the threshold) or None) by the first rule of the highest level."""
+        """(level, rule, reason, (age, its threshold) or None) by the first rule of the highest level."""
         limits = self.limits
         age_s = now_s - (min(self._joysticks_s.values()) if self._joysticks_s else self._joystick_s)
         if 0.0 < limits.joystick_timeout < age_s:
             name = min(self._joysticks_s, key=self._joysticks_s.get, default="")
             reason = "joystick%s silent for %.1f s" % (" " + name if name else "", age_s)
-            return _LAND, "joystick", reason, (age_s, age_s - limits.joystick_timeout)
+            return _LAND, Rule.JOYSTICK, reason, (age_s, limits.joystick_timeout)
         if not autonomous:
             return _FINE
         hold = _FINE
-        for what, fresh, hold_s, land_s in self._losses:
+        for rule, fresh, hold_s, land_s in self._losses:
             age_s = fresh.age_s(now_s)
             if age_s > land_s:
-                return _LAND, what, fresh.describe(now_s), (age_s, age_s - land_s)
+                return _LAND, rule, fresh.describe(now_s), (age_s, land_s)
             if age_s > hold_s and hold is _FINE:
-                hold = _HOLD, what, fresh.describe(now_s), (age_s, age_s - hold_s)
+                hold = _HOLD, rule, fresh.describe(now_s), (age_s, hold_s)
         age_s = math.inf if self._navdata_s is None else now_s - self._navdata_s
         if needs_navdata and 0.0 < limits.navdata_timeout_s < age_s:
             reason = "navdata silent for %.1f s" % age_s if self._navdata_s is not None else "no navdata yet"
-            return _LAND, "navdata", reason, (age_s, age_s - limits.navdata_timeout_s)
+            return _LAND, Rule.NAVDATA, reason, (age_s, limits.navdata_timeout_s)
         # Seen outside for that long: one false position followed by silence is a loss, not an escape.
         if self._outside.lasts(limits.fence_delay_s):
-            return _LAND, "fence", "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
+            return _LAND, Rule.FENCE, "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
         if self._battery_low.lasts(limits.battery_delay_s):
-            return _LAND, "battery", "battery at %.0f %%" % self._battery_pct, None
+            return _LAND, Rule.BATTERY, "battery at %.0f %%" % self._battery_pct, None
         if self._apart_since_s is None and not self._near.lasts(limits.separation_delay_s):
             return hold
         # No way back: its reference has gone on, and it would chase after it through the others.
@@ -375,4 +393,4 @@ class SafetyLadder:
         level = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD
         if level <= hold[0]:
             return hold
-        return level, "separation", self._look.reason or self._apart_reason, None
+        return level, Rule.SEPARATION, self._look.reason or self._apart_reason, None

@@ -12,7 +12,6 @@ the task, and `accept` refuses the plan of the old one.
 """
 
 import math
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -20,20 +19,11 @@ import numpy as np
 from risc_control.motions import LINK, NO_PATHS, NO_TABLE, ORDERS, coasting, sample_fleet, standing
 from risc_control.trajectories import Course, on_course
 from risc_control.transitions import Home, Task, WayLimits, load, plan_ways
+from risc_lab.phases import TrajectoryPhase as Phase
 from risc_lab.states import AIRBORNE_M
 
 _GATHER_S = 0.3  # vehicles that become autonomous within this time start together
 _DEEPEST = 4  # blends of blends; with more orders in so short a time the next way begins at a coasting vehicle
-
-
-class Phase(Enum):
-    """What a vehicle's reference is doing; the values are the words on trajectory_phase."""
-
-    HOLD = "hold"  # where the vehicle is, or where it became autonomous
-    APPROACH = "approach"
-    COURSE = "course"
-    HOME = "home"
-    HOMED = "homed"
 
 
 _PHASES = tuple(Phase)
@@ -318,11 +308,6 @@ def _pack(motions):
     table = np.concatenate([NO_TABLE] + [motion.table for motion in motions])
     given = np.zeros((*links.shape, ORDERS, 3)) if functions else NO_PATHS
     return _Packed(links, counts, table, given, functions)
-
-
-def phase_text(names, phases):
-    """The text on trajectory_phase: 'fluffy_II: course; Raven: hold'."""
-    return "; ".join("%s: %s" % (name, phase.value) for name, phase in zip(names, phases))
 
 
 def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=TrajectoryManager, **options):

@@ -191,7 +191,7 @@ class Orders:
     status = None  # autonomous?, when it is time to say so
     mode = None  # autonomous?, when that has just changed
     simulator_reset = None  # value for the parameter RESET of simulators
-    safety = None  # new text of the safety topic
+    safety = None  # Verdict, when it has just changed
     shut_down = False
     log = ()  # of (level "info" | "warn" | "error", sentence)
 
@@ -280,7 +280,7 @@ class VehiclePilot:
         self._takeoff_s = None  # when a take-off was ordered of which nothing was heard yet
         self._state = None
         self._state_s = 0.0  # when the state held [s]
-        self._safety_text = None
+        self._told = None  # the newest Verdict of the orders
         self._simulator_reset = False
         self._ended = False
         self._land_s = -math.inf
@@ -536,8 +536,8 @@ class VehiclePilot:
             ladder.request_landing(now_s)
         obeys = self.flight_state == _LANDING
         verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, not self._params.Simulation)
-        if verdict.text != self._safety_text:
-            self._safety_text = orders.safety = verdict.text
+        if verdict is not self._told and verdict != self._told:
+            self._told = orders.safety = verdict
             if verdict.level > before.level or verdict.operator:
                 orders.say("error" if verdict.operator else "warn", verdict.text)
             elif before.level > _OK:

@@ -19,6 +19,7 @@ from cortex_ros.wire import MAX_BODIES
 from data_extraction.progress import Progress
 from data_extraction.report.origin import PROCESSORS
 from risc_control.trajectories import COURSES, course_for_fleet
+from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.fleets import default_fleet
 from risc_experiments.flight_progress import flight_detail
 from risc_experiments.flight_record import write_flight, write_parameters
@@ -28,13 +29,14 @@ from risc_experiments.processor_use import ProcessorUse
 from risc_experiments.report import WITH_CAMERAS, make_report
 from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import load_calibration
+from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 BROWSER_PORT = 8080  # of the web page, unless somebody else has it
-IN_THE_AIR = ("takeoff", "settle", "fly", "home", "land")  # phases of the operator
+IN_THE_AIR = range(OperatorPhase.TAKEOFF, OperatorPhase.LAND + 1)
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # ask for the end
 TRIED_RATES = "RISC_MAAP_TRIED_RATES"  # for the process that begins again at a lower rate
 USE_PERIOD_S = 2.0  # how often the processors' use is noted
@@ -65,6 +67,7 @@ def arguments(argv):
     add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
     add("--delay", type=float, metavar="S", help="command delay (default: that of the type, 0.1 s)")
     add("--mocap-rate", type=float, metavar="HZ", help="of motion capture (default: 200, less if it must be)")
+    add_option(add)
     add("--ideal", action="store_true", help="plant exactly as the controllers believe it to be")
     add("--gusts", action="store_true", help="with gusts of wind")
     add("--rviz", action="store_true", help="open rviz")
@@ -93,6 +96,7 @@ def arguments(argv):
         parser.error("--mocap-rate must be from %g to 500 Hz" % RATES_HZ[-1])
     if args.psi is not None and not math.isfinite(args.psi):
         parser.error("--psi must be a number of degrees")
+    args.estimator = estimator_of(getattr(args, "controller", None), args.estimator)
     return args
 
 
@@ -163,6 +167,7 @@ def launch_arguments(args, fleet, folder):
         "browser": str(args.browser).lower(),
         "psi_deg": "" if args.psi is None else args.psi,
         "ready": READY_S,
+        "estimator": args.estimator,
     }
     if args.experiment == "df_demo":
         result["bumper_steps"] = bumper_steps(args)
@@ -190,7 +195,9 @@ class TooSlow(str):
 
 
 def fly(args, folder, progress, interrupted):
-    """Carry out the flight. Returns the operator's result, or TooSlow. Raises FlightError when it could not be done."""
+    """Carry out the flight. Returns why it failed, "" when it did not, or TooSlow. Raises FlightError when it could not
+    be done.
+    """
     reservation = PortReservation()
     launch = page = None
     try:
@@ -225,14 +232,14 @@ def fly_slower(module, argv, folder, reason, progress, interrupted):
     """Begin again in a new process (rospy knows one master in its life), at the next lower rate of motion capture.
 
     module, argv: what runs now, and its command line.  folder: of the flight so far, whose bag is removed.
-    Returns only when there is no lower rate: the flight's result. Raises FlightError when it is interrupted.
+    Returns only when there is no lower rate: why the flight failed. Raises FlightError when it is interrupted.
     """
     rate_hz = load_fleet(folder / "fleet.yaml").mocap.rate_hz
     os.environ[TRIED_RATES] = json.dumps([*tried_rates(), {"rate_hz": rate_hz, "reason": reason}])
     lower_hz = next_rate_hz(rate_hz)
     if lower_hz is None:
         return (
-            "failed: this computer is too slow to fly so many vehicles: %s at %g Hz, and below %g Hz a lost frame or "
+            "this computer is too slow to fly so many vehicles: %s at %g Hz, and below %g Hz a lost frame or "
             "two would leave the vehicles without control" % (reason, rate_hz, RATES_HZ[-1])
         )
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # they wait until the new process has its handlers
@@ -301,7 +308,7 @@ def _wait_for_master(launch, port, interrupted):
 
 
 def _follow(args, folder, launch, watch, progress, interrupted, page=None):
-    """Wait for the end of the flight, showing its progress. Returns the operator's result.
+    """Wait for the end of the flight, showing its progress. Returns why it failed, "" when it did not, or TooSlow.
 
     As soon as everything has started, the parameters are written down. page: a `WebPage` to look for.
     """
@@ -310,7 +317,7 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
     use, use_s = ProcessorUse(launch.identity), 0.0
     headroom = Headroom(launch.identity)
     may_be_slower = args.mocap_rate is None or tried_rates()
-    while not watch.result:
+    while watch.failure is None:
         if not recorded and watch.operator_heard:  # by then roslaunch has set everything, and nothing flies yet
             recorded = True
             try:
@@ -319,8 +326,8 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
                 progress.say("the parameters are not recorded: %s" % error)
         if page is not None:
             page.look()
-        phase, _, detail = watch.phase.partition(": ")
-        if phase == "waiting" and not detail and may_be_slower and not landing:
+        phase, text = watch.phase, watch.text
+        if phase == OperatorPhase.WAITING and not text and may_be_slower and not landing:
             problem = headroom.look(watch)
             if problem:
                 return TooSlow(problem)
@@ -328,23 +335,24 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
             use_s = time.monotonic() + USE_PERIOD_S
             use.look()
             (folder / PROCESSORS).write_text(json.dumps(use.figures(), indent=2) + "\n", encoding="utf-8")
-        progress.show(phase, "  ".join(filter(None, (flight_detail(watch.errors_mm, watch.rate_hz), detail))))
+        name = "starting" if phase is None else phase.name.lower()
+        progress.show(name, "  ".join(filter(None, (flight_detail(watch.errors_mm, watch.rate_hz), text))))
         if interrupted.wait(0.1) and not landing:
             progress.say("interrupted: landing all vehicles (once more: stop at once)")
             landing = True
             interrupted.clear()
             deadline = time.monotonic() + STOP_PATIENCE_S
             if not watch.land():
-                return "failed: interrupted, and the operator does not answer"
+                return "interrupted, and the operator does not answer"
         elif interrupted.is_set():
-            return "failed: interrupted twice"
+            return "interrupted twice"
         if not launch.running():
-            return "failed: a node that the flight needs has died (see roslaunch.log)"
+            return "a node that the flight needs has died (see roslaunch.log)"
         if watch.operator_silent():
-            return "failed: the operator has died (see roslaunch.log)"
+            return "the operator has died (see roslaunch.log)"
         if time.monotonic() > deadline:
-            return "failed: interrupted" if landing else "failed: not finished in time (phase: %s)" % watch.phase
-    return watch.result
+            return "interrupted" if landing else "not finished in time (phase: %s)" % name
+    return watch.failure
 
 
 def main(argv=None):
@@ -361,7 +369,7 @@ def main(argv=None):
         if isinstance(result, TooSlow):
             words = [*argv, "--out", folder]
             result = fly_slower("risc_experiments.fly", words, folder, result, progress, interrupted)
-        progress.say("all vehicles have landed" if result == "ok" else result)
+        progress.say("failed: " + result if result else "all vehicles have landed")
         return make_report(args, folder, result, progress, interrupted, tried_rates())
     except (FlightError, ValueError, OSError, RuntimeError) as error:
         progress.say("maap fly: %s" % error)

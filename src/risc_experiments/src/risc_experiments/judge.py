@@ -17,16 +17,14 @@ class Limits:
     bearing_rms_deg: float = 0.2  # per vehicle, object and angle, of what its camera saw whole
 
 
-def judge(flight, operator_result, limits=None, with_cameras=False):
+def judge(flight, failure, limits=None, with_cameras=False):
     """List of reasons why the flight failed; empty when it passed.
 
-    flight: data_extraction.flight_metrics.Flight; operator_result: text of /operator/result, '' when it never came.
+    flight: data_extraction.flight_metrics.Flight; failure: why it failed while it was carried out; "" = it did not.
     with_cameras: every vehicle had to measure bearings.
     """
     limits = limits or Limits()
-    reasons = []
-    if operator_result != "ok":
-        reasons.append(operator_result or "the operator never finished")
+    reasons = [failure] if failure else []
     for name, vehicle in flight.vehicles.items():
         reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena)]
         if with_cameras:

@@ -11,11 +11,14 @@ falls silent or loses its joystick node is noted as failed: it is told to land, 
 stands, and is left alone from then on; the others fly on. Times are seconds of a clock that never steps.
 """
 
-import enum
 import math
 from dataclasses import dataclass
 
+from risc_control.failsafe import FailsafeLevel
 from risc_control.vehicle_pilot import FlightState
+from risc_lab.phases import OperatorPhase as Phase
+from risc_lab.phases import OperatorResult
+from risc_lab.phases import TrajectoryPhase as Trajectory
 
 _HOVERS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
@@ -27,17 +30,6 @@ _SURE_S = 0.5  # a vehicle whose newest report is older may have landed meanwhil
 _TAKEOFF_AGAIN_S = 2.0
 _TOGGLE_AGAIN_S = 1.0
 _TAKEOFF_PENDING_S = 3.0  # a take-off that was pressed may show that late: until then "landed" is no proof
-
-
-class Phase(enum.Enum):
-    WAITING = "waiting"
-    TAKEOFF = "takeoff"
-    SETTLE = "settle"
-    FLY = "fly"
-    HOME = "home"
-    LAND = "land"
-    DONE = "done"
-    ABORTED = "aborted"
 
 
 @dataclass(frozen=True)
@@ -132,8 +124,8 @@ class Watched:
         self.pad = Joypad()
         self.flight_state = None
         self.autonomous = False
-        self.safety = ""
-        self.trajectory_phase = ""
+        self.trajectory_phase = None
+        self.safety, self.safety_reason = FailsafeLevel.OK, ""
         self.failure = ""  # why it is out; "" while it takes part
         self.seen_s = self.reported_s = self.status_s = -math.inf
         self._in_air = False  # by the newest report that says anything about it
@@ -183,7 +175,7 @@ class Operator:
         self.call_home = False
         self.phase = Phase.WAITING
         self.text = ""  # detail of the phase
-        self.result = ""  # "ok" or "failed: ..."; "" until the end
+        self.result, self.reason = OperatorResult.RUNNING, ""  # reason: why it failed
         self._params = params
         self._since_s = now_s  # begin of the phase
         self._ready_since_s = None
@@ -208,13 +200,14 @@ class Operator:
         watched = self.vehicles[name]
         watched.autonomous, watched.status_s = autonomous, now_s
 
-    def on_safety(self, name, text):
-        """The vehicle's loss ladder changed levels: "ok", "hold: ...", "land: ..."."""
-        self.vehicles[name].safety = text
+    def on_safety(self, name, level, reason):
+        """The vehicle's loss ladder changed levels. level: FailsafeLevel or its number."""
+        watched = self.vehicles[name]
+        watched.safety, watched.safety_reason = level, reason
 
     def on_trajectory_phase(self, name, phase):
-        """The trajectory node says where the vehicle is on its way: "approach", "course", "homed", ..."""
-        self.vehicles[name].trajectory_phase = phase
+        """The trajectory node says where the vehicle is on its way. phase: of trajectory_manager, or its number."""
+        self.vehicles[name].trajectory_phase = Trajectory(phase)
 
     def request_landing(self, reason, now_s):
         """Land everything now; the flight counts as failed."""
@@ -235,8 +228,8 @@ class Operator:
 
     @property
     def phase_text(self):
-        """What goes out on /operator/phase, e.g. "waiting: risc2 not seen by mocap"."""
-        return self.phase.value + (": " + self.text if self.text else "")
+        """Phase for people, e.g. "waiting: risc2 not seen by mocap"."""
+        return self.phase.name.lower() + (": " + self.text if self.text else "")
 
     def step(self, now_s):
         """Look, decide, press."""
@@ -315,7 +308,7 @@ class Operator:
             if self._overdue(params.autonomous_timeout, now_s):
                 self._fail("no autonomous mode within %g s: %s" % (params.autonomous_timeout, ", ".join(manual)), now_s)
             return
-        away = [name for name, w in self._taking_part() if w.trajectory_phase != "course"]
+        away = [name for name, w in self._taking_part() if w.trajectory_phase != Trajectory.COURSE]
         if away and not params.bumper_steps:
             self.text = "%s on the way to the course" % ", ".join(away)
             if self._overdue(params.course_timeout, now_s):
@@ -346,7 +339,7 @@ class Operator:
     def _go_home(self, now_s):
         if not self._homing:
             self._homing = self.call_home = True
-        away = [name for name, w in self._taking_part() if w.trajectory_phase != "homed"]
+        away = [name for name, w in self._taking_part() if w.trajectory_phase != Trajectory.HOMED]
         if not away:
             self._enter(Phase.LAND, now_s)
             return
@@ -393,8 +386,8 @@ class Operator:
         limit_s = self._params.report_timeout
         flew = self.phase == Phase.HOME or self._course_since_s is not None
         for name, w in self._taking_part():
-            if w.safety.startswith("land"):
-                w.failure = "landed by its loss ladder (%s)" % w.safety[len("land") :].strip(": ")
+            if w.safety == FailsafeLevel.LAND:
+                w.failure = "landed by its loss ladder (%s)" % w.safety_reason
             elif started and w.flight_state in (FlightState.LANDED, FlightState.LANDING):
                 w.failure = "landed by itself"
             elif w.is_silent(self._params, now_s):
@@ -429,6 +422,7 @@ class Operator:
     def _finish(self, now_s):
         reasons = [self._failure] if self._failure else []
         reasons += ["%s %s" % (name, w.failure) for name, w in self.vehicles.items() if w.failure]
-        self.result = "failed: " + "; ".join(reasons) if reasons else "ok"
+        self.result = OperatorResult.FAILED if reasons else OperatorResult.OK
+        self.reason = "; ".join(reasons)
         self._enter(Phase.ABORTED if reasons else Phase.DONE, now_s)
-        self.text = "; ".join(reasons)
+        self.text = self.reason

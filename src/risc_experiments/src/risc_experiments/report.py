@@ -19,10 +19,11 @@ LATE_LIMIT_MS = 10.0  # two frames at 200 Hz: a lab that is later than this (p99
 VIDEO_LATE_LIMIT_MS = 5.0  # of the pictures that came soonest: stamps rest on them, and a nose turns 0.1 deg meanwhile
 
 
-def make_report(args, folder, operator_result, progress, interrupted, tried=()):
+def make_report(args, folder, failure, progress, interrupted, tried=()):
     """Evaluate the flight in `folder` and print what came out. Returns the exit code, 0 when it passed.
 
-    args: of `fly.arguments`; operator_result: text of /operator/result; interrupted: threading.Event that stops it.
+    args: of `fly.arguments`; failure: why it failed while it was carried out, "" = it did not.
+    interrupted: threading.Event that stops it.
     tried: [{"rate_hz", "reason"}] of the rates of motion capture for which the computer was too slow.
     Raises ValueError for a useless bag, and when it is interrupted.
     """
@@ -33,7 +34,7 @@ def make_report(args, folder, operator_result, progress, interrupted, tried=()):
     try:
         flight, reasons = collector.flight.flight(), None
     except ValueError as error:  # no whole flight: summary and report say what there is
-        flight, reasons = collector.flight.overview(), [operator_result, str(error)]
+        flight, reasons = collector.flight.overview(), [failure, str(error)]
     material = collector.material(flight)
     model, used = simulation_model(args, folder), material.origin.processors
     result = summary.summarise(flight, args.experiment, model, artefacts, used)
@@ -48,8 +49,8 @@ def make_report(args, folder, operator_result, progress, interrupted, tried=()):
         progress.show("drawing")
         title = "%s, seed %d (simulated)" % (args.trajectory or args.experiment, args.seed)
         artefacts["plots"] = [str(picture) for picture in plots.draw_all(flight, folder / "plots", title)]
-        reasons = judge(flight, operator_result, with_cameras=args.experiment in WITH_CAMERAS)
-    reasons = [reason for reason in reasons if reason and reason != "ok"]
+        reasons = judge(flight, failure, with_cameras=args.experiment in WITH_CAMERAS)
+    reasons = [reason for reason in reasons if reason]
     if reasons:
         reasons += filter(None, [want_of_time(result)])
     result.update(passed=not reasons, reasons=reasons, limits=dict(vars(Limits())))

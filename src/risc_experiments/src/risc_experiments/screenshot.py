@@ -36,6 +36,7 @@ def arguments(argv):
     views_help = "%s, or FILE.rviz[:SAVED VIEW] (default: all that the bag has something for)" % ", ".join(VIEWS)
     add("--views", type=_names, metavar="A,B", help=views_help)
     add("--size", type=_size, default=(1280, 900), metavar="WxH", help="in pixels (default: 1280x900)")
+    add("--light", action="store_true", help="on white, for print (default: on black)")
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet of the bag (default: fleet.yaml beside it)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the pictures (default: beside the bag)")
     args, rest = parser.parse_known_args(argv)
@@ -75,10 +76,10 @@ def flown(args, rest, progress, argv):
         result = fly.fly(flight, folder, progress, interrupted)
         if isinstance(result, fly.TooSlow):
             result = fly.fly_slower("risc_experiments.screenshot", argv, folder, result, progress, interrupted)
-    if result != "ok":
+    if result:
         raise fly.FlightError(
             "no pictures of a flight that failed: %s (./maap screenshot %s/flight.bag makes them all the same)"
-            % (result.replace("failed: ", "", 1), folder)
+            % (result, folder)
         )
     return folder
 
@@ -112,13 +113,15 @@ def main(argv=None):
         bag_path = flown(args, rest, progress, argv) / "flight.bag" if experiment else pathlib.Path(args.what)
         fleet = bag_path.parent / "fleet.yaml"
         fleet = args.fleet if args.fleet and not experiment else fleet if fleet.exists() else None
+        arena = None
         if fleet:
-            load_fleet(fleet)  # a mistake in it is one line here, and a dead node there
+            arena = load_fleet(fleet).arena  # a mistake in it is one line here, and a dead node there
         with Bag(bag_path) as bag:
             at_s = moment_of(bag) if args.at is None else args.at
             names = args.views or standard_views(bag, fleet)
         out = args.out or bag_path.parent / "screenshots"
-        for path in take_pictures(bag_path, views_from(names, args.size), at_s, out, fleet, experiment, progress):
+        views = views_from(names, args.size, args.light, arena)
+        for path in take_pictures(bag_path, views, at_s, out, fleet, experiment, progress):
             print(path)
     except KeyboardInterrupt:
         progress.say("interrupted")

@@ -14,7 +14,6 @@ import math
 import socket
 import struct
 from collections import Counter, deque
-from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -37,31 +36,6 @@ ANALOG_BIT_DEPTH = 16
 FRAME_NUMBER_MASK = 0x7FFFFFFF  # the wire's frame number is signed
 
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class FaultPlan:
-    """What the host does wrong. The default is a faultless host."""
-
-    silent: bool = False  # off the network: hears nothing, sends nothing
-    dropped_bodies: frozenset[str] = frozenset()  # bodies that frames leave out
-    hidden_bodies: frozenset[str] = frozenset()  # bodies whose markers are all missing
-    reply_copies: int = 1  # 2: every reply comes twice; 0: none comes
-    reply_delay_s: float = 0.0  # replies come late
-    reply_command: int | None = None  # replies carry this command code instead of their own
-    cut_bytes: int = 0  # bytes that every datagram lacks at its end
-    length_error: int = 0  # added to the declared payload length of every datagram
-
-    def __post_init__(self):
-        if self.reply_command is not None and not 0 <= self.reply_command <= 0xFFFF:
-            raise ValueError("fault plan: command code %r does not fit 16 bits" % (self.reply_command,))
-        if self.reply_copies < 0 or self.cut_bytes < 0 or not 0.0 <= self.reply_delay_s < math.inf:
-            raise ValueError("fault plan %r: copies, delay and bytes to cut must not be negative" % (self,))
-        for name in ("dropped_bodies", "hidden_bodies"):
-            value = getattr(self, name)
-            if isinstance(value, str):
-                raise ValueError("fault plan: %s is one text, %r: give a list of body names" % (name, value))
-            object.__setattr__(self, name, frozenset(value))
 
 
 class LatenessHistogram:
@@ -127,6 +101,7 @@ class CortexHost(SocketHost):
     live_on_start: stream without waiting for a client's LiveMode.
     discovery: also hear clients that broadcast their hello.
     interface: address of the network card that the multicast stream goes out by; "" = the card that owns the host.
+    wires: faults.Wires, of which it uses cortex/requests, cortex/replies and cortex/stream; None = wires of its own.
 
     Raises ValueError when the bodies cannot be shown (too many, frame larger than a datagram) and OSError when an
     address cannot be used. Afterwards nothing that comes from the network raises: it is counted, see statistics().
@@ -143,8 +118,9 @@ class CortexHost(SocketHost):
         live_on_start=False,
         discovery=True,
         interface="",
+        wires=None,
     ):
-        super().__init__()
+        super().__init__("cortex", wires)
         if not 0.0 < endpoint.rate_hz < math.inf:
             raise ValueError("frame rate is %r Hz: give a positive one" % (endpoint.rate_hz,))
         self._world = world
@@ -162,8 +138,7 @@ class CortexHost(SocketHost):
         self._take_at = 0
         self._play_mode = 0  # -1 backwards, 0 paused, 1 forwards
 
-        self._faults, self._faults_until_s = FaultPlan(), math.inf
-        self._late_replies = []  # (due time, datagram, address)
+        self._requests, self._replies, self._stream = map(self.wire, ("requests", "replies", "stream"))
 
         self._counts = Counter()
         self._request_counts = Counter()
@@ -217,8 +192,6 @@ class CortexHost(SocketHost):
     def on_readable(self, sock, now_s):
         """Answer what has come in on one of sockets() at lab time now_s."""
         self._last_now_s = now_s
-        if now_s >= self._faults_until_s:
-            self.clear_faults()
         for _ in range(DATAGRAMS_PER_CALL):
             try:
                 size, sender = sock.recvfrom_into(self._buffer)
@@ -227,24 +200,19 @@ class CortexHost(SocketHost):
             except OSError:
                 self._counts["receive_errors"] += 1
                 break
-            if not self._faults.silent:
-                self._on_datagram(bytes(self._buffer[:size]), sender)
-        if self._late_replies:
-            self._send_late_replies(now_s)
+            self._requests.carry(bytes(self._buffer[:size]), sender, now_s, self._on_datagram)
 
     def tick(self, now_s):
         """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
         self._last_now_s = now_s
-        if now_s >= self._faults_until_s:
-            self.clear_faults()
         periods = self._periods_entered()
         if periods and self._live:
             self._counts["exposures_skipped"] += periods - 1
             self._expose_and_send()
         elif periods and self._play_mode:
             self._step_playback(periods)
-        if self._late_replies:
-            self._send_late_replies(now_s)
+        if now_s >= self.wires.due_s:
+            self.wires.release(now_s)
 
     def close(self):
         """Close the sockets. May be called twice."""
@@ -291,33 +259,6 @@ class CortexHost(SocketHost):
         if live and not self._live:
             self._play_mode, self._last_exposure = 0, None
         self._live = bool(live)
-
-    @property
-    def faults(self):
-        """The FaultPlan in force."""
-        return self._faults
-
-    def inject(self, duration_s=None, **faults):
-        """Replace the faults by those given (fields of FaultPlan) for duration_s [s], or until clear_faults().
-
-        Raises ValueError for a fault or a body that does not exist.
-        """
-        known = {field.name for field in fields(FaultPlan)}
-        unknown = sorted(set(faults) - known)
-        if unknown:
-            raise ValueError("no such fault: %s; choose from %s" % (", ".join(unknown), ", ".join(sorted(known))))
-        plan = FaultPlan(**faults)
-        strangers = sorted((plan.dropped_bodies | plan.hidden_bodies) - set(self._body_names))
-        if strangers:
-            raise ValueError(
-                "no such body: %s; the host shows %s" % (", ".join(strangers), ", ".join(self._body_names))
-            )
-        self._faults = plan
-        self._faults_until_s = math.inf if duration_s is None else self._now_s() + duration_s
-
-    def clear_faults(self):
-        """Be faultless again."""
-        self._faults, self._faults_until_s = FaultPlan(), math.inf
 
     def jump_frame_number(self, by):
         """Let the next frame number jump by `by` (negative: as after a new take)."""
@@ -400,18 +341,10 @@ class CortexHost(SocketHost):
         """Tell clients that are already there that the host is back; they watch the stream for it."""
         hello = wire.encode_identity(Command.HERE_I_AM, IDENTITY)
         for target in self._stream_targets:
-            self._send(self._stream_socket, hello, target)
+            self._send_stream(hello, target, self._last_now_s)
 
-    def _send(self, sock, datagram, address):
+    def _send(self, datagram, address, sock):
         """True when it went out."""
-        faults = self._faults
-        if faults.silent:
-            return False
-        if faults.length_error or faults.cut_bytes:
-            datagram = bytearray(datagram)
-            length = struct.unpack_from("<H", datagram, 2)[0]
-            struct.pack_into("<H", datagram, 2, (length + faults.length_error) & 0xFFFF)
-            datagram = datagram[: max(len(datagram) - faults.cut_bytes, 0)]
         try:
             sock.sendto(datagram, address)
         except OSError as error:  # also: no room in the buffer, no route, a bad address
@@ -421,21 +354,14 @@ class CortexHost(SocketHost):
             return False
         return True
 
-    def _reply_to(self, address, datagram):
-        faults = self._faults
-        if faults.reply_command is not None:
-            datagram = struct.pack("<H", faults.reply_command) + datagram[2:]
-        for _ in range(faults.reply_copies):
-            if faults.reply_delay_s > 0.0:
-                self._late_replies.append((self._now_s() + faults.reply_delay_s, bytes(datagram), address))
-            else:
-                self._counts["replies"] += self._send(self._command_socket, datagram, address)
+    def _send_stream(self, datagram, address, _now_s):
+        return self._send(datagram, address, self._stream_socket)
 
-    def _send_late_replies(self, now_s):
-        due = [reply for reply in self._late_replies if reply[0] <= now_s]
-        self._late_replies = [reply for reply in self._late_replies if reply[0] > now_s]
-        for _, datagram, address in due:
-            self._counts["replies"] += self._send(self._command_socket, datagram, address)
+    def _send_reply(self, datagram, address, _now_s):
+        self._counts["replies"] += self._send(datagram, address, self._command_socket)
+
+    def _reply_to(self, address, datagram):
+        self._replies.carry(datagram, address, self._last_now_s, self._send_reply)
 
     def _now_s(self):
         return self._last_now_s if self._clock is None else self._clock()
@@ -472,8 +398,6 @@ class CortexHost(SocketHost):
 
     def _expose_and_send(self):
         observation = self._cameras.observe(self._world.time_s, self._world.layout, self._world.markers_m())
-        if self._faults.dropped_bodies or self._faults.hidden_bodies:
-            observation = self._with_body_faults(observation)
         self._number = (self._number + 1) & FRAME_NUMBER_MASK
         self._counts["frames_exposed"] += 1
         try:
@@ -489,18 +413,8 @@ class CortexHost(SocketHost):
         if self._recording is not None and self._recording.active:
             self._take.append(frame)
         self._lateness.add(now_s - (frame.exposure_s + self._endpoint.reported_delay_s))
-        sent = [self._send(self._stream_socket, frame.packet, target) for target in self._stream_targets]
+        sent = [self._stream.carry(frame.packet, target, now_s, self._send_stream) for target in self._stream_targets]
         self._counts["frames_sent"] += any(sent)
-
-    def _with_body_faults(self, observation):
-        layout, blocks = [], []
-        for name, markers_m in observation.bodies():
-            if name in self._faults.dropped_bodies:
-                continue
-            layout.append((name, len(markers_m)))
-            blocks.append(np.full_like(markers_m, np.nan) if name in self._faults.hidden_bodies else markers_m)
-        all_markers_m = np.concatenate(blocks) if blocks else np.empty((0, 3))
-        return observation._replace(layout=tuple(layout), markers_m=all_markers_m)
 
     def _step_playback(self, periods):
         """Show the next frame of the take; stop at its end."""
@@ -512,7 +426,7 @@ class CortexHost(SocketHost):
 
     # --- requests -------------------------------------------------------------------------------------------------
 
-    def _on_datagram(self, datagram, sender):
+    def _on_datagram(self, datagram, sender, _now_s):
         try:
             command, payload = wire.split_packet(datagram)
             if command in (Command.HELLO_WORLD, Command.ARE_YOU_THERE):

@@ -3,6 +3,8 @@
 import math
 import select
 
+from risc_simulator.faults import Wires
+
 
 class SocketSet:
     """Waits for members that have a fileno(), by epoll: a wake costs what can be read, not what is waited for.
@@ -45,10 +47,19 @@ class SocketSet:
 
 
 class SocketHost:
-    """A host: on_readable(sock, now_s) of the subclass serves what comes in on the sockets of self._waiting."""
+    """A host: on_readable(sock, now_s) of the subclass serves what comes in on the sockets of self._waiting.
 
-    def __init__(self):
+    Each datagram that it hears or says passes one of its wires, where faults may act on it.
+    """
+
+    def __init__(self, name, wires=None):
+        """name: the first part of its channels' names. wires: faults.Wires of the lab; None = its own."""
         self._waiting = SocketSet()
+        self._name, self.wires = name, Wires() if wires is None else wires
+
+    def wire(self, what):
+        """faults.Wire of one of its channels, which it makes in its constructor. what: its name without the host's."""
+        return self.wires.wire("%s/%s" % (self._name, what))
 
     def fileno(self):
         """Descriptor to wait on: when it can be read call serve()."""
@@ -66,7 +77,7 @@ class SocketHost:
 
 
 class VehicleHost(SocketHost):
-    """What one vehicle is on the wire. Constructed with (vehicle, address, seed, radio_loss), see VirtualLab.
+    """What one vehicle is on the wire. Constructed with (vehicle, address, seed, radio_loss, wires), see VirtualLab.
 
     vehicle: world.Vehicle.  address: IPv4 address of this computer to listen on.  Raises OSError naming the cause and
     the cure when that cannot be used; nothing that arrives later raises.
@@ -76,8 +87,9 @@ class VehicleHost(SocketHost):
 
     video_listener = None  # the TCP listener for video, bound; None: it has no camera
 
-    def __init__(self):
-        super().__init__()
+    def __init__(self, vehicle, wires=None):
+        super().__init__(vehicle.namespace, wires)
+        self._vehicle = vehicle
         self._now_s = 0.0  # lab time that it was last told
         self._lost_until_s = -math.inf  # injected
 

@@ -31,6 +31,7 @@ import numpy as np
 from risc_lab.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
+from risc_simulator.faults import WireFault, Wires, load_wire_faults
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
 from risc_simulator.socket_host import SocketSet
 from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
@@ -65,6 +66,7 @@ class VirtualLab:
         radio_loss=0.0,
         interface="",
         cameras_ahead=False,
+        wire_faults=(),
     ):
         """fleet: Fleet. perturbed: vehicles differ from their nominal type. gusts: moving air.
         command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
@@ -74,6 +76,7 @@ class VirtualLab:
         (The fleet's mocap.interface is the client's card, which may be one of another computer.)
         cameras_ahead: start the camera process now, so that the first client of a vehicle's video is served at once as
         by the aircraft, and not only when that client has come.
+        wire_faults: faults.WireFaults, what acts on the hosts' datagrams.
         """
         self.fleet = fleet
         self.radio_loss = radio_loss
@@ -114,6 +117,7 @@ class VirtualLab:
         self._start_s = time.monotonic()
         self._served_s = 0.0  # lab time that hosts were last told
         self._hosts = []
+        self.wires = Wires(seed)
         self._waiting = SocketSet()
         self._video = None
         self._board_until_s = {}  # {namespace: lab time} of the checkerboards that are waved
@@ -126,12 +130,13 @@ class VirtualLab:
                 templates=templates,
                 live_on_start=live_on_start,
                 interface=interface,
+                wires=self.wires,
             )
             self._hosts.append(self.cortex_host)
             self.vehicle_hosts = {}
             for vehicle in fleet.vehicles:
                 body = self.world.vehicles[vehicle.namespace]
-                host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=radio_loss)
+                host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=radio_loss, wires=self.wires)
                 self.vehicle_hosts[vehicle.namespace] = host
                 self._hosts.append(host)
             self._video = VideoLauncher(fleet, seed, [host.video_listener for host in self.vehicle_hosts.values()])
@@ -142,6 +147,8 @@ class VirtualLab:
                 host.attach_video(VehicleVideo(self._video, index))
             for host in self._hosts:
                 self._waiting.add(host)
+            for fault in wire_faults:
+                self.wires.add(fault)
         except (OSError, ValueError):
             self.close()
             raise
@@ -243,9 +250,15 @@ class VirtualLab:
 
     def _serve_until(self, due_s):
         while True:
-            wait_s = due_s - self._forgive(due_s)
+            now_s = self._forgive(due_s)
+            wait_s = due_s - now_s
+            if self.wires.due_s < due_s:  # a datagram that a fault has delayed
+                self.wires.release(now_s)
+                wait_s = min(due_s, self.wires.due_s) - now_s
             # select, because a timeout of epoll's own counts in whole milliseconds
             if not select.select((self._waiting,), (), (), max(wait_s, 0.0))[0]:
+                if self.wires.due_s < due_s:
+                    continue
                 return
             for host in self._waiting.readable():
                 host.serve(self._forgive(due_s))
@@ -273,7 +286,17 @@ class VirtualLab:
 
     def silence_mocap(self, duration_s):
         """Take the Cortex host off the network."""
-        self.cortex_host.inject(duration_s, silent=True)
+        self.inject("blackhole", "cortex/*", duration_s=duration_s)
+
+    def inject(self, fault, channel, severity=1.0, duration_s=math.inf):
+        """Let a fault act on the datagrams of some channels from now on, see faults.WireFault; "" ends all there.
+
+        Raises ValueError for a fault, channel or severity that does not exist.
+        """
+        if fault:
+            self.wires.add(WireFault(fault, channel, severity, self._served_s, duration_s))
+        else:
+            self.wires.clear(channel)
 
     def lose_link(self, namespace, duration_s):
         """Take a vehicle's link off the air. Raises ValueError for an unknown vehicle."""
@@ -348,6 +371,7 @@ class VirtualLab:
                 }
                 for crash in self.world.crashes
             ],
+            "wires": self.wires.statistics(),
             "cortex": self.cortex_host.statistics(),
             "vehicles": vehicles,
         }
@@ -449,6 +473,7 @@ def _parse_arguments(arguments):
         metavar="P",
         help="what the radio loses of commands and navdata, 0 to 1",
     )
+    parser.add_argument("--faults", metavar="FILE.yaml", help="what happens to datagrams, and when")
     parser.add_argument("--duration", type=float, metavar="S", help="stop after this time (default: Ctrl-C)")
     parser.add_argument("--stats", metavar="FILE.json", help="write the statistics there at the end")
     parser.add_argument("--live", action="store_true", help="stream at once, without waiting for a client's LiveMode")
@@ -502,6 +527,7 @@ def main(arguments=None):
             radio_loss=options.radio_loss,
             interface=options.interface,
             cameras_ahead=not options.cameras_on_demand,
+            wire_faults=load_wire_faults(options.faults) if options.faults else (),
         )
     except (ValueError, OSError) as error:
         print("virtual_lab: %s" % error, file=sys.stderr)

@@ -121,7 +121,7 @@ class _Kind:
 
     def __init__(self, type_name, body_name, columns):
         self.columns = np.array(columns, dtype=np.uintp)
-        self.integrator, dtype, self.body = _equations(type_name, body_name)
+        (self.advance, self.differentiate), dtype, self.body = _equations(type_name, body_name)
         self.records = np.zeros(len(columns), dtype=dtype)
         if self.body is not None:
             self.records["body"] = self.body.values
@@ -228,7 +228,8 @@ class World:
         for one in carried:
             one.rest(self._x)
 
-        self._lifted, self._touches = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        self._flags = np.zeros((2, n), dtype=bool)  # lifted; touches floor or net
+        self._lifted = self._flags[0]
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
         self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
         self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
@@ -283,29 +284,26 @@ class World:
 
     def _advance(self, steps):
         """Advance by so many steps, or fewer if something happens."""
-        alone = len(self._kinds) == 1
         anyone_touches = False
         for kind in self._kinds:
-            made, least_m2, touching = kind.integrator.advance(
+            made, least_m2, touching = kind.advance(
                 self._x,
                 self._u,
-                self._lifted,
-                self._touches,
+                self._flags,
                 kind.columns,
                 kind.records,
                 self.step_s,
-                steps if alone else min(steps, 1),
+                steps,
                 self._gust_block,
                 self._steps % _GUST_BLOCK,
                 self._net_m,
-                alone,
             )
             anyone_touches |= touching
         self._steps += made
         if anyone_touches:
-            for i in np.flatnonzero(self._touches).tolist():
+            for i in np.flatnonzero(self._flags[1]).tolist():
                 self._meet_wall_or_floor(i)
-        if anyone_touches or not alone:
+        if anyone_touches or len(self._kinds) > 1:
             least_m2 = min(least_m2, closest(self._x, self._lifted))
         if least_m2 < self._least_squared_m2:
             self._least_squared_m2 = least_m2
@@ -472,7 +470,7 @@ class World:
         """Slopes and thrusts at world time, once."""
         if self._slope_at != self._steps:
             for kind in self._kinds:
-                kind.integrator.differentiate(self._x, self._u, kind.columns, kind.records, self._slope, self._thrust_n)
+                kind.differentiate(self._x, self._u, kind.columns, kind.records, self._slope, self._thrust_n)
             self._slope_at = self._steps
 
     def _state(self, i):

@@ -1,12 +1,10 @@
-"""Which computer flies which vehicle, and how old what it answers is there: from the vehicle nodes' diagnostics."""
+"""Which computer flies which vehicle, and how old what it answers is there: from the status of the vehicle nodes."""
 
 from dataclasses import dataclass
 
-from data_extraction.report.diagnostics import DiagnosticsCollector
 from data_extraction.report.naming import vehicle_of
 
-_OLDEST = "oldest state answered by a command (ms)"
-_BEHIND = "clock behind that of the states, at least (ms)"
+NODE_STATUS = "/node_status"
 
 
 @dataclass
@@ -18,22 +16,24 @@ class Computer:
     behind_ms: float = 0.0  # by how much its clock is behind that of the stamps, at least; the largest that was told
 
 
-class ComputerCollector(DiagnosticsCollector):
-    """Keeps the worst figures of each vehicle's computer."""
+class ComputerCollector:
+    """Takes the messages of a bag one by one, keeps the worst figures of each vehicle's computer."""
 
     def __init__(self):
         self._computers = {}
 
-    def take(self, status):
-        """Take one DiagnosticStatus; those of other nodes are passed over."""
-        node, _, what = status.name.partition(": ")
-        values = {pair.key: pair.value for pair in status.values}
-        if not what.startswith("vehicle ") or "computer" not in values:
+    def wants(self, topic):
+        """Whether messages of this topic say anything here."""
+        return topic.endswith(NODE_STATUS)
+
+    def __call__(self, topic, _receipt_s, message):
+        """Take one message; topics that are of no interest are passed over."""
+        if not topic.endswith(NODE_STATUS):
             return
-        computer = self._computers.setdefault(vehicle_of(node), Computer(values["computer"]))
-        computer.name = values["computer"]
-        computer.oldest_ms = max(computer.oldest_ms, float(values.get(_OLDEST, 0.0)))
-        computer.behind_ms = max(computer.behind_ms, float(values.get(_BEHIND, 0.0)))
+        computer = self._computers.setdefault(vehicle_of(topic), Computer(message.computer))
+        computer.name = message.computer
+        computer.oldest_ms = max(computer.oldest_ms, 1e3 * message.oldest_state_s)
+        computer.behind_ms = max(computer.behind_ms, 1e3 * message.clock_behind_s)
 
     def computers(self):
         """{vehicle's namespace: Computer} of those that reported."""

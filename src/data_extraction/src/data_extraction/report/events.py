@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 
 from data_extraction.report.naming import vehicle_of
+from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
 
 _MOST = 400  # events that are kept; twice as many while the bag is read
 _AGAIN_S = 3.0  # the same event within so long is the same one, repeated
@@ -49,7 +50,7 @@ class EventCollector:
         self._newest = {}  # key -> (its newest event, {source: when that last came})
         self._pressed = {}  # source -> buttons held
         self._modes = {}
-        self._phases = {}
+        self._phases, self._operator = {}, None
 
     @property
     def events(self):
@@ -76,10 +77,16 @@ class EventCollector:
                 # numbers in a warning are those of the moment
                 key = re.sub(r"\d+", "#", message.msg)
                 self._add(receipt_s, message.name.strip("/"), message.msg, key, is_minor=True)
-        elif topic.startswith("/operator/"):
-            self._add(receipt_s, "operator", message.data if last == "phase" else "result: " + message.data)
+        elif topic == "/operator/phase":
+            said = OperatorPhase(message.phase).name.lower(), message.text
+            if said != self._operator:  # it is repeated as a sign of life
+                self._operator = said
+                self._add(receipt_s, "operator", ": ".join(filter(None, said)))
+        elif topic == "/operator/result":
+            said = OperatorResult(message.result).name.lower(), message.reason
+            self._add(receipt_s, "operator", "result: " + ": ".join(filter(None, said)))
         elif topic == "/trajectory_phase":
-            self._note_phases(receipt_s, message.data)
+            self._note_phases(receipt_s, message.vehicles)
         elif last == "joy":
             held = {index for index, value in enumerate(message.buttons) if value}
             for index in sorted(held - self._pressed.get(source, set())):
@@ -92,13 +99,11 @@ class EventCollector:
         else:
             self._add(receipt_s, vehicle_of(topic, levels=2), _ORDERS[last])  # of RISC/ardrone/land
 
-    def _note_phases(self, receipt_s, text):
-        for item in text.replace("\n", ";").split(";"):
-            vehicle, _, phase = item.partition(":")
-            vehicle, phase = vehicle.strip(), phase.strip()
-            if phase and self._phases.get(vehicle) != phase:
-                self._phases[vehicle] = phase
-                self._add(receipt_s, vehicle, "trajectory: " + phase)
+    def _note_phases(self, receipt_s, vehicles):
+        for vehicle in vehicles:
+            if self._phases.get(vehicle.name) != vehicle.phase:
+                self._phases[vehicle.name] = vehicle.phase
+                self._add(receipt_s, vehicle.name, "trajectory: " + TrajectoryPhase(vehicle.phase).name.lower())
 
     def _add(self, time_s, source, text, key=None, is_minor=False):
         """Enter an event. key: what makes it the same as another one; None = its text."""

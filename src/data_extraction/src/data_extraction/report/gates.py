@@ -1,14 +1,12 @@
-"""What the estimator and the mocap client refused, and why: from their counters on /diagnostics."""
+"""What the estimator and the mocap client refused, and why: from the counters that they publish."""
 
 from dataclasses import dataclass
 
-from data_extraction.report.diagnostics import DiagnosticsCollector
+_FRAMES = "frames"
 
-FRAMES = "frames"
-
-# How the status of a node ends -> {its counter: what was refused}; the rest of a status are no decisions.
+# How the topic of a node's status ends -> {its counter: what was refused}; its other counters are no decisions.
 GATES = {
-    "states estimation": {
+    "estimator_status": {
         "duplicate_stamps": "frame refused: its stamp is that of the one before",
         "backward_stamps": "frame refused: its stamp is older than the one before",
         "clock_resets": "all windows emptied: the clock of the stamps was set, or no frame came for ten seconds",
@@ -18,7 +16,7 @@ GATES = {
         "tilted": "body refused: upside down, which is taken for swapped markers",
         "outside": "body invisible: outside the arena",
     },
-    "mocap stream": {
+    "mocap_status": {
         "lost": "frame missing in the stream",
         "duplicates": "frame refused: came twice",
         "late": "frame refused: came after its successor",
@@ -28,6 +26,7 @@ GATES = {
         "stale answers": "answer refused: to an older question",
     },
 }
+TITLES = {"estimator_status": "states estimation", "mocap_status": "mocap stream"}
 
 
 @dataclass
@@ -39,24 +38,30 @@ class GateCounts:
     unknown: str = ""  # bodies without a template
 
 
-class GateCollector(DiagnosticsCollector):
-    """Counters grow while their node lives; after a restart they are added."""
+class GateCollector:
+    """Takes the messages of a bag one by one. Counters grow while their node lives; after a restart they are added."""
 
     def __init__(self):
         self._newest = {}  # {(gate, counter): value}
         self._before = {}  # the same, of lives of the node that have ended
         self._unknown = {}
 
-    def take(self, status):
-        """Take one DiagnosticStatus; those without gates are passed over."""
-        gate = next((gate for gate in GATES if status.name.endswith(gate)), None)
-        if gate is None:
+    def wants(self, topic):
+        """Whether messages of this topic say anything here."""
+        return topic.rpartition("/")[2] in GATES
+
+    def __call__(self, topic, _receipt_s, message):
+        """Take one message; topics that are of no interest are passed over."""
+        gate = topic.rpartition("/")[2]
+        if gate not in GATES:
             return
-        for pair in status.values:
-            if pair.key == FRAMES or pair.key in GATES[gate]:
-                self._note((gate, pair.key), pair.value)
-            elif pair.key == "unknown bodies" and pair.value != "none":
-                self._unknown[gate] = pair.value
+        self._note((gate, _FRAMES), message.frames)
+        for counter in message.counters:
+            if counter.name in GATES[gate]:
+                self._note((gate, counter.name), counter.count)
+        unknown = getattr(message, "unknown_bodies", ())
+        if unknown:
+            self._unknown[gate] = ", ".join(unknown)
 
     def counts(self):
         """{gate: GateCounts} of the nodes that reported."""
@@ -67,13 +72,11 @@ class GateCollector(DiagnosticsCollector):
             }
             if values:
                 refused = {key: values[key] for key in counters if key in values}
-                result[gate] = GateCounts(values.get(FRAMES, 0), refused, self._unknown.get(gate, ""))
+                result[gate] = GateCounts(values.get(_FRAMES, 0), refused, self._unknown.get(gate, ""))
         return result
 
-    def _note(self, key, text):
-        if not text.isdigit():
-            return
-        value, last = int(text), self._newest.get(key, 0)
+    def _note(self, key, value):
+        last = self._newest.get(key, 0)
         if value < last:
             self._before[key] = self._before.get(key, 0) + last
         self._newest[key] = value

@@ -3,8 +3,8 @@
 # Names of the types without their package, which differs between the lab's releases. {topic: name}, {its end: name}
 TOPICS = {
     "/trajectory": "Trajectories",
-    "/operator/phase": "String",
-    "/operator/result": "String",
+    "/operator/phase": "OperatorState",
+    "/operator/result": "OperatorState",
     "/cortex_raw": "Cortex",
     "/ground_truth": "Cortex",
     "/controls": "Controls",
@@ -14,14 +14,16 @@ TOPICS = {
     "/angles": "Observed_angles",
     "/land_rois": "Observed_rois",
     "/detections": "Detections",
-    "/diagnostics": "DiagnosticArray",
     "/rosout": "Log",
 }
 ENDS = {
-    "trajectory_phase": "String",
+    "/trajectory_phase": "TrajectoryPhases",
+    "/estimator_status": "EstimatorStatus",
+    "/mocap_status": "MocapStatus",
+    "/node_status": "VehicleNodeStatus",
     "/cmd_vel_stamped": "TwistStamped",
     "/camera_info": "CameraInfo",
-    "/safety": "String",
+    "/safety": "Safety",
     "/navdata": "Navdata",
     "/joy": "Joy",
     "/controller_status": "Bool",

@@ -1,13 +1,23 @@
 """The loss ladder of every vehicle over time, from its safety topic."""
 
-import re
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from data_extraction.report.naming import vehicle_of
-from risc_control.failsafe import FailsafeLevel
+from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule
 
 SAFETY = "/safety"
+RULES = {
+    Rule.NONE: "",
+    Rule.JOYSTICK: "joystick silent",
+    Rule.STATE: "state too old",
+    Rule.CONTROLS: "controls too old",
+    Rule.NAVDATA: "navdata too old",
+    Rule.FENCE: "leaving the fence",
+    Rule.BATTERY: "battery low",
+    Rule.SEPARATION: "too near to another vehicle",
+    Rule.REQUEST: "landing requested",
+}
 _MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
 
 
@@ -18,20 +28,16 @@ class Span(NamedTuple):
     begin_s: float  # receipt
     end_s: float
     level: FailsafeLevel
-    reason: str  # "" when OK
-
-    @property
-    def kind(self):
-        """The reason without the numbers of the moment, e.g. "state … ms old"."""
-        return re.sub(r"-?\d+(\.\d+)?", "…", self.reason)
+    rule: Rule  # that set the level
+    reason: str  # with the numbers of the moment; "" when OK
 
 
 @dataclass
 class _Vehicle:
     """One vehicle's levels so far."""
 
-    text: str | None = None  # of the newest message
-    rows: list[list] = field(default_factory=list)  # [begin, end, text]; end None = it lasts
+    said: tuple | None = None  # (level, rule, reason) of the newest message
+    rows: list[list] = field(default_factory=list)  # [begin, end, said]; end None = it lasts
 
 
 class LadderCollector:
@@ -50,18 +56,19 @@ class LadderCollector:
         if not topic.endswith(SAFETY):
             return
         vehicle = self._vehicles.setdefault(vehicle_of(topic), _Vehicle())
-        if vehicle.text == message.data:
+        level, reason = FailsafeLevel(message.level), message.reason + (WITHOUT_EFFECT if message.operator else "")
+        said = level, Rule(message.rule), reason
+        if vehicle.said == said:
             return
-        vehicle.text = message.data
-        level, rows = _parsed(message.data)[0], vehicle.rows
+        vehicle.said, rows = said, vehicle.rows
         lasting = rows[-1] if rows and rows[-1][1] is None else None
-        if len(rows) >= _MOST_SPANS and lasting and level == _parsed(lasting[2])[0] == FailsafeLevel.LAND:
+        if len(rows) >= _MOST_SPANS and lasting and level == lasting[2][0] == FailsafeLevel.LAND:
             self.left_out += 1  # another reason for the same landing
             return
         if lasting:
             lasting[1] = receipt_s
         if len(rows) < _MOST_SPANS or level == FailsafeLevel.LAND:
-            rows.append([receipt_s, None, message.data])
+            rows.append([receipt_s, None, said])
         else:
             self.left_out += level != FailsafeLevel.OK
 
@@ -69,15 +76,8 @@ class LadderCollector:
         """{vehicle: [Span, ...]} in the order of time; the last lasts until the end of the bag, at end_s."""
         return {
             name: [
-                Span(name, begin_s, end_s if until_s is None else until_s, *_parsed(text))
-                for begin_s, until_s, text in vehicle.rows
+                Span(name, begin_s, end_s if until_s is None else until_s, *said)
+                for begin_s, until_s, said in vehicle.rows
             ]
             for name, vehicle in sorted(self._vehicles.items())
         }
-
-
-def _parsed(text):
-    """(FailsafeLevel, reason) of a Verdict's text, e.g. 'hold: state 120 ms old'."""
-    word, _, reason = text.partition(":")
-    level = next((level for level in FailsafeLevel if level.name.lower() == word.strip()), None)
-    return (FailsafeLevel.LAND, text) if level is None else (level, reason.strip())

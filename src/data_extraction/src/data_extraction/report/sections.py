@@ -10,15 +10,15 @@ from data_extraction import plots
 from data_extraction.flight_metrics import HOPS, percentiles_ms
 from data_extraction.report.drops import CELL_M, GAP_S, cell_edges
 from data_extraction.report.events import head_and_tail
-from data_extraction.report.gates import GATES
+from data_extraction.report.gates import GATES, TITLES
 from data_extraction.report.kinds import expected
+from data_extraction.report.ladder import RULES
 from data_extraction.report.naming import vehicle_of
 from risc_control.failsafe import FailsafeLevel
 
 UNKNOWN = "unknown"
 _MOST_ROWS = 60  # of a table of events
 _MOST_CHANGES = 25  # of a table of the loss ladder
-_FAILED = "failed: "  # how the operator's results begin
 _LEAST_CORES = 0.001  # that are worth a row
 _TEXTS = 99  # columns that are numeric: none
 _UNITS = {"m": "m", "s": "s", "rad": "rad", "deg": "°", "pct": "%", "ms": "ms", "hz": "Hz"}
@@ -130,7 +130,7 @@ def result(material, summary):
     """Whether it passed, and the figures of every vehicle."""
     section = Section("result", "Result")
     for reason in summary.get("reasons") or []:
-        section.texts.append("Failed: %s." % (reason[len(_FAILED) :] if reason.startswith(_FAILED) else reason))
+        section.texts.append("Failed: %s." % reason)
     for rate in summary["mocap"]["given_up"]:
         text = "Motion capture at %g Hz was given up before take-off: %s."
         section.texts.append(text % (rate["rate_hz"], rate["reason"]))
@@ -336,7 +336,7 @@ def motion_capture(material, _summary):
 def gates(material, _summary):
     """What the estimator and the mocap client refused."""
     if not material.gates:
-        return Missing("Gate decisions", "the estimator's counters were not recorded (/diagnostics)")
+        return Missing("Gate decisions", "the estimator's counters were not recorded (/estimator_status)")
     section = Section("gates", "Gate decisions")
     for gate, counts in material.gates.items():
         rows = [
@@ -345,13 +345,13 @@ def gates(material, _summary):
             if count
         ]
         if rows:
-            caption = "%s: what was refused, of %d frames." % (gate.capitalize(), counts.frames)
+            caption = "%s: what was refused, of %d frames." % (TITLES[gate].capitalize(), counts.frames)
             section.tables.append(Table(caption, ["decision", "times", "per frame"], rows))
         else:
-            section.texts.append("%s: nothing was refused, of %d frames." % (gate.capitalize(), counts.frames))
+            section.texts.append("%s: nothing was refused, of %d frames." % (TITLES[gate].capitalize(), counts.frames))
         never = [GATES[gate][key] for key, count in counts.refused.items() if not count]
         if never:
-            section.notes.append("%s, never: %s." % (gate.capitalize(), "; ".join(never)))
+            section.notes.append("%s, never: %s." % (TITLES[gate].capitalize(), "; ".join(never)))
         if counts.unknown:
             section.notes.append("Bodies without a template, never estimated: %s." % counts.unknown)
     section.notes.append(
@@ -373,13 +373,16 @@ def ladder(material, _summary):
     if not left:
         section.texts.append("No vehicle left the lowest failsafe level.")
         return section
-    kinds = {}
+    rules = {}
     for span in left:
-        kinds.setdefault((span.vehicle, span.level, span.kind), []).append(span.end_s - span.begin_s)
+        rules.setdefault((span.vehicle, span.level, span.rule), []).append(span.end_s - span.begin_s)
     rows = [
-        [vehicle, level.name.lower(), kind, "%d" % len(lengths_s), _clock(max(lengths_s), 2), _clock(sum(lengths_s), 2)]
-        for (vehicle, level, kind), lengths_s in sorted(kinds.items())
-    ]
+        [
+            vehicle, level.name.lower(), RULES[rule], "%d" % len(lengths_s), _clock(max(lengths_s), 2),
+            _clock(sum(lengths_s), 2),
+        ]
+        for (vehicle, level, rule), lengths_s in sorted(rules.items())
+    ]  # fmt: skip
     columns = ["vehicle", "level", "reason", "times", "longest", "altogether"]
     section.tables.append(
         Table("Why and for how long vehicles were on higher failsafe levels.", columns, rows, numeric=3)

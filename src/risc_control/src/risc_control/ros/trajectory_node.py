@@ -8,7 +8,7 @@ import traceback
 
 import numpy as np
 import rospy
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
@@ -23,7 +23,7 @@ from risc_control.trajectories import (
     course_separation,
     peak_yaw_rate_rad_s,
 )
-from risc_control.trajectory_manager import TrajectoryManager, make_manager, phase_text
+from risc_control.trajectory_manager import TrajectoryManager, make_manager
 from risc_control.transitions import WayLimits, plan_ways
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.ros.clock import SteadyClock
@@ -32,6 +32,7 @@ from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import dataclass_from_params, has_private, known_arena, number, private, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
+from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 
@@ -67,10 +68,8 @@ class ManagerWiring:
         self._to_plan = threading.Event()
         threading.Thread(target=self._plan, name="planner", daemon=True).start()
         self._reader = StatesReader(self.manager.names)
-        self._phase = rospy.Publisher("trajectory_phase", String, queue_size=10, latch=True)
-        self._course = rospy.Publisher("trajectory_course", String, queue_size=10, latch=True)
+        self._publisher = rospy.Publisher("trajectory_phase", TrajectoryPhases, queue_size=10, latch=True)
         self.announce(course)
-        self._phases = None
         self._watcher = None
         self._watch_lock = threading.Lock()  # its own: the master is asked meanwhile, and references must not wait
         self._services = [
@@ -84,7 +83,7 @@ class ManagerWiring:
         self._watch()
 
     def sample(self, time_s):
-        """Reference at a time; the caller holds the lock. Announces a change of phase."""
+        """Reference at a time; the caller holds the lock. Publishes phases and course when they have changed."""
         reference = self.manager.sample(time_s)
         if self.manager.task is not None:
             self._to_plan.set()
@@ -97,7 +96,7 @@ class ManagerWiring:
             )
         if reference.phases != self._phases:
             self._phases = reference.phases
-            self._phase.publish(phase_text(self.manager.names, reference.phases))
+            self._publish_phases()
         return reference
 
     def set_course(self, course):
@@ -105,11 +104,17 @@ class ManagerWiring:
         check_course(course, self.vehicles)
         with self.lock:
             self.manager.set_course(course, self.clock.now_s())
-        self.announce(course)
+            self.announce(course)
 
     def announce(self, course):
-        """Tell the name of the course that is flown."""
-        self._course.publish(course.name)
+        """This is the course that is flown; the next sample tells it. The caller holds the lock."""
+        self._course, self._phases = course.name, None
+
+    def _publish_phases(self):
+        message = TrajectoryPhases(course=self._course)
+        message.header.stamp = rospy.Time.now()
+        message.vehicles = [VehiclePhase(*item) for item in zip(self.manager.names, self._phases)]
+        self._publisher.publish(message)
 
     def _watch(self):
         """Look where the vehicles are as long as that matters, and no longer: states come 200 times a second."""

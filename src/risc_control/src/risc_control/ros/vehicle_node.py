@@ -14,7 +14,7 @@ import genpy
 import rospy
 from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Empty, String
+from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
@@ -39,6 +39,7 @@ from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, Trajectori
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import known_fleet
 from risc_lab.ros.ticker import Ticker
+from risc_maap_msgs.msg import Safety, VehicleNodeStatus
 
 _RAD_PER_DEG = math.radians(1.0)
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
@@ -240,7 +241,8 @@ class _Vehicle:
         self._land = self._publisher("ardrone/land", Empty)
         self._reset = self._publisher("ardrone/reset", Empty)
         self._status = self._publisher("controller_status", Bool)
-        self._safety = self._publisher("safety", String, latch=True)
+        self._safety = self._publisher("safety", Safety, latch=True)
+        self._node_status = self._publisher("node_status", VehicleNodeStatus)
 
     def _publisher(self, topic, message, **options):
         return rospy.Publisher(self._prefix + topic, message, queue_size=10, tcp_nodelay=True, **options)
@@ -381,7 +383,7 @@ class _Vehicle:
         if orders.status is not None:
             self._status.publish(orders.status)
         if orders.safety is not None:
-            self._safety.publish(orders.safety)
+            self._safety.publish(safety_message(orders.safety))
 
     def _report(self, orders):
         """What may take its time: outside the lock."""
@@ -409,7 +411,7 @@ class _Vehicle:
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):
-        """A task of diagnostic_updater."""
+        """A task of diagnostic_updater; what other programs use of it goes out as a VehicleNodeStatus."""
         with self._lock:
             now_s = time.monotonic()
             elapsed_s = max(now_s - self._reported_s, 1e-3)
@@ -421,9 +423,13 @@ class _Vehicle:
             ages_s = pilot.ladder.state.age_s(now_s), pilot.ladder.controls.age_s(now_s)
             behind_s = pilot.ladder.state.clock_behind_s
             autonomous, flight_state = pilot.autonomous, pilot.flight_state
+        told = VehicleNodeStatus(name=self.name, computer=socket.gethostname())
+        told.header.stamp = rospy.Time.now()
+        told.oldest_state_s, told.clock_behind_s = answer_max_s, behind_s
+        self._node_status.publish(told)
         status.summary({FailsafeLevel.OK: 0, FailsafeLevel.HOLD: 1, FailsafeLevel.LAND: 2}[verdict.level], verdict.text)
         status.add("vehicle", self.name)
-        status.add("computer", socket.gethostname())
+        status.add("computer", told.computer)
         status.add("mode", "autonomous" if autonomous else "manual")
         status.add("flight state (navdata)", "none yet" if flight_state is None else flight_state)
         for what, label in (
@@ -443,6 +449,15 @@ class _Vehicle:
             status.add(label + "age when it was ordered (ms)", "%.0f" % (1e3 * reaction.age_s))
             status.add(label + "reaction after the limit (ms)", "%.1f" % (1e3 * reaction.beyond_s))
         return status
+
+
+def safety_message(verdict):
+    """Verdict -> Safety."""
+    message = Safety(level=verdict.level, rule=verdict.rule, operator=verdict.operator, reason=verdict.reason)
+    message.header.stamp = rospy.Time.now()
+    message.age_s = math.nan if verdict.age_s is None else verdict.age_s
+    message.limit_s = math.nan if verdict.limit_s is None else verdict.limit_s
+    return message
 
 
 def _next_command_s(flown):

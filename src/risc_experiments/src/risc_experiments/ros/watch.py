@@ -2,65 +2,65 @@
 
 import collections
 import math
-import re
 import threading
 import time
 import xmlrpc.client
 
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from risc_lab.phases import OperatorPhase, OperatorResult
+from risc_maap_msgs.msg import ControllerReport, EstimatorStatus, MocapStatus, OperatorState
+
 CALL_PATIENCE_S = 3.0  # for the operator to take the order
+HEARD_S = 1.0
 
 
 class Watch:
-    """What the flight's nodes say, as a ROS node of our own: phase and result of the operator, diagnostics."""
+    """What the flight's nodes say, as a ROS node of our own."""
 
     def __init__(self):
-        self.phase = "starting"
-        self.result = ""
+        self.phase = None  # OperatorPhase; None before the operator has said anything
+        self.text = ""  # more of the phase
+        self.failure = None  # why the flight failed, "" when it did not; None until its end
         self.errors_mm = {}
         self.rate_hz = None
         self.oldest_ms = collections.deque(maxlen=100)  # of the controller's reports
         self.passed_over = collections.deque(maxlen=100)  # of the estimator's reports: frames
-        self._operator_s = None  # when the operator's diagnostics last came
+        self._operator_s = self._operator_first_s = None  # when the operator's state came: the last, the first
         rospy.init_node("maap_fly", disable_signals=True, disable_rostime=True)
-        rospy.Subscriber(
-            "/operator/phase", String, lambda message: setattr(self, "phase", message.data), tcp_nodelay=True
-        )
-        rospy.Subscriber(
-            "/operator/result", String, lambda message: setattr(self, "result", message.data), tcp_nodelay=True
-        )
-        rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, tcp_nodelay=True)
+        for topic, kind, callback in (
+            ("/operator/phase", OperatorState, self._on_operator),
+            ("/controller_report", ControllerReport, self._on_controller),
+            ("/estimator_status", EstimatorStatus, self._on_estimator),
+            ("/mocap_status", MocapStatus, self._on_mocap),
+        ):
+            rospy.Subscriber(topic, kind, callback, tcp_nodelay=True)
 
-    def _on_diagnostics(self, message):
-        for status in message.status:
-            if status.name.endswith("virtual operator"):
-                self._operator_s = time.monotonic()
-            for pair in status.values:
-                error_of = re.fullmatch(r"position error of (\S+) \(mm\)", pair.key)
-                if error_of:
-                    # a new dict: whoever goes through the last one is in another thread
-                    self.errors_mm = dict(self.errors_mm, **{error_of.group(1): _number(pair.value)})
-                elif pair.key == "oldest state answered (ms)":
-                    self._keep(self.oldest_ms, pair.value)
-                elif pair.key == "frames passed over":
-                    self._keep(self.passed_over, pair.value)
-                elif pair.key == "rate [Hz]" and status.name.endswith("mocap stream"):
-                    self.rate_hz = _number(pair.value)
+    def _on_operator(self, message):
+        self._operator_s = time.monotonic()
+        self._operator_first_s = self._operator_first_s or self._operator_s
+        self.phase, self.text = OperatorPhase(message.phase), message.text
+        if message.result != OperatorResult.RUNNING:
+            self.failure = message.reason
 
-    @staticmethod
-    def _keep(reports, text):
-        value = _number(text)
-        if value is not None:
-            reports.append(value)
+    def _on_controller(self, message):
+        self.oldest_ms.append(1e3 * message.oldest_state_s)
+        errors_m = {vehicle.name: vehicle.position_error_m for vehicle in message.vehicles}
+        errors_mm = {name: 1e3 * error_m if math.isfinite(error_m) else None for name, error_m in errors_m.items()}
+        # a new dict: whoever goes through the last one is in another thread
+        self.errors_mm = {**self.errors_mm, **errors_mm}
+
+    def _on_estimator(self, message):
+        self.passed_over.append(message.passed_over)
+
+    def _on_mocap(self, message):
+        self.rate_hz = message.rate_hz
 
     @property
     def operator_heard(self):
-        """Whether the operator has said anything yet."""
-        return self._operator_s is not None
+        """Whether the operator has been heard of for a while: by then the other nodes have started, too."""
+        return self._operator_first_s is not None and time.monotonic() - self._operator_first_s > HEARD_S
 
     def operator_silent(self, limit_s=5.0):
         """Whether the operator was heard of, and then no more; he reports every second."""
@@ -87,11 +87,3 @@ class Watch:
 
         threading.Thread(target=call, daemon=True).start()  # a hanging operator must not make Ctrl-C hang
         return taken.wait(CALL_PATIENCE_S)
-
-
-def _number(text):
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None

@@ -78,15 +78,20 @@ def runge_kutta(x, inputs, vehicle, step_s, work):
     return k1[X.H]
 
 
-def advance(x, u, lifted, touches, columns, vehicles, step_s, steps, gust_block, gust_at, net_m, look_apart):
+def advance(x, u, flags, columns, vehicles, step_s, steps, gust_block, gust_at, net_m):
     """Up to so many steps of all systems of this kind; ends with a step in which something has happened.
 
-    x (rows, n), u (9, n), lifted (n,), touches (n,): of all vehicles, those of this kind in `columns` (k,).
+    x (rows, n), u (9, n), flags (2, n; lifted and touches): of all vehicles, those of this kind in `columns` (k,).
     vehicles (k,): their records.  gust_block: (m, 3, n) innovations of the wind, from row gust_at on; (0, 3, n): none.
-    net_m: half its extent in x and in y, and its height.  look_apart: end when two vehicles meet.
+    net_m: half its extent in x and in y, and its height.
+    Where there are others, too, it makes one step at most, and leaves the distances to the caller.
     Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf when there are no two, or
     nobody looked), and whether any touches: then the distances after the last step are still to be looked at.
     """
+    lifted, touches = flags[0], flags[1]
+    alone = len(columns) == len(lifted)
+    if not alone:
+        steps = min(steps, 1)
     work = np.empty((5, ROWS))
     gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
     least_m2 = math.inf
@@ -109,7 +114,7 @@ def advance(x, u, lifted, touches, columns, vehicles, step_s, steps, gust_block,
                 anyone_touches |= touches[i]
         if anyone_touches:
             return k + 1, least_m2, True
-        if look_apart:
+        if alone:
             least_m2 = min(least_m2, closest(x, lifted))
             if least_m2 < COLLISION_M2:
                 return k + 1, least_m2, False

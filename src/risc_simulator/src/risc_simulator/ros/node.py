@@ -6,12 +6,13 @@ import queue
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 
 from risc_lab.frames import wrap_angle
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.ticker import Ticker
+from risc_maap_msgs.msg import Fault, WireFault
 
 _DEG_PER_RAD = math.degrees(1.0)
 
@@ -38,16 +39,14 @@ class VirtualLabNode:
 
         rospy.Subscriber("~mocap_silence", Float64, self._on_mocap_silence, queue_size=10, tcp_nodelay=True)
         rospy.Subscriber("~light", Float64, self._on_light, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber("~hide", String, lambda msg: self._on_fault(msg, lab.hide), queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber(
-            "~link_loss", String, lambda msg: self._on_fault(msg, lab.lose_link), queue_size=10, tcp_nodelay=True
-        )
-        rospy.Subscriber(
-            "~battery", String, lambda msg: self._on_fault(msg, lab.set_battery_pct), queue_size=10, tcp_nodelay=True
-        )
-        rospy.Subscriber(
-            "~board", String, lambda msg: self._on_fault(msg, lab.wave_board), queue_size=10, tcp_nodelay=True
-        )
+        for topic, order in (
+            ("~hide", lab.hide),
+            ("~link_loss", lab.lose_link),
+            ("~battery", lab.set_battery_pct),
+            ("~board", lab.wave_board),
+        ):
+            rospy.Subscriber(topic, Fault, self._on_fault, order, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber("~wire_fault", WireFault, self._on_wire_fault, queue_size=10, tcp_nodelay=True)
 
     def after_frame(self):
         """Carry out orders, then tell the truth about the frame that has just gone out."""
@@ -85,19 +84,17 @@ class VirtualLabNode:
             return
         self._orders.put((self._lab.silence_mocap, (msg.data,)))
 
+    def _on_wire_fault(self, msg):
+        self._orders.put((self._lab.inject, (msg.fault, msg.channel, msg.severity, msg.duration_s or math.inf)))
+
     def _on_light(self, msg):
         self._orders.put((self._lab.set_light, (msg.data,)))
 
     def _on_fault(self, msg, order):
-        name, _, number = msg.data.strip().rpartition(" ")
-        try:
-            value = float(number)
-        except ValueError:
-            value = math.nan
-        if not name or not (math.isfinite(value) and value >= 0.0):
-            rospy.logerr("fault injection: send 'NAME NUMBER' (e.g. 'risc1 1.5'), got %r", msg.data)
+        if not msg.name or not (math.isfinite(msg.value) and msg.value >= 0.0):
+            rospy.logerr("fault injection: a name and a value >= 0 are needed, got '%s', %r", msg.name, msg.value)
             return
-        self._orders.put((order, (name.strip(), value)))
+        self._orders.put((order, (msg.name, msg.value)))
 
     def _diagnose(self, status):
         lab = self._lab

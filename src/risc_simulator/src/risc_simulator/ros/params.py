@@ -3,6 +3,7 @@
 import rospy
 
 from risc_lab.lab import fleet_from_dict, load_fleet
+from risc_simulator.faults import load_wire_faults
 from risc_simulator.virtual_lab import VirtualLab, configure_fleet
 
 # Private parameters and their defaults; "" and negative numbers leave what the fleet file says.
@@ -24,6 +25,7 @@ _DEFAULTS = {
     "interface": "",  # address of this computer's card that the stream goes out by; "": that of the Cortex host
     "rate": -1.0,  # [Hz] of motion capture
     "cameras_on_demand": False,  # start the camera process when the first client asks for video, not with the lab
+    "faults": "",  # file that says what happens to datagrams, and when
     "stats": "",  # file for the statistics at the end
 }
 _NODE_KEYS = {"diagnostic_period"}  # read by diagnostic_updater
@@ -84,4 +86,5 @@ def make_lab(params):
         radio_loss=params["radio_loss"],
         interface=params["interface"],
         cameras_ahead=not params["cameras_on_demand"],
+        wire_faults=load_wire_faults(params["faults"]) if params["faults"] else (),
     )

@@ -7,13 +7,14 @@ from collections import deque
 import cv2
 import numpy as np
 
-from ardrone_autonomy.protocol.video import FrameType, StreamWriter, parse_header
+from ardrone_autonomy.protocol.video import FrameType, parse_header
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT, load_calibration, load_mount
 from risc_simulator.video.camera_pose import camera_pose
 from risc_simulator.video.checkerboard_motion import Waving
 from risc_simulator.video.encoder import H264Encoder
 from risc_simulator.video.renderer import Renderer
+from risc_simulator.video.stream_writer import StreamWriter
 
 DEFAULT_FRONT_CALIBRATION = "ardrone_front.yaml"
 BOTTOM_CALIBRATION = "ardrone_bottom.yaml"

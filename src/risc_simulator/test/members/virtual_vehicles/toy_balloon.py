@@ -39,17 +39,22 @@ class Firmware(flight.Firmware):
 class Host(VehicleHost):
     """Answers each "up NUMBER" with the height [m]."""
 
-    def __init__(self, vehicle, address, seed=0, radio_loss=0.0):
-        super().__init__()
-        self._vehicle = vehicle
+    def __init__(self, vehicle, address, seed=0, radio_loss=0.0, wires=None):
+        super().__init__(vehicle, wires)
+        self._commands, self._heights = self.wire("commands"), self.wire("heights")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((address, PORT))
         self._waiting.add(self._socket)
 
     def on_readable(self, sock, now_s):
-        data, sender = sock.recvfrom(64)
+        self._commands.carry(*sock.recvfrom(64), now_s, self._obey)
+
+    def _obey(self, data, sender, now_s):
         self._vehicle.schedule(now_s, flight.Setpoint(climb_m_s=float(data.split()[1])))
-        sock.sendto(b"%.3f" % self._vehicle.height_m, sender)
+        self._heights.carry(b"%.3f" % self._vehicle.height_m, sender, now_s, self._answer)
+
+    def _answer(self, data, client, _now_s):
+        self._socket.sendto(data, client)
 
     def tick(self, now_s):
         self._now_s = now_s

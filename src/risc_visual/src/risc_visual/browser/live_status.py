@@ -9,6 +9,7 @@ import math
 import threading
 from collections import namedtuple
 
+from risc_control.failsafe import FailsafeLevel
 from risc_control.vehicle_pilot import FlightState
 from risc_visual.drawing.airframes import vehicle_colour
 
@@ -35,7 +36,7 @@ div:has(> .rm-land) + div button { height: 3.4em !important; font-size: 1.25em; 
 
 Vehicle = namedtuple("Vehicle", "namespace template index")  # index: of its colour
 Report = namedtuple("Report", "state battery_pct")  # of the vehicle itself: FlightState number, [%]
-Mocap = namedtuple("Mocap", "rate_hz visible")  # e.g. 200.0, "3 of 3"
+Mocap = namedtuple("Mocap", "rate_hz visible vehicles")  # visible: how many of the vehicles are seen
 _Answer = namedtuple("_Answer", "done text")
 
 
@@ -51,9 +52,9 @@ class LiveStatus:
         self._answers_lock = threading.Lock()
 
     def note(self, what, whose, value, now_s):
-        """Something was heard: "mode" (autonomous?), "navdata" (`Report`), "safety" (text), "error_m" of a vehicle by
-        its namespace; "course" (phase) of one by its template; "mocap" (`Mocap`), "references", "operator" (alive) and
-        "phase" (text of the operator) of "".
+        """Something was heard: "mode" (autonomous?), "navdata" (`Report`), "safety" (Verdict), "error_m" of a vehicle
+        by its namespace; "course" (phase) of one by its template; "mocap" (`Mocap`), "references" and "operator" (text
+        of its phase) of "".
         """
         self._heard[what, whose] = (value, now_s)
 
@@ -111,9 +112,10 @@ class LiveStatus:
         title = "<b>%s</b> %s" % (html.escape(name), html.escape(vehicle.template))
         lines = ["%s, %s" % (title, self._told("mode", name, now_s, _mode_html))]
         if self._age_s("mode", name, now_s) <= _TRUE_S["mode"]:  # who says the mode, says the safety, when it changes
-            safety = self._heard.get(("safety", name), ("", 0.0))[0]
-            good = safety in ("", "ok")
-            lines.append('<span class="%s">safety: %s</span>' % ("good" if good else "bad", html.escape(safety or "?")))
+            safety = self._heard.get(("safety", name), (None, 0.0))[0]
+            good = safety is None or safety.level == FailsafeLevel.OK
+            text = html.escape(safety.text) if safety else "?"
+            lines.append('<span class="%s">safety: %s</span>' % ("good" if good else "bad", text))
         lines += [self._told("navdata", name, now_s, _report_html), self._way_html(vehicle, now_s)]
         colour = "rgb(%d, %d, %d)" % tuple(255.0 * part for part in vehicle_colour(vehicle.index))
         return '<div class="vehicle" style="border-color: %s">%s</div>' % (colour, "<br/>".join(lines))
@@ -132,8 +134,8 @@ class LiveStatus:
     def _laboratory_html(self, now_s):
         mocap = self._told("mocap", "", now_s, _mocap_html)
         lines = [mocap if mocap.startswith("<span") else "motion capture %s" % mocap]
-        if ("phase", "") in self._heard:
-            text = html.escape(self._heard["phase", ""][0])
+        if ("operator", "") in self._heard:
+            text = html.escape(self._heard["operator", ""][0])
             if self._age_s("operator", "", now_s) <= _TRUE_S["operator"]:
                 lines.append("operator: %s" % text)
             else:
@@ -152,4 +154,4 @@ def _report_html(report):
 
 
 def _mocap_html(mocap):
-    return "%.0f Hz, %s seen" % (mocap.rate_hz, html.escape(mocap.visible))
+    return "%.0f Hz, %d of %d seen" % mocap

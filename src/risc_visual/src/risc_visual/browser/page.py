@@ -3,21 +3,8 @@
 What is drawn is decided in marker_scene, what the panel says in live_status; here both become viser's messages.
 """
 
-import contextlib
-import errno
-import functools
-import http
-import io
-import ipaddress
-import logging
-import socket
-import threading
-import urllib.parse
-
 import cv2
 import numpy as np
-import viser
-import websockets.asyncio.server
 
 from risc_visual.browser.live_status import PAGE_STYLE
 from risc_visual.browser.marker_scene import Draw, Erase, Look, Placement, Shape
@@ -38,107 +25,6 @@ _ON_FLOOR = (_HALF, -_HALF, 0.0, 0.0)  # x, y, z, w
 _EYE_M, _LOOKS_AT_M, _FIELD_RAD = (-6.3, 3.6, 4.2), (0.0, -0.1, 0.9), 0.75  # where the view begins
 _TILE_M = 0.5
 _AMBIENT = 1.0  # beside viser's own two lights
-
-
-def open_server(host, port):
-    """viser.ViserServer on an address and port of this computer. Raises ValueError that says what to change."""
-    threading.Thread(target=_full_name, daemon=True).start()
-    _check_free(host, port)
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # else: a traceback for every page that hangs up
-    with _refuse_pages_of_others(), contextlib.redirect_stdout(io.StringIO()):  # its banner; who starts it says where
-        server = viser.ViserServer(host=host, port=port, verbose=False)
-    if server.get_port() != port:
-        server.stop()
-        raise ValueError(_taken(host, port))
-    server.request_share_url = lambda: None  # else whoever opens the page could ask for a tunnel to the internet
-    return server
-
-
-@contextlib.contextmanager
-def _refuse_pages_of_others():
-    """A server started meanwhile talks only to its own page, not to every page that a browser here has open.
-
-    A browser lets any page connect to any address, and says in Origin whose page it is. viser has no setting for it,
-    so its call of websockets is given the check.
-    """
-    serve = websockets.asyncio.server.serve
-    guarded = []
-
-    def serve_own_page(*args, process_request, **settings):
-        def answer(connection, request):
-            if is_page_of_others(request.headers):
-                text = "not for pages of another address: open this one by the computer's address or its name, %s\n"
-                return connection.respond(http.HTTPStatus.FORBIDDEN, text % socket.gethostname())
-            return process_request(connection, request)
-
-        guarded.append(True)
-        return serve(*args, process_request=answer, **settings)
-
-    websockets.asyncio.server.serve = serve_own_page
-    try:
-        yield
-    finally:
-        websockets.asyncio.server.serve = serve
-    if not guarded:
-        raise RuntimeError("this release of viser serves in another way: install the one of requirements.txt")
-
-
-def is_page_of_others(headers):
-    """True when a browser asks for a page that is not ours, or that did not come from the address asked.
-
-    headers: of the request. Whoever has a name on the internet can let it lead to this computer (DNS rebinding), and
-    his page then has the same Host as Origin: so Host must be a name that this computer has, or an address, which
-    nobody can redirect.
-    """
-    host = headers.get("Host", "").lower()
-    origin = headers.get("Origin")
-    try:
-        if origin is not None and urllib.parse.urlsplit(origin).netloc.lower() != host:
-            return True
-        name = urllib.parse.urlsplit("//" + host).hostname or ""
-    except ValueError:  # they are nothing that a browser sends
-        return True
-    return not _is_ours(name)
-
-
-def _is_ours(name):
-    """Whether a host's name, in lower case, is one of this computer's; addresses always are."""
-    own = socket.gethostname().lower()
-    if name in ("localhost", own, own + ".local"):
-        return True
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return name == _full_name()
-    return True
-
-
-@functools.cache
-def _full_name():
-    """With its domain. Asked for once, before the server runs: a name server that is out of reach takes seconds."""
-    return socket.getfqdn().lower()
-
-
-def _check_free(host, port):
-    """viser itself takes the next free port instead, where nobody looks for it."""
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise ValueError(_taken(host, port)) from None
-        if error.errno == errno.EACCES:
-            raise ValueError("port %d needs root: choose one from 1024 to 65535" % port) from None
-        raise ValueError(
-            "host '%s' is no address of this computer (%s): use 127.0.0.1 for this computer only, 0.0.0.0 for the "
-            "network" % (host, error.strerror)
-        ) from None
-
-
-def _taken(host, port):
-    return "port %d of %s is taken (by another browser view?): choose another one" % (port, host)
 
 
 class BrowserScene:

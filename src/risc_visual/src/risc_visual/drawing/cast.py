@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.phases import TrajectoryPhase
 from risc_visual.drawing.airframes import AIRFRAMES, DEFAULT_AIRFRAME, vehicle_colour
 
 REST_M_S = 0.01  # a reference slower than this stands still
@@ -125,11 +126,6 @@ def title_text(title, phases):
     return "\n".join(lines)
 
 
-def phases_from_text(text):
-    """dict name -> phase of a text like 'fluffy_II: course; Raven: approach'."""
-    phases = {}
-    for item in text.split(";"):
-        name, colon, phase = item.partition(":")
-        if colon:
-            phases[name.strip()] = phase.strip()
-    return phases
+def phase_words(vehicles):
+    """dict name -> word of the phase, e.g. "course". vehicles: VehiclePhase[], rospy's or those that rosbags reads."""
+    return {vehicle.name: TrajectoryPhase(vehicle.phase).name.lower() for vehicle in vehicles}

@@ -1,6 +1,8 @@
-"""Colours of landmarks and of the rays towards them, by the paint of the disc in their middle. Needs no ROS."""
+"""Colours of landmarks and of rays, by the paint of the disc in their middle; all colours on white. Needs no ROS."""
 
 import colorsys
+
+import numpy as np
 
 from risc_visual.vision.colours import HUES
 
@@ -13,6 +15,20 @@ RAY_RGB = {
     "blue": (0.0, 0.0, 1.0),
     "pink": (0.78, 0.082, 0.52),
 }
+
+
+_PRINT_LUMINANCE = 0.25  # the most on white paper: a contrast of 3.5 : 1
+_GREY_CHROMA = 0.15  # less is grey
+_LUMINANCE = np.array((0.2126, 0.7152, 0.0722))  # of linear sRGB
+
+
+def on_white(rgb):
+    """(r, g, b) on a white ground of what is (r, g, b) on black: greys are turned round, bright colours are darker."""
+    rgb = np.asarray(rgb, dtype=float)
+    if np.ptp(rgb) < _GREY_CHROMA:
+        return tuple((1.0 - rgb).tolist())
+    linear = rgb**2.2
+    return tuple((rgb * min(1.0, _PRINT_LUMINANCE / (_LUMINANCE @ linear)) ** (1.0 / 2.2)).tolist())
 
 
 def sphere_colours(landmarks):

@@ -14,7 +14,8 @@ import numpy as np
 from risc_control.mappings.ardrone import full_scales
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.vehicle_types import load_vehicle_type
-from risc_visual.drawing.cast import phases_from_text
+from risc_lab.phases import OperatorPhase
+from risc_visual.drawing.cast import phase_words
 
 POSITION = ("x_m", "y_m", "z_m")  # cortex frame, as all positions and velocities here
 DESIRED_POSITION = ("x_desired_m", "y_desired_m", "z_desired_m")
@@ -191,19 +192,15 @@ class Recorder:
             if all(map(math.isfinite, values)):
                 self._logs[owner].commands.add(time_s, values)
 
-    def course(self, receipt_s, text):
-        """What the trajectory node says it flies."""
-        self._course = text
+    def phases(self, receipt_s, message):
+        """TrajectoryPhases: what the trajectory node flies, and does with each vehicle."""
+        self._course = message.course
+        self._phases.update(phase_words(message.vehicles))
         self._mark_all(receipt_s)
 
-    def phases(self, receipt_s, text):
-        """What the trajectory node does with each vehicle: 'fluffy_II: course; Raven: hold'."""
-        self._phases.update(phases_from_text(text))
-        self._mark_all(receipt_s)
-
-    def operator_phase(self, receipt_s, text):
-        """What the operator does, 'fly: on course': a phase for vehicles of which no trajectory node says anything."""
-        self._operator = text.partition(":")[0].strip()
+    def operator(self, receipt_s, message):
+        """OperatorState: its phase is that of vehicles of which no trajectory node says anything."""
+        self._operator = OperatorPhase(message.phase).name.lower()
         self._mark_all(receipt_s)
 
     def finish(self):

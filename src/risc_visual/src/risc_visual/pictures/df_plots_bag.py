@@ -6,12 +6,13 @@ import sys
 
 from data_extraction.bags import Bag, BagError
 from data_extraction.flatten import seconds
+from data_extraction.report.kinds import fits
 from risc_lab.lab import load_fleet
 from risc_visual.pictures.df_pages import PageWriter
 from risc_visual.pictures.df_plots import PlotParams, Recorder
 
 NEEDED = ("/cortex_raw", "/trajectory")
-USEFUL = ("/controls", "/trajectory_phase", "/trajectory_course", "/operator/phase")
+USEFUL = ("/controls", "/trajectory_phase", "/operator/phase")
 _PROGRESS_EVERY = 2000  # messages
 
 
@@ -28,19 +29,16 @@ def record(bag, recorder, rate_hz, progress=lambda fraction: None):
             "(launch/record.launch does); it has %s"
             % (bag.path, " and ".join(missing), ", ".join(sorted(topics)) or "no topics")
         )
-    texts = {
-        "/trajectory_phase": recorder.phases,
-        "/trajectory_course": recorder.course,
-        "/operator/phase": recorder.operator_phase,
-    }
+    phases = {"/trajectory_phase": recorder.phases, "/operator/phase": recorder.operator}
+    wanted = NEEDED + tuple(topic for topic in USEFUL if topic in topics and fits(topic, bag.types[topic]))
     begin_s = due_s = None
-    for count, (topic, receipt_s, message) in enumerate(bag.messages(NEEDED + tuple(t for t in USEFUL if t in topics))):
+    for count, (topic, receipt_s, message) in enumerate(bag.messages(wanted)):
         if begin_s is None:
             begin_s = due_s = receipt_s
         if count % _PROGRESS_EVERY == 0:
             progress((receipt_s - begin_s) / max(bag.duration_s, 1e-3))
-        if topic in texts:
-            texts[topic](receipt_s, message.data)
+        if topic in phases:
+            phases[topic](receipt_s, message)
         elif topic == "/trajectory":
             recorder.references(receipt_s, seconds(message.header.stamp), message.Obj)
         elif topic == "/controls":

@@ -4,7 +4,7 @@ Points are in the view's target frame (the fixed frame unless it says otherwise)
 y down, (0, 0) is the middle of the top left pixel.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ ORBIT = "rviz/Orbit"
 _STEEPEST_RAD = np.pi / 2.0 - 0.001  # rviz keeps the camera off the vertical, where its heading is lost
 _WITH_WINDOWS = ("rviz/Camera", "rviz/Image")  # displays that take room beside the scene
 _DEFAULT_FIELD_RAD = np.pi / 4.0
+_FIT_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,37 @@ class OrbitView:
         pixels = points @ P[:, :3].T + P[:, 3]
         depth = np.where(pixels[..., 2:] > 0.0, pixels[..., 2:], np.nan)
         return pixels[..., :2] / depth
+
+    def fitted(self, points_m, width_px, height_px, margin=0.03):
+        """The view from the same side that is filled by the points (n, 3) in a picture of this size.
+
+        margin: left free on every side, a fraction of the picture's width and height.
+        """
+        size = np.array([width_px, height_px])
+        view = self
+        for _ in range(_FIT_STEPS):
+            pixels = view.project(points_m, *size)
+            if np.isnan(pixels).any():
+                view = replace(view, distance_m=2.0 * view.distance_m)
+                continue
+            low, high = pixels.min(axis=0), pixels.max(axis=0)
+            P = view.matrix(*size)
+            m_per_px = view.distance_m / (0.5 * height_px / np.tan(0.5 * view.field_rad))
+            right = np.cross(P[2, :3], (0.0, 0.0, 1.0))
+            right /= np.linalg.norm(right)
+            down = np.cross(P[2, :3], right)
+            aside, below = (0.5 * (low + high) - 0.5 * (size - 1)) * m_per_px
+            view = replace(
+                view,
+                focal_point_m=tuple((view.focal_point_m + aside * right + below * down).tolist()),
+                distance_m=view.distance_m * float(((high - low) / (size * (1.0 - 2.0 * margin))).max()),
+            )
+        return view
+
+    def as_dict(self, view):
+        """A view of an rviz configuration, with this camera."""
+        numbers = {"Distance": self.distance_m, "Pitch": self.pitch_rad, "Yaw": self.yaw_rad}
+        return dict(view, **numbers, **{"Focal Point": dict(zip("XYZ", self.focal_point_m))})
 
 
 def orbit_view_from_dict(content, where="view"):
@@ -110,15 +142,30 @@ def has_display(config, display_class):
     return any(item.get("Class") == display_class and item.get("Enabled", True) for item in displays)
 
 
-def picture_config(config, view, width_px, height_px, frame_rate_hz):
+def picture_config(config, view, size_px, frame_rate_hz, scheme, without=(), silent=()):
     """The rviz configuration with nothing but the scene, which fills a window of this size (with rviz' --fullscreen).
 
-    view: dict, as `saved_view` gives it.
+    view: dict, as `saved_view` gives it. scheme: captions.Scheme. without: topics that are not shown. silent:
+    namespaces of markers that are not shown.
     """
     manager = dict(config["Visualization Manager"])
-    manager["Global Options"] = dict(manager.get("Global Options", {}), **{"Frame Rate": frame_rate_hz})
-    displays = manager.get("Displays") or ()
-    manager["Displays"] = [item for item in displays if item.get("Class") not in _WITH_WINDOWS]
+    colour = {"Background Color": _text(scheme.ground), "Frame Rate": frame_rate_hz}
+    manager["Global Options"] = dict(manager.get("Global Options", {}), **colour)
+    displays = []
+    for item in manager.get("Displays") or ():
+        topic = item.get("Marker Topic")
+        if item.get("Class") in _WITH_WINDOWS or (topic and "/" + topic.lstrip("/") in without):
+            continue
+        if item.get("Class") == "rviz/Grid":
+            item = dict(item, Color=_text(scheme.floor))
+        elif topic and silent:
+            item = dict(item, Namespaces=dict.fromkeys(silent, False))
+        displays.append(item)
+    manager["Displays"] = displays
     manager["Views"] = {"Current": view, "Saved": None}
-    window = {"X": 0, "Y": 0, "Width": width_px, "Height": height_px}
+    window = {"X": 0, "Y": 0, "Width": size_px[0], "Height": size_px[1]}
     return dict(config, **{"Panels": [], "Visualization Manager": manager, "Window Geometry": window})
+
+
+def _text(rgb):
+    return "; ".join(map(str, rgb))

@@ -15,22 +15,70 @@ import time
 import xmlrpc.client
 from typing import NamedTuple
 
+import numpy as np
 import yaml
 
 from data_extraction.bags import Bag
+from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
+from data_extraction.report.kinds import fits
 from risc_lab.lab.yaml_reader import package_file
+from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes
-from risc_visual.pictures.orbit_view import has_display, load_config, marker_topics, picture_config, saved_view
+from risc_visual.drawing.ros.markers import LABEL_ABOVE_M
+from risc_visual.drawing.scenery import load_scenery
+from risc_visual.pictures import captions
+from risc_visual.pictures.captions import DARK, LIGHT, Name, Row
+from risc_visual.pictures.orbit_view import (
+    ORBIT,
+    OrbitView,
+    has_display,
+    load_config,
+    marker_topics,
+    orbit_view_from_dict,
+    picture_config,
+    saved_view,
+)
 from risc_visual.pictures.virtual_screen import VirtualScreen, save_picture
 
 NAME = "/maap_screenshot"  # under which the master is asked
-VIEWS = {  # name: (rviz configuration of risc_visual, one of its saved views)
-    "oblique": ("Diff_flat.rviz", "Flight"),
-    "top": ("Diff_flat.rviz", "Top"),
-    "rays": ("coop.rviz", ""),
-    "tuner": ("Trans_tuner.rviz", ""),
+CAMERAS, GRID, TITLE, VEHICLES, VEHICLE_NAMES = (
+    "/Cameras",
+    "/Grid",
+    "/desired_trajectory_name",
+    "/Quad_Markers",
+    "/Quad_Labels",
+)
+REFERENCES, MODE, BATTERY, TUNER = "/desired_trajectory", "/Ctrl_Status", "/Battery_Status", "/transform_tuner/text"
+NAMES = (VEHICLE_NAMES, "/Land_Labels", "/Way_Labels")
+TEXTS = (GRID, TITLE, MODE, BATTERY, TUNER, *NAMES)  # topics of nothing but texts, which captions writes
+REFERENCE_NAMES = "traj_name"  # namespace of texts on REFERENCES
+KEY = (
+    ("desired path", REFERENCES, "traj_line"),
+    ("path flown", "/Quad_trajectory", "quad_line"),
+)  # topic and namespace
+RECORDED = (*TEXTS, VEHICLES, REFERENCES, "/Quad_trajectory")
+VEHICLE_REACH_M = (0.36, 0.12)  # across and up and down: of nose and rotors from its centre, and a little more
+HANDLES_REACH_M = (0.45, 0.45)  # with what turns and moves its camera
+THING_REACH_M = (0.1, 0.1)  # of a landmark, a waypoint
+
+
+class StandardView(NamedTuple):
+    """A view that has a name."""
+
+    config: str  # rviz configuration of risc_visual
+    saved: str  # one of its saved views, "" its current one
+    without: tuple = ()  # topics that are not shown
+    height_m: float = np.inf  # above the floor, up to which the arena fills the picture; at most that of the net
+
+
+VIEWS = {
+    "oblique": StandardView("Diff_flat.rviz", "Flight", (CAMERAS,)),
+    "top": StandardView("Diff_flat.rviz", "Top", (CAMERAS,)),
+    "rays": StandardView("coop.rviz", ""),
+    "tuner": StandardView("Trans_tuner.rviz", "", (), 1.6),
 }
+FIXED = "<Fixed Frame>"
 BEARINGS = "/angles"
 HANDLES = "rviz/InteractiveMarkers"  # a view with this display is one of the transform tuner
 FRAMES = ("/tf", "/tf_static")
@@ -49,6 +97,7 @@ REST_PERIOD_S = 0.07  # not that of the drawing nodes, who sleep 0.04 s after ev
 REST_LOOKS = 10
 REST_PATIENCE_S = 300.0
 PLAY_MARGIN_S = 300.0  # beyond the time that is played
+_LEAST_ALPHA = 0.6
 
 
 class View(NamedTuple):
@@ -57,6 +106,13 @@ class View(NamedTuple):
     name: str  # of its file
     config: dict  # of rviz, for a picture of this size
     size_px: tuple  # (width, height)
+    camera: OrbitView | None = None  # None: of a kind that is not known here; then rviz draws the texts, too
+    scheme: captions.Scheme = DARK
+
+    @property
+    def scene_px(self):
+        """(width, height) of what rviz draws."""
+        return captions.scene_size(self.size_px) if self.camera else self.size_px
 
 
 def moment_of(bag):
@@ -67,10 +123,10 @@ def moment_of(bag):
     """
     begin_s, end_s = bag.start_s, bag.start_s + bag.duration_s
     found_s = 0.5 * (begin_s + end_s)
-    if "/operator/phase" in bag.topics:
-        phases = [(receipt_s, message.data) for _, receipt_s, message in bag.messages(["/operator/phase"])]
+    if "/operator/phase" in bag.topics and fits("/operator/phase", bag.types["/operator/phase"]):
+        phases = [(receipt_s, message.phase) for _, receipt_s, message in bag.messages(["/operator/phase"])]
         flying = [
-            (start_s, stop_s) for (start_s, text), (stop_s, _) in zip(phases, phases[1:]) if text.startswith("fly")
+            (start_s, stop_s) for (start_s, phase), (stop_s, _) in zip(phases, phases[1:]) if phase == OperatorPhase.FLY
         ]
         if flying:
             begin_s, end_s = flying[0][0], flying[-1][1] - BEFORE_END_S
@@ -100,25 +156,44 @@ def standard_views(bag, fleet):
     return ["oblique", "top", "rays"] + (["tuner"] if fleet else [])
 
 
-def views_from(names, size_px):
-    """List of View. Raises ValueError for a name that is none, and for a bad configuration."""
+def views_from(names, size_px, light=False, arena=None):
+    """List of View. Standard views are filled by the arena. Raises ValueError for unknown names and configurations."""
+    scenery = load_scenery()
+    net = scenery.around(arena).net if arena else scenery.net
+    scheme = LIGHT if light else DARK
     found = []
     for name in names:
         if name in VIEWS:
-            path, saved = VIEWS[name]
+            path, saved, without, height_m = VIEWS[name]
             path = package_file("risc_visual", "config/" + path)
         else:
             path, _, saved = name.partition(":")
+            without = ()
             if not path.endswith(".rviz"):
                 raise ValueError("there is no view '%s': use %s, or FILE.rviz" % (name, ", ".join(VIEWS)))
         config = load_config(path)
         try:
-            config = picture_config(config, saved_view(config, saved), *size_px, FRAME_RATE_HZ)
+            content = saved_view(config, saved)
+            camera = _camera(content, config)
+            size = captions.scene_size(size_px) if camera else size_px
+            if name in VIEWS:
+                camera = camera.fitted(np.minimum(net.edges(), (np.inf, np.inf, height_m)), *size)
+                content = camera.as_dict(content)
+            without, silent = (without + TEXTS, (REFERENCE_NAMES,)) if camera else (without, ())
+            config = picture_config(config, content, size, FRAME_RATE_HZ, scheme, without, silent)
         except ValueError as error:
             raise ValueError("%s: %s" % (path, error)) from None
         words = name if name in VIEWS else pathlib.Path(path).stem + " " + saved
-        found.append(View(re.sub(r"\W+", "_", words.lower()).strip("_"), config, size_px))
+        found.append(View(re.sub(r"\W+", "_", words.lower()).strip("_"), config, size_px, camera, scheme))
     return found
+
+
+def _camera(view, config):
+    """OrbitView of a view in the fixed frame, else None."""
+    fixed = config["Visualization Manager"].get("Global Options", {}).get("Fixed Frame")
+    if view.get("Class") != ORBIT or view.get("Target Frame", FIXED) not in (FIXED, fixed):
+        return None
+    return orbit_view_from_dict(view)
 
 
 def take_pictures(bag_path, views, at_s, out, fleet=None, title="", progress=None):
@@ -129,7 +204,7 @@ def take_pictures(bag_path, views, at_s, out, fleet=None, title="", progress=Non
     """
     progress = progress or Progress()
     with Bag(bag_path) as bag:
-        recorded, duration_s = set(bag.topics), bag.duration_s
+        recorded, duration_s = {topic for topic, kind in bag.types.items() if fits(topic, kind)}, bag.duration_s
     if at_s > duration_s:
         raise ValueError("%s is %.1f s long: there is no picture at %.1f s" % (bag_path, duration_s, at_s))
     drawn = recorded.intersection(DRAWN)
@@ -150,6 +225,9 @@ def take_pictures(bag_path, views, at_s, out, fleet=None, title="", progress=Non
             "fleet": fleet or "",
             "title": title,
             "transforms": "transform_tuner" if tuner else "" if "/tf" in recorded else "transforms",
+            "light": str(any(view.scheme is LIGHT for view in views)).lower(),
+            "record": " ".join(RECORDED),
+            "record_to": folder / "drawn.bag",
         }
         launch_file = package_file("risc_visual", "launch/replay.launch")
         launch = Launch(launch_file, values, folder, port)
@@ -167,12 +245,96 @@ def take_pictures(bag_path, views, at_s, out, fleet=None, title="", progress=Non
                 progress.show("playing", "%.1f s to %.1f s of %s" % (start_s, stop_s, bag_path))
                 _play(bag_path, sorted(played), start_s, stop_s, rate, folder, network)
                 _wait_for_rest(launch)
-        paths = []
+        pictures = []
         for view, screen in zip(views, screens):
             progress.show("drawing", view.name)
+            pictures.append(screen.steady_picture())
+        launch.stop()  # and with it the recorder, whose bag is complete then
+        drawn = newest_markers(folder / "drawn.bag")
+        paths = []
+        for view, picture in zip(views, pictures):
+            if view.camera:
+                picture = captions.write(picture, layout_of(view, drawn, "t = %.1f s" % at_s), view.scheme)
             paths.append(out / (view.name + ".png"))
-            save_picture(paths[-1], screen.steady_picture())
+            save_picture(paths[-1], picture)
         return paths
+
+
+def newest_markers(path):
+    """{(topic, namespace, id): Marker} of a bag of what was drawn: what rviz shows at its end."""
+    found, now_s = {}, 0.0
+    with Bag(path) as bag:
+        for topic, now_s, message in bag.messages([topic for topic in RECORDED if topic in bag.topics]):
+            for marker in getattr(message, "markers", [message]):
+                lifetime_s = seconds(marker.lifetime) or np.inf
+                found[topic, marker.ns, marker.id] = marker, now_s + lifetime_s
+    return {key: marker for key, (marker, until_s) in found.items() if until_s >= now_s}
+
+
+def layout_of(view, drawn, time_text=""):
+    """captions.Layout of a View with an orbit camera. drawn: as of `newest_markers`."""
+    shown, tuner = set(marker_topics(view.config)), has_display(view.config, HANDLES)
+    names = []
+    for (topic, ns, _), marker in drawn.items():
+        below = topic == REFERENCES and ns == REFERENCE_NAMES and topic in shown
+        if topic in NAMES or topic == GRID or below:
+            offset_m = 0.0 if topic == GRID else -LABEL_ABOVE_M if below else LABEL_ABOVE_M
+            reach_m = THING_REACH_M
+            if topic == VEHICLE_NAMES:
+                reach_m = HANDLES_REACH_M if tuner else VEHICLE_REACH_M
+            at = marker.pose.position
+            names.append(_name(view, marker, (at.x, at.y, at.z - offset_m), reach_m, topic))
+    return captions.lay_out(names, _rows(drawn, shown, tuner, time_text), view.size_px, view.scheme)
+
+
+def _name(view, marker, at_m, reach_m, topic):
+    """Name of a text marker whose thing is at at_m and reaches so far around it."""
+    anchor = view.camera.project(at_m, *view.scene_px)
+    around = view.camera.project(np.array(at_m) + outline_m(*reach_m), *view.scene_px)
+    reach_px = tuple(np.abs(around - anchor).max(axis=0).tolist())
+    rgb = _faded(marker, view.scheme)
+    return Name(marker.text, tuple(anchor.tolist()), reach_px, rgb, topic != GRID, topic == VEHICLE_NAMES)
+
+
+def outline_m(across, up):
+    """(n, 3) [m] around the middle of a flat thing that reaches so far."""
+    turns = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    ring = across * np.column_stack((np.cos(turns), np.sin(turns), np.zeros(16)))
+    return np.vstack((ring, [(0.0, 0.0, up), (0.0, 0.0, -up)]))
+
+
+def _faded(marker, scheme):
+    """(r, g, b) of a marker on the scheme's ground, but never so pale that it cannot be read."""
+    alpha = max(_LEAST_ALPHA, marker.color.a)
+    ground = np.array(scheme.ground) / 255.0
+    return tuple((alpha * np.array(_rgb(marker)) + (1.0 - alpha) * ground).tolist())
+
+
+def _rgb(marker):
+    return marker.color.r, marker.color.g, marker.color.b
+
+
+def _rows(drawn, shown, tuner, time_text):
+    """The lines of the panel: what is flown and when, every vehicle and how it is, the key, the tuner's text."""
+    of = {topic: {} for topic in (TITLE, VEHICLE_NAMES, MODE, BATTERY, TUNER)}
+    for (topic, _, marker_id), marker in drawn.items():
+        of.get(topic, {})[marker_id if topic != TUNER else marker.ns] = marker
+    rows = [Row(line, bold=True) for marker in of[TITLE].values() for line in marker.text.split("\n")]
+    rows.append(Row(time_text, small=True))
+    for number, marker in sorted(of[VEHICLE_NAMES].items()):
+        hull = drawn.get((VEHICLES, marker.ns, 1), marker)
+        rows.append(Row(marker.text, mark="dot", mark_rgb=_rgb(hull), space=True))
+        states = filter(None, (of[MODE].get(number - 1), of[BATTERY].get(number - 1)))
+        rows += [Row(state.text.removeprefix(marker.ns + ": "), _rgb(state), small=True) for state in states]
+    key = [(text, _rgb(marker)) for text, topic, ns in KEY for marker in _first(drawn, topic, ns) if topic in shown]
+    rows += [Row(text, mark="line", mark_rgb=rgb, small=True, space=k == 0) for k, (text, rgb) in enumerate(key)]
+    if tuner:
+        rows += [Row(marker.text, _rgb(marker), small=True, space=True) for _, marker in sorted(of[TUNER].items())]
+    return rows
+
+
+def _first(drawn, topic, ns):
+    return [marker for key, marker in drawn.items() if key[:2] == (topic, ns)][:1]
 
 
 def _node(view):
@@ -184,7 +346,7 @@ def _rviz(view, folder, network):
     """A virtual screen with rviz on it, as the node of the view's name."""
     config = folder / (view.name + ".rviz")
     config.write_text(yaml.safe_dump(view.config), encoding="utf-8")
-    with VirtualScreen(*view.size_px) as screen:
+    with VirtualScreen(*view.scene_px) as screen:
         command = ["rviz", "--splash-screen", "", "--fullscreen", "--display-config", str(config)]
         screen.start([*command, "__name:=" + _node(view)], folder / (view.name + ".log"), **network)
         yield screen

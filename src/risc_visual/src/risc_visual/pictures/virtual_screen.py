@@ -13,29 +13,24 @@ has a frame. Drawing is in software and takes a core, so do not measure a flight
 """
 
 import contextlib
+import importlib.util
 import os
 import pathlib
-import random
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
 
 import cv2
 import numpy as np
+from PIL import ImageGrab
 
-DISPLAYS = range(1000, 60000)  # far from those of people
-_ATTEMPTS = 5  # to find a display that nobody has
-_START_PATIENCE_S = 20.0
 _END_PATIENCE_S = 10.0
 _POLL_S = 0.2
-_HELLO = b"l\0\x0b" + 9 * b"\0"  # an X11 client's first words: little-endian, version 11.0, no authorization
 _LOG_LINES = 15
+_OPTIONS = ["-noreset", "-nocursor", "+extension", "GLX"]
 _COLOURS = 16  # fewer: an empty window and its frame
-_PIXEL_BITS = 32
-_LITTLE_ENDIAN = 0  # of XWD's byte_order
 
 
 class ScreenError(RuntimeError):
@@ -44,7 +39,8 @@ class ScreenError(RuntimeError):
 
 def missing_programs(*programs):
     """Those of the programs, and of what a virtual screen itself needs, that are not installed."""
-    return [name for name in ("Xvfb", *programs) if shutil.which(name) is None]
+    missing = [name for name in ("Xvfb", *programs) if shutil.which(name) is None]
+    return missing + ([] if importlib.util.find_spec("pyvirtualdisplay") else ["python3-pyvirtualdisplay"])
 
 
 def shows_something(picture):
@@ -65,16 +61,24 @@ class VirtualScreen:
     def __init__(self, width_px=1280, height_px=900):
         """Raises ScreenError when Xvfb is missing or does not start."""
         if missing_programs():
-            raise ScreenError("Xvfb is not installed, so there is no virtual screen: 'apt-get install xvfb' (as root)")
+            packages = "'apt-get install xvfb python3-pyvirtualdisplay' (as root)"
+            raise ScreenError("Xvfb is not installed, so there is no virtual screen: " + packages)
+        # Debian's, and there only where pictures are wanted, as Xvfb is
+        from pyvirtualdisplay import Display
+        from pyvirtualdisplay.abstractdisplay import XStartError, XStartTimeoutError
+
         self.width_px, self.height_px = width_px, height_px
         self._stack = contextlib.ExitStack()
         self._programs = []  # (command, process, log)
         try:
             self._folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="screen-")))
-            self.display = self._start_server()
-        except BaseException:
+            server = Display(size=(width_px, height_px), manage_global_env=False, extra_args=_OPTIONS)
+            server.start()
+            self._stack.callback(_stop, server)
+            self.display = server.new_display_var
+        except (XStartError, XStartTimeoutError) as error:
             self._stack.close()
-            raise
+            raise ScreenError("Xvfb did not start: %s" % error) from None
 
     def __enter__(self):
         return self
@@ -85,21 +89,6 @@ class VirtualScreen:
     def close(self):
         """End the programs, the youngest first, and the screen."""
         self._stack.close()
-
-    def _start_server(self):
-        # A number of our own and a look at its socket: with -displayfd a display that was dead at once has been seen.
-        for number in random.sample(DISPLAYS, _ATTEMPTS):
-            command = ["Xvfb", ":%d" % number, "-screen", "0", "%dx%dx24" % (self.width_px, self.height_px)]
-            command += ["-fbdir", str(self._folder), "-nolisten", "tcp", "-noreset", "-nocursor", "+extension", "GLX"]
-            log = self._folder / "Xvfb.log"
-            server = self._popen(command, log, None)
-            deadline = time.monotonic() + _START_PATIENCE_S
-            while server.poll() is None and time.monotonic() < deadline:
-                if _answers("/tmp/.X11-unix/X%d" % number, _POLL_S):
-                    return ":%d" % number
-                time.sleep(0.02)
-            _end(server)
-        raise ScreenError("Xvfb did not start:\n" + _tail(log))
 
     def environment(self, **more):
         """Environment for a program that is to use this screen; `more` goes on top."""
@@ -121,32 +110,25 @@ class VirtualScreen:
         if shutil.which(command[0]) is None:
             raise ScreenError("%s is not installed: './maap screenshot' installs what pictures need" % command[0])
         log = pathlib.Path(log or self._folder / ("%d.log" % len(self._programs)))
-        process = self._popen(command, log, self.environment(**environment))
-        self._programs.append((command, process, log))
-        return process
-
-    def _popen(self, command, log, environment):
         with log.open("wb") as output:
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env=environment,
+                env=self.environment(**environment),
                 start_new_session=True,  # a Ctrl-C at the terminal is for us
             )
         self._stack.callback(_end, process)
+        self._programs.append((command, process, log))
         return process
 
     def picture(self):
         """What is on the screen now: (height, width, 3), uint8, RGB."""
-        file = self._folder / "Xvfb_screen0"
-        content = file.read_bytes()
-        for _ in range(_ATTEMPTS):  # the server may have been writing while we read
-            before, content = content, file.read_bytes()
-            if content == before:
-                break
-        return _picture_from_xwd(content)
+        try:
+            return np.asarray(ImageGrab.grab(xdisplay=self.display).convert("RGB"))
+        except OSError as error:
+            raise ScreenError("the virtual screen %s does not answer: %s" % (self.display, error)) from None
 
     def steady_picture(self, accept=shows_something, steady_s=2.0, timeout_s=300.0):
         """The picture as soon as it has not changed for `steady_s` and accept(picture) holds.
@@ -178,29 +160,14 @@ class VirtualScreen:
                 raise ScreenError("%s has ended (exit code %d):\n%s" % (command[0], process.returncode, _tail(log)))
 
 
-def _answers(path, patience_s):
-    """Whether the X server at this socket answers. It listens before it has a screen, and answers when it has."""
-    with socket.socket(socket.AF_UNIX) as probe:
-        probe.settimeout(patience_s)
-        try:
-            probe.connect(path)
-            probe.sendall(_HELLO)
-            return probe.recv(1) != b""
-        except OSError:
-            return False
-
-
-def _picture_from_xwd(content):
-    """(height, width, 3), uint8, RGB of an X window dump (XWD, version 7) with 32 bits a pixel: Xvfb's frame buffer."""
-    names = "header_size version format depth width height offset byte_order unit bit_order pad bits line_bytes"
-    head = dict(zip(names.split(), np.frombuffer(content, ">u4", 13).tolist()))
-    colours = int(np.frombuffer(content, ">u4", 20)[19])
-    if head["version"] != 7 or head["bits"] != _PIXEL_BITS or head["byte_order"] != _LITTLE_ENDIAN:
-        raise ScreenError("this X server's frame buffer is of a kind that is not supported: %s" % head)
-    start = head["header_size"] + 12 * colours
-    shape = (head["height"], head["line_bytes"] // 4, 4)
-    pixels = np.frombuffer(content, np.uint8, head["height"] * head["line_bytes"], start).reshape(shape)
-    return np.ascontiguousarray(pixels[:, : head["width"], 2::-1])
+def _stop(server):
+    """End an X server kindly, so that it removes its socket; pyvirtualdisplay would kill it."""
+    if server.is_alive():
+        os.kill(server.pid, signal.SIGTERM)
+    deadline = time.monotonic() + _END_PATIENCE_S
+    while server.is_alive() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    server.stop()
 
 
 def _end(process):

@@ -4,6 +4,7 @@ import math
 
 from std_msgs.msg import Header
 
+from risc_control.failsafe import FailsafeLevel, Rule, Verdict
 from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 from risc_visual.drawing.cast import Pose
@@ -42,6 +43,11 @@ def references_from_trajectories(msg):
         entry.name: ((entry.x, entry.y, entry.z), math.sqrt(entry.xdot**2 + entry.ydot**2 + entry.zdot**2))
         for entry in msg.Obj
     }
+
+
+def verdict_from_msg(msg):
+    """Safety -> Verdict, without ages."""
+    return Verdict(FailsafeLevel(msg.level), msg.reason, msg.operator, Rule(msg.rule))
 
 
 def waypoints_from_msg(msg):

@@ -4,14 +4,12 @@ Form: ``AT*NAME=sequence[,argument...]`` + carriage return.  Several commands ma
 spans two.  Arguments: signed decimal integers; strings in double quotes; floats as the decimal value of their 32-bit
 pattern read as a signed integer (0.3 -> 1050253722).
 
-One table (`SIGNATURES`) serves both directions: the client encodes strictly from it, the aircraft parses tolerantly
-with it.  Nothing that arrives raises: what cannot be understood is counted.
+One table (`SIGNATURES`) serves both directions: the client encodes strictly from it, the virtual aircraft
+(risc_simulator) parses tolerantly with it.
 """
 
 import math
-import re
 import struct
-from collections import namedtuple
 from enum import IntEnum, IntFlag
 
 MAX_COMMAND_CHARS = 1024  # a longer command is refused by the aircraft
@@ -122,7 +120,6 @@ _REF = {
     for start in (False, True)
     for select in (False, True)
 }
-_NAME = re.compile(r"[A-Z][A-Z0-9_]*\Z")
 
 
 def float_to_int(value):
@@ -242,108 +239,3 @@ class SequenceCounter:
     def reset(self):
         """Start again at 1, as after a lost link."""
         self._last = 0
-
-
-# --- aircraft side ---------------------------------------------------------------------------------------------------
-class AtCommand(namedtuple("AtCommand", "name sequence arguments")):
-    """One received command; arguments converted as the signature says (int, float, str).
-
-    For a name outside SIGNATURES (legacy or unknown) the arguments are ints and strings as they stand.
-    """
-
-    __slots__ = ()
-
-
-ParsedDatagram = namedtuple("ParsedDatagram", "commands malformed")
-
-
-def parse_datagram(data):
-    """All commands of one datagram, in order.
-
-    data: bytes.  Accepts CR, LF, CRLF, zero bytes or nothing between and after commands, spaces around them,
-    a comma too many at the end, surplus arguments, and unsigned float patterns.
-    Returns ParsedDatagram(commands: list of AtCommand, malformed: number of lines that were refused). Never raises.
-    """
-    commands = []
-    malformed = 0
-    text = data.decode("latin-1").replace("\n", "\r").replace("\0", "\r")
-    for line in text.split("\r"):
-        line = line.strip(" \t")
-        if not line:
-            continue
-        command = _parse_line(line)
-        if command is None:
-            malformed += 1
-        else:
-            commands.append(command)
-    return ParsedDatagram(commands, malformed)
-
-
-def _parse_line(line):
-    if len(line) >= MAX_COMMAND_CHARS or not line.startswith("AT*"):
-        return None
-    name, equals, rest = line[3:].partition("=")
-    if not equals or not _NAME.match(name):
-        return None
-    raw = _split_arguments(rest)
-    if raw is None or not raw or not isinstance(raw[0], int) or not 0 <= raw[0] < 2**32:
-        return None
-    sequence, raw = raw[0], raw[1:]
-    kinds = SIGNATURES.get(name)
-    if kinds is None:
-        return AtCommand(name, sequence, tuple(raw))
-    if len(raw) < len(kinds) - OPTIONAL_TAIL.get(name, 0):
-        return None
-    raw = raw[: len(kinds)] + [0] * (len(kinds) - len(raw))
-    arguments = []
-    for kind, value in zip(kinds, raw):
-        if isinstance(value, str) != (kind == "s"):
-            return None
-        if kind == "f":
-            try:
-                value = int_to_float(value)
-            except ValueError:
-                return None
-        elif kind == "i" and not -(2**31) <= value < 2**32:
-            return None
-        arguments.append(value)
-    return AtCommand(name, sequence, tuple(arguments))
-
-
-_ARGUMENT = re.compile(r'\s*(?:"([^"]*)"|([+-]?[0-9]{1,11}))\s*(,|\Z)', re.ASCII)
-
-
-def _split_arguments(text):
-    """List of int and str, or None when the text is not a comma-separated list of them."""
-    values = []
-    position = 0
-    while position < len(text):
-        match = _ARGUMENT.match(text, position)
-        if match is None:
-            return None
-        string, number, _ = match.groups()
-        values.append(string if number is None else int(number))
-        position = match.end()
-    return values
-
-
-class SequenceGate:
-    """Aircraft side: which sequence numbers are accepted.
-
-    A number that is not larger than the last accepted one is refused; 1 always resets and is accepted, and so is 0
-    (some clients start there).  reset() after the link was lost.
-    """
-
-    def __init__(self):
-        self._last = -1
-
-    def accept(self, sequence):
-        """True when a command with this number is to be obeyed."""
-        if sequence > self._last or sequence in (0, 1):
-            self._last = sequence
-            return True
-        return False
-
-    def reset(self):
-        """Forget: the next command is accepted, whatever its number."""
-        self._last = -1

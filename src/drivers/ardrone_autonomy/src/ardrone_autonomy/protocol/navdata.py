@@ -3,17 +3,15 @@
 A packet is a 16-byte header (magic, state bits, sequence, vision_defined), then options (uint16 tag, uint16 size
 *including these four bytes*, payload; packed), then always the checksum option: the plain sum of all bytes before it.
 
-One table (`LAYOUTS`) describes every option and serves both directions.  Field names, order and units are those of
-the aircraft (and of the navdata_* messages of the ROS driver): axes x nose, y right, z down; milli-degrees, mm, mm/s.
+One table (`LAYOUTS`) describes every option; the virtual aircraft (risc_simulator) writes with it.  Field names, order
+and units are those of the aircraft (and of the navdata_* messages of the ROS driver): axes x nose, y right, z down;
+milli-degrees, mm, mm/s.
 
 Reading: `peek` looks at the header only (about a microsecond); `Navdata` finds the options, verifies the checksum and
 decodes an option only when asked.  Options are read by their own size: longer ones are read as far as they are known,
 unknown tags are skipped, a size of 0 ends the packet.  All errors are NavdataError.
-
-Writing: `NavdataEncoder` keeps one prebuilt packet; `slot` gives a function that writes a run of neighbouring fields.
 """
 
-import functools
 import struct
 from collections import namedtuple
 from enum import IntEnum, IntFlag
@@ -350,12 +348,6 @@ def time_to_seconds(time_raw):
     return (time_raw >> 21) + (time_raw & 0x1FFFFF) * 1e-6
 
 
-def seconds_to_time(seconds):
-    """The inverse of time_to_seconds, wrapping; seconds >= 0."""
-    whole = int(seconds)
-    return (whole & 0x7FF) << 21 | min(999999, int((seconds - whole) * 1e6))
-
-
 # --- reading ---------------------------------------------------------------------------------------------------------
 Header = namedtuple("Header", "magic state sequence vision_defined")
 
@@ -447,68 +439,3 @@ class Navdata:
             return None
         layout = layout_of(tag, span[1] + 4)
         return None if layout is None else layout.unpack(self._data, span[0], span[1])
-
-
-# --- writing ---------------------------------------------------------------------------------------------------------
-class NavdataEncoder:
-    """A packet with a fixed set of options, prebuilt; only what changes is written.
-
-    tags: option tags in wire order; none gives a bootstrap packet of 24 bytes.
-    gps: tag 27 in its long form (firmware 2.4) instead of zimmu_3000.
-    """
-
-    def __init__(self, tags=(), gps=True):
-        self._layouts = {}
-        offset = HEADER.size
-        for tag in tags:
-            layout = GPS_LAYOUT if gps and tag == Tag.GPS else LAYOUTS.get(tag)
-            if layout is None:
-                raise ValueError("unknown navdata tag %r, known are 0..27" % (tag,))
-            if tag in self._layouts:
-                raise ValueError("navdata tag %d twice" % tag)
-            self._layouts[tag] = (layout, offset + OPTION_HEADER.size)
-            offset += layout.size
-        self._checksum_offset = offset
-        self._buffer = bytearray(offset + CHECKSUM_OPTION.size)
-        for tag, (layout, payload_offset) in self._layouts.items():
-            OPTION_HEADER.pack_into(self._buffer, payload_offset - OPTION_HEADER.size, tag, layout.size)
-        self._body = memoryview(self._buffer)[:offset]
-
-    def __len__(self):
-        return len(self._buffer)
-
-    def __contains__(self, tag):
-        return tag in self._layouts
-
-    @property
-    def tags(self):
-        """The tags in wire order."""
-        return tuple(self._layouts)
-
-    def slot(self, tag, first, last=None):
-        """Function that writes the fields from `first` to `last` (default: only first) of one option.
-
-        It takes one positional number per element (arrays spread out).  struct.error when a number does not fit.
-        """
-        layout, offset = self._layouts[tag]
-        start = layout.index[first]
-        stop = layout.index[last or first] + 1
-        run = layout.fields[start:stop]
-        if not run:
-            raise ValueError("%s comes before %s in option %s" % (last, first, layout.name))
-        packer = struct.Struct("<" + "".join("%d%s" % (f.count, f.code) for f in run))
-        return functools.partial(packer.pack_into, self._buffer, offset + run[0].offset)
-
-    def put(self, tag, **fields):
-        """Write named fields of one option (for tests and for what is set once)."""
-        for name, value in fields.items():
-            self.slot(tag, name)(*(value if isinstance(value, (tuple, list)) else (value,)))
-
-    def finish(self, state, sequence, vision_defined=0):
-        """The packet as bytes: header and checksum for what has been written so far."""
-        buffer = self._buffer
-        HEADER.pack_into(buffer, 0, MAGIC, state, sequence, vision_defined)
-        CHECKSUM_OPTION.pack_into(
-            buffer, self._checksum_offset, CHECKSUM_TAG, CHECKSUM_OPTION.size, sum(self._body) & 0xFFFFFFFF
-        )
-        return bytes(buffer)

@@ -31,7 +31,6 @@ import numpy as np
 from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
 from ardrone_autonomy.protocol.navdata import ControlState, State
-from ardrone_autonomy.protocol.profiles import NO_LIMIT_MM, ConfigurationStore
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.notices import Notices
@@ -39,7 +38,9 @@ from risc_simulator.socket_host import VehicleHost
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S, LOW_BATTERY_PCT
 from risc_simulator.vehicles.ardrone.ftp import FtpServer
 from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
+from risc_simulator.vehicles.ardrone.profiles import NO_LIMIT_MM, ConfigurationStore
 from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
+from risc_simulator.vehicles.ardrone.wire import SequenceGate, parse_datagram
 
 _LOG = logging.getLogger(__name__)
 
@@ -144,16 +145,25 @@ class ArdroneHost(VehicleHost):
     seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
     radio_loss: probability that a radio slot, or a datagram of navdata, is lost.
     rest_height_m: of the vehicle's centre when it stands.
+    wires: faults.Wires, of which it uses commands, wake_ups and navdata; None = wires of its own.
 
     All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
     address or port cannot be used; nothing that arrives later raises.
     """
 
     def __init__(
-        self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, rest_height_m=None
+        self,
+        vehicle,
+        address,
+        ports=STANDARD_PORTS,
+        seed=0,
+        sensor_noise=1.0,
+        radio_loss=0.0,
+        rest_height_m=None,
+        wires=None,
     ):
-        super().__init__()
-        self._vehicle = vehicle
+        super().__init__(vehicle, wires)
+        self._commands, self._wake_ups, self._navdata = map(self.wire, ("commands", "wake_ups", "navdata"))
         self.address = address
         rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
         rate_hz = vehicle.type.command_rate_hz
@@ -173,7 +183,7 @@ class ArdroneHost(VehicleHost):
         self._notices = Notices(_LOG, vehicle.namespace)
 
         # link
-        self._gate = at.SequenceGate()
+        self._gate = SequenceGate()
         self._last_at_s = None  # of the last accepted command; None before the first and after a loss
         self._com_watchdog = True  # state bit 30
         self._com_lost_s = None  # since when state bit 13 is set
@@ -256,10 +266,10 @@ class ArdroneHost(VehicleHost):
         self._now_s = now_s
         if sock is self._sockets.get("at"):
             for data, sender in self._receive(sock):
-                self._on_at_datagram(data, sender, now_s)
+                self._commands.carry(data, sender, now_s, self._on_at_datagram)
         elif sock is self._sockets.get("navdata"):
             for data, sender in self._receive(sock):
-                self._on_wake_up(data, sender, now_s)
+                self._wake_ups.carry(data, sender, now_s, self._on_wake_up)
         elif self.link_lost:
             self.watch_streams()  # a loss that has just begun: streams stall
         elif sock is self._ftp:
@@ -283,6 +293,8 @@ class ArdroneHost(VehicleHost):
     def tick(self, now_s):
         """To be called once per cycle of the lab, after the world has moved."""
         self._now_s = now_s
+        if now_s >= self.wires.due_s:
+            self.wires.release(now_s)
         phase = self._vehicle.phase
         link_up = now_s >= self._lost_until_s
         if now_s < self._due_s and phase is self._last_phase and link_up is self._link_up:
@@ -465,8 +477,9 @@ class ArdroneHost(VehicleHost):
     # --- commands ---------------------------------------------------------------------------------------------------
 
     def _on_at_datagram(self, data, sender, now_s):
+        self._due_s = -math.inf  # one that a fault has kept back comes between two cycles
         self._counts["at_datagrams"] += 1
-        commands, malformed = at.parse_datagram(data)
+        commands, malformed = parse_datagram(data)
         if malformed:
             self._counts["at_malformed"] += malformed
             self._notices.complaint("sends malformed commands", sender, repr(data[:60]))
@@ -744,6 +757,7 @@ class ArdroneHost(VehicleHost):
     # --- navdata ----------------------------------------------------------------------------------------------------
 
     def _on_wake_up(self, data, sender, now_s):
+        self._due_s = -math.inf
         if not navdata.is_wake_up(data):
             self._counts["not_wake_ups"] += 1
             self._notices.complaint("asks for navdata wrongly", sender, repr(data[:20]))
@@ -783,8 +797,11 @@ class ArdroneHost(VehicleHost):
         if self.link_lost or (self._radio_loss > 0.0 and self._losses.random() < self._radio_loss):
             self._counts["datagrams_lost_out"] += 1
             return
+        self._navdata.carry(packet, self._client, now_s, self._send)
+
+    def _send(self, packet, client, _now_s):
         try:
-            self._sockets["navdata"].sendto(packet, self._client)
+            self._sockets["navdata"].sendto(packet, client)
             self._counts["navdata_sent"] += 1
         except OSError:
             self._counts["send_errors"] += 1

@@ -6,8 +6,9 @@ What has no counterpart in the virtual lab (detections, trackers, wind, USB reco
 
 import math
 
-from ardrone_autonomy.protocol.navdata import NavdataEncoder, Tag, seconds_to_time
+from ardrone_autonomy.protocol.navdata import Tag
 from risc_simulator.vehicles.ardrone.sensors import TEMPERATURE_TENTHS_C
+from risc_simulator.vehicles.ardrone.wire import NavdataEncoder, seconds_to_time
 
 _RAD = math.pi / 180.0
 _ACCELEROMETER_ZERO = 2048

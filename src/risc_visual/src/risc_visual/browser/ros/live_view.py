@@ -8,23 +8,26 @@ import time
 
 import rospy
 import tf2_ros
-from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
+from risc_lab.phases import OperatorPhase
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, known_arena, number, private, vehicles, warn_of_unknown
 from risc_lab.ros.ticker import Ticker
+from risc_maap_msgs.msg import ControllerReport, EstimatorStatus, OperatorState, Safety, TrajectoryPhases
 from risc_msgs.msg import Trajectories
 from risc_visual.browser.landing import ask_all
 from risc_visual.browser.live_status import LiveStatus, Mocap, Report, Vehicle
 from risc_visual.browser.marker_scene import FIXED_FRAME, Action, Look, MarkerScene, MarkerValue, Placement, Shape
-from risc_visual.browser.page import SHAPES, BrowserPanel, BrowserScene, open_server
-from risc_visual.drawing.cast import phases_from_text
+from risc_visual.browser.page import SHAPES, BrowserPanel, BrowserScene
+from risc_visual.browser.page_server import open_server
+from risc_visual.drawing.cast import phase_words
 from risc_visual.drawing.scenery import load_scenery
+from risc_visual.ros.conversions import verdict_from_msg
 
 # What the drawing nodes send. Of those drawn anew as a whole each time, what is too fast is skipped; of the others
 # every message counts.
@@ -144,11 +147,12 @@ class LiveView:
             group, name = "/%s/" % vehicle.namespace, vehicle.namespace
             newest(group + "controller_status", Bool, self._on_value, _PANEL_HZ, "mode", name)
             newest(group + "ardrone/navdata", Navdata, self._on_navdata, _PANEL_HZ, name)
-            every(group + "safety", String, self._on_value, "safety", name)
+            every(group + "safety", Safety, self._on_safety, name)
         newest("/trajectory", Trajectories, self._on_references, _PANEL_HZ)
-        every("/trajectory_phase", String, self._on_course)
-        every("/operator/phase", String, self._on_value, "phase", "")
-        every("/diagnostics", DiagnosticArray, self._on_diagnostics)
+        every("/trajectory_phase", TrajectoryPhases, self._on_phases)
+        every("/operator/phase", OperatorState, self._on_operator)
+        every("/controller_report", ControllerReport, self._on_controller)
+        every("/estimator_status", EstimatorStatus, self._on_estimator)
 
     def _rest(self):
         """The last one has gone."""
@@ -184,23 +188,26 @@ class LiveView:
     def _on_references(self, _message, _args):
         self._status.note("references", "", True, time.monotonic())
 
-    def _on_course(self, message, _args):
-        for template, phase in phases_from_text(message.data).items():
+    def _on_safety(self, message, args):
+        self._status.note("safety", args[0], verdict_from_msg(message), time.monotonic())
+
+    def _on_phases(self, message, _args):
+        for template, phase in phase_words(message.vehicles).items():
             self._status.note("course", template, phase, time.monotonic())
 
-    def _on_diagnostics(self, message, _args):
-        now_s = time.monotonic()
-        for status in message.status:
-            values = {item.key: item.value for item in status.values}
-            for vehicle in self._vehicles:
-                error_mm = values.get("position error of %s (mm)" % vehicle.template)
-                if error_mm is not None:
-                    self._status.note("error_m", vehicle.namespace, 1e-3 * float(error_mm), now_s)
-            if status.name.endswith("states estimation") and "rate [Hz]" in values:
-                mocap = Mocap(float(values["rate [Hz]"]), values.get("vehicles visible", "?"))
-                self._status.note("mocap", "", mocap, now_s)
-            elif status.name.endswith("virtual operator"):
-                self._status.note("operator", "", True, now_s)
+    def _on_operator(self, message, _args):
+        words = OperatorPhase(message.phase).name.lower(), message.text
+        self._status.note("operator", "", ": ".join(filter(None, words)), time.monotonic())
+
+    def _on_controller(self, message, _args):
+        namespaces = {vehicle.template: vehicle.namespace for vehicle in self._vehicles}
+        for vehicle in message.vehicles:
+            if vehicle.name in namespaces:
+                self._status.note("error_m", namespaces[vehicle.name], vehicle.position_error_m, time.monotonic())
+
+    def _on_estimator(self, message, _args):
+        mocap = Mocap(message.rate_hz, message.visible, message.vehicles)
+        self._status.note("mocap", "", mocap, time.monotonic())
 
     def _diagnose(self, status):
         turns, viewers = self._turns, len(self._server.get_clients())

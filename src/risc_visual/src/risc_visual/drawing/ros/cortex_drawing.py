@@ -3,13 +3,15 @@
 import math
 import threading
 
+from risc_control.failsafe import FailsafeLevel
+from risc_lab.lab.templates import attached_bodies
 from risc_visual.drawing.cast import Cast, Index, is_news, rod_foot
 from risc_visual.drawing.palette import sphere_colours
 from risc_visual.drawing.ros import markers
 from risc_visual.ros.conversions import bodies_from_mocap, landmarks_from_msg, poses_from_cortex
 
 TEXT_PERIODS = 3.0  # without news after which a text vanishes
-_SPHERE_ALPHA = 0.4  # of landmarks
+_SPHERE_ALPHA = 0.7  # of landmarks
 
 
 class CortexDrawing:
@@ -22,12 +24,12 @@ class CortexDrawing:
         """params: CortexParams. fleet: FleetVehicles. templates: of lab.templates. landmarks: LandmarksConfig."""
         index = Index(params.vehicles or [vehicle.template for vehicle in fleet])
         self._cast = Cast(index, {vehicle.template: vehicle.type for vehicle in fleet})
-        self._tips = {name for name, template in templates.items() if template.kind == "pendulum_tip"}
+        self._tips = attached_bodies(templates)
         self._colours = {name: rgb + (_SPHERE_ALPHA,) for name, rgb in sphere_colours(landmarks).items()}
         self._lifetime_s, self._label_alpha = params.lifetime_s, params.label_alpha
         self._text_lifetime_s = TEXT_PERIODS / params.status_hz
         self._lock = threading.Lock()
-        self._safety = {}  # line -> what the vehicle's safety says when it is not content
+        self._safety = {}  # line -> Verdict of the vehicle's safety when it is not content
         self._levels = {}  # name -> (level of the safety ladder, when it was said [s])
 
     def vehicles(self, msg, now_s):
@@ -69,20 +71,20 @@ class CortexDrawing:
         head = markers.header(msg.header.stamp)
         return markers.covariance_marker(head, position_m, variances_m2, self._lifetime_s, number)
 
-    def note_safety(self, line, text):
-        """What the safety of the vehicle on a line of the list says, e.g. "hold: state 120 ms old"."""
+    def note_safety(self, line, verdict):
+        """What the safety of the vehicle on a line of the list says: its Verdict."""
         with self._lock:
-            self._safety[line] = "" if text == "ok" else text
+            self._safety[line] = None if verdict.level == FailsafeLevel.OK else verdict
 
     def mode(self, head, line, name, autonomous):
         """Line of text: who flies the vehicle, or what its safety does about it."""
         with self._lock:
-            safety = self._safety.get(line, "")
+            safety = self._safety.get(line)
             if safety:
-                self._levels[name] = (safety.partition(":")[0].upper(), head.stamp.to_sec())
+                self._levels[name] = (safety.level.name, head.stamp.to_sec())
             else:
                 self._levels.pop(name, None)
-        return markers.mode_marker(head, line, name, autonomous, safety, self._text_lifetime_s)
+        return markers.mode_marker(head, line, name, autonomous, safety.text if safety else "", self._text_lifetime_s)
 
     def battery(self, head, line, name, percent):
         """Line of text: charge of a vehicle's battery."""

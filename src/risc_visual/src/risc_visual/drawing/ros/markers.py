@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
+from risc_lab.lab.arena import Arena
 from risc_visual.drawing.airframes import PAINT
 from risc_visual.drawing.trails import MAX_PIECES
 
@@ -35,9 +36,12 @@ _TYPES = {
     "arrow": Marker.ARROW,
 }
 _NO_TURN = Quaternion(0.0, 0.0, 0.0, 1.0)
+LABEL_ABOVE_M = 0.3  # a name is so far above what it names (below a reference)
+_BEHIND_M = 0.8
 _TEXT_M = 0.3  # height of a text that stands alone
 _LINE_M = 0.2  # height of one that is a line among others
 _LEAST_M = 1e-3  # diameter of what rviz could not draw, were it smaller
+FLOWN_M, DESIRED_M = 0.04, 0.02  # widths of paths: the desired one is seen on the one flown
 _OLDEST_ALPHA = 0.25  # of a path's oldest piece; the newest is opaque
 
 
@@ -198,7 +202,9 @@ def vehicle_labels(head, views, alpha, lifetime_s, levels=None):
         rgba = (1.0, 1.0, 1.0, alpha)
         if levels and view.name in levels:
             text, rgba = "%s: %s" % (text, levels[view.name]), RED[:3] + (alpha,)
-        found.append(text_marker(head, view.name, view.index + 1, text, (x, y, z + 0.3), 0.17, rgba, lifetime_s))
+        found.append(
+            text_marker(head, view.name, view.index + 1, text, (x, y, z + LABEL_ABOVE_M), 0.17, rgba, lifetime_s)
+        )
     return found
 
 
@@ -216,7 +222,7 @@ def pendulum_markers(head, name, tip_m, foot_m, lifetime_s):
 def pendulum_label(head, name, tip_m, alpha, lifetime_s):
     """Name of a pendulum above its tip."""
     x, y, z = tip_m
-    return text_marker(head, name, 1, name, (x, y, z + 0.2), 0.17, (1.0, 1.0, 1.0, alpha), lifetime_s)
+    return text_marker(head, name, 1, name, (x, y, z + LABEL_ABOVE_M), 0.17, (1.0, 1.0, 1.0, alpha), lifetime_s)
 
 
 def landmark_markers(head, landmarks, lifetime_s, colours):
@@ -232,7 +238,7 @@ def landmark_markers(head, landmarks, lifetime_s, colours):
 def landmark_labels(head, landmarks, alpha, lifetime_s):
     """Their names above them: ns = name."""
     return [
-        text_marker(head, name, 1, name, (x, y, z + 0.3), 0.17, (1.0, 1.0, 1.0, alpha), lifetime_s)
+        text_marker(head, name, 1, name, (x, y, z + LABEL_ABOVE_M), 0.17, (1.0, 1.0, 1.0, alpha), lifetime_s)
         for name, (x, y, z) in landmarks
         if is_known((x, y, z))
     ]
@@ -324,7 +330,7 @@ def _status_marker(head, ns, corner_m, line, outwards, name, text, rgba, lifetim
 # ---------------------------------------------------------------- paths
 
 
-def trail_markers(head, ns, index, pieces, rgb, lifetime_s):
+def trail_markers(head, ns, index, pieces, rgb, width_m, lifetime_s):
     """Pieces of one path (`Trail.to_send`) as line strips that pale with age; ids are this path's own."""
     return [
         marker(
@@ -333,7 +339,7 @@ def trail_markers(head, ns, index, pieces, rgb, lifetime_s):
             index * MAX_PIECES + slot,
             Marker.LINE_STRIP,
             (0.0, 0.0, 0.0),
-            (0.01, 0.0, 0.0),
+            (width_m, 0.0, 0.0),
             # in steps, so that the shared colour objects stay few
             rgb + (round(1.0 - (1.0 - _OLDEST_ALPHA) * min(1.0, age), 2),),
             lifetime_s,
@@ -348,7 +354,7 @@ def reference_markers(head, index, name, position_m, named, lifetime_s):
     x, y, z = position_m
     found = [marker(head, "traj_point", index, Marker.SPHERE, position_m, (0.1, 0.1, 0.1), ORANGE, lifetime_s)]
     if named:
-        found.append(text_marker(head, "traj_name", index, name, (x, y, z - 0.2), 0.17, ORANGE, lifetime_s))
+        found.append(text_marker(head, "traj_name", index, name, (x, y, z - LABEL_ABOVE_M), 0.17, ORANGE, lifetime_s))
     return found
 
 
@@ -380,14 +386,15 @@ def waypoint_labels(head, index, waypoints, alpha, lifetime_s):
     found = []
     for item in waypoints:
         x, y, z = item.position_m
-        at_m, rgba = (x, y, z + 0.3), _WAYPOINT + (alpha,)
+        at_m, rgba = (x, y, z + LABEL_ABOVE_M), _WAYPOINT + (alpha,)
         found.append(text_marker(head, item.ns, index[item.key], item.name, at_m, 0.17, rgba, lifetime_s))
     return found
 
 
-def title_marker(head, text, lifetime_s):
-    """What is flown: a text over the arena."""
-    return text_marker(head, "trajectory_name", 0, text, (0.0, 0.0, 3.0), _TEXT_M, ORANGE, lifetime_s)
+def title_marker(head, text, lifetime_s, arena=Arena()):
+    """What is flown: a text behind the far wall, where it covers no vehicle, seen from behind or from above."""
+    at_m = (arena.half_x_m + _BEHIND_M, 0.0, arena.height_m)
+    return text_marker(head, "trajectory_name", 0, text, at_m, _TEXT_M, ORANGE, lifetime_s)
 
 
 def _turned(quaternion, vector, origin):

@@ -10,9 +10,9 @@ _PIECE_LIFETIME_S = 3.0
 class PathDrawing:
     """The paths of all things on one topic."""
 
-    def __init__(self, ns, rgb, trail_params, rate_hz, index):
+    def __init__(self, ns, rgb, width_m, trail_params, rate_hz, index):
         """index: cast.Index of the things' names; rate_hz: how often `draw` is called, about."""
-        self._ns, self._rgb, self._params, self._index = ns, rgb, trail_params, index
+        self._ns, self._rgb, self._width_m, self._params, self._index = ns, rgb, width_m, trail_params, index
         self._turns = max(1, round(_REFRESH_S * rate_hz))
         self._turn = 0
         self._trails = {}
@@ -27,7 +27,8 @@ class PathDrawing:
         found = []
         for name, trail in self._trails.items():
             pieces = trail.to_send(now_s, self._turn, self._turns)
-            found += markers.trail_markers(head, self._ns, self._index[name], pieces, self._rgb, _PIECE_LIFETIME_S)
+            look = self._rgb, self._width_m, _PIECE_LIFETIME_S
+            found += markers.trail_markers(head, self._ns, self._index[name], pieces, *look)
         return found
 
     def keep_only(self, names):

@@ -15,7 +15,9 @@ class WaypointDrawing:
         self._params = params
         self._numbers = Index((name, 1) for name in names)  # of waypoints
         trail_params = TrailParams(params.trail_s, params.step_m, params.jump_m, params.gap_s)
-        self._paths = PathDrawing("way_trail", markers.RED[:3], trail_params, params.rate_hz, Index(names))
+        self._paths = PathDrawing(
+            "way_trail", markers.RED[:3], markers.FLOWN_M, trail_params, params.rate_hz, Index(names)
+        )
         self._sent = (frozenset(), 0.0)  # vehicles that have a waypoint, and when it was said; replaced as a whole
 
     def waypoints(self, msg, now_s):

@@ -29,6 +29,7 @@ from risc_lab.vehicle_frames import body_frame
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
 from risc_visual.cfg import TransformTunerConfig
 from risc_visual.drawing.ros import markers
+from risc_visual.drawing.ros.marker_publisher import MarkerPublisher
 from risc_visual.ros.conversions import landmarks_from_msg
 from risc_visual.ros.health import Health
 from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, TunerParams
@@ -43,8 +44,9 @@ _ANSWER_S = 20.0  # how long the last answer stays in the view
 _LANDMARKS_HZ = 2.0
 _STATES = 400  # frames that may wait while the node is held up: 2 s at 200 Hz
 _BUFFER_BYTES = 2**20
-_TEXT_AT_M = (0.0, 0.0, -0.7)  # body axes: above the vehicle
+_TEXT_ABOVE_M = 0.6  # its lower edge above the vehicle, and above the vehicle's name
 _TEXT_M = 0.08  # height of a line
+_LINE = 1.3  # distance of two lines / their height
 _TEXT_COLUMNS = 56
 _TEXT_RGBA = (1.0, 1.0, 0.6, 1.0)
 
@@ -120,7 +122,7 @@ class TransformTunerNode:
         self._lock = threading.Lock()  # windows and frames: handles, sliders, services and topics have a thread each
         namespace = rospy.resolve_name(NAMESPACE)
         mounts = {item.template: item.tuner.mount for item in self._tuned}
-        self._text = rospy.Publisher(namespace + "/text", MarkerArray, queue_size=1)
+        self._text = MarkerPublisher(namespace + "/text", MarkerArray, queue_size=1)
         self._handles = HandleServer(namespace)
         self._health = Health("transform_tuner", ("/cortex_raw", "/states3", "/angles"))
         self._frames = VehicleTransforms(mounts)
@@ -249,7 +251,7 @@ class TransformTunerNode:
                 lines += textwrap.wrap(item.answer, _TEXT_COLUMNS)
             head = Header(frame_id=body_frame(item.template))  # no stamp: where the vehicle is now
             lifetime_s = 3.0 / self._params.text_hz
-            found.append(
-                markers.text_marker(head, item.name, 0, "\n".join(lines), _TEXT_AT_M, _TEXT_M, _TEXT_RGBA, lifetime_s)
-            )
+            at_m = (0.0, 0.0, -_TEXT_ABOVE_M - 0.5 * _LINE * _TEXT_M * len(lines))  # body axes
+            text = "\n".join(lines)
+            found.append(markers.text_marker(head, item.name, 0, text, at_m, _TEXT_M, _TEXT_RGBA, lifetime_s))
         self._text.publish(found)

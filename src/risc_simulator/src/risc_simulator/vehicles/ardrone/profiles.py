@@ -1,7 +1,7 @@
 """Configuration as the aircraft keeps it: values per category and id, and the side effects of a write."""
 
-from . import config
-from .config import Category
+from ardrone_autonomy.protocol import config
+from ardrone_autonomy.protocol.config import Category
 
 # Accepted range by key; values outside are clipped.  control_yaw: the guide recommends at least 0.7 rad/s, but lower
 # values are in use and accepted.

@@ -1,0 +1,34 @@
+"""What references and the operator of a flight do: the numbers of VehiclePhase and OperatorState of risc_maap_msgs."""
+
+import enum
+
+
+class TrajectoryPhase(enum.IntEnum):
+    """What a vehicle's reference is doing."""
+
+    HOLD = 0  # it is where the vehicle is, or where it became autonomous
+    APPROACH = 1
+    COURSE = 2
+    HOME = 3
+    HOMED = 4
+
+
+class OperatorPhase(enum.IntEnum):
+    """What the operator is doing, in the order of a flight."""
+
+    WAITING = 0
+    TAKEOFF = 1
+    SETTLE = 2
+    FLY = 3
+    HOME = 4
+    LAND = 5
+    DONE = 6
+    ABORTED = 7
+
+
+class OperatorResult(enum.IntEnum):
+    """How it ended."""
+
+    RUNNING = 0  # not yet
+    OK = 1
+    FAILED = 2

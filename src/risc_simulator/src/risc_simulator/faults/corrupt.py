@@ -1,0 +1,12 @@
+"""With this probability one byte of a datagram, anywhere in it, is another one."""
+
+
+def make(severity, rng):
+    def act(datagram, now_s):
+        if datagram and rng.random() < severity:
+            datagram = bytearray(datagram)
+            datagram[rng.integers(len(datagram))] ^= int(rng.integers(1, 256))
+            datagram = bytes(datagram)
+        return [(0.0, datagram)]
+
+    return act

@@ -1,0 +1,5 @@
+"""All datagrams arrive later by the same time [s]."""
+
+
+def make(severity, rng):
+    return lambda datagram, now_s: [(severity, datagram)]

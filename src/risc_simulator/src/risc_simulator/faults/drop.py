@@ -1,0 +1,5 @@
+"""A datagram is lost with this probability, whatever happened to those before."""
+
+
+def make(severity, rng):
+    return lambda datagram, now_s: [] if rng.random() < severity else [(0.0, datagram)]

@@ -1,0 +1,162 @@
+"""Faults on the wire: what each does, with a seed; statistics; windows; datagrams of every host pass them."""
+
+import numpy as np
+import pytest
+
+from risc_simulator.faults import REGISTRY, WireFault, Wires, load_wire_faults
+
+GAP_S = 0.005
+DATAGRAMS = [b"%05d" % k for k in range(4000)]
+
+
+def carry(*faults, seed=1, count=len(DATAGRAMS), gap_s=GAP_S, channel="risc1/navdata"):
+    """[(time sent, time of arrival, datagram)] of so many datagrams, in the order of their arrival."""
+    wires = Wires(seed)
+    wire, arrived = wires.wire(channel), []
+    for fault in faults:
+        wires.add(fault)
+    for k, datagram in enumerate(DATAGRAMS[:count]):
+        now_s = k * gap_s
+        while wires.due_s <= now_s:
+            wires.release(wires.due_s)
+        wire.carry(datagram, k * gap_s, now_s, lambda data, sent_s, at_s: arrived.append((sent_s, at_s, data)))
+    while wires.due_s < np.inf:
+        wires.release(wires.due_s)
+    return arrived
+
+
+def test_the_members():
+    assert REGISTRY.names() == ["blackhole", "corrupt", "delay", "drop", "duplicate", "jitter", "reorder"]
+
+
+@pytest.mark.parametrize("severity", [0.0, 0.2, 0.7, 1.0])
+def test_drop_loses_its_share_one_by_one(severity):
+    arrived = [data for _, _, data in carry(WireFault("drop", "*", severity))]
+    lost = 1.0 - len(arrived) / len(DATAGRAMS)
+    assert lost == pytest.approx(severity, abs=4.0 * np.sqrt(severity * (1 - severity) / len(DATAGRAMS)) + 1e-12)
+    assert arrived == sorted(arrived)
+    gone = np.isin(DATAGRAMS, arrived, invert=True)
+    if 0.0 < severity < 1.0:  # a loss says nothing about the next
+        assert (gone[1:] & gone[:-1]).mean() == pytest.approx(severity**2, abs=0.03)
+
+
+def test_delay_is_the_same_for_all():
+    arrived = carry(WireFault("delay", "*", 0.032), count=500)
+    np.testing.assert_allclose([at_s - sent_s for sent_s, at_s, _ in arrived], 0.032, atol=1e-9)
+    assert [data for _, _, data in arrived] == DATAGRAMS[:500]
+
+
+def test_jitter_is_uniform_and_lets_datagrams_overtake():
+    arrived = carry(WireFault("jitter", "*", 0.02))
+    later_s = np.array([at_s - sent_s for sent_s, at_s, _ in arrived])
+    assert len(arrived) == len(DATAGRAMS)
+    assert 0.0 <= later_s.min() < 0.001 and 0.019 < later_s.max() <= 0.02
+    assert later_s.mean() == pytest.approx(0.01, rel=0.03)
+    assert later_s.std() == pytest.approx(0.02 / np.sqrt(12.0), rel=0.03)
+    assert [data for _, _, data in arrived] != DATAGRAMS
+
+
+def test_duplicate_sends_its_share_twice():
+    arrived = [data for _, _, data in carry(WireFault("duplicate", "*", 0.3))]
+    assert len(arrived) / len(DATAGRAMS) == pytest.approx(1.3, abs=0.03)
+    assert sorted(set(arrived)) == DATAGRAMS
+
+
+def test_reorder_swaps_neighbours_and_loses_none():
+    arrived = [data for _, _, data in carry(WireFault("reorder", "*", 0.1))]
+    assert sorted(arrived) == DATAGRAMS
+    places = np.array([int(data) for data in arrived])
+    assert (np.diff(places) < 0).mean() == pytest.approx(0.1, abs=0.03)
+    assert np.abs(places - np.arange(len(places))).max() <= 2
+
+
+def test_corrupt_changes_one_byte():
+    arrived = [data for _, _, data in carry(WireFault("corrupt", "*", 0.25))]
+    wrong = [sum(a != b for a, b in zip(data, sent)) for data, sent in zip(arrived, DATAGRAMS)]
+    assert set(wrong) == {0, 1} and np.mean(wrong) == pytest.approx(0.25, abs=0.03)
+
+
+def test_blackhole_has_a_window():
+    arrived = [data for _, _, data in carry(WireFault("blackhole", "*", 1.0, 1.0, 0.5))]
+    assert arrived == DATAGRAMS[:200] + DATAGRAMS[300:]
+
+
+def test_faults_act_one_after_the_other():
+    arrived = carry(
+        WireFault("delay", "*", 0.01), WireFault("duplicate", "*", 1.0), WireFault("delay", "*", 0.02), count=9
+    )
+    assert [data for _, _, data in arrived] == [data for data in DATAGRAMS[:9] for _ in range(2)]
+    np.testing.assert_allclose([at_s - sent_s for sent_s, at_s, _ in arrived], 0.03)
+
+
+def test_a_seed_repeats_it_and_each_wire_and_fault_has_its_own():
+    drop = WireFault("drop", "*", 0.5)
+    assert carry(drop) == carry(drop)
+    assert carry(drop) != carry(drop, seed=2)
+    assert [data for _, _, data in carry(drop)] != [data for _, _, data in carry(drop, channel="risc2/navdata")]
+    once, twice = carry(drop), carry(drop, drop)
+    assert len(twice) / len(once) == pytest.approx(0.5, abs=0.05)
+    beside = carry(drop, WireFault("delay", "*", 0.001))
+    assert [data for _, _, data in beside] == [data for _, _, data in once]
+
+
+def test_a_channel_may_mean_several_wires_and_an_end_frees_them():
+    wires = Wires()
+    for channel in ("risc1/navdata", "risc1/commands", "risc2/navdata"):
+        wires.wire(channel)
+
+    def passing():
+        return {name: wires.wire(name).carry(b"x", None, 0.0, lambda *_: True) for name in ("risc1/navdata",
+                "risc1/commands", "risc2/navdata")}  # fmt: skip
+
+    wires.add(WireFault("blackhole", "risc1/*"))
+    assert passing() == {"risc1/navdata": False, "risc1/commands": False, "risc2/navdata": True}
+    wires.clear("*/commands")
+    assert passing() == {"risc1/navdata": False, "risc1/commands": True, "risc2/navdata": True}
+    assert wires.statistics() == {
+        "risc1/navdata": {"sent": 2, "delivered": 0, "later": 0},
+        "risc1/commands": {"sent": 1, "delivered": 0, "later": 0},
+    }
+
+
+@pytest.mark.parametrize(
+    "fields, message",
+    [
+        (("fire", "*"), "unknown name 'fire' among the faults; known are: blackhole"),
+        (("drop", "*", 1.5), r"severity must be in \[0, 1\]"),
+        (("drop", "*", float("nan")), "severity"),
+        (("drop", "*", 0.5, float("inf")), "finite start"),
+        (("drop", "*", 0.5, 0.0, -1.0), "not negative"),
+    ],
+)
+def test_impossible_faults_are_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        WireFault(*fields)
+
+
+def test_unknown_channels_are_refused_by_name():
+    wires = Wires()
+    wires.wire("risc1/navdata")
+    with pytest.raises(ValueError, match="no channel 'risc1/nav'; known are: risc1/navdata"):
+        wires.add(WireFault("drop", "risc1/nav", 0.1))
+
+
+def test_a_file_of_faults(tmp_path):
+    path = tmp_path / "faults.yaml"
+    path.write_text(
+        "faults:\n- {fault: drop, channel: risc1/*, severity: 0.3, start_s: 10, duration_s: 5}\n"
+        "- {fault: blackhole, channel: cortex/stream}\n"
+    )
+    assert load_wire_faults(path) == [
+        WireFault("drop", "risc1/*", 0.3, 10.0, 5.0),
+        WireFault("blackhole", "cortex/stream"),
+    ]
+    path.write_text("faults: [{fault: drop, channel: '*', strength: 1}]\n")
+    with pytest.raises(ValueError, match="strength"):
+        load_wire_faults(path)
+
+
+def test_a_clean_wire_hands_over_what_it_gets():
+    wires, packet = Wires(), bytearray(b"frame")
+    assert wires.wire("cortex/stream").carry(packet, None, 0.0, lambda data, *_: data) is packet
+    assert wires.statistics() == {}
