@@ -34,7 +34,7 @@ def members(monkeypatch):
 
 SPRING = {"body": "toy_spring", "template": "ball"}
 BALL_OFFSETS = {"top": [0.0, 0.0, 0.02], "side": [0.02, 0.0, 0.0]}  # of its markers
-BALL = {"geometries": {"ball": BALL_OFFSETS}, "templates": {"ball": {"kind": "pendulum_tip", "geometry": "ball"}}}
+BALL = {"geometries": {"ball": BALL_OFFSETS}, "templates": {"ball": {"kind": "attached", "geometry": "ball"}}}
 M_KG, K_N_M, LENGTH_M = 0.05, 4.0, 0.3  # as in toy_spring.yaml
 HANGS_M = LENGTH_M + M_KG * GRAVITY_M_S2 / K_N_M
 
