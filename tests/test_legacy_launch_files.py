@@ -85,6 +85,8 @@ def on_one_computer(*vehicles):
         for found, part in zip(both, flight(vehicle=vehicle)):
             for name, value in part.items():
                 found[re.sub("^/%s/(ardrone_driver|joystick_controller)" % vehicle, r"/\1", name)] = value
+    both[1].pop("/joystick_controller/euler_angle_max")
+    both[1]["/joystick_controller/delay"] = -1  # both are the type's
     return both
 
 

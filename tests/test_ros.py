@@ -90,6 +90,14 @@ def test_launch_file_loads(path):
         assert roslaunch.node_args.create_local_process_args(node, roslaunch.core.Machine("local", "localhost"))
 
 
+@pytest.mark.parametrize("name", ["circles3", "coop", "df_demo"])
+def test_the_estimator_of_a_flight_reaches_its_node(name):
+    for argv, expected in (([], "least_squares"), (["estimator:=thesis"], "thesis")):
+        config, path = roslaunch.config.ROSLaunchConfig(), ROOT / "launch" / (name + ".launch")
+        roslaunch.xmlloader.XmlLoader().load(str(path), config, argv=argv, verbose=False)
+        assert config.params["/states_estimation/filter"].value == expected
+
+
 def test_nothing_is_built_under_nodes_that_run():
     node = [sys.executable, "-c", "import time; time.sleep(60.0)", "__name:=pretender"]
     with subprocess.Popen(node, env=dict(os.environ, CMAKE_PREFIX_PATH=str(ROOT / "devel"))) as process:

@@ -49,16 +49,17 @@ class TransformsTest(unittest.TestCase):
         ahead = camera.transform.translation
         np.testing.assert_allclose((ahead.x, ahead.y, ahead.z), (1.0, -0.71, 1.2), atol=1e-6)
 
-    def test_a_lost_vehicle_grows_stale_and_a_tip_has_no_frames(self):
+    def test_a_lost_vehicle_grows_stale_and_an_attached_body_has_no_frames(self):
         lost = States(name="fluffy_II", visible=False, x=3.0)
-        tip = States(name="Pendulum_tip", visible=True, z=1.0)
+        tip, load = (States(name=name, visible=True, z=1.0) for name in ("Pendulum_tip", "Load"))
         other = States(name="Raven", visible=True, z=1.0)
         self.send_until_seen("fluffy_II_body_frame", States(name="fluffy_II", visible=True, x=1.0))
-        self.send_until_seen("Raven_body_frame", lost, tip, other)
+        self.send_until_seen("Raven_body_frame", lost, tip, load, other)
         last = self.buffer.lookup_transform("cortex", "fluffy_II_body_frame", rospy.Time(0))
         self.assertEqual(last.transform.translation.x, 1.0)
         self.assertFalse(self.buffer.can_transform("cortex", "fluffy_II_body_frame", rospy.Time.now()))
-        self.assertFalse(self.buffer.can_transform("cortex", "Pendulum_tip_body_frame", rospy.Time(0)))
+        for name in ("Pendulum_tip", "Load"):
+            self.assertFalse(self.buffer.can_transform("cortex", name + "_body_frame", rospy.Time(0)))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,8 @@
 #!/usr/bin/env python3
-"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks). See risc_estimation.state_estimator."""
+"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks), mocap_poses (BodyPoses, while somebody listens).
+
+See risc_estimation.state_estimator.
+"""
 
 import math
 import sys
@@ -9,9 +12,10 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_estimation.ros.conversions import EstimateMessages
-from risc_estimation.ros.params import NodeParams
-from risc_estimation.state_estimator import ARENA_KEYS, EstimatorParams, StatesEstimator
+from risc_estimation.pose_fit import ARENA_KEYS, PoseFitParams
+from risc_estimation.ros.conversions import EstimateMessages, poses_to_msg
+from risc_estimation.ros.params import NodeParams, load_filter
+from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.lab.fleet import MocapEndpoint
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros import low_latency
@@ -21,22 +25,24 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import has_private, known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import Counter, EstimatorStatus
+from risc_maap_msgs.msg import BodyPoses, Counter, EstimatorStatus
 
 
 class StatesEstimationNode:
     """Estimates the frames in order; none is passed over unless the node was held up for longer than queue_s."""
 
     def __init__(self):
-        params, estimator_params = load_params(NodeParams, EstimatorParams)
+        velocity_filter, keys = load_filter()
+        params, fit_params = load_params(NodeParams, PoseFitParams, known=keys)
         fleet = known_fleet()
         rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
         if fleet is not None:
-            estimator_params = estimator_params.within(fleet.arena, keep=tuple(filter(has_private, ARENA_KEYS)))
+            fit_params = fit_params.within(fleet.arena, keep=tuple(filter(has_private, ARENA_KEYS)))
         self._estimator = StatesEstimator(
             load_templates(params.templates_file or None, fleet),
-            estimator_params,
+            fit_params,
             params.vehicles or [v.template for v in (fleet.vehicles if fleet else ())],
+            velocity_filter,
         )
         self._silence_s = params.silence_s
         self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
@@ -50,6 +56,7 @@ class StatesEstimationNode:
         # Queues that hold more than a hiccup: a late subscriber gets every frame, and judges its age by the stamp.
         self._states_pub = rospy.Publisher("cortex_raw", CortexArrays, queue_size=100, tcp_nodelay=True)
         self._landmarks_pub = rospy.Publisher("states3", LandmarksArrays, queue_size=100, tcp_nodelay=True)
+        self._poses_pub = rospy.Publisher("mocap_poses", BodyPoses, queue_size=100, tcp_nodelay=True)
         self._frame, self._messages = MocapArrays(), EstimateMessages()
         self._status_pub = rospy.Publisher("estimator_status", EstimatorStatus, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("mocap")
@@ -82,6 +89,8 @@ class StatesEstimationNode:
             self._last_estimate = estimate
             self._states_pub.publish(self._messages.states(header, estimate))
             self._landmarks_pub.publish(self._messages.landmarks(header, estimate))
+            if self._poses_pub.get_num_connections():
+                self._poses_pub.publish(poses_to_msg(header, self._estimator.poses))
 
     @until_shutdown
     def _on_check(self):

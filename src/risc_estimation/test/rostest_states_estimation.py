@@ -13,13 +13,14 @@ import numpy as np
 import rosgraph
 import rospy
 import rostest
+from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
+from risc_estimation.pose_fit import pack_bodies
 from risc_estimation.ros.conversions import mocap_message
-from risc_estimation.state_estimator import pack_bodies
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
-from risc_maap_msgs.msg import EstimatorStatus
+from risc_maap_msgs.msg import BodyPoses, EstimatorStatus
 from risc_msgs.msg import Cortex, Landmarks, Mocap_data
 
 PACKAGE = "risc_estimation"
@@ -126,6 +127,31 @@ class StatesEstimationNodeTest(unittest.TestCase):
         np.testing.assert_allclose([fluffy.p, fluffy.q, fluffy.r], [0, 0, 0], atol=0.05)
         self.assertEqual([entry.name for entry in landmarks[-1].Obj], ["Green_pink"])
         np.testing.assert_allclose([landmarks[-1].Obj[0].x, landmarks[-1].Obj[0].z], [2.0, 1.5], atol=1e-9)
+
+    def test_raw_poses_are_for_whoever_listens(self):
+        heard = []
+        subscriber = rospy.Subscriber("/mocap_poses", BodyPoses, self.keep, heard)
+        try:
+            deadline_s = time.monotonic() + PATIENCE_S
+            while (
+                not heard and time.monotonic() < deadline_s
+            ):  # the node may know of the listener later than it of the node
+                self.send_run(5)
+        finally:
+            subscriber.unregister()
+        fluffy, albatross, raven = heard[0].bodies
+        self.assertEqual((heard[0].header.frame_id, fluffy.name, albatross.name), ("cortex", "fluffy_II", "albatross"))
+        self.assertEqual([body.present for body in heard[0].bodies], [True, False, True])
+        self.assertEqual((fluffy.stamp, albatross.stamp), (heard[0].header.stamp, rospy.Time()))
+        turn = raven.pose.pose.orientation
+        np.testing.assert_allclose(
+            Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix(),
+            rotation_body_to_cortex(math.radians(10), 0, 0),
+            atol=1e-9,
+        )
+        covariance = np.reshape(raven.pose.covariance, (6, 6))
+        self.assertGreater(np.linalg.eigvalsh(covariance).min(), 0.0)
+        self.assertTrue(np.isnan(albatross.pose.covariance).all())
 
     def send_while_the_node_is_held_up(self, frames):
         """Send frames of which the node sees nothing before all have been sent; returns their stamps."""

@@ -11,5 +11,5 @@ def test_bench_writes_its_tables(tmp_path, capsys):
     assert figures["simulated"] is True
     assert [row["vehicles"] for row in figures["time"]] == [1, 2]
     assert all(row["p50_us"] > 0.0 for row in figures["time"])
-    assert figures["noise"]["legacy_window"]["vx_mm_s"] < figures["noise"]["default"]["vx_mm_s"]
+    assert figures["noise"]["thesis"]["vx_mm_s"] < figures["noise"]["least_squares"]["vx_mm_s"]
     assert "Time per frame" in capsys.readouterr().out

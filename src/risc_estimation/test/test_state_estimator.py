@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from risc_estimation import state_estimator
-from risc_estimation.state_estimator import EstimatorParams, StatesEstimator, pack_bodies
+from risc_estimation import pose_fit
+from risc_estimation.filters import least_squares, make_filter
+from risc_estimation.pose_fit import PoseFitParams, pack_bodies
+from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_lab.states import S
@@ -134,7 +136,7 @@ def test_nose_straight_up_is_no_singularity(theta_deg):
     """At exactly 90 degrees roll and yaw are not separate quantities, but nothing becomes NaN or invisible."""
     state = state_of(
         feed(
-            StatesEstimator(TEMPLATES, EstimatorParams(smooth_angles=False)),
+            StatesEstimator(TEMPLATES, velocity_filter=make_filter(given={"smooth_angles": False})),
             still(phi=0.2, theta=np.deg2rad(theta_deg), psi=0.7),
         )
     )
@@ -182,10 +184,10 @@ def test_real_stamps_decide_the_velocity():
     assert estimate.vehicle("fluffy_II")[1][S.U] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_legacy_window_is_a_line_over_50_samples():
+def test_the_filter_of_the_thesis_is_a_line_over_50_samples():
     t = DT_S * np.arange(120)
     frames = [{"fluffy_II": markers_at((0.5 * s * s, 0, 1))} for s in t]
-    state = state_of(feed(StatesEstimator(TEMPLATES, EstimatorParams(legacy_window=True)), frames))
+    state = state_of(feed(StatesEstimator(TEMPLATES, velocity_filter=make_filter("thesis")), frames))
     assert state[S.U] == pytest.approx(t[-1] - 49 * DT_S / 2, abs=1e-6)
     assert state[S.X] == pytest.approx(0.5 * t[-1] ** 2, abs=1e-9)
 
@@ -306,12 +308,12 @@ def test_markers_may_come_in_any_kind_of_array():
     frozen = markers.astype(float)
     frozen.setflags(write=False)
     estimator = StatesEstimator(TEMPLATES)
-    compiled = len(state_estimator._estimate_frame.signatures)
+    compiled = [len(function.signatures) for function in (pose_fit._fit_frame, least_squares._update)]
     for k in range(40):
         given = [markers, frozen, np.repeat(frozen, 2, axis=0)[::2], frozen.tolist()][k % 4]
         estimate = estimator.update(k * DT_S, (("fluffy_II", 4),), given)
     assert state_of([estimate])[:3] == pytest.approx([0.5, 0.25, 1.0], abs=1e-7)
-    assert len(state_estimator._estimate_frame.signatures) == compiled == 1
+    assert [len(function.signatures) for function in (pose_fit._fit_frame, least_squares._update)] == compiled == [1, 1]
 
 
 def test_estimates_are_safe_to_keep():
@@ -446,7 +448,7 @@ def test_three_corners_swapped_into_an_upside_down_square():
 
 def test_markers_collapsed_on_a_line_are_refused():
     line = np.outer(np.arange(4.0) * 0.001, [1, 0, 0]) + [0, 0, 1]
-    params = EstimatorParams(residual_max_m=10.0)
+    params = PoseFitParams(residual_max_m=10.0)
     estimator = StatesEstimator(TEMPLATES, params)
     assert not feed(estimator, [{"fluffy_II": line}] * 30)[-1].visible.any()
     assert estimator.counts.collinear == 30
@@ -586,11 +588,19 @@ def test_noise_of_a_hovering_vehicle():
         ({"position_window_s": 0.0}, "position_window_s"),
         ({"position_window_s": float("nan")}, "position_window_s"),
         ({"angle_order": 5}, "angle_order"),
+        ({"angle_order": 1.5}, "angle_order"),
+        ({"smooth_angles": 1}, "smooth_angles"),
         ({"min_samples": 1}, "min_samples"),
         ({"min_span_s": 0.14}, "no vehicle would ever become visible"),
-        ({"arena_z_max_m": -1.0}, "arena_z_min_m"),
+        ({"windwo_s": 0.1}, "windwo_s"),
     ],
 )
-def test_bad_settings_name_their_key(changes, message):
-    with pytest.raises(ValueError, match=message):
-        EstimatorParams(**changes)
+def test_bad_settings_of_the_filter_name_their_key(changes, message):
+    with pytest.raises(ValueError, match="filter least_squares.*" + message):
+        make_filter(given=changes)
+
+
+@pytest.mark.parametrize("changes", [{"arena_z_min_m": 4.0}, {"residual_max_m": 0.0}, {"marker_noise_m": float("nan")}])
+def test_bad_settings_of_the_pose_fit_name_their_key(changes):
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        PoseFitParams(**changes)

@@ -12,7 +12,7 @@ import types
 import pytest
 
 from risc_control.failsafe import SafetyLimits
-from risc_estimation.state_estimator import EstimatorParams
+from risc_estimation.filters import make_filter
 from risc_experiments import fly, headroom
 from risc_experiments.headroom import judge, next_rate_hz, want_of_time
 from risc_lab.phases import OperatorPhase
@@ -107,7 +107,7 @@ def test_rates_go_down_to_the_lowest():
 
 
 def test_at_the_lowest_rate_that_is_offered_the_estimator_bears_lost_frames():
-    params = EstimatorParams()
+    params = make_filter().params
     frames_lost = 2
     samples = int(min(params.position_window_s, params.angle_window_s) * headroom.RATES_HZ[-1]) + 1
     assert samples - frames_lost >= params.min_samples

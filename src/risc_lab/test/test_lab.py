@@ -10,7 +10,7 @@ import yaml
 from risc_lab.lab import Arena, fleet_from_dict, generated_fleet, load_fleet, load_templates, load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
 from risc_lab.lab.generated_fleet import MOST_VEHICLES, rows
-from risc_lab.lab.templates import templates_from_dict, templates_to_dict
+from risc_lab.lab.templates import attached_bodies, templates_from_dict, templates_to_dict
 from risc_lab.lab.vehicle_types import vehicle_type_from_dict
 
 FLEETS = pathlib.Path(__file__).resolve().parents[3] / "launch" / "fleets"
@@ -128,6 +128,15 @@ def test_one_file_describes_the_whole_lab(fleet_dict):
     templates = load_templates(fleet=fleet)
     assert templates["albatross"].markers_m.tolist() == list(hull.values()), "its own before the laboratory's"
     assert set(templates) == set(load_templates()) and len(templates["Raven"].markers_m) == 4
+
+
+def test_what_hangs_on_a_vehicle_is_told_by_the_kind_of_its_template(fleet_dict):
+    ring = {"a": [0.05, 0.0, 0.0], "b": [-0.05, 0.05, 0.0], "c": [-0.05, -0.05, 0.0]}
+    own = {"geometries": {"ring": ring}, "templates": {"Load": {"kind": "attached", "geometry": "ring"}}}
+    assert attached_bodies(load_templates(fleet=fleet_from_dict(dict(fleet_dict, templates=own)))) == {
+        *attached_bodies(load_templates()),
+        "Load",
+    }
 
 
 @pytest.mark.parametrize("vehicles", [1, 3, 6, 14, 50])

@@ -11,7 +11,9 @@ import time
 
 import numpy as np
 
-from risc_estimation.state_estimator import EstimatorParams, StatesEstimator, pack_bodies
+from risc_estimation.filters import DEFAULT, REGISTRY, make_filter
+from risc_estimation.pose_fit import pack_bodies
+from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import Template, load_templates
 from risc_lab.states import S
@@ -19,11 +21,6 @@ from risc_lab.states import S
 RATE_HZ = 200.0
 MARKER_NOISE_M = 0.002
 STAMP_JITTER_S = 30e-6
-VARIANTS = {
-    "default": EstimatorParams(),
-    "legacy_window": EstimatorParams(legacy_window=True),
-    "raw": EstimatorParams(smooth_position=False, smooth_angles=False),
-}
 COLUMNS = {
     "x_mm": (S.X, 1e3),
     "z_mm": (S.Z, 1e3),
@@ -67,17 +64,19 @@ def run(estimator, layout, frames, rng):
 
 
 def noise_table(frames=4000, seed=1):
-    """Standard deviation of the estimates of one hovering vehicle: dict variant -> dict column -> number."""
+    """Standard deviation of the estimates of one hovering vehicle: dict filter -> dict column -> number."""
     template = load_templates()["fluffy_II"]
-    cases = {name: (template, params) for name, params in VARIANTS.items()}
     corners = Template(template.name, template.kind, template.marker_names[:3], template.markers_m[:3])
-    cases["default, three corner markers"] = (corners, VARIANTS["default"])
+    cases = {name: (template, name, None) for name in REGISTRY.names()}
+    cases[DEFAULT + ", raw"] = (template, DEFAULT, {"smooth_position": False, "smooth_angles": False})
+    cases[DEFAULT + ", three corner markers"] = (corners, DEFAULT, None)
     table = {}
-    for name, (body, params) in cases.items():
+    for case, (body, name, given) in cases.items():
         rng = np.random.default_rng(seed)
-        estimates, _ = run(StatesEstimator({body.name: body}, params), *hover_frames([body], frames, rng), rng)
+        estimator = StatesEstimator({body.name: body}, velocity_filter=make_filter(name, given))
+        estimates, _ = run(estimator, *hover_frames([body], frames, rng), rng)
         states = np.array([estimate.states[0] for estimate in estimates[100:]])
-        table[name] = {column: float(states[:, index].std() * scale) for column, (index, scale) in COLUMNS.items()}
+        table[case] = {column: float(states[:, index].std() * scale) for column, (index, scale) in COLUMNS.items()}
     return table
 
 
@@ -137,9 +136,9 @@ def main(arguments=None):
     print(
         "Noise (1 sigma) of a hovering vehicle, %.0f mm markers at %.0f Hz, simulated" % (1e3 * MARKER_NOISE_M, RATE_HZ)
     )
-    print("%-30s" % "" + "".join("%10s" % column for column in COLUMNS))
+    print("%-36s" % "" + "".join("%10s" % column for column in COLUMNS))
     for name, row in noise.items():
-        print("%-30s" % name + "".join("%10.2f" % row[column] for column in COLUMNS))
+        print("%-36s" % name + "".join("%10.2f" % row[column] for column in COLUMNS))
     print("\nTime per frame [us], one core; hidden: three of ten bodies lack a marker, others in each frame")
     print(("%10s%10s" + "%14s" * 5) % ("vehicles", "landmarks", "p50", "p99", "hidden: p50", "p99", "messages p50"))
     for row in times:

@@ -1,4 +1,4 @@
-"""Which markers, poses and states are believed: one compiled function a gate."""
+"""Which markers and poses are believed: one compiled function a gate."""
 
 import math
 
@@ -13,8 +13,6 @@ LIMITS = record(
     ("cos_tilt_max", float),
     ("lower_m", float, (3,)),  # corners of the arena
     ("upper_m", float, (3,)),
-    ("min_samples", int),
-    ("min_span_s", float),
 )
 REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
     ("markers_left_out", int),
@@ -26,9 +24,9 @@ REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimati
 
 
 def limits_of(params):
-    """(1,) LIMITS from EstimatorParams."""
+    """(1,) LIMITS from PoseFitParams."""
     limits = np.zeros(1, dtype=LIMITS)
-    for name in ("residual_max_m", "min_spread_m", "min_samples", "min_span_s"):
+    for name in ("residual_max_m", "min_spread_m"):
         limits[name] = getattr(params, name)
     limits["marker_m"] = params.marker_limit_m
     limits["cos_tilt_max"] = math.cos(min(params.tilt_max_rad, math.pi))
@@ -74,9 +72,3 @@ def is_inside(position_m, limits, refusals):
             refusals.outside += 1
             return False
     return True
-
-
-@compiled
-def is_settled(body, limits):
-    """Whether a window (least_squares.BODY) holds enough for a rate."""
-    return body.samples >= limits.min_samples and body.span_s >= limits.min_span_s

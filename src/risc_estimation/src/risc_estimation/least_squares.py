@@ -100,8 +100,11 @@ class SlidingFit:
     `window` is what `push_samples` and `estimate_newest` work on in compiled code; `push` and `estimate` call them.
     """
 
-    def __init__(self, window_s, order, channels, max_gap_s, max_rate_hz=500.0, ramp=0.6):
-        """window_s [s], order 1..4, channels per body, max_gap_s [s], max_rate_hz: highest frame rate [Hz]."""
+    def __init__(self, window_s, order, channels, max_gap_s, max_rate_hz=500.0, ramp=0.6, capacity_s=0.0):
+        """window_s [s], order 1..4, channels per body, max_gap_s [s], max_rate_hz: highest frame rate [Hz].
+
+        capacity_s: have room for so much even if the window is shorter [s].
+        """
         if not 1 <= order <= MAX_ORDER:
             raise ValueError("order must be 1 to %d, got %r" % (MAX_ORDER, order))
         if not (window_s > 0.0 and max_gap_s > 0.0 and max_rate_hz > 0.0):
@@ -110,7 +113,7 @@ class SlidingFit:
                 % (window_s, max_gap_s, max_rate_hz)
             )
         fit = np.zeros(1, dtype=FIT)
-        capacity = int(math.ceil(window_s * max_rate_hz)) + 1
+        capacity = int(math.ceil(max(window_s, capacity_s) * max_rate_hz)) + 1
         fit["window_s"], fit["ramp_s"], fit["max_gap_s"] = window_s, ramp * window_s, max_gap_s
         fit["order"], fit["capacity"] = order, capacity
         slots = 2 * capacity

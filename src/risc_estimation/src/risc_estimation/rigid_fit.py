@@ -126,6 +126,73 @@ def fit_pose_without_worst(template, measured, visible, work, pose):
 
 
 @compiled
+def pose_covariance(template, visible, rotation, noise_m, covariance):
+    """Fills covariance (6, 6) of a fit: of the position [m], then of a small rotation about the measured axes [rad].
+
+    template: (>= n, 3) [m]; visible: (n,) bool, the markers used, not on one line; rotation: (3, 3) of the fit;
+    noise_m: standard deviation of each coordinate of a marker [m], white.
+
+    Errors p of the position and theta of the rotation move marker i by  p + theta x R t_i,  so their covariance is, to
+    first order,
+
+        noise^2 (sum_i J_i^T J_i)^-1,   J_i = (I, -[R t_i]x).
+
+    About b = R mean(t) and with d_i = R t_i - b it falls apart: theta has C = noise^2 (sum_i |d_i|^2 I - d_i d_i^T)^-1,
+    the centroid noise^2 / n I, and p is the centroid + b x theta.
+    """
+    count = 0
+    b = (0.0, 0.0, 0.0)
+    for i in range(len(visible)):
+        if visible[i]:
+            count += 1
+            x, y, z = _turned(rotation, template[i])
+            b = (b[0] + x, b[1] + y, b[2] + z)
+    b = (b[0] / count, b[1] / count, b[2] / count)
+
+    inertia, attitude = covariance[:3, :3], covariance[3:, 3:]
+    inertia[:, :] = 0.0
+    for i in range(len(visible)):
+        if visible[i]:
+            x, y, z = _turned(rotation, template[i])
+            d = (x - b[0], y - b[1], z - b[2])
+            for row in range(3):
+                for column in range(3):
+                    inertia[row, column] -= d[row] * d[column]
+                inertia[row, row] += d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    variance_m2 = noise_m * noise_m
+    for row in range(3):
+        j, k = (row + 1) % 3, (row + 2) % 3
+        for column in range(3):
+            m, n = (column + 1) % 3, (column + 2) % 3
+            attitude[row, column] = inertia[j, m] * inertia[k, n] - inertia[j, n] * inertia[k, m]  # adjugate
+    determinant = inertia[0, 0] * attitude[0, 0] + inertia[0, 1] * attitude[1, 0] + inertia[0, 2] * attitude[2, 0]
+    for row in range(3):
+        for column in range(3):
+            attitude[row, column] *= variance_m2 / determinant
+
+    for row in range(3):
+        j, k = (row + 1) % 3, (row + 2) % 3
+        for column in range(3):
+            both = b[j] * attitude[k, column] - b[k] * attitude[j, column]
+            covariance[row, 3 + column] = covariance[3 + column, row] = both
+    for row in range(3):
+        for column in range(row + 1):
+            m, n = (column + 1) % 3, (column + 2) % 3
+            both = b[m] * covariance[row, 3 + n] - b[n] * covariance[row, 3 + m]
+            covariance[row, column] = covariance[column, row] = both
+        covariance[row, row] += variance_m2 / count
+
+
+@compiled
+def _turned(R, v):
+    return (
+        R[0, 0] * v[0] + R[0, 1] * v[1] + R[0, 2] * v[2],
+        R[1, 0] * v[0] + R[1, 1] * v[1] + R[1, 2] * v[2],
+        R[2, 0] * v[0] + R[2, 1] * v[1] + R[2, 2] * v[2],
+    )
+
+
+@compiled
 def _rotation_of(axes, turns, rotation):
     """Fills the rotation R that maximises trace(R^T axes); returns the second singular value of axes.
 

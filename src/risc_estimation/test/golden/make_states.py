@@ -15,7 +15,6 @@ import pathlib
 
 import numpy as np
 
-from risc_estimation.state_estimator import EstimatorParams, StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 
@@ -25,9 +24,9 @@ BODIES = LISTED + ("Raven", "Pendulum_tip")  # in the order in which they are se
 LANDMARKS = ("Blue_green", "Green_pink", "Orange_blue", "Pink_blue")
 LOST = {32767: 9999.999, 32766: np.inf, 32765: -np.inf, 32764: 100.5, -32768: np.nan}  # what a lost marker looks like
 VARIANTS = {
-    "default": (EstimatorParams(), 5),  # and every which frame is kept
-    "legacy": (EstimatorParams(legacy_window=True), 20),
-    "cubic": (EstimatorParams(position_order=3, angle_order=3, smooth_position=False, max_gap_s=0.2), 20),
+    "default": ({}, 5),  # and every which frame is kept
+    "legacy": ({"legacy_window": True}, 20),
+    "cubic": ({"position_order": 3, "angle_order": 3, "smooth_position": False, "max_gap_s": 0.2}, 20),
 }
 
 
@@ -128,7 +127,9 @@ def from_grid(codes):
 
 def run(frames, times_s, params, every):
     """(estimator, visible, kept, states, landmarks seen, landmark positions) of the old estimator."""
-    estimator = StatesEstimator(load_templates(), params, LISTED)
+    from risc_estimation.state_estimator import EstimatorParams, StatesEstimator
+
+    estimator = StatesEstimator(load_templates(), EstimatorParams(**params), LISTED)
     visible = np.zeros((FRAMES, len(BODIES)), dtype=bool)
     seen = np.zeros((FRAMES, len(LANDMARKS)), dtype=bool)
     kept, states, places = [], [], []

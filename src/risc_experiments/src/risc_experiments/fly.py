@@ -20,6 +20,7 @@ from data_extraction.progress import Progress
 from data_extraction.report.origin import PROCESSORS
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.trajectories import COURSES, course_for_fleet
+from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.fleets import default_fleet
 from risc_experiments.flight_progress import flight_detail
 from risc_experiments.flight_record import write_flight, write_parameters
@@ -69,6 +70,7 @@ def arguments(argv):
     add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
     add("--delay", type=float, metavar="S", help="command delay (default: that of the type, 0.1 s)")
     add("--mocap-rate", type=float, metavar="HZ", help="of motion capture (default: 200, less if it must be)")
+    add_option(add)
     add("--ideal", action="store_true", help="plant exactly as the controllers believe it to be")
     add("--gusts", action="store_true", help="with gusts of wind")
     add("--rviz", action="store_true", help="open rviz")
@@ -104,6 +106,7 @@ def arguments(argv):
         parser.error("--mocap-rate must be from %g to 500 Hz" % RATES_HZ[-1])
     if args.psi is not None and not math.isfinite(args.psi):
         parser.error("--psi must be a number of degrees")
+    args.estimator = estimator_of(args.controller, args.estimator)
     return args
 
 
@@ -174,6 +177,7 @@ def launch_arguments(args, fleet, folder):
         "browser": str(args.browser).lower(),
         "psi_deg": "" if args.psi is None else args.psi,
         "ready": READY_S,
+        "estimator": args.estimator,
     }
     if args.experiment == "df_demo":
         result["bumper_steps"] = bumper_steps(args)

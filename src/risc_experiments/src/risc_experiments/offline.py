@@ -31,7 +31,10 @@ from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, params_from_dict
 from risc_control.vehicles import Controls, FlightState, Status
-from risc_estimation.state_estimator import EstimatorParams, StatesEstimator
+from risc_estimation.filters import make_filter
+from risc_estimation.pose_fit import PoseFitParams
+from risc_estimation.state_estimator import StatesEstimator
+from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.fleets import default_fleet
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_templates, load_vehicle_type
@@ -86,6 +89,7 @@ class Flight:
     gusts: bool = False
     noise: bool = True  # of the cameras
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
+    estimator: str | None = None  # name of the velocity filter; None = the controller's, see `estimators`
     params: object = None  # its PARAMS; None = those of its YAML file
     types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
     overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
@@ -127,7 +131,12 @@ def fly(flight):
         seed=np.random.SeedSequence(flight.seed, spawn_key=(_CAMERA_STREAM,)),
     )
     names = [vehicle.template for vehicle in fleet.vehicles]
-    estimator = StatesEstimator(templates, EstimatorParams().within(fleet.arena), vehicles=names)
+    estimator = StatesEstimator(
+        templates,
+        PoseFitParams().within(fleet.arena),
+        vehicles=names,
+        velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
+    )
     yaw = None if flight.psi_rad is None else YawProgram((flight.psi_rad,))
     course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
     manager = make_manager(fleet.vehicles, course)
@@ -150,7 +159,7 @@ def fly(flight):
         world.step_to(time_s)
         seen = cameras.observe(time_s, world.layout, world.markers_m())
         estimate = estimator.update(time_s, seen.layout, seen.markers_m)
-        states = States(estimate.visible, estimate.states)
+        states = States(estimate.visible[: len(names)], estimate.states[: len(names)])  # attached bodies come after
         if loss is not None and time_s >= settled_s + loss.after_s:
             if loss.what == "state":
                 states.visible[loss.vehicle] = False
@@ -170,8 +179,8 @@ def fly(flight):
         output = loop.update(time_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
         looks = {}
         if frame % TICK_EVERY == 0:
-            separation.see(estimate.names, states.visible, states.x, time_s)
-            separation.refer(estimate.names, _by_vehicle(reference.derivatives[:3]), time_s)
+            separation.see(estimate.names[: len(names)], states.visible, states.x, time_s)
+            separation.refer(estimate.names[: len(names)], _by_vehicle(reference.derivatives[:3]), time_s)
             looks = separation.look(now_s)
         looks = [looks.get(name, ALONE) for name in names]
         step_chains(chains, frame, time_s, now_s, states, output.controls, looks)
@@ -189,7 +198,7 @@ def fly(flight):
             raise RuntimeError("%s %s after %.1f s (%r)" % (crash.namespace, crash.reason, crash.time_s, flight))
         if settled_s == math.inf and time_s >= LONGEST_WAY_S:
             manual = ", ".join(name for name, chain in zip(names, chains) if not chain.pilot.autonomous) or "none"
-            phases = ", ".join("%s: %s" % (name, phase.name) for name, phase in zip(names, reference.phases))
+            phases = ", ".join("%s: %s" % (name, phase.name.lower()) for name, phase in zip(names, reference.phases))
             raise RuntimeError(
                 "not on the course after %g s (%s; not autonomous: %s; %r)" % (time_s, phases, manual, flight)
             )
@@ -369,6 +378,7 @@ def main(argv=None):
     parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="judged time (default: 20 s)")
     parser.add_argument("--psi", type=float, metavar="DEG", help="constant yaw (default: another for every seed)")
     parser.add_argument("--controller", choices=CONTROLLERS.names(), default=Flight.controller)
+    add_option(parser.add_argument)
     parser.add_argument("--ideal", action="store_true", help="the plant is exactly the nominal model")
     parser.add_argument("--gusts", action="store_true")
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
@@ -404,6 +414,7 @@ def main(argv=None):
             perturbed=not args.ideal,
             gusts=args.gusts,
             controller=args.controller,
+            estimator=args.estimator,
         )
         for trajectory, delay_s, seed in settings
     ]
@@ -418,6 +429,10 @@ def main(argv=None):
             progress.clear()
             if isinstance(result, RuntimeError):
                 print("%s %5d  %s" % (group, seed, result))
+                failed = True
+            elif any(result.landed):  # an error from a course that was left on purpose says nothing
+                said = "; ".join("%.1f s: %s: %s" % item for item in result.safety[:2])
+                print("%s %5d  %d landed (%s)" % (group, seed, sum(result.landed), said))
                 failed = True
             else:
                 rmse_mm = 1e3 * result.rmse_m
@@ -444,7 +459,13 @@ def main(argv=None):
         progress.say("offline: %s" % (error if str(error) else "interrupted"))
         return 130 if isinstance(error, KeyboardInterrupt) else 1
     if args.json:
-        figures = {"simulated": True, "controller": args.controller, "perturbed": not args.ideal, "flights": rows}
+        figures = {
+            "simulated": True,
+            "controller": args.controller,
+            "estimator": estimator_of(args.controller, args.estimator),
+            "perturbed": not args.ideal,
+            "flights": rows,
+        }
         args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     return 1 if failed else 0
 

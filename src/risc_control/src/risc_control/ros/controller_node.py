@@ -14,19 +14,27 @@ from risc_control.controllers import REGISTRY, ControlLoop, default_params
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.ros.conversions import ControlsMessage, StatesReader
 from risc_lab.clock import ClockGuard, Step
+from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
-from risc_lab.ros.params import dataclass_from_params, number, private, told_vehicle_type, vehicles, warn_of_unknown
+from risc_lab.ros.params import (
+    dataclass_from_params,
+    known_fleet,
+    number,
+    private,
+    told_vehicle_type,
+    vehicles,
+    warn_of_unknown,
+)
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import ControllerReport, TrackingError
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
-_OBJECTS_WITHOUT_COMMANDS = frozenset(("Pendulum_tip",))
 
 
 class ControllerNode:
@@ -59,6 +67,7 @@ class ControllerNode:
         self._reported, self._reported_s = dict(self._counts), time.monotonic()
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
+        self._attached = attached_bodies(load_templates(fleet=known_fleet()))
         self._everyone = list(range(len(self.names)))
         self._all = np.ones(len(self.names), dtype=bool)
         self._reader, self._message = StatesReader(self.names), ControlsMessage(self.names)
@@ -173,7 +182,7 @@ class ControllerNode:
             self._age_max_s = max(self._age_max_s, age_s)
             self._cycle_max_s = max(self._cycle_max_s, time.perf_counter() - started_s)
             unknown = self._reader.unknown
-        if unknown and not _OBJECTS_WITHOUT_COMMANDS.issuperset(unknown):
+        if unknown and not self._attached.issuperset(unknown):
             rospy.logwarn_throttle(60.0, "/cortex_raw shows %s, which this controller does not fly", ", ".join(unknown))
 
     def _updated(self):

@@ -10,20 +10,19 @@ import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
 from risc_lab.lab.calibration import FRONT_MOUNT, load_mount
+from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.ros.paced_subscriber import PacedSubscriber
-from risc_lab.ros.params import fleet_vehicles, number, private, warn_of_unknown
+from risc_lab.ros.params import fleet_vehicles, known_fleet, number, warn_of_unknown
 from risc_lab.vehicle_frames import camera_transform, vehicle_frames
 from risc_msgs.msg import Cortex
-
-TIPS = ("Pendulum_tip",)  # seen by motion capture, but no vehicles
 
 
 class VehicleTransforms:
     """A vehicle that is not seen has no new transforms: its frames grow stale, they are never repeated as if true."""
 
-    def __init__(self, mounts, exclude=TIPS):
-        """mounts: {mocap template: CameraMount}. exclude: names that are no vehicles."""
-        self._exclude = frozenset(exclude)
+    def __init__(self, mounts):
+        """mounts: {mocap template: CameraMount}."""
+        self._attached = attached_bodies(load_templates(fleet=known_fleet()))
         self._mounts = dict(mounts)
         self._broadcaster = tf2_ros.TransformBroadcaster()
         self._static = tf2_ros.StaticTransformBroadcaster()
@@ -43,7 +42,7 @@ class VehicleTransforms:
         """The frames of the vehicles that are visible in a Cortex message, with its stamp."""
         transforms = []
         for state in message.Obj:
-            if state.visible and state.name not in self._exclude:
+            if state.visible and state.name not in self._attached:
                 angles_rad = map(math.radians, (state.phi, state.theta, state.psi))
                 transforms += vehicle_frames(state.name, (state.x, state.y, state.z), *angles_rad)
         if transforms:
@@ -57,10 +56,9 @@ def main(name):
         rate_hz = number("~rate", 50.0)
         if not rate_hz > 0.0:
             raise ValueError("parameter ~rate must be positive, got %r" % rate_hz)
-        exclude = str(private("exclude", " ".join(TIPS))).split()
         warn_of_unknown()
         mounts = {v.template: load_mount(v.camera_mount) if v.camera_mount else FRONT_MOUNT for v in fleet_vehicles()}
-        transforms = VehicleTransforms(mounts, exclude)
+        transforms = VehicleTransforms(mounts)
     except ValueError as error:
         rospy.logfatal("%s: %s", name, error)
         return 1

@@ -3,11 +3,15 @@
 import math
 
 import numpy as np
+import rospy
+from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
+from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from risc_lab.compiled import compiled
 from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_lab.states import S
+from risc_maap_msgs.msg import BodyPose, BodyPoses
 
 FRAME_ID = "cortex"
 
@@ -29,6 +33,28 @@ def mocap_message(header, layout, markers_m):
     message = MocapArrays(layout)
     message.header = header
     message.markers_m[:] = markers_m
+    return message
+
+
+def poses_to_msg(header, poses):
+    """BodyPoses of raw `pose_fit.Poses`."""
+    message = BodyPoses(header=header_for(header))
+    covariances = poses.covariances().reshape(-1, 36).tolist()
+    for row, name in enumerate(poses.names):
+        stamp_s = poses.stamps_s[row]
+        ever = np.isfinite(stamp_s)
+        turn = Rotation.from_matrix(poses.rotation[row]).as_quat() if ever else (0.0, 0.0, 0.0, 1.0)
+        pose = Pose(Point(*poses.position_m[row]), Quaternion(*turn))
+        message.bodies.append(
+            BodyPose(
+                name=name,
+                present=bool(poses.present[row]),
+                inside=bool(poses.inside[row]),
+                stamp=rospy.Time.from_sec(stamp_s) if ever else rospy.Time(),
+                pose=PoseWithCovariance(pose, covariances[row]),
+                residual=poses.residual_m[row],
+            )
+        )
     return message
 
 

@@ -2,11 +2,15 @@
 
 from dataclasses import dataclass
 
+from risc_estimation.filters import DEFAULT, REGISTRY, make_filter
+from risc_lab.ros.params import has_private, private
+
 
 @dataclass(frozen=True)
 class NodeParams:
     """Settings of the node around the estimator; config/states_estimation.yaml explains and holds the same values."""
 
+    filter: str = DEFAULT  # name of the velocity filter, whose settings may be private parameters, too
     vehicles: tuple[str, ...] = ()  # vehicles that are listed before they are seen; empty = those of /fleet
     templates_file: str = ""  # marker templates; empty = config/templates.yaml of risc_lab
     silence_s: float = 0.1  # [s] without frames before everything is declared invisible; 0 = never
@@ -21,6 +25,16 @@ class NodeParams:
     def queue_frames(self, rate_hz):
         """How many frames may wait at a rate of motion capture [Hz]."""
         return max(int(self.queue_s * rate_hz + 1e-6), 1)
+
+
+def load_filter():
+    """(velocity filter of the parameter ~filter, names of its settings). Private parameters come before its YAML file.
+
+    Raises ValueError for an unknown filter or a bad value.
+    """
+    name = private("filter", DEFAULT)
+    keys = REGISTRY.settings(name)
+    return make_filter(name, {key: private(key, None) for key in keys if has_private(key)}), keys
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from risc_lab.lab import landmark_catalogue
 from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
 
-KINDS = ("vehicle", "landmark", "pendulum_tip")
+VEHICLE, LANDMARK, ATTACHED = KINDS = ("vehicle", "landmark", "attached")
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +18,7 @@ class Template:
     kind: str  # one of KINDS
     marker_names: tuple[str, ...]
     # (n, 3) marker positions [m] from the object's reference point.
-    # vehicle: body axes (x nose, y right, z down); landmark, pendulum_tip: cortex axes as mounted.
+    # vehicle: body axes (x nose, y right, z down); landmark, attached: cortex axes as mounted.
     markers_m: np.ndarray
 
     def __eq__(self, other):
@@ -39,6 +39,13 @@ def load_templates(path=None, fleet=None):
     known = templates_from_dict(load_yaml(path), str(path))
     return {**known, **{name: item for name, item in _landmarks().items() if name not in known},
             **(fleet.templates if fleet else {})}  # fmt: skip
+
+
+def attached_bodies(templates):
+    """Names of the bodies that hang on vehicles, such as the tip of a pendulum: motion capture sees them, nobody flies
+    them.
+    """
+    return frozenset(name for name, template in templates.items() if template.kind == ATTACHED)
 
 
 def templates_from_dict(content, where="templates"):
@@ -78,7 +85,7 @@ def _template(name, section, shapes, where):
     if geometry not in shapes:
         raise ValueError("%s, %s: unknown geometry %r; known are %s" % (where, name, geometry, ", ".join(shapes)))
     marker_names, markers_m = shapes[geometry]
-    if kind == "vehicle":
+    if kind == VEHICLE:
         _check_rigid(markers_m, "%s, geometry %s" % (where, geometry))
     return Template(name, kind, marker_names, markers_m)
 

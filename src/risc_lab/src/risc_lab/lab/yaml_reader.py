@@ -4,7 +4,7 @@ import contextlib
 import os
 import pathlib
 import re
-from dataclasses import fields
+from dataclasses import MISSING, fields
 
 import numpy as np
 import yaml
@@ -159,9 +159,13 @@ class Section:
         return [Section(item, "%s, %s[%d]" % (self.where, key, i)) for i, item in enumerate(value)]
 
     def settings(self, settings_class):
-        """An instance of a dataclass of numbers with the values of this mapping, and the class' own of absent keys."""
+        """An instance of a dataclass of float, int, bool and str with the values of this mapping.
+
+        Keys that are absent have the class' own defaults; without one they are required.
+        """
+        readers = {float: self.number, int: self.whole, bool: self.flag, str: self.text}
         values = {
-            item.name: (self.whole if isinstance(item.default, int) else self.number)(item.name, item.default)
+            item.name: readers[item.type](item.name, None if item.default is MISSING else item.default)
             for item in fields(settings_class)
         }
         self.done()

@@ -13,7 +13,7 @@ from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import fleet_from_dict, laboratory_vehicles
 from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS, legacy_overrides, load_vehicle_type
 
-_ELSEWHERE = frozenset(("diagnostic_period",))  # read by diagnostic_updater
+_ELSEWHERE = frozenset(("diagnostic_period", "full_scales"))  # for diagnostic_updater, and from controllers to others
 _asked = set()  # private parameters that this process has asked for
 
 
@@ -34,10 +34,13 @@ def warn_of_unknown():
     _warn(sorted(set(rospy.get_param("~", {})) - _asked - _ELSEWHERE))
 
 
-def load_params(*classes):
-    """Private parameters of this node as instances of the dataclasses. Unknown ones are logged as warnings."""
+def load_params(*classes, known=()):
+    """Private parameters of this node as instances of the dataclasses. Unknown ones are logged as warnings.
+
+    known: names of others, which somebody else reads.
+    """
     instances, unknown = params_from_dict(classes, rospy.get_param("~", {}))
-    _warn(unknown)
+    _warn([name for name in unknown if name not in known])
     for params in instances:
         rospy.loginfo("%s", params)
     return instances

@@ -4,6 +4,7 @@ import math
 import threading
 
 from risc_control.failsafe import FailsafeLevel
+from risc_lab.lab.templates import attached_bodies
 from risc_visual.drawing.cast import Cast, Index, is_news, rod_foot
 from risc_visual.drawing.palette import sphere_colours
 from risc_visual.drawing.ros import markers
@@ -23,7 +24,7 @@ class CortexDrawing:
         """params: CortexParams. fleet: FleetVehicles. templates: of lab.templates. landmarks: LandmarksConfig."""
         index = Index(params.vehicles or [vehicle.template for vehicle in fleet])
         self._cast = Cast(index, {vehicle.template: vehicle.type for vehicle in fleet})
-        self._tips = {name for name, template in templates.items() if template.kind == "pendulum_tip"}
+        self._tips = attached_bodies(templates)
         self._colours = {name: rgb + (_SPHERE_ALPHA,) for name, rgb in sphere_colours(landmarks).items()}
         self._lifetime_s, self._label_alpha = params.lifetime_s, params.label_alpha
         self._text_lifetime_s = TEXT_PERIODS / params.status_hz

@@ -1,0 +1,89 @@
+"""Filters of the estimator, by name: raw poses with covariance, residual and stamp in, states with covariance out.
+
+The second stage of `risc_estimation.state_estimator`. A filter is one file here with a class `Filter`, and
+config/filters/NAME.yaml with its settings. Filters from elsewhere, e.g. a student's: filters/NAME.py and
+filters/NAME.yaml in a folder of RISC_MAAP_MEMBERS, see `risc_lab.registry`. `./maap fly --estimator NAME` flies it.
+What runs in every frame is compiled, one call for all bodies, see `risc_lab/compiled.py`.
+"""
+
+import enum
+
+import numpy as np
+
+from risc_lab.lab.yaml_reader import Section
+from risc_lab.registry import Registry
+from risc_lab.states import S
+
+REGISTRY = Registry("filters", __name__)
+DEFAULT = "least_squares"
+
+
+class Status(enum.IntEnum):
+    """What the state of a body rests on. From TRACKED on it is visible."""
+
+    LOST = 0  # no pose, and the filter does without none
+    OUTSIDE = 1  # seen outside of the arena
+    SETTLING = 2  # seen, but not for long enough
+    TRACKED = 3
+    PREDICTED = 4  # no pose in this frame: the filter goes on without
+
+
+class VelocityFilter:
+    """Interface of all filters. Rows are bodies, in the order in which they were added. SI units, cortex frame."""
+
+    PARAMS = None  # frozen dataclass, a field (float, int, bool or str) for each key of the YAML file
+    late_s = 0.0  # [s] poses may be older by so much than the newest that it has been given; 0 = only newer ones come
+
+    def __init__(self, params):
+        """params: PARAMS."""
+        self.params = params
+        self.states = np.zeros((0, len(S)))  # (bodies, 12), columns `S`; the last known where not visible, first 0
+        self.visible = np.zeros(0, dtype=bool)  # (bodies,) the states are those of the newest frame, and to fly by
+
+    def add_body(self, template):
+        """One more row. template: risc_lab.lab.templates.Template; of an attached body the attitude means nothing."""
+        self.states = np.concatenate([self.states, np.zeros((1, len(S)))])
+        self.visible = np.append(self.visible, False)
+
+    def reset(self):
+        """Forget all measurements: their times mean nothing on the clock that the next frame has."""
+        raise NotImplementedError
+
+    def update(self, poses):
+        """Bring states and visible up to date with a frame of raw `risc_estimation.pose_fit.Poses`.
+
+        poses.stamp_s is later than that of the frame before, or at most late_s earlier. A body that is seen outside of
+        the arena must not be visible.
+        """
+        raise NotImplementedError
+
+    def on_board(self, row, stamp_s, what, values):
+        """Take what does not come from motion capture, in the order of arrival.
+
+        row: of the body; stamp_s: of the measurement [s], maybe later than that of the next frame; what: e.g. "gyro";
+        values: array, SI, body axes.
+        """
+
+    def covariances(self):
+        """(bodies, 12, 12) of the states; None if it does not know. Called only when somebody asks."""
+
+
+def make_filter(name=DEFAULT, given=None):
+    """A filter by name, with the settings of its YAML file, those in the dict `given` replaced.
+
+    Raises ValueError for an unknown name, an unknown key or a bad value.
+    """
+    module = REGISTRY.module(name)
+    settings = REGISTRY.settings(name)
+    params = Section({**settings, **(given or {})}, "filter %s" % name).settings(module.Filter.PARAMS)
+    return module.Filter(params)
+
+
+def status_of(poses, visible):
+    """List of Status of the bodies of `Poses`, visible or not ((bodies,) bool) according to a filter."""
+    return [
+        (Status.TRACKED if present else Status.PREDICTED)
+        if shown
+        else (Status.SETTLING if inside else Status.OUTSIDE if present else Status.LOST)
+        for present, inside, shown in zip(poses.present, poses.inside, visible)
+    ]

@@ -1,0 +1,374 @@
+"""From markers to poses: every known body of a frame is fitted, and what is not believed is refused (thesis 4.2, 4.3).
+
+The first stage of `state_estimator`. Nothing here is smoothed, and a frame knows nothing of the one before it, but for
+the whole turns of the angles. The second stage is a filter, see risc_estimation/filters.
+"""
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from risc_estimation.gates import LIMITS, REFUSALS, believe_pose, is_inside, limits_of, see_markers
+from risc_estimation.landmark_positions import LANDMARK, locate_landmark
+from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst, pose_covariance
+from risc_lab.compiled import compiled, record
+from risc_lab.frames import euler_of_body_in_cortex
+from risc_lab.lab import templates as kinds
+from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
+
+_LAYOUTS = 64  # that are remembered
+
+ARENA_KEYS = ("arena_x_m", "arena_y_m", "arena_z_max_m")  # settings that are those of the net, unless set
+
+
+@dataclass(frozen=True)
+class PoseFitParams:
+    """Settings of `PoseFit`; config/states_estimation.yaml explains and holds the same values."""
+
+    marker_limit_m: float = 100.0  # [m] larger coordinates mean "lost" (9999.999 m in old bags)
+    marker_noise_m: float = 0.002  # [m] 1 sigma of a marker, for the covariances; 0 = from the residual of each fit
+    residual_max_m: float = 0.015  # [m] worst rms misfit between template and markers
+    min_spread_m: float = 0.01  # [m] least extent of the visible markers across their line
+    tilt_max_rad: float = 2.1  # [rad] more is taken for swapped markers, not for flight
+    arena_x_m: float = NET_HALF_X_M  # [m] half length of the net
+    arena_y_m: float = NET_HALF_Y_M  # [m] half width
+    arena_z_min_m: float = -0.1  # [m] floor; a landed vehicle must stay visible
+    arena_z_max_m: float = NET_HEIGHT_M  # [m] top of the net
+    arena_margin_m: float = 0.05  # [m] how far outside a vehicle still counts as inside
+
+    def within(self, arena, keep=()):
+        """The same settings for another Arena, but for the fields named in `keep`."""
+        net = zip(ARENA_KEYS, (arena.half_x_m, arena.half_y_m, arena.height_m))
+        return replace(self, **{name: value for name, value in net if name not in keep})
+
+    def __post_init__(self):
+        for name in ("marker_limit_m", "residual_max_m", "min_spread_m", "tilt_max_rad", "arena_x_m", "arena_y_m"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError("%s must be positive, got %r" % (name, getattr(self, name)))
+        if not self.marker_noise_m >= 0.0:
+            raise ValueError("marker_noise_m must be 0 or positive, got %r" % (self.marker_noise_m,))
+        if not self.arena_z_min_m < self.arena_z_max_m:
+            raise ValueError(
+                "arena_z_min_m must be below arena_z_max_m, got %r and %r" % (self.arena_z_min_m, self.arena_z_max_m)
+            )
+
+
+ROWS = record(("first", int), ("count", int))  # the markers of a body in those of the frame
+BODY = record(("markers", int), ("has_attitude", bool))  # number of its template's; not of an attached body
+FIT = record(("stamp_s", float), ("residual_m", float), ("rotation", float, (3, 3)))
+FIXED = record(("limits", LIMITS), ("refusals", REFUSALS), ("work", WORK), ("pose", POSE))  # what all bodies share
+
+
+class _Bodies(NamedTuple):
+    """What is known of the vehicles and of what is attached to them, one row each. `Poses` explains most of it."""
+
+    known: np.ndarray  # (bodies,) BODY
+    templates_m: np.ndarray  # (bodies, most markers, 3)
+    used: np.ndarray  # (bodies, most markers) bool: the markers that the newest fit rests on
+    fits: np.ndarray  # (bodies,) FIT
+    flags: np.ndarray  # (2, bodies) bool: present, inside
+    measured: np.ndarray  # (2, bodies, 3): positions [m], angles [rad]
+
+
+class _Landmarks(NamedTuple):
+    """What is known of the landmarks."""
+
+    known: np.ndarray  # (landmarks,) LANDMARK
+    offsets_m: np.ndarray  # (landmarks, most markers, 3)
+    positions_m: np.ndarray  # (landmarks, 3) of those seen in the newest frame, which come first
+    rows: np.ndarray  # (landmarks,) which ones these are
+
+
+class _Plan(NamedTuple):
+    """What a layout of the frame means."""
+
+    bodies: np.ndarray  # (bodies,) ROWS
+    landmarks: np.ndarray  # (landmarks,) ROWS
+    unknown: tuple[str, ...]  # names without a template
+    markers_m: np.ndarray  # (markers, 3) copy of the frame's
+
+
+class Poses:
+    """Raw poses of the newest frame, a row a body. Cortex frame, SI units. Valid until the next frame: copy what stays.
+
+    A body whose markers were not believed is not present; it keeps the numbers, and the stamp, of its last pose that
+    was. Bodies join at the end, when they are first seen. `flags` (2, n) is `present` and `inside`, `measured` (2, n,
+    3) `position_m` and `angles_rad`: for compiled code, where every array that is passed costs time.
+    """
+
+    def __init__(self, bodies, marker_noise_m):
+        self.stamp_s = -math.inf  # of the newest frame: time of exposure [s]
+        self.names = ()
+        self._marker_noise_m = marker_noise_m
+        self.take(bodies)
+
+    def take(self, bodies):
+        """Have these arrays, which are filled again with every frame."""
+        self._bodies, self.flags, self.measured = bodies, bodies.flags, bodies.measured
+        self.present, self.inside = bodies.flags  # (n,) bool: the newest frame gave a pose; and it is inside the arena
+        # (n, 3) of the template's origin [m]; (n, 3) roll pitch yaw [rad] without jumps of whole turns, 0 of what is
+        # attached
+        self.position_m, self.angles_rad = bodies.measured
+
+    @property
+    def stamps_s(self):
+        """(n,) stamp of each body's pose [s]; that of the frame where it is present, -inf before the first."""
+        return self._bodies.fits["stamp_s"]
+
+    @property
+    def rotation(self):
+        """(n, 3, 3) template axes (for vehicles: body axes) to cortex axes."""
+        return self._bodies.fits["rotation"]
+
+    @property
+    def residual_m(self):
+        """(n,) rms distance of the used markers from the fitted template [m]."""
+        return self._bodies.fits["residual_m"]
+
+    def covariances(self):
+        """(n, 6, 6) covariance of position [m] and of a small rotation about cortex x, y, z [rad], in this order.
+
+        NaN where a body is not present. See `rigid_fit.pose_covariance`; nothing is computed before it is asked for.
+        """
+        covariances = np.empty((len(self.present), 6, 6))
+        _covariances(*self._bodies[:5], float(self._marker_noise_m), covariances)
+        return covariances
+
+
+def pack_bodies(bodies):
+    """(layout, markers_m) as `PoseFit.update` takes them, from a dict name -> (k, 3) markers [m]."""
+    parts = [np.reshape(markers, (-1, 3)) for markers in bodies.values()]
+    layout = tuple((name, len(part)) for name, part in zip(bodies, parts))
+    return layout, np.concatenate([np.zeros((0, 3)), *parts])
+
+
+class PoseFit:
+    """Frames of named marker sets in, `Poses` and landmarks out. Not thread-safe."""
+
+    def __init__(self, templates, params=None, on_body=lambda template: None):
+        """templates: dict name -> risc_lab.lab.templates.Template.   on_body: told of every body that gets a row.
+
+        Raises ValueError if a template of another kind than landmark has fewer than three markers.
+        """
+        params = params or PoseFitParams()
+        self.names, self.landmark_names = (), ()
+        self.unknown = Counter()  # frames by name that no template knows
+        self._templates, self._on_body = dict(templates), on_body
+        for template in self._templates.values():
+            if template.kind != kinds.LANDMARK and len(template.markers_m) < MIN_MARKERS:
+                raise ValueError(
+                    "template '%s' has %d markers; a body of kind %s needs at least %d"
+                    % (template.name, len(template.markers_m), template.kind, MIN_MARKERS)
+                )
+        most = max([len(template.markers_m) for template in self._templates.values()], default=0)
+        self._fixed, self._marker_visible = np.zeros(1, dtype=FIXED), np.zeros(most, dtype=bool)
+        self._fixed["limits"] = limits_of(params)
+        self._bodies = _Bodies(
+            known=np.zeros(0, dtype=BODY),
+            templates_m=np.zeros((0, most, 3)),
+            used=np.zeros((0, most), dtype=bool),
+            fits=np.zeros(0, dtype=FIT),
+            flags=np.zeros((2, 0), dtype=bool),
+            measured=np.zeros((2, 0, 3)),
+        )
+        self._landmarks = _Landmarks(
+            known=np.zeros(0, dtype=LANDMARK),
+            offsets_m=np.zeros((0, most, 3)),
+            positions_m=np.zeros((0, 3)),
+            rows=np.zeros(0, dtype=int),
+        )
+        self.poses = Poses(self._bodies, params.marker_noise_m)
+        self._forget_layouts()
+        self.update(-math.inf, (), np.zeros((0, 3)))  # without bodies: loads the compiled code
+        self.poses.covariances()
+
+    @property
+    def refusals(self):
+        """{gate: how often it has refused}, up to now."""
+        return dict(zip(REFUSALS.names, self._fixed["refusals"][0].tolist()))
+
+    def body_names(self):
+        """Names of the templates of all bodies that may get a row."""
+        return sorted(name for name, template in self._templates.items() if template.kind != kinds.LANDMARK)
+
+    def admit(self, name):
+        """A row for a body, if it has none yet and a template knows it."""
+        template = self._templates.get(name)
+        if template is None or name in self.names or name in self.landmark_names:
+            return
+        self._forget_layouts()  # their plans have no row for it
+        count = len(template.markers_m)
+        if template.kind == kinds.LANDMARK:
+            self.landmark_names += (name,)
+            self._landmarks = landmarks = _with_row(self._landmarks)
+            landmarks.known[-1] = count, False
+            landmarks.offsets_m[-1, :count] = template.markers_m
+        else:
+            self.names += (name,)
+            self._bodies = bodies = _with_row(self._bodies)
+            bodies.known[-1] = count, template.kind == kinds.VEHICLE
+            bodies.templates_m[-1, :count] = template.markers_m
+            bodies.fits["stamp_s"][-1] = -math.inf
+            self.poses.names = self.names
+            self.poses.take(self._bodies)
+            self._on_body(template)
+
+    def update(self, stamp_s, layout, markers_m):
+        """Fit one frame: brings `poses` up to date. Returns (names of the landmarks seen, (landmarks, 3) [m]).
+
+        stamp_s: time of exposure [s].   layout: ((name, number of markers), ...), cheapest when it is the same object
+        as long as it stays the same.   markers_m: (markers, 3) [m] of all bodies in that order, cortex frame, each
+        body's in its template's order. A lost marker is NaN, infinite or beyond marker_limit_m; markers beyond the
+        template's are ignored, missing ones at the end count as lost. Of two bodies of one name the first counts.
+        Raises ValueError when layout and markers_m do not match.
+        """
+        if layout is not self._layout:
+            plan = self._plans.get(layout) or self._plan_for(layout)
+            self._layout, self._plan = layout, plan
+            self._arguments = (
+                plan.markers_m, plan.bodies, plan.landmarks, self._fixed, self._marker_visible,
+                *self._bodies, *self._landmarks,
+            )  # fmt: skip
+        plan = self._plan
+        shape = markers_m.shape if isinstance(markers_m, np.ndarray) else np.shape(markers_m)
+        if shape != plan.markers_m.shape:
+            raise ValueError("the layout has %d markers, the array is %r" % (len(plan.markers_m), shape))
+        plan.markers_m[:] = markers_m
+        for name in plan.unknown:
+            self.unknown[name] += 1
+        self.poses.stamp_s = stamp_s = float(stamp_s)
+        seen = _fit_frame(stamp_s, *self._arguments)
+        names = self.landmark_names
+        if seen < len(names):
+            names = tuple([names[row] for row in self._landmarks.rows[:seen]])
+        return names, self._landmarks.positions_m[:seen].copy()
+
+    def _plan_for(self, layout):
+        """Plan of a layout, remembered; bodies seen for the first time are admitted."""
+        places, first = {}, 0
+        for name, count in layout:
+            places.setdefault(name, (first, count))
+            first += count
+        for name in places:
+            self.admit(name)
+        if len(self._plans) >= _LAYOUTS:
+            self._forget_layouts()
+        plan = self._plans[layout] = _Plan(
+            np.array([places.get(name, (0, 0)) for name in self.names], dtype=ROWS),
+            np.array([places.get(name, (0, 0)) for name in self.landmark_names], dtype=ROWS),
+            tuple([name for name in places if name not in self._templates]),
+            np.zeros((first, 3)),
+        )
+        return plan
+
+    def _forget_layouts(self):
+        self._plans, self._layout, self._plan, self._arguments = {}, None, None, ()
+
+
+def _with_row(table):
+    """A NamedTuple of arrays with one more row of zeros; that is their first axis, but for flags and measured."""
+    grown = []
+    for name, array in zip(table._fields, table):
+        shape = list(array.shape)
+        shape[1 if name in ("flags", "measured") else 0] += 1
+        grown.append(np.zeros(shape, dtype=array.dtype))
+        grown[-1][tuple(map(slice, array.shape))] = array
+    return table._make(grown)
+
+
+# --- compiled: all bodies of a frame in one call
+
+
+# The arrays come one by one, since a tuple of them takes three times as long to pass.
+@compiled
+def _fit_frame(
+    stamp_s, markers_m, body_rows, landmark_rows, fixed, marker_visible,
+    known, templates_m, used, fits, flags, measured,
+    l_known, l_offsets_m, l_positions_m, l_rows,
+):  # fmt: skip
+    """One frame: updates all tables. Returns how many landmarks are seen.
+
+    stamp_s [s]; markers_m (markers, 3) [m]; body_rows, landmark_rows: ROWS of each; fixed: (1,) FIXED;
+    marker_visible: (most markers,) bool.  After them: the fields of _Bodies and of _Landmarks.
+    """
+    bodies = _Bodies(known, templates_m, used, fits, flags, measured)
+    limits, refusals = fixed[0].limits, fixed[0].refusals
+    for i in range(len(known)):
+        rows = body_rows[i]
+        markers = markers_m[rows.first : rows.first + rows.count]
+        flags[0, i] = _locate(bodies, i, stamp_s, markers, limits, refusals, fixed[0].work, fixed[0].pose)
+        flags[1, i] = flags[0, i] and is_inside(measured[0, i], limits, refusals)
+    landmarks = _Landmarks(l_known, l_offsets_m, l_positions_m, l_rows)
+    return _find_landmarks(landmarks, landmark_rows, markers_m, limits, marker_visible)
+
+
+@compiled
+def _locate(bodies, i, stamp_s, markers, limits, refusals, work, pose):
+    """Pose of a body from its markers of this frame; returns whether it is believed."""
+    template, has_attitude = bodies.templates_m[i], bodies.known[i].has_attitude
+    used = bodies.used[i, : bodies.known[i].markers]
+    count = see_markers(markers, limits, used)
+    if count < MIN_MARKERS:
+        return False
+    fit_pose(template, markers, used, work, pose)
+    if not pose.residual_m <= limits.residual_max_m:
+        if count > MIN_MARKERS:
+            fit_pose_without_worst(template, markers, used, work, pose)
+        if not pose.residual_m <= limits.residual_max_m:
+            refusals.misfits += 1
+            return False
+        refusals.markers_left_out += 1
+    if not believe_pose(pose, has_attitude, limits, refusals):
+        return False
+    fit = bodies.fits[i]
+    fit.stamp_s, fit.residual_m = stamp_s, pose.residual_m
+    fit.rotation[:, :] = pose.rotation
+    bodies.measured[0, i] = pose.position_m
+    if has_attitude:
+        phi, theta, psi = euler_of_body_in_cortex(pose.rotation)
+        angles_rad = bodies.measured[1, i]
+        angles_rad[0] = _nearest(phi, angles_rad[0])
+        angles_rad[1] = _nearest(theta, angles_rad[1])
+        angles_rad[2] = _nearest(psi, angles_rad[2])
+    return True
+
+
+@compiled
+def _nearest(angle_rad, to_rad):
+    """The angle, whole turns added, that is nearest to another."""
+    turned = angle_rad - to_rad
+    return to_rad + (turned - 2.0 * math.pi * round(turned * (0.5 / math.pi)))
+
+
+@compiled
+def _find_landmarks(landmarks, landmark_rows, markers_m, limits, marker_visible):
+    """Fills positions and rows of the landmarks that are seen in this frame; returns how many."""
+    count = 0
+    for i in range(len(landmarks.known)):
+        landmark, rows = landmarks.known[i], landmark_rows[i]
+        measured = markers_m[rows.first : rows.first + rows.count]
+        seen = marker_visible[: landmark.markers]
+        see_markers(measured, limits, seen)
+        offsets, position_m = landmarks.offsets_m[i], landmarks.positions_m[count]
+        if locate_landmark(landmark, offsets, measured, seen, limits.residual_max_m, position_m):
+            landmarks.rows[count] = i
+            count += 1
+    return count
+
+
+@compiled
+def _covariances(known, templates_m, used, fits, flags, marker_noise_m, covariances):
+    """Fills covariances (bodies, 6, 6) of what is present."""
+    for i in range(len(known)):
+        if flags[0, i]:
+            used_i = used[i, : known[i].markers]
+            noise_m = marker_noise_m
+            if noise_m == 0.0:
+                count = used_i.sum()
+                noise_m = fits[i].residual_m * math.sqrt(count / (3.0 * count - 6.0))
+            pose_covariance(templates_m[i], used_i, fits[i].rotation, noise_m, covariances[i])
+        else:
+            covariances[i, :, :] = math.nan
