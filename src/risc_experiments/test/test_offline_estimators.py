@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from risc_experiments import fly as online
-from risc_experiments import offline
 from risc_experiments.estimators import estimator_of
 from risc_experiments.offline import Flight, fly, main
 from risc_lab.registry import VARIABLE
