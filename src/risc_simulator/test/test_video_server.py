@@ -14,7 +14,7 @@ from risc_lab.lab import FleetVehicle, load_templates, load_vehicle_type
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
 from risc_simulator.video.blackboard import BITRATES_KBIT_S, BOTTOM, FRONT, RATES_HZ, Blackboard, Snapshot
-from risc_simulator.video.host import VideoHost
+from risc_simulator.video.host import VideoHost, begin_s
 from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
 from risc_simulator.video.server import Station
 from risc_simulator.virtual_lab import VirtualLab
@@ -244,3 +244,11 @@ def test_a_computer_that_cannot_start_a_process_does_not_end_the_lab(listener, c
     launcher.start()
     assert not launcher.running and not launcher.may_start and "unavailable" in caplog.text
     launcher.close()
+
+
+def test_no_picture_is_begun_just_before_one_is_sent():
+    assert begin_s(1.0, 1.001, 0.03, []) <= 1.001
+    assert begin_s(1.0, 1.001, 0.03, [1.006, 1.050]) == 1.006, "after what would come in the middle of the work"
+    assert begin_s(1.0, 1.001, 0.03, [0.999, 1.050]) <= 1.001
+    assert begin_s(1.0, 1.029, 0.03, [1.035]) == 1.030, "it does not wait for ever"
+    assert begin_s(1.0, 1.031, 0.03, [1.035]) <= 1.031
