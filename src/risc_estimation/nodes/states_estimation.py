@@ -111,6 +111,7 @@ class StatesEstimationNode:
             known, last_s = len(self._estimator.names), self._last_receipt_s
             visible = 0 if self._last_estimate is None else int(self._last_estimate.visible.sum())
             numbers = [(key, value) for key, value in sorted(vars(counts).items()) if key != "unknown"]
+            bodies, silent = zip(self._estimator.names, self._estimator.status()), self._silent
             unknown = dict(counts.unknown)
             passed_over = self._passed_over
         refused = counts.duplicate_stamps + counts.backward_stamps
@@ -145,6 +146,8 @@ class StatesEstimationNode:
         status.add("vehicles visible", "%d of %d" % (visible, known))
         status.add("frames passed over", str(passed_over))
         status.add("unknown bodies", ", ".join(sorted(unknown)) or "none")
+        for name, state in bodies:
+            status.add(name, "no frames" if silent else state.name.lower())
         for key, value in numbers:
             status.add(key, str(value))
         return status

@@ -12,6 +12,7 @@ import pytest
 from cortex_ros import wire
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import fleet_from_dict, load_templates, load_vehicle_type
+from risc_lab.lab.fleet import AttachedBody
 from risc_lab.registry import VARIABLE
 from risc_simulator import bodies, vehicles
 from risc_simulator.faults import WireFault
@@ -221,6 +222,14 @@ def test_the_markers_of_a_body_are_in_the_mocap_frames(clock):
         assert list(found) == ["fluffy_II", "ball"]
     finally:
         lab.close()
+
+
+def test_a_fleet_with_a_body_survives_its_file_and_two_of_one_name_are_refused():
+    fleet = make_fleet(dict(ARDRONE, attached=SPRING))
+    assert fleet.vehicles[0].attached == AttachedBody("toy_spring", "ball")
+    assert fleet_from_dict(fleet.to_dict()) == fleet
+    with pytest.raises(ValueError, match="two vehicles or attached bodies have the same template: fluffy_II"):
+        make_fleet(dict(ARDRONE, attached={"body": "toy_spring", "template": "fluffy_II"}))
 
 
 def test_a_body_with_a_number_that_is_missing_is_refused(monkeypatch, tmp_path):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The course's plots, live, or from the bag that is its argument. See risc_visual.pictures.df_plots."""
+"""The course's plots, live, or from the bag that is its argument. See data_extraction.segments."""
 
 import contextlib
 import math
@@ -13,15 +13,15 @@ import rospy
 from sensor_msgs.msg import Joy
 from std_srvs.srv import Trigger, TriggerResponse
 
+from data_extraction import segments_of_bag
+from data_extraction.segment_pages import PageWriter
+from data_extraction.segments import PLOT_BUTTON, PlotParams, Recorder
 from risc_control.joystick import ButtonPresses
 from risc_control.ros.joystick_buttons import origin
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, load_params, number
 from risc_maap_msgs.msg import OperatorState, TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, Trajectories
-from risc_visual.pictures import df_plots_bag
-from risc_visual.pictures.df_pages import PageWriter
-from risc_visual.pictures.df_plots import PLOT_BUTTON, PlotParams, Recorder
 from risc_visual.ros.health import Health
 
 _LOOK_S = 0.2  # how often the main thread looks whether there is something to draw, or an end
@@ -119,7 +119,7 @@ class DFPlots:
 def main():
     arguments = rospy.myargv()[1:]
     if arguments:
-        return df_plots_bag.main(arguments)
+        return segments_of_bag.main(arguments)
     rospy.init_node("DF_Plots")
     try:
         DFPlots().run()

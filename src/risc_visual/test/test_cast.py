@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from risc_lab.phases import phase_words
 from risc_visual.drawing.airframes import AIRFRAMES, PAINT, vehicle_colour
-from risc_visual.drawing.cast import Cast, Index, Pose, phase_words, reference_marks, rod_foot, title_text
+from risc_visual.drawing.cast import Cast, Index, Pose, reference_marks, rod_foot, title_text
 
 NAN = float("nan")
 

@@ -14,14 +14,8 @@ import yaml
 from programs import run_program
 
 from data_extraction.bags import BagError
-from risc_lab.lab import load_fleet
-from risc_lab.lab.yaml_reader import package_file
-from risc_lab.phases import OperatorPhase, TrajectoryPhase
-from risc_lab.ros.params import params_from_dict
-from risc_maap_msgs.msg import OperatorState, TrajectoryPhases, VehiclePhase
-from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
-from risc_visual.pictures.df_pages import PageWriter, file_stem, page, path_limits_m
-from risc_visual.pictures.df_plots import (
+from data_extraction.segment_pages import PageWriter, file_stem, page, path_limits_m
+from data_extraction.segments import (
     COLUMNS,
     DESIRED_POSITION,
     POSITION,
@@ -29,7 +23,13 @@ from risc_visual.pictures.df_plots import (
     Recorder,
     full_scales_deg,
 )
-from risc_visual.pictures.df_plots_bag import plot_bag
+from data_extraction.segments_of_bag import plot_bag
+from risc_lab.lab import load_fleet
+from risc_lab.lab.yaml_reader import package_file
+from risc_lab.phases import OperatorPhase, TrajectoryPhase
+from risc_lab.ros.params import params_from_dict
+from risc_maap_msgs.msg import OperatorState, TrajectoryPhases, VehiclePhase
+from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "DF_Plots.py"
 FLEET = pathlib.Path(__file__).resolve().parents[3] / "launch" / "fleets" / "ardrones3.yaml"

@@ -20,6 +20,7 @@ _FEW = 6  # vehicles that have a colour and a line in a legend each; of more,
 _WORST = 3  # so many
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
+DESIRED, ACTUAL = COLOURS[1], COLOURS[0]
 STYLE = {
     "figure.dpi": 130,
     "font.size": 9,
@@ -113,14 +114,25 @@ def axes_over_time(name, vehicle, title):
     some = _some(len(vehicle.t_s))
     for axes, label, want, have in zip(rows, ("x [m]", "y [m]", "z [m]", "yaw [deg]"), desired.T, actual.T):
         _shade(axes, vehicle)
-        axes.plot(vehicle.t_s[some], have[some], color=COLOURS[0], lw=1.2, label="actual")
-        axes.plot(vehicle.t_s[some], want[some], color=COLOURS[1], lw=1.0, ls="--", label="desired")
+        draw_both(axes, vehicle.t_s[some], want[some], have[some], 1.0)
         axes.set_ylabel(label)
-        if np.ptp(have) < 0.5:
-            axes.set_ylim(np.mean(have) - 0.5, np.mean(have) + 0.5)
     rows[0].legend(loc="upper right", ncol=2, bbox_to_anchor=(1.0, 1.3))
     rows[-1].set_xlabel("time [s]    (shaded: on the course and settled; judged)")
     return figure
+
+
+def draw_both(axes, t_s, desired, actual, least, **look):
+    """Desired and actual values (n,) over time; what hardly moves gets an axis of at least this height.
+
+    look: of the line of the desired values, where it is not dashed.
+    """
+    axes.plot(t_s, actual, color=ACTUAL, lw=1.2, label="actual")
+    if not np.isnan(desired).all():
+        axes.plot(t_s, desired, color=DESIRED, label="desired", **(look or {"lw": 1.0, "ls": "--"}))
+    low, high = axes.dataLim.intervaly
+    if high - low < least:
+        middle = 0.5 * (low + high)
+        axes.set_ylim(middle - 0.5 * least, middle + 0.5 * least)
 
 
 def errors(flight, title):

@@ -32,3 +32,8 @@ class OperatorResult(enum.IntEnum):
     RUNNING = 0  # not yet
     OK = 1
     FAILED = 2
+
+
+def phase_words(vehicles):
+    """dict name -> word of the phase, e.g. "course". vehicles: VehiclePhase[], rospy's or those that rosbags reads."""
+    return {vehicle.name: TrajectoryPhase(vehicle.phase).name.lower() for vehicle in vehicles}

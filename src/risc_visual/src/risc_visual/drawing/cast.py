@@ -7,7 +7,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from risc_lab.frames import rotation_body_to_cortex
-from risc_lab.phases import TrajectoryPhase
 from risc_visual.drawing.airframes import AIRFRAMES, DEFAULT_AIRFRAME, vehicle_colour
 
 REST_M_S = 0.01  # a reference slower than this stands still
@@ -124,8 +123,3 @@ def title_text(title, phases):
     else:
         lines += ["%s: %s" % item for item in phases.items()]
     return "\n".join(lines)
-
-
-def phase_words(vehicles):
-    """dict name -> word of the phase, e.g. "course". vehicles: VehiclePhase[], rospy's or those that rosbags reads."""
-    return {vehicle.name: TrajectoryPhase(vehicle.phase).name.lower() for vehicle in vehicles}

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ardrone_autonomy.msg import Navdata
-from risc_lab.phases import OperatorPhase
+from risc_lab.phases import OperatorPhase, phase_words
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, known_arena, number, private, vehicles, warn_of_unknown
@@ -25,7 +25,6 @@ from risc_visual.browser.live_status import LiveStatus, Mocap, Report, Vehicle
 from risc_visual.browser.marker_scene import FIXED_FRAME, Action, Look, MarkerScene, MarkerValue, Placement, Shape
 from risc_visual.browser.page import SHAPES, BrowserPanel, BrowserScene
 from risc_visual.browser.page_server import open_server
-from risc_visual.drawing.cast import phase_words
 from risc_visual.drawing.scenery import load_scenery
 from risc_visual.ros.conversions import verdict_from_msg
 

@@ -14,8 +14,7 @@ import numpy as np
 from risc_control.mappings.ardrone import full_scales
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.vehicle_types import load_vehicle_type
-from risc_lab.phases import OperatorPhase
-from risc_visual.drawing.cast import phase_words
+from risc_lab.phases import OperatorPhase, phase_words
 
 POSITION = ("x_m", "y_m", "z_m")  # cortex frame, as all positions and velocities here
 DESIRED_POSITION = ("x_desired_m", "y_desired_m", "z_desired_m")

@@ -8,15 +8,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import MultipleLocator
 
-from data_extraction.plots import COLOURS, STYLE
-from risc_visual.pictures.df_plots import ANGLES, COLUMNS, DESIRED_ANGLES, DESIRED_POSITION, POSITION, VELOCITY_ERROR
+from data_extraction.plots import ACTUAL, COLOURS, DESIRED, draw_both, style
+from data_extraction.segments import ANGLES, COLUMNS, DESIRED_ANGLES, DESIRED_POSITION, POSITION, VELOCITY_ERROR
 
 LIMITS_M = ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))  # of the 3-D path, as in the original release
 _ROOM_M = 0.1  # beyond a path that leaves them
 _TICK_M = 0.5
 _GAP_S = 0.25  # a line is broken where nothing is known for longer
 _STILL_DEG = 2.0  # angles that stay below this are shown on an axis of this size
-_DESIRED, _ACTUAL = COLOURS[1], COLOURS[0]
 
 
 class PageWriter:
@@ -41,7 +40,7 @@ class PageWriter:
             files.append(path.with_name(path.name + ".csv"))
             write_table(segment, files[-1])
         for path, segment in new:
-            with plt.rc_context(STYLE):
+            with style():
                 figure = page(segment)
                 for suffix in self._suffixes:
                     files.append(path.with_name(path.name + suffix))
@@ -97,9 +96,9 @@ def draw_path(axes, segment):
     """Desired and actual path in space."""
     desired_m, actual_m = segment.columns(DESIRED_POSITION), segment.columns(POSITION)
     _, broken = _with_gaps(segment.table[:, -1], np.hstack((desired_m, actual_m)))
-    axes.plot(*broken.T[3:], color=_ACTUAL, lw=1.5, label="actual")
-    axes.plot(*broken.T[:3], color=_DESIRED, lw=0.9, ls="--", label="desired")
-    axes.plot(*actual_m[:1].T, "o", color=_ACTUAL, ms=4, label="start")
+    axes.plot(*broken.T[3:], color=ACTUAL, lw=1.5, label="actual")
+    axes.plot(*broken.T[:3], color=DESIRED, lw=0.9, ls="--", label="desired")
+    axes.plot(*actual_m[:1].T, "o", color=ACTUAL, ms=4, label="start")
     axes.plot(*broken.T[3:5], 0.0, color="#bbbbbb", lw=0.8, label="on the floor")  # without it depth cannot be told
     limits_m = path_limits_m(np.vstack((desired_m, actual_m)))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", xlim=limits_m[0], ylim=limits_m[1], zlim=limits_m[2])
@@ -122,15 +121,9 @@ def draw_angle(axes, segment, index, label):
     """Desired and actual angle over time. index: 0 roll, 1 pitch."""
     pair = segment.columns((DESIRED_ANGLES[index], ANGLES[index]))
     t_s, broken = _with_gaps(segment.table[:, -1] - segment.start_s, pair)
-    if np.isnan(pair[:, 0]).all():
-        label += "\n(no commands)"
-    else:  # behind: it carries the noise that the vehicle's inertia takes out
-        axes.plot(t_s, broken[:, 0], color=_DESIRED, lw=0.8, alpha=0.6, label="desired")
-    axes.plot(t_s, broken[:, 1], color=_ACTUAL, lw=1.5, label="actual")
-    reach_deg = np.nanmax(np.abs(pair))
-    if reach_deg < _STILL_DEG:
-        axes.set_ylim(-_STILL_DEG, _STILL_DEG)
-    axes.set_ylabel(label)
+    # behind: the desired angle carries the noise that the vehicle's inertia takes out
+    draw_both(axes, t_s, *broken.T, 2.0 * _STILL_DEG, lw=0.8, alpha=0.6, zorder=1.5)
+    axes.set_ylabel(label + ("\n(no commands)" if np.isnan(pair[:, 0]).all() else ""))
     if index == 0:
         axes.legend(loc="lower right", ncol=2, bbox_to_anchor=(1.0, 0.96))
 

@@ -7,9 +7,9 @@ import sys
 from data_extraction.bags import Bag, BagError
 from data_extraction.flatten import seconds
 from data_extraction.report.kinds import fits
+from data_extraction.segment_pages import PageWriter
+from data_extraction.segments import PlotParams, Recorder
 from risc_lab.lab import load_fleet
-from risc_visual.pictures.df_pages import PageWriter
-from risc_visual.pictures.df_plots import PlotParams, Recorder
 
 NEEDED = ("/cortex_raw", "/trajectory")
 USEFUL = ("/controls", "/trajectory_phase", "/operator/phase")
