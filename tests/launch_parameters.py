@@ -4,14 +4,15 @@ from roslaunch.core import Param
 
 
 def unroll(config):
-    """Add to a ROSLaunchConfig the single parameters of those that it sets together: ~vehicles of a driver for one
-    vehicle, and ~mocap of stream_markers.
+    """Add to a ROSLaunchConfig the single parameters of those that it sets together: ~vehicles of a driver, as far
+    as they have the same, and ~mocap of stream_markers.
     """
     for name, param in list(config.params.items()):
         owner, _, key = name.rpartition("/")
         together = {}
-        if key == "vehicles" and isinstance(param.value, dict) and len(param.value) == 1:
-            (together,) = param.value.values()
+        if key == "vehicles" and isinstance(param.value, dict):
+            first, *others = param.value.values()
+            together = {key: value for key, value in first.items() if all(other[key] == value for other in others)}
         elif key == "mocap" and isinstance(param.value, dict):
             together = param.value
         for key, value in together.items():

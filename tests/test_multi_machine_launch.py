@@ -34,7 +34,8 @@ PARAMETERS = {
     "joy_node": {"dev": "/dev/input/js0"},
     "joystick_controller": {"JoytoWay": 0, "ButtonEmergency": 2, "TakeoffLand": 6, "Up": 9, "Down": 10,
                             "ShutDownNode": 7, "AxisRoll": 6, "AxisPitch": 7, "AxisYaw": 3, "ScaleRoll": 3,
-                            "ScalePitch": 3, "ScaleYaw": 1, "ScaleZ": 1, "Simulation": False, "delay": 0.3},
+                            "ScalePitch": 3, "ScaleYaw": 1, "ScaleZ": 1, "Simulation": False,
+                            "delay": -1},
 }  # fmt: skip
 
 

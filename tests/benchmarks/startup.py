@@ -27,8 +27,7 @@ COUNTS = (1, 3, 50)
 REPETITIONS = 3
 NODES = {  # name: (package, program, its configuration, topics that it listens to before it is of use)
     "states_estimation": ("risc_estimation", "states_estimation.py", "states_estimation.yaml", ("/mocap_data",)),
-    "controller": ("risc_control", "generic_DF_controller.py", "generic_DF_controller.yaml",
-                   ("/cortex_raw", "/trajectory")),
+    "controller": ("risc_control", "generic_DF_controller.py", None, ("/cortex_raw", "/trajectory")),
     "trajectory": ("risc_control", "circles3_traj.py", None, ("/cortex_raw",)),
     "vehicles": ("risc_control", "risc_controller.py", "vehicle_node.yaml", ("/cortex_raw", "/controls")),
     "ardrone_driver": ("ardrone_autonomy", "ardrone_driver", None, ("/{last}/cmd_vel",)),

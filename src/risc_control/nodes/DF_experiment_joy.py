@@ -6,11 +6,9 @@ import sys
 import numpy as np
 import rospy
 
-from risc_control.cfg import TrackingWeightsConfig
 from risc_control.ros.controller_node import ControllerNode, main
 from risc_control.ros.conversions import TrajectoriesMessage
 from risc_control.ros.trajectory_node import CourseSelector, ManagerWiring, yaw_from_params
-from risc_control.tracking import FlatnessController
 from risc_control.trajectories import make_course
 from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_lab.ros.params import vehicles
@@ -28,7 +26,7 @@ class ExperimentNode(ControllerNode):
         self._selector = CourseSelector(self._wiring, courses)
         self._reference_message = TrajectoriesMessage(self._wiring.manager.names)
         self._reference_publisher = rospy.Publisher("/trajectory", TrajectoriesArrays, queue_size=1, tcp_nodelay=True)
-        super().__init__(FlatnessController, TrackingWeightsConfig, fleet_vehicles)
+        super().__init__("differential_flatness", fleet_vehicles)
 
     def _subscribe(self):
         rospy.Subscriber("/cortex_raw", CortexArrays.Raw, self._on_states, queue_size=1, tcp_nodelay=True)
@@ -38,13 +36,13 @@ class ExperimentNode(ControllerNode):
             self._wiring.look(message)
         super()._on_states(message)
 
-    def _references(self, stamp_s, ahead_s, now_s):
+    def _references(self, times_s, now_s):
         with self._wiring.lock:
-            present = self._wiring.sample(stamp_s).derivatives
-            ahead = self._wiring.manager.sample(ahead_s).derivatives
-        stamp = rospy.Time.from_sec(stamp_s)
-        self._reference_publisher.publish(self._reference_message.fill(stamp, present))
-        return present, ahead, np.ones(len(self.names), dtype=bool)
+            values = [self._wiring.sample(times_s[0]).derivatives]
+            values += [self._wiring.manager.sample(time_s).derivatives for time_s in times_s[1:]]
+        stamp = rospy.Time.from_sec(times_s[0])
+        self._reference_publisher.publish(self._reference_message.fill(stamp, values[0]))
+        return np.array(values), np.ones(len(self.names), dtype=bool)
 
 
 if __name__ == "__main__":

@@ -7,10 +7,8 @@ import numpy as np
 import rospy
 from std_msgs.msg import Float64
 
-from risc_control.cfg import TrackingWeightsConfig
-from risc_control.guidance import GuidanceController, GuidanceParams
 from risc_control.ros.controller_node import ControllerNode, main
-from risc_lab.ros.params import dataclass_from_params, vehicles
+from risc_lab.ros.params import vehicles
 
 
 class GuidanceNode(ControllerNode):
@@ -18,19 +16,18 @@ class GuidanceNode(ControllerNode):
 
     def __init__(self):
         self._range = rospy.Publisher("/range", Float64, queue_size=1)
-        super().__init__(GuidanceController, TrackingWeightsConfig, vehicles(only_one=True))
+        super().__init__("guidance", vehicles(only_one=True))
 
     def _subscribe(self):
-        self._controller.guidance = dataclass_from_params(GuidanceParams)
         rospy.Subscriber("/target_velocity", Float64, self._on_target_velocity, queue_size=1, tcp_nodelay=True)
         super()._subscribe()
 
     def _on_target_velocity(self, message):
         with self._lock:
-            self._controller.target_speed_m_s = message.data
+            self._loop.controller.target_speed_m_s = message.data
 
     def _updated(self):
-        range_m = self._controller.range_m[0]
+        range_m = self._loop.controller.range_m[0]
         if np.isfinite(range_m):
             self._range.publish(range_m)
 

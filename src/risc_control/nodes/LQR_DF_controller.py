@@ -3,9 +3,7 @@
 
 import sys
 
-from risc_control.cfg import ThesisWeightsConfig
 from risc_control.ros.controller_node import ControllerNode, main
-from risc_control.tracking import DoubleIntegratorController
 
 if __name__ == "__main__":
-    sys.exit(main("LQR_controller", lambda: ControllerNode(DoubleIntegratorController, ThesisWeightsConfig)))
+    sys.exit(main("LQR_controller", lambda: ControllerNode("thesis_lqr")))

@@ -12,7 +12,7 @@ import sys
 
 import yaml
 
-from risc_lab.lab import load_fleet, load_vehicle_type
+from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import resolve_url
 
 
@@ -42,6 +42,9 @@ def _driver(values):
         "drone_frame_id": values["namespace"] + "_ardrone_base",
         "camera_info_url": values["camera_info_url"],
         "video_latency": values["video_latency_s"],
+        "euler_angle_max": values["tilt_max_rad"],
+        "control_vz_max": 1e3 * values["climb_max_m_s"],
+        "control_yaw": values["yaw_rate_max_rad_s"],
     }
 
 
@@ -50,10 +53,11 @@ def _values(fleet, name):
     vehicles = {vehicle.namespace: vehicle for vehicle in fleet.vehicles}
     if name not in vehicles:
         raise ValueError("fleet '%s' has no vehicle '%s'; it has %s" % (fleet.name, name, ", ".join(sorted(vehicles))))
-    own = vars(vehicles[name])
+    vehicle = vehicles[name]
+    own = vars(vehicle)
     calibration = own["calibration"]
     url = "file://%s" % resolve_url(calibration).absolute() if calibration else ""
-    return {**vars(load_vehicle_type(own["type"])), **own, "camera_info_url": url}
+    return {**vars(vehicle.vehicle_type), **own, "camera_info_url": url}
 
 
 def main():

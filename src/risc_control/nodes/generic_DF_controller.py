@@ -1,11 +1,9 @@
 #!/usr/bin/env python3
-"""Differential flatness controller of several AR.Drones (thesis 6; the controller of Appendix C)."""
+"""Differential flatness controller of several vehicles (thesis 6; Appendix C); ~controller: another one by its name."""
 
 import sys
 
-from risc_control.cfg import TrackingWeightsConfig
 from risc_control.ros.controller_node import ControllerNode, main
-from risc_control.tracking import FlatnessController
 
 if __name__ == "__main__":
-    sys.exit(main("Differential_Flatness", lambda: ControllerNode(FlatnessController, TrackingWeightsConfig)))
+    sys.exit(main("Differential_Flatness", lambda: ControllerNode("differential_flatness")))

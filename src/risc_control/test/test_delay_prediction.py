@@ -69,7 +69,7 @@ def random_history(rng, start_s, end_s, n=2, step_s=1.0 / 30.0):
 def integrate(motion, i, model, time_s, horizon_s, delay_s, commands):
     """One vehicle by the full equations: thrust along the body axis from the climb loop, rotation matrix, drag."""
     wn, zeta = model.natural_frequency_rad_s[i], model.damping_ratio[i]
-    tau_climb, tau_yaw, drag = model.climb_time_constant_s[i], model.yaw_time_constant_s[i], model.drag_1_s[i]
+    climb, tau_yaw, drag = model.climb[i], model.yaw_time_constant_s[i], model.drag_1_s[i]
 
     def command_at(t):
         held = [command for sent_s, command in commands if sent_s <= t - delay_s]
@@ -78,7 +78,7 @@ def integrate(motion, i, model, time_s, horizon_s, delay_s, commands):
     def slope(t, x, command):
         v, phi, phi_rate, theta, theta_rate, psi, psi_rate = x[3:6], *x[6:]
         up = rotation_body_to_cortex(phi, theta, psi) @ [0.0, 0.0, -1.0]
-        climb_acceleration = (command[Channel.CLIMB] - v[2]) / tau_climb
+        climb_acceleration = climb["gain"] * command[Channel.CLIMB] - climb["damping_1_s"] * v[2]
         specific_thrust = (G + climb_acceleration) / up[2]
         a = specific_thrust * up - [drag * v[0], drag * v[1], G]
         return [
@@ -246,7 +246,7 @@ def test_observer_steps_of_any_length_are_those_of_the_exponential():
 
 def test_effective_delay():
     assert effective_delay_s(ARDRONE) == pytest.approx(0.1 + 1.0 / 30.0)
-    assert effective_delay_s(ARDRONE, 0.3) == pytest.approx(0.3 + 1.0 / 30.0)
+    assert effective_delay_s(replace(ARDRONE, command_delay_s=0.3)) == pytest.approx(0.3 + 1.0 / 30.0)
     for wrong in (-0.1, 2.0, math.nan):
         with pytest.raises(ValueError, match="command delay must be from 0"):
-            effective_delay_s(ARDRONE, wrong)
+            effective_delay_s(replace(ARDRONE, command_delay_s=wrong))

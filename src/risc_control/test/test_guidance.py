@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from risc_control.guidance import GuidanceController, GuidanceParams, pursuit_acceleration
+from risc_control.controllers import ControlLoop, differential_flatness, guidance
+from risc_control.controllers.guidance import pursuit_acceleration
 from risc_control.pursuit_reference import TargetParams
-from risc_control.tracking import FlatnessController
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S, States
 
 ARDRONE = load_vehicle_type("ardrone")
-PARAMS = GuidanceParams()
+PARAMS = guidance.Params()
 RADIUS_M, SPEED_M_S = 0.8, 0.2
 DT_S = 0.005
 
@@ -43,7 +43,7 @@ def pursue(position, velocity, target):
 
 def point(controller):
     """Where the law's point is, north + i east."""
-    return complex(*controller._points[0].position_m)
+    return complex(*controller.controller._points[0].position_m)
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
@@ -79,24 +79,27 @@ def test_turning_the_scene_turns_the_answer():
 
 
 def test_a_target_that_stands_is_flown_to_like_any_reference():
-    chaser, tracker = GuidanceController([ARDRONE]), FlatnessController([ARDRONE])
+    chaser, tracker = (
+        ControlLoop(guidance.Controller, [ARDRONE]),
+        ControlLoop(differential_flatness.Controller, [ARDRONE]),
+    )
     outputs = [update(controller, states(), standing(0.1, 0.2)) for controller in (chaser, tracker)]
-    assert np.array(outputs[0].fractions).tolist() == np.array(outputs[1].fractions).tolist()
-    assert chaser.range_m[0] == pytest.approx(math.hypot(0.1, 0.2))
+    assert np.array(outputs[0].controls).tolist() == np.array(outputs[1].controls).tolist()
+    assert chaser.controller.range_m[0] == pytest.approx(math.hypot(0.1, 0.2))
     update(chaser, states(visible=False), standing(), stamp_s=0.1)
-    assert np.isnan(chaser.range_m[0])
+    assert np.isnan(chaser.controller.range_m[0])
 
 
 def test_the_pursuit_begins_where_the_vehicle_is_and_moves_on_with_the_law():
     """Of a vehicle that never moves the point runs away, until somebody else flies it: then it is with the vehicle."""
-    controller = GuidanceController([ARDRONE])
-    controller.target_speed_m_s = SPEED_M_S
+    controller = ControlLoop(guidance.Controller, [ARDRONE])
+    controller.controller.target_speed_m_s = SPEED_M_S
     update(controller, states(), standing(y=-0.7))
     assert point(controller) == 0.0
     for k in range(1, 200):
         update(controller, states(), standing(y=-0.7), k * DT_S)
     assert point(controller).imag > 0.05 and abs(point(controller).real) < 1e-9, "east is - y"
-    assert controller.range_m[0] == pytest.approx(0.7), "of the vehicle, not of the point"
+    assert controller.controller.range_m[0] == pytest.approx(0.7), "of the vehicle, not of the point"
     one = np.ones(1, dtype=bool)
     controller.update(1.0, 1.004, states(), standing(y=-0.7), standing(y=-0.7), one, ~one)
     assert point(controller) == 0.0
@@ -110,8 +113,8 @@ def test_a_vehicle_out_of_sight_has_no_place_its_point_runs_on():
     """A vehicle at (0.8, 0.3), whose row reads (0, 0) while it is not seen."""
 
     def points(seen, gap_s=DT_S):
-        controller = GuidanceController([ARDRONE])
-        controller.target_speed_m_s = SPEED_M_S
+        controller = ControlLoop(guidance.Controller, [ARDRONE])
+        controller.controller.target_speed_m_s = SPEED_M_S
         stamp_s, found = 0.0, []
         for k, visible in enumerate(seen):
             stamp_s += gap_s if k and not seen[k - 1] else DT_S
@@ -134,8 +137,8 @@ def test_a_vehicle_out_of_sight_has_no_place_its_point_runs_on():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: GuidanceParams(range_m=0.0), "range_m"),
-        (lambda: GuidanceParams(speed_gain_1_s=math.nan), "speed_gain_1_s"),
+        (lambda: guidance.Params(range_m=0.0), "range_m"),
+        (lambda: guidance.Params(speed_gain_1_s=math.nan), "speed_gain_1_s"),
         (lambda: TargetParams(radius_m=-1.0), "radius_m"),
         (lambda: TargetParams(psi_deg=math.inf), "psi_deg"),
     ],

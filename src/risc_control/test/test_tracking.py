@@ -7,17 +7,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from risc_control.controllers import ControlLoop, differential_flatness, thesis_lqr
+from risc_control.controllers.differential_flatness import Params
 from risc_control.delay_prediction import NominalModel, discretised
-from risc_control.mappings.ardrone import full_scales
-from risc_control.tracking import DoubleIntegratorController, FlatnessController, LqrWeights, TrackingParams
 from risc_control.trajectories import YawProgram, make_course
+from risc_control.vehicles import adapter_class
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S, States
 
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * G
-BOTH = [FlatnessController, DoubleIntegratorController]
+
+
+def flatness(types, **params):
+    return ControlLoop(differential_flatness.Controller, types, Params(**params))
+
+
+def thesis(types, **params):
+    return ControlLoop(thesis_lqr.Controller, types, thesis_lqr.Params(**params))
+
+
+BOTH = [flatness, thesis]
 YAWS_DEG = [0, 45, 90, 135, 180, -60, -120]
 DT_S = 0.005
 
@@ -46,9 +57,9 @@ def update(controller, state, reference, stamp_s=100.0, usable=True, autonomous=
 def test_hover_is_an_equilibrium(kind, psi_deg):
     psi = math.radians(psi_deg)
     output = update(kind([ARDRONE]), states(angles=(0, 0, psi)), standing(psi=psi))
-    for fraction in output.fractions[:3]:
+    for fraction in output.controls[:3]:
         assert fraction[0] == pytest.approx(0.0, abs=1e-12)
-    assert output.fractions.thrust_n[0] == pytest.approx(HOVER_N)
+    assert output.controls.thrust_n[0] == pytest.approx(HOVER_N)
     assert not output.saturated[0]
 
 
@@ -61,40 +72,40 @@ def test_moves_toward_the_reference_at_every_yaw(kind, psi_deg, direction_deg):
     error = 0.1 * np.array([math.cos(direction), math.sin(direction)])
     output = update(kind([ARDRONE]), states(angles=(0, 0, psi)), standing(*error, psi=psi))
     forward, left = (
-        output.fractions.theta[0] * ARDRONE.pitch.gain,
-        output.fractions.phi[0] * ARDRONE.roll.gain,
+        output.controls.theta[0] * ARDRONE.pitch.gain,
+        output.controls.phi[0] * ARDRONE.roll.gain,
     )
     # cortex: at yaw psi the nose is (cos, -sin) and the left wing (sin, cos)
     moves = forward * np.array([math.cos(psi), -math.sin(psi)]) + left * np.array([math.sin(psi), math.cos(psi)])
     assert moves / np.linalg.norm(moves) == pytest.approx(error / 0.1, abs=0.06)
-    assert output.fractions.thrust_n[0] == pytest.approx(HOVER_N, rel=0.06)
+    assert output.controls.thrust_n[0] == pytest.approx(HOVER_N, rel=0.06)
 
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_brakes_climbs_and_turns_the_right_way(kind):
     controller = kind([ARDRONE])
-    assert update(controller, states(velocity=(0.3, 0, 0)), standing()).fractions.theta[0] < -0.01
-    assert update(kind([ARDRONE]), states(velocity=(0, 0.3, 0)), standing()).fractions.phi[0] < -0.01
-    assert update(kind([ARDRONE]), states(), standing(z=1.1)).fractions.thrust_n[0] > 1.01 * HOVER_N
-    assert update(kind([ARDRONE]), states(velocity=(0, 0, 0.2)), standing()).fractions.thrust_n[0] < HOVER_N
+    assert update(controller, states(velocity=(0.3, 0, 0)), standing()).controls.theta[0] < -0.01
+    assert update(kind([ARDRONE]), states(velocity=(0, 0.3, 0)), standing()).controls.phi[0] < -0.01
+    assert update(kind([ARDRONE]), states(), standing(z=1.1)).controls.thrust_n[0] > 1.01 * HOVER_N
+    assert update(kind([ARDRONE]), states(velocity=(0, 0, 0.2)), standing()).controls.thrust_n[0] < HOVER_N
     # clockwise is + in psi and - in the fraction
-    assert update(kind([ARDRONE]), states(), standing(psi=0.1)).fractions.psi[0] < -0.01
+    assert update(kind([ARDRONE]), states(), standing(psi=0.1)).controls.psi[0] < -0.01
 
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_turns_the_short_way_round(kind):
     near = states(angles=(0, 0, math.radians(175)))
     output = update(kind([ARDRONE]), near, standing(psi=math.radians(-175)))
-    assert -1.0 < output.fractions.psi[0] < -0.05, "10 degrees clockwise"
+    assert -1.0 < output.controls.psi[0] < -0.05, "10 degrees clockwise"
 
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_far_away_is_bounded_and_said(kind):
-    controller = kind([ARDRONE], params=TrackingParams(error_max_m=5.0))
+    controller = kind([ARDRONE], error_max_m=5.0)
     output = update(controller, states(), standing(30.0, 40.0, 20.0, math.pi))
-    assert all(np.abs(fraction[0]) <= 1.0 for fraction in output.fractions[:3])
-    assert output.saturated[0] and 0.0 < output.fractions.thrust_n[0] < 10.0 * HOVER_N
-    tilt = output.fractions.theta[0] * ARDRONE.pitch.gain, output.fractions.phi[0] * ARDRONE.roll.gain
+    assert all(np.abs(fraction[0]) <= 1.0 for fraction in output.controls[:3])
+    assert output.saturated[0] and 0.0 < output.controls.thrust_n[0] < 10.0 * HOVER_N
+    tilt = output.controls.theta[0] * ARDRONE.pitch.gain, output.controls.phi[0] * ARDRONE.roll.gain
     assert math.atan2(tilt[1], tilt[0]) == pytest.approx(math.atan2(40.0, 30.0), abs=0.1), "direction is kept"
 
 
@@ -106,13 +117,13 @@ def test_without_state_or_reference_it_is_level_with_hover_thrust(kind):
     broken = States(np.array([False, True]), state.x.copy())
     broken.position_m[0] = np.nan, np.inf, 0.0
     output = update(controller, broken, standing(n=2))
-    assert [part[0] for part in output.fractions] == pytest.approx([0.0, 0.0, 0.0, HOVER_N])
+    assert [part[0] for part in output.controls] == pytest.approx([0.0, 0.0, 0.0, HOVER_N])
     alone = update(kind([ARDRONE] * 2), state, standing(n=2))
-    assert [part[1] for part in output.fractions] == pytest.approx([part[1] for part in alone.fractions])
+    assert [part[1] for part in output.controls] == pytest.approx([part[1] for part in alone.controls])
     lost = kind([ARDRONE] * 2).update(
         100.0, 100.004, state, standing(n=2) * np.nan, standing(n=2) * np.nan, np.zeros(2, bool), np.ones(2, bool)
     )
-    assert np.array(lost.fractions) == pytest.approx(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [HOVER_N] * 2]))
+    assert np.array(lost.controls) == pytest.approx(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [HOVER_N] * 2]))
 
 
 @pytest.mark.parametrize("kind", BOTH)
@@ -130,28 +141,28 @@ def test_numbers_that_are_not_finite_never_leave(kind):
 
 
 def test_thrust_counts_the_tilt_that_the_vehicle_has():
-    controller = FlatnessController([ARDRONE], params=TrackingParams(command_delay_s=0.0))
+    controller = flatness([replace(ARDRONE, command_delay_s=0.0)])
     output = update(controller, states(angles=(0.25, 0.0, 0.0)), standing())
-    assert output.fractions.thrust_n[0] > 1.01 * HOVER_N
+    assert output.controls.thrust_n[0] > 1.01 * HOVER_N
 
 
 def test_integral_grows_only_in_flight_and_starts_afresh():
-    controller = FlatnessController([ARDRONE])
+    controller = flatness([ARDRONE])
 
     def integral():
-        return math.hypot(controller._integrals[0].north_m_s, controller._integrals[0].east_m_s)
+        return math.hypot(controller.controller._integrals[0].north_m_s, controller.controller._integrals[0].east_m_s)
 
     def left_after(seconds, autonomous, height_m=1.0, begin_s=0.0):
         for k in range(int(seconds / DT_S)):
             stamp_s = begin_s + k * DT_S
             output = update(controller, states(position=(0, 0, height_m)), standing(y=0.05, z=height_m), stamp_s,
                             autonomous=autonomous)  # fmt: skip
-        return output.fractions.phi[0]
+        return output.controls.phi[0]
 
     first = left_after(0.005, True)
     assert left_after(1.0, False, begin_s=1.0) == pytest.approx(first, rel=1e-6), "manual: at rest"
     assert left_after(1.0, True, height_m=0.1, begin_s=3.0) < 1.5 * first, "on the floor: at rest"
-    controller.reset()
+    controller.controller.reset()
     grown = left_after(1.0, True, begin_s=6.0)
     assert integral() == pytest.approx(0.05, rel=0.02)
     left_after(60.0, True, begin_s=8.0)
@@ -162,37 +173,33 @@ def test_integral_grows_only_in_flight_and_starts_afresh():
 
 
 def test_integral_rests_while_the_command_is_cut():
-    controller = FlatnessController([ARDRONE], params=TrackingParams(error_max_m=5.0, integral_max_m_s=50.0))
+    controller = flatness([ARDRONE], error_max_m=5.0, integral_max_m_s=50.0)
     for k in range(400):
         update(controller, states(), standing(x=5.0, z=3.0), k * DT_S)
-    grown = controller._integrals[0]
+    grown = controller.controller._integrals[0]
     assert math.hypot(grown.north_m_s, grown.east_m_s) < 0.1 and abs(grown.up_m_s) < 0.1
 
 
 def test_weights_can_change_and_wrong_ones_change_nothing():
-    controller = FlatnessController([ARDRONE])
-    before = update(FlatnessController([ARDRONE]), states(), standing(x=0.1)).fractions.theta[0]
+    controller = flatness([ARDRONE])
+    before = update(flatness([ARDRONE]), states(), standing(x=0.1)).controls.theta[0]
     with pytest.raises(ValueError, match="q_position must be >= 0"):
-        controller.set_weights(LqrWeights(q_position=-1.0))
+        controller.set_params(Params(q_position=-1.0))
     with pytest.raises(ValueError, match="no weight in Q sees"):
-        controller.set_weights(LqrWeights(q_integral=0.0, q_position=0.0))
-    assert update(controller, states(), standing(x=0.1), 1.0).fractions.theta[0] == pytest.approx(before)
-    controller.set_weights(LqrWeights(q_position=20.0, q_integral=0.0))
-    assert update(controller, states(), standing(x=0.1), 2.0).fractions.theta[0] < 0.8 * before
+        controller.set_params(Params(q_integral=0.0, q_position=0.0))
+    assert update(controller, states(), standing(x=0.1), 1.0).controls.theta[0] == pytest.approx(before)
+    controller.set_params(Params(q_position=20.0, q_integral=0.0))
+    assert update(controller, states(), standing(x=0.1), 2.0).controls.theta[0] < 0.8 * before
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: TrackingParams(error_max_m=0.0), "error_max_m"),
-        (lambda: LqrWeights(r_yaw=0.0), "r_yaw must be > 0"),
-        (lambda: LqrWeights(q_yaw=math.nan), "q_yaw must be >= 0"),
-        (lambda: FlatnessController([ARDRONE], params=TrackingParams(command_delay_s=3.0)), "command delay must be"),
-        (lambda: FlatnessController([ARDRONE], params=TrackingParams(tilt_max_rad=0.0)), "must be positive"),
-        (
-            lambda: FlatnessController([ARDRONE, replace(ARDRONE, command_delay_s=0.02)]),
-            "vehicles of one command delay",
-        ),
+        (lambda: Params(error_max_m=0.0), "error_max_m"),
+        (lambda: Params(r_yaw=0.0), "r_yaw must be > 0"),
+        (lambda: Params(q_yaw=math.nan), "q_yaw must be >= 0"),
+        (lambda: flatness([replace(ARDRONE, command_delay_s=3.0)]), "command delay must be"),
+        (lambda: ControlLoop("zeppelin", [ARDRONE]), "known are: differential_flatness, guidance, thesis_lqr"),
     ],
 )
 def test_wrong_settings_say_why(make, message):
@@ -205,7 +212,7 @@ class NominalVehicles:
 
     def __init__(self, n, position, psi):
         self.model = NominalModel.of([ARDRONE] * n)
-        self.scales = full_scales([ARDRONE] * n)
+        self.units = adapter_class(ARDRONE).units(ARDRONE)
         A, b = self.model.loops()
         self._phi, self._gamma = discretised(A, b, DT_S)
         self.x = np.zeros((n, 4, 2))  # (phi, theta, height, psi) and their rates
@@ -220,19 +227,19 @@ class NominalVehicles:
         rows[:, S.PHI : S.P], rows[:, S.P :] = self.x[:, [0, 1, 3], 0], self.x[:, [0, 1, 3], 1]
         return States(np.ones(len(self.p), bool), rows)
 
-    def step(self, fractions, climb_at_command_m_s):
+    def step(self, controls, climb_at_command_m_s):
         phi, theta, psi = self.x[:, 0, 0], self.x[:, 1, 0], self.x[:, 3, 0]
-        a_up = fractions.thrust_n * np.cos(phi) * np.cos(theta) / ARDRONE.mass_kg - G
+        a_up = controls.thrust_n * np.cos(phi) * np.cos(theta) / ARDRONE.mass_kg - G
         climb = climb_at_command_m_s + ARDRONE.climb_time_constant_s * a_up
         lift = G + (climb - self.x[:, 2, 1]) / ARDRONE.climb_time_constant_s
         a = lift * (-np.tan(theta) + 1j * np.tan(phi) / np.cos(theta)) * np.exp(1j * psi)
         a = a - self.model.drag_1_s * self.v
         command = np.empty((len(self.p), 4))
         command[:, 0], command[:, 1] = (
-            fractions.phi * self.scales["phi_rad"],
-            fractions.theta * self.scales["theta_rad"],
+            controls.phi * self.units.roll_rad,
+            controls.theta * self.units.pitch_rad,
         )
-        command[:, 2], command[:, 3] = climb, fractions.psi * self.scales["yaw_rate_rad_s"]
+        command[:, 2], command[:, 3] = climb, controls.psi * self.units.yaw_rate_rad_s
         self.p, self.v = self.p + DT_S * self.v + 0.5 * DT_S**2 * a, self.v + DT_S * a
         self.x = np.matmul(self._phi, self.x[..., None])[..., 0] + self._gamma * command[..., None]
 
@@ -251,9 +258,9 @@ def fly(controller, course, psi, duration_s=13.0, steps_late=26):
     for k in range(int(duration_s / DT_S)):
         time_s = k * DT_S
         state = vehicles.states()
-        ahead = reference(time_s + controller.horizon_s(time_s, time_s))
+        ahead = reference(controller.times_s(time_s, time_s)[1])
         output = controller.update(time_s, time_s, state, reference(time_s), ahead, everyone, everyone)
-        pending.append(output.fractions)
+        pending.append(output.controls)
         if k >= steps_late:
             # the vehicle node predicts its climb rate to this moment; with the nominal loop it is the true one
             vehicles.step(pending[k - steps_late], vehicles.x[:, 2, 1].copy())
@@ -266,8 +273,8 @@ def fly(controller, course, psi, duration_s=13.0, steps_late=26):
 def test_follows_courses_at_any_yaw_to_millimetres_on_the_nominal_vehicle(name, psi_deg):
     psi = math.radians(psi_deg)
     course = make_course(name, 2, YawProgram((psi,), 0.2 if psi_deg == 100 else 0.0))
-    controller = FlatnessController([ARDRONE] * 2)
-    errors = fly(controller, course, psi, steps_late=round(controller.delay_s / DT_S))
+    controller = flatness([ARDRONE] * 2)
+    errors = fly(controller, course, psi, steps_late=round(controller.controller.delay_s[0] / DT_S))
     assert errors[-1000:].max() < 0.006
     assert errors.max() < 0.35
 
@@ -275,14 +282,14 @@ def test_follows_courses_at_any_yaw_to_millimetres_on_the_nominal_vehicle(name, 
 def test_prediction_is_worth_it():
     """The thesis' controller on the same vehicle, with weights that suit the delay."""
     course = make_course("circle", 1)
-    late = fly(DoubleIntegratorController([ARDRONE]), course, 0.0, steps_late=27)[-1000:].max()
-    full = fly(FlatnessController([ARDRONE]), course, 0.0, steps_late=27)[-1000:].max()
+    late = fly(thesis([ARDRONE]), course, 0.0, steps_late=27)[-1000:].max()
+    full = fly(flatness([ARDRONE]), course, 0.0, steps_late=27)[-1000:].max()
     assert full < 0.3 * late < 0.1
 
 
 def test_stable_with_three_times_the_delay_and_with_a_wrong_one():
     course = make_course("circle", 1)
-    told = FlatnessController([ARDRONE], params=TrackingParams(command_delay_s=0.3))
+    told = flatness([replace(ARDRONE, command_delay_s=0.3)])
     assert fly(told, course, 0.0, steps_late=67)[-1000:].max() < 0.01
     for steps_late in (17, 37):  # 50 ms less and more than nominal
-        assert fly(FlatnessController([ARDRONE]), course, 0.0, steps_late=steps_late)[-1000:].max() < 0.05
+        assert fly(flatness([ARDRONE]), course, 0.0, steps_late=steps_late)[-1000:].max() < 0.05

@@ -26,8 +26,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from risc_control.controllers import ControlLoop, differential_flatness, thesis_lqr
 from risc_control.reference_buffer import ReferenceBuffer
-from risc_control.tracking import DoubleIntegratorController, FlatnessController, LqrWeights, TrackingParams
 from risc_lab.lab.vehicle_types import AttitudeLoop, VehicleType
 from risc_lab.states import S, States
 
@@ -38,15 +38,21 @@ REFERENCE_TOLERANCES = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 RATE_HZ, SECONDS, UNCOMPILED_SECONDS = 200.0, 5.0, 0.9
 EVERY_COMMAND, EVERY_REFERENCE = 5, 30  # frames: what is kept of the results
 EARLY = (3, 5, 8, 15, 19, 21, 25)  # and frames with few samples
-CASES = {
-    "full": (FlatnessController, TrackingParams()),
-    "late": (FlatnessController, TrackingParams(command_delay_s=0.3, tilt_max_rad=0.2, climb_max_m_s=0.5)),
-    "thesis": (DoubleIntegratorController, TrackingParams()),
+OTHER = differential_flatness.Params(
+    q_position=20.0, q_velocity=8.0, q_tilt=0.1, q_height=10.0, q_integral=0.0, q_yaw_rate=0.5
+)
+CASES = {  # controller, what the vehicles have otherwise, other parameters
+    "full": (differential_flatness, {}, OTHER),
+    "late": (differential_flatness, {"command_delay_s": 0.3, "tilt_max_rad": 0.2, "climb_max_m_s": 0.5}, OTHER),
+    "thesis": (
+        thesis_lqr,
+        {},
+        thesis_lqr.Params(q_position=20.0, q_velocity=8.0, q_height=10.0, q_climb=8.0, q_yaw=4.0),
+    ),
 }
-OTHER_WEIGHTS = LqrWeights(q_position=20.0, q_velocity=8.0, q_tilt=0.1, q_height=10.0, q_integral=0.0, q_yaw_rate=0.5)
 
 QUADROTOR = VehicleType(
-    name="quadrotor",
+    name="ardrone",
     mass_kg=0.45,
     inertia_kg_m2=(0.0022, 0.0030, 0.0048),
     roll=AttitudeLoop(5.816, 0.738, 1.1714),
@@ -63,7 +69,6 @@ QUADROTOR = VehicleType(
 )
 HEAVY = replace(
     QUADROTOR,
-    name="heavy",
     mass_kg=1.3,
     roll=AttitudeLoop(9.0, 0.8, 1.0),
     pitch=AttitudeLoop(8.0, 0.7, 0.9),
@@ -129,16 +134,16 @@ def frames(seconds, seed=15):
 
 def commands(case, seconds=SECONDS):
     """(commands (k, 4, 3), saturated (k, 3)) of a case."""
-    kind, params = CASES[case]
-    controller = kind(VEHICLE_TYPES, params=params)
+    module, overrides, other = CASES[case]
+    loop = ControlLoop(module.Controller, [replace(vehicle_type, **overrides) for vehicle_type in VEHICLE_TYPES])
     found, saturated = [], []
     for k, (t, stamp_s, now_s, visible, x, usable, autonomous) in enumerate(frames(seconds)):
-        if t >= 4.0 and controller.weights is not OTHER_WEIGHTS:
-            controller.set_weights(OTHER_WEIGHTS)
-        ahead = reference(t + controller.horizon_s(stamp_s, now_s))
-        output = controller.update(stamp_s, now_s, States(visible, x), reference(t), ahead, usable, autonomous)
+        if t >= 4.0 and loop.params is not other:
+            loop.set_params(other)
+        ahead = reference(t + loop.times_s(stamp_s, now_s)[1] - stamp_s)
+        output = loop.update(stamp_s, now_s, States(visible, x), reference(t), ahead, usable, autonomous)
         if k % EVERY_COMMAND == 0:
-            found.append(np.array(output.fractions))
+            found.append(np.array(output.controls))
             saturated.append(output.saturated)
     return np.array(found), np.array(saturated)
 

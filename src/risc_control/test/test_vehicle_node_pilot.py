@@ -2,6 +2,7 @@
 
 import math
 import pathlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,16 +13,14 @@ from risc_control.failsafe import FailsafeLevel, Rule
 from risc_control.joystick import Sticks
 from risc_control.separation import ALONE, Look
 from risc_control.vehicle_pilot import (
-    ClimbPredictor,
-    FlightState,
-    OwnControl,
     OwnState,
     SlotClock,
     VehiclePilot,
-    check_full_scale,
     choose_vehicle,
     params_from_dict,
 )
+from risc_control.vehicles import Controls, FlightState, Status
+from risc_control.vehicles.ardrone import ClimbPredictor, status
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import fleet_from_dict
@@ -48,7 +47,7 @@ class Desk:
         self.flight_state = FlightState.LANDED
         self.battery = 90.0
         self.state, self.look = LEVEL, ALONE
-        self.control = OwnControl(0.0, 0.0, 0.0, HOVER_N)
+        self.control = Controls(0.0, 0.0, 0.0, HOVER_N)
         self.alive = {"state", "controls", "navdata"}
         self.orders = []  # (time, Orders) that ask for something
         self._step = 0
@@ -69,7 +68,7 @@ class Desk:
             if "controls" in self.alive:
                 self.take(self.pilot.on_controls(self.control, 1e9 + self.now_s, 0.005, self.now_s))
             if "navdata" in self.alive and self._step % 4 == 0:
-                self.take(self.pilot.on_navdata(self.flight_state, self.battery, self.now_s))
+                self.take(self.pilot.on_status(Status(self.flight_state, self.battery), self.now_s))
             if "joystick" in self.alive and self._step % 10 == 0:
                 self.take(self.pilot.on_joy(*self._joy, self.now_s))
             if self._step % 3 == 0:
@@ -503,12 +502,12 @@ def test_commands_only_in_flying_states(state):
 @pytest.mark.parametrize(
     ("control", "expected"),
     [
-        (OwnControl(0.0, 0.3, 0.0, HOVER_N), Sticks(0.3, 0.0, 0.0, 0.0)),  # theta: forward
-        (OwnControl(-0.4, 0.0, 0.0, HOVER_N), Sticks(0.0, -0.4, 0.0, 0.0)),  # phi: left
-        (OwnControl(0.0, 0.0, 0.5, HOVER_N), Sticks(0.0, 0.0, 0.0, 0.5)),  # psi: counter-clockwise
-        (OwnControl(0.0, 0.0, 0.0, HOVER_N + 0.45), Sticks(0.0, 0.0, None, 0.0)),  # thrust: up
-        (OwnControl(2.0, -3.0, 1.5, 30.0), Sticks(-1.0, 1.0, 1.0, 1.0)),  # limited (D-29)
-        (OwnControl(0.0, 0.0, 0.0, 0.0), Sticks(0.0, 0.0, -1.0, 0.0)),
+        (Controls(0.0, 0.3, 0.0, HOVER_N), Sticks(0.3, 0.0, 0.0, 0.0)),  # theta: forward
+        (Controls(-0.4, 0.0, 0.0, HOVER_N), Sticks(0.0, -0.4, 0.0, 0.0)),  # phi: left
+        (Controls(0.0, 0.0, 0.5, HOVER_N), Sticks(0.0, 0.0, 0.0, 0.5)),  # psi: counter-clockwise
+        (Controls(0.0, 0.0, 0.0, HOVER_N + 0.45), Sticks(0.0, 0.0, None, 0.0)),  # thrust: up
+        (Controls(2.0, -3.0, 1.5, 30.0), Sticks(-1.0, 1.0, 1.0, 1.0)),  # limited (D-29)
+        (Controls(0.0, 0.0, 0.0, 0.0), Sticks(0.0, 0.0, -1.0, 0.0)),
     ],
 )
 def test_controls_become_commands(control, expected):
@@ -556,7 +555,7 @@ def test_slots_keep_the_average_rate():
 
 def test_a_command_that_is_no_number_is_ignored():
     desk = Desk().fly(autonomous=True)
-    desk.control = OwnControl(math.nan, 0.0, 0.0, HOVER_N)
+    desk.control = Controls(math.nan, 0.0, 0.0, HOVER_N)
     sent = desk.run(0.09)
     assert sent == []
     assert any("not finite" in texts(orders) for _, orders in desk.orders)
@@ -586,7 +585,7 @@ def test_climb_predictor_without_commands_decays():
 
 def test_loss_of_states_holds_then_lands_then_rests():
     desk = Desk().fly(autonomous=True)
-    desk.control = OwnControl(0.3, 0.3, 0.3, HOVER_N)
+    desk.control = Controls(0.3, 0.3, 0.3, HOVER_N)
     desk.run(0.5)
     desk.alive.remove("state")
     lost_s, since = desk.now_s, len(desk.orders)
@@ -620,7 +619,7 @@ def test_loss_of_states_holds_then_lands_then_rests():
 
 def test_hold_ends_on_the_first_fresh_controls():
     desk = Desk().fly(autonomous=True)
-    desk.control = OwnControl(0.1, 0.0, 0.0, HOVER_N)
+    desk.control = Controls(0.1, 0.0, 0.0, HOVER_N)
     desk.alive -= {"state", "controls"}
     desk.run(0.3)
     assert desk.pilot.ladder.verdict.level == FailsafeLevel.HOLD
@@ -684,7 +683,7 @@ def test_one_that_is_too_near_holds_brakes_and_gives_way(psi_deg, way):
     # 0.4 m/s along the nose, which points along (cos psi, -sin psi), and 0.2 to the left
     forward, left = np.array([math.cos(psi_rad), -math.sin(psi_rad)]), np.array([math.sin(psi_rad), math.cos(psi_rad)])
     desk.state = LEVEL._replace(velocity_m_s=(*(0.4 * forward + 0.2 * left), 0.0), psi_rad=psi_rad)
-    desk.control = OwnControl(0.3, 0.3, 0.1, HOVER_N)
+    desk.control = Controls(0.3, 0.3, 0.1, HOVER_N)
     desk.look = Look(holds=True, reason="near", way=way)
     desk.run(0.2)
     commands = [sticks for _, sticks, _ in desk.run(0.3)]
@@ -749,7 +748,8 @@ def test_emergency_in_the_air_is_not_taken_for_landed():
 def test_packets_without_a_battery_are_no_empty_battery():
     """The driver publishes a packet without the vehicle's main block as state 0, battery 0."""
     desk = Desk().fly(autonomous=True)
-    desk.flight_state, desk.battery = FlightState.UNKNOWN, 0.0
+    desk.flight_state = FlightState.UNKNOWN
+    desk.battery = status(SimpleNamespace(state=FlightState.UNKNOWN, batteryPercent=0.0)).battery_pct
     desk.run(5.0)
     assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK
     desk.flight_state, desk.battery = FlightState.FLYING, 90.0
@@ -911,9 +911,16 @@ def test_unknown_and_bad_parameters():
             params_from_dict({name: value})
 
 
-def test_another_full_scale_than_the_controllers_is_a_warning():
-    assert check_full_scale(params_from_dict({})[0], ARDRONE) == ""
-    assert "2.00 times" in check_full_scale(params_from_dict({"euler_angle_max": 0.698132})[0], ARDRONE)
+def test_a_controller_with_other_full_scales_is_not_obeyed():
+    desk = Desk().fly()
+    desk.pilot.disagreement = "climb_max_m_s is 1 here, but 0.2 there"
+    orders = desk.press(TOGGLE)
+    assert orders.mode is None and "climb_max_m_s is 1 here" in texts(orders)
+    desk.pilot.disagreement = ""
+    assert desk.press(TOGGLE).mode is True
+    desk.pilot.disagreement, since = "as before", len(desk.orders)
+    desk.run(0.7)
+    assert desk.count("land", since) > 0, "as if it were silent"
 
 
 def fleet(*vehicles):
@@ -935,16 +942,21 @@ def fleet(*vehicles):
     )
 
 
+def chosen(*what):
+    vehicle = choose_vehicle(*what)
+    return vehicle.template, vehicle.type
+
+
 def test_vehicle_is_found_by_name():
     two = fleet(("risc1", "Raven", "ardrone"), ("risc2", "iris_1", "iris"))
-    assert choose_vehicle("", "risc1", two) == ("Raven", "ardrone"), "the fleet overrides the lab's table"
-    assert choose_vehicle("", "risc2", two) == ("iris_1", "iris")
-    assert choose_vehicle("iris_1", "risc1", two) == ("iris_1", "iris")
-    assert choose_vehicle("condor", "risc1", two) == ("condor", "ardrone")
-    assert choose_vehicle("", "", fleet(("risc1", "Raven", "ardrone"))) == ("Raven", "ardrone")
-    assert choose_vehicle("", "risc1", None) == ("fluffy_II", "ardrone")
-    assert choose_vehicle("", "risc2", None) == ("albatross", "ardrone")
-    assert choose_vehicle("", "risc3", None) == ("Raven", "ardrone")
+    assert chosen("", "risc1", two) == ("Raven", "ardrone"), "the fleet overrides the lab's table"
+    assert chosen("", "risc2", two) == ("iris_1", "iris")
+    assert chosen("iris_1", "risc1", two) == ("iris_1", "iris")
+    assert chosen("condor", "risc1", two) == ("condor", "ardrone")
+    assert chosen("", "", fleet(("risc1", "Raven", "ardrone"))) == ("Raven", "ardrone")
+    assert chosen("", "risc1", None) == ("fluffy_II", "ardrone")
+    assert chosen("", "risc2", None) == ("albatross", "ardrone")
+    assert chosen("", "risc3", None) == ("Raven", "ardrone")
     for namespace, known in (("risc3", two), ("", two), ("", None), ("risc4", None)):
         with pytest.raises(ValueError, match="~vehicle"):
             choose_vehicle("", namespace, known)

@@ -24,6 +24,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[3]
         (["--mocap-rate", "40"], "--mocap-rate"),
         (["--psi", "nan"], "--psi"),
         (["--trajectory", "loop"], "--trajectory"),
+        (["--controller", "autopilot"], "--controller"),
+        (["df_demo", "--controller", "thesis_lqr"], "--controller"),
     ],
 )
 def test_a_wrong_option_is_named(capsys, words, option):

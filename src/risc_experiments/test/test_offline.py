@@ -42,7 +42,7 @@ def test_a_delay_of_0_3_s_that_the_controller_knows():
 
 
 def test_the_thesis_controller_flies_and_is_less_accurate():
-    thesis = fly(Flight("flat8", vehicles=1, seed=4, psi_rad=2.0, duration_s=10.0, controller="thesis"))
+    thesis = fly(Flight("flat8", vehicles=1, seed=4, psi_rad=2.0, duration_s=10.0, controller="thesis_lqr"))
     full = fly(Flight("flat8", vehicles=1, seed=4, psi_rad=2.0, duration_s=10.0))
     assert 2.0 * full.rmse_m[0] < thesis.rmse_m[0] < 0.15
 

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from risc_experiments import fly as online
-from risc_experiments import offline
 from risc_experiments.estimators import estimator_of
 from risc_experiments.offline import Flight, fly, main
 from risc_lab.registry import VARIABLE
 
 MEMBERS = pathlib.Path(__file__).resolve().parents[2] / "risc_estimation" / "test" / "members"
-THESIS = "thesis" if "thesis" in getattr(offline, "CONTROLLERS", ()) else "thesis_lqr"
+THESIS = "thesis_lqr"
 
 
 def test_a_filter_of_one_file_and_one_yaml_flies(monkeypatch, tmp_path):

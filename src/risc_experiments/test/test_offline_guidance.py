@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from risc_control.guidance import GuidanceController, GuidanceParams
+from risc_control.controllers import ControlLoop, guidance
 from risc_control.pursuit_reference import TargetParams, VirtualTarget
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.trajectory_manager import Phase, make_manager
@@ -33,7 +33,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     params = TargetParams(psi_deg=PSI_DEG)
     target = make_manager(fleet.vehicles, params.waiting_place(), kind=VirtualTarget)
     target.target = params.target_course()
-    controller = GuidanceController(vehicle_types)
+    controller = ControlLoop("guidance", vehicle_types)
     vehicle = world.vehicles[place.namespace]
     vehicle.fly_at(place.start_position_m[:2] + (1.0,), place.start_yaw_rad)
     chain, buffer = offline._Chain(vehicle, 0.3), ReferenceBuffer()
@@ -62,13 +62,13 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         if reference.phases[0] is Phase.HOMED:
             break
         buffer.push(time_s, reference.derivatives[:3])
-        controller.target_speed_m_s = target.target_speed_m_s(time_s)
-        present, ahead = buffer.at(np.array([time_s, time_s + controller.horizon_s(time_s, now_s)]))
+        controller.controller.target_speed_m_s = target.target_speed_m_s(time_s)
+        present, ahead = controller.pick(buffer.at(controller.times_s(time_s, now_s)))
         states = States(estimate.visible, estimate.states)
         if frame % LOST_EVERY == 0:  # as states_from_msg gives what is not seen
             states = States(~NOW, np.zeros_like(states.x))
         output = controller.update(time_s, now_s, states, present, ahead, NOW, NOW & chain.pilot.autonomous)
-        offline.step_chains([chain], frame, time_s, now_s, states, output.fractions)
+        offline.step_chains([chain], frame, time_s, now_s, states, output.controls)
         assert not world.crashes
         truth = vehicle.state.position_m
         if let_go_s + CHASED_S <= time_s < home_s:
@@ -77,7 +77,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         elif time_s >= home_s:
             homing.append(np.linalg.norm(present[0, 0, :3] - truth))
     assert reference.phases == (Phase.HOMED,)
-    assert np.abs(np.array(ranges) - GuidanceParams().range_m).max() < 0.04
+    assert np.abs(np.array(ranges) - guidance.Params().range_m).max() < 0.04
     assert np.abs(np.array(radii) - params.radius_m).max() < 0.04
     assert max(homing) < 0.1, "home begins where the vehicle is"
     assert truth[:2] == pytest.approx(place.start_position_m[:2], abs=0.05)

@@ -4,7 +4,8 @@ import sys
 
 import pytest
 
-from risc_lab.registry import VARIABLE, Registry, config_files
+from risc_lab.lab.yaml_reader import MEMBERS_VARIABLE, config_files
+from risc_lab.registry import Registry
 
 
 @pytest.fixture
@@ -20,8 +21,10 @@ def registry(tmp_path, monkeypatch):
     (tmp_path / "mine" / "shapes" / "square.py").write_text("CORNERS = 4\n")
     (tmp_path / "mine" / "shapes" / "square.yaml").write_text("side_m: 2.0\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr("risc_lab.registry.package_file", lambda package, path: tmp_path / package / path, raising=True)
+    monkeypatch.delenv(MEMBERS_VARIABLE, raising=False)
+    monkeypatch.setattr(
+        "risc_lab.lab.yaml_reader.package_file", lambda package, path: tmp_path / package / path, raising=True
+    )
     yield Registry("shapes", "shapes_pack.shapes")
     for name in [name for name in sys.modules if name.split(".")[0] == "shapes_pack"]:
         del sys.modules[name]
@@ -33,7 +36,7 @@ def test_members_of_the_tree(registry):
 
 
 def test_a_member_from_elsewhere_is_a_module_of_the_same_package(registry, tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "mine"))
+    monkeypatch.setenv(MEMBERS_VARIABLE, str(tmp_path / "mine"))
     assert registry.names() == ["circle", "square"]
     square = registry.module("square")
     assert (square.CORNERS, square.__name__) == (4, "shapes_pack.shapes.square")
@@ -44,10 +47,10 @@ def test_a_member_from_elsewhere_is_a_module_of_the_same_package(registry, tmp_p
 def test_wrong_names_say_what_is_there(registry, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="'square' among the shapes; known are: circle"):
         registry.module("square")
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "nowhere"))
+    monkeypatch.setenv(MEMBERS_VARIABLE, str(tmp_path / "nowhere"))
     with pytest.raises(ValueError, match="nowhere, which is not there"):
         registry.names()
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "mine"))
+    monkeypatch.setenv(MEMBERS_VARIABLE, str(tmp_path / "mine"))
     (tmp_path / "mine" / "shapes" / "circle.py").touch()
     with pytest.raises(ValueError, match="circle is there twice"):
         registry.names()

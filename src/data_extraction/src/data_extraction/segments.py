@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from risc_control.mappings.ardrone import full_scales
+from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.phases import OperatorPhase, phase_words
@@ -112,7 +112,7 @@ def full_scales_deg(params, fleet_vehicles=()):
 
     NED sense, so for an AR.Drone they are negative: its fractions are + left and + forward. For the vehicles of a
     fleet the result is the angle that its controllers wanted: they divide it by the gain of the type's attitude loop
-    (risc_control.mappings.ardrone). The original's controllers knew no gains, so without a fleet it is the fraction
+    (risc_control.vehicles). The original's controllers knew no gains, so without a fleet it is the fraction
     of euler_angle_max and nothing else. That limit is the type's when it is not set, 20 degrees for the AR.Drone: the
     original's plots took 0.78537 rad for every vehicle, which is right for its IRIS+ only.
     """
@@ -122,12 +122,11 @@ def full_scales_deg(params, fleet_vehicles=()):
         if kind == IRIS:
             angle_rad = override or IRIS_EULER_ANGLE_MAX_RAD
             return math.degrees(angle_rad), math.degrees(angle_rad)
-        vehicle_type = load_vehicle_type(kind)
+        vehicle_type = load_vehicle_type(kind, {"tilt_max_rad": override} if override else {})
         if not with_gains:
-            angle_rad = override or vehicle_type.tilt_max_rad
-            return -math.degrees(angle_rad), -math.degrees(angle_rad)
-        full = full_scales([vehicle_type], override)[0]
-        return math.degrees(full.phi_rad), math.degrees(full.theta_rad)
+            return -math.degrees(vehicle_type.tilt_max_rad), -math.degrees(vehicle_type.tilt_max_rad)
+        unit = adapter_class(vehicle_type).units(vehicle_type)
+        return math.degrees(unit.roll_rad), math.degrees(unit.pitch_rad)
 
     of_fleet = {vehicle.template: scale(params.vehicle_type or vehicle.type, True) for vehicle in fleet_vehicles}
     return of_fleet, scale(params.vehicle_type or "ardrone", False)

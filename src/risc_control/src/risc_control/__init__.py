@@ -1,1 +1,1 @@
-"""Control of vehicles: trajectories, flatness, LQR, vehicle mappings, failsafe levels. Needs no ROS."""
+"""Control of vehicles: trajectories, flatness, LQR, controllers, vehicle adapters, failsafe levels. Needs no ROS."""

@@ -11,10 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from risc_control.controllers import ControlLoop
 from risc_control.reference_buffer import ORDERS, ReferenceBuffer
-from risc_control.tracking import FlatnessController
 from risc_control.trajectories import make_course
-from risc_control.vehicle_pilot import FlightState, OwnControl, OwnState, VehiclePilot, params_from_dict
+from risc_control.vehicle_pilot import OwnState, VehiclePilot, params_from_dict
+from risc_control.vehicles import Controls, FlightState, Status
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.states import S, States
 
@@ -40,7 +41,7 @@ def controller_table(fleet_sizes, frames, seed=1):
 def controller_row(count, vehicle_type, frames, seed):
     """One row of `controller_table`."""
     begin_s = time.perf_counter()
-    controller, buffer = FlatnessController([vehicle_type] * count), ReferenceBuffer()
+    loop, buffer = ControlLoop("differential_flatness", [vehicle_type] * count), ReferenceBuffer()
     construction_s = time.perf_counter() - begin_s
     course, rng, everyone = make_course("circle", count), np.random.default_rng(seed), np.ones(count, dtype=bool)
     seconds = []
@@ -54,9 +55,9 @@ def controller_row(count, vehicle_type, frames, seed):
         times = [time.perf_counter()]
         buffer.push(stamp_s, reference[:3])
         times.append(time.perf_counter())
-        present, ahead = buffer.at(np.array([stamp_s, stamp_s + controller.horizon_s(stamp_s, now_s)]))
+        present, ahead = loop.pick(buffer.at(loop.times_s(stamp_s, now_s)))
         times.append(time.perf_counter())
-        controller.update(stamp_s, now_s, States(everyone, x), present, ahead, everyone, everyone)
+        loop.update(stamp_s, now_s, States(everyone, x), present, ahead, everyone, everyone)
         times.append(time.perf_counter())
         seconds.append(np.diff(times))
     push_us, at_us, update_us = 1e6 * np.median(seconds[WARM_UP:], axis=0)
@@ -75,13 +76,13 @@ def pilot_table(frames):
     """Dict of what arrives -> median microseconds, of one vehicle in autonomous flight."""
     params, _ = params_from_dict({"joystick_timeout": 0.0})
     pilot = VehiclePilot(params, load_vehicle_type("ardrone"), 0.0)
-    own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03, 0.0), OwnControl(0.1, 0.05, 0.02, 4.4)
+    own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03, 0.0), Controls(0.1, 0.05, 0.02, 4.4)
     buttons = [0] * 11
     seconds = {"state": [], "controls, no command due": [], "controls, command sent": [], "tick": []}
     for k in range(WARM_UP + frames):
         now_s = k * FRAME_S
         if k % NAVDATA_EVERY == 0:
-            pilot.on_navdata(FlightState.FLYING, 90.0, now_s)
+            pilot.on_status(Status(FlightState.FLYING, 90.0), now_s)
         if k in (5, 6):
             buttons[params.joystick.JoytoWay] = k - 5
             pilot.on_joy(buttons, [0.0] * 8, now_s)

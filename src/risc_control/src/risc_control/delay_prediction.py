@@ -1,8 +1,7 @@
 """The state ahead: where the vehicles will be when a command that is sent now takes effect.
 
 Commands reach a vehicle late (0.1 to 0.3 s of Wi-Fi), so feedback on the present state acts on the past. What the
-vehicle does until then is known, though: it follows the commands that are already on their way. All vehicles of one
-controller share one command delay.
+vehicle does until then is known, though: it follows the commands that are already on their way.
 
 Positions and velocities are north, east and up; angles are phi, theta, psi in the NED sense. Commands are what a
 vehicle settles at (gain of its loops included): columns `Channel`.
@@ -16,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
+from risc_control.vehicles import CLIMB_LOOP, climb_acceleration, climb_loops
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2
 
@@ -27,7 +27,7 @@ _OBSERVER_TABLE_S = 0.0005  # resolution of the observer's step
 
 
 class Channel(IntEnum):
-    """Columns of a command: angles [rad], climb rate [m/s, + up], yaw rate [rad/s, + clockwise]."""
+    """Columns of a command: angles [rad], what the type's CLIMB_LOOP takes [+ up], yaw rate [rad/s, + clockwise]."""
 
     PHI, THETA, CLIMB, YAW_RATE = range(4)
 
@@ -43,10 +43,11 @@ PLANT = record(
     ("theta", LOOP_STEP),
     ("height", LOOP_STEP),
     ("psi", LOOP_STEP),
-    ("climb_time_constant_s", float),
+    ("climb", CLIMB_LOOP),
     ("yaw_time_constant_s", float),
     ("drag_1_s", float),  # drag over mass
     ("mass_kg", float),
+    ("delay_s", float),  # from sending a command to its effect
 )
 
 
@@ -58,9 +59,10 @@ class NominalModel:
     mass_kg: np.ndarray
     natural_frequency_rad_s: np.ndarray  # (k, 2)
     damping_ratio: np.ndarray  # (k, 2)
-    climb_time_constant_s: np.ndarray
+    climb: np.ndarray  # CLIMB_LOOP
     yaw_time_constant_s: np.ndarray
     drag_1_s: np.ndarray  # drag over mass
+    delay_s: np.ndarray  # from sending a command to its effect
 
     @classmethod
     def of(cls, vehicle_types):
@@ -75,9 +77,10 @@ class NominalModel:
             mass_kg=column(lambda t: t.mass_kg),
             natural_frequency_rad_s=column(lambda t: (t.roll.natural_frequency_rad_s, t.pitch.natural_frequency_rad_s)),
             damping_ratio=column(lambda t: (t.roll.damping_ratio, t.pitch.damping_ratio)),
-            climb_time_constant_s=column(lambda t: t.climb_time_constant_s),
+            climb=climb_loops(different),
             yaw_time_constant_s=column(lambda t: t.yaw_rate_time_constant_s),
             drag_1_s=column(lambda t: t.drag_n_s_m / t.mass_kg),
+            delay_s=column(effective_delay_s),
         )
 
     def loops(self):
@@ -90,8 +93,9 @@ class NominalModel:
         A, b = np.zeros((k, 4, 2, 2)), np.zeros((k, 4, 2))
         A[:, :, 0, 1] = 1.0
         A[:, :2, 1, 0], A[:, :2, 1, 1], b[:, :2, 1] = -(wn**2), -2.0 * zeta * wn, wn**2
-        for channel, tau in ((Channel.CLIMB, self.climb_time_constant_s), (Channel.YAW_RATE, self.yaw_time_constant_s)):
-            A[:, channel, 1, 1], b[:, channel, 1] = -1.0 / tau, 1.0 / tau
+        A[:, Channel.CLIMB, 1, 1], b[:, Channel.CLIMB, 1] = -self.climb["damping_1_s"], self.climb["gain"]
+        yaw_1_s = 1.0 / self.yaw_time_constant_s
+        A[:, Channel.YAW_RATE, 1, 1], b[:, Channel.YAW_RATE, 1] = -yaw_1_s, yaw_1_s
         return A, b
 
     def plants(self):
@@ -100,7 +104,7 @@ class NominalModel:
         Phi, Gamma = discretised(*self.loops(), STEP_S)
         for channel, name in enumerate(("phi", "theta", "height", "psi")):
             plants[name] = _loop_steps(Phi[:, channel], Gamma[:, channel])
-        for name in ("climb_time_constant_s", "yaw_time_constant_s", "drag_1_s", "mass_kg"):
+        for name in ("climb", "yaw_time_constant_s", "drag_1_s", "mass_kg", "delay_s"):
             plants[name] = getattr(self, name)
         return plants
 
@@ -289,7 +293,7 @@ def steps_of(horizon_s):
 @compiled
 def _acceleration(phi_rad, theta_rad, psi_rad, up_m_s, command, plant):
     """North, east and up [m/s^2]: the climb loop gives the vertical one, the tilt (g + a_up) tan(tilt) along it."""
-    a_up = (command[Channel.CLIMB] - up_m_s) / plant.climb_time_constant_s
+    a_up = climb_acceleration(command[Channel.CLIMB], up_m_s, plant.climb)
     a_forward = -(GRAVITY_M_S2 + a_up) * math.tan(theta_rad)
     a_right = (GRAVITY_M_S2 + a_up) * math.tan(phi_rad) / math.cos(theta_rad)
     cos_psi, sin_psi = math.cos(psi_rad), math.sin(psi_rad)
@@ -343,16 +347,16 @@ def predicted(motion, plant, horizon_s, commands, rows, vehicle):
     )
 
 
-def effective_delay_s(vehicle_type, command_delay_s=None):
+def effective_delay_s(vehicle_type):
     """Mean time [s] from a command leaving the controller to its effect.
 
     The link's delay, half a command period waiting for the vehicle's next slot, and half a period for which the
-    command then holds. command_delay_s overrides the type's link delay. Raises ValueError when it cannot be predicted.
+    command then holds. Raises ValueError when it cannot be predicted.
     """
-    link_s = vehicle_type.command_delay_s if command_delay_s is None else command_delay_s
-    delay_s = link_s + 1.0 / vehicle_type.command_rate_hz
-    if not (math.isfinite(link_s) and link_s >= 0.0 and delay_s < 0.8 * MAX_HORIZON_S):
+    delay_s = vehicle_type.command_delay_s + 1.0 / vehicle_type.command_rate_hz
+    if not (vehicle_type.command_delay_s >= 0.0 and delay_s < 0.8 * MAX_HORIZON_S):
         raise ValueError(
-            "command delay must be from 0 to %.2g s, got %r" % (0.8 * MAX_HORIZON_S - delay_s + link_s, link_s)
+            "command delay must be from 0 to %.2g s, got %r"
+            % (0.8 * MAX_HORIZON_S - 1.0 / vehicle_type.command_rate_hz, vehicle_type.command_delay_s)
         )
     return delay_s

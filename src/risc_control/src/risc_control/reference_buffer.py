@@ -40,7 +40,8 @@ _MIN_SPAN_S = 0.02  # and less than this even for that: the newest sample alone
 _SAME_S = 1e-12  # [s] spacings of samples that differ by less are the same: their fit is known
 _TOLERANCE_1_S = 0.02  # [m/s, m/s^2] error of position and of velocity per second of step
 # [d, p]: factor of t^(p - d) in the d-th derivative of t^p
-_DERIVATIVE = np.array([[np.prod(np.arange(p, p - d, -1.0)) for p in range(max(_DEGREES) + 1)] for d in range(ORDERS)])
+_POWERS = range(max(_DEGREES) + 1)
+_DERIVATIVE = np.array([[np.prod(np.arange(p, p - d, -1.0)) for p in _POWERS] for d in _POWERS])
 
 
 class ReferenceBuffer:
@@ -49,7 +50,9 @@ class ReferenceBuffer:
     Axes: the last one is (x, y, z, psi): metres in any fixed frame, and radians.
     """
 
-    def __init__(self):
+    def __init__(self, order=Order.SNAP):
+        """order: the highest derivative that `at` gives; beyond that of the polynomial it is 0."""
+        self._orders = order + 1
         self._guard = ClockGuard()
         self._stamps_s = np.empty(_ROWS)  # a ring: sample k is in row k % _ROWS
         self._ends = np.empty(2, dtype=np.int64)  # k of the oldest and of the newest
@@ -91,14 +94,14 @@ class ReferenceBuffer:
         return True
 
     def at(self, times_s):
-        """(k, ORDERS, n, 4) value and derivatives at times (k,); jerk and snap are 0 where only one sample is known.
+        """(k, orders, n, 4) value and derivatives at times (k,); jerk and snap are 0 where only one sample is known.
 
         Raises ValueError when there is no sample.
         """
         if self.newest_s == -np.inf:
             raise ValueError("no reference has arrived")
         times_s = np.asarray(times_s, dtype=float)
-        result = np.empty((len(times_s), ORDERS) + self._samples.shape[2:])
+        result = np.empty((len(times_s), self._orders) + self._samples.shape[2:])
         _at(times_s, self._stamps_s, self._samples, self._ends, self._spacing_s, self._fit, result)
         return result
 
@@ -148,7 +151,7 @@ def _continues(step_s, before, sample):
 
 @compiled
 def _at(times_s, stamps_s, samples, ends, spacing_s, fit, result):
-    """Fill the result (k, ORDERS, n, 4); see `ReferenceBuffer.at`.
+    """Fill the result (k, orders, n, 4); see `ReferenceBuffer.at`.
 
     Times are from -1/2 to 1/2 on the nodes, which conditions the fit well, and with them the d-th derivatives count
     scale^d.
@@ -161,16 +164,17 @@ def _at(times_s, stamps_s, samples, ends, spacing_s, fit, result):
     middle_s, scale_s = newest_s - 0.5 * span_s, span_s if count > 1 else 1.0
     if not _is_known(stamps_s, nodes, count, spacing_s):
         _fit_nodes((stamps_s[nodes[:count]] - middle_s) / scale_s, scale_s, size, fit)
-    wanted = _basis((times_s - middle_s) / scale_s, ORDERS, size)
+    orders = result.shape[1]
+    wanted = _basis((times_s - middle_s) / scale_s, orders, size)
     result[:] = 0.0
     for k in range(len(times_s)):
         per_order = 1.0
-        for d in range(ORDERS):
+        for d in range(orders):
             for node in range(count):
                 for order in range(_SAMPLE_ORDERS):
                     weight = 0.0
                     for p in range(d, size):
-                        weight += wanted[k * ORDERS + d, p] * fit[p, node * _SAMPLE_ORDERS + order]
+                        weight += wanted[k * orders + d, p] * fit[p, node * _SAMPLE_ORDERS + order]
                     weight *= per_order
                     sample = samples[nodes[node], order]
                     for i in range(sample.shape[0]):

@@ -4,9 +4,8 @@ The node feeds in what arrives and carries out the `Orders` that come back. Time
 never steps; `age_s` is the age of a message by its stamp when it arrived.
 """
 
-import enum
 import math
-from collections import defaultdict, deque, namedtuple
+from collections import defaultdict, namedtuple
 from dataclasses import dataclass, field, fields
 
 from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits, fence_of
@@ -18,29 +17,13 @@ from risc_control.joystick import (
     Joystick,
     JoystickParams,
     Sticks,
-    limited,
     parse_bool,
 )
-from risc_control.mappings.climb_rate import climb_rate_command
 from risc_control.separation import ALONE
-from risc_lab.lab.fleet import LEGACY_VEHICLES
+from risc_control.vehicles import FlightState, adapter_class
+from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
+from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, legacy_overrides
 from risc_lab.message_age import MessageAges
-
-
-class FlightState(enum.IntEnum):
-    """State numbers of ardrone_autonomy's Navdata."""
-
-    UNKNOWN = 0
-    INIT = 1
-    LANDED = 2
-    FLYING = 3
-    HOVERING = 4
-    TEST = 5
-    TAKING_OFF = 6
-    GOTO = 7
-    LANDING = 8
-    LOOPING = 9
-
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
@@ -49,7 +32,7 @@ _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _WAY_RAD_PER_M_S = 0.15  # of a vehicle that gives way: tilt by the velocity that it lacks; it stops as by its own
 _WAY_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
-_CLIMB_MEMORY_S = 2.0  # [s] climb commands that took effect longer ago answer no state that anybody acts on
+_SLOWER = 59.0 / 60.0  # than the vehicle takes commands: see config/vehicle_node.yaml
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
 
 
@@ -58,10 +41,7 @@ class PilotParams:
     """Everything of the node that is neither the joystick's mapping nor the ladder's."""
 
     Simulation: bool = False  # send commands without navdata, for simulators that have none
-    euler_angle_max: float = 0.349066  # [rad] full scale of the tilt commands, as the driver has it: check_full_scale
-    delay: float = 0.3  # [s] delta of eq. 5.4; equal to the climb loop's time constant it inverts that loop exactly
-    command_delay: float = -1.0  # [s] of the link to the vehicle; negative: that of the vehicle type
-    command_rate_hz: float = 29.5  # [Hz] a little slower than the vehicle takes them, see config/vehicle_node.yaml
+    command_rate_hz: float = -1.0  # [Hz] negative: a little slower than the vehicle takes them, see vehicle_node.yaml
     status_rate_hz: float = 30.0  # [Hz] how often the mode is told; a change is told at once
     land_repeat_s: float = 0.2  # [s] how often a landing of the ladder is ordered
     takeoff_grace_s: float = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
@@ -70,21 +50,18 @@ class PilotParams:
     hold_auto_hover: bool = True  # HOLD: True the vehicle's own position hold, False level without position hold
 
     def __post_init__(self):
-        for name in (
-            "euler_angle_max",
-            "delay",
-            "command_rate_hz",
-            "status_rate_hz",
-            "land_repeat_s",
-            "joystick_late_s",
-        ):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0:
-                raise ValueError("parameter %s must be a number > 0, found %r" % (name, value))
-        _number(self.command_delay, "command_delay")
+        for name in ("status_rate_hz", "land_repeat_s", "joystick_late_s"):
+            if _number(getattr(self, name), name) <= 0.0:
+                raise ValueError("parameter %s must be a number > 0, found %r" % (name, getattr(self, name)))
+        if _number(self.command_rate_hz, "command_rate_hz") == 0.0:
+            raise ValueError("parameter command_rate_hz must not be 0")
         for name in ("takeoff_grace_s", "stick_timeout"):
             if _number(getattr(self, name), name) < 0.0:
                 raise ValueError("parameter %s must not be negative, found %r" % (name, getattr(self, name)))
+
+    def rate_hz(self, vehicle_type):
+        """At which a vehicle of a type is sent commands."""
+        return self.command_rate_hz if self.command_rate_hz > 0.0 else _SLOWER * vehicle_type.command_rate_hz
 
 
 @dataclass
@@ -109,9 +86,13 @@ class VehicleNodeParams:
 def params_from_dict(values, arena=None):
     """Parameters by their names on the parameter server -> (`VehicleNodeParams`, names that mean nothing).
 
+    Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`), and checked only.
+
     arena: Arena whose net is the fence unless the parameters say else; None = the laboratory's. Raises ValueError that
     names the parameter.
     """
+    legacy_overrides(values)
+    values = {name: value for name, value in values.items() if name not in LEGACY_PARAMETERS}
     values = dict(fence_of(arena) if arena else {}, **values)
     for name in ("Simulation", "hold_auto_hover"):
         if name in values:
@@ -134,50 +115,28 @@ def params_from_dict(values, arena=None):
 
 
 def choose_vehicle(wanted, namespace, fleet):
-    """(template name, vehicle type) that a node flies.
+    """FleetVehicle that a node flies.
 
     wanted: the parameter ~vehicle, "" when not set.  namespace: e.g. "risc1", "" for none.  fleet: a `Fleet` or None.
     Raises ValueError when it cannot be known.
     """
-    vehicles = fleet.vehicles if fleet is not None else ()
+    vehicles = laboratory_vehicles() if fleet is None else fleet.vehicles
     for vehicle in vehicles:
         if wanted == vehicle.template or (not wanted and namespace == vehicle.namespace):
-            return vehicle.template, vehicle.type
+            return vehicle
     if wanted:
-        return wanted, "ardrone"
-    if not namespace and len(vehicles) == 1:
-        return vehicles[0].template, vehicles[0].type
-    if not vehicles and namespace in LEGACY_VEHICLES:
-        return LEGACY_VEHICLES[namespace], "ardrone"
+        return unplaced_vehicle(namespace, wanted)
+    if fleet is not None and not namespace and len(vehicles) == 1:
+        return vehicles[0]
     raise ValueError(
         "cannot tell which vehicle '%s' is: start the node inside the vehicle's group (%s), or set ~vehicle to its "
-        "mocap template" % (namespace or "/", ", ".join(v.namespace for v in vehicles) or ", ".join(LEGACY_VEHICLES))
-    )
-
-
-def check_full_scale(params, vehicle_type):
-    """A warning when the driver's full scale is not what controllers take it for, else "".
-
-    /controls carries fractions of the type's full scale and they are passed on as they are: with another one set on
-    the vehicle every tilt would be wrong by the ratio. The thrust mapping needs no full scale: it takes the tilt that
-    the vehicle has, not the one it was asked for.
-    """
-    ratio = params.pilot.euler_angle_max / vehicle_type.tilt_max_rad
-    if abs(ratio - 1.0) < 0.01:
-        return ""
-    return (
-        "euler_angle_max is %g rad, but controllers reckon with %g rad (tilt_max_rad of type '%s'): every tilt will be "
-        "%.2f times the wanted one; make the two equal, or tell the controller, too"
-        % (params.pilot.euler_angle_max, vehicle_type.tilt_max_rad, vehicle_type.name, ratio)
+        "mocap template" % (namespace or "/", ", ".join(vehicle.namespace for vehicle in vehicles))
     )
 
 
 # Own entry of /cortex_raw, as far as the node needs it: position [m] and velocity [m/s] in the cortex frame (z up),
 # angles [rad].
 OwnState = namedtuple("OwnState", "position_m velocity_m_s phi_rad theta_rad psi_rad")
-
-# Own entry of /controls: fractions (+ left, + forward, + counter-clockwise) and thrust [N].
-OwnControl = namedtuple("OwnControl", "phi theta psi thrust_n")
 
 
 class Orders:
@@ -186,7 +145,7 @@ class Orders:
     reset = False
     takeoff = False
     land = False
-    command = None  # (Sticks of fractions, stamp [s] of the /controls answered; 0 = of none)
+    command = None  # (Sticks, stamp [s] of the /controls answered; 0 = of none)
     level_only = False  # the command must not start the vehicle's own position hold
     status = None  # autonomous?, when it is time to say so
     mode = None  # autonomous?, when that has just changed
@@ -225,38 +184,6 @@ class SlotClock:
         self._next_s += self._period_s * math.ceil((now_s - self._next_s) / self._period_s + 0.5)
 
 
-class ClimbPredictor:
-    """Climb rate at the moment a command takes effect, by the nominal climb loop zdot' = (command - zdot) / tau."""
-
-    def __init__(self, time_constant_s, command_delay_s):
-        self._tau_s = time_constant_s
-        self._delay_s = command_delay_s
-        self._sent = deque([(-math.inf, 0.0)])  # (takes effect at [s], climb command [m/s])
-
-    def sent(self, now_s, command_m_s):
-        """A climb command was sent."""
-        self._sent.append((now_s + self._delay_s, command_m_s))
-        while self._sent[1][0] < now_s - _CLIMB_MEMORY_S:
-            self._sent.popleft()
-
-    def predict(self, climb_rate_m_s, measured_s, now_s):
-        """Climb rate [m/s, + up] when a command sent now takes effect; the measurement may be any age."""
-        sent = self._sent
-        while len(sent) > 1 and sent[1][0] <= measured_s:
-            sent.popleft()
-        until_s = now_s + self._delay_s
-        rate, since_s, command = climb_rate_m_s, measured_s, sent[0][1]
-        for effect_s, next_command in sent:
-            if effect_s > since_s:
-                end_s = min(effect_s, until_s)
-                rate = command + (rate - command) * math.exp((since_s - end_s) / self._tau_s)
-                since_s = end_s
-            command = next_command
-        if until_s > since_s:
-            rate = command + (rate - command) * math.exp((since_s - until_s) / self._tau_s)
-        return rate
-
-
 class VehiclePilot:
     """Joystick state machine, input mapping and loss ladder of one vehicle."""
 
@@ -266,7 +193,9 @@ class VehiclePilot:
         before: VehiclePilot that this one follows, or None; a button that is still down is not pressed again.
         """
         self._params = params.pilot
-        self._type = vehicle_type
+        rate_hz = params.pilot.rate_hz(vehicle_type)
+        self._adapter = adapter_class(vehicle_type)(vehicle_type, rate_hz)
+        self.disagreement = ""  # why the controller is not obeyed: it or the vehicle has other full scales
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
         self._joysticks = defaultdict(lambda: _Sender(Joystick(params.joystick), MessageAges(CLOCK_MEMORY_S)))
         if before is not None:
@@ -284,11 +213,8 @@ class VehiclePilot:
         self._simulator_reset = False
         self._ended = False
         self._land_s = -math.inf
-        self._slots = SlotClock(self._params.command_rate_hz, slot_s)
+        self._slots = SlotClock(rate_hz, slot_s)
         self._status_slots = SlotClock(self._params.status_rate_hz, slot_s)
-        half_period_s = 0.5 / self._params.command_rate_hz  # a command waits for the vehicle's next slot
-        delay_s = self._params.command_delay if self._params.command_delay >= 0.0 else vehicle_type.command_delay_s
-        self._climb = ClimbPredictor(vehicle_type.climb_time_constant_s, delay_s + half_period_s)
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
@@ -334,11 +260,10 @@ class VehiclePilot:
         self._judge(orders, now_s)
         return orders
 
-    def on_navdata(self, state, battery_pct, now_s):
-        """The vehicle reported its state number and its battery."""
-        orders = Orders()
-        # A packet without the vehicle's main block is published as state 0 with battery 0.
-        self.ladder.note_navdata(battery_pct if state != FlightState.UNKNOWN else None, now_s)
+    def on_status(self, status, now_s):
+        """The vehicle reported its `vehicles.Status`."""
+        orders, state = Orders(), status.state
+        self.ladder.note_navdata(status.battery_pct, now_s)
         self.flight_state = state
         if not self._params.Simulation:
             if state in _ON_GROUND:
@@ -364,23 +289,26 @@ class VehiclePilot:
         self._state_s = now_s - max(age_s, 0.0)
 
     def hear_controls(self, own, age_s, now_s):
-        """Take a command for a sign of life of the controller only. Returns False for one that is not finite."""
+        """Take a command for a sign of life of the controller only. Returns False for one that is not finite.
+
+        What means something else to the vehicle than to the controller is no sign of life: the ladder lands.
+        """
         is_finite = math.isfinite(sum(own))
-        if is_finite:
+        if is_finite and not self.disagreement:
             self.ladder.note_controls(age_s, now_s)
         return is_finite
 
     def on_controls(self, own, stamp_s, age_s, now_s):
-        """A command of the controller (`OwnControl`) with the stamp of the state it answers."""
+        """A command of the controller (`vehicles.Controls`) with the stamp of the state it answers."""
         orders = Orders()
         if not self.hear_controls(own, age_s, now_s):
             orders.say("warn", "the controller sent a command that is not finite: ignored")
             return orders
-        if not self.autonomous or self._ended:
+        if not self.autonomous or self._ended or self.disagreement:
             return orders
         self._judge(orders, now_s)
         if self.ladder.verdict.level == _OK and self._takes_commands() and self._slots.due(now_s):
-            self._send(self._map(own, now_s), stamp_s, orders, now_s)
+            self._send(self._adapter.answer(own, self._state, self._state_s, now_s), stamp_s, orders, now_s)
         return orders
 
     def tick(self, now_s):
@@ -502,7 +430,7 @@ class VehiclePilot:
             self.ladder.take_over()
             orders.say("info", "operator takes over, manual")
             return
-        problem = self.ladder.autonomy_problem(now_s, not self._params.Simulation)
+        problem = self.disagreement or self.ladder.autonomy_problem(now_s, not self._params.Simulation)
         if not problem and not self._takes_commands():
             # References would leave at once, and no command follow them.
             problem = "the vehicle does not fly yet (%s): take off and wait until it hovers" % self._state_text()
@@ -549,24 +477,17 @@ class VehiclePilot:
             self._slots.restart(now_s)
             self._send_safe(orders, now_s)
 
-    def _map(self, own, now_s):
-        """`OwnControl` -> Sticks: eqs 5.3-5.4 for the climb rate; tilt and yaw rate are fractions already."""
-        state = self._state
-        climb_rate_m_s = self._climb.predict(state.velocity_m_s[2], self._state_s, now_s)
-        climb_m_s = climb_rate_command(
-            own.thrust_n, state.phi_rad, state.theta_rad, climb_rate_m_s, self._params.delay, self._type.mass_kg
-        )
-        up = climb_m_s / self._type.climb_max_m_s
-        return Sticks(limited(own.theta), limited(own.phi), limited(up), limited(own.psi))
-
     def _send_safe(self, orders, now_s):
         """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""
-        holds = self.ladder.verdict.level > _OK
-        orders.level_only = holds and not self._params.hold_auto_hover
-        sticks = CENTRED if holds else self._sticks()
-        look = self.ladder.apart(now_s)
+        holds, look = self.ladder.verdict.level > _OK, self.ladder.apart(now_s)
+        itself = self._adapter.HOLDS_POSITION and self._params.hold_auto_hover
+        orders.level_only = holds and not itself
         if look is not None and (look.way or any(look.aside) or orders.level_only):
             sticks = self._give_way(look)
+        elif not holds:
+            sticks = self._adapter.by_hand(self._sticks(), self._state)
+        else:
+            sticks = CENTRED if itself else self._adapter.move(0.0, 0.0, 0.0, self._state)
         self._send(sticks, 0.0, orders, now_s)
 
     def _give_way(self, look):
@@ -575,15 +496,14 @@ class VehiclePilot:
         x, y = (speed_m_s * part - velocity for part, velocity in zip(look.aside, self._state.velocity_m_s))
         forward_m_s = x * math.cos(psi_rad) - y * math.sin(psi_rad)
         left_m_s = x * math.sin(psi_rad) + y * math.cos(psi_rad)
-        most = _WAY_TILT_MAX_RAD / self._type.tilt_max_rad
-        forward, left = (
-            max(-most, min(most, _WAY_RAD_PER_M_S / self._type.tilt_max_rad * wanted_m_s))
+        forward_rad, left_rad = (
+            max(-_WAY_TILT_MAX_RAD, min(_WAY_TILT_MAX_RAD, _WAY_RAD_PER_M_S * wanted_m_s))
             for wanted_m_s in (forward_m_s, left_m_s)
         )
-        return Sticks(limited(forward), limited(left), limited(look.way * speed_m_s / self._type.climb_max_m_s), 0.0)
+        return self._adapter.move(forward_rad, left_rad, look.way * speed_m_s, self._state)
 
     def _send(self, sticks, stamp_s, orders, now_s):
-        self._climb.sent(now_s, sticks.up * self._type.climb_max_m_s)
+        self._adapter.sent(sticks, now_s)
         orders.command = (sticks, stamp_s)
 
 

@@ -18,6 +18,7 @@ import yaml
 from cortex_ros.wire import MAX_BODIES
 from data_extraction.progress import Progress
 from data_extraction.report.origin import PROCESSORS
+from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.trajectories import COURSES, course_for_fleet
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.fleets import default_fleet
@@ -35,6 +36,7 @@ from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
+CONTROLLER = "differential_flatness"
 BROWSER_PORT = 8080  # of the web page, unless somebody else has it
 IN_THE_AIR = range(OperatorPhase.TAKEOFF, OperatorPhase.LAND + 1)
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # ask for the end
@@ -62,6 +64,7 @@ def arguments(argv):
     add("experiment", nargs="?", default="circles3", choices=EXPERIMENTS, help=help_text)
     add("--vehicles", type=int, metavar="N", help="how many vehicles (default: 3, df_demo: 1)")
     add("--trajectory", choices=sorted(COURSES), help="course to fly (default: circles3)")
+    add("--controller", metavar="NAME", help="of risc_control.controllers, or your own (default: %s)" % CONTROLLER)
     add("--psi", type=float, metavar="DEG", help="constant heading, + clockwise (default: the course's own)")
     add("--duration", type=float, metavar="S", help="time on each course (default: 30 s, df_demo: 20 s)")
     add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
@@ -82,6 +85,13 @@ def arguments(argv):
         args.duration = 20.0 if args.experiment == "df_demo" else 30.0
     if args.experiment == "df_demo" and (args.vehicles != 1 or args.trajectory):
         parser.error("df_demo is for one vehicle and flies its own figures: leave out --vehicles and --trajectory")
+    if args.experiment == "df_demo" and args.controller:
+        parser.error("df_demo is controller and trajectory in one: leave out --controller")
+    args.controller = args.controller or CONTROLLER
+    try:
+        CONTROLLERS.module(args.controller)
+    except ValueError as error:
+        parser.error("--controller: %s" % error)
     if args.vehicles < 1:
         parser.error("--vehicles must be at least 1")
     if not 5.0 <= args.duration <= 600.0:
@@ -96,7 +106,7 @@ def arguments(argv):
         parser.error("--mocap-rate must be from %g to 500 Hz" % RATES_HZ[-1])
     if args.psi is not None and not math.isfinite(args.psi):
         parser.error("--psi must be a number of degrees")
-    args.estimator = estimator_of(getattr(args, "controller", None), args.estimator)
+    args.estimator = estimator_of(args.controller, args.estimator)
     return args
 
 
@@ -173,6 +183,7 @@ def launch_arguments(args, fleet, folder):
         result["bumper_steps"] = bumper_steps(args)
     else:
         result["trajectory"] = args.trajectory or "circles3"
+        result["controller"] = args.controller
         result["rate"] = fleet.mocap.rate_hz
     if args.fps is not None:
         result["video_fps"] = args.fps

@@ -22,20 +22,15 @@ import numpy as np
 from ardrone_autonomy.link import LOST_S
 from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
+from risc_control.controllers import REGISTRY as CONTROLLERS
+from risc_control.controllers import ControlLoop
 from risc_control.failsafe import FailsafeLevel
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
-from risc_control.tracking import DoubleIntegratorController, FlatnessController, TrackingParams
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
-from risc_control.vehicle_pilot import (
-    FlightState,
-    OwnControl,
-    OwnState,
-    VehicleNodeParams,
-    VehiclePilot,
-    params_from_dict,
-)
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, params_from_dict
+from risc_control.vehicles import Controls, FlightState, Status
 from risc_estimation.filters import make_filter
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
@@ -61,7 +56,6 @@ TICK_EVERY = 3  # frames: the clock of the vehicle nodes, twice the command rate
 NAVDATA_EVERY = 12  # frames, a multiple of the above: about 15 Hz
 YAW_BY_SEED_DEG = 70.0  # the table flies another yaw with every seed
 
-CONTROLLERS = {"full": FlatnessController, "thesis": DoubleIntegratorController}
 _REPORTS = {  # what a vehicle says of itself
     FlightPhase.LANDED: FlightState.LANDED,
     FlightPhase.TAKING_OFF: FlightState.TAKING_OFF,
@@ -89,15 +83,16 @@ class Flight:
     vehicles: int = 3
     seed: int = 1
     duration_s: float = 20.0  # on the course after settling
-    delay_s: float | None = None  # link delay, told to the controller as nominal; None = that of the vehicle type
+    delay_s: float | None = None  # link delay, told to the controller as nominal; None = that of each vehicle
     psi_rad: float | None = None  # constant yaw instead of the course's own
     perturbed: bool = True
     gusts: bool = False
     noise: bool = True  # of the cameras
-    controller: str = "full"
+    controller: str = "differential_flatness"  # name of one, see risc_control.controllers
     estimator: str | None = None  # name of the velocity filter; None = the controller's, see `estimators`
-    params: TrackingParams = TrackingParams()
-    weights: object = None  # LqrWeights; None = the controller's defaults
+    params: object = None  # its PARAMS; None = those of its YAML file
+    types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
+    overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
@@ -145,8 +140,8 @@ def fly(flight):
     yaw = None if flight.psi_rad is None else YawProgram((flight.psi_rad,))
     course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
     manager = make_manager(fleet.vehicles, course)
-    buffer = ReferenceBuffer()
-    controller = CONTROLLERS[flight.controller](vehicle_types, flight.weights, flight.params)
+    loop = ControlLoop(flight.controller, vehicle_types, flight.params)
+    buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
     params = params_from_dict({"joystick_timeout": 0.0, **flight.node}, fleet.arena)[0]
     separation = Separation(names, params.limits, names)
@@ -180,16 +175,15 @@ def fly(flight):
         # what /trajectory carries: no jerk, no snap
         buffer.push(time_s, reference.derivatives[:3])
         flying = time_s >= WARM_UP_S
-        ahead_s = controller.horizon_s(time_s, now_s)
-        present, ahead = buffer.at([time_s, time_s + ahead_s])
-        output = controller.update(time_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
+        present, ahead = loop.pick(buffer.at(loop.times_s(time_s, now_s)))
+        output = loop.update(time_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
         looks = {}
         if frame % TICK_EVERY == 0:
             separation.see(estimate.names[: len(names)], states.visible, states.x, time_s)
             separation.refer(estimate.names[: len(names)], _by_vehicle(reference.derivatives[:3]), time_s)
             looks = separation.look(now_s)
         looks = [looks.get(name, ALONE) for name in names]
-        step_chains(chains, frame, time_s, now_s, states, output.fractions, looks)
+        step_chains(chains, frame, time_s, now_s, states, output.controls, looks)
         if flying:
             saturated += np.count_nonzero(output.saturated)
             if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
@@ -287,7 +281,7 @@ class _Chain:
         """What the vehicle node looks at once a tick. state: list of 12, columns `S`."""
         pilot = self.pilot
         if frame % NAVDATA_EVERY == 0:
-            pilot.on_navdata(_REPORTS[self._vehicle.phase], 90.0, now_s)
+            pilot.on_status(Status(_REPORTS[self._vehicle.phase], 90.0), now_s)
         if visible:
             own = OwnState(state[: S.U], state[S.U : S.PHI], *state[S.PHI : S.P])
             pilot.on_state(own, now_s - stamp_s, now_s, look)
@@ -323,10 +317,10 @@ def _by_vehicle(derivatives):
     return np.ascontiguousarray(derivatives.transpose(1, 0, 2))
 
 
-def step_chains(chains, frame, stamp_s, now_s, states, fractions, looks=None):
+def step_chains(chains, frame, stamp_s, now_s, states, controls, looks=None):
     """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
 
-    states: States at stamp_s.  fractions: the controller's answer.  looks: `separation.Look` of each vehicle; None:
+    states: States at stamp_s.  controls: the controller's answer.  looks: `separation.Look` of each vehicle; None:
     nobody is near.
     """
     ticks = frame % TICK_EVERY == 0
@@ -342,8 +336,8 @@ def step_chains(chains, frame, stamp_s, now_s, states, fractions, looks=None):
         sends = now_s >= pilot.next_command_s
         if (sends or ticks) and chain.lost is None:
             if commands is None:
-                commands = list(zip(*[part.tolist() for part in fractions]))
-            own = OwnControl(*commands[i])
+                commands = list(zip(*[part.tolist() for part in controls]))
+            own = Controls(*commands[i])
             if sends:
                 chain.send(pilot.on_controls(own, stamp_s, now_s - stamp_s, now_s), now_s)
             else:
@@ -364,10 +358,11 @@ def _lab(flight):
     fleet = default_fleet(flight.vehicles, flight.trajectory, _fleet_files())
     if flight.psi_rad is not None:
         fleet = replace(fleet, vehicles=tuple(replace(v, start_yaw_rad=flight.psi_rad) for v in fleet.vehicles))
+    if flight.types:
+        fleet = replace(fleet, vehicles=tuple(replace(v, type=t) for v, t in zip(fleet.vehicles, flight.types)))
+    fleet = fleet.with_overrides(**flight.overrides).with_overrides(command_delay_s=flight.delay_s)
     types = {name: load_vehicle_type(name) for name in {vehicle.type for vehicle in fleet.vehicles}}
-    if flight.delay_s is not None:
-        types = {name: replace(kind, command_delay_s=flight.delay_s) for name, kind in types.items()}
-    return fleet, types, [types[vehicle.type] for vehicle in fleet.vehicles]
+    return fleet, types, [vehicle.vehicle_type for vehicle in fleet.vehicles]
 
 
 def main(argv=None):
@@ -382,7 +377,7 @@ def main(argv=None):
     parser.add_argument("--delay", type=float, nargs="+", metavar="S", help="link delay (default: that of the type)")
     parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="judged time (default: 20 s)")
     parser.add_argument("--psi", type=float, metavar="DEG", help="constant yaw (default: another for every seed)")
-    parser.add_argument("--controller", choices=sorted(CONTROLLERS), default="full")
+    parser.add_argument("--controller", choices=CONTROLLERS.names(), default=Flight.controller)
     add_option(parser.add_argument)
     parser.add_argument("--ideal", action="store_true", help="the plant is exactly the nominal model")
     parser.add_argument("--gusts", action="store_true")
@@ -392,7 +387,8 @@ def main(argv=None):
     args = parser.parse_args(argv)
     if args.compile:
         fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
-        DoubleIntegratorController([load_vehicle_type("ardrone")])
+        for name in CONTROLLERS.names():
+            ControlLoop(name, [load_vehicle_type("ardrone")])
         FrameEncoder((("body", 1),))  # the virtual lab's
         from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
         from risc_estimation.ros.conversions import EstimateMessages

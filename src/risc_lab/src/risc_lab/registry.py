@@ -1,13 +1,11 @@
 """Members of a kind, by name: controllers, vehicle types, estimators, bodies, faults ... See `Registry`."""
 
 import importlib
-import os
-import pathlib
 import pkgutil
 
-from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.lab.yaml_reader import MEMBERS_VARIABLE, Section, config_files, load_yaml, member_folders
 
-VARIABLE = "RISC_MAAP_MEMBERS"
+VARIABLE = MEMBERS_VARIABLE
 
 
 class Registry:
@@ -38,7 +36,9 @@ class Registry:
         names = sorted(name for name in found if not name.startswith("_"))
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError("%s: %s is there twice: rename the one in %s" % (self.kind, ", ".join(twice), VARIABLE))
+            raise ValueError(
+                "%s: %s is there twice: rename the one in %s" % (self.kind, ", ".join(twice), MEMBERS_VARIABLE)
+            )
         return names
 
     def module(self, name):
@@ -49,22 +49,12 @@ class Registry:
         importlib.invalidate_caches()  # files may be younger than the last look at their folder
         return importlib.import_module("%s.%s" % (self._package.__name__, name))
 
-    def settings(self, name):
-        """Content of the member's YAML file. Raises ValueError."""
+    def settings(self, name, settings_class=None):
+        """Content of the member's YAML file; with a dataclass of numbers as an instance of it. Raises ValueError."""
         self.module(name)
-        return load_yaml(config_files(self.kind, self._package.__name__.split(".")[0])[name])
-
-
-def config_files(kind, package):
-    """{name: path} of the YAML files of a kind: config/KIND of a ROS package, then the members from elsewhere."""
-    folders = [package_file(package, "config/" + kind)] + [folder / kind for folder in member_folders()]
-    return {path.stem: path for folder in reversed(folders) for path in sorted(folder.glob("*.yaml"))}
-
-
-def member_folders():
-    """Folders that RISC_MAAP_MEMBERS names. Raises ValueError when one is not there."""
-    folders = [pathlib.Path(name) for name in os.environ.get(VARIABLE, "").split(os.pathsep) if name]
-    for folder in folders:
-        if not folder.is_dir():
-            raise ValueError("%s names the folder %s, which is not there" % (VARIABLE, folder))
-    return folders
+        path = config_files(self.kind, self._package.__name__.split(".")[0]).get(name)
+        if path is None:
+            raise ValueError("%s '%s' has no %s.yaml" % (self.kind, name, name))
+        return (
+            load_yaml(path) if settings_class is None else Section(load_yaml(path), str(path)).settings(settings_class)
+        )

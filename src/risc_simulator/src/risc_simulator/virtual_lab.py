@@ -69,7 +69,7 @@ class VirtualLab:
         wire_faults=(),
     ):
         """fleet: Fleet. perturbed: vehicles differ from their nominal type. gusts: moving air.
-        command_delay_s: nominal delay of every vehicle's link instead of its type's. exact_markers: perfect cameras.
+        command_delay_s: nominal delay of every vehicle's link instead of its own. exact_markers: perfect cameras.
         live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
         radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
         interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
@@ -78,7 +78,7 @@ class VirtualLab:
         by the aircraft, and not only when that client has come.
         wire_faults: faults.WireFaults, what acts on the hosts' datagrams.
         """
-        self.fleet = fleet
+        self.fleet = fleet = fleet.with_overrides(command_delay_s=command_delay_s)
         self.radio_loss = radio_loss
         self.seed, self.perturbed, self.gusts = seed, perturbed, gusts
         self._period_s = 1.0 / fleet.mocap.rate_hz
@@ -90,11 +90,6 @@ class VirtualLab:
             templates = load_templates(fleet=fleet)
         if vehicle_types is None:
             vehicle_types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
-        if command_delay_s is not None:
-            vehicle_types = {
-                name: replace(vehicle_type, command_delay_s=command_delay_s)
-                for name, vehicle_type in vehicle_types.items()
-            }
         self._cycles_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
         self.world = World(
             fleet,

@@ -14,6 +14,7 @@ import functools
 import heapq
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
@@ -173,7 +174,10 @@ class World:
         net = self._net = fleet.arena
         self._net_m = net.half_x_m, net.half_y_m, net.height_m
         n = len(fleet.vehicles)
-        types = [_look_up(vehicle_types, vehicle.type, "vehicle type") for vehicle in fleet.vehicles]
+        types = [
+            replace(_look_up(vehicle_types, vehicle.type, "vehicle type"), **dict(vehicle.overrides))
+            for vehicle in fleet.vehicles
+        ]
         kinds = {}  # {(name of the type, of what it carries): columns}
         for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
             carried = fleet_vehicle.attached.body if fleet_vehicle.attached else ""

@@ -1,26 +1,35 @@
-"""Wiring of the controller nodes: /cortex_raw and /trajectory -> /controls. The work is in `tracking`."""
+"""Wiring of the controller nodes: /cortex_raw and /trajectory -> /controls. The work is in `controllers`."""
 
+import importlib
 import threading
 import time
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import rospy
 from dynamic_reconfigure.server import Server
 from std_msgs.msg import Bool
 
-from risc_control.reference_buffer import ORDERS, ReferenceBuffer
+from risc_control.controllers import REGISTRY, ControlLoop, default_params
+from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.ros.conversions import ControlsMessage, StatesReader
-from risc_control.tracking import LqrWeights, TrackingParams
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.templates import attached_bodies, load_templates
-from risc_lab.lab.vehicle_types import load_vehicle_type
+from risc_lab.lab.vehicle_types import FULL_SCALES
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
-from risc_lab.ros.params import dataclass_from_params, known_fleet, limit, number, private, vehicles, warn_of_unknown
+from risc_lab.ros.params import (
+    dataclass_from_params,
+    known_fleet,
+    number,
+    private,
+    told_vehicle_type,
+    vehicles,
+    warn_of_unknown,
+)
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import ControllerReport, TrackingError
@@ -29,26 +38,26 @@ _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond 
 
 
 class ControllerNode:
-    """Runs a controller on every state. Subclasses may bring their own references (`_references`)."""
+    """Runs a controller on every state. Subclasses may bring their own references (`_references`).
 
-    def __init__(self, controller_class, config_type, fleet_vehicles=None):
-        """controller_class: FlatnessController or DoubleIntegratorController.  config_type: of dynamic_reconfigure."""
+    Its parameters are private ones by the names of its YAML file, whose values are the defaults.
+    """
+
+    def __init__(self, controller, fleet_vehicles=None):
+        """controller: name of one (see `controllers`), if ~controller does not say another."""
         fleet_vehicles = vehicles() if fleet_vehicles is None else fleet_vehicles
         self.names = [vehicle.template for vehicle in fleet_vehicles]
         self._index = {name: i for i, name in enumerate(self.names)}
-        kind = private("vehicle_type", "")
-        types = [load_vehicle_type(kind or vehicle.type) for vehicle in fleet_vehicles]
-        params = dataclass_from_params(
-            TrackingParams,
-            {"command_delay_s": "command_delay"},
-            tilt_max_rad=limit("euler_angle_max"),
-            yaw_rate_max_rad_s=limit("control_yaw"),
-            climb_max_m_s=limit("control_vz_max", 1e-3),
-        )
+        kind, name = private("vehicle_type", ""), private("controller", controller)
+        types = [told_vehicle_type(replace(vehicle, type=kind or vehicle.type)) for vehicle in fleet_vehicles]
+        controller_class = REGISTRY.module(name).Controller
+        params = dataclass_from_params(controller_class.PARAMS, defaults=default_params(name))
         self._state_timeout_s = number("~state_timeout", 0.2)
         self._reference_timeout_s = number("~reference_timeout", 0.2)
-        weights = dataclass_from_params(LqrWeights, defaults=controller_class.WEIGHTS)
-        self._controller = controller_class(types, weights, params)
+        self._loop = ControlLoop(controller_class, types, params)
+        # for the vehicle nodes, which compare them with their own
+        of_types = [{field: getattr(vehicle_type, field) for field in FULL_SCALES} for vehicle_type in types]
+        rospy.set_param("~full_scales", dict(zip(self.names, of_types)))
         # A vehicle that nothing was heard of may be one without vehicle node: its commands count.
         self._autonomous = np.ones(len(self.names), dtype=bool)
         self._buffers = {}  # names of a message -> (ReferenceBuffer, rows, columns of the message)
@@ -68,16 +77,19 @@ class ControllerNode:
         self._diagnostics = make_updater(", ".join(self.names))
         self._diagnostics.add("controller", self._diagnose)
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
-        self._server = Server(config_type, self._on_reconfigure)
+        if controller_class.RECONFIGURE:
+            config = importlib.import_module("risc_control.cfg.%sConfig" % controller_class.RECONFIGURE)
+            self._server = Server(config, self._on_reconfigure)
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
         self._subscribe()
         rospy.loginfo(
-            "%s controls %s, acting %.0f ms ahead",
+            "%s controls %s by %s, acting %.0f ms ahead",
             rospy.get_name(),
             ", ".join(self.names),
-            1e3 * self._controller.delay_s,
+            name,
+            1e3 * self._loop.controller.delay_s.max(),
         )
 
     def _subscribe(self):
@@ -95,15 +107,13 @@ class ControllerNode:
 
     def _on_reconfigure(self, config, _level):
         """New weights in flight; impossible ones change nothing."""
-        weights = {field.name: config[field.name] for field in fields(LqrWeights) if field.name in config}
+        params = self._loop.params
+        weights = {field.name: config[field.name] for field in fields(params) if field.name in config}
         try:
-            wanted = LqrWeights(**dict(vars(self._controller.weights), **weights))
-            gains = self._controller.design(wanted)  # Riccati equations: frames must not wait for them
-            with self._lock:
-                self._controller.use(wanted, gains)
+            self._loop.set_params(replace(params, **weights))
         except ValueError as error:
             rospy.logerr("weights not taken: %s", error)
-            config.update({name: getattr(self._controller.weights, name) for name in weights})
+            config.update({name: getattr(params, name) for name in weights})
         return config
 
     def _on_status(self, message, i):
@@ -137,7 +147,7 @@ class ControllerNode:
                 ", ".join(unknown),
                 ", ".join(self.names),
             )
-        return ReferenceBuffer(), [self._index[names[k]] for k in columns], columns
+        return ReferenceBuffer(self._loop.controller.ORDER), [self._index[names[k]] for k in columns], columns
 
     @until_shutdown
     def _on_states(self, message):
@@ -149,22 +159,20 @@ class ControllerNode:
             if step is Step.REFUSED:
                 return
             if step is Step.NEW_CLOCK:
-                self._controller.forget_times()
+                self._loop.controller.forget_times()
             age_s = now_s - stamp_s
-            ahead_s = self._controller.horizon_s(stamp_s, now_s)
             if abs(age_s) > self._state_timeout_s:
                 # nothing that happened so long ago says what to do now
                 self._counts["late"] += 1
                 states = states._replace(visible=np.zeros(len(self.names), dtype=bool))
-                ahead_s = 0.0
-            present, ahead, usable = self._references(stamp_s, stamp_s + ahead_s, now_s)
-            output = self._controller.update(
-                stamp_s, min(now_s, stamp_s + self._state_timeout_s), states, present, ahead, usable, self._autonomous
-            )
+            sent_s = min(now_s, stamp_s + self._state_timeout_s)
+            values, usable = self._references(self._loop.times_s(stamp_s, sent_s), now_s)
+            present, ahead = self._loop.pick(values)
+            output = self._loop.update(stamp_s, sent_s, states, present, ahead, usable, self._autonomous)
             # Silence about a vehicle is what the loss ladder of its node acts on: hold, then land. A command without
             # a state or a reference behind it would look alive.
             known = usable & states.visible
-            self._publisher.publish(self._message.fill(header.stamp, output.fractions, known))
+            self._publisher.publish(self._message.fill(header.stamp, output.controls, known))
             self._updated()
             self._answered = present, states, known
             counts = self._counts
@@ -180,19 +188,17 @@ class ControllerNode:
     def _updated(self):
         """For subclasses: called after every update of the controller, with the lock held."""
 
-    def _references(self, stamp_s, ahead_s, now_s):
-        """(reference at stamp_s (5, n, 4), reference at ahead_s, (n,) bool: there is a fresh one)."""
+    def _references(self, times_s, now_s):
+        """(references (k, orders, n, 4) at times (k,), (n,) bool: there is a fresh one)."""
         fresh = [e for e in self._buffers.values() if abs(now_s - e[0].newest_s) <= self._reference_timeout_s and e[1]]
-        times = np.array([stamp_s, ahead_s])
         if len(fresh) == 1 and fresh[0][1] == self._everyone == fresh[0][2]:
-            both = fresh[0][0].at(times)
-            return both[0], both[1], self._all
+            return fresh[0][0].at(times_s), self._all
         n = len(self.names)
-        both, usable = np.zeros((2, ORDERS, n, 4)), np.zeros(n, dtype=bool)
+        values, usable = np.zeros((len(times_s), self._loop.controller.ORDER + 1, n, 4)), np.zeros(n, dtype=bool)
         for buffer, rows, columns in sorted(fresh, key=lambda entry: entry[0].newest_s):
-            both[:, :, rows] = buffer.at(times)[:, :, columns]
+            values[:, :, rows] = buffer.at(times_s)[:, :, columns]
             usable[rows] = True
-        return both[0], both[1], usable
+        return values, usable
 
     def _diagnose(self, status):
         """Diagnostics for people; what other programs use of it goes out as a ControllerReport."""

@@ -9,35 +9,30 @@ import socket
 import threading
 import time
 import traceback
+from dataclasses import replace
+from functools import partial
 
 import genpy
+import rosgraph
 import rospy
-from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Empty
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 
-from ardrone_autonomy.msg import Navdata
 from risc_control.controller_stream import ControllerStream
 from risc_control.failsafe import FailsafeLevel
 from risc_control.joystick import Button
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.separation import ALONE, Separation
-from risc_control.vehicle_pilot import (
-    OwnControl,
-    OwnState,
-    VehiclePilot,
-    check_full_scale,
-    choose_vehicle,
-    params_from_dict,
-)
-from risc_lab.lab.vehicle_types import load_vehicle_type
+from risc_control.vehicle_pilot import OwnState, VehiclePilot, choose_vehicle, params_from_dict
+from risc_control.vehicles import Controls, adapter_class
+from risc_lab.lab.vehicle_types import disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
-from risc_lab.ros.params import known_fleet
+from risc_lab.ros.params import known_fleet, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import Safety, VehicleNodeStatus
 
@@ -70,19 +65,23 @@ class VehicleNode:
         )
         for name in unknown:
             rospy.logwarn("parameter ~%s means nothing to this node: is it misspelt?", name)
-        self._parameters = queue.Queue()  # (name, value): writing to the master must not hold up a callback
-        threading.Thread(target=self._write_parameters, daemon=True).start()
+        self._errands = queue.Queue()  # functions: the master must not hold up a callback
+        threading.Thread(target=self._run_errands, daemon=True).start()
         chosen = _chosen(values, namespace, fleet)
         # before anything is published: a node that is refused must not land a vehicle that another one flies
         buttons = {button.value: getattr(params.joystick, button.value) for button in Button}
-        claim_buttons(buttons, [prefix + "joy" for _, _, prefix, _ in chosen])
-        turns_s = _turns_s(len(chosen), 1.0 / params.pilot.command_rate_hz)
-        self._vehicles = [_Vehicle(*who, params, turn_s, self._parameters) for who, turn_s in zip(chosen, turns_s)]
+        claim_buttons(buttons, [prefix + "joy" for _, prefix, _ in chosen])
+        types = [told_vehicle_type(vehicle, values) for vehicle, _, _ in chosen]
+        rates_hz = [params.pilot.rate_hz(vehicle_type) for vehicle_type in types]
+        turns_s = _turns_s([1.0 / rate_hz for rate_hz in rates_hz])
+        self._vehicles = [
+            _Vehicle(*who, kind, params, turn_s, self._errands.put) for who, kind, turn_s in zip(chosen, types, turns_s)
+        ]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         everybody = [vehicle.template for vehicle in fleet.vehicles] if fleet is not None else ()
         self._separation = Separation(self._by_name, params.limits, everybody)
-        tick_hz = _TICKS_PER_COMMAND * params.pilot.command_rate_hz
+        tick_hz = _TICKS_PER_COMMAND * max(rates_hz)
         self._tick_s = 1.0 / tick_hz
         self._streams = {}  # {sender of /controls: ControllerStream}
         self._heard = {}  # {topic: {sender: names of its messages}}
@@ -137,10 +136,11 @@ class VehicleNode:
             stream = self._streams.get(who)
             if stream is None:
                 stream = self._streams[who] = ControllerStream(self._tick_s)
+                self._errands.put(lambda: self._compare(who))
             is_due = time.monotonic() >= _next_command_s(flown)
             answers = stream.answers(stamp_s, age_s, is_due)
             for vehicle, row in flown:
-                vehicle.on_controls(OwnControl(*row), stamp if answers else None, stamp_s, age_s)
+                vehicle.on_controls(Controls(*row), stamp if answers else None, stamp_s, age_s)
             return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
     def _on_states(self, message):
@@ -187,13 +187,19 @@ class VehicleNode:
         for vehicle in self._vehicles:
             vehicle.on_tick()
 
-    def _write_parameters(self):
+    def _compare(self, controller):
+        """A controller says what full scales it reckons with; one that says nothing is believed."""
+        for name, theirs in rospy.get_param(controller + "/full_scales", {}).items():
+            if name in self._by_name:
+                self._by_name[name].compare(theirs, "the controller " + controller)
+
+    def _run_errands(self):
         while True:
-            name, value = self._parameters.get()
+            errand = self._errands.get()
             try:
-                rospy.set_param(name, value)
-            except (OSError, rospy.ROSException) as error:
-                rospy.logwarn_throttle(10.0, "cannot set parameter %s: %s" % (name, error))
+                errand()
+            except (OSError, ValueError, rospy.ROSException, rosgraph.MasterException) as error:
+                rospy.logwarn_throttle(10.0, "parameter server: %s" % error)
 
     def _on_shutdown(self):
         """Level, and land when in the air: the vehicles' last orders."""
@@ -215,31 +221,23 @@ def land(vehicles):
 class _Vehicle:
     """One vehicle of the node. Its trouble is its own: what fails here, fails for no other vehicle."""
 
-    def __init__(self, name, kind, prefix, is_alone, params, turn_s, parameters):
+    def __init__(self, fleet_vehicle, prefix, is_alone, vehicle_type, params, turn_s, do_later):
         """prefix: of its topics.  is_alone: its shut-down button ends the node.  turn_s: when one of its turns to take
-        commands begins.  parameters: queue of (name, value).
+        commands begins.  do_later: takes a function that talks to the parameter server.
         """
-        if kind == "iris":
-            raise ValueError("%s is an IRIS+, which takes no cmd_vel: start its own node instead" % name)
-        self.name = name
-        self._params, self._type = params, load_vehicle_type(kind)
-        self._prefix, self._is_alone, self._turn_s, self._parameters = prefix, is_alone, turn_s, parameters
-        warning = check_full_scale(params, self._type)
-        if warning:
-            rospy.logwarn("%s: %s", name, warning)
+        self.name = fleet_vehicle.template
+        self._params, self._type = params, vehicle_type
+        self._prefix, self._is_alone, self._turn_s, self._do_later = prefix, is_alone, turn_s, do_later
         self._pilot = VehiclePilot(params, self._type, time.monotonic(), turn_s)
+        self._disagreements = {}  # by who has other full scales
+        self._drivers = set()  # nodes that the vehicle's status came from
         self._lock = threading.Lock()
         self._counts = dict.fromkeys(("states", "controls", "commands", "unseen", "errors"), 0)
         self._reported = dict(self._counts)
         self._reported_s = time.monotonic()
         self._error_land_s = 0.0  # when a landing was ordered because of an error
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
-        self._twist = TwistStamped()  # filled again and again
-        self._cmd_vel = self._publisher("cmd_vel", Twist)
-        self._cmd_vel_stamped = self._publisher("cmd_vel_stamped", TwistStamped)
-        self._takeoff = self._publisher("ardrone/takeoff", Empty)
-        self._land = self._publisher("ardrone/land", Empty)
-        self._reset = self._publisher("ardrone/reset", Empty)
+        self._link = adapter_class(vehicle_type).connect(prefix)
         self._status = self._publisher("controller_status", Bool)
         self._safety = self._publisher("safety", Safety, latch=True)
         self._node_status = self._publisher("node_status", VehicleNodeStatus)
@@ -250,16 +248,11 @@ class _Vehicle:
     def listen(self):
         """Begin: what arrives from now on counts."""
         # Every joystick message: of a burst that a network held up, the first say that a press is old.
-        for topic, message, callback, queue_size in (
-            ("joy", Joy, self._on_joy, None),
-            ("ardrone/navdata", Navdata, self._on_navdata, 10),
-        ):
-            rospy.Subscriber(
-                self._prefix + topic, message, self._guarded(callback), queue_size=queue_size, tcp_nodelay=True
-            )
+        rospy.Subscriber(self._prefix + "joy", Joy, self._guarded(self._on_joy), queue_size=None, tcp_nodelay=True)
+        self._link.listen(self._guarded(self._on_status))
         self._service = rospy.Service(self._prefix + "land", Trigger, self._on_land_request)
-        topic = self._cmd_vel.resolved_name
-        rospy.loginfo("%s flies %s (%s), commands on %s", rospy.get_name(), self.name, self._type.name, topic)
+        where = rospy.get_name(), self.name, self._type.name, self._link.topic
+        rospy.loginfo("%s flies %s (%s), commands on %s", *where)
 
     @property
     def next_command_s(self):
@@ -290,7 +283,7 @@ class _Vehicle:
         now_s = time.monotonic()
         if self._pilot.autonomous and now_s - self._error_land_s >= _ERROR_LAND_S:
             self._error_land_s = now_s
-            self._land.publish()
+            self._link.land()
             rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.name, error))
 
     def _on_joy(self, message):
@@ -300,11 +293,23 @@ class _Vehicle:
             self._carry_out(orders)
         self._report(orders)
 
-    def _on_navdata(self, message):
+    def _on_status(self, status, driver):
+        if driver not in self._drivers:
+            self._drivers.add(driver)
+            self._do_later(lambda: self.compare(self._link.driver_overrides(driver), "the driver " + driver))
         with self._lock:
-            orders = self._pilot.on_navdata(message.state, message.batteryPercent, time.monotonic())
+            orders = self._pilot.on_status(status, time.monotonic())
             self._carry_out(orders)
         self._report(orders)
+
+    def compare(self, full_scales, whose):
+        """Somebody who commands the vehicle, too, or its driver has these; with others than ours nobody is obeyed."""
+        text = disagreement(self.name, vars(self._type), full_scales, whose)
+        if text:
+            rospy.logerr("%s. No autonomous flight until then", text)
+        with self._lock:
+            self._disagreements[whose] = text
+            self._pilot.disagreement = next(filter(None, self._disagreements.values()), "")
 
     def on_state(self, visible, row, age_s, look):
         """Its entry of /cortex_raw. row: the twelve numbers in the message's units; age_s: of the message [s]; look:
@@ -322,7 +327,7 @@ class _Vehicle:
             self.on_error(error)
 
     def on_controls(self, own, stamp, stamp_s, age_s):
-        """Its entry of /controls, an OwnControl, with the stamp of the message; None: no command may follow."""
+        """Its entry of /controls, with the stamp of the message; None: no command may follow."""
         try:
             with self._lock:
                 self._counts["controls"] += 1
@@ -361,24 +366,17 @@ class _Vehicle:
     def _carry_out(self, orders, stamp=None):
         """Publish what was ordered; inside the lock, so that an older command never overtakes a newer one."""
         if orders.reset:
-            self._reset.publish()
+            self._link.reset()
         if orders.takeoff:
-            self._takeoff.publish()
+            self._link.take_off()
         if orders.land:
-            self._land.publish()
+            self._link.land()
         if orders.command is not None:
             sticks, stamp_s = orders.command
-            stamped = self._twist
-            twist = stamped.twist
-            twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z = sticks
-            twist.angular.x = 1.0 if orders.level_only else 0.0  # any value but 0 keeps the driver from auto-hovering
-            self._cmd_vel.publish(twist)
-            if stamp_s and stamp is not None:
-                stamped.header.stamp = stamp
+            answered = stamp_s and stamp is not None
+            if answered:
                 self._answer_max_s = max(self._answer_max_s, ros_time_s() - stamp_s)
-            else:
-                stamped.header.stamp = rospy.Time()
-            self._cmd_vel_stamped.publish(stamped)
+            self._link.send(sticks, stamp if answered else None, orders.level_only)
             self._counts["commands"] += 1
         if orders.status is not None:
             self._status.publish(orders.status)
@@ -388,9 +386,9 @@ class _Vehicle:
     def _report(self, orders):
         """What may take its time: outside the lock."""
         if orders.mode is not None:
-            self._parameters.put(("/controller_status", orders.mode))
+            self._do_later(partial(rospy.set_param, "/controller_status", orders.mode))
         if orders.simulator_reset is not None:
-            self._parameters.put(("/RESET", orders.simulator_reset))
+            self._do_later(partial(rospy.set_param, "/RESET", orders.simulator_reset))
         for level, text in orders.log:
             text = "%s: %s" % (self.name, text)
             if level == "info":
@@ -407,7 +405,9 @@ class _Vehicle:
         """What the shut-down button means beside other vehicles: land, then be as a node that has just started."""
         land([self])
         with self._lock:
+            refused = self._pilot.disagreement
             self._pilot = VehiclePilot(self._params, self._type, time.monotonic(), self._turn_s, before=self._pilot)
+            self._pilot.disagreement = refused
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):
@@ -465,23 +465,27 @@ def _next_command_s(flown):
     return min((vehicle.next_command_s for vehicle, _ in flown), default=math.inf)
 
 
-def _turns_s(count, period_s):
-    """When a turn of each of so many vehicles begins: a few together, which costs less than one after the other."""
-    begin_s = time.monotonic()
+def _turns_s(periods_s):
+    """When a turn of each vehicle begins: a few together, which costs less than one after the other."""
+    begin_s, count = time.monotonic(), len(periods_s)
     groups = min(_MOST_GROUPS, math.ceil(count / _VEHICLES_A_TURN))
-    return [begin_s + period_s * (k * groups // count) / groups for k in range(count)]
+    return [begin_s + period_s * (k * groups // count) / groups for k, period_s in enumerate(periods_s)]
 
 
 def _chosen(values, namespace, fleet):
-    """[(mocap template, type, prefix of the topics, whether it is the only one)] of the vehicles to fly.
+    """[(FleetVehicle, prefix of the topics, whether it is the only one)] of the vehicles to fly.
 
     values: private parameters.  fleet: Fleet or None.  Raises ValueError when it cannot be known.
     """
     wanted = values.get("vehicles", "")
+
+    def told(vehicle):
+        return replace(vehicle, type=values.get("type", vehicle.type))
+
     if not wanted:
         group = namespace or rospy.get_namespace().strip("/").split("/")[-1]
-        template, kind = choose_vehicle(values.get("vehicle", ""), group, fleet)
-        return [(template, values.get("type", kind), "/%s/" % namespace if namespace else "", True)]
+        vehicle = choose_vehicle(values.get("vehicle", ""), group, fleet)
+        return [(told(vehicle), "/%s/" % namespace if namespace else "", True)]
     names = wanted.split() if isinstance(wanted, str) else wanted
     known = {vehicle.namespace: vehicle for vehicle in fleet.vehicles} if fleet is not None else {}
     unknown = [name for name in names if name not in known]
@@ -490,9 +494,7 @@ def _chosen(values, namespace, fleet):
             "parameter ~vehicles must be namespaces of /fleet (%s), each once; found %s"
             % (", ".join(known) or "there is none: load a fleet file", ", ".join(map(str, names)))
         )
-    return [
-        (known[name].template, values.get("type", known[name].type), "/%s/" % name, len(names) == 1) for name in names
-    ]
+    return [(told(known[name]), "/%s/" % name, len(names) == 1) for name in names]
 
 
 def main(namespace=""):

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.ranges import check_different
 from risc_lab.lab.templates import Template, templates_from_dict, templates_to_dict
+from risc_lab.lab.vehicle_types import OVERRIDABLE, load_vehicle_type
 from risc_lab.lab.yaml_reader import Section, errors_of, load_yaml
 
 LEGACY_VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"}  # of the lab, when no fleet is loaded
@@ -50,7 +51,28 @@ class FleetVehicle:
     start_position_m: tuple[float, float, float]  # where it stands before take-off; cortex frame
     start_yaw_rad: float  # + clockwise from above, as States.psi
     camera_mount: str = ""  # where the front camera sits, see lab.calibration; "" = the type's nominal place
+    overrides: tuple[tuple[str, float], ...] = ()  # (field, value) that it has otherwise than its type
     attached: AttachedBody | None = None
+
+    @property
+    def vehicle_type(self):
+        """Its VehicleType. Raises ValueError when there is no such type."""
+        return load_vehicle_type(self.type, self.overrides)
+
+    def with_overrides(self, **overrides):
+        """The same vehicle with other numbers of its type; None = as they are."""
+        given = {field: value for field, value in overrides.items() if value is not None}
+        return replace(self, overrides=tuple({**dict(self.overrides), **given}.items()))
+
+
+def unplaced_vehicle(namespace, template, kind="ardrone"):
+    """FleetVehicle of which no fleet file says where it is."""
+    return FleetVehicle(namespace, template, kind, "0.0.0.0", "", (0.0, 0.0, 0.0), 0.0)
+
+
+def laboratory_vehicles():
+    """Those of the original laboratory, for when no fleet is loaded."""
+    return tuple(unplaced_vehicle(*names) for names in LEGACY_VEHICLES.items())
 
 
 @dataclass(frozen=True)
@@ -83,6 +105,10 @@ class Fleet:
             )
         return replace(self, vehicles=self.vehicles[:count])
 
+    def with_overrides(self, **overrides):
+        """The same fleet, all its vehicles with other numbers of their types, e.g. command_delay_s=0.3; None = none."""
+        return replace(self, vehicles=tuple(vehicle.with_overrides(**overrides) for vehicle in self.vehicles))
+
     def in_subnet(self, subnet):
         """The same fleet with the host at <subnet>.0.1 and vehicle k at <subnet>.1.k, e.g. subnet '127.77'.
 
@@ -112,6 +138,7 @@ class Fleet:
                     "calibration": v.calibration,
                     "camera_mount": v.camera_mount,
                     "start": {"position_m": list(v.start_position_m), "yaw_deg": math.degrees(v.start_yaw_rad)},
+                    "overrides": dict(v.overrides),
                     **({"attached": dict(vars(v.attached))} if v.attached else {}),
                 }
                 for v in self.vehicles
@@ -189,6 +216,7 @@ def _vehicle(section):
         camera_mount=section.text("camera_mount", ""),
         start_position_m=start.vector("position_m", 3),
         start_yaw_rad=math.radians(start.number("yaw_deg", 0.0)),
+        overrides=_overrides(section.section("overrides", {})),
         attached=_attached(section.section("attached")) if "attached" in section.keys() else None,
     )
     start.done()
@@ -196,6 +224,12 @@ def _vehicle(section):
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", vehicle.namespace):
         raise ValueError("vehicle namespace %r is no ROS name (letter, then letters, digits, _)" % vehicle.namespace)
     return vehicle
+
+
+def _overrides(section):
+    found = tuple((name, section.number(name, minimum=0.0)) for name in OVERRIDABLE if name in section.keys())
+    section.done()
+    return found
 
 
 def _attached(section):

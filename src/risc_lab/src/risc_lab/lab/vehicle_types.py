@@ -1,9 +1,34 @@
-"""Vehicle types: what controllers and the virtual lab know of an airframe (nominal values)."""
+"""Vehicle types: the one source of each physical parameter of an airframe (nominal values).
 
+Controllers, the vehicle node, the driver's launch file and the virtual lab read them here. A fleet file may say what a
+vehicle has otherwise than its type (`OVERRIDABLE`).
+"""
+
+import math
 import pathlib
 from dataclasses import dataclass
 
-from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
+from risc_lab.lab.yaml_reader import Section, config_files, load_yaml
+
+# What a single vehicle may have otherwise than its type.
+OVERRIDABLE = (
+    "mass_kg",
+    "tilt_max_rad",
+    "yaw_rate_max_rad_s",
+    "climb_max_m_s",
+    "climb_time_constant_s",
+    "command_delay_s",
+    "command_rate_hz",
+)
+FULL_SCALES = ("tilt_max_rad", "yaw_rate_max_rad_s", "climb_max_m_s")  # which all who command a vehicle must agree on
+# Parameters of the original release -> (field, factor to its unit).
+LEGACY_PARAMETERS = {
+    "euler_angle_max": ("tilt_max_rad", 1.0),
+    "control_yaw": ("yaw_rate_max_rad_s", 1.0),
+    "control_vz_max": ("climb_max_m_s", 1e-3),
+    "delay": ("climb_time_constant_s", 1.0),
+    "command_delay": ("command_delay_s", 1.0),
+}
 
 
 @dataclass(frozen=True)
@@ -36,19 +61,54 @@ class VehicleType:
     video_latency_s: float = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
 
 
-def load_vehicle_type(name):
-    """Vehicle type by name (a file in risc_lab/config/vehicle_types) or by the path of a YAML file.
+def load_vehicle_type(name, overrides=()):
+    """Vehicle type by name (see `risc_lab.registry`; the tree's are in risc_lab/config/vehicle_types), or by path.
 
-    Raises ValueError that names the file and the key, or the known types when there is no such type.
+    overrides: what the vehicle has otherwise, {field: value} or pairs.  Raises ValueError that names the file and the
+    key, or the known types when there is no such type.
     """
     path = pathlib.Path(name)
     if path.suffix != ".yaml":
-        folder = package_file("risc_lab", "config/vehicle_types")
-        path = folder / (name + ".yaml")
-        if not path.exists():
-            known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
-            raise ValueError("unknown vehicle type '%s'; known are: %s" % (name, known))
-    return vehicle_type_from_dict(load_yaml(path), str(path))
+        known = config_files("vehicle_types", "risc_lab")
+        if name not in known:
+            raise ValueError("unknown vehicle type '%s'; known are: %s" % (name, ", ".join(sorted(known))))
+        path = known[name]
+    return vehicle_type_from_dict({**load_yaml(path), **dict(overrides)}, str(path))
+
+
+def disagreement(name, mine, theirs, whose):
+    """What is wrong between two sets of full scales of a vehicle, in a sentence; "" when nothing is.
+
+    mine, theirs: {field: value}, compared where both have one.  whose: what the second set is of.
+    """
+    for field in FULL_SCALES:
+        if field in mine and field in theirs and abs(theirs[field] / mine[field] - 1.0) > 0.01:
+            return (
+                "%s: %s is %.4g in the vehicle node, but %.4g in %s, so each command would be %.2f times the wanted "
+                "one: set it once, in the vehicle's type or in the fleet file"
+                % (name, field, mine[field], theirs[field], whose, theirs[field] / mine[field])
+            )
+    return ""
+
+
+def legacy_overrides(values):
+    """{field: value} of the parameters of the original release in a dict; a negative one is not set.
+
+    Raises ValueError for what is no number.
+    """
+    found = {}
+    for name, (field, factor) in LEGACY_PARAMETERS.items():
+        try:
+            value = factor * float(values.get(name, -1.0))
+        except (TypeError, ValueError):
+            value = math.nan
+        if not math.isfinite(value) or isinstance(values.get(name), bool) or (value == 0.0 and name != "command_delay"):
+            raise ValueError(
+                "parameter %s must be a number > 0 (negative: the vehicle type's), found %r" % (name, values[name])
+            )
+        if value >= 0.0:
+            found[field] = value
+    return found
 
 
 def vehicle_type_from_dict(content, where="vehicle type"):

@@ -1,12 +1,15 @@
 """Reading YAML files strictly: every problem is one ValueError that names the file, the key and the cure."""
 
 import contextlib
+import os
 import pathlib
 import re
 from dataclasses import MISSING, fields
 
 import numpy as np
 import yaml
+
+MEMBERS_VARIABLE = "RISC_MAAP_MEMBERS"  # of the environment: folders of members from elsewhere, see risc_lab.registry
 
 
 def package_file(package, relative_path):
@@ -28,6 +31,21 @@ def package_file(package, relative_path):
             "cannot find %s of package %s: source the workspace's setup.bash first" % (relative_path, package)
         )
     return installed
+
+
+def config_files(kind, package):
+    """{name: path} of the YAML files of a kind: config/KIND of a ROS package, then the members from elsewhere."""
+    folders = [package_file(package, "config/" + kind)] + [folder / kind for folder in member_folders()]
+    return {path.stem: path for folder in reversed(folders) for path in sorted(folder.glob("*.yaml"))}
+
+
+def member_folders():
+    """Folders that RISC_MAAP_MEMBERS names. Raises ValueError when one is not there."""
+    folders = [pathlib.Path(name) for name in os.environ.get(MEMBERS_VARIABLE, "").split(os.pathsep) if name]
+    for folder in folders:
+        if not folder.is_dir():
+            raise ValueError("%s names the folder %s, which is not there" % (MEMBERS_VARIABLE, folder))
+    return folders
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # the one in C takes a tenth of the time

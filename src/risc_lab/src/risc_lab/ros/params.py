@@ -10,9 +10,10 @@ from dataclasses import fields
 import rospy
 
 from risc_lab.lab.arena import Arena
-from risc_lab.lab.fleet import LEGACY_VEHICLES, FleetVehicle, fleet_from_dict
+from risc_lab.lab.fleet import fleet_from_dict, laboratory_vehicles
+from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS, legacy_overrides, load_vehicle_type
 
-_ELSEWHERE = frozenset(("diagnostic_period",))  # read by diagnostic_updater
+_ELSEWHERE = frozenset(("diagnostic_period", "full_scales"))  # for diagnostic_updater, and from controllers to others
 _asked = set()  # private parameters that this process has asked for
 
 
@@ -138,11 +139,21 @@ def dataclass_from_params(kind, aliases=None, defaults=None, **given):
     return kind(**values, **given)
 
 
-def limit(name, scale=1.0):
-    """A limit under its legacy name: private, then global; -1 when it is not set (meaning: the vehicle type's)."""
-    if has_private(name):
-        return scale * number("~" + name, None)
-    return scale * number("/" + name, None) if rospy.has_param("/" + name) else -1.0
+def told_vehicle_type(vehicle, private_values=None):
+    """VehicleType of a FleetVehicle as this node is told: of its type, then fleet file, then the original release's
+    parameters (`LEGACY_PARAMETERS`), the full scales also as global ones, then private ones.
+
+    private_values: the private parameters if they are read already.  Raises ValueError.
+    """
+    if private_values is None:
+        private_values = {name: private(name, -1.0) for name in LEGACY_PARAMETERS}
+    everywhere = {
+        name: rospy.get_param("/" + name)
+        for name, (field, _) in LEGACY_PARAMETERS.items()
+        if field in FULL_SCALES and rospy.has_param("/" + name)
+    }
+    overrides = {**dict(vehicle.overrides), **legacy_overrides(everywhere), **legacy_overrides(private_values)}
+    return load_vehicle_type(vehicle.type, overrides)
 
 
 def vehicles(only_one=False):
@@ -150,10 +161,7 @@ def vehicles(only_one=False):
 
     Without a fleet the original laboratory's names are known. only_one: ~vehicle, else the first.
     """
-    known = fleet_vehicles() or tuple(
-        FleetVehicle(namespace, template, "ardrone", "0.0.0.0", "", (0.0, 0.0, 0.0), 0.0)
-        for namespace, template in LEGACY_VEHICLES.items()
-    )
+    known = fleet_vehicles() or laboratory_vehicles()
     wanted = private("vehicle" if only_one else "vehicles", "")
     wanted = wanted.split() if isinstance(wanted, str) else wanted
     if not isinstance(wanted, list) or not all(isinstance(name, str) for name in wanted):

@@ -1,4 +1,4 @@
-"""Pursuit of a moving virtual target by nonlinear guidance, inside the flatness controller (`Hows_controller.py`).
+"""Pursuit of a moving virtual target by nonlinear guidance, inside `differential_flatness` (`Hows_controller.py`).
 
 The law is that of Park, Deyst and How ("A new nonlinear guidance logic for trajectory tracking", AIAA 2004-4900): a
 vehicle with speed V that sees its target at an angle eta off its course accelerates sideways by 2 V^2 / R* sin(eta).
@@ -9,12 +9,12 @@ Horizontal vectors are (north, east).
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from risc_control.controllers import differential_flatness
 from risc_control.reference_buffer import Axis
-from risc_control.tracking import FlatnessController
 from risc_lab.states import S
 
 _LONGEST_STEP_S = 0.1  # out of sight: after a longer gap the pursuit begins anew, from where the vehicle is
@@ -22,20 +22,14 @@ _AT_TARGET_M = 1e-6  # nearer than this the target is in no direction
 
 
 @dataclass(frozen=True)
-class GuidanceParams:
-    """Settings of the pursuit. Range and speed gain are those of the original release."""
+class Params(differential_flatness.Params):
+    """The pursuit's, and those of the controller that it is in. Range and speed gain are the original release's."""
 
     range_m: float = 0.48  # R*: how far behind the target the vehicle flies
     speed_gain_1_s: float = 0.9  # acceleration along the course per error of speed
     range_gain_1_s: float = 0.25  # speed per error of range; a quarter of the speed gain would be critically damped
     speed_max_m_s: float = 0.6  # while it catches up
     slow_m_s: float = 0.05  # slower than this a vehicle has no course of its own: it heads for the target
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError("%s must be a number > 0, got %r" % (field.name, value))
 
 
 def pursuit_acceleration(position_m, velocity_m_s, target_m, target_speed_m_s, params):
@@ -80,60 +74,63 @@ class _Point:
         )
 
 
-class GuidanceController(FlatnessController):
+class Controller(differential_flatness.Controller):
     """Flies to its reference while that stands, and chases it once it runs. Height and yaw follow it all the time.
 
     The law steers a point that begins as the vehicle, and the vehicle flies to that point as to any reference. Fed back
     on the vehicle itself its low gains would let a trim of 0.1 m/s^2 change the range by half a metre.
     """
 
-    guidance = GuidanceParams()
+    PARAMS = Params
     target_speed_m_s = 0.0  # of the target that is chased; 0: fly to the reference itself
     range_m = np.array([np.nan])  # (n,) horizontal distance to the reference at the last update; NaN = not known
     _points = ()  # of the vehicles, while the target runs
     _points_s = -math.inf  # when they are there
 
-    def update(self, stamp_s, now_s, states, present, ahead, usable, autonomous):
-        """As `FlatnessController.update`; the reference is that of the target."""
-        line_m = present[0, :, : Axis.Z] - states.x[:, : S.Z]
-        self.range_m = np.where(usable & states.visible, np.hypot(line_m[:, 0], line_m[:, 1]), np.nan)
+    def step(self, t, states, reference, params):
+        """As `controllers.Controller`; the reference is that of the target."""
+        x, visible = states.vehicles.x, states.vehicles.visible
+        line_m = reference.present[0, :, : Axis.Z] - x[:, : S.Z]
+        self.range_m = np.where(reference.usable & visible, np.hypot(line_m[:, 0], line_m[:, 1]), np.nan)
         if self.target_speed_m_s > 0.0:
-            present, ahead = present.copy(), ahead.copy()
-            self._steer(stamp_s, states, present[0], usable, autonomous)
-            self._fill(present, 0.0)
-            self._fill(ahead, self.horizon_s(stamp_s, now_s))
+            present, ahead = reference.present.copy(), reference.ahead.copy()
+            self._steer(t.stamp_s, states, reference, params)
+            self._fill(present, np.zeros(len(visible)))
+            self._fill(ahead, max(0.0, t.now_s - t.stamp_s) + self.delay_s)
+            reference = reference._replace(present=present, ahead=ahead)
         else:
             self._points = ()
-        return super().update(stamp_s, now_s, states, present, ahead, usable, autonomous)
+        return super().step(t, states, reference, params)
 
-    def _steer(self, stamp_s, states, target, usable, autonomous):
+    def _steer(self, stamp_s, states, reference, params):
         """Move the points on to stamp_s.
 
         The point of a vehicle that is seen, but not flown by us or without a target, is with it. While a vehicle is out
         of sight its state means nothing: its point runs on without it.
         """
+        (seen, x), target, usable = states.vehicles, reference.present[0], reference.usable
         step_s, self._points_s = stamp_s - self._points_s, stamp_s
         if not self._points or not 0.0 < step_s <= _LONGEST_STEP_S:
-            self._points = [_Point() for _ in states.visible]
+            self._points = [_Point() for _ in seen]
         for i, point in enumerate(self._points):
-            visible, x = states.visible[i], states.x[i].tolist()
+            visible, row = seen[i], x[i].tolist()
             recently = stamp_s - point.seen_s <= _LONGEST_STEP_S
-            if recently and (not visible or (usable[i] and autonomous[i])):
+            if recently and (not visible or (usable[i] and states.autonomous[i])):
                 point.position_m, point.velocity_m_s = point.after(step_s)
             else:
-                point.position_m, point.velocity_m_s = (x[S.X], -x[S.Y]), (x[S.U], -x[S.V])
+                point.position_m, point.velocity_m_s = (row[S.X], -row[S.Y]), (row[S.U], -row[S.V])
             if visible:
                 point.seen_s = stamp_s
             point.acceleration_m_s2 = (0.0, 0.0)
             if usable[i]:
                 target_m = float(target[i, Axis.X]), -float(target[i, Axis.Y])
                 point.acceleration_m_s2 = pursuit_acceleration(
-                    point.position_m, point.velocity_m_s, target_m, self.target_speed_m_s, self.guidance
+                    point.position_m, point.velocity_m_s, target_m, self.target_speed_m_s, params
                 )
 
-    def _fill(self, reference, time_s):
-        """The points that long after the last stamp into the horizontal axes of a reference (5, n, 4)."""
+    def _fill(self, reference, times_s):
+        """The points so long (n,) after the last stamp into the horizontal axes of a reference (5, n, 4)."""
         reference[:, :, : Axis.Z] = 0.0
         for i, point in enumerate(self._points):
-            for order, (north, east) in enumerate((*point.after(time_s), point.acceleration_m_s2)):
+            for order, (north, east) in enumerate((*point.after(times_s[i]), point.acceleration_m_s2)):
                 reference[order, i, Axis.X], reference[order, i, Axis.Y] = north, -east

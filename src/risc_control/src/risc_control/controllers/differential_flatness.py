@@ -1,0 +1,405 @@
+"""Trajectory tracking by flatness and LQR: what flies (thesis 6, 7.3.4).
+
+LQR with integral on [integral, position, velocity, tilt acceleration, its rate] of each horizontal axis, i.e. with the
+on-board attitude loop as part of the plant; acts on the state predicted to the moment the command takes effect; feeds
+forward the reference's jerk and snap through the attitude loop.
+
+Errors are reference - actual and feedback is +K (errata 6, 7). Positions are north, east and up (cortex x, -y, z);
+north and east turned by the yaw are forward and right (vehicle-1 axes).
+"""
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from risc_control import controllers
+from risc_control.delay_prediction import (
+    Channel,
+    CommandHistory,
+    Motion,
+    NominalModel,
+    TiltObserver,
+    append_command,
+    observe,
+    predicted,
+    rows_in_force,
+    steps_of,
+)
+from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
+from risc_control.lqr import lqr_gain, with_integral
+from risc_control.reference_buffer import Axis, Order
+from risc_control.vehicles import Command, climb_acceleration, climb_command, clipped, floats, greatest_command
+from risc_lab.compiled import compiled, record
+from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.states import S
+
+_LONGEST_STEP_S = 0.1  # of the integrators: a gap in the states must not count as error
+
+
+@dataclass(frozen=True)
+class Params:
+    """Diagonals of Q and R, and limits. An integral weight of 0 switches that integrator off."""
+
+    q_integral: float = 100.0  # horizontal [1/(m s)^2]
+    q_position: float = 200.0  # [1/m^2]
+    q_velocity: float = 25.0  # [1/(m/s)^2]
+    q_tilt: float = 0.0  # on the acceleration by tilt [1/(m/s^2)^2]
+    q_tilt_rate: float = 0.0
+    r_horizontal: float = 1.0  # [1/(m/s^2)^2]
+    q_height_integral: float = 40.0  # vertical [1/(m s)^2]
+    q_height: float = 70.0
+    q_climb: float = 8.0
+    r_vertical: float = 1.0
+    q_yaw: float = 4.0  # [1/rad^2]
+    q_yaw_rate: float = 0.0
+    r_yaw: float = 1.0
+    error_max_m: float = 0.4  # [m] larger position errors count as this long: bounds the speed of a return
+    integral_max_m_s: float = 0.3  # [m s] limit of each integrator
+    integral_min_height_m: float = 0.3  # [m] no integration lower than this: the vehicle may stand
+    angle_noise_rad: float = 0.005  # [rad] of a measured roll or pitch, for the tilt observer
+    tilt_disturbance_rad_s2: float = 0.6  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
+
+    def __post_init__(self):
+        check_params(self)
+
+
+def check_params(params):
+    """Raises ValueError for the first weight that is negative, or other number that is not positive."""
+    for field in fields(params):
+        value, may_be_0 = getattr(params, field.name), field.name.startswith("q_")
+        if not 0.0 <= value < math.inf or (value == 0.0 and not may_be_0):
+            raise ValueError("%s must be %s 0, got %r" % (field.name, ">=" if may_be_0 else ">", value))
+
+
+# What bounds the commands of a vehicle; see `Params`.
+_LIMITS = record(
+    ("roll_rad", float),
+    ("pitch_rad", float),
+    ("tilt_rad", float),
+    ("yaw_rate_rad_s", float),
+    ("error_max_m", float),
+    ("integral_max_m_s", float),
+    ("integral_min_height_m", float),
+)
+
+# On the errors of a horizontal axis; and, forward through the attitude loop, on the first and second rate of the
+# reference's acceleration.
+_AXIS_GAINS = record(
+    ("integral", float),
+    ("position", float),
+    ("velocity", float),
+    ("tilt", float),
+    ("tilt_rate", float),
+    ("forward_rate_s", float),
+    ("forward_second_rate_s2", float),
+)
+_GAINS = record(
+    ("pitch", _AXIS_GAINS),
+    ("roll", _AXIS_GAINS),
+    ("height_integral", float),
+    ("height", float),
+    ("climb", float),
+    ("yaw", float),
+    ("yaw_rate", float),
+)
+# What is remembered of a vehicle: integrals of its position error, and whether a limit cut its last command.
+_INTEGRALS = record(
+    ("north_m_s", float), ("east_m_s", float), ("up_m_s", float), ("tilt_was_cut", bool), ("climb_was_cut", bool)
+)
+
+
+class Controller(controllers.Controller):
+    """See the module."""
+
+    PARAMS = Params
+    ORDER = Order.SNAP
+    RECONFIGURE = "TrackingWeights"
+
+    def __init__(self, vehicle_types, params):
+        super().__init__(vehicle_types, params)
+        self._types = list(dict.fromkeys(vehicle_types))
+        self._model = NominalModel.of(vehicle_types)
+        self._plants = self._model.plants()
+        self.delay_s = self._model.delay_s[self._model.kind]
+        self._history = CommandHistory(len(vehicle_types))
+        self._observer = TiltObserver(self._model, params.angle_noise_rad, params.tilt_disturbance_rad_s2)
+        self._integrals = np.zeros(len(vehicle_types), _INTEGRALS)
+        self._stamp_s = -np.inf
+
+    def design(self, params):
+        """((k,) _GAINS, (k,) _LIMITS) of the k types. Raises ValueError when there is no solution."""
+        return _gains(self._model, params), np.array([_limits(t, params) for t in self._types], _LIMITS)
+
+    def reset(self):
+        """Forget the integrals and the commands under way."""
+        self._integrals[:] = np.zeros((), _INTEGRALS)
+        self.forget_times()
+
+    def forget_times(self):
+        """As `controllers.Controller`. The integrals are no times, and stay."""
+        self._history.clear()
+        self._stamp_s = -np.inf
+
+    def step(self, t, states, reference, params):
+        """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
+        commands = np.zeros((len(Command._fields), len(self._integrals)))
+        step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
+        history, observer = self._history, self._observer
+        gains, limits = self.designed(params)
+        is_finite = _step(
+            float(t.stamp_s),
+            float(t.now_s),
+            float(step_s),
+            self._model.kind,
+            self._plants,
+            limits,
+            gains,
+            observer.steps,
+            observer.gains,
+            observer.tilts,
+            self._integrals,
+            history.sent_s,
+            history.commands,
+            history.ends,
+            floats(states.vehicles.x),
+            states.vehicles.visible & reference.usable,
+            np.array(states.autonomous, dtype=bool),
+            floats(reference.present),
+            floats(reference.ahead),
+            commands,
+            self.saturated,
+        )
+        return controllers.checked(is_finite, commands)
+
+
+def _limits(vehicle_type, params):
+    """_LIMITS of a type, as a tuple."""
+    most = greatest_command(vehicle_type)
+    # on the total tilt, so that a saturated command keeps its direction
+    tilt_rad = min(most.roll_rad, most.pitch_rad)
+    of_params = (getattr(params, name) for name in _LIMITS.names[4:])
+    return (most.roll_rad, most.pitch_rad, tilt_rad, most.yaw_rate_rad_s, *of_params)
+
+
+@compiled
+def _step(
+    stamp_s, now_s, step_s, kind, plants, limits, gains, observer_steps, observer_gains, tilts, integrals, sent_s,
+    under_way, ends, x, usable, autonomous, present, ahead, commands, saturated
+):  # fmt: skip
+    """See `Controller.step`: fills commands (4, n) and saturated (n,). step_s: since the last state.
+
+    Returns False, and counts nothing as sent, when a number of a vehicle is not finite.
+    """
+    age_s, longest = max(0.0, now_s - stamp_s), 0
+    for k in range(len(plants)):
+        longest = max(longest, steps_of(age_s + plants[k].delay_s))
+    rows = np.empty((len(plants), 1 + longest), dtype=np.int64)  # of commands under way, for each type
+    for k in range(len(plants)):
+        delay_s = plants[k].delay_s
+        steps = steps_of(age_s + delay_s)
+        rows[k, : 1 + steps] = rows_in_force(stamp_s - delay_s, steps, sent_s, ends)
+    applied = np.zeros(under_way.shape[1:])  # what the vehicles settle at, at our commands
+    for i in range(len(kind)):
+        plant, limit, gain, integral = plants[kind[i]], limits[kind[i]], gains[kind[i]], integrals[i]
+        saturated[i] = False
+        if not autonomous[i]:
+            # somebody else flies it: what was learnt of this vehicle's trim may not hold when we take over
+            integral.north_m_s = integral.east_m_s = integral.up_m_s = 0.0
+        if not usable[i]:
+            # a vehicle that is out of sight for a moment keeps its trim
+            integral.tilt_was_cut = integral.climb_was_cut = False
+            continue
+        measured = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
+        in_force = under_way[rows[kind[i], 0], i]
+        observe(tilts[i], stamp_s, measured, in_force, observer_steps[kind[i]], observer_gains[kind[i]])
+        motion = predicted(_motion(x[i], tilts[i]), plant, age_s + plant.delay_s, under_way, rows[kind[i]], i)
+        if autonomous[i] and 0.0 < step_s <= _LONGEST_STEP_S:
+            _integrate(integral, step_s, x[i], present[:, i], limit)
+
+        up, climb_cut = _up(motion, ahead[:, i], plant, limit, gain, integral)
+        forward, right = _horizontal(motion, ahead[:, i], plant, limit, gain, integral)
+        wanted_rate = _yaw_rate(motion, ahead[:, i], plant, gain)
+        if not math.isfinite(forward + right + up + wanted_rate):
+            return False
+        f, shortened = limit_tilt(Acceleration(forward, right, GRAVITY_M_S2 + up), limit.tilt_rad)
+        wanted = flat_inputs(f, 0.0, wanted_rate, plant.mass_kg)
+        roll, pitch = clipped(wanted.phi_rad, limit.roll_rad), clipped(wanted.theta_rad, limit.pitch_rad)
+        yaw_rate = clipped(wanted_rate, limit.yaw_rate_rad_s)
+        commands[0, i], commands[1, i], commands[2, i] = roll, pitch, yaw_rate
+        commands[3, i] = thrust_at_tilt(f.up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
+        integral.tilt_was_cut = shortened or roll != wanted.phi_rad or pitch != wanted.theta_rad
+        integral.climb_was_cut = climb_cut
+        saturated[i] = integral.tilt_was_cut or climb_cut or yaw_rate != wanted_rate
+        if autonomous[i]:
+            applied[i, Channel.PHI], applied[i, Channel.THETA], applied[i, Channel.YAW_RATE] = roll, pitch, yaw_rate
+            applied[i, Channel.CLIMB] = climb_command(up, motion.up_m_s, plant.climb)
+    append_command(now_s, applied, sent_s, under_way, ends)
+    return True
+
+
+@compiled
+def _motion(x, tilt):
+    """Motion of a vehicle by its state; roll and pitch as they are observed."""
+    return Motion(
+        x[S.X], -x[S.Y], x[S.Z], x[S.U], -x[S.V], x[S.W],
+        tilt.phi_rad, tilt.theta_rad, x[S.PSI], tilt.phi_rate_rad_s, tilt.theta_rate_rad_s, x[S.R], 0.0,
+    )  # fmt: skip
+
+
+@compiled
+def _integrate(integral, step_s, x, reference, limit):
+    """Add a step of the position error to a vehicle's integrals."""
+    if not x[S.Z] > limit.integral_min_height_m:
+        return
+    position = reference[Order.POSITION]
+    north, east = _shortened(position[Axis.X] - x[S.X], x[S.Y] - position[Axis.Y], limit.error_max_m)
+    # a saturated command cannot use more integral: let it only shrink (anti-windup)
+    grows = north * integral.north_m_s + east * integral.east_m_s > 0.0
+    if not (integral.tilt_was_cut and grows):
+        integral.north_m_s, integral.east_m_s = _shortened(
+            integral.north_m_s + step_s * north, integral.east_m_s + step_s * east, limit.integral_max_m_s
+        )
+    up = clipped(position[Axis.Z] - x[S.Z], limit.error_max_m)
+    if not (integral.climb_was_cut and up * integral.up_m_s > 0.0):
+        integral.up_m_s = clipped(integral.up_m_s + step_s * up, limit.integral_max_m_s)
+
+
+@compiled
+def _horizontal(motion, reference, plant, limit, gain, integral):
+    """Acceleration (forward, right) [m/s^2] to make by tilt: of pitch and of roll."""
+    cos_psi, sin_psi = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
+    # the tilt acceleration that the reference needs, and its first two rates, in axes that stand still ...
+    a_forward, a_right = _tilt_reference(reference, Order.ACCELERATION, plant, cos_psi, sin_psi)
+    j_forward, j_right = _tilt_reference(reference, Order.JERK, plant, cos_psi, sin_psi)
+    s_forward, s_right = _tilt_reference(reference, Order.SNAP, plant, cos_psi, sin_psi)
+    # ... and in the vehicle's, which turn at psi' (the yaw acceleration is neglected)
+    turn = motion.psi_rate_rad_s
+    s_forward, s_right = (
+        s_forward + turn * (2.0 * j_right - turn * a_forward),
+        s_right - turn * (2.0 * j_forward + turn * a_right),
+    )
+    j_forward, j_right = j_forward + turn * a_right, j_right - turn * a_forward
+
+    # the tilt acceleration that the vehicle has: (g + a_up) tan(tilt), and d tan(y)/dt = (1 + tan(y)^2) y'
+    lift = GRAVITY_M_S2 + motion.up_m_s2
+    tan_phi, tan_theta = math.tan(motion.phi_rad), math.tan(motion.theta_rad)
+    tilt_forward, tilt_right = -lift * tan_theta, lift * tan_phi / math.cos(motion.theta_rad)
+    tilt_rate_forward = -lift * (1.0 + tan_theta * tan_theta) * motion.theta_rate_rad_s
+    tilt_rate_right = lift * (1.0 + tan_phi * tan_phi) * motion.phi_rate_rad_s
+
+    position, velocity = reference[Order.POSITION], reference[Order.VELOCITY]
+    north, east = _shortened(position[Axis.X] - motion.north_m, -position[Axis.Y] - motion.east_m, limit.error_max_m)
+    p_forward, p_right = _turned(north, east, cos_psi, sin_psi)
+    v_forward, v_right = _turned(
+        velocity[Axis.X] - motion.north_m_s, -velocity[Axis.Y] - motion.east_m_s, cos_psi, sin_psi
+    )
+    i_forward, i_right = _turned(integral.north_m_s, integral.east_m_s, cos_psi, sin_psi)
+    return (
+        _axis(gain.pitch, i_forward, p_forward, v_forward, tilt_forward, tilt_rate_forward, a_forward, j_forward,
+              s_forward),
+        _axis(gain.roll, i_right, p_right, v_right, tilt_right, tilt_rate_right, a_right, j_right, s_right),
+    )  # fmt: skip
+
+
+@compiled
+def _axis(gain, integral, position, velocity, tilt, tilt_rate, a, j, s):
+    """Acceleration to command on one axis: feedback of the errors, and what makes the loop follow the reference's a.
+
+    integral, position, velocity: errors.  tilt, tilt_rate: accelerations that the vehicle has.  a, j, s: that the
+    reference needs. The attitude loop is a'' = wn^2 (u - a) - 2 zeta wn a'.
+    """
+    feedback = gain.integral * integral + gain.position * position + gain.velocity * velocity
+    feedback += gain.tilt * (a - tilt) + gain.tilt_rate * (j - tilt_rate)
+    return feedback + a + gain.forward_rate_s * j + gain.forward_second_rate_s2 * s
+
+
+@compiled
+def _tilt_reference(reference, order, plant, cos_psi, sin_psi):
+    """(forward, right) of a derivative of the reference that the tilt must make: with that of the drag."""
+    now, before = reference[order], reference[order - 1]
+    north = now[Axis.X] + plant.drag_1_s * before[Axis.X]
+    east = -now[Axis.Y] - plant.drag_1_s * before[Axis.Y]
+    return _turned(north, east, cos_psi, sin_psi)
+
+
+@compiled
+def _up(motion, reference, plant, limit, gain, integral):
+    """(upward acceleration [m/s^2], whether a limit of the climb loop cut it).
+
+    Whatever the vehicle's loop takes is made of it later, so the plant is a double integrator.
+    """
+    height_error = clipped(reference[Order.POSITION, Axis.Z] - motion.up_m, limit.error_max_m)
+    climb_error = reference[Order.VELOCITY, Axis.Z] - motion.up_m_s
+    wanted = gain.height_integral * integral.up_m_s + gain.height * height_error + gain.climb * climb_error
+    wanted += reference[Order.ACCELERATION, Axis.Z]
+    most = climb_acceleration(plant.climb.most, motion.up_m_s, plant.climb)
+    least = climb_acceleration(-plant.climb.most, motion.up_m_s, plant.climb)
+    up = most if wanted > most else (least if wanted < least else wanted)
+    return up, up != wanted
+
+
+@compiled
+def _yaw_rate(motion, reference, plant, gain):
+    """Yaw rate to command [rad/s]."""
+    yaw, rate = reference[Order.POSITION, Axis.PSI], reference[Order.VELOCITY, Axis.PSI]
+    forward = rate + plant.yaw_time_constant_s * reference[Order.ACCELERATION, Axis.PSI]
+    return forward + gain.yaw * short_way(yaw - motion.psi_rad) + gain.yaw_rate * (rate - motion.psi_rate_rad_s)
+
+
+def _gains(model, weights):
+    """(k,) _GAINS of the types of a NominalModel."""
+    A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
+    height = [weights.q_height, weights.q_climb]
+    vertical = _gain_with_integral(A, B, weights.q_height_integral, height, weights.r_vertical)
+    gains = np.zeros(len(model.mass_kg), _GAINS)
+    for kind, gain in enumerate(gains):
+        for axis, name in enumerate(("roll", "pitch")):
+            wn, zeta = model.natural_frequency_rad_s[kind, axis], model.damping_ratio[kind, axis]
+            gain[name] = _horizontal_gain(wn, zeta, model.drag_1_s[kind], weights)
+        gain.height_integral, gain.height, gain.climb = vertical
+        tau = model.yaw_time_constant_s[kind]
+        A_yaw, B_yaw = [[0.0, 1.0], [0.0, -1.0 / tau]], [[0.0], [1.0 / tau]]
+        gain.yaw, gain.yaw_rate = lqr_gain(A_yaw, B_yaw, [weights.q_yaw, weights.q_yaw_rate], [weights.r_yaw])[0]
+    return gains
+
+
+def _horizontal_gain(wn, zeta, drag_1_s, weights):
+    """_AXIS_GAINS of one axis, as a tuple."""
+    A = np.zeros((4, 4))
+    A[0, 1] = A[1, 2] = A[2, 3] = 1.0
+    A[1, 1], A[3, 2], A[3, 3] = -drag_1_s, -(wn**2), -2.0 * zeta * wn
+    B = np.array([[0.0], [0.0], [0.0], [wn**2]])
+    Q = [weights.q_position, weights.q_velocity, weights.q_tilt, weights.q_tilt_rate]
+    feedback = _gain_with_integral(A, B, weights.q_integral, Q, weights.r_horizontal)
+    # the command that makes the loop a'' = wn^2 (u - a) - 2 zeta wn a' follow a given a(t)
+    return (*feedback, 2.0 * zeta / wn, wn**-2.0)
+
+
+def _gain_with_integral(A, B, q_integral, Q, r):
+    """Gain on [integral of the first state, states]; the integral's is 0 when its weight is."""
+    if q_integral == 0.0:
+        return np.concatenate([[0.0], lqr_gain(A, B, Q, [r])[0]])
+    A, B = with_integral(A, B, np.eye(1, len(A)))
+    return lqr_gain(A, B, [q_integral] + list(Q), [r])[0]
+
+
+@compiled
+def _turned(north, east, cos_psi, sin_psi):
+    """(forward, right) of a horizontal vector: R(v to v1)."""
+    return cos_psi * north + sin_psi * east, cos_psi * east - sin_psi * north
+
+
+@compiled
+def _shortened(north, east, longest):
+    """The horizontal vector, no longer than this."""
+    length = math.hypot(north, east)
+    if length > longest:
+        north, east = north * longest / length, east * longest / length
+    return north, east
+
+
+@compiled
+def short_way(angle_rad):
+    """The angle less whole turns."""
+    return angle_rad - 2.0 * math.pi * np.rint(angle_rad / (2.0 * math.pi))

@@ -1,0 +1,112 @@
+"""What the thesis describes (7.7-7.10): LQR on a double integrator, feed-forward of the acceleration, present state.
+
+For teaching, and to measure what the rest of `differential_flatness` is worth. Errors are reference - actual and
+feedback is +K (errata 6, 7).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from risc_control import controllers
+from risc_control.controllers.differential_flatness import check_params, short_way
+from risc_control.flatness import Acceleration, flat_inputs, limit_tilt
+from risc_control.lqr import lqr_gain
+from risc_control.reference_buffer import Axis
+from risc_control.vehicles import Command, floats, greatest_command
+from risc_lab.compiled import compiled, record
+from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.states import S
+
+
+@dataclass(frozen=True)
+class Params:
+    """Diagonals of Q and R: about the best without prediction; the original's gains (17.22, 1.62) oscillate at 0.1 s of
+    command delay.
+    """
+
+    q_position: float = 2.0  # horizontal [1/m^2]
+    q_velocity: float = 4.0  # [1/(m/s)^2]
+    r_horizontal: float = 1.0  # [1/(m/s^2)^2]
+    q_height: float = 2.0  # vertical [1/m^2]
+    q_climb: float = 1.0
+    r_vertical: float = 1.0
+    q_yaw: float = 1.0  # [1/rad^2]
+    r_yaw: float = 1.0
+    error_max_m: float = 0.4  # [m] larger position errors count as this long
+
+    def __post_init__(self):
+        check_params(self)
+
+
+_GAINS = record(("position", float), ("velocity", float), ("height", float), ("climb", float), ("yaw", float))
+_VEHICLE = record(("mass_kg", float), ("tilt_max_rad", float))
+
+
+class Controller(controllers.Controller):
+    """See the module. Delays do not matter to it, nor who flies; nothing is remembered."""
+
+    PARAMS = Params
+    RECONFIGURE = "ThesisWeights"
+
+    def __init__(self, vehicle_types, params):
+        super().__init__(vehicle_types, params)
+        most = [greatest_command(vehicle_type) for vehicle_type in vehicle_types]
+        self._vehicles = np.zeros(len(vehicle_types), _VEHICLE)
+        self._vehicles["mass_kg"] = self.mass_kg
+        self._vehicles["tilt_max_rad"] = [min(limit.roll_rad, limit.pitch_rad) for limit in most]
+
+    def design(self, params):
+        """(1,) _GAINS from the weights. Raises ValueError when there is no solution."""
+        A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
+        horizontal = lqr_gain(A, B, [params.q_position, params.q_velocity], [params.r_horizontal])[0]
+        vertical = lqr_gain(A, B, [params.q_height, params.q_climb], [params.r_vertical])[0]
+        yaw = lqr_gain([[0.0]], [[1.0]], [params.q_yaw], [params.r_yaw])[0]
+        return np.array([(*horizontal, *vertical, *yaw)], _GAINS)
+
+    def step(self, t, states, reference, params):
+        """As `controllers.Controller`."""
+        commands = np.zeros((len(Command._fields), len(self.mass_kg)))
+        is_finite = _step(
+            self._vehicles,
+            self.designed(params),
+            float(params.error_max_m),
+            floats(states.vehicles.x),
+            states.vehicles.visible & reference.usable,
+            floats(reference.present),
+            commands,
+            self.saturated,
+        )
+        return controllers.checked(is_finite, commands)
+
+
+@compiled
+def _step(vehicles, gains, error_max_m, x, usable, present, commands, saturated):
+    """Fills commands (4, n) and saturated (n,). False when a number of a vehicle is not finite."""
+    K = gains[0]
+    for i in range(len(vehicles)):
+        saturated[i] = False
+        if not usable[i]:
+            continue
+        position, velocity, acceleration = present[0, i], present[1, i], present[2, i]
+        # (7.7): u = K (x_r - x), with an error that is no longer than its limit
+        e_x, e_y, e_z = position[Axis.X] - x[i, S.X], position[Axis.Y] - x[i, S.Y], position[Axis.Z] - x[i, S.Z]
+        distance_m = math.sqrt(e_x * e_x + e_y * e_y + e_z * e_z)
+        scale = error_max_m / distance_m if distance_m > error_max_m else 1.0
+        u_x = K.position * scale * e_x + K.velocity * (velocity[Axis.X] - x[i, S.U])
+        u_y = K.position * scale * e_y + K.velocity * (velocity[Axis.Y] - x[i, S.V])
+        u_z = K.height * scale * e_z + K.climb * (velocity[Axis.Z] - x[i, S.W])
+        # (7.8)-(7.10), from cortex axes to north, east and up
+        f = Acceleration(
+            u_x + acceleration[Axis.X], -(u_y + acceleration[Axis.Y]), u_z + acceleration[Axis.Z] + GRAVITY_M_S2
+        )
+        psi = x[i, S.PSI]
+        yaw_rate = velocity[Axis.PSI] + K.yaw * short_way(position[Axis.PSI] - psi)
+        if not math.isfinite(f.north + f.east + f.up + yaw_rate):
+            return False
+        f, saturated[i] = limit_tilt(f, vehicles[i].tilt_max_rad)
+        inputs = flat_inputs(f, psi, yaw_rate, vehicles[i].mass_kg)
+        commands[0, i], commands[1, i] = inputs.phi_rad, inputs.theta_rad
+        commands[2, i], commands[3, i] = inputs.yaw_rate_rad_s, inputs.thrust_n
+    return True

@@ -1,0 +1,217 @@
+"""Types of vehicles, the side that flies: from a physical command to what a vehicle takes. Needs no ROS.
+
+A controller commands roll, pitch, yaw rate and thrust (`Command`), whatever it flies. What a type of vehicle makes of
+that, its `Adapter` knows and nobody else: the units of its entry on /controls, climb rates, sticks, calls to take off
+and to land, status, and what it can hold by itself. On the way
+
+    controller -- Command --> ControlsConverter -- /controls --> vehicle node: VehiclePilot, Adapter -- Sticks --> link
+
+a command is converted twice: into the unit of /controls (a fraction of the full scale for an AR.Drone, nothing for a
+type that says nothing else), and there into what the vehicle takes.
+
+A type is one file here with a class `Adapter`, and risc_lab/config/vehicle_types/NAME.yaml with its numbers. From
+elsewhere: vehicle_types/NAME.py and vehicle_types/NAME.yaml, see `risc_lab.registry`.
+"""
+
+import math
+from enum import IntEnum
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from risc_lab.compiled import compiled, record
+from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.registry import Registry
+
+
+class Command(NamedTuple):
+    """What a controller commands: numbers, or arrays (n,). NED senses, as in `risc_lab.states`."""
+
+    roll_rad: float  # + right wing down; that the vehicle reaches, the gain of its attitude loop included
+    pitch_rad: float  # + nose up
+    yaw_rate_rad_s: float  # + clockwise from above
+    thrust_n: float
+
+
+class Controls(NamedTuple):
+    """An entry of /controls in the units of its vehicle's type: numbers, or arrays (n,)."""
+
+    phi: float
+    theta: float
+    psi: float
+    thrust_n: float
+
+
+class FlightState(IntEnum):
+    """What a vehicle says that it does. The numbers are those of ardrone_autonomy's Navdata."""
+
+    UNKNOWN = 0
+    INIT = 1
+    LANDED = 2
+    FLYING = 3
+    HOVERING = 4
+    TEST = 5
+    TAKING_OFF = 6
+    GOTO = 7
+    LANDING = 8
+    LOOPING = 9
+
+
+class Status(NamedTuple):
+    """What a vehicle says of itself."""
+
+    state: int  # FlightState, or another number that its type has
+    battery_pct: float | None  # None: this report has none
+
+
+# How a vehicle climbs, around hover: acceleration = gain * command - damping * climb rate, |command| <= most.
+CLIMB_LOOP = record(("gain", float), ("damping_1_s", float), ("most", float))
+
+
+class Adapter:
+    """One vehicle of a type, as its vehicle node flies it.
+
+    own: `vehicle_pilot.OwnState`, the newest state of the vehicle; None before the first.  Sticks: what it takes, as
+    fractions of its full scales; the meaning of `up` is the type's.
+    """
+
+    HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture
+
+    def __init__(self, vehicle_type, command_rate_hz):
+        """vehicle_type: VehicleType.  command_rate_hz: at which the vehicle is sent commands."""
+        self.type = vehicle_type
+
+    @staticmethod
+    def units(vehicle_type):
+        """The `Command` that 1 means on /controls, in phi, theta, psi and T."""
+        return Command(1.0, 1.0, 1.0, 1.0)
+
+    @staticmethod
+    def climb_loop(vehicle_type):
+        """(gain, damping, most) of a CLIMB_LOOP: what controllers count on."""
+        raise NotImplementedError
+
+    def answer(self, controls, own, own_s, now_s):
+        """Sticks for the vehicle's `Controls`. own_s: when the state held [s]."""
+        raise NotImplementedError
+
+    def move(self, forward_rad, left_rad, climb_m_s, own):
+        """Sticks that tilt by these angles and climb: for giving way. All 0: level, at this height."""
+        raise NotImplementedError
+
+    def by_hand(self, sticks, own):
+        """Sticks for those of an operator; its `up` is a climb rate."""
+        return sticks
+
+    def sent(self, sticks, now_s):
+        """The vehicle was sent these."""
+
+    @staticmethod
+    def connect(prefix):
+        """Link to the vehicle by ROS, e.g. `ardrone.Link`. prefix: of its topics, with the last "/"."""
+        raise NotImplementedError
+
+
+REGISTRY = Registry("vehicle_types", __name__)
+
+
+def adapter_class(vehicle_type):
+    """`Adapter` of a VehicleType. Raises ValueError when it has none."""
+    return REGISTRY.module(vehicle_type.name).Adapter
+
+
+def climb_loops(vehicle_types):
+    """(n,) CLIMB_LOOP of VehicleTypes."""
+    return np.array([tuple(adapter_class(t).climb_loop(t)) for t in vehicle_types], CLIMB_LOOP)
+
+
+# --- a vehicle's limits, and the way to /controls ----------------------------------------------------------------
+
+_COMMAND = record(("roll_rad", float), ("pitch_rad", float), ("yaw_rate_rad_s", float), ("thrust_n", float))
+# What commands of a type are limited to, and what 1 on /controls means.
+_CONVERSION = record(("most", _COMMAND), ("unit", _COMMAND), ("hover_n", float))
+
+
+def greatest_command(vehicle_type):
+    """The largest `Command` that a VehicleType reaches: the tilt of its attitude loops at full scale."""
+    return Command(
+        vehicle_type.roll.gain * vehicle_type.tilt_max_rad,
+        vehicle_type.pitch.gain * vehicle_type.tilt_max_rad,
+        vehicle_type.yaw_rate_max_rad_s,
+        math.inf,
+    )
+
+
+# The arrays that compiled code was compiled for, so that nothing is compiled in flight.
+floats = partial(np.ascontiguousarray, dtype=float)
+
+
+class ControlsConverter:
+    """Commands of a fleet -> its entries of /controls."""
+
+    def __init__(self, vehicle_types):
+        """vehicle_types: of each vehicle."""
+        self._conversions = np.zeros(len(vehicle_types), _CONVERSION)
+        for conversion, vehicle_type in zip(self._conversions, vehicle_types):
+            conversion.most = greatest_command(vehicle_type)
+            conversion.unit = adapter_class(vehicle_type).units(vehicle_type)
+            conversion.hover_n = vehicle_type.mass_kg * GRAVITY_M_S2
+        n = len(vehicle_types)
+        nobody = np.zeros(n, dtype=bool)
+        self(Command(*np.zeros((4, n))), nobody, nobody)  # loads what is compiled
+
+    def __call__(self, command, known, saturated):
+        """(`Controls` of arrays (n,), (n,) bool: a limit of the vehicle cut its command, or `saturated` said so).
+
+        known: (n,) bool; where it is False the answer is level with the thrust of hover (zero acceleration, thesis
+        7.7).  Raises ValueError when a number of a vehicle that is known is not finite.
+        """
+        roll, pitch, yaw_rate, thrust = (floats(part) for part in command)
+        controls, cut = np.empty((4, len(known))), np.array(saturated)
+        if not _convert(roll, pitch, yaw_rate, thrust, known, self._conversions, controls, cut):
+            # raised here: an exception out of compiled code leaves its arrays in memory for ever
+            raise ValueError("refusing to command: a command, and so a state or a reference, is not finite")
+        return Controls(controls[0], controls[1], controls[2], controls[3]), cut
+
+
+@compiled
+def _convert(roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n, known, conversions, controls, cut):
+    """Fill controls (4, n), and set cut (n,), from arrays (n,). False when a number is not finite."""
+    for i in range(len(known)):
+        most, unit = conversions[i].most, conversions[i].unit
+        if not known[i]:
+            cut[i] = False
+            controls[0, i] = controls[1, i] = controls[2, i] = 0.0
+            controls[3, i] = conversions[i].hover_n / unit.thrust_n
+            continue
+        if not math.isfinite(roll_rad[i] + pitch_rad[i] + yaw_rate_rad_s[i] + thrust_n[i]):
+            return False
+        roll, pitch = clipped(roll_rad[i], most.roll_rad), clipped(pitch_rad[i], most.pitch_rad)
+        rate = clipped(yaw_rate_rad_s[i], most.yaw_rate_rad_s)
+        cut[i] |= roll != roll_rad[i] or pitch != pitch_rad[i] or rate != yaw_rate_rad_s[i]
+        controls[0, i], controls[1, i] = roll / unit.roll_rad, pitch / unit.pitch_rad
+        controls[2, i], controls[3, i] = rate / unit.yaw_rate_rad_s, thrust_n[i] / unit.thrust_n
+    return True
+
+
+@compiled
+def clipped(value, most):
+    """Value within +-most; what is not a number stays so."""
+    if value > most:
+        return most
+    return -most if value < -most else value
+
+
+@compiled
+def climb_command(up_m_s2, climb_m_s, loop):
+    """The command of a CLIMB_LOOP that makes an acceleration at this climb rate; of a loop of the first order with
+    the time constant tau it is eq. 5.4, climb rate + tau * acceleration.
+    """
+    return (up_m_s2 + loop.damping_1_s * climb_m_s) / loop.gain
+
+
+@compiled
+def climb_acceleration(command, climb_m_s, loop):
+    """Its inverse: upward acceleration [m/s^2]."""
+    return loop.gain * command - loop.damping_1_s * climb_m_s

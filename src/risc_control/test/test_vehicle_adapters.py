@@ -1,0 +1,101 @@
+"""The flying side of a vehicle type: commands to /controls for a fleet, and what an AR.Drone is sent."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from risc_control.vehicle_pilot import OwnState
+from risc_control.vehicles import (
+    Command,
+    Controls,
+    ControlsConverter,
+    adapter_class,
+    climb_acceleration,
+    climb_command,
+    climb_loops,
+)
+from risc_lab.frames import GRAVITY_M_S2 as G
+from risc_lab.lab import load_vehicle_type
+
+ARDRONE = load_vehicle_type("ardrone")
+HOVER_N = ARDRONE.mass_kg * G
+
+
+def converted(roll=0.0, pitch=0.0, yaw_rate=0.0, thrust=4.4, vehicle_type=ARDRONE, known=True):
+    command = Command(*(np.array([value]) for value in (roll, pitch, yaw_rate, thrust)))
+    controls, cut = ControlsConverter([vehicle_type])(command, np.array([known]), np.array([False]))
+    return Controls(*(part[0] for part in controls)), cut[0]
+
+
+@pytest.mark.parametrize(
+    ("moves", "field"), [({"roll": -0.1}, "phi"), ({"pitch": -0.1}, "theta"), ({"yaw_rate": -0.1}, "psi")]
+)
+def test_left_forward_and_left_turn_are_positive(moves, field):
+    """/controls: + left, + forward, + counter-clockwise; the angles: + right, + nose up, + clockwise."""
+    controls, _ = converted(**moves)
+    assert getattr(controls, field) > 0.0
+    assert all(getattr(controls, other) == 0.0 for other in {"phi", "theta", "psi"} - {field})
+
+
+def test_the_gain_of_the_loops_is_divided_out():
+    controls, cut = converted(0.1, 0.1, 0.1)
+    assert controls.phi * ARDRONE.tilt_max_rad * ARDRONE.roll.gain == pytest.approx(-0.1)
+    assert controls.theta * ARDRONE.tilt_max_rad * ARDRONE.pitch.gain == pytest.approx(-0.1)
+    assert controls.psi * ARDRONE.yaw_rate_max_rad_s == pytest.approx(-0.1)
+    assert controls.thrust_n == 4.4 and not cut
+
+
+def test_limits_clip_and_are_reported():
+    assert converted(roll=1.0, yaw_rate=-2.0) == ((-1.0, 0.0, 1.0, 4.4), True)
+    assert converted(pitch=-1.0) == ((0.0, 1.0, 0.0, 4.4), True)
+    other = replace(ARDRONE, tilt_max_rad=0.2, yaw_rate_max_rad_s=0.7)
+    assert converted(roll=0.2, yaw_rate=0.35, vehicle_type=other)[0].psi == pytest.approx(-0.5)
+
+
+def test_what_is_not_known_hovers_and_what_is_not_finite_is_refused():
+    assert converted(math.nan, math.nan, known=False) == ((0.0, 0.0, 0.0, pytest.approx(HOVER_N)), False)
+    for broken in ({"roll": math.nan}, {"thrust": math.inf}, {"yaw_rate": -math.inf}):
+        with pytest.raises(ValueError, match="not finite"):
+            converted(**broken)
+
+
+def climb_rate(thrust_n, phi=0.0, theta=0.0, climb_m_s=0.0):
+    """What an AR.Drone is asked for [m/s]; the command takes effect at once."""
+    adapter = adapter_class(ARDRONE)(replace(ARDRONE, command_delay_s=0.0), 1e9)
+    own = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, climb_m_s), phi, theta, 0.0)
+    return adapter.answer(Controls(0.1, 0.2, 0.3, thrust_n), own, 5.0, 5.0).up * ARDRONE.climb_max_m_s
+
+
+def test_thrust_becomes_a_climb_rate():
+    """Eq. 5.4 with numbers."""
+    assert climb_rate(HOVER_N, climb_m_s=-0.2) == pytest.approx(-0.2)
+    assert climb_rate(1.1 * HOVER_N) == pytest.approx(0.03 * G)
+
+
+def test_both_tilts_enter():
+    """The original used phi twice (D-29)."""
+    level = climb_rate(4.6, climb_m_s=0.1)
+    for phi, theta in ((0.3, 0.0), (0.0, 0.3)):
+        assert climb_rate(4.6, phi, theta, 0.1) < level - 0.1
+
+
+def test_the_command_inverts_the_climb_loop():
+    loop = climb_loops([ARDRONE])[0]
+    command = climb_command(0.7, 0.2, loop)
+    assert command == pytest.approx(0.2 + ARDRONE.climb_time_constant_s * 0.7)
+    assert climb_acceleration(command, 0.2, loop) == pytest.approx(0.7)
+
+
+def test_sticks_are_the_fractions_and_giving_way_is_in_radians():
+    adapter = adapter_class(ARDRONE)(ARDRONE, 29.5)
+    own = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+    assert adapter.answer(Controls(0.1, 2.0, -0.3, HOVER_N), own, 5.0, 5.0) == (1.0, 0.1, 0.0, -0.3)
+    half = 0.5 * ARDRONE.tilt_max_rad
+    assert adapter.move(half, -half, 0.25, own) == pytest.approx((0.5, -0.5, 0.25, 0.0))
+
+
+def test_a_type_without_adapter_names_the_known_ones():
+    with pytest.raises(ValueError, match="'zeppelin' among the vehicle_types; known are: ardrone"):
+        adapter_class(replace(ARDRONE, name="zeppelin"))

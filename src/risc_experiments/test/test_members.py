@@ -1,0 +1,65 @@
+"""A controller and a vehicle type from elsewhere, each one file and one YAML in the folder `members`, flown offline."""
+
+import pathlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from risc_control.controllers import ControlLoop
+from risc_control.vehicle_pilot import OwnState
+from risc_control.vehicles import Command, ControlsConverter, adapter_class
+from risc_experiments.offline import Flight, fly
+from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.lab import load_vehicle_type
+
+MEMBERS = pathlib.Path(__file__).parent / "members"
+
+
+@pytest.fixture(autouse=True)
+def members(monkeypatch):
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", str(MEMBERS))
+
+
+def test_a_controller_of_a_student_flies():
+    result = fly(Flight("circle", vehicles=1, seed=1, psi_rad=1.0, duration_s=6.0, controller="toy_pd"))
+    assert result.rmse_m[0] < 0.15 and result.crashes == ()
+
+
+def test_one_controller_flies_a_fleet_of_two_types():
+    """Other delays, rates, units on /controls and sticks."""
+    result = fly(Flight("circle", vehicles=2, seed=1, psi_rad=2.0, duration_s=8.0, types=("ardrone", "toy_quad")))
+    assert result.rmse_m.max() < 0.03 and result.crashes == ()
+
+
+def test_with_the_delay_of_the_other_type_it_flies_worse():
+    """Of each vehicle its own is what counts."""
+    types = [load_vehicle_type(name) for name in ("ardrone", "toy_quad")]
+    loop = ControlLoop("differential_flatness", types)
+    delays_s = loop.controller.delay_s
+    assert delays_s == pytest.approx([0.1 + 1.0 / 30.0, 0.05 + 1.0 / 50.0])
+    times_s = loop.times_s(5.0, 5.006)
+    values = np.broadcast_to(times_s[:, None, None, None], (3, 5, 2, 4))
+    present, ahead = loop.pick(values)
+    assert (present == 5.0).all() and ahead[0, :, 0] == pytest.approx(5.006 + delays_s)
+
+
+def test_its_gains_and_units_are_its_own():
+    types = [load_vehicle_type("ardrone"), load_vehicle_type("toy_quad")]
+    nobody = np.zeros(2, dtype=bool)
+    command = Command(*np.array([[0.1, 0.1], [0.0, 0.0], [0.0, 0.0], [5.0, 5.0]]))
+    controls, _ = ControlsConverter(types)(command, ~nobody, nobody)
+    assert controls.phi == pytest.approx([-0.1 / (1.1714 * 0.349066), 0.1]), "a fraction; radians"
+    adapter = adapter_class(types[1])(types[1], 49.0)
+    sinks = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, -0.2), 0.0, 0.0, 0.0)
+    assert not adapter.HOLDS_POSITION and adapter.move(0.0, 0.0, 0.0, sinks).up > 0.05, "it is held by us"
+
+
+def test_what_the_fleet_file_says_counts_for_controller_adapter_and_plant():
+    heavy = load_vehicle_type("ardrone", {"mass_kg": 0.6})
+    assert heavy == replace(load_vehicle_type("ardrone"), mass_kg=0.6)
+    nobody = np.zeros(1, dtype=bool)
+    level, _ = ControlsConverter([heavy])(Command(*np.zeros((4, 1))), nobody, nobody)
+    assert level.thrust_n[0] == pytest.approx(0.6 * GRAVITY_M_S2)
+    result = fly(Flight("circle", vehicles=1, seed=1, duration_s=4.0, overrides={"mass_kg": 0.6, "climb_max_m_s": 0.5}))
+    assert result.rmse_m[0] < 0.02
