@@ -21,7 +21,7 @@ from risc_simulator.world import FlightAction, FlightPhase, Setpoint, World
 
 MEMBERS = pathlib.Path(__file__).parent / "members"
 ARDRONE = {"namespace": "risc1", "template": "fluffy_II", "type": "ardrone", "start": {"position_m": [0.5, 0.2, 0]}}
-BALLOON_TYPE = str(MEMBERS / "vehicle_types/toy_balloon.yaml")
+BALLOON_TYPE = "toy_balloon"
 BALLOON = {"namespace": "risc2", "template": "Raven", "type": BALLOON_TYPE, "start": {"position_m": [-1, -1, 0]}}
 
 

@@ -40,6 +40,7 @@ from risc_experiments.workers import in_order
 from risc_lab.lab import load_templates, load_vehicle_type
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.states import S, States
+from risc_simulator.faults import Wires
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.models.radio_link import RadioLink
@@ -96,6 +97,7 @@ class Flight:
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
+    wire_faults: tuple = ()  # of WireFault, on cortex/stream and NAMESPACE/commands; what has no bytes is not corrupted
 
 
 class Result(NamedTuple):
@@ -146,9 +148,13 @@ def fly(flight):
     params = params_from_dict({"joystick_timeout": 0.0, **flight.node}, fleet.arena)[0]
     separation = Separation(names, params.limits, names)
     chains, loss = [], flight.loss
+    wires, arrived = Wires(flight.seed), []
+    stream = wires.wire("cortex/stream")
     for vehicle, fleet_vehicle, phase in zip(world.vehicles.values(), fleet.vehicles, phases):
         vehicle.fly_at(fleet_vehicle.start_position_m[:2] + (1.0,), fleet_vehicle.start_yaw_rad)
-        chains.append(_Chain(vehicle, phase, params))
+        chains.append(_Chain(vehicle, phase, params, wires))
+    for fault in flight.wire_faults:
+        wires.add(fault)
 
     everyone, nobody = np.ones(len(names), dtype=bool), np.zeros(len(names), dtype=bool)
     judged, times, references, truths = [], [], [], []
@@ -157,9 +163,21 @@ def fly(flight):
         time_s = frame * FRAME_S
         now_s = time_s + LATENCY_S
         world.step_to(time_s)
+        wires.release(now_s)
         seen = cameras.observe(time_s, world.layout, world.markers_m())
-        estimate = estimator.update(time_s, seen.layout, seen.markers_m)
+        if frame:
+            stream.carry(seen, None, now_s, lambda seen, *_: arrived.append(seen))
+        else:  # the first is never lost
+            arrived.append(seen)
+        hears = False
+        for seen in arrived:
+            update = estimator.update(seen.time_s, seen.layout, seen.markers_m)
+            if update is not None:
+                estimate, stamp_s, hears = update, seen.time_s, True
+        arrived.clear()
         states = States(estimate.visible[: len(names)], estimate.states[: len(names)])  # attached bodies come after
+        if not hears:
+            states = states._replace(visible=nobody.copy())
         if loss is not None and time_s >= settled_s + loss.after_s:
             if loss.what == "state":
                 states.visible[loss.vehicle] = False
@@ -175,17 +193,18 @@ def fly(flight):
         # what /trajectory carries: no jerk, no snap
         buffer.push(time_s, reference.derivatives[:3])
         flying = time_s >= WARM_UP_S
-        present, ahead = loop.pick(buffer.at(loop.times_s(time_s, now_s)))
-        output = loop.update(time_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
+        present, ahead = loop.pick(buffer.at(loop.times_s(stamp_s, now_s)))
+        if hears:
+            output = loop.update(stamp_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
         looks = {}
         if frame % TICK_EVERY == 0:
-            separation.see(estimate.names[: len(names)], states.visible, states.x, time_s)
+            separation.see(estimate.names[: len(names)], states.visible, states.x, stamp_s)
             separation.refer(estimate.names[: len(names)], _by_vehicle(reference.derivatives[:3]), time_s)
             looks = separation.look(now_s)
         looks = [looks.get(name, ALONE) for name in names]
-        step_chains(chains, frame, time_s, now_s, states, output.controls, looks)
+        step_chains(chains, frame, stamp_s, now_s, states, output.controls if hears else None, looks)
         if flying:
-            saturated += np.count_nonzero(output.saturated)
+            saturated += np.count_nonzero(output.saturated) if hears else 0
             if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
                 settled_s = time_s + SETTLE_S
             if frame % JUDGE_EVERY == 0:
@@ -248,7 +267,7 @@ def _outcome(flight):
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
 
-    def __init__(self, vehicle, phase, params=None):
+    def __init__(self, vehicle, phase, params=None, wires=None):
         """phase: of the radio's clock, a fraction.  params: VehicleNodeParams; None: the defaults, without joystick."""
         self._vehicle = vehicle
         self._type = vehicle.type
@@ -257,6 +276,7 @@ class _Chain:
         self.lost = None  # "controls" or "laptop"
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
+        self._wire = (wires or Wires()).wire("%s/commands" % vehicle.namespace)
 
     def press_autonomous(self, now_s):
         """The operator presses the button, and lets go."""
@@ -293,7 +313,10 @@ class _Chain:
         if orders.land:
             self._vehicle.schedule(now_s + self._vehicle.plant.command_delay_s, FlightAction.LAND)
         if orders.command is not None:
-            self._radio.submit(now_s, self._setpoint(orders.command[0]))
+            self._wire.carry(self._setpoint(orders.command[0]), None, now_s, self._submit)
+
+    def _submit(self, setpoint, _, now_s):
+        self._radio.submit(now_s, setpoint)
 
     def deliver(self, now_s):
         """Give the vehicle what the radio brings."""
@@ -320,8 +343,8 @@ def _by_vehicle(derivatives):
 def step_chains(chains, frame, stamp_s, now_s, states, controls, looks=None):
     """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
 
-    states: States at stamp_s.  controls: the controller's answer.  looks: `separation.Look` of each vehicle; None:
-    nobody is near.
+    states: States at stamp_s.  controls: the controller's answer; None: no frame has come.
+    looks: `separation.Look` of each vehicle; None: nobody is near.
     """
     ticks = frame % TICK_EVERY == 0
     commands = None
@@ -334,7 +357,7 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks=None):
         if ticks:
             chain.see(visible[i], x[i], stamp_s, now_s, frame, looks[i] if looks else ALONE)
         sends = now_s >= pilot.next_command_s
-        if (sends or ticks) and chain.lost is None:
+        if (sends or ticks) and chain.lost is None and controls is not None:
             if commands is None:
                 commands = list(zip(*[part.tolist() for part in controls]))
             own = Controls(*commands[i])

@@ -1,0 +1,51 @@
+"""docs/first_controller.md, done as it says: its files are written, its controller and its flight are valid."""
+
+import json
+import os
+import pathlib
+import re
+import shlex
+import subprocess
+import sys
+
+import pytest
+
+from risc_experiments import fly
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "first_controller.md").read_text(encoding="utf-8")
+FILES = dict(re.findall(r"`(my_lab/[\w/.]+)`:\n\n```\w+\n(.*?)```", PAGE, re.DOTALL))
+COMMANDS = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
+LIMIT_M = 0.05
+
+
+@pytest.fixture
+def reader(tmp_path, monkeypatch):
+    """A folder with the files of the page, and the environment that the page sets in it."""
+    for name, content in FILES.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content, encoding="utf-8")
+    name, value = re.search(r"^export (\w+)=\$PWD/(\w+)$", "\n".join(COMMANDS), re.MULTILINE).groups()
+    monkeypatch.setenv(name, str(tmp_path / value))
+    return tmp_path
+
+
+def test_the_controller_of_the_page_flies_offline(reader):
+    (command,) = [line for line in COMMANDS if "risc_experiments.offline" in line]
+    shell, option, python = shlex.split(command)[1:]
+    assert (shell, option) == ("shell", "-c")
+    figures = reader / "figures.json"
+    program, *arguments = shlex.split(python)
+    assert program == "python3"
+    subprocess.run([sys.executable, *arguments, "--json", str(figures)], cwd=str(reader), env=os.environ, check=True)
+    flights = json.loads(figures.read_text())["flights"]
+    assert flights and all(0.0 < rmse_m < LIMIT_M for flight in flights for rmse_m in flight["rmse_m"])
+
+
+def test_the_flight_of_the_page_has_valid_arguments(reader):
+    (command,) = [line for line in COMMANDS if line.startswith("./maap fly")]
+    args = fly.arguments(shlex.split(command)[2:])
+    assert {"controllers/%s.%s" % (args.controller, kind) for kind in ("py", "yaml")} == {
+        str(path.relative_to(reader / "my_lab")) for path in reader.rglob("my_*") if path.is_file()
+    }
