@@ -52,6 +52,7 @@ class Count:
     errors_px: list = field(default_factory=list)
     errors_guessed_px: list = field(default_factory=list)  # without the camera's calibration
     errors_deg: list = field(default_factory=list)
+    normalised: list = field(default_factory=list)  # squared errors over their covariances, 1 on average when right
 
     def row(self):
         """Figures as plain numbers; None where there is nothing to say."""
@@ -64,6 +65,8 @@ class Count:
             "error_p95_px": _percentile(self.errors_px, 95),
             "error_guessed_median_px": _percentile(self.errors_guessed_px, 50),
             "error_guessed_p95_px": _percentile(self.errors_guessed_px, 95),
+            "normalised_median": _percentile(self.normalised, 50),
+            "normalised_p95": _percentile(self.normalised, 95),
             "bearing_rms_deg": float(np.sqrt(np.mean(np.square(self.errors_deg)))) if self.errors_deg else None,
         }
 
@@ -137,6 +140,10 @@ class Judge:
                 math.degrees(azimuth - truth.azimuth_rad),
                 math.degrees(elevation - truth.elevation_rad),
             ]
+            if hit.covariance is not None:
+                xx, xy, yy = hit.covariance
+                error_px = np.array((hit.x - truth.centre_px[0], hit.y - truth.centre_px[1]))
+                count.normalised.append(error_px @ np.linalg.solve(((xx, xy), (xy, yy)), error_px) / 2.0)
         if other is not None:
             count.errors_guessed_px.append(math.hypot(other.x - truth.centre_px[0], other.y - truth.centre_px[1]))
 
@@ -275,6 +282,8 @@ def markdown(figures, pictures=None):
         "| centre error, median (p95), raw picture without calibration | | %s (%s) px |"
         % (_text(total["error_guessed_median_px"]), _text(total["error_guessed_p95_px"])),
         "| bearing error, RMS per axis | <= 0.1 deg | %s deg |" % _text(total["bearing_rms_deg"], "%.3f"),
+        "| squared error over its covariance, median (p95) | 0.69 (3.00) | %s (%s) |"
+        % (_text(total["normalised_median"]), _text(total["normalised_p95"])),
         "| time per picture, best of three, mean (p50, p95), one core | <= %.0f ms | %.2f (%.2f, %.2f) ms |"
         % (REQUIRED["ms_mean"], ms["mean"], ms["p50"], ms["p95"]),
         "| time with 0, 1, ... landmarks in view | | %s ms |"

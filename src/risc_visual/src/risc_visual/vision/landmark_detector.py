@@ -42,14 +42,16 @@ _FOREIGN = 0.7  # distance of a colour from the expected one / contrast of the e
 _WHOLE = 0.9  # share of the rays that meet the outline of a disc whose blob is good enough to start with
 _ARC_WHOLE = 0.8  # share of the outline that is measured of a disc that nothing hides
 _MISFIT_WHOLE = 0.2  # greatest misfit of a disc that nothing hides; beyond it, errors of the points go together
-_DOUBT = 4.0  # covariance of what is hidden in part / what its outline alone would say
+_DOUBT = 4.0  # covariance of what is hidden in part, or overexposed / what its outline alone would say
+_SATURATED = 250.0  # from which on the profile of an edge may be cut off at the top
 _OUTLIER_PX = 1.0  # what is farther from a rough outline is none of it
 _MISFIT_PX = 0.5  # that any outline may have
 _SCALE_TOLERANCE = 0.15  # of the ratio of both outlines
 
-# Light: deviations that are expected.
+# Slope of the light: deviations that are expected.
 _LIGHT_SLOPE = 0.0008  # [1/px] of its slope across the picture
 _LIGHT_NOISE = 0.03  # of one sample
+_LIGHT_FROM_PX = 12.0  # radius of the discs in which it is looked for: it moves smaller ones by 0.01 px at most
 
 # Where the centre of a disc is seen.
 _SIGMA_PX = 0.15  # of the middle of a measured outline
@@ -198,13 +200,14 @@ class LandmarkDetector:
         if vivid < limits.vivid_min:
             return None
         core, ring = np.array(core, dtype=np.float32), np.array(ring, dtype=np.float32)
-        pure = _sample_mask(masks[kind.centre], points[_RAYS:], limits.shrink)
-        size_px = math.sqrt(start.semi_major * start.semi_minor)
-        slopes = np.stack((
-            _slope_of_light(colours[_RAYS:], core, pure, self._rows[4 * _RAYS :], size_px),
-            _slope_of_light(colours[:_RAYS], ring, painted, self._rows[: 4 * _RAYS], size_px),
-        ), axis=1)  # fmt: skip
-        light = self._circle @ slopes
+        light = None
+        if start.semi_minor > _LIGHT_FROM_PX:
+            pure = _sample_mask(masks[kind.centre], points[_RAYS:], limits.shrink)
+            slopes = (
+                _slope_of_light(colours[_RAYS:], core, pure, self._rows[4 * _RAYS :], start.semi_minor),
+                _slope_of_light(colours[:_RAYS], ring, painted, self._rows[: 4 * _RAYS], start.semi_minor),
+            )
+            light = self._circle @ np.stack(slopes, axis=1)
         inner = self._centre_outline(bgr, start, core, ring, light)
         if inner is None or inner.arc < limits.arc_min or inner.misfit > 1.0:
             return None
@@ -234,7 +237,8 @@ class LandmarkDetector:
         width, height, angle = ellipse.rectangle()
         score = share * inner.arc * (1.0 - 0.5 * inner.misfit) * (1.0 if outer is not None else 0.8)
         partial = inside < 1.0 or inner.arc < _ARC_WHOLE or inner.misfit > _MISFIT_WHOLE
-        if covariance is not None and partial:
+        saturated = max(core.max(), ring.max()) > _SATURATED
+        if covariance is not None and (partial or saturated):
             doubt = _DOUBT * max(1.0, inner.misfit / _MISFIT_WHOLE) ** 4
             covariance = tuple(doubt * value for value in covariance)
         return Detection(kind.roi_name, x, y, width, height, angle, score, partial, ellipse, covariance)
@@ -308,7 +312,7 @@ class LandmarkDetector:
         """Where the colour changes from `inside` to `outside` between 1 - reach and 1 + reach times the ellipse.
 
         inside, outside: (3,) float32 BGR; None: what is beyond on each ray. light: (rays, 2) by which share it is
-        brighter there on each of both; with an outside.
+        brighter there on each of both; None: no difference.
         Returns points (rays, 2), whether they are good (rays,), whether the two colours differ (rays,) or ().
         """
         count = int(min(24, max(8, 1.6 * reach * (ellipse.semi_major + ellipse.semi_minor))))
@@ -330,8 +334,9 @@ class LandmarkDetector:
             square = contrast @ contrast
             weights = contrast / max(1.0, square)
             share = cv2.transform(colours, np.append(weights, -(outside @ weights))[None])
-            low, high = light[:, 1] * (outside @ weights), 1.0 + light[:, 0] * (inside @ weights)
-            share = (share - low[:, None]) / (high - low)[:, None]
+            if light is not None:
+                low, high = light[:, 1] * (outside @ weights), 1.0 + light[:, 0] * (inside @ weights)
+                share = (share - low[:, None]) / (high - low)[:, None]
         np.maximum(share, 0.0, out=share)
         np.minimum(share, 1.0, out=share)
         first, last, whole = (share @ averages).T
