@@ -79,6 +79,8 @@ class ControllerNode:
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
         if controller_class.RECONFIGURE:
             config = importlib.import_module("risc_control.cfg.%sConfig" % controller_class.RECONFIGURE)
+            for weight in set(config.defaults).intersection(field.name for field in fields(params)):
+                rospy.set_param("~" + weight, getattr(params, weight))  # else it begins with defaults of its own
             self._server = Server(config, self._on_reconfigure)
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
