@@ -145,5 +145,6 @@ class Link:
         from risc_lab.lab.vehicle_types import legacy_overrides
 
         values = rospy.get_param(driver, {})
-        own = values.get("vehicles", {}).get(self._prefix.strip("/"), {})
+        namespace = self.topic.split("/")[-2]  # also of a node inside its vehicle's group, which has no prefix
+        own = values.get("vehicles", {}).get(namespace, {})
         return legacy_overrides({**own, **values})  # as the driver does
