@@ -44,6 +44,7 @@ _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
 _REFERENCES_HZ = 20.0  # how often references are looked at
+_SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be another one, with other full scales
 _VEHICLES_A_TURN = 5  # that one message of the controller commands;
 _MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
 _OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
@@ -84,6 +85,7 @@ class VehicleNode:
         tick_hz = _TICKS_PER_COMMAND * max(rates_hz)
         self._tick_s = 1.0 / tick_hz
         self._streams = {}  # {sender of /controls: ControllerStream}
+        self._controllers_s = {}  # {the same: when it was heard last}
         self._heard = {}  # {topic: {sender: names of its messages}}
         self._complete = set()  # topics that have all vehicles
         self._answering, self._looking = threading.Lock(), threading.Lock()  # senders have threads of their own
@@ -136,6 +138,7 @@ class VehicleNode:
             stream = self._streams.get(who)
             if stream is None:
                 stream = self._streams[who] = ControllerStream(self._tick_s)
+            if _begins(who, self._controllers_s):
                 self._errands.put(lambda: self._compare(who))
             is_due = time.monotonic() >= _next_command_s(flown)
             answers = stream.answers(stamp_s, age_s, is_due)
@@ -230,7 +233,7 @@ class _Vehicle:
         self._prefix, self._is_alone, self._turn_s, self._do_later = prefix, is_alone, turn_s, do_later
         self._pilot = VehiclePilot(params, self._type, time.monotonic(), turn_s)
         self._disagreements = {}  # by who has other full scales
-        self._drivers = set()  # nodes that the vehicle's status came from
+        self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._lock = threading.Lock()
         self._counts = dict.fromkeys(("states", "controls", "commands", "unseen", "errors"), 0)
         self._reported = dict(self._counts)
@@ -294,8 +297,7 @@ class _Vehicle:
         self._report(orders)
 
     def _on_status(self, status, driver):
-        if driver not in self._drivers:
-            self._drivers.add(driver)
+        if _begins(driver, self._drivers_s):
             self._do_later(lambda: self.compare(self._link.driver_overrides(driver), "the driver " + driver))
         with self._lock:
             orders = self._pilot.on_status(status, time.monotonic())
@@ -306,7 +308,7 @@ class _Vehicle:
         """Somebody who commands the vehicle, too, or its driver has these; with others than ours nobody is obeyed."""
         text = disagreement(self.name, vars(self._type), full_scales, whose)
         if text:
-            rospy.logerr("%s. No autonomous flight until then", text)
+            rospy.logerr("%s. No autonomous flight until both agree", text)
         with self._lock:
             self._disagreements[whose] = text
             self._pilot.disagreement = next(filter(None, self._disagreements.values()), "")
@@ -458,6 +460,15 @@ def safety_message(verdict):
     message.age_s = math.nan if verdict.age_s is None else verdict.age_s
     message.limit_s = math.nan if verdict.limit_s is None else verdict.limit_s
     return message
+
+
+def _begins(who, heard_s):
+    """Whether somebody who is heard now is new, or was silent before. heard_s: {name: when}, which is brought up to
+    date.
+    """
+    now_s = time.monotonic()
+    before_s, heard_s[who] = heard_s.get(who, -math.inf), now_s
+    return now_s - before_s > _SILENCE_S
 
 
 def _next_command_s(flown):
