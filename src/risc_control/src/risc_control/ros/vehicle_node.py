@@ -1,6 +1,6 @@
 """The vehicle node: joystick, safety and input mapping of one vehicle, or of several (`risc_controller.py`, ...).
 
-Wiring only: what is decided is decided in `vehicle_pilot`, `joystick` and `safety`.
+Wiring only: what is decided is decided in `vehicle_pilot`, `joystick` and `failsafe`.
 """
 
 import math
@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import partial
 
 import genpy
-import rosgraph
 import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
@@ -201,8 +200,8 @@ class VehicleNode:
             errand = self._errands.get()
             try:
                 errand()
-            except (OSError, ValueError, rospy.ROSException, rosgraph.MasterException) as error:
-                rospy.logwarn_throttle(10.0, "parameter server: %s" % error)
+            except Exception as error:  # whatever it is, the next errand must come
+                rospy.logwarn_throttle(10.0, "parameter server: %s: %s" % (type(error).__name__, error))
 
     def _on_shutdown(self):
         """Level, and land when in the air: the vehicles' last orders."""
