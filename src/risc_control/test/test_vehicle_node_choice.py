@@ -10,18 +10,23 @@ from risc_lab.lab import generated_fleet  # noqa: E402
 FLEET = generated_fleet(3)
 
 
+def chosen(values, namespace=""):
+    """[(mocap template, type, prefix, whether it is the only one)]"""
+    return [(vehicle.template, vehicle.type, *others) for vehicle, *others in _chosen(values, namespace, FLEET)]
+
+
 def test_several_vehicles_by_their_namespaces():
     for names in ("risc1 risc3", ["risc1", "risc3"]):
-        assert _chosen({"vehicles": names}, "", FLEET) == [
+        assert chosen({"vehicles": names}) == [
             ("fluffy_II", "ardrone", "/risc1/", False),
             ("Raven", "ardrone", "/risc3/", False),
         ]
-    assert _chosen({"vehicles": "risc2"}, "", FLEET) == [("albatross", "ardrone", "/risc2/", True)]
+    assert chosen({"vehicles": "risc2"}) == [("albatross", "ardrone", "/risc2/", True)]
 
 
 def test_a_type_that_is_set_is_that_of_one_vehicle_and_of_several():
-    assert [kind for _, kind, _, _ in _chosen({"type": "other", "vehicles": "risc1 risc3"}, "", FLEET)] == ["other"] * 2
-    assert [kind for _, kind, _, _ in _chosen({"type": "other"}, "risc1", FLEET)] == ["other"]
+    assert [kind for _, kind, _, _ in chosen({"type": "other", "vehicles": "risc1 risc3"})] == ["other"] * 2
+    assert [kind for _, kind, _, _ in chosen({"type": "other"}, "risc1")] == ["other"]
 
 
 @pytest.mark.parametrize("names", ["risc1 risc9", "risc1 risc1"])
