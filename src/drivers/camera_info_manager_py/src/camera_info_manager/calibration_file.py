@@ -1,7 +1,7 @@
 """The YAML of a camera calibration, as camera_calibration and the camera drivers of ROS write and read it.
 
 risc_lab.lab.calibration reads the same files, more narrowly. It is not used here: this package stands in for one of
-ROS and works in workspaces without risc_control, which itself depends on drivers that need this one.
+ROS and works in workspaces without our own packages.
 """
 
 import math

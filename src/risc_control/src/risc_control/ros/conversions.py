@@ -74,7 +74,7 @@ class ControlsMessage:
         return message
 
     def fill(self, stamp, fractions, known):
-        """The message with these Fractions (arrays (n,)) of the vehicles that are known (n,) bool."""
+        """The message with these `vehicles.Controls` (arrays (n,)) of the vehicles that are known (n,) bool."""
         names = self._names
         if np.count_nonzero(known) < len(known):
             names = tuple(name for name, is_known in zip(names, known) if is_known)

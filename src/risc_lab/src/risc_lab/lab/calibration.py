@@ -1,7 +1,7 @@
 """Camera calibration files (the YAML of ROS' camera_info) and where a camera sits on its vehicle. Needs no ROS.
 
-camera_info_manager.calibration_file reads and writes the same files for the drivers. The two stay apart: drivers must
-do without this package, which depends on them, and this module without ROS.
+camera_info_manager.calibration_file reads and writes the same files for the drivers. The two stay apart: that
+package stands in for one of ROS and must do without ours, and this module without ROS.
 """
 
 import math
@@ -14,9 +14,7 @@ import yaml
 from risc_lab.lab.yaml_reader import Section, errors_of, load_yaml, package_file
 
 DISTORTION_MODEL = "plumb_bob"
-# What a bare file name means. That package depends on this one, so package.xml cannot name it here; those that load
-# calibrations by such names depend on it themselves.
-_FOLDER = "package://risc_lab/config/cameras/"
+_FOLDER = "package://risc_lab/config/cameras/"  # what a bare file name means
 
 
 @dataclass(frozen=True)
