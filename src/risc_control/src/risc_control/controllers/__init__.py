@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.reference_buffer import ORDERS, Axis, Order
+from risc_control.reference_buffer import Axis, Order
 from risc_control.vehicles import Command, Controls, ControlsConverter
 from risc_lab.registry import Registry
 from risc_lab.states import S, States
@@ -125,7 +125,7 @@ class ControlLoop:
         self._everyone = np.arange(len(vehicle_types))
         self.set_params(self.params)
         n = len(vehicle_types)  # load what is compiled, by an update in which no vehicle is seen
-        none, nowhere = np.zeros(n, dtype=bool), np.zeros((ORDERS, n, len(Axis)))
+        none, nowhere = np.zeros(n, dtype=bool), np.zeros((self.controller.ORDER + 1, n, len(Axis)))
         self.update(0.0, 0.0, States(none, np.zeros((n, len(S)))), nowhere, nowhere, none, none)
         self.controller.reset()
 
