@@ -351,7 +351,8 @@ class VehiclePilot:
         self._ended = True
         orders = Orders()
         orders.land = True
-        self._send(CENTRED, 0.0, orders, now_s)
+        level = CENTRED if self._adapter.HOLDS_POSITION else self._adapter.move(0.0, 0.0, 0.0, self._state)
+        self._send(level, 0.0, orders, now_s)
         return orders
 
     def needs_landing(self, now_s):
