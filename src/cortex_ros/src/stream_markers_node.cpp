@@ -39,7 +39,7 @@ int main(int argc, char** argv) {
   ros::NodeHandle node;  // outlives the try block: with the last node handle the logging ends too
   try {
     cortex_ros::Parameters parameters = read_parameters(argc, argv);
-    const cortex_ros::MocapPublisher publisher(node, parameters);
+    cortex_ros::MocapPublisher publisher(node, parameters);  // not const: its threads change it
     ros::spin();
     return 0;
   } catch (const std::exception& error) {

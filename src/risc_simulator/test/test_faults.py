@@ -56,6 +56,14 @@ def test_jitter_is_uniform_and_lets_datagrams_overtake():
     assert [data for _, _, data in arrived] != DATAGRAMS
 
 
+def test_corrupt_leaves_alone_what_has_no_bytes():
+    """Offline flights let frames and setpoints pass as they are."""
+    wires = Wires(1)
+    wire = wires.wire("risc1/commands")
+    wires.add(WireFault("corrupt", "*", 1.0))
+    assert wire.carry((1.0, 2.0), None, 0.0, lambda data, *_: data) == (1.0, 2.0)
+
+
 def test_duplicate_sends_its_share_twice():
     arrived = [data for _, _, data in carry(WireFault("duplicate", "*", 0.3))]
     assert len(arrived) / len(DATAGRAMS) == pytest.approx(1.3, abs=0.03)

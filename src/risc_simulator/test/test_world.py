@@ -57,6 +57,27 @@ def test_stands_still_until_told():
     assert start[0][0].tolist() == [0.5, 0.0, REST_HEIGHT_M]
 
 
+def test_what_on_board_logic_decides_counts_without_a_new_phase(monkeypatch):
+    """E.g. a type that gives up a command after a time, or whose rotors turn before it is told to take off."""
+    world = make_world()
+    vehicle, woken_s = world.vehicles["risc1"], []
+
+    def apply(action, time_s, vertical_motion):
+        vehicle.firmware.wake_s, vehicle.firmware.lifted = time_s + 0.4, True
+
+    def wake(time_s, vertical_motion):
+        woken_s.append(time_s)
+        vehicle.firmware.wake_s = np.inf
+
+    monkeypatch.setattr(vehicle.firmware, "apply", apply)
+    monkeypatch.setattr(vehicle.firmware, "wake", wake)
+    vehicle.schedule(0.1, Setpoint())
+    world.step_to(0.45)
+    assert world._lifted[0]
+    world.step_to(1.0)
+    assert woken_s == pytest.approx([0.5])
+
+
 def test_take_off_hover_land():
     world = make_world(seed=3, perturbed=True)
     vehicle = world.vehicles["risc1"]

@@ -335,19 +335,19 @@ class World:
         while self._agenda and self._agenda[0][0] <= time_s:
             _, _, i, action = heapq.heappop(self._agenda)
             firmware = self._vehicles[i].firmware
-            phase = firmware.phase
+            before = _decided(firmware)
             firmware.apply(action, time_s, self._motions[i])
             command = firmware.tell()
             if command is not None:
                 self._commands[i] = command
-            if firmware.phase is not phase:
+            if _decided(firmware) != before:
                 self._take_over(i)
 
     def _check_batteries(self, time_s):
         for i, vehicle in enumerate(self._vehicles):
-            phase = vehicle.firmware.phase
+            before = _decided(vehicle.firmware)
             vehicle.firmware.check_battery(time_s)
-            if vehicle.firmware.phase is not phase:
+            if _decided(vehicle.firmware) != before:
                 self._take_over(i)
 
     def _wake(self, time_s):
@@ -536,6 +536,11 @@ def _tell_truth(x, slope, lifted, rows):
             rows[i, 3 + j] = moves * sign * slope[X.P_N + j, i]
             rows[i, 6 + j] = x[X.PHI + j, i]
             rows[i, 9 + j] = moves * slope[X.PHI + j, i]
+
+
+def _decided(firmware):
+    """What World._take_over has to bring into the arrays when it changes, beside the command."""
+    return firmware.phase, firmware.motors_on, firmware.lifted, firmware.wake_s
 
 
 def _motor_pwm(firmware, thrust_fraction):

@@ -1,9 +1,9 @@
-"""With this probability one byte of a datagram, anywhere in it, is another one."""
+"""With this probability one byte of a datagram, anywhere in it, is another one. What has no bytes stays as it is."""
 
 
 def make(severity, rng):
     def act(datagram, now_s):
-        if datagram and rng.random() < severity:
+        if isinstance(datagram, bytes) and datagram and rng.random() < severity:
             datagram = bytearray(datagram)
             datagram[rng.integers(len(datagram))] ^= int(rng.integers(1, 256))
             datagram = bytes(datagram)
