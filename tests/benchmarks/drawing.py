@@ -81,7 +81,7 @@ def programs(names):
     landmarks, paths_of = load_landmarks(), TrajectoryParams()
     scene = CortexDrawing(CortexParams(), fleet, load_templates(), landmarks)
     trail_params = TrailParams(paths_of.actual_s, paths_of.step_m, paths_of.jump_m, paths_of.gap_s)
-    paths = PathDrawing("quad_line", markers.RED[:3], trail_params, paths_of.rate_hz, Index(names))
+    paths = PathDrawing("quad_line", markers.RED[:3], markers.FLOWN_M, trail_params, paths_of.rate_hz, Index(names))
     rays_of, styles = AngleParams(), RayStyles(RayParams(), landmarks, [(name,) for name in names])
     index = Index(kind.roi_name for kind in landmarks.landmarks)
 

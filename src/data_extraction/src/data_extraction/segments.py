@@ -118,17 +118,21 @@ def full_scales_deg(params, fleet_vehicles=()):
     """
     override = params.euler_angle_max if params.euler_angle_max > 0.0 else None
 
-    def scale(kind, with_gains):
+    def scale(kind, with_gains, overrides=()):
         if kind == IRIS:
             angle_rad = override or IRIS_EULER_ANGLE_MAX_RAD
             return math.degrees(angle_rad), math.degrees(angle_rad)
-        vehicle_type = load_vehicle_type(kind, {"tilt_max_rad": override} if override else {})
+        limit = {"tilt_max_rad": override} if override else {}
+        vehicle_type = load_vehicle_type(kind, {**dict(overrides), **limit})
         if not with_gains:
             return -math.degrees(vehicle_type.tilt_max_rad), -math.degrees(vehicle_type.tilt_max_rad)
         unit = adapter_class(vehicle_type).units(vehicle_type)
         return math.degrees(unit.roll_rad), math.degrees(unit.pitch_rad)
 
-    of_fleet = {vehicle.template: scale(params.vehicle_type or vehicle.type, True) for vehicle in fleet_vehicles}
+    of_fleet = {
+        vehicle.template: scale(params.vehicle_type or vehicle.type, True, vehicle.overrides)
+        for vehicle in fleet_vehicles
+    }
     return of_fleet, scale(params.vehicle_type or "ardrone", False)
 
 

@@ -44,8 +44,10 @@ def holders_of_port(port, kind="udp"):
 
 def users_of_port(port, kind="udp", matters=lambda holder: True):
     """Programs other than this one that hold a port, for people; [] when there are none. matters: of a PortHolder."""
-    names = set()
-    for holder in filter(matters, holders_of_port(port, kind)):
+    names, holders = set(), list(filter(matters, holders_of_port(port, kind)))
+    if any(holder.pid is None for holder in holders):  # perhaps another check of ours opened it while we looked
+        holders = filter(matters, holders_of_port(port, kind))
+    for holder in holders:
         if holder.pid is None:
             names.add("a program of another user (sudo ss -lnptu tells which)")
         elif holder.pid != os.getpid():

@@ -11,7 +11,7 @@ from data_extraction.report.collector import ReportCollector
 from data_extraction.report.origin import read_beside
 from risc_experiments.headroom import want_of_time
 from risc_experiments.judge import Limits, judge
-from risc_lab.lab import load_fleet, load_vehicle_type
+from risc_lab.lab import load_fleet
 from risc_simulator.models.mocap_cameras import CameraParams
 
 WITH_CAMERAS = ("coop",)  # experiments that have to measure bearings
@@ -103,8 +103,8 @@ def _extract(folder, progress, interrupted):
 
 def simulation_model(args, folder):
     """What the virtual lab simulated, for `summary.json`: its noise, delay and plant."""
-    type_name = load_fleet(folder / "fleet.yaml").vehicles[0].type
-    delay_s = load_vehicle_type(type_name).command_delay_s if args.delay is None else args.delay
+    first = load_fleet(folder / "fleet.yaml").vehicles[0].vehicle_type
+    delay_s = first.command_delay_s if args.delay is None else args.delay
     return {
         "plant": "ideal" if args.ideal else "perturbed",
         "gusts": args.gusts,

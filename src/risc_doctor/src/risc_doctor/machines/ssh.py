@@ -109,7 +109,7 @@ def known_host_keys():
     """The host keys that roslaunch believes, as paramiko.HostKeys."""
     keys = paramiko.HostKeys()
     for path in ("/etc/ssh/ssh_known_hosts", os.path.expanduser("~/.ssh/known_hosts")):
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, ValueError, paramiko.hostkeys.InvalidHostKey):  # roslaunch complains of those
             keys.load(path)
     return keys
 

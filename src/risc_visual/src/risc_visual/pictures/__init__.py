@@ -1,1 +1,1 @@
-"""Pictures for papers and lab reports: rviz without a screen, the course's plots."""
+"""Pictures for papers and lab reports: rviz without a screen."""

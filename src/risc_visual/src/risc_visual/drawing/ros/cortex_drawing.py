@@ -38,7 +38,7 @@ class CortexDrawing:
         poses = poses_from_cortex(msg)
         views = self._cast.views([pose for pose in poses if pose.name not in self._tips])
         found = markers.vehicle_markers(head, views, self._lifetime_s)
-        labels = markers.vehicle_labels(head, views, self._label_alpha, self._lifetime_s, self._rungs_at(now_s))
+        labels = markers.vehicle_labels(head, views, self._label_alpha, self._lifetime_s, self._levels_at(now_s))
         for tip in poses:
             if tip.name in self._tips and tip.visible:
                 foot_m = rod_foot(tip.position_m, [view for view in views if not view.lost])
@@ -90,7 +90,7 @@ class CortexDrawing:
         """Line of text: charge of a vehicle's battery."""
         return markers.battery_marker(head, line, name, percent, self._text_lifetime_s)
 
-    def _rungs_at(self, now_s):
+    def _levels_at(self, now_s):
         """dict name -> level of the vehicles that still speak: what a vehicle said last is not true for ever."""
         with self._lock:
             said = dict(self._levels)
