@@ -47,5 +47,5 @@ def test_the_flight_of_the_page_has_valid_arguments(reader):
     (command,) = [line for line in COMMANDS if line.startswith("./maap fly")]
     args = fly.arguments(shlex.split(command)[2:])
     assert {"controllers/%s.%s" % (args.controller, kind) for kind in ("py", "yaml")} == {
-        str(path.relative_to(reader / "my_lab")) for path in reader.rglob("my_*") if path.is_file()
+        str(path.relative_to(reader / "my_lab")) for path in reader.rglob("my_*") if path.suffix in (".py", ".yaml")
     }

@@ -54,3 +54,11 @@ def test_wrong_names_say_what_is_there(registry, tmp_path, monkeypatch):
     (tmp_path / "mine" / "shapes" / "circle.py").touch()
     with pytest.raises(ValueError, match="circle is there twice"):
         registry.names()
+
+
+@pytest.mark.parametrize("text", ["import no_such_module\n", "def broken(:\n"])
+def test_a_member_that_cannot_be_imported_is_one_error_that_names_it(registry, tmp_path, monkeypatch, text):
+    monkeypatch.setenv(MEMBERS_VARIABLE, str(tmp_path / "mine"))
+    (tmp_path / "mine" / "shapes" / "square.py").write_text(text)
+    with pytest.raises(ValueError, match="shapes: square cannot be imported"):
+        registry.module("square")

@@ -126,7 +126,7 @@ def check_templates(situation):
 
 
 def judge_templates(fleet, templates, bodies):
-    """Findings. bodies: of the host (cortex_wire.BodyDef)."""
+    """Findings. bodies: of the host (cortex_ros.wire.BodyDef)."""
     say, findings = "templates", []
     announced = {body.name: len(body.marker_names) for body in bodies}
     needed = [(vehicle.template, vehicle.namespace, "vehicle") for vehicle in fleet.vehicles]

@@ -47,7 +47,10 @@ class Registry:
         if name not in known:
             raise ValueError("unknown name '%s' among the %s; known are: %s" % (name, self.kind, ", ".join(known)))
         importlib.invalidate_caches()  # files may be younger than the last look at their folder
-        return importlib.import_module("%s.%s" % (self._package.__name__, name))
+        try:
+            return importlib.import_module("%s.%s" % (self._package.__name__, name))
+        except (ImportError, SyntaxError) as error:
+            raise ValueError("%s: %s cannot be imported: %s" % (self.kind, name, error)) from error
 
     def settings(self, name, settings_class=None):
         """Content of the member's YAML file; with a dataclass of numbers as an instance of it. Raises ValueError."""

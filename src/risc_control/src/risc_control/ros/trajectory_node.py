@@ -25,7 +25,6 @@ from risc_control.trajectories import (
 )
 from risc_control.trajectory_manager import TrajectoryManager, make_manager
 from risc_control.transitions import WayLimits, plan_ways
-from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.ros.clock import SteadyClock
 from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
@@ -269,7 +268,7 @@ def check_course(course, fleet_vehicles):
         rospy.logwarn(
             "on '%s' %d vehicles come within %.2f m of each other", course.name, len(fleet_vehicles), closest_m
         )
-    limit_rad_s = min(load_vehicle_type(vehicle.type).yaw_rate_max_rad_s for vehicle in fleet_vehicles)
+    limit_rad_s = min(vehicle.vehicle_type.yaw_rate_max_rad_s for vehicle in fleet_vehicles)
     rate_rad_s = peak_yaw_rate_rad_s(course)
     if rate_rad_s > limit_rad_s:
         rospy.logwarn(

@@ -73,11 +73,14 @@ class Wires:
     def add(self, fault):
         """Let a WireFault act on the wires that its channel means. Raises ValueError when there are none."""
         wires = self._meant(fault.channel)
+        make = getattr(REGISTRY.module(fault.fault), "make", None)
+        if make is None:
+            raise ValueError("fault %s: its module has no make(severity, rng)" % fault.fault)
         for wire in wires:
             key = crc32(wire.channel.encode()), crc32(fault.fault.encode()), wire.added[fault.fault]
             wire.added[fault.fault] += 1
             rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
-            act = REGISTRY.module(fault.fault).make(fault.severity, rng)
+            act = make(fault.severity, rng)
             wire.acting = (*wire.acting, (fault.start_s, fault.start_s + fault.duration_s, act))
 
     def clear(self, channel="*"):
