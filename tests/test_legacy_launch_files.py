@@ -44,7 +44,7 @@ DRIVER = {"outdoor": 0, "flight_without_shell": 0, "altitude_max": 3000, "altitu
           "enemy_without_shell": 0}  # fmt: skip
 JOYSTICK = {"JoytoWay": 0, "ButtonEmergency": 2, "TakeoffLand": 6, "Up": 9, "Down": 10, "ShutDownNode": 7,
             "AxisRoll": 6, "AxisPitch": 7, "AxisYaw": 3, "ScaleRoll": 3, "ScalePitch": 3, "ScaleYaw": 1, "ScaleZ": 1,
-            "Simulation": False, "delay": 0.3}  # fmt: skip
+            "Simulation": False, "delay": -1}  # fmt: skip  # the type's 0.3 s
 FULL_SCALE = dict(JOYSTICK, ScaleRoll=1, ScalePitch=1)
 COARSE = dict(JOYSTICK, AxisRoll=0, AxisPitch=1, AxisYaw=3, ScaleRoll=10, ScalePitch=10)
 OF_2014 = dict(COARSE, JoytoWay=1, ButtonEmergency=0, TakeoffLand=8, Up=10, Down=11, ShutDownNode=9, AxisYaw=2)
@@ -86,7 +86,6 @@ def on_one_computer(*vehicles):
             for name, value in part.items():
                 found[re.sub("^/%s/(ardrone_driver|joystick_controller)" % vehicle, r"/\1", name)] = value
     both[1].pop("/joystick_controller/euler_angle_max")
-    both[1]["/joystick_controller/delay"] = -1  # both are the type's
     return both
 
 
