@@ -208,8 +208,8 @@ def bearings(statistics, title):
     figure, (cloud, bars) = plt.subplots(
         1, 2, figsize=(10.5, max(4.6, 1.6 + 0.3 * len(rows))), width_ratios=(1.0, 1.15), layout="constrained"
     )
-    text = "bearings against %s (fully seen, stamps less %.0f ms)" % (statistics.truth, 1e3 * statistics.delay_s)
-    figure.suptitle(_joined(title, text))
+    earlier = ", stamps less %.0f ms" % (1e3 * statistics.delay_s) if statistics.delay_s else ""
+    figure.suptitle(_joined(title, "bearings against %s (fully seen%s)" % (statistics.truth, earlier)))
     colours = dict(zip(sorted(statistics.vehicles), _colours()))
     errors_deg = np.vstack([target.judged_deg for _, target, _ in rows])
     reach_deg = max(0.15, 1.3 * np.percentile(np.abs(errors_deg), 98.0))
@@ -235,8 +235,9 @@ def bearings(statistics, title):
         paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}
         bars.text(wide + 0.03 * widest, place, text, va="center", fontsize=7, bbox=paper)
     bars.set_yticks(places, ["%s: %s" % (vehicle, target.name) for vehicle, target, _ in rows])
-    bars.axvline(0.1, color="#333333", lw=0.9)
-    bars.set(xlabel="RMS error [deg]    (dark: azimuth, light: elevation; line: 0.1 deg)", xlim=(0.0, 1.55 * widest))
+    bars.axvline(0.1, color="#333333", lw=0.9)  # outside, when all are well below it
+    line = "; line: 0.1 deg" if 1.55 * widest > 0.1 else ""
+    bars.set(xlabel="RMS error [deg]    (dark: azimuth, light: elevation%s)" % line, xlim=(0.0, 1.55 * widest))
     bars.set_axisbelow(True)
     bars.grid(axis="y", visible=False)
     return figure

@@ -1,6 +1,8 @@
 """Makes states.npz: what the estimator made of a seeded flight before it was compiled.
 
-Run with the estimator of commit 6d2d503 (numpy; `update` took a dict of bodies):  python3 make_states.py
+Run with the estimator of commit 6d2d503 (numpy; `update` took a dict of bodies; its modules have other names):
+
+    python3 make_states.py
 
 Recorded at 200 Hz with 2 mm of noise, on a grid of 0.1 mm: three vehicles from the start, a fourth and the tip of a
 pendulum later, four landmarks, and everything that makes a frame irregular (SCRIPT below). Keys:
