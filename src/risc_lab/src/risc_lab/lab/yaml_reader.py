@@ -4,10 +4,11 @@ import contextlib
 import os
 import pathlib
 import re
-from dataclasses import MISSING, fields
 
 import numpy as np
 import yaml
+
+from risc_lab.settings import settings_from
 
 MEMBERS_VARIABLE = "RISC_MAAP_MEMBERS"  # of the environment: folders of members from elsewhere, see risc_lab.registry
 
@@ -159,18 +160,8 @@ class Section:
         return [Section(item, "%s, %s[%d]" % (self.where, key, i)) for i, item in enumerate(value)]
 
     def settings(self, settings_class):
-        """An instance of a dataclass of float, int, bool and str with the values of this mapping.
-
-        Keys that are absent have the class' own defaults; without one they are required.
-        """
-        readers = {float: self.number, int: self.whole, bool: self.flag, str: self.text}
-        values = {
-            item.name: readers[item.type](item.name, None if item.default is MISSING else item.default)
-            for item in fields(settings_class)
-        }
-        self.done()
-        with errors_of(self.where):
-            return settings_class(**values)
+        """This mapping as an instance of a dataclass, see `risc_lab.settings`. Raises ValueError."""
+        return settings_from(settings_class, self._content, self.where)
 
     def keys(self):
         """Names of all keys, in the order of the file."""

@@ -12,6 +12,7 @@ import rospy
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import fleet_from_dict, laboratory_vehicles
 from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS, legacy_overrides, load_vehicle_type
+from risc_lab.settings import settings_from
 
 _ELSEWHERE = frozenset(("diagnostic_period", "full_scales"))  # for diagnostic_updater, and from controllers to others
 _asked = set()  # private parameters that this process has asked for
@@ -49,17 +50,14 @@ def load_params(*classes, known=()):
 def params_from_dict(classes, values):
     """Fill dataclasses from one flat dict: returns (list of instances, sorted names of unknown keys).
 
-    A key that is absent leaves the default. Raises ValueError naming the key for a value of the wrong type, or
-    what the dataclass itself raises for one out of range.
+    A key that is absent leaves the default. Raises ValueError naming the key, see `risc_lab.settings`.
     """
-    known = set(_ELSEWHERE)
-    instances = []
-    for params_class in classes:
-        defaults = {item.name: item.default for item in fields(params_class)}
-        known.update(defaults)
-        chosen = {key: _converted(key, values[key], defaults[key]) for key in defaults if key in values}
-        instances.append(params_class(**chosen))
-    return instances, sorted(set(values) - known)
+    names = [{item.name for item in fields(kind)} for kind in classes]
+    instances = [
+        settings_from(kind, {key: values[key] for key in known if key in values}, "parameters")
+        for kind, known in zip(classes, names, strict=True)
+    ]
+    return instances, sorted(set(values) - _ELSEWHERE.union(*names))
 
 
 def known_fleet():
@@ -86,26 +84,6 @@ def _warn(unknown):
             "unknown parameter %s is ignored: check its spelling against the package's README and config folder",
             rospy.resolve_name("~" + name),
         )
-
-
-def _converted(key, value, default):
-    if isinstance(default, tuple):
-        if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
-            return tuple(value)
-        wanted = "a list of names"
-    elif isinstance(default, (bool, str)):
-        if isinstance(value, type(default)):
-            return value
-        wanted = "true or false" if isinstance(default, bool) else "a text"
-    elif isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        wanted = "a number"
-    elif isinstance(default, float):
-        return float(value)
-    elif value == int(value):
-        return int(value)
-    else:
-        wanted = "a whole number"
-    raise ValueError("parameter '%s' must be %s, got %r" % (key, wanted, value))
 
 
 def number(name, default):

@@ -1,0 +1,120 @@
+"""Settings as dataclasses: a class says once what there is to set, of which type, within which limits, by default what.
+
+    @dataclass(frozen=True)
+    class ArrowParams(Settings):
+        rate_hz: Positive = 25.0
+        alpha: Fraction = 0.8
+        vehicles: tuple[str, ...] = ()
+
+    settings_from(ArrowParams, {"rate_hz": 10}, "parameters of draw_arrows")
+
+The content of a file, of the parameter server or of a command line goes through `settings_from`, which takes nothing of
+the wrong type, outside of its limits or misspelt; fields that are dataclasses themselves are nested mappings. What is
+made in a program has its limits checked as well. Each problem is one ValueError that names the key.
+"""
+
+import functools
+import math
+import re
+import typing
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+Positive = typing.Annotated[float, Meta(gt=0.0)]
+NotNegative = typing.Annotated[float, Meta(ge=0.0)]
+Fraction = typing.Annotated[float, Meta(ge=0.0, le=1.0)]
+Count = typing.Annotated[int, Meta(ge=0)]
+Port = typing.Annotated[int, Meta(ge=1, le=65535)]
+Name = typing.Annotated[str, Meta(min_length=1)]
+
+
+def between(least, greatest):
+    """Type of a number within limits, both allowed; whole numbers when the limits are."""
+    return typing.Annotated[type(least), Meta(ge=least, le=greatest)]
+
+
+_WORDS = {  # msgspec's, in those of a YAML file
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a mapping",
+    "null": "nothing",
+}
+
+
+class Settings:
+    """Base of dataclasses of settings: types and limits hold also for instances that a program makes.
+
+    A class with conditions between its fields checks them in its own __post_init__, after super().__post_init__().
+    """
+
+    def __post_init__(self):
+        for key, hint in _hints(type(self)).items():
+            value = _convert(getattr(self, key), hint, "", key)
+            object.__setattr__(self, key, value)  # a whole number for a float, a list for a tuple
+
+
+def settings_from(kind, values, where=""):
+    """An instance of a dataclass from a mapping; a key that is absent leaves the default, without one it is required.
+
+    where: what the values are, e.g. the path of their file; begins each error.  Raises ValueError.
+    """
+    _refuse(kind, values, where, "")
+    return _convert(values, kind, where)
+
+
+def _refuse(hint, values, where, path):
+    """Raises ValueError for numbers that are not finite, and for keys that the dataclass, or one within it, has not."""
+    if isinstance(values, float) and not math.isfinite(values):
+        raise ValueError(_said(where, path, "must be finite, found %r" % values))
+    if isinstance(values, (list, tuple)):
+        for i, item in enumerate(values):
+            _refuse(hint, item, where, "%s[%d]" % (path, i))
+    kind = next((kind for kind in (hint, *typing.get_args(hint)) if is_dataclass(kind)), None)
+    if kind is not None and isinstance(values, Mapping):
+        known = _hints(kind)
+        unknown = sorted(str(key) for key in values if key not in known)
+        if unknown:
+            text = "unknown key(s) %s; known are %s" % (", ".join(unknown), ", ".join(sorted(known)))
+            raise ValueError(_said(where, "", "%s%s" % (path and path.lstrip(".") + ": ", text)))
+        for key, value in values.items():
+            _refuse(known[key], value, where, "%s.%s" % (path, key))
+
+
+def _convert(value, hint, where, key=""):
+    try:
+        return msgspec.convert(value.item() if isinstance(value, np.generic) else value, hint, from_attributes=True)
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, ValueError):  # of a class' own __post_init__
+            raise ValueError(_said(where, "", str(error.__cause__))) from None
+        text, _, path = str(error).partition(" - at `$")
+        path = path.rstrip("`")
+        missing = re.fullmatch("Object missing required field `(.*)`", text)
+        if missing:
+            raise ValueError(_said(where, "%s%s.%s" % (key, path, missing[1]), "is missing")) from None
+        wanted = re.sub(r"`(\w+)`", lambda word: _WORDS.get(word[1], word[1]), text.partition(", got")[0])
+        found = ", found %r" % (_at(value, path),)
+        raise ValueError(_said(where, key + path, wanted.replace("Expected", "must be") + found)) from None
+
+
+def _said(where, key, text):
+    return ": ".join(part for part in (where, "'%s' %s" % (key.lstrip("."), text) if key else text) if part)
+
+
+def _at(value, path):
+    """What stands at a path as msgspec writes it, e.g. ".vehicles[0].name"."""
+    for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", path):
+        value = value[name] if name else value[int(index)]
+    return value
+
+
+@functools.cache
+def _hints(kind):
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return {item.name: hints[item.name] for item in fields(kind)}

@@ -1,0 +1,63 @@
+"""Settings: what a dataclass says of its fields is what a file may hold."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from risc_lab.settings import Name, Positive, Settings, between, settings_from
+
+
+@dataclass(frozen=True)
+class _Wheel(Settings):
+    name: Name
+    radius_m: Positive = 0.1
+    spokes: between(0, 100) = 3
+    life_s: float = math.inf
+    marks: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.radius_m > 5.0:
+            raise ValueError("a wheel of %g m is too large" % self.radius_m)
+
+
+@dataclass(frozen=True)
+class _Cart(Settings):
+    wheels: tuple[_Wheel, ...]
+    spare: _Wheel | None = None
+
+
+def test_values_take_the_types_of_their_fields():
+    cart = settings_from(_Cart, {"wheels": [{"name": "left", "radius_m": 1, "marks": ["a"]}]}, "cart.yaml")
+    assert cart == _Cart((_Wheel("left", 1.0, 3, math.inf, ("a",)),), None)
+    assert _Wheel("left", np.float64(2.0), marks=["a"]) == _Wheel("left", 2.0, marks=("a",))
+
+
+@pytest.mark.parametrize(
+    ("wheel", "said"),
+    [
+        ({"name": "left", "radius_m": -1}, r"cart.yaml: 'wheels\[0\].radius_m' must be a number > 0.0, found -1"),
+        ({"name": "left", "radius_m": "large"}, r"'wheels\[0\].radius_m' must be a number, found 'large'"),
+        ({"name": "left", "radius_m": True}, "a number, found True"),
+        ({"name": "left", "radius_m": math.nan}, "finite, found nan"),
+        ({"name": "left", "life_s": math.inf}, "finite, found inf"),
+        ({"name": "left", "spokes": 2.5}, "a whole number, found 2.5"),
+        ({"name": "left", "spokes": 101}, "a whole number <= 100, found 101"),
+        ({"name": ""}, "a text of length >= 1, found ''"),
+        ({"name": "left", "marks": "a"}, "a list, found 'a'"),
+        ({"name": "left", "radius": 1.0}, r"cart.yaml: wheels\[0\]: unknown key\(s\) radius; known are life_s, "),
+        ({"name": "left", "radius_m": 6.0}, "cart.yaml: a wheel of 6 m is too large"),
+        ({}, r"'wheels\[0\].name' is missing"),
+        (3, r"'wheels\[0\]' must be a mapping, found 3"),
+    ],
+)
+def test_what_is_wrong_is_named(wheel, said):
+    with pytest.raises(ValueError, match=said):
+        settings_from(_Cart, {"wheels": [wheel]}, "cart.yaml")
+
+
+def test_limits_hold_for_what_a_program_makes():
+    with pytest.raises(ValueError, match="'radius_m' must be a number > 0.0, found -1"):
+        replace(_Wheel("left"), radius_m=-1.0)
