@@ -63,7 +63,7 @@ class LongBag:
         with self._writer:
             for topic, (kind, _) in laps.items():
                 self._connect(topic, kind)
-            self._connect("/mocap_time", "sensor_msgs/msg/TimeReference")
+            self._connect("/mocap_time", "risc_maap_msgs/msg/MocapTime")
             self._connect("/trajectory_phase", phases)
             self._connect("/angles", "risc_msgs/msg/Observed_angles")
             self._connect(PICTURE_TOPIC, "sensor_msgs/msg/Image")
@@ -104,10 +104,10 @@ class LongBag:
         return bytes(self._store.serialize_ros1(message, kind))
 
     def _time(self, stamp_ns, number):
-        """TimeReference of one frame: received 3 ms after its exposure."""
-        kind = "sensor_msgs/msg/TimeReference"
+        """MocapTime of one frame: received 3 ms after its exposure."""
+        kind = "risc_maap_msgs/msg/MocapTime"
         received = self._store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns + 3_000_000, 10**9))
-        raw = bytearray(self._raw(kind, self._new(kind, time_ref=received, source="%d" % number)))
+        raw = bytearray(self._raw(kind, self._new(kind, receipt=received, frame=number, delay=0.003, filtered=True)))
         _STAMP.pack_into(raw, _STAMP_AT, *divmod(stamp_ns, 10**9))
         return raw
 

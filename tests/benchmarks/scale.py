@@ -106,13 +106,13 @@ def graph(vehicles, seconds, folder):
 def estimation(bodies, seconds, folder):
     """Figures of motion capture and estimation alone."""
     import rospy
-    from sensor_msgs.msg import TimeReference
 
     from risc_experiments.processor_use import ProcessorUse
     from risc_lab.lab import generated_fleet
     from risc_lab.ros import low_latency
     from risc_lab.ros.fleet_messages import CortexArrays
     from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
+    from risc_maap_msgs.msg import MocapTime
 
     reservation, port = PortReservation(), free_tcp_port()
     fleet = _of_five_markers(replace(generated_fleet(bodies), landmarks=())).in_subnet(reservation.subnet)
@@ -126,14 +126,14 @@ def estimation(bodies, seconds, folder):
         sent, states, seen = [], [], CortexArrays()  # of (stamp, receipt) [ns]
 
         def on_time(message):
-            sent.append((message.header.stamp.to_nsec(), message.time_ref.to_nsec()))
+            sent.append((message.header.stamp.to_nsec(), message.receipt.to_nsec()))
 
         def on_states(message):
             now_ns = time.time_ns()
             estimate = seen.deserialize(message.buff)
             states.append((estimate.header.stamp.to_nsec(), now_ns, int(estimate.visible.sum())))
 
-        rospy.Subscriber("/mocap_time", TimeReference, on_time, tcp_nodelay=True)
+        rospy.Subscriber("/mocap_time", MocapTime, on_time, tcp_nodelay=True)
         rospy.Subscriber("/cortex_raw", CortexArrays.Raw, on_states, buff_size=2**22, tcp_nodelay=True)
         _wait(lambda: len(states) > RATE_HZ, launch)
         time.sleep(SETTLE_S)

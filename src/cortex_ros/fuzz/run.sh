@@ -33,7 +33,7 @@ flags=(-std=c++17 -g -O2 -fno-omit-frame-pointer -Wall -Wextra -I "$package/incl
 sanitizers=address,undefined,float-cast-overflow
 "$compiler" "${flags[@]}" "$package"/fuzz/make_corpus.cpp "$package"/{src/protocol,test/encode}.cpp -o "$build/make_corpus"
 "$compiler" "${flags[@]}" -fsanitize=fuzzer,$sanitizers -fno-sanitize-recover=all \
-  "$package"/fuzz/fuzz_protocol.cpp "$package"/{src/protocol,src/json,test/encode}.cpp -o "$build/fuzz_protocol"
+  "$package"/fuzz/fuzz_protocol.cpp "$package"/{src/protocol,test/encode}.cpp -o "$build/fuzz_protocol"
 
 "$build/make_corpus" "$build/seeds"
 cp "$package"/test/golden/*.bin "$build/seeds/"

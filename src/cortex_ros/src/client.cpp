@@ -1,11 +1,8 @@
 #include "cortex_ros/client.hpp"
 
 #include <poll.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <stdexcept>
 #include <utility>
 
@@ -25,25 +22,6 @@ constexpr double kMinFrameRateHz = 1.0;
 constexpr double kMaxFrameRateHz = 10000.0;
 constexpr double kMinMillimetresPerUnit = 1e-3;  // a micrometre
 constexpr double kMaxMillimetresPerUnit = 1e6;   // a kilometre
-
-Address resolve_or_any(const std::string& name) {
-  return name.empty() ? Address() : resolve(name);
-}
-
-FileDescriptor open_event() {
-  FileDescriptor fd(eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC));
-  if (fd.get() < 0) {
-    throw NetworkError("cannot create an eventfd", errno);
-  }
-  return fd;
-}
-
-void require_host(const char* option, const std::string& text) {
-  if (!text.empty() && !is_well_formed_host(text)) {
-    throw std::invalid_argument(std::string(option) + " '" + text +
-                                "' is neither a dotted quad nor a host name");
-  }
-}
 
 // The number in a reply if it lies in [least, most]; a NaN does not.
 std::optional<double> number_within(const GeneralReply* reply, double least, double most) {
@@ -85,15 +63,13 @@ Client::Client(ClientOptions options, ClientEvents& events, const Clock& clock)
     : options_(std::move(options)),
       events_(events),
       clock_(clock),
-      wake_(open_event()),
-      requests_({options_.request_timeout, RequestQueue::Timing().settle}),
+      requests_(options_.request_timeout, options_.request_tries),
       search_began_(clock.monotonic()),
       hello_interval_(options_.hello_interval),
       next_hello_(search_began_) {
-  require_host("host", options_.host);
-  require_host("local address", options_.local_address);
+  boost::system::error_code error;
   if (!options_.stream_group.empty() &&
-      !is_multicast(parse_address(options_.stream_group).value_or(Address()))) {
+      !boost::asio::ip::make_address_v4(options_.stream_group, error).is_multicast()) {
     throw std::invalid_argument("stream group " + options_.stream_group +
                                 " is not a multicast address (224.0.0.0/4)");
   }
@@ -113,13 +89,6 @@ void Client::run() {
   }
 }
 
-void Client::stop() noexcept {
-  stop_ = true;
-  const std::uint64_t one = 1;
-  // A full counter, the only way to fail, wakes just as well.
-  [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof one);
-}
-
 void Client::step(Time max_wait) {
   // What has arrived is read before anything is sent: an answer on the way cannot be taken for one
   // to a later request.
@@ -130,11 +99,7 @@ void Client::step(Time max_wait) {
     receive(*stream_, Channel::kStream);
   }
   tick();
-  wait(max_wait);
-}
-
-void Client::request(const std::string& text, std::function<void(const Packet*)> done) {
-  requests_.push(GeneralRequest{text}, options_.request_tries, std::move(done));
+  wait(std::min(max_wait, time_to_next_event(clock_.monotonic())));
 }
 
 Statistics Client::statistics() const {
@@ -160,72 +125,59 @@ void Client::receive(UdpSocket& socket, Channel channel) {
 bool Client::is_from_host(const Endpoint& source, Channel channel) const {
   if (host_) {
     // The stream comes from a port of the host's choice, answers come from the port that we ask.
-    return channel == Channel::kStream ? source.address == host_->address : source == *host_;
+    return channel == Channel::kStream ? source.address() == host_->address() : source == *host_;
   }
   // While searching: the host may answer from another port than the one we called, and is remembered with it.
   if (discovering()) {
     return channel == Channel::kCommand;
   }
-  return configured_host_ && source.address == *configured_host_;
+  return configured_host_ && source.address() == *configured_host_;
 }
 
 void Client::handle(const Datagram& datagram, Channel channel) {
+  std::optional<Packet> packet;
+  std::string fault;
+  try {
+    if (datagram.truncated) {
+      throw ProtocolError("datagram longer than " + std::to_string(datagram.size) + " bytes was truncated");
+    }
+    packet = decode(datagram.data, datagram.size);
+  } catch (const ProtocolError& error) {
+    fault = error.what();
+  }
   if (!is_from_host(datagram.source, channel)) {
     update_statistics([](Statistics& s) { ++s.foreign; });
-    hint_at_other_host(datagram, channel);
+    if (packet) {
+      hint_at_other_host(*packet, datagram.source, channel);
+    }
     return;
   }
   last_heard_ = clock_.monotonic();
-  if (datagram.truncated) {
-    refuse("datagram longer than " + std::to_string(datagram.size) + " bytes was truncated");
-    return;
-  }
-  std::optional<Packet> packet;
-  try {
-    packet = decode(datagram.data, datagram.size);
-  } catch (const ProtocolError& error) {
-    refuse(error.what());
-    return;
-  }
-  if (host_) {
+  if (!packet) {
+    update_statistics([](Statistics& s) { ++s.malformed; });
+    events_.on_malformed(fault);
+  } else if (host_) {
     dispatch(*packet, datagram, channel);
   } else {
     dispatch_while_searching(*packet, datagram, channel);
   }
 }
 
-void Client::refuse(const std::string& what) {
-  update_statistics([](Statistics& s) { ++s.malformed; });
-  events_.on_malformed(what);
-}
-
 // Two mistakes that an answer from another address explains: a host with two interfaces that answers from the
 // one that we did not call, and a second host on the network where we took whichever answered first.
-void Client::hint_at_other_host(const Datagram& datagram, Channel channel) {
-  const bool window =
-      discovering() ? host_ && clock_.monotonic() - found_at_ <= options_.search_patience : !host_;
-  if (!window || channel != Channel::kCommand || datagram.truncated) {
+void Client::hint_at_other_host(const Packet& packet, const Endpoint& source, Channel channel) {
+  const auto* here = std::get_if<HereIAm>(&packet);
+  if (channel != Channel::kCommand || here == nullptr) {
     return;
   }
-  const Endpoint& source = datagram.source;
-  try {
-    const Packet packet = decode(datagram.data, datagram.size);
-    const auto* here = std::get_if<HereIAm>(&packet);
-    if (here == nullptr) {
-      return;
-    }
-    if (!discovering()) {
-      hint_once(source.address, "a Cortex host answers from " + to_string(source) +
-                                    ", not from the configured host " + target() +
-                                    ": set the parameter 'host' to " + to_string(source.address));
-    } else if (here->identity.version[0] == kCortexProgramId && source.address != host_->address) {
-      hint_once(source.address, "more than one Cortex host, or one with two addresses, answers the search: " +
-                                    to_string(*host_) + " was first and is used, " + to_string(source) +
-                                    " is not: set the parameter 'host' to the right one");
-    }
-  } catch (const ProtocolError&) {
-    // Not from the host, and already counted as foreign.
-    return;
+  if (!discovering() && !host_) {
+    hint_once(source, "a Cortex host answers from " + to_string(source) + ", not from the configured host " +
+                          target() + ": set the parameter 'host' to " + source.address().to_string());
+  } else if (discovering() && host_ && clock_.monotonic() - found_at_ <= options_.search_patience &&
+             here->identity.version[0] == kCortexProgramId && source.address() != host_->address()) {
+    hint_once(source, "more than one Cortex host, or one with two addresses, answers the search: " +
+                          to_string(*host_) + " was first and is used, " + to_string(source) +
+                          " is not: set the parameter 'host' to the right one");
   }
 }
 
@@ -233,10 +185,10 @@ void Client::handle_answer_to_hello(const Identity& identity, const Endpoint& so
   // Other programs speak the protocol, too. A host that the user has named may be any of them.
   if (discovering() && identity.version[0] != kCortexProgramId) {
     update_statistics([](Statistics& s) { ++s.foreign; });
-    hint_once(source.address, "program '" + identity.name + "' at " + to_string(source) +
-                                  " answers the search but is not Cortex (program number " +
-                                  std::to_string(identity.version[0]) +
-                                  "): ignored. To use it, set the parameter 'host' to its address");
+    hint_once(source, "program '" + identity.name + "' at " + to_string(source) +
+                          " answers the search but is not Cortex (program number " +
+                          std::to_string(identity.version[0]) +
+                          "): ignored. To use it, set the parameter 'host' to its address");
     return;
   }
   connect(source, identity);
@@ -250,7 +202,7 @@ void Client::dispatch_while_searching(const Packet& packet, const Datagram& data
   } else if (const auto* frame = std::get_if<FrameOfData>(&packet)) {
     // It streams already, so it is there; whether it answers will be seen.
     if (command_) {
-      connect({datagram.source.address, options_.command_port}, Identity());
+      connect({datagram.source.address(), options_.command_port}, Identity());
     }
     handle_frame(*frame, datagram, channel);
   } else if (std::holds_alternative<HereIAm>(packet) || std::holds_alternative<HelloWorld>(packet)) {
@@ -260,12 +212,15 @@ void Client::dispatch_while_searching(const Packet& packet, const Datagram& data
 
 void Client::dispatch(const Packet& packet, const Datagram& datagram, Channel channel) {
   const Time now = clock_.monotonic();
-  const bool requested = channel == Channel::kCommand && requests_.offer(packet, now);
-  const bool answer = requested || (channel == Channel::kCommand && polls_.offer(packet, now));
+  bool answer = channel == Channel::kCommand && requests_.offer(packet, now);
+  const bool unrecognized = std::holds_alternative<UnrecognizedCommand>(packet);
+  if (channel == Channel::kCommand && polled_at_ && !answer &&
+      (unrecognized || std::holds_alternative<FrameOfData>(packet))) {
+    polled_at_.reset();
+    answer = true;
+  }
   if (const auto* frame = std::get_if<FrameOfData>(&packet)) {
-    if (!requested) {  // the answer to a text request may hold base poses, not markers
-      handle_frame(*frame, datagram, channel);
-    }
+    handle_frame(*frame, datagram, channel);
   } else if (const auto* comment = std::get_if<Comment>(&packet)) {
     events_.on_comment(comment->text);
   } else if (const auto* hello = std::get_if<HelloWorld>(&packet)) {
@@ -306,23 +261,18 @@ void Client::handle_frame(const FrameOfData& frame, const Datagram& datagram, Ch
     update_statistics([](Statistics& s) { ++s.early; });
     return;
   }
-  hand_on(frame, datagram, feed);
-  // After the frame: logging may be slow.
-  if (!frame.faults.empty()) {
-    update_statistics([&](Statistics& s) { s.faulty_items += frame.faults.size(); });
-    events_.on_malformed("frame " + std::to_string(frame.frame) + ": " + frame.faults.front());
-  }
-}
-
-void Client::hand_on(const FrameOfData& frame, const Datagram& datagram, Feed feed) {
   if (feed == Feed::kPoll && newest_ == frame.frame) {
     ++polls_without_news_;
     return;
   }
   polls_without_news_ = 0;
   newest_ = frame.frame;
-  const bool kernel = options_.kernel_timestamps && datagram.kernel_time;
-  events_.on_frame({frame, kernel ? *datagram.kernel_time : clock_.wall(), feed});
+  events_.on_frame({frame, datagram.kernel_time.value_or(clock_.wall()), feed});
+  // After the frame: logging may be slow.
+  if (!frame.faults.empty()) {
+    update_statistics([&](Statistics& s) { s.faulty_items += frame.faults.size(); });
+    events_.on_malformed("frame " + std::to_string(frame.frame) + ": " + frame.faults.front());
+  }
 }
 
 // ---- connection
@@ -339,21 +289,21 @@ void Client::report_once(const std::string& problem) {
 }
 
 // Only the address tells senders apart: ports and texts are theirs to choose.
-void Client::hint_once(Address about, const std::string& hint) {
-  if (hinted_.size() < kMaxReports && hinted_.insert(about.network_order).second) {
+void Client::hint_once(const Endpoint& about, const std::string& hint) {
+  if (hinted_.size() < kMaxReports && hinted_.insert(about.address()).second) {
     events_.on_problem(hint);
   }
 }
 
 void Client::send_hello(Time now) {
-  const Bytes hello = encode(HelloWorld{options_.identity});
+  const Bytes hello = encode_hello(options_.identity);
   next_probe_ = now + options_.probe_interval;
   if (host_) {
     command_->send(hello, *host_);
   } else if (configured_host_) {
     command_->send(hello, {*configured_host_, options_.command_port});
   } else {
-    for (Address address : broadcast_addresses(local_)) {
+    for (const Address& address : broadcast_addresses(local_)) {
       command_->send(hello, {address, options_.command_port});
     }
   }
@@ -368,12 +318,12 @@ bool Client::ready_to_search() {
       configured_host_ = resolve(options_.host);
     }
     if (!command_) {
-      local_ = resolve_or_any(options_.local_address);
+      local_ = options_.local_address.empty() ? Address() : resolve(options_.local_address);
       command_.emplace(Endpoint{local_, 0}, UdpSocket::Share::kNo);
     }
   } catch (const NetworkError& error) {
     obstacle = error.what();
-    if (error.error_number() == EADDRNOTAVAIL) {
+    if (error.code() == boost::system::errc::address_not_available) {
       obstacle += ". To fix it, give this computer's network card that address, or correct 'local_address'";
     }
   }
@@ -401,7 +351,7 @@ void Client::search(Time now) {
 }
 
 void Client::connect(const Endpoint& host, const Identity& identity) {
-  const bool known = set_up_host_ && *set_up_host_ == host.address;
+  const bool known = set_up_host_ == host.address();
   const Time now = clock_.monotonic();
   if (!known) {
     set_up_host_.reset();
@@ -415,7 +365,10 @@ void Client::connect(const Endpoint& host, const Identity& identity) {
     ++s.connects;
     s.host = to_string(host);
   });
-  prepare_stream();
+  open_stream_socket();
+  if (stream_ && !options_.stream_group.empty()) {
+    join_group();
+  }
   newest_.reset();
   requests_.clear();
   begin_setup();
@@ -428,9 +381,10 @@ void Client::connect(const Endpoint& host, const Identity& identity) {
 }
 
 void Client::ask(const std::string& text, std::function<void(const GeneralReply*)> done) {
-  request(text, [done = std::move(done)](const Packet* answer) {
-    done(answer == nullptr ? nullptr : std::get_if<GeneralReply>(answer));
-  });
+  requests_.push(RequestQueue::Kind::kText, encode_text_request(text),
+                 [done = std::move(done)](const Packet* answer) {
+                   done(answer == nullptr ? nullptr : std::get_if<GeneralReply>(answer));
+                 });
 }
 
 // LiveMode comes last: by then everything is known that is needed to read the first frame. No answer, or none
@@ -450,11 +404,12 @@ void Client::begin_setup() {
   ask("GetContextFrameRate", [this, learn](const GeneralReply* reply) {
     learn(info_.frame_rate_hz, number_within(reply, kMinFrameRateHz, kMaxFrameRateHz));
   });
-  requests_.push(RequestBodyDefs(), options_.request_tries, [this](const Packet* answer) {
-    if (const auto* defs = answer == nullptr ? nullptr : std::get_if<BodyDefs>(answer)) {
-      info_.body_defs = *defs;
-    }
-  });
+  requests_.push(RequestQueue::Kind::kBodyDefs, encode_request(Command::kRequestBodyDefs),
+                 [this](const Packet* answer) {
+                   if (const auto* defs = answer == nullptr ? nullptr : std::get_if<BodyDefs>(answer)) {
+                     info_.bodies = defs->bodies;
+                   }
+                 });
   if (options_.live_on_start) {
     ask("LiveMode", [this](const GeneralReply* reply) { info_.live_mode_accepted = reply != nullptr; });
   }
@@ -462,7 +417,7 @@ void Client::begin_setup() {
 
 void Client::finish_setup() {
   setting_up_ = false;
-  set_up_host_ = host_->address;
+  set_up_host_ = host_->address();
   if (phase_ != Phase::kRunning) {
     start_running();
   }
@@ -490,7 +445,7 @@ void Client::lose_host() {
   phase_ = Phase::kSearching;
   setting_up_ = false;
   requests_.clear();
-  polls_.clear();
+  polled_at_.reset();
   search_began_ = now;
   next_hello_ = now;
   hello_interval_ = options_.hello_interval;
@@ -514,7 +469,7 @@ void Client::open_stream_socket() {
     stream_.emplace(Endpoint{Address(), options_.stream_port}, UdpSocket::Share::kYes);
   } catch (const NetworkError& error) {
     const std::string fix =
-        error.error_number() == EACCES
+        error.code() == boost::system::errc::permission_denied
             ? "configure a stream port above 1023 here and at the host, or grant the program "
               "CAP_NET_BIND_SERVICE "
               "(setcap cap_net_bind_service=+ep), or lower net.ipv4.ip_unprivileged_port_start"
@@ -524,26 +479,16 @@ void Client::open_stream_socket() {
 }
 
 void Client::join_group() {
-  if (options_.stream_group.empty()) {
-    return;
-  }
   // Without a configured interface take the one that leads to the host: the route for the group, which the
   // kernel would use, is often another one or missing.
   try {
     const Address interface =
-        local_.any() ? source_address_towards(host_->address).value_or(Address()) : local_;
-    stream_->join(*parse_address(options_.stream_group), interface);
+        local_.is_unspecified() ? source_address_towards(host_->address().to_v4()) : local_;
+    stream_->join(boost::asio::ip::make_address_v4(options_.stream_group), interface);
   } catch (const NetworkError& error) {
     report_once(
         std::string("no multicast stream: ") + error.what() +
         ". To fix it, set the parameter 'local_address' to this computer's address on the host's network");
-  }
-}
-
-void Client::prepare_stream() {
-  open_stream_socket();
-  if (stream_) {
-    join_group();
   }
 }
 
@@ -560,7 +505,7 @@ void Client::tick() {
     choose_feed(now);
     poll_if_due(now);
   }
-  flush_requests(now);
+  flush(requests_, now);
   if (setting_up_ && requests_.idle()) {
     finish_setup();
   }
@@ -596,29 +541,24 @@ Time Client::poll_period() const {
 }
 
 void Client::poll_if_due(Time now) {
-  if (feed_ != Feed::kPoll || now < next_poll_ || !polls_.idle()) {
+  if (polled_at_ && now - *polled_at_ >= options_.poll_timeout) {
+    polled_at_.reset();
+    update_statistics([](Statistics& s) { ++s.poll_timeouts; });
+  }
+  if (feed_ != Feed::kPoll || now < next_poll_ || polled_at_) {
     return;
   }
   next_poll_ += poll_period();
   if (next_poll_ <= now) {
     next_poll_ = now + poll_period();
   }
-  polls_.push(RequestFrame(), 1, options_.poll_timeout, [this](const Packet* answer) {
-    if (answer == nullptr) {
-      update_statistics([](Statistics& s) { ++s.poll_timeouts; });
-    }
-  });
+  polled_at_ = now;
+  command_->send(encode_request(Command::kRequestFrame), *host_);
 }
 
-void Client::flush_requests(Time now) {
-  for (RequestQueue* queue : {&polls_, &requests_}) {
-    while (host_) {
-      const std::optional<Bytes> packet = queue->update(now);
-      if (!packet) {
-        break;
-      }
-      command_->send(*packet, *host_);
-    }
+void Client::flush(RequestQueue& requests, Time now) {
+  while (const std::optional<Bytes> packet = requests.update(now)) {
+    command_->send(*packet, *host_);
   }
 }
 
@@ -628,35 +568,31 @@ Time Client::time_to_next_event(Time now) const {
     next = std::min(next, next_hello_);
   } else {
     next = std::min(next, requests_.next_event().value_or(next));
-    const bool polling = phase_ == Phase::kRunning && feed_ == Feed::kPoll;
-    next = std::min(next, polls_.next_event().value_or(polling ? next_poll_ : next));
+    if (polled_at_) {
+      next = std::min(next, *polled_at_ + options_.poll_timeout);
+    } else if (phase_ == Phase::kRunning && feed_ == Feed::kPoll) {
+      next = std::min(next, next_poll_);
+    }
   }
   return std::max(next - now, Time{0});
 }
 
-void Client::wait(Time max_wait) {
-  const Time time = std::min(max_wait, time_to_next_event(clock_.monotonic()));
+void Client::wait(Time time) {
   const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(time);
   const timespec timeout{static_cast<time_t>(seconds.count()), static_cast<long>((time - seconds).count())};
   // poll() passes over an entry with a negative descriptor.
-  pollfd waiting[] = {{wake_.get(), POLLIN, 0},
-                      {command_ ? command_->fd() : -1, POLLIN, 0},
-                      {stream_ ? stream_->fd() : -1, POLLIN, 0}};
+  pollfd waiting[] = {{command_ ? command_->fd() : -1, POLLIN, 0}, {stream_ ? stream_->fd() : -1, POLLIN, 0}};
   ppoll(waiting, std::size(waiting), &timeout, nullptr);
 }
 
 void Client::pause_host() {
-  requests_.clear();
-  polls_.clear();
-  requests_.push(GeneralRequest{"Pause"}, kPauseTries, kPauseTimeout, nullptr);
+  RequestQueue pause(kPauseTimeout, kPauseTries);
+  pause.push(RequestQueue::Kind::kText, encode_text_request("Pause"), nullptr);
+  std::swap(requests_, pause);
   while (!requests_.idle()) {
     receive(*command_, Channel::kCommand);
-    const Time now = clock_.monotonic();
-    flush_requests(now);
-    // Not wait(): stop() has woken that one for good.
-    pollfd waiting{command_->fd(), POLLIN, 0};
-    const timespec timeout{0, Time(std::chrono::milliseconds(10)).count()};
-    ppoll(&waiting, 1, &timeout, nullptr);
+    flush(requests_, clock_.monotonic());
+    wait(std::chrono::milliseconds(10));
   }
 }
 

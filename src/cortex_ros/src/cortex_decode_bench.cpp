@@ -20,15 +20,14 @@ cortex_ros::Bytes large_frame() {
   cortex_ros::FrameOfData frame;
   frame.frame = 123456;
   for (int i = 0; i < kBodies; ++i) {
-    cortex_ros::Body body;
-    body.name = "vehicle_number_" + std::to_string(i);
+    cortex_ros::Body body{"vehicle_number_" + std::to_string(i), {}};
     for (int k = 0; k < kMarkers; ++k) {
       const auto offset = static_cast<float>(i * kMarkers + k);
       body.markers.push_back({1000.5f + offset, -2000.25f - offset, 1500.0f + offset});
     }
     frame.bodies.push_back(body);
   }
-  frame.delay = cortex_ros::DelaySection{0, 0.003f};
+  frame.delay_s = 0.003f;
   return cortex_ros::encode(frame);
 }
 
@@ -54,7 +53,7 @@ int main(int argc, char** argv) {
   std::size_t bodies = 0;  // used below, so that the work cannot be optimised away
   for (long i = -kWarmUp; i < iterations; ++i) {
     const auto start = Clock::now();
-    const cortex_ros::Packet packet = cortex_ros::decode(bytes);
+    const cortex_ros::Packet packet = cortex_ros::decode(bytes.data(), bytes.size());
     const auto end = Clock::now();
     bodies += std::get<cortex_ros::FrameOfData>(packet).bodies.size();
     if (i >= 0) {

@@ -1,8 +1,10 @@
 #include "cortex_ros/mocap_publisher.hpp"
 
 #include <risc_maap_msgs/MocapStatus.h>
-#include <sensor_msgs/TimeReference.h>
+#include <risc_maap_msgs/MocapTime.h>
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 #include <stdexcept>
 #include <vector>
@@ -26,32 +28,51 @@ ros::console::Level to_ros_level(LogLevel level) {
 
 }  // namespace
 
-MocapPublisher::Settings MocapPublisher::read_settings(Parameters& parameters) {
-  Settings settings;
-  double diagnostic_period_s = 1.0;  // belongs to diagnostic_updater, which reads it itself
-  parameters.read("source", settings.source);
-  parameters.read("max_delay", settings.max_delay_s);
-  parameters.read("missing_as_nan", settings.missing_as_nan);
-  parameters.read("filter_stamps", settings.filter_stamps);
-  parameters.read("frame_id", settings.frame_id);
-  parameters.read("diagnostic_period", diagnostic_period_s);
-  if (!(settings.max_delay_s >= 0.0 && settings.max_delay_s <= kMaxMaxDelayS)) {
-    throw std::invalid_argument("parameter max_delay must be from 0 to 10 s");
+void fill_markers(const MocapFrame& frame, bool missing_as_nan, risc_msgs::Mocap_data& out) {
+  out.Obj.resize(frame.bodies.size());
+  for (std::size_t i = 0; i < frame.bodies.size(); ++i) {
+    const MocapBody& body = frame.bodies[i];
+    risc_msgs::Mocap_markers& object = out.Obj[i];
+    object.name = body.name;
+    object.residual = body.residual_m;
+    object.marker.resize(body.markers.size());
+    for (std::size_t k = 0; k < body.markers.size(); ++k) {
+      const bool legacy = !missing_as_nan && std::isnan(body.markers[k].x);
+      const Position position =
+          legacy ? Position{kLegacyMissingM, kLegacyMissingM, kLegacyMissingM} : body.markers[k];
+      object.marker[k].x = position.x;
+      object.marker[k].y = position.y;
+      object.marker[k].z = position.z;
+    }
   }
-  return settings;
+}
+
+ros::Time to_ros_time(Time wall) {
+  ros::Time stamp;
+  stamp.fromNSec(static_cast<std::uint64_t>(std::max(wall, Time{0}).count()));
+  return stamp;
 }
 
 MocapPublisher::MocapPublisher(ros::NodeHandle& node, Parameters& parameters)
-    : settings_(read_settings(parameters)),
-      markers_(node.advertise<risc_msgs::Mocap_data>("mocap_data", kQueueSize)),
-      time_(node.advertise<sensor_msgs::TimeReference>("mocap_time", kQueueSize)),
-      status_(node.advertise<risc_maap_msgs::MocapStatus>("mocap_status", kQueueSize)),
-      source_(make_source(settings_.source, parameters, *this, clock_)) {
+    : markers_(node.advertise<risc_msgs::Mocap_data>("mocap_data", kQueueSize)),
+      time_(node.advertise<risc_maap_msgs::MocapTime>("mocap_time", kQueueSize)),
+      status_(node.advertise<risc_maap_msgs::MocapStatus>("mocap_status", kQueueSize)) {
+  double diagnostic_period_s = 1.0;  // belongs to diagnostic_updater, which reads it itself
+  parameters.read("diagnostic_period", diagnostic_period_s);
+  parameters.read("source", source_name_);
+  parameters.read("max_delay", max_delay_s_);
+  parameters.read("missing_as_nan", missing_as_nan_);
+  parameters.read("filter_stamps", filter_stamps_);
+  parameters.read("frame_id", frame_id_);
+  if (!(max_delay_s_ >= 0.0 && max_delay_s_ <= kMaxMaxDelayS)) {
+    throw std::invalid_argument("parameter max_delay must be from 0 to 10 s");
+  }
+  source_ = make_source(source_name_, parameters, *this, clock_);
   for (const std::string& key : parameters.unread()) {
     ROS_WARN("parameter %s is unknown to stream_markers with source '%s' and has no effect", key.c_str(),
-             settings_.source.c_str());
+             source_name_.c_str());
   }
-  diagnostics_.setHardwareID(settings_.source + " " + source_->status().host);
+  diagnostics_.setHardwareID(source_name_ + " " + source_->status().host);
   diagnostics_.add("mocap stream", this, &MocapPublisher::diagnose);
   diagnostics_timer_ = node.createWallTimer(
       ros::WallDuration(1.0), [this](const ros::WallTimerEvent&) { diagnostics_.force_update(); });
@@ -83,39 +104,37 @@ void MocapPublisher::on_frame(const MocapFrame& frame) {
   if (!is_new(frame) || refused_) {
     return;
   }
-  const Time delay = from_seconds(believed_delay_s(frame.delay_s, settings_.max_delay_s));
+  const Time delay = from_seconds(believed_delay_s(frame.delay_s, max_delay_s_));
   const Time exposure = stamps_.stamp(frame.number, frame.receipt, delay);
-  publish(frame, exposure);
+  const auto markers = boost::make_shared<risc_msgs::Mocap_data>();
+  markers->header.stamp = to_ros_time(exposure);
+  markers->header.frame_id = frame_id_;
+  fill_markers(frame, missing_as_nan_, *markers);
+  markers_.publish(markers);
+
+  const auto time = boost::make_shared<risc_maap_msgs::MocapTime>();
+  time->header = markers->header;
+  time->frame = frame.number;
+  time->receipt = to_ros_time(frame.receipt);
+  time->delay = to_seconds(delay);
+  time->filtered = stamps_.locked();
+  time_.publish(time);
+
   const std::lock_guard<std::mutex> lock(health_mutex_);
   health_.reported_delay_s = to_seconds(delay);
   health_.stamp_correction_s = to_seconds(frame.receipt - delay - exposure);
   health_.stamps_filtered = stamps_.locked();
 }
 
-void MocapPublisher::publish(const MocapFrame& frame, Time exposure) {
-  const auto markers = boost::make_shared<risc_msgs::Mocap_data>();
-  markers->header.stamp = to_ros_time(exposure);
-  markers->header.frame_id = settings_.frame_id;
-  fill_markers(frame, settings_.missing_as_nan ? MissingMarkers::kNan : MissingMarkers::kLegacyValue,
-               *markers);
-  markers_.publish(markers);
-
-  const auto time = boost::make_shared<sensor_msgs::TimeReference>();
-  time->header = markers->header;
-  time->time_ref = to_ros_time(frame.receipt);
-  time->source = std::to_string(frame.number);
-  time_.publish(time);
-}
-
 void MocapPublisher::on_host_up(const MocapHost& host) {
-  const bool filter = settings_.filter_stamps && host.frame_rate_hz > 0.0;
+  const bool filter = filter_stamps_ && host.frame_rate_hz > 0.0;
   stamps_.set_period(filter ? from_seconds(1.0 / host.frame_rate_hz) : Time{0});
   if (is_up_) {
     // This thread receives the frames: packets that anyone can send must not keep it busy with logging.
     on_frequent_log(LogLevel::kInfo, "the host's settings were read again: " + host.description);
   } else {
     on_log(LogLevel::kInfo,
-           settings_.source + " host " + (was_down_ ? "is back: " : "found: ") + host.description);
+           source_name_ + " host " + (was_down_ ? "is back: " : "found: ") + host.description);
   }
   is_up_ = true;
   was_down_ = false;
@@ -142,7 +161,7 @@ void MocapPublisher::on_host_down(const std::string& why) {
   is_up_ = false;
   was_down_ = true;
   sequence_.reset();
-  on_log(LogLevel::kError, settings_.source + " host is down: " + why + ". Still trying.");
+  on_log(LogLevel::kError, source_name_ + " host is down: " + why + ". Still trying.");
 }
 
 void MocapPublisher::on_log(LogLevel level, const std::string& text) {

@@ -1,10 +1,11 @@
 #include "cortex_ros/protocol.hpp"
 
 #include <algorithm>
+#include <boost/endian/conversion.hpp>
 #include <cmath>
 #include <cstring>
 #include <limits>
-#include <utility>
+#include <sstream>
 
 namespace cortex_ros {
 namespace {
@@ -15,30 +16,20 @@ constexpr std::size_t kMarkerBytes = 12;
 constexpr std::size_t kSegmentBytes = 56;
 constexpr std::size_t kForceBytes = 28;
 constexpr std::size_t kAnalogBytes = 2;
-constexpr std::size_t kEncoderBytes = 8;
-constexpr std::size_t kMinNameBytes = 1;        // the NUL
-constexpr std::size_t kMinSegmentDefBytes = 5;  // empty name, parent
-constexpr std::size_t kMinBodyBytes = 13;       // empty name, three counts
+constexpr std::size_t kMinBodyBytes = 13;    // empty name, three counts
 constexpr std::size_t kQuietSpareBytes = 4;  // this many left-over bytes or fewer end a frame without a fault
 constexpr std::size_t kNoLimit = std::numeric_limits<std::size_t>::max();
 
-// The wire is little-endian whatever the machine is. Compilers turn this into a single load.
 template <typename Number>
 Number load(const std::uint8_t* p) {
-  using Bits = std::conditional_t<sizeof(Number) == 8, std::uint64_t,
-                                  std::conditional_t<sizeof(Number) == 4, std::uint32_t, std::uint16_t>>;
-  static_assert(sizeof(Number) == sizeof(Bits));
-  Bits bits = 0;
-  for (std::size_t i = 0; i < sizeof bits; ++i) {
-    bits = static_cast<Bits>(bits | static_cast<Bits>(Bits{p[i]} << (8 * i)));
-  }
-  Number number;
-  std::memcpy(&number, &bits, sizeof number);
-  return number;
+  return boost::endian::endian_load<Number, sizeof(Number), boost::endian::order::little>(p);
 }
 
-[[noreturn]] void fail(const std::string& message) {
-  throw ProtocolError(message);
+template <typename... Parts>
+[[noreturn]] void fail(const Parts&... parts) {
+  std::ostringstream message;
+  (message << ... << parts);
+  throw ProtocolError(message.str());
 }
 
 // Runs part() and puts the place in front of the message of an error that comes out of it.
@@ -47,7 +38,7 @@ auto within(const char* place, std::size_t index, Part part) -> decltype(part())
   try {
     return part();
   } catch (const ProtocolError& error) {
-    fail(std::string(place) + " " + std::to_string(index) + ": " + error.what());
+    fail(place, " ", index, ": ", error.what());
   }
 }
 
@@ -60,16 +51,13 @@ class Reader {
 
   const std::uint8_t* take(std::size_t size, const char* what) {
     if (size > left_) {
-      fail(std::string(what) + " needs " + std::to_string(size) + " bytes, " + std::to_string(left_) +
-           " left");
+      fail(what, " needs ", size, " bytes, ", left_, " left");
     }
     const std::uint8_t* start = at_;
     at_ += size;
     left_ -= size;
     return start;
   }
-
-  Reader window(std::size_t size, const char* what) { return Reader(take(size, what), size); }
 
   template <typename Number>
   Number get(const char* what) {
@@ -81,11 +69,10 @@ class Reader {
   std::size_t count(const char* what, std::size_t element_bytes, std::size_t limit = kNoLimit) {
     const std::size_t n = non_negative(what);
     if (n > limit) {
-      fail(std::string(what) + " " + std::to_string(n) + " is above the limit of " + std::to_string(limit));
+      fail(what, " ", n, " is above the limit of ", limit);
     }
     if (n > left_ / element_bytes) {
-      fail(std::string(what) + " " + std::to_string(n) + " needs at least " + std::to_string(element_bytes) +
-           " bytes each, " + std::to_string(left_) + " left");
+      fail(what, " ", n, " needs at least ", element_bytes, " bytes each, ", left_, " left");
     }
     return n;
   }
@@ -93,7 +80,7 @@ class Reader {
   std::size_t non_negative(const char* what) {
     const std::int32_t n = i32(what);
     if (n < 0) {
-      fail(std::string(what) + " is negative (" + std::to_string(n) + ")");
+      fail(what, " is negative (", n, ")");
     }
     return static_cast<std::size_t>(n);
   }
@@ -102,12 +89,11 @@ class Reader {
     // memchr must not be called with a null pointer, which an empty buffer may have.
     const void* nul = left_ == 0 ? nullptr : std::memchr(at_, 0, left_);
     if (nul == nullptr) {
-      fail(std::string(what) + " has no terminating NUL");
+      fail(what, " has no terminating NUL");
     }
     const auto length = static_cast<std::size_t>(static_cast<const std::uint8_t*>(nul) - at_);
     if (length > limit) {
-      fail(std::string(what) + " of " + std::to_string(length) + " bytes is above the limit of " +
-           std::to_string(limit));
+      fail(what, " of ", length, " bytes is above the limit of ", limit);
     }
     const std::uint8_t* start = take(length + 1, what);
     return std::string(reinterpret_cast<const char*>(start), length);
@@ -117,12 +103,6 @@ class Reader {
     const std::size_t size = left_;
     const std::uint8_t* start = take(size, "rest");
     return size == 0 ? Bytes() : Bytes(start, start + size);
-  }
-
-  void expect_end(const char* what) const {
-    if (left_ != 0) {
-      fail(std::to_string(left_) + " bytes too many after " + what);
-    }
   }
 
  private:
@@ -141,177 +121,49 @@ Identity decode_identity(Reader& in) {
   return identity;
 }
 
-// A count, then that many elements of at least min_bytes.
-template <typename Read>
-auto decode_list(Reader& in, const char* count_name, std::size_t min_bytes, Read read) {
-  std::vector<decltype(read())> list(in.count(count_name, min_bytes));
-  for (auto& element : list) {
-    element = read();
-  }
-  return list;
-}
-
-std::vector<std::string> decode_names(Reader& in, const char* count_name, const char* name) {
-  return decode_list(in, count_name, kMinNameBytes, [&] { return in.text(name); });
-}
-
-template <typename Body>
-std::vector<Body> decode_bodies(Reader& in, Body (*decode_one)(Reader&)) {
-  std::vector<Body> bodies(in.count("body count", kMinBodyBytes, kMaxBodies));
-  for (std::size_t i = 0; i < bodies.size(); ++i) {
-    bodies[i] = within("body", i, [&] { return decode_one(in); });
-  }
-  return bodies;
-}
-
-template <typename Number>
-std::vector<Number> decode_numbers(Reader& in, std::size_t n, const char* what) {
-  const std::uint8_t* p = in.take(n * sizeof(Number), what);
-  std::vector<Number> numbers(n);
-  for (Number& number : numbers) {
-    number = load<Number>(p);
-    p += sizeof(Number);
-  }
-  return numbers;
-}
-
-// n elements that are nothing but these numbers.
-template <typename Element, typename... Numbers>
-std::vector<Element> decode_elements(Reader& in, std::size_t n, const char* what,
-                                     Numbers Element::*... members) {
-  const std::uint8_t* p = in.take(n * (sizeof(Numbers) + ...), what);
-  std::vector<Element> elements(n);
-  for (Element& element : elements) {
-    ((element.*members = load<Numbers>(p), p += sizeof(Numbers)), ...);
-  }
-  return elements;
-}
-
-BodyDef decode_body_def(Reader& in) {
-  BodyDef body;
-  body.name = in.text("body name", kMaxBodyNameBytes);
-  body.markers = decode_names(in, "marker count", "marker name");
-  body.segments = decode_list(in, "segment count", kMinSegmentDefBytes, [&] {
-    std::string name = in.text("segment name");
-    return SegmentDef{std::move(name), in.i32("segment parent")};
-  });
-  body.dofs = decode_names(in, "dof count", "dof name");
-  return body;
-}
-
-BodyDefs decode_body_defs(Reader& in) {
-  BodyDefs defs;
-  defs.bodies = decode_bodies(in, decode_body_def);
-  defs.analog_channels = decode_names(in, "analog channel count", "analog channel name");
-  defs.force_plates = static_cast<std::int32_t>(in.non_negative("force plate count"));
-  defs.trailing = in.rest();
-  return defs;
-}
-
 std::vector<Marker> decode_markers(Reader& in, const char* what) {
-  return decode_elements(in, in.count(what, kMarkerBytes), what, &Marker::x, &Marker::y, &Marker::z);
+  std::vector<Marker> markers(in.count(what, kMarkerBytes));
+  const std::uint8_t* p = in.take(markers.size() * kMarkerBytes, what);
+  for (Marker& marker : markers) {
+    marker = {load<float>(p), load<float>(p + 4), load<float>(p + 8)};
+    p += kMarkerBytes;
+  }
+  return markers;
 }
 
-std::vector<Segment> decode_segments(Reader& in, std::size_t n) {
-  return decode_elements(in, n, "segments", &Segment::x, &Segment::y, &Segment::z, &Segment::ax, &Segment::ay,
-                         &Segment::az, &Segment::length);
+void skip_list(Reader& in, const char* count_name, std::size_t element_bytes) {
+  in.take(in.count(count_name, element_bytes) * element_bytes, count_name);
+}
+
+// A block of rows * columns samples. The product of two i32 fits 64 bits; a zero factor makes any other
+// factor legal.
+void skip_block(Reader& in, const char* rows_name, const char* columns_name, std::size_t sample_bytes,
+                const char* what) {
+  const std::uint64_t rows = in.non_negative(rows_name);
+  const std::uint64_t columns = in.non_negative(columns_name);
+  if (rows * columns > in.left() / sample_bytes) {
+    fail(what, ": ", rows, " x ", columns, " samples of ", sample_bytes, " bytes, ", in.left(), " left");
+  }
+  in.take(rows * columns * sample_bytes, what);
 }
 
 Body decode_body(Reader& in) {
   Body body;
   body.name = in.text("body name", kMaxBodyNameBytes);
   body.markers = decode_markers(in, "marker count");
-  body.segments = decode_segments(in, in.count("segment count", kSegmentBytes));
-  body.dofs = decode_numbers<double>(in, in.count("dof count", sizeof(double)), "dofs");
+  skip_list(in, "segment count", kSegmentBytes);
+  skip_list(in, "dof count", sizeof(double));
   return body;
 }
 
-// The head of a block of rows * columns samples.
-struct BlockSize {
-  std::int32_t rows;
-  std::int32_t columns;
-  std::size_t samples;
-};
-
-// The product of two i32 fits 64 bits; a zero factor makes any other factor legal.
-BlockSize decode_block_size(Reader& in, const char* rows_name, const char* columns_name,
-                            std::size_t sample_bytes, const char* what) {
-  const std::size_t rows = in.non_negative(rows_name);
-  const std::size_t columns = in.non_negative(columns_name);
-  const std::uint64_t n = static_cast<std::uint64_t>(rows) * static_cast<std::uint64_t>(columns);
-  if (n > in.left() / sample_bytes) {
-    fail(std::string(what) + ": " + std::to_string(rows) + " x " + std::to_string(columns) + " samples of " +
-         std::to_string(sample_bytes) + " bytes, " + std::to_string(in.left()) + " left");
-  }
-  return {static_cast<std::int32_t>(rows), static_cast<std::int32_t>(columns), static_cast<std::size_t>(n)};
-}
-
-AnalogBlock decode_analog(Reader& in) {
-  const BlockSize size =
-      decode_block_size(in, "analog channel count", "analog sample count", kAnalogBytes, "analog block");
-  return {size.rows, size.columns, decode_numbers<std::int16_t>(in, size.samples, "analog block")};
-}
-
-ForceBlock decode_forces(Reader& in) {
-  const BlockSize size =
-      decode_block_size(in, "force plate count", "force sample count", kForceBytes, "force block");
-  return {size.rows, size.columns,
-          decode_elements(in, size.samples, "force block", &Force::x, &Force::y, &Force::z, &Force::fx,
-                          &Force::fy, &Force::fz, &Force::mz)};
-}
-
-AngleEncoders decode_angle_encoders(Reader in) {
-  const BlockSize size =
-      decode_block_size(in, "encoder count", "encoder sample count", kEncoderBytes, "encoder block");
-  AngleEncoders item{size.rows, size.columns, decode_numbers<double>(in, size.samples, "encoder block")};
-  in.expect_end("the encoder block");
-  return item;
-}
-
-RecordingStatus decode_recording_status(Reader in) {
-  RecordingStatus item;
-  item.recording = in.i32("recording state");
-  item.first_frame = in.i32("first frame");
-  item.last_frame = in.i32("last frame");
-  if (in.left() > 0) {
-    item.capture_file = in.text("capture file name", kMaxCaptureNameBytes);
-  }
-  return item;
-}
-
-// content holds the item's own L bytes and nothing behind them.
-TaggedItem decode_item(std::int32_t tag, Reader content, std::size_t bodies) {
-  switch (tag) {
-    case kTagAngleEncoders:
-      return decode_angle_encoders(content);
-    case kTagRecordingStatus:
-      return decode_recording_status(content);
-    case kTagLensEncoders:
-      return LensEncoders{decode_elements(content, bodies, "lens encoders", &Lens::zoom, &Lens::focus)};
-    default:
-      return UnknownItem{tag, content.rest()};
-  }
-}
-
-void decode_delay(Reader& in, FrameOfData& frame) {
-  const auto ignored_word = in.get<std::uint32_t>("word before the delay");
-  frame.delay = DelaySection{ignored_word, in.get<float>("delay")};
-}
-
-void decode_next_item(Reader& in, FrameOfData& frame) {
+void skip_item(Reader& in) {
   const std::int32_t tag = in.i32("item tag");
   const std::int32_t length = in.i32("item length");
   if (length < 0 || static_cast<std::size_t>(length) > in.left()) {
     const std::size_t left = in.rest().size();  // without a length there is no finding the next item
-    fail("item with tag " + std::to_string(tag) + ": length " + std::to_string(length) + ", " +
-         std::to_string(left) + " bytes left");
+    fail("item with tag ", tag, ": length ", length, ", ", left, " bytes left");
   }
-  const Reader content = in.window(static_cast<std::size_t>(length), "item");
-  try {
-    frame.items.push_back(decode_item(tag, content, frame.bodies.size()));
-  } catch (const ProtocolError& error) {
-    fail("item with tag " + std::to_string(tag) + ": " + error.what());
-  }
+  in.take(static_cast<std::size_t>(length), "item");
 }
 
 // Delay and tagged items: a fault here costs the faulty part, never the bodies. Every turn takes at least
@@ -319,10 +171,11 @@ void decode_next_item(Reader& in, FrameOfData& frame) {
 void decode_optional_sections(Reader& in, FrameOfData& frame) {
   while (in.left() > kQuietSpareBytes) {
     try {
-      if (!frame.delay) {
-        decode_delay(in, frame);
+      if (!frame.delay_s) {
+        in.i32("word before the delay");
+        frame.delay_s = in.get<float>("delay");
       } else {
-        decode_next_item(in, frame);
+        skip_item(in);
       }
     } catch (const ProtocolError& error) {
       frame.faults.emplace_back(error.what());
@@ -333,90 +186,43 @@ void decode_optional_sections(Reader& in, FrameOfData& frame) {
 FrameOfData decode_frame(Reader& in) {
   FrameOfData frame;
   frame.frame = in.i32("frame number");
-  frame.bodies = decode_bodies(in, decode_body);
+  frame.bodies.resize(in.count("body count", kMinBodyBytes, kMaxBodies));
+  for (std::size_t i = 0; i < frame.bodies.size(); ++i) {
+    frame.bodies[i] = within("body", i, [&] { return decode_body(in); });
+  }
   frame.unidentified = decode_markers(in, "unidentified marker count");
-  frame.analog = decode_analog(in);
-  frame.forces = decode_forces(in);
+  skip_block(in, "analog channel count", "analog sample count", kAnalogBytes, "analog block");
+  skip_block(in, "force plate count", "force sample count", kForceBytes, "force block");
   decode_optional_sections(in, frame);
   return frame;
-}
-
-PushBasePosition decode_push(Reader& in) {
-  const std::uint16_t hierarchy_bytes = in.get<std::uint16_t>("hierarchy size");
-  const std::uint16_t pose_bytes = in.get<std::uint16_t>("pose size");
-  Reader hierarchy = in.window(hierarchy_bytes, "hierarchy");
-  Reader pose = in.window(pose_bytes, "pose");
-  in.expect_end("the pose");
-
-  PushBasePosition push;
-  push.hierarchy = decode_list(hierarchy, "segment count", kMinSegmentDefBytes, [&] {
-    const std::int32_t parent = hierarchy.i32("segment parent");
-    return PushSegment{parent, hierarchy.text("segment name")};
-  });
-  hierarchy.expect_end("the hierarchy");
-
-  push.pose = decode_segments(pose, push.hierarchy.size());
-  const std::uint8_t* extra = pose.take(push.extra.size(), "bytes after the pose");
-  std::copy(extra, extra + push.extra.size(), push.extra.begin());
-  pose.expect_end("the pose");
-  return push;
-}
-
-template <typename EmptyPacket>
-EmptyPacket decode_empty(const Reader& in) {
-  if (in.left() != 0) {
-    fail("has " + std::to_string(in.left()) + " payload bytes, must have none");
-  }
-  return EmptyPacket();
 }
 
 Packet decode_payload(std::uint16_t command, Reader& in) {
   switch (static_cast<Command>(command)) {
     case Command::kHelloWorld:
       return HelloWorld{decode_identity(in)};
-    case Command::kAreYouThere:
-      return AreYouThere{in.rest()};
     case Command::kHereIAm:
       return HereIAm{decode_identity(in)};
     case Command::kComment:
       return Comment{in.text("text")};
-    case Command::kRequestBodyDefs:
-      return decode_empty<RequestBodyDefs>(in);
     case Command::kBodyDefs:
-      return decode_body_defs(in);
-    case Command::kRequestFrame:
-      return decode_empty<RequestFrame>(in);
+      return BodyDefs{in.count("body count", kMinBodyBytes, kMaxBodies)};
     case Command::kFrameOfData:
       return decode_frame(in);
-    case Command::kGeneralRequest:
-      return GeneralRequest{in.text("text")};
     case Command::kGeneralReply:
       return GeneralReply{in.rest()};
     case Command::kUnrecognizedRequest:
-      return UnrecognizedRequest{in.rest()};
-    case Command::kPushBasePosition:
-      return decode_push(in);
+      return UnrecognizedRequest();
     case Command::kUnrecognizedCommand:
-      return UnrecognizedCommand{in.rest()};
+      return UnrecognizedCommand();
+    default:
+      return OtherPacket{command, in.rest()};
   }
-  return UnknownPacket{command, in.rest()};
 }
 
-void append(Bytes& out, const std::string& text, const char* what, std::size_t limit = kNoLimit) {
-  if (text.find('\0') != std::string::npos) {
-    fail(std::string(what) + " has a NUL inside");
-  }
-  if (text.size() > limit) {
-    fail(std::string(what) + " of " + std::to_string(text.size()) + " bytes is above the limit of " +
-         std::to_string(limit));
-  }
-  out.insert(out.end(), text.begin(), text.end());
-}
-
-Bytes packet(Command command, const Bytes& payload = {}) {
+Bytes packet(Command command, const Bytes& payload) {
   if (payload.size() > kMaxPayloadBytes) {
-    fail("payload of " + std::to_string(payload.size()) + " bytes is above the limit of " +
-         std::to_string(kMaxPayloadBytes));
+    fail("payload of ", payload.size(), " bytes is above the limit of ", kMaxPayloadBytes);
   }
   Bytes out;
   for (const std::size_t value : {static_cast<std::size_t>(command), payload.size()}) {
@@ -433,52 +239,40 @@ bool Marker::missing() const {
   return x == kMissingCoordinate || !std::isfinite(x) || !std::isfinite(y) || !std::isfinite(z);
 }
 
-std::size_t declared_size(const std::uint8_t* data, std::size_t size) {
-  if (size < kHeaderBytes) {
-    fail(std::to_string(size) + " bytes are too few for a packet header");
-  }
-  return kHeaderBytes + load<std::uint16_t>(data + 2);
-}
-
 Packet decode(const std::uint8_t* data, std::size_t size) {
-  const std::size_t declared = declared_size(data, size);
+  if (size < kHeaderBytes) {
+    fail(size, " bytes are too few for a packet header");
+  }
   const std::uint16_t command = load<std::uint16_t>(data);
+  const std::size_t declared = load<std::uint16_t>(data + 2);
   return within("packet with code", command, [&] {
-    if (declared != size) {
-      fail("declares " + std::to_string(declared - kHeaderBytes) + " payload bytes, has " +
-           std::to_string(size - kHeaderBytes));
+    if (declared != size - kHeaderBytes) {
+      fail("declares ", declared, " payload bytes, has ", size - kHeaderBytes);
     }
-    if (size > kMaxDatagramBytes) {
-      fail(std::to_string(size) + " bytes are more than a datagram can carry");
+    if (declared > kMaxPayloadBytes) {
+      fail(size, " bytes are more than a datagram can carry");
     }
-    Reader in(data + kHeaderBytes, size - kHeaderBytes);
+    Reader in(data + kHeaderBytes, declared);
     return decode_payload(command, in);
   });
 }
 
-Packet decode(const Bytes& datagram) {
-  return decode(datagram.data(), datagram.size());
-}
-
-Bytes encode(const HelloWorld& hello) {
-  Bytes payload;
-  append(payload, hello.identity.name, "program name", kProgramNameBytes - 1);
+Bytes encode_hello(const Identity& identity) {
+  Bytes payload(identity.name.begin(), identity.name.end());
+  if (payload.size() >= kProgramNameBytes) {
+    fail("program name of ", payload.size(), " bytes is above the limit of ", kProgramNameBytes - 1);
+  }
   payload.resize(kProgramNameBytes, 0);
-  payload.insert(payload.end(), hello.identity.version.begin(), hello.identity.version.end());
+  payload.insert(payload.end(), identity.version.begin(), identity.version.end());
   return packet(Command::kHelloWorld, payload);
 }
 
-Bytes encode(const RequestBodyDefs&) {
-  return packet(Command::kRequestBodyDefs);
+Bytes encode_request(Command command) {
+  return packet(command, {});
 }
 
-Bytes encode(const RequestFrame&) {
-  return packet(Command::kRequestFrame);
-}
-
-Bytes encode(const GeneralRequest& request) {
-  Bytes payload;
-  append(payload, request.text, "text");
+Bytes encode_text_request(const std::string& text) {
+  Bytes payload(text.begin(), text.end());
   payload.push_back(0);
   return packet(Command::kGeneralRequest, payload);
 }

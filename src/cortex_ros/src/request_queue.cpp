@@ -1,57 +1,30 @@
 #include "cortex_ros/request_queue.hpp"
 
-#include <string_view>
 #include <utility>
 
 namespace cortex_ros {
-
 namespace {
-// The one text request, alone or with an argument, that a frame answers instead of a general reply.
-constexpr std::string_view kFrameRequest = "GetFrameOfData";
-}  // namespace
 
-void RequestQueue::push(const Question& question, int tries, Time timeout, Done done) {
-  Kind kind = std::holds_alternative<RequestFrame>(question) ? Kind::kFrame : Kind::kBodyDefs;
-  if (const auto* request = std::get_if<GeneralRequest>(&question)) {
-    const bool frame = request->text.compare(0, kFrameRequest.size(), kFrameRequest) == 0;
-    kind = frame ? Kind::kTextFrame : Kind::kText;
-  }
-  const Bytes bytes = std::visit([](const auto& request) { return encode(request); }, question);
-  waiting_.push_back({kind, bytes, tries, timeout, std::move(done)});
-}
+constexpr Time kSettle = std::chrono::milliseconds(20);  // for duplicates, between requests of one kind
 
-bool RequestQueue::answers(Kind kind, const Packet& packet) {
+bool answers(RequestQueue::Kind kind, const Packet& packet) {
   // A host that does not know the packet code says so with this one, whatever was asked.
   if (std::holds_alternative<UnrecognizedCommand>(packet)) {
     return true;
   }
-  switch (kind) {
-    case Kind::kText:
-      return std::holds_alternative<GeneralReply>(packet) ||
-             std::holds_alternative<UnrecognizedRequest>(packet);
-    case Kind::kTextFrame:
-      return std::holds_alternative<FrameOfData>(packet) ||
-             std::holds_alternative<UnrecognizedRequest>(packet);
-    case Kind::kBodyDefs:
-      return std::holds_alternative<BodyDefs>(packet);
-    case Kind::kFrame:
-      return std::holds_alternative<FrameOfData>(packet);
-  }
-  return false;
+  return kind == RequestQueue::Kind::kBodyDefs ? std::holds_alternative<BodyDefs>(packet)
+                                               : std::holds_alternative<GeneralReply>(packet) ||
+                                                     std::holds_alternative<UnrecognizedRequest>(packet);
 }
 
-Time RequestQueue::may_start_at(Kind kind) const {
-  // A stale frame does no harm: its number tells its age. So polling need not wait.
-  return kind == Kind::kFrame ? Time{0} : quiet_until_[static_cast<std::size_t>(kind)];
-}
+}  // namespace
 
 void RequestQueue::finish(const Packet* answer, Time now) {
-  Request request = std::move(*active_);
+  const Request request = std::move(*active_);
   active_.reset();
-  // The answer that came first is that to the first try; those to the repeats follow at their
-  // pace.
-  const Time stragglers = answer != nullptr ? last_sent_ - first_sent_ : request.timeout;
-  quiet_until(request.kind) = now + stragglers + timing_.settle;
+  // The answer that came first is that to the first try; those to the repeats follow at their pace.
+  const Time stragglers = answer != nullptr ? last_sent_ - first_sent_ : timeout_;
+  quiet_until(request.kind) = now + stragglers + kSettle;
   if (request.done) {
     request.done(answer);
   }
@@ -64,13 +37,13 @@ std::optional<Bytes> RequestQueue::send(Time now) {
 }
 
 std::optional<Bytes> RequestQueue::update(Time now) {
-  if (active_ && now >= last_sent_ + active_->timeout) {
+  if (active_ && now >= last_sent_ + timeout_) {
     if (active_->tries_left > 0) {
       return send(now);
     }
     finish(nullptr, now);
   }
-  if (active_ || waiting_.empty() || now < may_start_at(waiting_.front().kind)) {
+  if (active_ || waiting_.empty() || now < quiet_until(waiting_.front().kind)) {
     return std::nullopt;
   }
   active_ = std::move(waiting_.front());
@@ -89,18 +62,18 @@ bool RequestQueue::offer(const Packet& packet, Time now) {
 
 std::optional<Time> RequestQueue::next_event() const {
   if (active_) {
-    return last_sent_ + active_->timeout;
+    return last_sent_ + timeout_;
   }
   if (waiting_.empty()) {
     return std::nullopt;
   }
-  return may_start_at(waiting_.front().kind);
+  return quiet_until_[static_cast<std::size_t>(waiting_.front().kind)];
 }
 
 void RequestQueue::clear() {
   waiting_.clear();
   if (active_) {
-    quiet_until(active_->kind) = last_sent_ + active_->timeout;  // its answer may still come
+    quiet_until(active_->kind) = last_sent_ + timeout_;  // its answer may still come
     active_.reset();
   }
 }

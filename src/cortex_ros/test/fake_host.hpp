@@ -1,7 +1,6 @@
 // A small Cortex host on loopback for the tests of the client, with the faults that a real one may show.
 #pragma once
 
-#include <arpa/inet.h>
 #include <poll.h>
 #include <unistd.h>
 
@@ -42,11 +41,14 @@ inline cortex_ros::Bytes int_payload(std::int32_t value) {
 inline cortex_ros::FrameOfData simple_frame(std::int32_t number) {
   cortex_ros::FrameOfData frame;
   frame.frame = number;
-  frame.bodies.resize(1);
-  frame.bodies[0].name = "fluffy_II";
-  frame.bodies[0].markers = {{100.0f, 200.0f, 300.0f}};
-  frame.delay = cortex_ros::DelaySection{0, 0.003f};
+  frame.bodies = {{"fluffy_II", {{100.0f, 200.0f, 300.0f}}}};
+  frame.delay_s = 0.003f;
   return frame;
+}
+
+inline void send_multicast_over_loopback(cortex_ros::UdpSocket& socket) {
+  const in_addr loopback{htonl(INADDR_LOOPBACK)};
+  setsockopt(socket.fd(), IPPROTO_IP, IP_MULTICAST_IF, &loopback, sizeof loopback);
 }
 
 class FakeHost {
@@ -80,7 +82,7 @@ class FakeHost {
     thread_.join();
   }
 
-  std::uint16_t port() const { return socket_.local().port; }
+  std::uint16_t port() const { return socket_.local().port(); }
 
   void change(const std::function<void(Behaviour&)>& change) {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -95,8 +97,7 @@ class FakeHost {
   }
 
   void stream(const cortex_ros::Bytes& bytes, const cortex_ros::Endpoint& destination) {
-    const in_addr interface { stream_.local().address.network_order };
-    setsockopt(stream_.fd(), IPPROTO_IP, IP_MULTICAST_IF, &loopback_, sizeof interface);
+    send_multicast_over_loopback(stream_);
     sent_ = stream_.send(bytes, destination) && sent_;
   }
   void stream(const cortex_ros::Packet& packet, const cortex_ros::Endpoint& destination) {
@@ -142,8 +143,8 @@ class FakeHost {
     const cortex_ros::Packet packet = cortex_ros::decode(datagram.data, datagram.size);
     const std::lock_guard<std::mutex> lock(mutex_);
     client_ = datagram.source;
-    const auto* text = std::get_if<cortex_ros::GeneralRequest>(&packet);
-    ++received_[text != nullptr ? text->text : std::to_string(cortex_ros::command_of(packet))];
+    const auto* request = std::get_if<cortex_ros::OtherPacket>(&packet);
+    ++received_[request != nullptr ? name_of(*request) : "hello"];
     if (behaviour_.silent) {
       return;
     }
@@ -155,6 +156,12 @@ class FakeHost {
     }
   }
 
+  // Of a text request its text, of others their command.
+  static std::string name_of(const cortex_ros::OtherPacket& request) {
+    return request.command == 14 ? std::string(request.payload.begin(), request.payload.end() - 1)
+                                 : std::to_string(request.command);
+  }
+
   Answers answers(const cortex_ros::Packet& packet) {
     using namespace cortex_ros;  // NOLINT
     Answers out;
@@ -162,18 +169,16 @@ class FakeHost {
       return {HereIAm{{"Cortex", {behaviour_.program, 5, 3, 1}}}};
     }
     if (behaviour_.junk_first) {
-      out = {Comment{"wait for it"}, UnknownPacket{33, {}}, BodyDefs()};
+      out = {Comment{"wait for it"}, OtherPacket{33, {}}, BodyDefs()};
     }
-    if (std::holds_alternative<RequestFrame>(packet)) {
+    const auto& request = std::get<OtherPacket>(packet);
+    if (request.command == 12) {
       frame_ += behaviour_.advance ? 1 : 0;
       out.push_back(simple_frame(frame_));
-    } else if (std::holds_alternative<RequestBodyDefs>(packet)) {
-      BodyDefs defs;
-      defs.bodies.resize(3);
-      out = {defs};
-    } else if (const auto* text = std::get_if<GeneralRequest>(&packet);
-               text != nullptr && !behaviour_.deaf_to_texts) {
-      const auto found = behaviour_.texts.find(text->text);
+    } else if (request.command == 10) {
+      out = {BodyDefs{3}};
+    } else if (!behaviour_.deaf_to_texts) {
+      const auto found = behaviour_.texts.find(name_of(request));
       out.push_back(found == behaviour_.texts.end() ? Packet(UnrecognizedRequest()) : found->second);
     }
     return out;
@@ -188,7 +193,6 @@ class FakeHost {
     }
   }
 
-  const in_addr loopback_{htonl(INADDR_LOOPBACK)};
   const cortex_ros::SystemClock clock_;
   cortex_ros::UdpSocket socket_;
   cortex_ros::UdpSocket stream_;

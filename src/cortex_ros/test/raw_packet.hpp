@@ -28,6 +28,10 @@ class RawPacket {
     payload_.insert(payload_.end(), value.begin(), value.end());
     return *this;
   }
+  RawPacket& raw(const cortex_ros::Bytes& value) {
+    payload_.insert(payload_.end(), value.begin(), value.end());
+    return *this;
+  }
   RawPacket& fill(std::size_t n, std::uint8_t value) {
     payload_.insert(payload_.end(), n, value);
     return *this;

@@ -3,7 +3,7 @@
 
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
-#include <sensor_msgs/TimeReference.h>
+#include <risc_maap_msgs/MocapTime.h>
 
 #include <chrono>
 #include <cmath>
@@ -84,7 +84,7 @@ class Sources : public testing::Test {
   ros::NodeHandle node_;
   ros::AsyncSpinner spinner_{1};
   Inbox<risc_msgs::Mocap_data> markers_{node_, "mocap_data"};
-  Inbox<sensor_msgs::TimeReference> times_{node_, "mocap_time"};
+  Inbox<risc_maap_msgs::MocapTime> times_{node_, "mocap_time"};
   Inbox<diagnostic_msgs::DiagnosticArray> diagnostics_{node_, "/diagnostics"};
 };
 
@@ -109,10 +109,11 @@ TEST_F(Sources, AToyIsOneFileAndOneYaml) {
     EXPECT_GT(frames[i].header.stamp, frames[i - 1].header.stamp);
   }
 
-  std::set<std::string> numbers;
+  std::set<std::int32_t> numbers;
   for (const auto& time : times_.wait_for(50)) {
-    EXPECT_TRUE(numbers.insert(time.source).second) << "came twice: " << time.source;
-    EXPECT_GE((time.time_ref - time.header.stamp).toSec(), 0.004 - 1e-6) << "exposure is before receipt";
+    EXPECT_TRUE(numbers.insert(time.frame).second) << "came twice: " << time.frame;
+    EXPECT_EQ(time.delay, 0.004);
+    EXPECT_GE((time.receipt - time.header.stamp).toSec(), 0.004 - 1e-6) << "exposure is before receipt";
   }
 
   const DiagnosticStatus status = this->status("frames lost");

@@ -31,7 +31,7 @@ bool wait_until(const std::function<bool()>& condition) {
 }
 
 std::uint16_t free_port() {
-  return UdpSocket({Address(), 0}, UdpSocket::Share::kNo).local().port;
+  return UdpSocket({Address(), 0}, UdpSocket::Share::kNo).local().port();
 }
 
 // Remembers what the client reported.
@@ -157,8 +157,7 @@ TEST_F(ClientTest, FindsTheHostAndAsksWhatItNeeds) {
   EXPECT_EQ(info.millimetres_per_unit, 1.0);
   EXPECT_EQ(info.up_axis, 2);
   EXPECT_EQ(info.frame_rate_hz, 200.0);
-  ASSERT_TRUE(info.body_defs.has_value());
-  EXPECT_EQ(info.body_defs->bodies.size(), 3u);
+  EXPECT_EQ(info.bodies, 3u);
   EXPECT_TRUE(info.live_mode_accepted);
   EXPECT_EQ(host_->received("LiveMode"), 1);
   EXPECT_TRUE(client.statistics().host_up);
@@ -181,7 +180,7 @@ TEST_F(ClientTest, FindsAHostByBroadcast) {
   o.local_address = "127.0.0.1";
   RunningClient client(o);
   ASSERT_TRUE(client.up());
-  EXPECT_EQ(to_string(client.events().ups()[0].endpoint.address), "127.0.0.1");
+  EXPECT_EQ(client.events().ups()[0].endpoint.address().to_string(), "127.0.0.1");
 }
 
 TEST_F(ClientTest, WaitsForAHostThatComesLater) {
@@ -476,7 +475,7 @@ TEST_F(ClientTest, LateAndDuplicateAnswersAreNotMixedUp) {
   EXPECT_FLOAT_EQ(static_cast<float>(info.millimetres_per_unit.value_or(0.0)), 25.4f);
   EXPECT_EQ(info.up_axis, 1);
   EXPECT_EQ(info.frame_rate_hz, 120.0);
-  EXPECT_TRUE(info.body_defs.has_value());
+  EXPECT_TRUE(info.bodies.has_value());
   EXPECT_GT(client.statistics().stale, 0u);
 }
 
@@ -486,7 +485,7 @@ TEST_F(ClientTest, AnswersOfAWrongTypeArePassedOver) {
   RunningClient client(options());
   ASSERT_TRUE(client.up());
   EXPECT_EQ(client.events().ups()[0].frame_rate_hz, 200.0);
-  EXPECT_EQ(client.events().ups()[0].body_defs->bodies.size(), 3u);
+  EXPECT_EQ(client.events().ups()[0].bodies, 3u);
   ASSERT_FALSE(client.events().comments().empty());
   EXPECT_EQ(client.events().comments()[0], "wait for it");
 }
@@ -499,8 +498,7 @@ TEST_F(ClientTest, PacketsOfOthersAreIgnored) {
   UdpSocket other_address({resolve(own_loopback_address()), 0}, UdpSocket::Share::kNo);
   UdpSocket other_port({resolve(address_), 0}, UdpSocket::Share::kNo);
   const Bytes frame = encode(simple_frame(77));
-  const in_addr loopback{htonl(INADDR_LOOPBACK)};
-  setsockopt(other_address.fd(), IPPROTO_IP, IP_MULTICAST_IF, &loopback, sizeof loopback);
+  send_multicast_over_loopback(other_address);
   other_address.send(frame, host_->client());
   other_address.send(frame, group());
   other_address.send(frame, unicast());
@@ -808,9 +806,6 @@ TEST_F(ClientTest, BadOptionsAreRefusedWithAReason) {
       EXPECT_NE(std::string(error.what()).find(part_of_message), std::string::npos) << error.what();
     }
   };
-  refuse([](ClientOptions& o) { o.host = "no such host.invalid"; }, "host 'no such host.invalid' is neither");
-  refuse([](ClientOptions& o) { o.host = "192.168.1.300"; }, "neither a dotted quad nor a host name");
-  refuse([](ClientOptions& o) { o.local_address = "10.0.0"; }, "local address '10.0.0' is neither");
   refuse([](ClientOptions& o) { o.stream_group = "10.0.0.1"; }, "not a multicast address");
   refuse([](ClientOptions& o) { o.stream_group = "group.invalid"; }, "not a multicast address");
   const double infinity = std::numeric_limits<double>::infinity();

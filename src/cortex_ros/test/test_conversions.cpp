@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "cortex_ros/conversions.hpp"
+#include "cortex_ros/mocap_publisher.hpp"
 #include "cortex_ros/sources/cortex.hpp"
 
 namespace {
@@ -22,16 +22,16 @@ FrameOfData two_bodies() {
   return frame;
 }
 
-risc_msgs::Mocap_data to_message(const FrameOfData& frame, double metres_per_unit, MissingMarkers missing) {
+risc_msgs::Mocap_data to_message(const FrameOfData& frame, double metres_per_unit, bool missing_as_nan) {
   MocapFrame neutral;
   to_mocap_frame(frame, metres_per_unit, neutral);
   risc_msgs::Mocap_data message;
-  fill_markers(neutral, missing, message);
+  fill_markers(neutral, missing_as_nan, message);
   return message;
 }
 
 TEST(Conversions, EveryAxisBecomesMetres) {
-  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan);
+  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, true);
   ASSERT_EQ(message.Obj.size(), 2u);
   EXPECT_EQ(message.Obj[0].name, "fluffy_II");
   EXPECT_EQ(message.Obj[0].residual, 0.0);
@@ -44,24 +44,22 @@ TEST(Conversions, EveryAxisBecomesMetres) {
 }
 
 TEST(Conversions, TheProductIsADoubleOne) {
-  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan);
+  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, true);
   EXPECT_EQ(message.Obj[0].marker[2].x, 1000.5 * 0.001) << "single precision would give 1.0005000829696655";
   EXPECT_DOUBLE_EQ(message.Obj[0].marker[2].y, -0.05025);
 }
 
 TEST(Conversions, AnotherHostUnitIsScaled) {
-  const risc_msgs::Mocap_data message =
-      to_message(two_bodies(), 25.4 * kMetresPerMillimetre, MissingMarkers::kNan);
+  const risc_msgs::Mocap_data message = to_message(two_bodies(), 25.4 * kMetresPerMillimetre, true);
   EXPECT_DOUBLE_EQ(message.Obj[0].marker[0].x, 25.4);
 }
 
 TEST(Conversions, LostMarkersStayInPlace) {
-  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, MissingMarkers::kNan);
+  const risc_msgs::Mocap_data message = to_message(two_bodies(), kMetresPerMillimetre, true);
   EXPECT_TRUE(std::isnan(message.Obj[0].marker[1].x));
   EXPECT_TRUE(std::isnan(message.Obj[0].marker[1].y));
   EXPECT_TRUE(std::isnan(message.Obj[0].marker[1].z));
-  const risc_msgs::Mocap_data legacy =
-      to_message(two_bodies(), kMetresPerMillimetre, MissingMarkers::kLegacyValue);
+  const risc_msgs::Mocap_data legacy = to_message(two_bodies(), kMetresPerMillimetre, false);
   EXPECT_EQ(legacy.Obj[0].marker[1].x, 9999.999);
   EXPECT_EQ(legacy.Obj[0].marker[1].z, 9999.999);
   EXPECT_DOUBLE_EQ(legacy.Obj[0].marker[2].x, 1.0005);
@@ -71,9 +69,9 @@ TEST(Conversions, AReusedMessageKeepsNothing) {
   MocapFrame frame;
   risc_msgs::Mocap_data message;
   to_mocap_frame(two_bodies(), kMetresPerMillimetre, frame);
-  fill_markers(frame, MissingMarkers::kNan, message);
+  fill_markers(frame, true, message);
   to_mocap_frame(FrameOfData(), kMetresPerMillimetre, frame);
-  fill_markers(frame, MissingMarkers::kNan, message);
+  fill_markers(frame, true, message);
   EXPECT_TRUE(message.Obj.empty());
   EXPECT_TRUE(frame.unidentified.empty());
 }
@@ -88,7 +86,7 @@ TEST(Conversions, NumberDelayAndUnidentifiedMarkersAreKept) {
   EXPECT_FALSE(out.delay_s.has_value());
   ASSERT_EQ(out.unidentified.size(), 1u);
   EXPECT_DOUBLE_EQ(out.unidentified[0].z, 0.003);
-  frame.delay = DelaySection{0, 0.25f};
+  frame.delay_s = 0.25f;
   to_mocap_frame(frame, kMetresPerMillimetre, out);
   EXPECT_EQ(out.delay_s, 0.25);
 }

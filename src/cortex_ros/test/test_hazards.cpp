@@ -5,7 +5,6 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <functional>
 #include <limits>
 
 #include "cortex_ros/protocol.hpp"
@@ -20,6 +19,10 @@ constexpr std::uint16_t kBodyDefs = 11;
 constexpr std::uint16_t kFrame = 13;
 constexpr std::int64_t kInt32Max = std::numeric_limits<std::int32_t>::max();
 constexpr std::int64_t kInt32Min = std::numeric_limits<std::int32_t>::min();
+
+Packet decode(const Bytes& bytes) {
+  return cortex_ros::decode(bytes.data(), bytes.size());
+}
 
 void expect_refused(const Bytes& bytes, const std::string& part_of_message) {
   try {
@@ -59,7 +62,7 @@ TEST(Header, FewerThanFourBytesAreRefused) {
   for (std::size_t size = 0; size < 4; ++size) {
     expect_refused(Bytes(size, 0), "too few for a packet header");
   }
-  EXPECT_THROW(decode(nullptr, 0), ProtocolError);
+  EXPECT_THROW(cortex_ros::decode(nullptr, 0), ProtocolError);
 }
 
 TEST(Header, DeclaredLengthMustBeTheDatagrams) {
@@ -77,11 +80,12 @@ TEST(Header, MoreThanADatagramCanCarryIsRefused) {
 }
 
 TEST(Header, UnknownCodesAreKeptWhole) {
-  for (unsigned code : {4u, 9u, 18u, 33u, 34u, 0x0180u, 0x0181u, 0x0200u, 0x5677u, 0xffffu}) {
+  for (unsigned code :
+       {1u, 4u, 9u, 10u, 12u, 14u, 17u, 18u, 33u, 34u, 0x0180u, 0x0181u, 0x0200u, 0x5677u, 0xffffu}) {
     const Bytes bytes = RawPacket(static_cast<std::uint16_t>(code)).fill(3, 7).bytes();
     const Packet packet = decode(bytes);
-    ASSERT_TRUE(std::holds_alternative<UnknownPacket>(packet)) << code;
-    EXPECT_EQ(std::get<UnknownPacket>(packet).command, code);
+    ASSERT_TRUE(std::holds_alternative<OtherPacket>(packet)) << code;
+    EXPECT_EQ(std::get<OtherPacket>(packet).command, code);
     EXPECT_EQ(encode(packet), bytes);
   }
 }
@@ -106,23 +110,14 @@ TEST(Identity, BytesOfANewerHostAfterTheVersionAreIgnored) {
 }
 
 TEST(Text, NeedsItsNul) {
-  for (std::uint16_t code : {std::uint16_t{3}, std::uint16_t{14}}) {
-    expect_refused(RawPacket(code).bytes(), "text has no terminating NUL");
-    expect_refused(RawPacket(code).letters("hello").bytes(), "text has no terminating NUL");
-  }
+  expect_refused(RawPacket(3).bytes(), "text has no terminating NUL");
+  expect_refused(RawPacket(3).letters("hello").bytes(), "text has no terminating NUL");
   EXPECT_EQ(std::get<Comment>(decode(RawPacket(3).text("").bytes())).text, "");
 }
 
-TEST(Requests, WithAPayloadAreRefused) {
-  expect_refused(RawPacket(10).fill(1, 0).bytes(), "must have none");
-  expect_refused(RawPacket(12).fill(4, 0).bytes(), "must have none");
-}
-
-TEST(Requests, AnswersAndQueriesWithAPayloadAreTolerated) {
-  for (std::uint16_t code : {std::uint16_t{1}, std::uint16_t{16}, std::uint16_t{0x5678}}) {
-    const Bytes bytes = RawPacket(code).fill(6, 3).bytes();
-    EXPECT_EQ(encode(decode(bytes)), bytes);
-  }
+TEST(Answers, WithAPayloadAreTolerated) {
+  EXPECT_TRUE(std::holds_alternative<UnrecognizedRequest>(decode(RawPacket(16).fill(6, 3).bytes())));
+  EXPECT_TRUE(std::holds_alternative<UnrecognizedCommand>(decode(RawPacket(0x5678).fill(6, 3).bytes())));
 }
 
 TEST(Reply, TooShortForANumberIsNoNumber) {
@@ -142,39 +137,12 @@ TEST(BodyDefs, CountsAreChecked) {
   expect_refused(RawPacket(kBodyDefs).i32(101).fill(101 * 13, 0).bytes(), "above the limit of 100");
   expect_refused(RawPacket(kBodyDefs).i32(3).fill(2 * 13, 0).bytes(),
                  "body count 3 needs at least 13 bytes each");
-  expect_refused(RawPacket(kBodyDefs).i32(1).text("A").i32(-5).fill(8, 0).bytes(),
-                 "body 0: marker count is negative");
-  expect_refused(RawPacket(kBodyDefs).i32(1).text("A").i32(1000000).fill(12, 0).bytes(),
-                 "marker count 1000000");
-  expect_refused(RawPacket(kBodyDefs).i32(1).text("A").i32(0).i32(kInt32Max).fill(8, 0).bytes(),
-                 "segment count");
-  expect_refused(RawPacket(kBodyDefs).i32(1).text("A").i32(0).i32(0).i32(kInt32Min).bytes(),
-                 "dof count is negative");
-  expect_refused(RawPacket(kBodyDefs).i32(0).i32(-1).i32(0).bytes(), "analog channel count is negative");
-  expect_refused(RawPacket(kBodyDefs).i32(0).i32(0).i32(-1).bytes(), "force plate count is negative");
-  expect_refused(RawPacket(kBodyDefs).i32(0).i32(0).bytes(), "force plate count needs 4 bytes");
 }
 
 TEST(BodyDefs, HundredBodiesAreFine) {
   RawPacket packet(kBodyDefs);
   packet.i32(100).fill(100 * 13, 0).i32(0).i32(0);
-  EXPECT_EQ(std::get<BodyDefs>(decode(packet.bytes())).bodies.size(), 100u);
-}
-
-TEST(BodyDefs, NamesAreBounded) {
-  expect_refused(RawPacket(kBodyDefs).i32(1).letters("no end, no end").bytes(),
-                 "body name has no terminating NUL");
-  expect_refused(RawPacket(kBodyDefs).i32(1).text(std::string(128, 'n')).fill(12, 0).i32(0).i32(0).bytes(),
-                 "body name of 128 bytes is above the limit of 127");
-  expect_refused(RawPacket(kBodyDefs).i32(1).text("A").i32(2).text("m1").letters("m2 has no end").bytes(),
-                 "body 0: marker name has no terminating NUL");
-}
-
-TEST(BodyDefs, TrailingBytesAreKept) {
-  const Bytes bytes = RawPacket(kBodyDefs).i32(0).i32(0).i32(2).fill(7, 9).bytes();
-  const Packet packet = decode(bytes);
-  EXPECT_EQ(std::get<BodyDefs>(packet).trailing, Bytes(7, 9));
-  EXPECT_EQ(encode(packet), bytes);
+  EXPECT_EQ(std::get<BodyDefs>(decode(packet.bytes())).bodies, 100u);
 }
 
 // ---- frame up to the forces
@@ -237,12 +205,10 @@ TEST(Frame, BlocksAreChecked) {
 }
 
 TEST(Frame, ZeroTimesAHugeCountIsAnEmptyBlock) {
-  const Bytes bytes = frame_start(0).i32(0).i32(0).i32(kInt32Max).i32(kInt32Max).i32(0).bytes();
-  const FrameOfData frame = decode_frame(bytes);
-  EXPECT_TRUE(frame.analog.samples.empty());
-  EXPECT_TRUE(frame.forces.samples.empty());
-  EXPECT_EQ(frame.analog.sample_count, kInt32Max);
-  EXPECT_EQ(encode(frame), bytes);
+  const FrameOfData frame = decode_frame(
+      frame_start(0).i32(0).i32(0).i32(kInt32Max).i32(kInt32Max).i32(0).i32(0).f32(0.5f).bytes());
+  EXPECT_EQ(frame.delay_s, 0.5f);
+  EXPECT_TRUE(frame.faults.empty());
 }
 
 TEST(Frame, LargestOneFitsADatagram) {
@@ -269,11 +235,10 @@ TEST(Frame, SentinelAndNonFiniteCoordinatesAreMissing) {
 TEST(Optional, UpToFourSpareBytesEndQuietly) {
   for (std::size_t spare = 0; spare <= 4; ++spare) {
     const FrameOfData base = decode_frame(empty_frame().fill(spare, 1).bytes());
-    EXPECT_FALSE(base.delay.has_value());
+    EXPECT_FALSE(base.delay_s.has_value());
     EXPECT_TRUE(base.faults.empty());
     const FrameOfData delayed = decode_frame(frame_with_delay().fill(spare, 1).bytes());
-    EXPECT_TRUE(delayed.delay.has_value());
-    EXPECT_TRUE(delayed.items.empty());
+    EXPECT_TRUE(delayed.delay_s.has_value());
     EXPECT_TRUE(delayed.faults.empty());
   }
 }
@@ -281,7 +246,7 @@ TEST(Optional, UpToFourSpareBytesEndQuietly) {
 TEST(Optional, CutDelayIsDroppedAndCounted) {
   for (std::size_t spare = 5; spare <= 7; ++spare) {
     const FrameOfData frame = decode_frame(empty_frame().fill(spare, 0).bytes());
-    EXPECT_FALSE(frame.delay.has_value());
+    EXPECT_FALSE(frame.delay_s.has_value());
     ASSERT_EQ(frame.faults.size(), 1u);
     EXPECT_NE(frame.faults[0].find("delay"), std::string::npos);
   }
@@ -292,8 +257,7 @@ TEST(Optional, ItemLengthsAreChecked) {
   for (std::int64_t length : {std::int64_t{-8}, std::int64_t{-1}, kInt32Min, std::int64_t{9}, kInt32Max}) {
     const FrameOfData frame = decode_frame(one_body_frame().i32(777).i32(length).fill(8, 0).bytes());
     EXPECT_EQ(frame.bodies.at(0).markers.size(), 1u) << "the bodies are kept";
-    EXPECT_TRUE(frame.delay.has_value());
-    EXPECT_TRUE(frame.items.empty());
+    EXPECT_TRUE(frame.delay_s.has_value());
     ASSERT_EQ(frame.faults.size(), 1u);
     EXPECT_NE(frame.faults[0].find("item with tag 777: length " + std::to_string(length)), std::string::npos);
   }
@@ -301,107 +265,20 @@ TEST(Optional, ItemLengthsAreChecked) {
   EXPECT_EQ(cut.faults.size(), 1u);
 }
 
-TEST(Optional, UnknownItemsAreSkippedByTheirLength) {
-  const Bytes bytes =
-      one_body_frame().i32(777).i32(5).fill(5, 1).i32(-3).i32(0).i32(13).i32(8).i32(4).i32(5).bytes();
-  const FrameOfData frame = decode_frame(bytes);
-  ASSERT_EQ(frame.items.size(), 3u);
-  EXPECT_EQ(std::get<UnknownItem>(frame.items[0]).content, Bytes(5, 1));
-  EXPECT_EQ(std::get<UnknownItem>(frame.items[1]).tag, -3);
-  EXPECT_EQ(std::get<LensEncoders>(frame.items[2]).lenses.at(0).focus, 5);
-  EXPECT_EQ(encode(frame), bytes);
-}
-
-// A faulty item between two good ones: only it goes.
-void expect_item_dropped(const std::function<void(RawPacket&)>& put_item,
-                         const std::string& part_of_message) {
-  RawPacket packet = one_body_frame().i32(501).i32(1).fill(1, 1);
-  put_item(packet);
-  packet.i32(502).i32(1).fill(1, 2);
-  const FrameOfData frame = decode_frame(packet.bytes());
+TEST(Optional, ItemsAreSkippedByTheirLength) {
+  // What is in them is nobody's business here, sound or not.
+  const FrameOfData frame = decode_frame(
+      one_body_frame().i32(777).i32(5).fill(5, 1).i32(-3).i32(0).i32(11).i32(8).i32(-1).i32(-1).bytes());
   EXPECT_EQ(frame.bodies.size(), 1u);
-  ASSERT_EQ(frame.items.size(), 2u);
-  EXPECT_EQ(std::get<UnknownItem>(frame.items[0]).tag, 501);
-  EXPECT_EQ(std::get<UnknownItem>(frame.items[1]).tag, 502);
-  ASSERT_EQ(frame.faults.size(), 1u);
-  EXPECT_NE(frame.faults[0].find(part_of_message), std::string::npos) << frame.faults[0];
-}
-
-TEST(Optional, AngleEncodersMustFillTheirItem) {
-  expect_item_dropped([](RawPacket& p) { p.i32(11).i32(8).i32(-1).i32(-1); }, "encoder count is negative");
-  expect_item_dropped([](RawPacket& p) { p.i32(11).i32(8).i32(0).i32(-1); },
-                      "encoder sample count is negative");
-  expect_item_dropped([](RawPacket& p) { p.i32(11).i32(16).i32(1).i32(2).f64(1.0); }, "encoder block: 1 x 2");
-  expect_item_dropped([](RawPacket& p) { p.i32(11).i32(24).i32(1).i32(1).f64(1.0).f64(2.0); },
-                      "8 bytes too many");
-  expect_item_dropped([](RawPacket& p) { p.i32(11).i32(8).i32(65536).i32(65536); }, "65536 x 65536");
-  expect_item_dropped([](RawPacket& p) { p.i32(11).i32(4).i32(0); }, "needs 4 bytes");
-}
-
-TEST(Optional, RecordingStatusStaysInItsItem) {
-  expect_item_dropped([](RawPacket& p) { p.i32(12).i32(8).i32(1).i32(2); }, "last frame needs 4 bytes");
-  expect_item_dropped([](RawPacket& p) { p.i32(12).i32(15).i32(1).i32(2).i32(3).letters("abc"); },
-                      "no terminating NUL");
-  expect_item_dropped(
-      [](RawPacket& p) { p.i32(12).i32(269).i32(1).i32(2).i32(3).text(std::string(256, 'f')); },
-      "capture file name of 256 bytes is above the limit of 255");
-  const FrameOfData longest = decode_frame(
-      one_body_frame().i32(12).i32(268).i32(1).i32(2).i32(3).text(std::string(255, 'f')).bytes());
-  EXPECT_EQ(std::get<RecordingStatus>(longest.items.at(0)).capture_file.size(), 255u);
-  const FrameOfData nameless = decode_frame(one_body_frame().i32(12).i32(12).i32(1).i32(2).i32(3).bytes());
-  EXPECT_EQ(std::get<RecordingStatus>(nameless.items.at(0)).last_frame, 3);
-}
-
-TEST(Optional, LensEncodersNeedAnEntryPerBody) {
-  expect_item_dropped([](RawPacket& p) { p.i32(13).i32(4).i32(100); }, "lens encoders needs 8 bytes, 4 left");
-}
-
-TEST(Optional, NothingStandsOverFromAnEarlierFrame) {
-  const FrameOfData full =
-      decode_frame(one_body_frame().i32(12).i32(13).i32(1).i32(2).i32(3).text("").bytes());
-  EXPECT_FALSE(full.items.empty());
-  const FrameOfData bare = decode_frame(empty_frame().bytes());
-  EXPECT_FALSE(bare.delay.has_value());
-  EXPECT_TRUE(bare.items.empty());
-}
-
-// ---- push base position
-
-TEST(Push, RoundTripAndSizes) {
-  PushBasePosition push;
-  push.hierarchy = {{-1, "root"}, {0, "arm"}};
-  push.pose.resize(2);
-  push.pose[1].length = 99.5;
-  const Bytes bytes = encode(push);
-  // 4 header, 4 sizes, hierarchy 4 + (4 + 5) + (4 + 4), pose 2 x 56 + 4
-  EXPECT_EQ(bytes.size(), 4u + 4u + 21u + 116u);
-  const Packet packet = decode(bytes);
-  EXPECT_EQ(std::get<PushBasePosition>(packet).hierarchy[1].name, "arm");
-  EXPECT_EQ(std::get<PushBasePosition>(packet).pose[1].length, 99.5);
-  EXPECT_EQ(encode(packet), bytes);
-}
-
-TEST(Push, FaultsAreRefused) {
-  expect_refused(RawPacket(17).u16(4).bytes(), "pose size needs 2 bytes");
-  expect_refused(RawPacket(17).u16(4).u16(60).i32(0).bytes(), "pose needs 60 bytes, 0 left");
-  expect_refused(RawPacket(17).u16(4).u16(4).i32(-1).i32(0).bytes(), "segment count is negative");
-  expect_refused(RawPacket(17).u16(4).u16(4).i32(5).i32(0).bytes(), "segment count 5");
-  expect_refused(RawPacket(17).u16(4).u16(4).i32(0).i32(0).i32(0).bytes(), "4 bytes too many after the pose");
-  expect_refused(RawPacket(17).u16(5).u16(4).i32(0).fill(5, 0).bytes(),
-                 "1 bytes too many after the hierarchy");
-  expect_refused(RawPacket(17).u16(10).u16(4).i32(1).i32(0).letters("ab").i32(0).bytes(),
-                 "no terminating NUL");
-  expect_refused(RawPacket(17).u16(10).u16(4).i32(1).i32(0).text("a").i32(0).bytes(),
-                 "segments needs 56 bytes");
+  EXPECT_TRUE(frame.faults.empty());
 }
 
 // ---- encoding
 
-TEST(Encode, RefusesWhatTheWireCannotSay) {
-  EXPECT_THROW(encode(GeneralRequest{std::string("a\0b", 3)}), ProtocolError);
-  EXPECT_THROW(encode(GeneralRequest{std::string(kMaxPayloadBytes, 'x')}), ProtocolError);
-  EXPECT_THROW(encode(HelloWorld{{std::string(128, 'n'), {}}}), ProtocolError);
-  EXPECT_NO_THROW(encode(HelloWorld{{std::string(127, 'n'), {}}}));
+TEST(Encode, RefusesWhatIsTooLong) {
+  EXPECT_THROW(encode_text_request(std::string(kMaxPayloadBytes, 'x')), ProtocolError);
+  EXPECT_THROW(encode_hello({std::string(128, 'n'), {}}), ProtocolError);
+  EXPECT_NO_THROW(encode_hello({std::string(127, 'n'), {}}));
 }
 
 TEST(Encode, NotANumberKeepsItsBits) {

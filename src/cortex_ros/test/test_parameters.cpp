@@ -27,7 +27,7 @@ TEST(Parameters, AreReadByTypeAndThoseOfALaunchFileCount) {
   bool flag = false;
   EXPECT_THROW(parameters.read("host", flag), std::invalid_argument);
   std::uint16_t port = 1;
-  EXPECT_THROW(parameters.read_port("command_port", port), std::invalid_argument);
+  EXPECT_THROW(parameters.read("command_port", port), std::invalid_argument);
   EXPECT_EQ(parameters.unread(), std::vector<std::string>{"misspelt"});
 }
 

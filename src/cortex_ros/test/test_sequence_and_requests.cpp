@@ -67,11 +67,11 @@ class RequestQueueTest : public testing::Test {
     return GeneralReply{Bytes(payload.begin(), payload.end())};
   }
   static std::string text_of(const std::optional<Bytes>& packet) {
-    return packet ? std::get<GeneralRequest>(decode(*packet)).text : "nothing";
+    return packet ? std::string(packet->begin() + kHeaderBytes, packet->end() - 1) : "nothing";
   }
 
-  void ask(const std::string& text, int tries = 3) {
-    queue_.push(GeneralRequest{text}, tries, [this, text](const Packet* answer) {
+  void ask(const std::string& text) {
+    queue_.push(RequestQueue::Kind::kText, encode_text_request(text), [this, text](const Packet* answer) {
       const auto* reply = answer == nullptr ? nullptr : std::get_if<GeneralReply>(answer);
       log_.push_back(text + "=" +
                      (answer == nullptr  ? "silence"
@@ -80,7 +80,12 @@ class RequestQueueTest : public testing::Test {
     });
   }
 
-  RequestQueue queue_{{milliseconds(250), milliseconds(20)}};
+  void ask_for_bodies() {
+    queue_.push(RequestQueue::Kind::kBodyDefs, encode_request(Command::kRequestBodyDefs),
+                [this](const Packet* answer) { log_.push_back(answer ? "answer" : "silence"); });
+  }
+
+  RequestQueue queue_{milliseconds(250), 3};
   std::vector<std::string> log_;
 };
 
@@ -136,8 +141,9 @@ TEST_F(RequestQueueTest, LateAnswersAreNotTheNextOnes) {
 }
 
 TEST_F(RequestQueueTest, AfterSilenceTheNextOneWaitsForALateAnswer) {
-  ask("A", 1);
-  ask("B", 1);
+  queue_ = RequestQueue(milliseconds(250), 1);
+  ask("A");
+  ask("B");
   EXPECT_EQ(text_of(queue_.update(milliseconds(0))), "A");
   EXPECT_EQ(text_of(queue_.update(milliseconds(250))), "nothing");
   EXPECT_EQ(text_of(queue_.update(milliseconds(519))), "nothing");
@@ -154,34 +160,14 @@ TEST_F(RequestQueueTest, AnswersOfAnotherTypeAreNotTaken) {
   EXPECT_TRUE(queue_.offer(UnrecognizedRequest(), milliseconds(2)));
   EXPECT_EQ(log_, (std::vector<std::string>{"A=other"}));
 
-  queue_.push(RequestBodyDefs(), 1, nullptr);
+  ask_for_bodies();
   EXPECT_TRUE(queue_.update(milliseconds(3)).has_value()) << "another kind of request need not wait";
   EXPECT_FALSE(queue_.offer(reply("a"), milliseconds(4)));
   EXPECT_TRUE(queue_.offer(BodyDefs(), milliseconds(5)));
-  queue_.push(RequestFrame(), 1, nullptr);
-  queue_.update(milliseconds(6));
-  EXPECT_FALSE(queue_.offer(BodyDefs(), milliseconds(7)));
-  EXPECT_TRUE(queue_.offer(FrameOfData(), milliseconds(8)));
-}
-
-TEST_F(RequestQueueTest, TextRequestForAFrameIsAnsweredByAFrame) {
-  for (const char* text : {"GetFrameOfData", "GetFrameOfData=BasePositions"}) {
-    ask(text);
-    EXPECT_EQ(text_of(queue_.update(milliseconds(0))), text);
-    EXPECT_FALSE(queue_.offer(reply("a"), milliseconds(1)));
-    EXPECT_TRUE(queue_.offer(FrameOfData(), milliseconds(2)));
-    EXPECT_EQ(log_.back(), std::string(text) + "=other");
-    queue_.clear();
-    queue_ = RequestQueue({milliseconds(250), milliseconds(20)});
-  }
-  ask("GetUpAxis");
-  queue_.update(milliseconds(0));
-  EXPECT_FALSE(queue_.offer(FrameOfData(), milliseconds(1)));
 }
 
 TEST_F(RequestQueueTest, UnrecognizedCommandAnswersAnything) {
-  queue_.push(RequestBodyDefs(), 1,
-              [this](const Packet* answer) { log_.push_back(answer ? "answer" : "silence"); });
+  ask_for_bodies();
   queue_.update(milliseconds(0));
   EXPECT_TRUE(queue_.offer(UnrecognizedCommand(), milliseconds(1)));
   EXPECT_EQ(log_, (std::vector<std::string>{"answer"}));
@@ -200,7 +186,7 @@ TEST_F(RequestQueueTest, AnswersToClearedOnesAreNotTheNextOnes) {
 }
 
 TEST_F(RequestQueueTest, MayBePushedFromAnAnswer) {
-  queue_.push(GeneralRequest{"A"}, 1, [this](const Packet*) { ask("B"); });
+  queue_.push(RequestQueue::Kind::kText, encode_text_request("A"), [this](const Packet*) { ask("B"); });
   queue_.update(milliseconds(0));
   queue_.offer(reply("a"), milliseconds(1));
   EXPECT_EQ(text_of(queue_.update(milliseconds(50))), "B");

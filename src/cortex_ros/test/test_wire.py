@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cortex_encoder import encode, encode_base_position, encode_frame, i32
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,26 +21,6 @@ REENCODE = [name for name in NAMES if name != "bodydefs_2_trailing"]
 
 def golden(name):
     return (GOLDEN / (name + ".bin")).read_bytes(), json.loads((GOLDEN / (name + ".json")).read_text())
-
-
-def encode(packet):
-    """The datagram of a decoded packet."""
-    content = packet.content
-    if packet.command in (Command.HELLO_WORLD, Command.HERE_I_AM):
-        return wire.encode_identity(packet.command, content)
-    if packet.command in (Command.COMMENT, Command.GENERAL_REQUEST):
-        return wire.encode_text(packet.command, content)
-    if packet.command == Command.BODYDEFS:
-        return wire.encode_body_defs(content)
-    if packet.command == Command.FRAME_OF_DATA:
-        return wire.encode_frame(content)
-    if packet.command == Command.PUSH_BASEPOSITION:
-        return wire.encode_base_position(content)
-    return wire.encode_packet(packet.command, content or b"")
-
-
-def simple_frame(bodies=(), **more):
-    return wire.Frame(7, list(bodies), np.empty((0, 3)), wire.Samples(0, 0, []), wire.Samples(0, 0, []), **more)
 
 
 # --- golden packets -----------------------------------------------------------------------------------------------
@@ -129,12 +110,12 @@ def test_golden_frame(name):
         assert frame.other_tags == [(777, bytes([1, 2, 3, 4, 5]))]
     else:
         assert (frame.encoders, frame.recording, frame.lenses) == (None, None, None)
-    assert frame.faults == 0
+    assert not frame.faults
 
 
 def test_skeleton_push_has_the_parent_first_and_survives():
     base = wire.BasePosition([("Root", -1), ("Arm", 0)], np.arange(14.0).reshape(2, 7))
-    datagram = wire.encode_base_position(base)
+    datagram = encode_base_position(base)
     assert datagram[:8] == struct.pack("<4H", 17, 4 + 21 + 116, 4 + 4 + 5 + 4 + 4, 4 + 2 * 56)
     assert datagram[8:21] == struct.pack("<ii", 2, -1) + b"Root\0"
     back = wire.decode_packet(datagram).content
@@ -164,7 +145,7 @@ def test_fast_encoder_equals_the_general_one(bodies, number, loose, delay_s, rec
     all_markers = np.concatenate([markers for _, markers in bodies]) if bodies else np.empty((0, 3))
     packet, offset = encoder.encode(number, all_markers, np.array(loose).reshape(-1, 3), 0.0, recording)
     wire.set_delay(packet, offset, delay_s)
-    general = wire.encode_frame(
+    general = encode_frame(
         wire.Frame(
             number,
             [wire.BodyFrame(name, markers, [], []) for name, markers in bodies],
@@ -235,10 +216,6 @@ def test_bad_names_are_refused(name):
 def test_encoders_refuse_contradictions():
     with pytest.raises(wire.PacketTooLargeError, match="65504 payload"):
         wire.encode_packet(Command.GENERAL_REPLY, bytes(65504))
-    with pytest.raises(ValueError, match="samples"):
-        wire.encode_frame(simple_frame()._replace(analog=wire.Samples(2, 2, [1, 2, 3])))
-    with pytest.raises(ValueError, match="delay"):
-        wire.encode_frame(simple_frame(lenses=np.zeros((0, 2))))
     with pytest.raises(ValueError, match="101 bodies"):
         wire.encode_body_defs(wire.BodyDefs([wire.BodyDef("b", [])] * 101))
 
@@ -247,15 +224,11 @@ def test_names_with_any_bytes_survive():
     raw = bytes(range(1, 128))
     payload = struct.pack("<ii", 5, 1) + bytes([255, 254, 200]) + b"\0" + bytes(12) + bytes(20)
     datagram = wire.encode_packet(Command.FRAME_OF_DATA, payload)
-    assert wire.encode_frame(wire.decode_packet(datagram).content) == datagram
+    assert encode_frame(wire.decode_packet(datagram).content) == datagram
     assert wire.decode_text(raw + b"\0").encode() == raw
 
 
 # --- hostile input ------------------------------------------------------------------------------------------------
-
-
-def i32(*values):
-    return struct.pack("<%di" % len(values), *values)
 
 
 NO_BODIES = i32(7, 0, 0, 0, 0, 0, 0)  # frame number, bodies, unidentified, analog, forces
@@ -340,13 +313,13 @@ def decode_frame_payload(payload):
 
 def test_zero_channels_with_many_samples_is_an_empty_block():
     frame = decode_frame_payload(i32(7, 0, 0, 0, 2**31 - 1, 2**31 - 1, 0))
-    assert frame.analog.values.size == 0 and frame.forces.values.size == 0 and frame.faults == 0
+    assert frame.analog.values.size == 0 and frame.forces.values.size == 0 and not frame.faults
 
 
 @pytest.mark.parametrize("spare", range(5))
 def test_up_to_four_spare_bytes_are_no_delay(spare):
     frame = decode_frame_payload(NO_BODIES + b"\xff" * spare)
-    assert (frame.delay_s, frame.faults) == (None, 0)
+    assert (frame.delay_s, frame.faults) == (None, [])
 
 
 @pytest.mark.parametrize(
@@ -362,7 +335,7 @@ def test_up_to_four_spare_bytes_are_no_delay(spare):
 )
 def test_a_faulty_delay_is_counted_and_keeps_the_frame(tail, delay_s):
     frame = decode_frame_payload(NO_BODIES + tail)
-    assert (frame.number, frame.delay_s, frame.faults) == (7, delay_s, 1)
+    assert (frame.number, frame.delay_s, len(frame.faults)) == (7, delay_s, 1)
 
 
 RECORDING = wire.Recording(1, 5, 0, "take.cap")
@@ -387,14 +360,14 @@ GOOD_TAG = i32(12, 21) + i32(1, 5, 0) + b"take.cap\0"
 def test_a_faulty_tag_costs_only_itself(item, faults, found):
     body = i32(7, 1) + b"b\0" + bytes(12) + bytes(20)
     frame = decode_frame_payload(body + i32(0) + struct.pack("<f", 0.5) + item + GOOD_TAG)
-    assert (frame.delay_s, frame.faults) == (0.5, faults)
+    assert (frame.delay_s, len(frame.faults)) == (0.5, faults)
     assert frame.recording == (RECORDING if found else None)
     assert (frame.encoders, frame.lenses) == (None, None)
 
 
 def test_a_tag_cut_in_its_header_is_counted():
     frame = decode_frame_payload(NO_BODIES + bytes(8) + i32(12) + b"\x01")
-    assert (frame.delay_s, frame.faults) == (0.0, 1)
+    assert (frame.delay_s, len(frame.faults)) == (0.0, 1)
 
 
 def test_a_capture_name_of_any_length_stays_inside_its_item():

@@ -9,14 +9,13 @@ import pytest
 import rosbag
 import rospy
 from geometry_msgs.msg import TwistStamped
-from sensor_msgs.msg import TimeReference
 
 from data_extraction import plots, summary
 from data_extraction.bags import Bag, BagError
 from data_extraction.csv_export import export, file_name
 from data_extraction.flight_metrics import FlightCollector, Series, best_fit_lag, evaluate, settling_time
 from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
-from risc_maap_msgs.msg import OperatorState, TrajectoryPhases, VehiclePhase
+from risc_maap_msgs.msg import MocapTime, OperatorState, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Controls, Cortex, Mocap_data, States, Trajectories, Trajectory
 
 T0_S = 1000.0
@@ -61,7 +60,7 @@ def flight_bag(tmp_path_factory):
             if k == 100:
                 continue
             receipt_s = t_s + 0.003
-            time = stamped(TimeReference(time_ref=rospy.Time.from_sec(receipt_s), source=str(5000 + k)), t_s)
+            time = stamped(MocapTime(receipt=rospy.Time.from_sec(receipt_s), frame=5000 + k), t_s)
             write("/mocap_time", time, receipt_s + 0.0002)
             write("/mocap_data", stamped(Mocap_data(), t_s), receipt_s + 0.0005)
             write("/cortex_raw", stamped(Cortex(Obj=[states("fluffy_II", t_s)]), t_s), receipt_s + 0.002)
@@ -128,7 +127,7 @@ def test_frames_that_are_lost_before_and_after_the_flight_do_not_count(tmp_path,
                 bag.write("/operator/phase", OperatorState(phase=phases[k // 41]), now)
             if k == 101:
                 bag.write("/operator/result", OperatorState(result=OperatorResult.OK), now)
-            bag.write("/mocap_time", stamped(TimeReference(source=str(k)), t_s), now)
+            bag.write("/mocap_time", stamped(MocapTime(frame=k), t_s), now)
             if begins <= k < 101 and k != 60 or k % 4 == 1:
                 bag.write("/cortex_raw", stamped(Cortex(Obj=[states("fluffy_II", t_s)]), t_s), now)
     collector = FlightCollector()

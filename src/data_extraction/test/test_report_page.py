@@ -13,7 +13,7 @@ import yaml
 from cv_bridge import CvBridge
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Path
-from sensor_msgs.msg import CameraInfo, TimeReference
+from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Bool, String
 
 from ardrone_autonomy.msg import Navdata
@@ -21,7 +21,15 @@ from data_extraction.report import pdf
 from data_extraction.report.__main__ import main, make
 from data_extraction.report.origin import parameter_hash
 from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
-from risc_maap_msgs.msg import Counter, EstimatorStatus, OperatorState, Safety, TrajectoryPhases, VehiclePhase
+from risc_maap_msgs.msg import (
+    Counter,
+    EstimatorStatus,
+    MocapTime,
+    OperatorState,
+    Safety,
+    TrajectoryPhases,
+    VehiclePhase,
+)
 from risc_msgs.msg import (
     Angle,
     Angles,
@@ -136,7 +144,7 @@ def full_rows():
         yield t_s, "/trajectory", Trajectories(Obj=wanted)
         yield t_s, "/ground_truth", Cortex(Obj=truth)
         yield t_s, "/mocap_data", Mocap_data(Obj=[Mocap_markers("fluffy_II", 0.0, [marker, Mocap_marker(x, y, z)])])
-        yield t_s, "/mocap_time", TimeReference(time_ref=rospy.Time.from_sec(T0_S + t_s + 0.003), source=str(k))
+        yield t_s, "/mocap_time", MocapTime(receipt=rospy.Time.from_sec(T0_S + t_s + 0.003), frame=k)
         yield t_s, "/cortex_raw", Cortex(Obj=states)
         yield t_s, "/controls", Controls()
         if k % 7 == 0:

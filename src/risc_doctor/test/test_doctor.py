@@ -21,12 +21,12 @@ import pytest
 import yaml
 
 from ardrone_autonomy.protocol.navdata import State
+from cortex_ros.connection import stream_socket
 from cortex_ros.wire import BodyDef
 from risc_doctor import (
     axes,
     clock_agreement,
     cortex,
-    cortex_probe,
     disk,
     interfaces,
     joystick,
@@ -226,9 +226,9 @@ def test_what_cortex_sends_to_this_computer_alone_stays_with_the_program_that_fl
     with socket.socket(*udp) as flying, socket.socket(*udp) as sender:
         flying.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         flying.bind(("", 0))
-        endpoint = replace(VIRTUAL.mocap, stream_port=flying.getsockname()[1])
+        mocap, port = VIRTUAL.mocap, flying.getsockname()[1]
         for group_only, count in ((True, 3), (False, 0)):
-            with cortex_probe._stream_socket(endpoint, group_only):
+            with stream_socket(mocap.host, mocap.stream_group, port, mocap.interface, group_only):
                 assert received(3) == count
 
 

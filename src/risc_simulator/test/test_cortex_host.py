@@ -177,7 +177,7 @@ def unpack(format_, packet):
 IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))
 HELLO = wire.encode_identity(Command.HELLO_WORLD, wire.Identity("ClientTest", (4, 1, 3, 1)))
 EMPTY_REPLY = (Command.GENERAL_REPLY, b"")
-UNRECOGNIZED = (Command.UNRECOGNIZED_REQUEST, None)
+UNRECOGNIZED = (Command.UNRECOGNIZED_REQUEST, b"")
 
 
 # --- discovery and definitions ------------------------------------------------------------------------------------
@@ -614,7 +614,7 @@ def assert_alive(lab):
 def test_unknown_commands_are_answered_as_such(lab):
     client = lab.client()
     for code in (0x0180, 0x0181, 0x0200, 9, 18, 0xFFFF):
-        assert lab.ask(client, wire.encode_packet(code, b"xyz")) == (Command.UNRECOGNIZED_COMMAND, None)
+        assert lab.ask(client, wire.encode_packet(code, b"xyz")) == (Command.UNRECOGNIZED_COMMAND, b"")
     assert lab.host.statistics()["unknown_commands"] == 6
 
 
@@ -655,7 +655,7 @@ def test_malformed_datagrams_are_counted_and_not_answered(lab, datagram):
 
 def test_skeleton_push_has_no_answer(lab):
     client = lab.client()
-    lab.send(client, wire.encode_base_position(wire.BasePosition([("Root", -1)], np.zeros((1, 7)))))
+    lab.send(client, wire.encode_packet(17, struct.pack("<HHii", 13, 60, 1, -1) + b"Root\0" + bytes(60)))
     assert received(client) == []
     assert lab.host.statistics()["requests"] == {"PUSH_BASEPOSITION": 1}
 

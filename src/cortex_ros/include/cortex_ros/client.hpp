@@ -39,10 +39,9 @@ struct ClientOptions {
   std::string stream_group = "225.1.1.1";  // empty: join no group, take a unicast stream only
   std::uint16_t stream_port = 1001;
   Mode mode = Mode::kAuto;
-  bool live_on_start = true;      // send LiveMode whenever the host was found (again)
-  bool pause_on_exit = false;     // send Pause at the end of run(); stops the stream for other clients too
-  double frame_rate_hz = 200.0;   // for polling, when the host does not tell its own; 1 to 10000
-  bool kernel_timestamps = true;  // receipt times from the kernel; false: from the clock that was handed in
+  bool live_on_start = true;     // send LiveMode whenever the host was found (again)
+  bool pause_on_exit = false;    // send Pause at the end of run(); stops the stream for other clients too
+  double frame_rate_hz = 200.0;  // for polling, when the host does not tell its own; 1 to 10000
   Identity identity{"cortex_ros", {4, 1, 0, 0}};  // program id 4: a client library
 
   Time hello_interval = std::chrono::milliseconds(100);  // while searching; doubles up to ...
@@ -63,7 +62,7 @@ struct HostInfo {
   std::optional<double> millimetres_per_unit;
   std::optional<int> up_axis;  // 0 x, 1 y, 2 z
   std::optional<double> frame_rate_hz;
-  std::optional<BodyDefs> body_defs;
+  std::optional<std::size_t> bodies;  // that it defines
   bool live_mode_accepted = false;
 };
 
@@ -118,12 +117,8 @@ class Client {
   // One turn: handles what has arrived, does what is due, then waits for the next event, at most max_wait.
   void step(Time max_wait);
 
-  // Ends run() promptly. May be called from any thread and from a signal handler.
-  void stop() noexcept;
-
-  // A text request, e.g. "SetOutputName=take_7". `done` gets the answer or nullptr. From the client's own
-  // thread only.
-  void request(const std::string& text, std::function<void(const Packet*)> done);
+  // Ends run() within 50 ms. May be called from any thread and from a signal handler.
+  void stop() noexcept { stop_ = true; }
 
   Statistics statistics() const;  // from any thread
 
@@ -139,15 +134,13 @@ class Client {
   void receive(UdpSocket& socket, Channel channel);
   void handle(const Datagram& datagram, Channel channel);
   bool is_from_host(const Endpoint& source, Channel channel) const;
-  void hint_at_other_host(const Datagram& datagram, Channel channel);
-  void hint_once(Address about, const std::string& hint);
+  void hint_at_other_host(const Packet& packet, const Endpoint& source, Channel channel);
+  void hint_once(const Endpoint& about, const std::string& hint);
   void dispatch(const Packet& packet, const Datagram& datagram, Channel channel);
   void dispatch_while_searching(const Packet& packet, const Datagram& datagram, Channel channel);
   void handle_answer_to_hello(const Identity& identity, const Endpoint& source);
   void handle_frame(const FrameOfData& frame, const Datagram& datagram, Channel channel);
-  void hand_on(const FrameOfData& frame, const Datagram& datagram, Feed feed);
   void handle_announcement(const Identity& identity);
-  void refuse(const std::string& what);
 
   // The life of a connection.
   bool discovering() const { return options_.host.empty(); }
@@ -160,7 +153,6 @@ class Client {
   void start_running();
   void lose_host();
   void ask(const std::string& text, std::function<void(const GeneralReply*)> done);
-  void prepare_stream();
   void open_stream_socket();
   void join_group();
 
@@ -170,9 +162,9 @@ class Client {
   void choose_feed(Time now);
   void poll_if_due(Time now);
   Time poll_period() const;
-  void flush_requests(Time now);
+  void flush(RequestQueue& requests, Time now);
   Time time_to_next_event(Time now) const;
-  void wait(Time max_wait);
+  void wait(Time time);
   void pause_host();
 
   void report_once(const std::string& problem);
@@ -183,7 +175,6 @@ class Client {
   const ClientOptions options_;
   ClientEvents& events_;
   const Clock& clock_;
-  FileDescriptor wake_;
   std::atomic<bool> stop_{false};
 
   Address local_;                           // set together with command_
@@ -192,15 +183,14 @@ class Client {
   std::optional<UdpSocket> stream_;
 
   Phase phase_ = Phase::kSearching;
-  std::optional<Endpoint> host_;        // known unless searching
-  std::optional<Address> set_up_host_;  // the host that info_ tells of, once it is complete
+  std::optional<Endpoint> host_;                         // known unless searching
+  std::optional<boost::asio::ip::address> set_up_host_;  // the host that info_ tells of, once it is complete
   HostInfo info_;
   bool setting_up_ = false;  // the questions of a set-up are under way, whatever the phase
   RequestQueue requests_;
-  RequestQueue polls_;  // apart from the others: frames must not wait for answers to questions
   bool down_reported_ = false;
   std::set<std::string> reported_;
-  std::set<in_addr_t> hinted_;  // addresses that a hint was given about
+  std::set<boost::asio::ip::address> hinted_;  // that a hint was given about
 
   Time search_began_;
   Time hello_interval_;
@@ -212,6 +202,7 @@ class Client {
   Time last_stream_frame_{0};
   Feed feed_ = Feed::kStream;
   Time next_poll_{0};
+  std::optional<Time> polled_at_;  // and not answered yet; frames do not wait for answers to questions
   int polls_without_news_ = 0;
   std::optional<std::int32_t> newest_;  // frame number
 

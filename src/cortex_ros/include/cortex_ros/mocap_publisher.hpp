@@ -12,12 +12,23 @@
 #include <thread>
 
 #include "cortex_ros/clock_filter.hpp"
-#include "cortex_ros/conversions.hpp"
 #include "cortex_ros/frame_sequence.hpp"
 #include "cortex_ros/parameters.hpp"
 #include "cortex_ros/sources/mocap_source.hpp"
+#include "risc_msgs/Mocap_data.h"
 
 namespace cortex_ros {
+
+// What the original release published for a marker that no camera saw: Cortex' sentinel, taken for
+// millimetres.
+constexpr double kLegacyMissingM = 9999.999;
+
+// The bodies of the frame in their order, every marker in its place; those that no camera saw are NaN or the
+// legacy value. Leaves the header alone.
+void fill_markers(const MocapFrame& frame, bool missing_as_nan, risc_msgs::Mocap_data& out);
+
+// Wall time as a ROS stamp; a time before 1970, which a large delay can make of a small clock, becomes zero.
+ros::Time to_ros_time(Time wall);
 
 // Frames of the source that the parameter `source` names -> mocap_data and mocap_time; once a second
 // mocap_status.
@@ -28,13 +39,6 @@ class MocapPublisher : private SourceEvents {
   ~MocapPublisher() override;
 
  private:
-  struct Settings {
-    std::string source = "cortex";
-    double max_delay_s = 0.5;
-    bool missing_as_nan = true;
-    bool filter_stamps = true;
-    std::string frame_id = "cortex";
-  };
   // What the frame path knows and the diagnostics show.
   struct Health {
     std::uint64_t frames = 0;  // handed on
@@ -51,8 +55,6 @@ class MocapPublisher : private SourceEvents {
     bool refused = false;  // its up axis is not z
   };
 
-  static Settings read_settings(Parameters& parameters);
-
   void on_frame(const MocapFrame& frame) override;
   void on_host_up(const MocapHost& host) override;
   void on_host_down(const std::string& why) override;
@@ -60,12 +62,16 @@ class MocapPublisher : private SourceEvents {
   void on_frequent_log(LogLevel level, const std::string& text) override;
 
   bool is_new(const MocapFrame& frame);
-  void publish(const MocapFrame& frame, Time exposure);
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
   void summarize(diagnostic_updater::DiagnosticStatusWrapper& status, const SourceStatus& source,
                  const Health& health, double rate_hz) const;
 
-  const Settings settings_;
+  std::string source_name_ = "cortex";
+  double max_delay_s_ = 0.5;
+  bool missing_as_nan_ = true;
+  bool filter_stamps_ = true;
+  std::string frame_id_ = "cortex";
+
   const SystemClock clock_;
   ros::Publisher markers_;
   ros::Publisher time_;

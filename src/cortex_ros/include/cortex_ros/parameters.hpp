@@ -6,11 +6,11 @@
 #include <xmlrpcpp/XmlRpcValue.h>
 
 #include <cstdint>
-#include <map>
 #include <set>
 #include <stdexcept>
 #include <string>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 namespace cortex_ros {
@@ -19,38 +19,60 @@ class Parameters {
  public:
   // `values`: a struct {key: value}, or nothing. Those of the struct "mocap", which a launch file sets
   // together, count as if they stood beside it; a parameter of its own wins.
-  explicit Parameters(const XmlRpc::XmlRpcValue& values);
+  explicit Parameters(XmlRpc::XmlRpcValue values) : values_(std::move(values)) {
+    if (values_.hasMember("mocap")) {
+      for (const auto& [key, value] : XmlRpc::XmlRpcValue(values_["mocap"])) {
+        if (!values_.hasMember(key)) {
+          values_[key] = value;
+        }
+      }
+      read_.insert("mocap");
+    }
+  }
 
-  void set(const std::string& key, const std::string& value) { values_[key] = XmlRpc::XmlRpcValue(value); }
+  void set(const std::string& key, const std::string& value) { values_[key] = value; }
 
-  // Leaves `value` alone when the parameter is not set. Throws std::invalid_argument for a wrong type.
+  // Leaves `value` alone when the parameter is not set. Throws std::invalid_argument for a wrong type, and
+  // for a port that is none.
   template <typename Value>
   void read(const std::string& key, Value& value) {
     read_.insert(key);
-    const auto found = values_.find(key);
-    if (found == values_.end()) {
+    if (!values_.hasMember(key)) {
       return;
     }
     try {
-      if constexpr (std::is_same_v<Value, double>) {
-        if (found->second.getType() == XmlRpc::XmlRpcValue::TypeInt) {
-          value = static_cast<int&>(found->second);
-          return;
+      XmlRpc::XmlRpcValue& given = values_[key];
+      if constexpr (std::is_same_v<Value, std::uint16_t>) {
+        const int port = given;
+        if (port < 1 || port > 65535) {
+          throw std::invalid_argument("parameter " + key + " is " + std::to_string(port) +
+                                      ", must be a port from 1 to 65535");
         }
+        value = static_cast<Value>(port);
+      } else if constexpr (std::is_same_v<Value, double>) {
+        value = given.getType() == XmlRpc::XmlRpcValue::TypeInt ? static_cast<int&>(given)
+                                                                : static_cast<double&>(given);
+      } else {
+        value = static_cast<Value&>(given);
       }
-      value = static_cast<Value&>(found->second);
     } catch (const XmlRpc::XmlRpcException&) {
       throw std::invalid_argument("parameter " + key + " has the wrong type");
     }
   }
 
-  void read_port(const std::string& key, std::uint16_t& port);  // 1 to 65535
-
   // Set, but not read: misspelt, most likely.
-  std::vector<std::string> unread() const;
+  std::vector<std::string> unread() {
+    std::vector<std::string> keys;
+    for (const auto& [key, value] : values_) {
+      if (read_.count(key) == 0) {
+        keys.push_back(key);
+      }
+    }
+    return keys;
+  }
 
  private:
-  std::map<std::string, XmlRpc::XmlRpcValue> values_;
+  XmlRpc::XmlRpcValue values_;
   std::set<std::string> read_;
 };
 

@@ -4,7 +4,6 @@
 #include <deque>
 #include <functional>
 #include <optional>
-#include <variant>
 
 #include "cortex_ros/clock.hpp"
 #include "cortex_ros/protocol.hpp"
@@ -18,20 +17,15 @@ namespace cortex_ros {
 //    own, as late as the first one was) or given up (its answer may still come).
 class RequestQueue {
  public:
-  struct Timing {
-    Time timeout = std::chrono::milliseconds(250);  // until a request is repeated or given up
-    Time settle = std::chrono::milliseconds(20);    // for duplicates, between requests of one kind
-  };
+  enum class Kind { kText, kBodyDefs };
   // Called with the answer, or with nullptr when the tries are used up. May push further requests.
   using Done = std::function<void(const Packet* answer)>;
 
-  RequestQueue() = default;
-  explicit RequestQueue(Timing timing) : timing_(timing) {}
+  // timeout: until a request is repeated or given up.
+  RequestQueue(Time timeout, int tries) : timeout_(timeout), tries_(tries) {}
 
-  using Question = std::variant<RequestBodyDefs, RequestFrame, GeneralRequest>;
-  void push(const Question& question, int tries, Time timeout, Done done);
-  void push(const Question& question, int tries, Done done) {
-    push(question, tries, timing_.timeout, std::move(done));
+  void push(Kind kind, Bytes packet, Done done) {
+    waiting_.push_back({kind, std::move(packet), tries_, std::move(done)});
   }
 
   // Gives up on what is overdue, then returns the packet to send now, if there is one.
@@ -47,28 +41,23 @@ class RequestQueue {
   void clear();  // drops all requests without calling back
 
  private:
-  enum class Kind { kText, kTextFrame, kBodyDefs, kFrame };
-  static constexpr std::size_t kKinds = 4;
-
   struct Request {
     Kind kind;
     Bytes bytes;
     int tries_left;
-    Time timeout;
     Done done;
   };
-  static bool answers(Kind kind, const Packet& packet);
   Time& quiet_until(Kind kind) { return quiet_until_[static_cast<std::size_t>(kind)]; }
-  Time may_start_at(Kind kind) const;
   void finish(const Packet* answer, Time now);
   std::optional<Bytes> send(Time now);
 
-  Timing timing_;
+  Time timeout_;
+  int tries_;
   std::deque<Request> waiting_;
   std::optional<Request> active_;
   Time first_sent_{0};
   Time last_sent_{0};
-  Time quiet_until_[kKinds] = {};  // no new request of this kind before
+  Time quiet_until_[2] = {};  // no new request of this kind before
 };
 
 }  // namespace cortex_ros

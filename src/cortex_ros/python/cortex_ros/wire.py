@@ -2,7 +2,7 @@
 
 One UDP datagram is one packet: u16 command, u16 payload length, payload. Everything is little-endian and packed.
 Coordinates here are the wire's own: millimetres in the mocap frame, Euler angles in degrees. A missing marker is NaN in
-the values and 9999999.0 on the wire.
+the values and 9999999.0 on the wire. Every packet is decoded; those that the virtual lab or a client sends are encoded.
 
 Decoding is strict: every length and count is checked against the bytes that are there, and a datagram whose declared
 length differs from its real one is refused. Refusals raise MalformedPacketError. Names are opaque bytes on the wire;
@@ -118,7 +118,7 @@ class Frame(NamedTuple):
     """One frame of data. What the packet does not hold is None (delay_s, encoders, recording, lenses).
 
     unidentified_mm: (u, 3) float32.   lenses: (bodies, 2) int32 zoom, focus.   other_tags: (tag, bytes) of unknown
-    tags, in order.   faults: how many faulty optional items were dropped while decoding.
+    tags, in order.   faults: what is wrong with the optional items that were dropped while decoding.
     """
 
     number: int
@@ -131,7 +131,7 @@ class Frame(NamedTuple):
     recording: Recording | None = None
     lenses: np.ndarray | None = None
     other_tags: Sequence[tuple[int, bytes]] = ()
-    faults: int = 0
+    faults: Sequence[str] = ()
 
 
 class BasePosition(NamedTuple):
@@ -141,28 +141,20 @@ class BasePosition(NamedTuple):
     pose: np.ndarray
 
 
-Content = Identity | BodyDefs | Frame | BasePosition | str | bytes | None
-
-
 class Packet(NamedTuple):
-    """A decoded datagram. content by command: Identity, BodyDefs, Frame, BasePosition, str (texts), bytes (replies and
-    unknown commands), None (requests without arguments)."""
+    """A decoded datagram. content by command: Identity, BodyDefs, Frame, BasePosition, str (texts), else bytes."""
 
     command: int
-    content: Content
+    content: Identity | BodyDefs | Frame | BasePosition | str | bytes
 
 
 _FRAME_OF_DATA = int(Command.FRAME_OF_DATA)  # struct is slow with enumerations
 _HEADER = struct.Struct("<HH")
 _FRAME_HEAD = struct.Struct("<HHii")
-_I32 = struct.Struct("<i")
 _F32 = struct.Struct("<f")
-_I32_F32 = struct.Struct("<if")
-_TWO_I32 = struct.Struct("<ii")
-_THREE_I32 = struct.Struct("<iii")
 _IDENTITY = struct.Struct("<128s4B")
-_NO_SEGMENTS_NO_DOFS = _TWO_I32.pack(0, 0)
-_NO_ANALOG_NO_FORCES = struct.pack("<4i", 0, 0, 0, 0)
+_NO_SEGMENTS_NO_DOFS = bytes(8)
+_NO_ANALOG_NO_FORCES = bytes(16)
 
 
 # --- encoding -----------------------------------------------------------------------------------------------------
@@ -180,8 +172,7 @@ def encode_packet(command, payload=b""):
 
 def encode_identity(command, identity):
     """HELLO_WORLD or HERE_I_AM."""
-    name = _text_bytes(identity.name, MAX_NAME_BYTES)
-    return encode_packet(command, _IDENTITY.pack(name, *identity.version))
+    return encode_packet(command, _IDENTITY.pack(_text(identity.name), *identity.version))
 
 
 def encode_text(command, text):
@@ -192,68 +183,13 @@ def encode_text(command, text):
 def encode_body_defs(body_defs):
     """BODYDEFS packet. Raises ValueError when clients could not hold it, PacketTooLargeError when UDP could not."""
     _check_body_count(len(body_defs.bodies))
-    parts = [_I32.pack(len(body_defs.bodies))]
+    parts = [_i32(len(body_defs.bodies))]
     for body in body_defs.bodies:
-        parts.append(_text(body.name))
-        parts.append(_names(body.marker_names))
-        parts.append(_I32.pack(len(body.segments)))
-        parts.extend(_text(name) + _I32.pack(parent) for name, parent in body.segments)
+        parts += [_text(body.name), _names(body.marker_names), _i32(len(body.segments))]
+        parts += [_text(name) + _i32(parent) for name, parent in body.segments]
         parts.append(_names(body.dof_names))
-    parts.append(_names(body_defs.analog_channels))
-    parts.append(_I32.pack(body_defs.force_plates))
+    parts += [_names(body_defs.analog_channels), _i32(body_defs.force_plates)]
     return encode_packet(Command.BODYDEFS, b"".join(parts))
-
-
-def encode_frame(frame):
-    """FRAME_OF_DATA packet with every section. For a live stream of plain bodies FrameEncoder is far cheaper."""
-    _check_body_count(len(frame.bodies))
-    parts = [_TWO_I32.pack(frame.number, len(frame.bodies))]
-    for body in frame.bodies:
-        segments = np.asarray(body.segments, "<f8").reshape(-1, 7)
-        dofs = np.asarray(body.dofs, "<f8").ravel()
-        markers = _wire_markers(body.markers_mm)
-        parts += [
-            _text(body.name),
-            _I32.pack(len(markers)),
-            markers.tobytes(),
-            _I32.pack(len(segments)),
-            segments.tobytes(),
-            _I32.pack(len(dofs)),
-            dofs.tobytes(),
-        ]
-    unidentified = _wire_markers(frame.unidentified_mm)
-    parts += [
-        _I32.pack(len(unidentified)),
-        unidentified.tobytes(),
-        _samples(frame.analog, "<i2", 1),
-        _samples(frame.forces, "<f4", 7),
-    ]
-    items = []
-    if frame.encoders is not None:
-        items.append((TAG_ENCODERS, _samples(frame.encoders, "<f8", 1)))
-    items.extend(frame.other_tags)
-    if frame.recording is not None:
-        items.append((TAG_RECORDING, _recording(frame.recording)))
-    if frame.lenses is not None:
-        items.append((TAG_LENSES, np.asarray(frame.lenses, "<i4").tobytes()))
-    if frame.delay_s is not None:
-        parts.append(_I32_F32.pack(0, frame.delay_s))
-    elif items:
-        raise ValueError("tagged items follow the delay section: give the frame a delay_s")
-    for tag, data in items:
-        parts += [_TWO_I32.pack(tag, len(data)), data]
-    return encode_packet(Command.FRAME_OF_DATA, b"".join(parts))
-
-
-def encode_base_position(base):
-    """PUSH_BASEPOSITION packet (client to host), with the four spare bytes public clients append."""
-    hierarchy = _I32.pack(len(base.segments)) + b"".join(
-        _I32.pack(parent) + _text(name) for name, parent in base.segments
-    )
-    pose = np.asarray(base.pose, "<f8").reshape(len(base.segments), 7).tobytes() + bytes(4)
-    if max(len(hierarchy), len(pose)) > 0xFFFF:
-        raise PacketTooLargeError("a skeleton of %d segments does not fit one datagram" % len(base.segments))
-    return encode_packet(Command.PUSH_BASEPOSITION, _HEADER.pack(len(hierarchy), len(pose)) + hierarchy + pose)
 
 
 class FrameEncoder:
@@ -270,7 +206,7 @@ class FrameEncoder:
         self._mm_per_unit = mm_per_unit
         parts, starts, size = [_FRAME_HEAD.pack(Command.FRAME_OF_DATA, 0, 0, len(layout))], [], _FRAME_HEAD.size
         for name, count in layout:
-            head = _text(name) + _I32.pack(count)
+            head = _text(name) + _i32(count)
             starts += range(size + len(head), size + len(head) + 12 * count, 12)
             parts += [head, bytes(12 * count), _NO_SEGMENTS_NO_DOFS]
             size += len(head) + 12 * count + len(_NO_SEGMENTS_NO_DOFS)
@@ -298,8 +234,9 @@ class FrameEncoder:
         packet = self._frame[:]
         tail = b""
         if recording is not None:
-            data = _recording(recording)
-            tail = _TWO_I32.pack(TAG_RECORDING, len(data)) + data
+            *numbers, name = recording
+            data = _i32(*numbers) + _text(name, MAX_FILE_NAME_BYTES)
+            tail = _i32(TAG_RECORDING, len(data)) + data
         if unidentified is not None and len(unidentified):
             loose = (unidentified * self._mm_per_unit).astype("<f4").tobytes()
             packet[-len(self._end) :] = _end_of_frame(loose)
@@ -321,7 +258,7 @@ class FrameEncoder:
 
 def _end_of_frame(loose):
     """End of a frame behind its bodies: unidentified markers, no analog samples, no forces, a delay of 0."""
-    return _I32.pack(len(loose) // 12) + loose + _NO_ANALOG_NO_FORCES + _I32_F32.pack(0, 0.0)
+    return _i32(len(loose) // 12) + loose + _NO_ANALOG_NO_FORCES + bytes(8)
 
 
 @compiled
@@ -349,44 +286,19 @@ def _check_body_count(count):
         raise ValueError("%d bodies: the protocol's clients hold %d, use fewer" % (count, MAX_BODIES))
 
 
-def _text_bytes(text, limit):
+def _text(text, limit=MAX_NAME_BYTES):
     data = text.encode("utf-8", "surrogateescape")
     if len(data) > limit or b"\0" in data:
         raise ValueError("%r cannot be a name on the wire: at most %d bytes and no NUL" % (text, limit))
-    return data
-
-
-def _text(text, limit=MAX_NAME_BYTES):
-    return _text_bytes(text, limit) + b"\0"
+    return data + b"\0"
 
 
 def _names(names):
-    return _I32.pack(len(names)) + b"".join(_text(name) for name in names)
+    return _i32(len(names)) + b"".join(map(_text, names))
 
 
-def _wire_markers(markers_mm):
-    """(m, 3) little-endian float32 with the sentinel in every coordinate of a row that is not finite."""
-    markers = np.array(markers_mm, "<f4").reshape(-1, 3)
-    finite = np.isfinite(markers)
-    if not finite.all():
-        markers[~finite.all(axis=1)] = MISSING_MM
-    return markers
-
-
-def _samples(block, dtype, width):
-    values = np.asarray(block.values, dtype).ravel()
-    if values.size != block.channels * block.samples * width:
-        raise ValueError(
-            "%d x %d samples of %d values announced, %d values given"
-            % (block.channels, block.samples, width, values.size)
-        )
-    return _TWO_I32.pack(block.channels, block.samples) + values.tobytes()
-
-
-def _recording(recording):
-    return _THREE_I32.pack(recording.active, recording.first_frame, recording.last_frame) + _text(
-        recording.file_name, MAX_FILE_NAME_BYTES
-    )
+def _i32(*values):
+    return struct.pack("<%di" % len(values), *values)
 
 
 # --- decoding -----------------------------------------------------------------------------------------------------
@@ -455,44 +367,29 @@ def decode_frame(payload):
     analog = reader.samples("analog", "<i2", 1)
     forces = reader.samples("force", "<f4", 7)
 
-    delay_s, items, other_tags, faults = None, {}, [], 0
-    if reader.left > 4:
-        if reader.left < 8:
-            return Frame(number, bodies, unidentified, analog, forces, faults=1)
-        reader.i32("ignored word")
-        delay_s = reader.f32("delay")
-        if not 0.0 <= delay_s <= MAX_DELAY_S:  # also false for NaN
-            delay_s, faults = 0.0, 1
+    delay_s, items, other_tags, faults = None, {}, [], []
     while reader.left > 4:
-        if reader.left < 8:
-            faults += 1
-            break
-        tag, length = reader.i32("tag"), reader.i32("tag length")
-        if not 0 <= length <= reader.left:  # nothing after it can be found any more
-            faults += 1
-            break
-        window = reader.take(length)
-        decoder = _TAG_DECODERS.get(tag)
-        if decoder is None:
-            other_tags.append((tag, window))
-            continue
         try:
-            items[tag] = decoder(window, len(bodies))
-        except MalformedPacketError:
-            faults += 1
-    return Frame(
-        number,
-        bodies,
-        unidentified,
-        analog,
-        forces,
-        delay_s,
-        items.get(TAG_ENCODERS),
-        items.get(TAG_RECORDING),
-        items.get(TAG_LENSES),
-        other_tags,
-        faults,
-    )
+            if delay_s is None:
+                reader.i32("word before the delay")
+                delay_s = reader.f32("delay")
+                if not 0.0 <= delay_s <= MAX_DELAY_S:  # also false for NaN
+                    bad, delay_s = delay_s, 0.0
+                    raise MalformedPacketError("a delay of %g s" % bad)
+                continue
+            tag, length = reader.i32("tag"), reader.i32("tag length")
+            if length < 0:
+                reader.take(reader.left)  # nothing after it can be found any more
+                raise MalformedPacketError("tag %d of %d bytes" % (tag, length))
+            window = reader.take(length)
+            if tag in _TAG_DECODERS:
+                items[tag] = _TAG_DECODERS[tag](window, len(bodies))
+            else:
+                other_tags.append((tag, window))
+        except MalformedPacketError as error:
+            faults.append(str(error))
+    found = (items.get(tag) for tag in (TAG_ENCODERS, TAG_RECORDING, TAG_LENSES))
+    return Frame(number, bodies, unidentified, analog, forces, delay_s, *found, other_tags, faults)
 
 
 def decode_base_position(payload):
@@ -529,13 +426,14 @@ class _Reader:
 
     def _step(self, size, what):
         at = self._at
-        if size > len(self._data) - at:
-            raise MalformedPacketError("%s at payload byte %d: %d bytes needed, %d left" % (what, at, size, self.left))
+        if size > self.left:
+            left, self._at = self.left, len(self._data)  # what is too short ends here
+            raise MalformedPacketError("%s at payload byte %d: %d bytes needed, %d left" % (what, at, size, left))
         self._at = at + size
         return at
 
     def i32(self, what):
-        return _I32.unpack_from(self._data, self._step(4, what))[0]
+        return struct.unpack_from("<i", self._data, self._step(4, what))[0]
 
     def f32(self, what):
         return _F32.unpack_from(self._data, self._step(4, what))[0]
@@ -601,22 +499,13 @@ def _decode_lenses(window, body_count):
     return _Reader(window).array("<i4", 2, body_count).reshape(-1, 2)
 
 
-def _decode_nothing(_payload):
-    return None
-
-
 _TAG_DECODERS = {TAG_ENCODERS: _decode_encoders, TAG_RECORDING: _decode_recording, TAG_LENSES: _decode_lenses}
 _DECODERS = {
     Command.HELLO_WORLD: decode_identity,
-    Command.ARE_YOU_THERE: _decode_nothing,
     Command.HERE_I_AM: decode_identity,
     Command.COMMENT: decode_text,
-    Command.REQUEST_BODYDEFS: _decode_nothing,
     Command.BODYDEFS: decode_body_defs,
-    Command.REQUEST_FRAME: _decode_nothing,
     Command.FRAME_OF_DATA: decode_frame,
     Command.GENERAL_REQUEST: decode_text,
     Command.PUSH_BASEPOSITION: decode_base_position,
-    Command.UNRECOGNIZED_REQUEST: _decode_nothing,
-    Command.UNRECOGNIZED_COMMAND: _decode_nothing,
 }

@@ -71,7 +71,7 @@ class CortexSource : public MocapSource, private ClientEvents {
     std::ostringstream text;
     text << to_string(info.endpoint) << ", program '" << info.identity.name << "' " << int{version[1]} << '.'
          << int{version[2]} << '.' << int{version[3]} << ", " << host.frame_rate_hz << " Hz, "
-         << (info.body_defs ? info.body_defs->bodies.size() : 0) << " bodies defined";
+         << info.bodies.value_or(0) << " bodies defined";
     host.description = text.str();
     events_.on_host_up(host);
   }
@@ -146,9 +146,9 @@ ClientOptions read_client_options(Parameters& parameters) {
   std::string mode = "auto";
   parameters.read("host", options.host);
   parameters.read("local_address", options.local_address);
-  parameters.read_port("command_port", options.command_port);
+  parameters.read("command_port", options.command_port);
   parameters.read("stream_group", options.stream_group);
-  parameters.read_port("stream_port", options.stream_port);
+  parameters.read("stream_port", options.stream_port);
   parameters.read("mode", mode);
   parameters.read("live_on_start", options.live_on_start);
   parameters.read("pause_on_exit", options.pause_on_exit);
@@ -160,7 +160,7 @@ ClientOptions read_client_options(Parameters& parameters) {
 
 void to_mocap_frame(const FrameOfData& frame, double metres_per_unit, MocapFrame& out) {
   out.number = frame.frame;
-  out.delay_s = frame.delay ? std::make_optional(double{frame.delay->delay_s}) : std::nullopt;
+  out.delay_s = frame.delay_s;
   out.bodies.resize(frame.bodies.size());
   for (std::size_t i = 0; i < frame.bodies.size(); ++i) {
     out.bodies[i].name = frame.bodies[i].name;

@@ -142,8 +142,8 @@ class FlightCollector:
         elif topic in self._arrivals:
             self._arrivals[topic].append(_stamp_ns(message), receipt_s)
         elif topic == "/mocap_time":
-            self._receipts.append(_stamp_ns(message), seconds(message.time_ref))
-            self._frames.append(_stamp_ns(message), int(message.source))
+            self._receipts.append(_stamp_ns(message), seconds(message.receipt))
+            self._frames.append(_stamp_ns(message), message.frame)
         elif topic.endswith("/cmd_vel_stamped"):
             if _stamp_ns(message):
                 self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)

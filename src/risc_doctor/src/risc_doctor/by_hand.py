@@ -3,7 +3,7 @@
 import numpy as np
 
 from risc_doctor.axes import WAYS, judge_moves
-from risc_doctor.cortex_probe import CortexConnection, probe
+from risc_doctor.cortex_probe import connect, probe
 from risc_doctor.findings import red
 
 _LOOK_S = 0.5  # mean of so many seconds
@@ -62,7 +62,7 @@ def look(fleet, word, wait_for_enter, look_s=_LOOK_S, out=None):
         return [red("axes", "Cortex does not answer: %s" % report.error, cure)]
     name = body_of(fleet, word)
     moves = {}
-    connection = CortexConnection(fleet.mocap)
+    connection, _, _ = connect(fleet.mocap)
     try:
         print("'%s' is moved by hand: half a metre each time, level, and put down again." % name, file=out)
         for axis, way in WAYS.items():

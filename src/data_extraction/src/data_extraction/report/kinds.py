@@ -9,7 +9,7 @@ TOPICS = {
     "/ground_truth": "Cortex",
     "/controls": "Controls",
     "/mocap_data": "Mocap_data",
-    "/mocap_time": "TimeReference",
+    "/mocap_time": "MocapTime",
     "/states3": "Landmarks",
     "/angles": "Observed_angles",
     "/land_rois": "Observed_rois",

@@ -1,0 +1,176 @@
+"""A talk with a Cortex host over its own protocol: one question at a time, and what it streams. Needs no ROS.
+
+The node `stream_markers` has a client of its own (C++), which looks for the host again and never waits.
+"""
+
+import select
+import socket
+import struct
+import time
+
+from cortex_ros import wire
+from cortex_ros.wire import Command
+
+BROADCAST = "broadcast"  # host: the first that answers on any network of this computer
+_HELLO_PATIENCE_S = 1.5
+_HELLO_PERIOD_S = 0.2
+_REQUEST_PATIENCE_S = 0.25
+_REQUEST_TRIES = 3
+_BUFFER_BYTES = 1 << 20
+_IP_RECVERR, _IP_MULTICAST_ALL = 11, 49  # linux/in.h; with the first a refusal by the other computer is told, too
+_ANY_PORT = 9  # connecting a UDP socket sends nothing
+
+
+class CortexConnection:
+    """Sockets to one host. To be closed. Raises OSError."""
+
+    def __init__(self, identity, host, command_port, interface=""):
+        """identity: wire.Identity to say hello with.   host: or BROADCAST.   interface: own address; "" = any."""
+        self._identity, self._host, self._interface = identity, host, interface
+        self._address = (socket.gethostbyname("255.255.255.255" if host == BROADCAST else host), command_port)
+        self.malformed = []  # what was wrong with packets of the host
+        self.on_comment = lambda text: None  # what the host says unasked
+        self._stream = None
+        self._command = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._command.setsockopt(socket.IPPROTO_IP, _IP_RECVERR, 1)
+            self._command.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            self._command.bind((interface, 0))
+        except OSError:
+            self._command.close()
+            raise
+
+    @property
+    def address(self):
+        """(address, port) of the host."""
+        return self._address
+
+    def close(self):
+        self._command.close()
+        if self._stream is not None:
+            self._stream.close()
+
+    def open_stream(self, group, port, group_only=False):
+        """Listen to the stream, see `stream_socket`. Raises OSError."""
+        self._stream = stream_socket(self._address[0], group, port, self._interface, group_only)
+
+    def hello(self):
+        """Identity of the host. Raises OSError: TimeoutError, ConnectionRefusedError, ..."""
+        packet = wire.encode_identity(Command.HELLO_WORLD, self._identity)
+        deadline = time.monotonic() + _HELLO_PATIENCE_S
+        while time.monotonic() < deadline:
+            self._command.sendto(packet, self._address)
+            answer = self._answer({Command.HERE_I_AM}, min(_HELLO_PERIOD_S, deadline - time.monotonic()))
+            if answer is not None:
+                return answer.content
+        raise TimeoutError("no answer within %g s" % _HELLO_PATIENCE_S)
+
+    def request(self, packet, *answers):
+        """Packet that answers, None when none comes or the host does not know the request."""
+        for _ in range(_REQUEST_TRIES):
+            while select.select([self._command], [], [], 0.0)[0]:  # an answer to an earlier request is none to this
+                self._receive(self._command)
+            self._command.sendto(packet, self._address)
+            answer = self._answer({*answers, Command.UNRECOGNIZED_REQUEST}, _REQUEST_PATIENCE_S)
+            if answer is not None:
+                return None if answer.command == Command.UNRECOGNIZED_REQUEST else answer
+        return None
+
+    def number(self, text, layout):
+        """The number that a text request is answered with, or None. layout: of struct, e.g. "<f"."""
+        answer = self.request(wire.encode_text(Command.GENERAL_REQUEST, text), Command.GENERAL_REPLY)
+        if answer is None or len(answer.content) < struct.calcsize(layout):
+            return None
+        return struct.unpack_from(layout, answer.content)[0]
+
+    def go_live(self):
+        """Ask for live mode, as stream_markers does."""
+        self.request(wire.encode_text(Command.GENERAL_REQUEST, "LiveMode"), Command.GENERAL_REPLY)
+
+    def body_defs(self):
+        """wire.BodyDefs of the host, None when it does not say."""
+        answer = self.request(wire.encode_packet(Command.REQUEST_BODYDEFS), Command.BODYDEFS)
+        return answer and answer.content
+
+    def poll(self):
+        """The frame that the host shows now, or None."""
+        answer = self.request(wire.encode_packet(Command.REQUEST_FRAME), Command.FRAME_OF_DATA)
+        return answer and answer.content
+
+    def forget_stream(self):
+        """Drop the frames that have come and were not read: they are old."""
+        while self._stream is not None and select.select([self._stream], [], [], 0.0)[0]:
+            self._receive(self._stream)
+
+    def stream(self, seconds, patience_s):
+        """Yields (time of arrival, frame) of the stream for so long; ends early when none came within the patience."""
+        start, heard = time.monotonic(), False
+        while self._stream is not None:
+            now = time.monotonic()
+            end = start + (seconds if heard else min(seconds, patience_s))
+            if now >= end or not select.select([self._stream], [], [], end - now)[0]:
+                return
+            packet = self._receive(self._stream)
+            if packet is not None and packet.command == Command.FRAME_OF_DATA:
+                heard = True
+                yield time.monotonic(), packet.content
+
+    def _answer(self, commands, patience_s):
+        deadline = time.monotonic() + patience_s
+        while True:
+            left_s = deadline - time.monotonic()
+            if left_s <= 0.0 or not select.select([self._command], [], [], left_s)[0]:
+                return None
+            packet = self._receive(self._command)
+            if packet is not None and packet.command in commands:
+                return packet
+
+    def _receive(self, sock):
+        """The packet that waits; None if it is not the host's, or malformed."""
+        data, sender = sock.recvfrom(wire.MAX_DATAGRAM_BYTES)
+        if self._host != BROADCAST and sender[0] != self._address[0]:
+            return None
+        try:
+            packet = wire.decode_packet(data)
+        except wire.MalformedPacketError as error:
+            self.malformed.append(str(error))
+            return None
+        if self._host == BROADCAST:
+            if packet.command == Command.HERE_I_AM and packet.content.version[0] == 1:  # other programs speak it, too
+                self._host, self._address = sender[0], sender
+                return packet
+            return None
+        if packet.command == Command.COMMENT:
+            self.on_comment(packet.content)
+        return packet
+
+
+def stream_socket(host, group, port, interface="", group_only=False):
+    """As stream_markers listens: any address, the port shared, the group joined on the card that leads to the host.
+
+    group_only: leave what the host sends to this computer alone to others: the newest socket of a port gets all of it.
+    """
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+        sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+        sock.bind((group if group_only else "", port))
+        if group:
+            own = interface or _source_towards(host)
+            membership = socket.inet_aton(group) + socket.inet_aton(own)
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    except OSError:
+        sock.close()
+        raise
+    return sock
+
+
+def _source_towards(host):
+    """Own address from which the kernel would send to a host; 0.0.0.0 when there is no route."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((host, _ANY_PORT))
+        except OSError:
+            return "0.0.0.0"
+        return probe.getsockname()[0]

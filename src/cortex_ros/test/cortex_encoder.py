@@ -1,0 +1,73 @@
+"""Packets with every section that the protocol has, from values of `cortex_ros.wire`: what its decoders read."""
+
+import struct
+
+import numpy as np
+
+from cortex_ros import wire
+from cortex_ros.wire import Command
+
+
+def encode(packet):
+    """The datagram of a decoded packet."""
+    content = packet.content
+    if packet.command in (Command.HELLO_WORLD, Command.HERE_I_AM):
+        return wire.encode_identity(packet.command, content)
+    if packet.command in (Command.COMMENT, Command.GENERAL_REQUEST):
+        return wire.encode_text(packet.command, content)
+    if packet.command == Command.BODYDEFS:
+        return wire.encode_body_defs(content)
+    if packet.command == Command.FRAME_OF_DATA:
+        return encode_frame(content)
+    if packet.command == Command.PUSH_BASEPOSITION:
+        return encode_base_position(content)
+    return wire.encode_packet(packet.command, content or b"")
+
+
+def encode_frame(frame):
+    parts = [i32(frame.number, len(frame.bodies))]
+    for body in frame.bodies:
+        segments = np.asarray(body.segments, "<f8").reshape(-1, 7)
+        dofs = np.asarray(body.dofs, "<f8").ravel()
+        parts += [body.name.encode("utf-8", "surrogateescape") + b"\0", _markers(body.markers_mm)]
+        parts += [i32(len(segments)), segments.tobytes(), i32(len(dofs)), dofs.tobytes()]
+    parts += [_markers(frame.unidentified_mm), _samples(frame.analog, "<i2"), _samples(frame.forces, "<f4")]
+    if frame.delay_s is not None:
+        parts.append(struct.pack("<if", 0, frame.delay_s))
+    items = []
+    if frame.encoders is not None:
+        items.append((wire.TAG_ENCODERS, _samples(frame.encoders, "<f8")))
+    items.extend(frame.other_tags)
+    if frame.recording is not None:
+        *numbers, name = frame.recording
+        items.append((wire.TAG_RECORDING, i32(*numbers) + name.encode() + b"\0"))
+    if frame.lenses is not None:
+        items.append((wire.TAG_LENSES, np.asarray(frame.lenses, "<i4").tobytes()))
+    for tag, data in items:
+        parts += [i32(tag, len(data)), data]
+    return wire.encode_packet(Command.FRAME_OF_DATA, b"".join(parts))
+
+
+def encode_base_position(base):
+    """With the four spare bytes that public clients append."""
+    hierarchy = i32(len(base.segments)) + b"".join(
+        i32(parent) + name.encode() + b"\0" for name, parent in base.segments
+    )
+    pose = np.asarray(base.pose, "<f8").tobytes() + bytes(4)
+    sizes = struct.pack("<HH", len(hierarchy), len(pose))
+    return wire.encode_packet(Command.PUSH_BASEPOSITION, sizes + hierarchy + pose)
+
+
+def i32(*values):
+    return struct.pack("<%di" % len(values), *values)
+
+
+def _markers(markers_mm):
+    """The sentinel stands in every coordinate of a row that is not finite."""
+    markers = np.array(markers_mm, "<f4").reshape(-1, 3)
+    markers[~np.isfinite(markers).all(axis=1)] = wire.MISSING_MM
+    return i32(len(markers)) + markers.tobytes()
+
+
+def _samples(block, dtype):
+    return i32(block.channels, block.samples) + np.asarray(block.values, dtype).tobytes()
