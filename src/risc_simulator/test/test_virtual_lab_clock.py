@@ -190,5 +190,5 @@ def test_options_are_checked_like_the_fleet_file(options, key):
 
 @pytest.mark.parametrize("delay_s", [-1.0, float("nan"), float("inf")])
 def test_impossible_delay_is_refused(delay_s):
-    with pytest.raises(ValueError, match="command_delay"):
+    with pytest.raises(ValueError, match="command.delay"):
         VirtualLab(make_fleet(), command_delay_s=delay_s)
