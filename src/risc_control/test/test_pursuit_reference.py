@@ -1,4 +1,4 @@
-"""References of the chase: the waiting place, the target of the original release, and what ends it."""
+"""References of the pursuit: the waiting place, the target of the original release, and what ends it."""
 
 import math
 
@@ -95,13 +95,13 @@ def test_its_speed_is_told_before_it_runs_and_after_it_stopped():
 
 
 @pytest.mark.parametrize("end", ["manual", "home"])
-def test_whatever_ends_the_chase_the_reference_goes_on_from_the_vehicle(end):
+def test_whatever_ends_the_pursuit_the_reference_goes_on_from_the_vehicle(end):
     target, now_s = waiting()
     now_s = let_go(target, now_s) + 8.0
     seen_m, velocity_m_s = np.array([0.3, 0.9, 1.05]), np.array([-0.15, 0.1, 0.0])
     assert np.linalg.norm(target.sample(now_s).derivatives[0, 0, :3] - seen_m) > 0.4
     target.see(NAME, seen_m, velocity_m_s, -1.6)
-    assert target.sample(now_s).phases == (Phase.COURSE,), "what it sees changes nothing while it chases"
+    assert target.sample(now_s).phases == (Phase.COURSE,), "what it sees changes nothing while it pursues"
     target.set_autonomous(NAME, True, now_s)  # as its node repeats 30 times a second
     assert target.chasing
     if end == "manual":

@@ -1,4 +1,4 @@
-"""References of a vehicle that chases a virtual target (`virtual_target.py`): a place to wait at, then the target.
+"""References of a vehicle that pursues a virtual target (`virtual_target.py`): a place to wait at, then the target.
 
 The vehicle flies to the place where it waits (the original's "WP") as to any course. From the moment on that the
 target is let go (its "NGC") the reference is the target, which the vehicle only follows at a distance. So every way
@@ -15,7 +15,7 @@ from risc_control.trajectories import YawProgram, make_course, points
 from risc_control.trajectory_manager import Phase, TrajectoryManager
 
 # The target's speed is told so long before it runs, and after it has stopped: it has a topic of its own, and no order
-# with the references. Meanwhile the vehicle chases the place where it is; the other way round it would fly to a target.
+# with the references. Meanwhile the vehicle pursues the place where it is; the other way round it would fly to a target.
 _LEAD_S = 0.1
 
 
