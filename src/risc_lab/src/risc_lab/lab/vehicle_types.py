@@ -59,6 +59,7 @@ class VehicleType:
     drag_n_s_m: float  # linear drag: force = -drag * airspeed
     battery_life_s: float  # full to empty in flight
     video_latency_s: float = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
+    driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
 
 
 def load_vehicle_type(name, overrides=()):
@@ -130,6 +131,7 @@ def vehicle_type_from_dict(content, where="vehicle type"):
         drag_n_s_m=root.number("drag_n_s_m", minimum=0.0),
         battery_life_s=root.number("battery_life_s", minimum=1.0),
         video_latency_s=root.number("video_latency_s", 0.0, 0.0, 2.0),
+        driver=root.text("driver", ""),
     )
     root.done()
     if min(vehicle_type.inertia_kg_m2) <= 0.0:
