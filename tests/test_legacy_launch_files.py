@@ -21,7 +21,7 @@ from launch_parameters import unroll
 
 from risc_doctor import ros_master
 from risc_experiments.report import LATE_LIMIT_MS
-from risc_lab.lab import load_fleet
+from risc_lab.lab import Start, load_fleet
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 from risc_visual.pictures import rviz_pictures
@@ -501,9 +501,7 @@ def chase(folder):
     The distances are true, and those of the chase after it has settled.
     """
     fleet = load_fleet(ROOT / "launch/fleets/ardrones3.yaml").with_vehicles(1)
-    at_the_waiting_place = replace(
-        fleet.vehicles[0], start_position_m=(0.5643, 1.2213, 0.0), start_yaw_rad=-math.pi / 2.0
-    )
+    at_the_waiting_place = replace(fleet.vehicles[0], start=Start((0.5643, 1.2213, 0.0), -90.0))
     fleet = replace(fleet, vehicles=(at_the_waiting_place,))
     bag = folder / "flight.bag"
     graph = Graph(FOLDER / (FLOWN + ".launch"), folder, fleet, "fleet:=FLEET", "duration:=14", "bag:=%s" % bag)

@@ -23,7 +23,7 @@ NOW = np.ones(1, dtype=bool)
 
 
 def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it_is():
-    flight = offline.Flight(vehicles=1, psi_rad=math.radians(PSI_DEG))
+    flight = offline.Flight(vehicles=1, psi_deg=PSI_DEG)
     fleet, types, vehicle_types = offline._lab(flight)
     templates = load_templates()
     world = World(fleet, types, templates, seed=flight.seed, perturbed=True, step_s=offline.FRAME_S)
@@ -35,7 +35,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     target.target = params.target_course()
     controller = ControlLoop("guidance", vehicle_types)
     vehicle = world.vehicles[place.namespace]
-    vehicle.fly_at(place.start_position_m[:2] + (1.0,), place.start_yaw_rad)
+    vehicle.fly_at(place.start.position_m[:2] + (1.0,), place.start.yaw_rad)
     chain, buffer = offline._Chain(vehicle, 0.3), ReferenceBuffer()
 
     let_go_s = home_s = math.inf
@@ -80,4 +80,4 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     assert np.abs(np.array(ranges) - guidance.Params().range_m).max() < 0.04
     assert np.abs(np.array(radii) - params.radius_m).max() < 0.04
     assert max(homing) < 0.1, "home begins where the vehicle is"
-    assert truth[:2] == pytest.approx(place.start_position_m[:2], abs=0.05)
+    assert truth[:2] == pytest.approx(place.start.position_m[:2], abs=0.05)
