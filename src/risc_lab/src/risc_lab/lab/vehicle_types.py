@@ -60,6 +60,7 @@ class VehicleType(Settings):
     drag_n_s_m: NotNegative  # linear drag: force = -drag * airspeed
     battery_life_s: Positive  # full to empty in flight
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
+    driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
 
 
 def load_vehicle_type(name, overrides=()):
