@@ -525,7 +525,7 @@ def pursue(folder):
             elif message.course == "NGC":
                 let_go_s = min(let_go_s, stamp.to_sec())
                 if message.vehicles[0].phase != VehiclePhase.COURSE:
-                    home_s = min(home_s, stamp.to_sec())  # it chases no more, and a way home is planned
+                    home_s = min(home_s, stamp.to_sec())  # it pursues no more, and a way home is planned
     target, truth = np.array(target), np.array(truth)
     settled = truth[(truth[:, 0] > let_go_s + 11.0) & (truth[:, 0] < home_s - 0.1)]
     places = np.column_stack([np.interp(settled[:, 0], target[:, 0], target[:, axis]) for axis in (1, 2)])
