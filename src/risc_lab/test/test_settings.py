@@ -1,7 +1,7 @@
 """Settings: what a dataclass says of its fields is what a file may hold."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,7 +18,6 @@ class _Wheel(Settings):
     life_s: float = math.inf
     marks: tuple[str, ...] = ()
     side: Literal["left", "right"] = "left"
-    colours: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self):
         super().__post_init__()
@@ -51,9 +50,8 @@ def test_values_take_the_types_of_their_fields():
         ({"name": ""}, "a text of length >= 1, found ''"),
         ({"name": "left", "marks": "a"}, "a list, found 'a'"),
         ({"name": "left", "side": "up"}, r"'wheels\[0\].side' must be one of left, right, found 'up'"),
-        ({"name": "left", "colours": {"rim": [1, "x"]}}, r"'wheels\[0\].colours.rim\[1\]' must be a number, found 'x'"),
-        ({"name": "left", "radius": 1.0}, r"cart.yaml: wheels\[0\]: unknown key\(s\) radius; known are colours, life_s, "),
-        ({"name": "left", "radius_m": 6.0}, "cart.yaml: a wheel of 6 m is too large"),
+        ({"name": "left", "radius": 1.0}, r"cart.yaml: wheels\[0\]: unknown key\(s\) radius; known are life_s, "),
+        ({"name": "left", "radius_m": 6.0}, r"cart.yaml: wheels\[0\]: a wheel of 6 m is too large"),
         ({}, r"'wheels\[0\].name' is missing"),
         (3, r"'wheels\[0\]' must be a mapping, found 3"),
     ],

@@ -125,7 +125,7 @@ def test_the_lab_speaks_its_wire(clock):
 def test_a_vehicle_type_has_its_own_camera():
     """Another place, view and size than those of an AR.Drone; a disc behind the balloon is in the middle of it."""
     fleet = dataclasses.replace(
-        make_fleet(BALLOON), landmarks=(FleetLandmark("Green_pink", (-2.4, -1.0, 0.08), facing_rad=0.0),)
+        make_fleet(BALLOON), landmarks=(FleetLandmark("Green_pink", (-2.4, -1.0, 0.08), facing_deg=0.0),)
     )
     lab = VirtualLab(fleet, seed=3, cameras_ahead=True)
     stop = threading.Event()
