@@ -26,7 +26,7 @@ from risc_lab.ros.launching import free_tcp_port
 COUNTS = (1, 3, 50)
 REPETITIONS = 3
 NODES = {  # name: (package, program, its configuration, topics that it listens to before it is of use)
-    "states_estimation": ("risc_estimation", "states_estimation.py", "states_estimation.yaml", ("/mocap_data",)),
+    "states_estimation": ("risc_estimation", "states_estimation.py", None, ("/mocap_data",)),
     "controller": ("risc_control", "generic_DF_controller.py", None, ("/cortex_raw", "/trajectory")),
     "trajectory": ("risc_control", "circles3_traj.py", None, ("/cortex_raw",)),
     "vehicles": ("risc_control", "risc_controller.py", "vehicle_node.yaml", ("/cortex_raw", "/controls")),

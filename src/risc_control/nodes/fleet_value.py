@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """What a fleet file says, for launch files:
 
-    <param name="stream_markers/mocap" type="yaml" command="fleet_value.py FLEET mocap"/>
+    <param name="stream_markers/mocap" type="yaml" command="fleet_value.py FLEET mocap SOURCE"/>
 
-Usage: fleet_value.py FLEET mocap | FLEET NAMESPACE KEY | FLEET drivers FOLDER OUT [KEY:=VALUE...] NAMESPACE...
-mocap: prints ~mocap of stream_markers.
+Usage: fleet_value.py FLEET mocap SOURCE | FLEET NAMESPACE KEY | FLEET drivers FOLDER OUT [KEY:=VALUE...] NAMESPACE...
+mocap: prints ~mocap of stream_markers for a source of motion capture, see config/sources of cortex_ros.
 A vehicle's KEY is one of its own, one of its type's (video_latency_s ...), or camera_info_url: prints its value.
 drivers: writes the launch file OUT that starts the drivers of these vehicles, and prints whose they are. For each
 vehicle it includes the launch file of its type, with those of its arguments that are a KEY; is_first is true for the
@@ -20,20 +20,13 @@ import yaml
 
 from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import resolve_url
-from risc_lab.lab.yaml_reader import member_folders
+from risc_lab.lab.yaml_reader import config_files, load_yaml, member_folders
 
 
 def fleet_value(fleet, what, *words):
     """What is to be printed, see above. Raises ValueError when there is none."""
     if what == "mocap":
-        mocap = fleet.mocap
-        return {
-            "host": mocap.host,
-            "command_port": mocap.command_port,
-            "stream_group": mocap.stream_group,
-            "stream_port": mocap.stream_port,
-            "local_address": mocap.interface,
-        }
+        return mocap_parameters(fleet.mocap, *words)
     if what == "drivers":
         return write_drivers(fleet, *words)
     values = _values(fleet, what)
@@ -41,6 +34,16 @@ def fleet_value(fleet, what, *words):
     if key not in values:
         raise ValueError("'%s' has no '%s'; it has %s" % (what, key, ", ".join(values)))
     return values[key]
+
+
+def mocap_parameters(endpoint, source):
+    """Settings of a source of motion capture: its YAML file, with what the fleet file says of the host in its place."""
+    files = config_files("sources", "cortex_ros")
+    if source not in files:
+        raise ValueError("no source of motion capture '%s'; there are %s" % (source, ", ".join(sorted(files))))
+    settings = load_yaml(files[source])
+    told = {**vars(endpoint), "local_address": endpoint.interface, "frame_rate": endpoint.rate_hz}
+    return {**settings, **{key: told[key] for key in settings if told.get(key) is not None}, "source": source}
 
 
 def write_drivers(fleet, folder, out, *words):

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks), mocap_poses (BodyPoses, while somebody listens).
+"""mocap_data (Mocap_data) -> cortex_raw (Cortex), states3 (Landmarks).
 
-See risc_estimation.state_estimator.
+While somebody listens: mocap_poses (BodyPoses), state_covariances (StateCovariances, of a filter that has them). If the
+filter wants it: what vehicles measure on board and what they were sent. See risc_estimation.state_estimator.
 """
 
 import math
@@ -9,11 +10,15 @@ import sys
 import threading
 import time
 
+import numpy as np
+import roslib.message
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from risc_estimation import sensors
+from risc_estimation.filters import COMMAND
 from risc_estimation.pose_fit import ARENA_KEYS, PoseFitParams
-from risc_estimation.ros.conversions import EstimateMessages, poses_to_msg
+from risc_estimation.ros.conversions import EstimateMessages, covariances_to_msg, poses_to_msg
 from risc_estimation.ros.params import NodeParams, load_filter
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.lab.fleet import MocapEndpoint
@@ -25,7 +30,7 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import has_private, known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import BodyPoses, Counter, EstimatorStatus
+from risc_maap_msgs.msg import BodyPoses, Counter, EstimatorStatus, StateCovariances
 
 
 class StatesEstimationNode:
@@ -49,14 +54,15 @@ class StatesEstimationNode:
         self._last_receipt_s = None  # of the newest frame that was estimated; monotonic clock
         self._last_estimate = None
         self._last_seq = None  # of the newest frame; publishers count them
-        self._passed_over = self._reported_passed_over = 0  # frames
+        self._passed_over = 0  # frames
         self._silent = True
         self._told_unknown = set()
-        self._reported_frames, self._reported_refused, self._reported_s = 0, 0, time.monotonic()
+        self._reported = time.monotonic(), 0, 0, 0  # when, and what then: frames, refused, passed over
         # Queues that hold more than a hiccup: a late subscriber gets every frame, and judges its age by the stamp.
         self._states_pub = rospy.Publisher("cortex_raw", CortexArrays, queue_size=100, tcp_nodelay=True)
         self._landmarks_pub = rospy.Publisher("states3", LandmarksArrays, queue_size=100, tcp_nodelay=True)
         self._poses_pub = rospy.Publisher("mocap_poses", BodyPoses, queue_size=100, tcp_nodelay=True)
+        self._covariances_pub = rospy.Publisher("state_covariances", StateCovariances, queue_size=100, tcp_nodelay=True)
         self._frame, self._messages = MocapArrays(), EstimateMessages()
         self._status_pub = rospy.Publisher("estimator_status", EstimatorStatus, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("mocap")
@@ -64,6 +70,7 @@ class StatesEstimationNode:
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
+        self._listen_on_board(self._estimator.on_board_wanted, fleet.vehicles if fleet else ())
         rospy.Subscriber(
             "mocap_data",
             MocapArrays.Raw,
@@ -72,6 +79,38 @@ class StatesEstimationNode:
             buff_size=BUFFER_BYTES,
             tcp_nodelay=True,
         )
+
+    def _listen_on_board(self, wanted, vehicles):
+        """Subscribe to what the filter wants, and to nothing else."""
+        if COMMAND in wanted:
+            from risc_maap_msgs.msg import CommandsSent
+
+            rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands, queue_size=100, tcp_nodelay=True)
+        if wanted <= {COMMAND}:
+            return
+        for vehicle in vehicles:
+            if vehicle.type in sensors.REGISTRY.names():
+                kind = sensors.REGISTRY.module(vehicle.type)
+                topic, message_class = (
+                    "/%s/%s" % (vehicle.namespace, kind.TOPIC),
+                    roslib.message.get_message_class(kind.TYPE),
+                )
+                arguments = vehicle.template, kind.readings
+                rospy.Subscriber(topic, message_class, self._on_readings, arguments, queue_size=10, tcp_nodelay=True)
+
+    @until_shutdown
+    def _on_commands(self, message):
+        with self._lock:
+            for sent in message.commands:
+                values = np.array((sent.roll_rad, sent.pitch_rad, sent.climb, sent.yaw_rate_rad_s))
+                self._estimator.on_board(sent.name, sent.sent.to_sec(), COMMAND, values)
+
+    @until_shutdown
+    def _on_readings(self, message, arguments):
+        name, readings = arguments
+        with self._lock:
+            for what, values in readings(message).items():
+                self._estimator.on_board(name, message.header.stamp.to_sec(), what, values)
 
     @until_shutdown
     def _on_frame(self, message):
@@ -91,6 +130,10 @@ class StatesEstimationNode:
             self._landmarks_pub.publish(self._messages.landmarks(header, estimate))
             if self._poses_pub.get_num_connections():
                 self._poses_pub.publish(poses_to_msg(header, self._estimator.poses))
+            if self._covariances_pub.get_num_connections():
+                covariances = self._estimator.covariances()
+                if covariances is not None:
+                    self._covariances_pub.publish(covariances_to_msg(header, estimate.names, covariances))
 
     @until_shutdown
     def _on_check(self):
@@ -107,28 +150,36 @@ class StatesEstimationNode:
         """Diagnostics for people; what other programs use of it goes out as an EstimatorStatus."""
         now_s = time.monotonic()
         with self._lock:
-            counts = self._estimator.counts
-            known, last_s = len(self._estimator.names), self._last_receipt_s
+            counts, names, last_s, silent = (
+                self._estimator.counts,
+                self._estimator.names,
+                self._last_receipt_s,
+                self._silent,
+            )
             visible = 0 if self._last_estimate is None else int(self._last_estimate.visible.sum())
-            numbers = [(key, value) for key, value in sorted(vars(counts).items()) if key != "unknown"]
-            bodies, silent = zip(self._estimator.names, self._estimator.status()), self._silent
-            unknown = dict(counts.unknown)
-            passed_over = self._passed_over
+            bodies, passed_over = zip(names, self._estimator.status()), self._passed_over
+        numbers = {key: value for key, value in sorted(vars(counts).items()) if key != "unknown"}
+        known, unknown = len(names), sorted(counts.unknown)
         refused = counts.duplicate_stamps + counts.backward_stamps
-        rate_hz = (counts.frames - self._reported_frames) / max(now_s - self._reported_s, 1e-3)
-        new_refused, new_passed_over = refused - self._reported_refused, passed_over - self._reported_passed_over
-        self._reported_passed_over = passed_over
-        self._reported_frames, self._reported_refused, self._reported_s = counts.frames, refused, now_s
-        told = EstimatorStatus(rate_hz=rate_hz, vehicles=known, visible=visible, passed_over=passed_over)
+        before, self._reported = self._reported, (now_s, counts.frames, refused, passed_over)
+        elapsed_s, new_frames, new_refused, new_passed_over = (now - then for now, then in zip(self._reported, before))
+        told = EstimatorStatus(
+            rate_hz=new_frames / max(elapsed_s, 1e-3),
+            age_s=math.nan if last_s is None else now_s - last_s,
+            vehicles=known,
+            visible=visible,
+            frames=counts.frames,
+            passed_over=passed_over,
+            counters=[Counter(*item) for item in numbers.items() if item[0] != "frames"],
+            unknown_bodies=unknown,
+        )
         told.header.stamp = rospy.Time.now()
-        told.age_s = math.nan if last_s is None else now_s - last_s
-        told.counters = [Counter(*item) for item in numbers if item[0] != "frames"]
-        told.frames, told.unknown_bodies = counts.frames, sorted(unknown)
         self._status_pub.publish(told)
-        for name in sorted(set(unknown) - self._told_unknown):
-            self._told_unknown.add(name)
-            rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)
-        if last_s is None or now_s - last_s > 1.0:
+        for name in unknown:
+            if name not in self._told_unknown:
+                self._told_unknown.add(name)
+                rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)
+        if not told.age_s <= 1.0:
             refused_only = "all mocap frames are refused: their stamps do not advance"
             status.summary(DiagnosticStatus.ERROR, refused_only if new_refused else "no mocap frames")
         elif new_refused:
@@ -138,17 +189,17 @@ class StatesEstimationNode:
         elif new_passed_over:
             status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new_passed_over)
         elif unknown:
-            status.summary(DiagnosticStatus.WARN, "bodies without a template: " + ", ".join(sorted(unknown)))
+            status.summary(DiagnosticStatus.WARN, "bodies without a template: " + ", ".join(unknown))
         else:
             status.summary(DiagnosticStatus.OK, "%d vehicles visible" % visible)
-        status.add("rate [Hz]", "%.1f" % rate_hz)
-        status.add("age of last frame [s]", "none yet" if last_s is None else "%.3f" % (now_s - last_s))
+        status.add("rate [Hz]", "%.1f" % told.rate_hz)
+        status.add("age of last frame [s]", "none yet" if last_s is None else "%.3f" % told.age_s)
         status.add("vehicles visible", "%d of %d" % (visible, known))
         status.add("frames passed over", str(passed_over))
-        status.add("unknown bodies", ", ".join(sorted(unknown)) or "none")
+        status.add("unknown bodies", ", ".join(unknown) or "none")
         for name, state in bodies:
             status.add(name, "no frames" if silent else state.name.lower())
-        for key, value in numbers:
+        for key, value in numbers.items():
             status.add(key, str(value))
         return status
 

@@ -1,4 +1,4 @@
 import pathlib
 import sys
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))  # mount_flight.py
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))  # mount_flight.py, sliding_fit.py

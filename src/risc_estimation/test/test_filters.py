@@ -86,6 +86,7 @@ class Recorder(VelocityFilter):
     """Keeps what it is given."""
 
     late_s = 0.05
+    ON_BOARD = ("gyro",)
 
     def __init__(self):
         super().__init__(None)
@@ -108,13 +109,25 @@ def test_a_filter_is_given_raw_poses_late_ones_if_it_takes_them_and_what_is_meas
     assert estimator.update(1.000, *body) is not None
     assert estimator.update(1.010, *body) is not None
     estimator.on_board("fluffy_II", 1.012, "gyro", np.zeros(3))
+    estimator.on_board("fluffy_II", 1.012, "command", np.zeros(4))
+    estimator.on_board("Kahn", 1.012, "gyro", np.zeros(3))
     assert estimator.update(1.005, *body) is None, "late: it changes the filter, nobody is told twice"
     assert estimator.update(0.900, *body) is None and estimator.counts.backward_stamps == 1, "too late"
-    assert [entry[0] for entry in recorder.given] == [1.000, 1.010, 1.012, 1.005]
+    assert estimator.update(1.015, *body).stamp_s == 1.015
+    assert [entry[0] for entry in recorder.given] == [1.000, 1.010, 1.012, 1.005, 1.015]
     assert recorder.given[2][1:3] == (1, "gyro")
     assert recorder.given[0][1][1] == pytest.approx([0.1, 0.2, 1.0])
     assert np.isfinite(recorder.given[0][2][1]).all() and recorder.resets == 0
-    assert (estimator.counts.frames, estimator.counts.late_frames) == (3, 1)
+    assert (estimator.counts.frames, estimator.counts.late_frames) == (4, 1)
+
+
+def test_a_clock_that_was_set_back_a_little_is_none_of_a_late_frame():
+    """By less than late_s: nothing of the new clock reaches the filter before it is known, as without late_s."""
+    recorder = Recorder()
+    estimator = StatesEstimator(TEMPLATES, velocity_filter=recorder)
+    seen = [estimator.update(t, *frame(((0.1, 0.2, 1.0), 0.0))) for t in (1.000, 1.010, 0.970, 0.980, 0.990, 1.000)]
+    assert [estimate is not None for estimate in seen] == [True, True, False, False, True, True]
+    assert [entry[0] for entry in recorder.given] == [1.000, 1.010, 0.990, 1.000] and recorder.resets == 1
 
 
 def test_without_late_s_what_is_late_does_not_reach_the_filter():

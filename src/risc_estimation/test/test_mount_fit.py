@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from risc_estimation.mount_fit import (
     FitParams,
     Samples,
-    _errors_and_jacobian,
+    _residuals,
     fit_mount,
     pixel_errors,
     ray_errors,
@@ -95,27 +95,15 @@ def test_a_camera_that_looks_down_is_found_although_its_roll_and_yaw_are_one():
     assert angle_deg(fit.mount, mount) <= ANGLE_MAX_DEG and distance_m(fit.mount, mount) <= POSITION_MAX_M
 
 
-def test_residuals_are_angles_and_their_derivatives_are_right():
-    """In all directions, also behind the camera, and at turns that are far from none."""
+def test_residuals_are_the_angles_between_rays_and_landmarks():
+    """In all directions, also behind the camera and straight up."""
     random = np.random.default_rng(5)
-    n, step = 40, 1e-6
-    rays = random.normal(size=(n, 3))
+    rays = random.normal(size=(40, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     rays[:2] = [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]  # the poles of azimuth and elevation
-    samples = Samples(np.arange(float(n)), np.array(["a"] * n), random.normal(size=(n, 3)), rays)
-    R_start = rotation_camera_to_body(TRUE)
-    for delta in (np.zeros(3), np.array([1e-7, 0.0, 0.0]), np.array([0.7, -1.1, 0.4])):
-        x = np.concatenate((TRUE.position_m, delta))
-
-        def parts(x):
-            R = R_start @ Rotation.from_rotvec(x[3:]).as_matrix()
-            return _errors_and_jacobian(samples, x[:3], R, x[3:])
-
-        v, J = parts(x)
-        moved = [parts(x + step * e)[0] - parts(x - step * e)[0] for e in np.eye(6)]
-        np.testing.assert_allclose(J, np.stack(moved, axis=-1) / (2.0 * step), atol=2e-6, rtol=1e-5)
+    samples = Samples(np.arange(40.0), np.array(["a"] * 40), random.normal(size=(40, 3)), rays)
     away = CameraMount(TRUE.position_m, *np.zeros(3))
-    v = _errors_and_jacobian(samples, np.asarray(away.position_m), np.eye(3), np.zeros(3))[0]
+    v = _residuals(samples, away, np.zeros(6)).reshape(-1, 3)
     np.testing.assert_allclose(np.linalg.norm(v, axis=1), ray_errors(samples, away), atol=1e-9)
 
 

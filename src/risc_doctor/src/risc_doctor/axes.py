@@ -7,9 +7,9 @@ hand: move a vehicle along +x, +y, +z and see what motion capture makes of it (`
 import itertools
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from risc_doctor.findings import green, red, yellow
-from risc_estimation.rigid_fit import fit_rigid
 from risc_lab.frames import frd_to_flu
 
 AXES = "xyz"
@@ -122,8 +122,10 @@ def _spread(points):
 
 def fit_both_hands(template, measured):
     """(rotation template -> measured, its rms residual, rms residual of the best fit of the mirrored template)."""
-    fit, mirrored = fit_rigid(template, measured), fit_rigid(-template, measured)
-    return fit.rotation, fit.residual_m, mirrored.residual_m
+    arms, seen = template - template.mean(axis=0), measured - measured.mean(axis=0)
+    (turn, distance), (_, mirrored) = (Rotation.align_vectors(seen, side * arms) for side in (1.0, -1.0))
+    root = np.sqrt(len(arms))
+    return turn.as_matrix(), distance / root, mirrored / root
 
 
 def judge_moves(moves):

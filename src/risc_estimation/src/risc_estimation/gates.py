@@ -25,15 +25,12 @@ REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimati
 
 def limits_of(params):
     """(1,) LIMITS from PoseFitParams."""
-    limits = np.zeros(1, dtype=LIMITS)
-    for name in ("residual_max_m", "min_spread_m"):
-        limits[name] = getattr(params, name)
-    limits["marker_m"] = params.marker_limit_m
-    limits["cos_tilt_max"] = math.cos(min(params.tilt_max_rad, math.pi))
     margin_m = params.arena_margin_m
-    limits["lower_m"] = np.array([-params.arena_x_m, -params.arena_y_m, params.arena_z_min_m]) - margin_m
-    limits["upper_m"] = np.array([params.arena_x_m, params.arena_y_m, params.arena_z_max_m]) + margin_m
-    return limits
+    lower_m = np.array([-params.arena_x_m, -params.arena_y_m, params.arena_z_min_m]) - margin_m
+    upper_m = np.array([params.arena_x_m, params.arena_y_m, params.arena_z_max_m]) + margin_m
+    cos_tilt_max = math.cos(min(params.tilt_max_rad, math.pi))
+    row = (params.marker_limit_m, params.residual_max_m, params.min_spread_m, cos_tilt_max, lower_m, upper_m)
+    return np.array([row], dtype=LIMITS)
 
 
 @compiled

@@ -6,7 +6,7 @@ thesis' estimator, delayed by half its window; order 2 has no such delay.
 
 Noise. The estimates are linear in the samples, so white noise of standard deviation sigma gives
 
-    std(estimate) = sigma * ||w||,      w the weights of `endpoint_weights`,
+    std(estimate) = sigma * ||w||,      w the weights of the samples,
 
 which for the slope of a line through N samples dt apart is  sigma * sqrt(12 / (N (N^2 - 1))) / dt,  and for
 the slope of a parabola at its newest sample about four times that. The line's slope lags by (N - 1) dt / 2.
@@ -46,7 +46,7 @@ BODY = record(
 
 
 class Window(NamedTuple):
-    """Samples of all bodies and what was last estimated from them.
+    """Samples of all bodies and what was last estimated from them. Of `Windows`: a first axis more, the windows.
 
     A ring of `capacity` samples. Each is held twice, `capacity` apart, so that the newest ones are one stretch.
     """
@@ -60,126 +60,51 @@ class Window(NamedTuple):
     estimates: np.ndarray  # (bodies, 2, channels) value [unit], slope [unit/s]
 
 
-def endpoint_weights(ages_s, order, scale_s=None):
-    """Weights that turn samples into the fitted polynomial's value and slope at age zero.
-
-    ages_s: (n,) age of each sample [s], >= 0, age 0 being the moment to evaluate at.   order: 0..4.
-    scale_s: time that the ages are divided by for conditioning; default the largest age.
-    Returns (2, n): row 0 the value [unit], row 1 the slope [unit/s].
-    Raises ValueError if there are not order + 1 distinct samples.
-    Deviation from eq 4.1: times count from the newest sample and are scaled; the estimate is unchanged.
-    """
-    ages_s = np.array(ages_s, dtype=float)
-    if scale_s is None:
-        scale_s = float(ages_s.max()) if ages_s.size and ages_s.max() > 0.0 else 1.0
-    weights = np.zeros((2, ages_s.size))
-    if not _weigh_all(np.zeros(1, dtype=FIT), ages_s, int(order), float(scale_s), weights):
-        raise ValueError(
-            "a polynomial of order %s needs order + 1 samples at distinct times, got %d samples" % (order, ages_s.size)
-        )
-    return weights
+_OF_BODIES = ("bodies", "present", "values", "estimates")  # with an axis of bodies
 
 
-def slope_noise_gain(samples, spacing_s, order=1):
-    """Standard deviation of the slope at the newest sample per unit of sample noise [1/s].
-
-    Equals sqrt(12 / (N (N^2 - 1))) / spacing_s for order 1 and N = samples.
-    """
-    weights = endpoint_weights(np.arange(samples - 1, -1, -1) * spacing_s, order)
-    return float(np.linalg.norm(weights[1]))
-
-
-class SlidingFit:
-    """Value and slope of many channels of many bodies, all sampled by the same frames.
+class Windows:
+    """Value and slope of many channels of many bodies, all sampled by the same frames, through several windows.
 
     A body may miss a frame (its other samples still count, at their own times); after more than `max_gap_s`
     without a sample its window starts afresh, so that no estimate ever spans a gap. While a body's window is
     shorter than `ramp` of the full one, a line is fitted instead of a higher order: a parabola through a
     short window amplifies noise too much.
 
-    `window` is what `push_samples` and `estimate_newest` work on in compiled code; `push` and `estimate` call them.
+    `arrays` is what `push_samples` and `estimate_newest` work on, a window at a time: Window(*[a[k] for a in arrays]).
     """
 
-    def __init__(self, window_s, order, channels, max_gap_s, max_rate_hz=500.0, ramp=0.6, capacity_s=0.0):
-        """window_s [s], order 1..4, channels per body, max_gap_s [s], max_rate_hz: highest frame rate [Hz].
-
-        capacity_s: have room for so much even if the window is shorter [s].
-        """
-        if not 1 <= order <= MAX_ORDER:
-            raise ValueError("order must be 1 to %d, got %r" % (MAX_ORDER, order))
-        if not (window_s > 0.0 and max_gap_s > 0.0 and max_rate_hz > 0.0):
-            raise ValueError(
-                "window_s, max_gap_s and max_rate_hz must be positive, got %r, %r, %r"
-                % (window_s, max_gap_s, max_rate_hz)
-            )
-        fit = np.zeros(1, dtype=FIT)
-        capacity = int(math.ceil(max(window_s, capacity_s) * max_rate_hz)) + 1
-        fit["window_s"], fit["ramp_s"], fit["max_gap_s"] = window_s, ramp * window_s, max_gap_s
-        fit["order"], fit["capacity"] = order, capacity
-        slots = 2 * capacity
-        self.window = Window(
+    def __init__(self, kinds, channels, max_gap_s, max_rate_hz=500.0, ramp=0.6):
+        """kinds: [(length [s], order 1..4), ...].   channels: per body.   max_rate_hz: highest frame rate [Hz]."""
+        k, capacity = len(kinds), math.ceil(max(window_s for window_s, _ in kinds) * max_rate_hz) + 1
+        fit = np.zeros((k, 1), dtype=FIT)
+        fit["window_s"][:, 0], fit["order"][:, 0] = zip(*kinds)
+        fit["ramp_s"], fit["max_gap_s"], fit["capacity"] = ramp * fit["window_s"], max_gap_s, capacity
+        self.arrays = Window(
             fit,
-            np.zeros(0, dtype=BODY),
-            np.zeros(slots),
-            np.zeros((0, slots), dtype=bool),
-            np.zeros((0, slots, channels)),
-            np.zeros((3, capacity)),
-            np.zeros((0, 2, channels)),
+            np.zeros((k, 0), dtype=BODY),
+            np.zeros((k, 2 * capacity)),
+            np.zeros((k, 0, 2 * capacity), dtype=bool),
+            np.zeros((k, 0, 2 * capacity, channels)),
+            np.zeros((k, 3, capacity)),
+            np.zeros((k, 0, 2, channels)),
         )
 
     def add_body(self):
-        """Add one body without samples; returns its index."""
-        old = self.window
-        index, slots, channels = old.values.shape
-        body = np.zeros(1, dtype=BODY)
-        body["last_s"] = -np.inf
-        self.window = old._replace(
-            bodies=np.concatenate([old.bodies, body]),
-            present=np.concatenate([old.present, np.zeros((1, slots), dtype=bool)]),
-            values=np.concatenate([old.values, np.zeros((1, slots, channels))]),
-            estimates=np.zeros((index + 1, 2, channels)),
-        )
-        return index
+        """Add one body without samples, at the end."""
+        grown = {}
+        for name in _OF_BODIES:
+            old = getattr(self.arrays, name)
+            grown[name] = np.concatenate([old, np.zeros((len(old), 1, *old.shape[2:]), dtype=old.dtype)], axis=1)
+        grown["bodies"]["last_s"][:, -1] = -np.inf
+        self.arrays = self.arrays._replace(**grown)
 
     def reset(self):
         """Forget every sample."""
-        window = self.window
-        window.fit["frames"] = 0
-        window.bodies["last_s"] = -np.inf
-        window.bodies["gapless"] = 0
-        window.present[:] = False
-
-    def push(self, stamp_s, values, present=None):
-        """Add one frame at stamp_s [s], later than the frame before.
-
-        values: (bodies, channels) [unit]; rows of absent bodies are ignored and may be NaN.
-        present: (bodies,) bool, None = all. Raises ValueError if time does not advance.
-        """
-        window = self.window
-        frames, capacity = int(window.fit["frames"][0]), int(window.fit["capacity"][0])
-        if frames and stamp_s <= window.stamps_s[(frames - 1) % capacity]:
-            raise ValueError("stamps must increase, got %r" % (stamp_s,))
-        present = np.ones(len(window.bodies), dtype=bool) if present is None else present
-        push_samples(window, float(stamp_s), np.array(values, dtype=float), present)
-
-    def estimate(self, bodies=None):
-        """Fit all, or the given, bodies at the newest frame. Each must have a sample in that frame.
-
-        bodies: index array or None. Returns value (bodies, channels) [unit], slope (bodies, channels) [unit/s]
-        (zero from a single sample), samples (bodies,) used and span_s (bodies,) from oldest to newest used.
-        Raises ValueError if there is no frame, or a body has no sample in the newest one.
-        """
-        window = self.window
-        if window.fit["frames"][0] == 0:
-            raise ValueError("no frame to estimate from: push one first")
-        bodies = np.arange(len(window.bodies)) if bodies is None else bodies
-        if (window.bodies["gapless"][bodies] == 0).any():
-            raise ValueError("a body without a sample in the newest frame cannot be estimated there")
-        wanted = np.zeros(len(window.bodies), dtype=bool)
-        wanted[bodies] = True
-        estimate_newest(window, wanted)
-        newest, found = window.bodies[bodies], window.estimates[bodies]
-        return found[:, 0], found[:, 1], newest["samples"], newest["span_s"]
+        self.arrays.fit["frames"] = 0
+        self.arrays.bodies["last_s"] = -np.inf
+        self.arrays.bodies["gapless"] = 0
+        self.arrays.present[:] = False
 
 
 @compiled
@@ -313,13 +238,13 @@ def _order(fit, samples, span_s):
 
 
 @compiled
-def _weigh_all(fits, ages_s, order, scale_s, weights):
-    return _weigh(fits[0], ages_s, order, scale_s, weights)
-
-
-@compiled
 def _weigh(fit, ages_s, order, scale_s, weights):
-    """Fills weights (2, n) as `endpoint_weights`; returns whether there are enough distinct times for that order."""
+    """Weights that turn samples into the fitted polynomial's value and slope at age zero.
+
+    ages_s: (n,) [s], >= 0.   scale_s: time that the ages are divided by for conditioning.   Fills weights (2, n): for
+    the value, for the slope [1/s]; returns whether there are enough distinct times for that order.
+    Deviation from eq 4.1: times count from the newest sample and are scaled; the estimate is unchanged.
+    """
     fit.moments[:] = 0.0
     for k in range(len(ages_s)):
         _add_moments(fit, ages_s[k] / -scale_s)

@@ -4,19 +4,13 @@ The thesis turns six values by hand until rays and spheres meet; here least squa
 
 A mount is a position t (body axes) and a rotation R, v_body = R v_camera (risc_lab.camera). A landmark at w in body
 axes, w = R_body_to_cortex^T (landmark - vehicle) at the picture's exposure, lies for the camera at d = R^T (w - t) and
-should be seen along u = d / |d|. It was seen along the unit vector m. The residual is the way from m to u on the unit
-sphere: with B (2, 3) an orthonormal basis of the tangent plane at m, a = B u, s = |a|, c = m . u,
+should be seen along u = d / |d|. It was seen along the unit vector m. The residual is the turn from m to u,
 
-    v = (theta / s) a,   theta = atan2(s, c)                                                        (2,) [rad]
+    v = theta (m x u) / |m x u|,   theta = atan2(|m x u|, m . u)                                        (3,) [rad]
 
 so that |v| is the angle between ray and landmark, up to 180 degrees, wherever in the picture it is. (Differences of
-azimuth and elevation are not: towards the poles azimuth counts for nothing.)
-
-Unknown are t and a turn delta (3,) about the camera's axes, R = R_start Exp(delta). With J_r the right Jacobian of
-SO(3), Exp(delta + e) = Exp(delta) Exp(J_r e), to first order:
-
-    dd/dt = -R^T,   dd/ddelta = [d]x J_r,   du = (I - u u^T) dd / |d|,   da = B du,   dc = m . du,
-    ds = a . da / s,   dtheta = c ds - s dc,   dv = (theta / s) da + a (dtheta - theta ds / s) / s
+azimuth and elevation are not: towards the poles azimuth counts for nothing.) Unknown are t and a turn delta (3,) about
+the camera's axes, R = R_start Exp(delta).
 
 Wrong bearings (false detections, mistaken identities) must not count. Cauchy's loss with a falling scale finds the
 mount that most bearings agree on, from far away; then those that are not within `gate` standard deviations are left
@@ -33,41 +27,34 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 
 from risc_lab.camera import rotation_camera_to_body
 from risc_lab.frames import euler_from_body_to_ned
 from risc_lab.lab.calibration import CameraMount
+from risc_lab.settings import Positive, Settings, between
 
 VALUES = ("x", "y", "z", "roll", "pitch", "yaw")  # position: body axes; turns: about the camera's own axes
 _SCALES_DEG = (20.0, 5.0, 1.0)  # of Cauchy's loss, one after the other
 _GATINGS = 3  # how often the wrong ones are chosen afresh
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # of the length of two normal deviates
 _TINY = 1e-9
+_SINGULAR = 1e-6  # share of the greatest singular value that is rounding
 
 
 @dataclass(frozen=True)
-class FitParams:
-    """Settings of the fit; config/transform_tuner.yaml of risc_visual explains and holds the same values."""
+class FitParams(Settings):
+    """Settings of the fit: parameters of transform_tuner of risc_visual, too."""
 
-    noise_deg: float = 0.1  # least standard deviation of a bearing, along each of its two axes
-    gate: float = 4.0  # [standard deviations] bearings farther from the fit than this are wrong
-    wrong_max: float = 0.35  # share of wrong bearings that is not worth a warning, and passes the tuner's check
-    std_max_m: float = 0.01  # greatest standard deviation of a position that counts as known, and
-    std_max_deg: float = 0.2  # of an angle
-    prior_m: float = 0.3  # standard deviation of the mount before anything was seen
-    prior_deg: float = 30.0
-    samples_min: int = 30  # bearings without which there is no fit
-
-    def __post_init__(self):
-        for key in ("noise_deg", "gate", "std_max_m", "std_max_deg", "prior_m", "prior_deg"):
-            if not getattr(self, key) > 0.0:
-                raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(self, key)))
-        if not 0.0 < self.wrong_max < 1.0:
-            raise ValueError("parameter 'wrong_max' must be in (0, 1), got %r" % (self.wrong_max,))
-        if self.samples_min < 6:
-            raise ValueError("parameter 'samples_min' must be 6 at least, got %r" % (self.samples_min,))
+    noise_deg: Positive = 0.1  # least standard deviation of a bearing, along each of its two axes
+    gate: Positive = 4.0  # [standard deviations] bearings farther from the fit than this are wrong
+    wrong_max: between(0.01, 0.99) = 0.35  # share of wrong bearings not worth a warning, and that passes the check
+    std_max_m: Positive = 0.01  # greatest standard deviation of a position that counts as known, and
+    std_max_deg: Positive = 0.2  # of an angle
+    prior_m: Positive = 0.3  # standard deviation of the mount before anything was seen
+    prior_deg: Positive = 30.0
+    samples_min: between(6, 10**6) = 30  # bearings without which there is no fit
 
 
 class Samples(NamedTuple):
@@ -106,11 +93,10 @@ def fit_mount(samples, start, params=None):
         )
     x = np.zeros(6)
     for scale_deg in _SCALES_DEG:
-        x = _Problem(samples, start, params).solve(x, math.radians(scale_deg))
+        x = _solve(samples, start, params, x, loss="cauchy", f_scale=math.radians(scale_deg))
     for _ in range(_GATINGS):
-        errors = ray_errors(samples, _mount(start, x))
-        right = right_ones(errors, params)
-        x = _Problem(samples.take(right), start, params).solve(x)
+        right = right_ones(ray_errors(samples, _mount(start, x)), params)
+        x = _solve(samples.take(right), start, params, x)
     mount = _mount(start, x)
     errors = ray_errors(samples, mount)
     right = right_ones(errors, params)
@@ -168,12 +154,12 @@ def standard_deviations(samples, mount, params, noise_rad=0.0):
 
     noise_rad: of a bearing along each axis; at least params.noise_deg is assumed.
     """
-    _, J = _errors_and_jacobian(samples, np.asarray(mount.position_m), rotation_camera_to_body(mount), np.zeros(3))
+    J = approx_fprime(np.zeros(6), lambda x: _residuals(samples, mount, x)).reshape(-1, 6)
     units = _limits(params)  # in these metres and radians are comparable
-    _, strengths, axes = np.linalg.svd(J.reshape(-1, 6) * units, full_matrices=False)
+    _, strengths, axes = np.linalg.svd(J * units, full_matrices=False)
     noise_rad = max(noise_rad, math.radians(params.noise_deg))
     with np.errstate(divide="ignore", invalid="ignore"):
-        along = np.where(strengths > _TINY * strengths.max(initial=1.0), noise_rad / strengths, np.inf)
+        along = np.where(strengths > _SINGULAR * strengths.max(initial=1.0), noise_rad / strengths, np.inf)
         parts = np.where(np.abs(axes) > 1e-6, axes**2 * along[:, None] ** 2, 0.0)
     known = np.sqrt(parts.sum(axis=0)) if len(strengths) == 6 else np.full(6, np.inf)
     return known * units
@@ -194,80 +180,22 @@ def weak_values(std, params):
     return (", ".join(weak) + ": show the camera landmarks near and far, in the middle and at the edges",)
 
 
-class _Problem:
-    """Residuals and Jacobian of x = (t - t_start, delta), bearings first, then the prior."""
-
-    def __init__(self, samples, start, params):
-        self._samples = samples
-        self._t_start = np.array(start.position_m)
-        self._R_start = rotation_camera_to_body(start)
-        # the prior counts as one bearing along each value
-        prior = np.repeat((params.prior_m, math.radians(params.prior_deg)), 3)
-        self._prior = np.diag(math.radians(params.noise_deg) / prior)
-
-    def solve(self, x, scale_rad=None):
-        """x at the least cost. scale_rad: of Cauchy's loss; None: plain squares."""
-        robust = {} if scale_rad is None else {"loss": "cauchy", "f_scale": scale_rad}
-        return least_squares(self.residuals, x, self.jacobian, **robust).x
-
-    def residuals(self, x):
-        return np.concatenate((self._parts(x)[0].ravel(), self._prior @ x))
-
-    def jacobian(self, x):
-        return np.vstack((self._parts(x)[1].reshape(-1, 6), self._prior))
-
-    def _parts(self, x):
-        R = self._R_start @ Rotation.from_rotvec(x[3:]).as_matrix()
-        return _errors_and_jacobian(self._samples, self._t_start + x[:3], R, x[3:])
+def _solve(samples, start, params, x, **robust):
+    """x = (t - t_start, delta) at the least cost, from x on. robust: loss and scale of `least_squares`."""
+    # the prior counts as one bearing along each value
+    prior = math.radians(params.noise_deg) / np.repeat((params.prior_m, math.radians(params.prior_deg)), 3)
+    return least_squares(lambda x: np.append(_residuals(samples, start, x), prior * x), x, "3-point", **robust).x
 
 
-def _errors_and_jacobian(samples, position_m, R, delta):
-    """Residuals v (n, 2) and their derivatives (n, 2, 6) by position and delta; R is R_start Exp(delta)."""
-    n = len(samples.rays)
-    d = (samples.points_body_m - position_m) @ R
-    distance = np.maximum(np.linalg.norm(d, axis=1), _TINY)
-    u = d / distance[:, None]
-    dd = np.empty((n, 3, 6))
-    dd[:, :, :3] = -R.T
-    dd[:, :, 3:] = _cross_matrices(d) @ _right_jacobian(delta)
-    du = (dd - u[:, :, None] * np.einsum("ni,nij->nj", u, dd)[:, None, :]) / distance[:, None, None]
-    B = _tangents(samples.rays)
-    a, da = np.einsum("nki,ni->nk", B, u), B @ du
-    c, dc = np.einsum("ni,ni->n", samples.rays, u), np.einsum("ni,nij->nj", samples.rays, du)
-    s = np.linalg.norm(a, axis=1)
-    theta = np.arctan2(s, c)
-    safe = np.maximum(s, _TINY)
-    ratio = np.where(s > _TINY, theta / safe, 1.0)
-    ds = np.einsum("nk,nkj->nj", a, da) / safe[:, None]
-    dtheta = c[:, None] * ds - s[:, None] * dc
-    bend = (dtheta - ratio[:, None] * ds) / safe[:, None]  # d(theta / s); next to m it is nothing
-    bend[s <= 1e-6] = 0.0
-    return ratio[:, None] * a, ratio[:, None, None] * da + a[:, :, None] * bend[:, None, :]
-
-
-def _tangents(rays):
-    """Orthonormal bases (n, 2, 3) of the tangent planes at unit vectors (n, 3): to the right, and across."""
-    level = np.hypot(rays[:, 0], rays[:, 1])
-    upright = level < 1e-6  # straight up or down any direction is to the right
-    right = np.column_stack((-rays[:, 1], rays[:, 0], np.zeros(len(rays)))) / np.where(upright, 1.0, level)[:, None]
-    right[upright] = (0.0, 1.0, 0.0)
-    return np.stack((right, np.cross(rays, right)), axis=1)
-
-
-def _cross_matrices(vectors):
-    """(n, 3, 3) with [v]x w = v x w."""
-    x, y, z = vectors.T
-    zero = np.zeros(len(vectors))
-    return np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
-
-
-def _right_jacobian(delta):
-    """J_r (3, 3) of SO(3)."""
-    angle = np.linalg.norm(delta)
-    K = _cross_matrices(delta[None])[0]
-    if angle < 1e-6:
-        return np.eye(3) - 0.5 * K
-    return np.eye(3) - (1.0 - np.cos(angle)) / angle**2 * K + (angle - np.sin(angle)) / angle**3 * K @ K
+def _residuals(samples, start, x):
+    """(3 n,) turns [rad] from the rays to where the landmarks should be seen."""
+    R = rotation_camera_to_body(start) @ Rotation.from_rotvec(x[3:]).as_matrix()
+    d = (samples.points_body_m - np.asarray(start.position_m) - x[:3]) @ R
+    u = d / np.maximum(np.linalg.norm(d, axis=1), _TINY)[:, None]
+    across = np.cross(samples.rays, u)
+    sine = np.linalg.norm(across, axis=1)
+    theta = np.arctan2(sine, np.einsum("ni,ni->n", samples.rays, u))
+    return (np.where(sine > _TINY, theta / np.maximum(sine, _TINY), 1.0)[:, None] * across).ravel()
 
 
 def _mount(start, x):

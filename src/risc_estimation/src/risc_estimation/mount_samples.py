@@ -13,22 +13,16 @@ from risc_estimation.mount_fit import Samples
 from risc_estimation.pose_track import PoseTrack
 from risc_lab.camera import rays_of_bearings
 from risc_lab.clock import Step
+from risc_lab.settings import Positive, Settings, between
 
 
 @dataclass(frozen=True)
-class WindowParams:
-    """Settings of the window; config/transform_tuner.yaml of risc_visual explains and holds the same values."""
+class WindowParams(Settings):
+    """Settings of the window: parameters of transform_tuner of risc_visual, too."""
 
-    window_s: float = 60.0  # how far back it reaches
-    held_out_every: int = 3  # [s] of so many seconds one is kept for checking
-    late_max_s: float = 10.0  # how long bearings wait for their poses, and poses for their bearings
-
-    def __post_init__(self):
-        for key in ("window_s", "late_max_s"):
-            if not getattr(self, key) > 0.0:
-                raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(self, key)))
-        if self.held_out_every < 2:
-            raise ValueError("parameter 'held_out_every' must be 2 at least, got %r" % (self.held_out_every,))
+    window_s: Positive = 60.0  # how far back it reaches
+    held_out_every: between(2, 1000) = 3  # [s] of so many seconds one is kept for checking
+    late_max_s: Positive = 10.0  # how long bearings wait for their poses, and poses for their bearings
 
 
 class BearingWindow:

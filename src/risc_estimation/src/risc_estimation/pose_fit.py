@@ -13,31 +13,33 @@ import numpy as np
 
 from risc_estimation.gates import LIMITS, REFUSALS, believe_pose, is_inside, limits_of, see_markers
 from risc_estimation.landmark_positions import LANDMARK, locate_landmark
-from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst, pose_covariance
+from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import euler_of_body_in_cortex
 from risc_lab.lab import templates as kinds
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
-
-_LAYOUTS = 64  # that are remembered
+from risc_lab.settings import NotNegative, Positive, Settings
 
 ARENA_KEYS = ("arena_x_m", "arena_y_m", "arena_z_max_m")  # settings that are those of the net, unless set
 
 
 @dataclass(frozen=True)
-class PoseFitParams:
-    """Settings of `PoseFit`; config/states_estimation.yaml explains and holds the same values."""
+class PoseFitParams(Settings):
+    """Which markers and poses are believed: parameters of states_estimation.py, too."""
 
-    marker_limit_m: float = 100.0  # [m] larger coordinates mean "lost" (9999.999 m in old bags)
-    marker_noise_m: float = 0.002  # [m] 1 sigma of a marker, for the covariances; 0 = from the residual of each fit
-    residual_max_m: float = 0.015  # [m] worst rms misfit between template and markers
-    min_spread_m: float = 0.01  # [m] least extent of the visible markers across their line
-    tilt_max_rad: float = 2.1  # [rad] more is taken for swapped markers, not for flight
-    arena_x_m: float = NET_HALF_X_M  # [m] half length of the net
-    arena_y_m: float = NET_HALF_Y_M  # [m] half width
-    arena_z_min_m: float = -0.1  # [m] floor; a landed vehicle must stay visible
-    arena_z_max_m: float = NET_HEIGHT_M  # [m] top of the net
-    arena_margin_m: float = 0.05  # [m] how far outside a vehicle still counts as inside
+    marker_limit_m: Positive = 100.0  # [m] larger coordinates mean a lost marker (9999.999 m in bags of the original)
+    marker_noise_m: NotNegative = 0.002  # [m] 1 sigma of a marker, for the covariances; 0: from each fit's residual
+    # [m] worst rms distance of the markers from the fitted template; with four or more markers the worst one is left
+    # out and the rest tried again
+    residual_max_m: Positive = 0.015
+    min_spread_m: Positive = 0.01  # [m] markers closer than this to one line give no attitude
+    tilt_max_rad: Positive = 2.1  # [rad] 120 degrees: three markers of a square fit upside down when two are swapped
+    # [m] a vehicle outside of this box is invisible: the net of the fleet file, unless these are set
+    arena_x_m: Positive = NET_HALF_X_M  # half its length
+    arena_y_m: Positive = NET_HALF_Y_M  # half its width
+    arena_z_min_m: float = -0.1  # floor; a landed vehicle must stay visible
+    arena_z_max_m: float = NET_HEIGHT_M
+    arena_margin_m: float = 0.05  # [m] so far outside still counts as inside
 
     def within(self, arena, keep=()):
         """The same settings for another Arena, but for the fields named in `keep`."""
@@ -45,11 +47,7 @@ class PoseFitParams:
         return replace(self, **{name: value for name, value in net if name not in keep})
 
     def __post_init__(self):
-        for name in ("marker_limit_m", "residual_max_m", "min_spread_m", "tilt_max_rad", "arena_x_m", "arena_y_m"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError("%s must be positive, got %r" % (name, getattr(self, name)))
-        if not self.marker_noise_m >= 0.0:
-            raise ValueError("marker_noise_m must be 0 or positive, got %r" % (self.marker_noise_m,))
+        super().__post_init__()
         if not self.arena_z_min_m < self.arena_z_max_m:
             raise ValueError(
                 "arena_z_min_m must be below arena_z_max_m, got %r and %r" % (self.arena_z_min_m, self.arena_z_max_m)
@@ -131,10 +129,26 @@ class Poses:
     def covariances(self):
         """(n, 6, 6) covariance of position [m] and of a small rotation about cortex x, y, z [rad], in this order.
 
-        NaN where a body is not present. See `rigid_fit.pose_covariance`; nothing is computed before it is asked for.
+        NaN where a body is not present; nothing is computed before it is asked for. Errors p of the position and theta
+        of the rotation move marker i by  p + theta x R t_i,  so their covariance is, to first order,
+
+            noise^2 (sum_i J_i^T J_i)^-1,   J_i = (I, -[R t_i]x),
+
+        noise: of each coordinate of a marker, white: `marker_noise_m`, or, where that is 0, from the fit's residual.
         """
-        covariances = np.empty((len(self.present), 6, 6))
-        _covariances(*self._bodies[:5], float(self._marker_noise_m), covariances)
+        covariances = np.full((len(self.present), 6, 6), np.nan)
+        bodies, here = self._bodies, self.present
+        used, fits = bodies.used[here], bodies.fits[here]
+        arms = np.einsum("nij,nkj->nki", fits["rotation"], bodies.templates_m[here])
+        J = np.empty((*arms.shape, 6))
+        J[..., :3] = np.eye(3)
+        J[..., 3:] = np.cross(np.eye(3), arms[:, :, None]).swapaxes(2, 3)
+        variance_m2 = np.full(len(fits), self._marker_noise_m**2)
+        if self._marker_noise_m == 0.0:
+            count = used.sum(axis=1)
+            variance_m2 = fits["residual_m"] ** 2 * count / (3.0 * count - 6.0)
+        inverse = np.linalg.inv(np.einsum("nk,nkij,nkil->njl", used, J, J))
+        covariances[here] = variance_m2[:, None, None] * 0.5 * (inverse + inverse.swapaxes(1, 2))
         return covariances
 
 
@@ -181,9 +195,8 @@ class PoseFit:
             rows=np.zeros(0, dtype=int),
         )
         self.poses = Poses(self._bodies, params.marker_noise_m)
-        self._forget_layouts()
+        self._layout = None
         self.update(-math.inf, (), np.zeros((0, 3)))  # without bodies: loads the compiled code
-        self.poses.covariances()
 
     @property
     def refusals(self):
@@ -199,7 +212,7 @@ class PoseFit:
         template = self._templates.get(name)
         if template is None or name in self.names or name in self.landmark_names:
             return
-        self._forget_layouts()  # their plans have no row for it
+        self._layout = None  # its plan has no row for it
         count = len(template.markers_m)
         if template.kind == kinds.LANDMARK:
             self.landmark_names += (name,)
@@ -219,15 +232,15 @@ class PoseFit:
     def update(self, stamp_s, layout, markers_m):
         """Fit one frame: brings `poses` up to date. Returns (names of the landmarks seen, (landmarks, 3) [m]).
 
-        stamp_s: time of exposure [s].   layout: ((name, number of markers), ...), cheapest when it is the same object
-        as long as it stays the same.   markers_m: (markers, 3) [m] of all bodies in that order, cortex frame, each
-        body's in its template's order. A lost marker is NaN, infinite or beyond marker_limit_m; markers beyond the
-        template's are ignored, missing ones at the end count as lost. Of two bodies of one name the first counts.
+        stamp_s: time of exposure [s].   layout: ((name, number of markers), ...), a tuple.   markers_m: (markers, 3) of
+        all bodies in that order [m], cortex frame, each body's in its template's order. A lost marker is NaN, infinite
+        or beyond marker_limit_m; markers beyond the template's are ignored, missing ones at the end count as lost. Of
+        two bodies of one name the first counts.
         Raises ValueError when layout and markers_m do not match.
         """
-        if layout is not self._layout:
-            plan = self._plans.get(layout) or self._plan_for(layout)
-            self._layout, self._plan = layout, plan
+        if layout != self._layout:
+            plan = self._plan = self._plan_for(layout)
+            self._layout = layout
             self._arguments = (
                 plan.markers_m, plan.bodies, plan.landmarks, self._fixed, self._marker_visible,
                 *self._bodies, *self._landmarks,
@@ -247,25 +260,19 @@ class PoseFit:
         return names, self._landmarks.positions_m[:seen].copy()
 
     def _plan_for(self, layout):
-        """Plan of a layout, remembered; bodies seen for the first time are admitted."""
+        """Plan of a layout; bodies seen for the first time are admitted."""
         places, first = {}, 0
         for name, count in layout:
             places.setdefault(name, (first, count))
             first += count
         for name in places:
             self.admit(name)
-        if len(self._plans) >= _LAYOUTS:
-            self._forget_layouts()
-        plan = self._plans[layout] = _Plan(
+        return _Plan(
             np.array([places.get(name, (0, 0)) for name in self.names], dtype=ROWS),
             np.array([places.get(name, (0, 0)) for name in self.landmark_names], dtype=ROWS),
             tuple([name for name in places if name not in self._templates]),
             np.zeros((first, 3)),
         )
-        return plan
-
-    def _forget_layouts(self):
-        self._plans, self._layout, self._plan, self._arguments = {}, None, None, ()
 
 
 def _with_row(table):
@@ -357,18 +364,3 @@ def _find_landmarks(landmarks, landmark_rows, markers_m, limits, marker_visible)
             landmarks.rows[count] = i
             count += 1
     return count
-
-
-@compiled
-def _covariances(known, templates_m, used, fits, flags, marker_noise_m, covariances):
-    """Fills covariances (bodies, 6, 6) of what is present."""
-    for i in range(len(known)):
-        if flags[0, i]:
-            used_i = used[i, : known[i].markers]
-            noise_m = marker_noise_m
-            if noise_m == 0.0:
-                count = used_i.sum()
-                noise_m = fits[i].residual_m * math.sqrt(count / (3.0 * count - 6.0))
-            pose_covariance(templates_m[i], used_i, fits[i].rotation, noise_m, covariances[i])
-        else:
-            covariances[i, :, :] = math.nan

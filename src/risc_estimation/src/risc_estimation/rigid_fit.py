@@ -2,15 +2,10 @@
 
 The rotation R and translation p minimise  sum_i |m_i - (R t_i + p)|^2  over the visible markers, t_i being the
 template's marker and m_i the measured one (Kabsch's solution: singular value decomposition of the cross-covariance).
-No axis is singled out, so there is no attitude at which the fit degenerates.
-
-`fit_pose` is compiled: it is called for every body in every frame. `fit_rigid` is the same fit for other callers.
+No axis is singled out, so there is no attitude at which the fit degenerates. Compiled: for every body in every frame.
 """
 
 import math
-from typing import NamedTuple
-
-import numpy as np
 
 from risc_lab.compiled import compiled, record
 
@@ -31,42 +26,13 @@ WORK = record(  # what a fit needs beside its result
 )
 
 
-class RigidFit(NamedTuple):
-    """Result of `fit_rigid`; as `POSE`."""
-
-    rotation: np.ndarray  # (3, 3)
-    position_m: np.ndarray  # (3,)
-    residual_m: float
-    spread_m: float
-
-
-def fit_rigid(template_m, measured_m, visible=None):
-    """Fit a template to measured markers.
-
-    template_m, measured_m: (n, 3) [m], right-handed frames.   visible: (n,) bool, None = all; at least one marker.
-    Returns RigidFit. With fewer than 3 visible markers or markers on one line the spread is (nearly) zero: the rotation
-    is meaningless then, and the caller is to look at the spread before using it.
-    """
-    template_m, measured_m = np.array(template_m, dtype=float), np.array(measured_m, dtype=float)
-    visible = np.ones(len(template_m), dtype=bool) if visible is None else np.array(visible, dtype=bool)
-    if not template_m.shape == measured_m.shape == visible.shape + (3,) or not visible.any():
-        raise ValueError(
-            "give two arrays (n, 3) with a visible marker, got %s and %s" % (template_m.shape, measured_m.shape)
-        )
-    work, poses = np.zeros(1, dtype=WORK), np.zeros(1, dtype=POSE)
-    _fit_first(template_m, measured_m, visible, work, poses)
-    pose = poses[0]
-    return RigidFit(pose.rotation, pose.position_m, float(pose.residual_m), float(pose.spread_m))
-
-
-@compiled
-def _fit_first(template, measured, visible, works, poses):
-    fit_pose(template, measured, visible, works[0], poses[0])
-
-
 @compiled
 def fit_pose(template, measured, visible, work, pose):
-    """Fit one body; fills pose (POSE). template, measured: (>= n, 3) [m]; visible: (n,) bool, one at least."""
+    """Fit one body; fills pose (POSE). template, measured: (>= n, 3) [m]; visible: (n,) bool, one at least.
+
+    With fewer than three visible markers, or markers on one line, the spread is (nearly) zero and the rotation means
+    nothing.
+    """
     count = 0
     tx = ty = tz = mx = my = mz = 0.0  # centroids
     for i in range(len(visible)):
@@ -123,73 +89,6 @@ def fit_pose_without_worst(template, measured, visible, work, pose):
     visible[worst] = False
     fit_pose(template, measured, visible, work, pose)
     return worst
-
-
-@compiled
-def pose_covariance(template, visible, rotation, noise_m, covariance):
-    """Fills covariance (6, 6) of a fit: of the position [m], then of a small rotation about the measured axes [rad].
-
-    template: (>= n, 3) [m]; visible: (n,) bool, the markers used, not on one line; rotation: (3, 3) of the fit;
-    noise_m: standard deviation of each coordinate of a marker [m], white.
-
-    Errors p of the position and theta of the rotation move marker i by  p + theta x R t_i,  so their covariance is, to
-    first order,
-
-        noise^2 (sum_i J_i^T J_i)^-1,   J_i = (I, -[R t_i]x).
-
-    About b = R mean(t) and with d_i = R t_i - b it falls apart: theta has C = noise^2 (sum_i |d_i|^2 I - d_i d_i^T)^-1,
-    the centroid noise^2 / n I, and p is the centroid + b x theta.
-    """
-    count = 0
-    b = (0.0, 0.0, 0.0)
-    for i in range(len(visible)):
-        if visible[i]:
-            count += 1
-            x, y, z = _turned(rotation, template[i])
-            b = (b[0] + x, b[1] + y, b[2] + z)
-    b = (b[0] / count, b[1] / count, b[2] / count)
-
-    inertia, attitude = covariance[:3, :3], covariance[3:, 3:]
-    inertia[:, :] = 0.0
-    for i in range(len(visible)):
-        if visible[i]:
-            x, y, z = _turned(rotation, template[i])
-            d = (x - b[0], y - b[1], z - b[2])
-            for row in range(3):
-                for column in range(3):
-                    inertia[row, column] -= d[row] * d[column]
-                inertia[row, row] += d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
-    variance_m2 = noise_m * noise_m
-    for row in range(3):
-        j, k = (row + 1) % 3, (row + 2) % 3
-        for column in range(3):
-            m, n = (column + 1) % 3, (column + 2) % 3
-            attitude[row, column] = inertia[j, m] * inertia[k, n] - inertia[j, n] * inertia[k, m]  # adjugate
-    determinant = inertia[0, 0] * attitude[0, 0] + inertia[0, 1] * attitude[1, 0] + inertia[0, 2] * attitude[2, 0]
-    for row in range(3):
-        for column in range(3):
-            attitude[row, column] *= variance_m2 / determinant
-
-    for row in range(3):
-        j, k = (row + 1) % 3, (row + 2) % 3
-        for column in range(3):
-            both = b[j] * attitude[k, column] - b[k] * attitude[j, column]
-            covariance[row, 3 + column] = covariance[3 + column, row] = both
-    for row in range(3):
-        for column in range(row + 1):
-            m, n = (column + 1) % 3, (column + 2) % 3
-            both = b[m] * covariance[row, 3 + n] - b[n] * covariance[row, 3 + m]
-            covariance[row, column] = covariance[column, row] = both
-        covariance[row, row] += variance_m2 / count
-
-
-@compiled
-def _turned(R, v):
-    return (
-        R[0, 0] * v[0] + R[0, 1] * v[1] + R[0, 2] * v[2],
-        R[1, 0] * v[0] + R[1, 1] * v[1] + R[1, 2] * v[2],
-        R[2, 0] * v[0] + R[2, 1] * v[1] + R[2, 2] * v[2],
-    )
 
 
 @compiled

@@ -4,7 +4,8 @@ Two stages: `pose_fit` makes raw poses of a frame's markers, a filter (risc_esti
 Bodies are keyed by name; their order in a frame means nothing. Time comes from the frames' stamps.
 """
 
-from collections import Counter
+import math
+from collections import Counter, deque
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -13,6 +14,8 @@ import numpy as np
 from risc_estimation.filters import make_filter, status_of
 from risc_estimation.pose_fit import PoseFit
 from risc_lab.clock import ClockGuard, Step
+
+_LATE = 16  # frames
 
 
 class FrameEstimate(NamedTuple):
@@ -25,20 +28,13 @@ class FrameEstimate(NamedTuple):
     landmark_names: tuple[str, ...]  # the landmarks seen in this frame
     landmarks_m: np.ndarray  # (landmarks, 3) their positions [m]
 
-    def vehicle(self, name):
-        """(visible, state (12,)) of one vehicle. Raises KeyError if it is not known."""
-        if name not in self.names:
-            raise KeyError("no vehicle '%s'; known are %s" % (name, ", ".join(self.names) or "none"))
-        row = self.names.index(name)
-        return bool(self.visible[row]), self.states[row]
-
 
 @dataclass
 class EstimatorCounts:
     """What was refused and why; grows for ever, meant for diagnostics."""
 
     frames: int = 0  # frames estimated
-    late_frames: int = 0  # of them, those that were older than the one before and that the filter still took
+    late_frames: int = 0  # of them, those that were older than another one, and that the filter still took
     duplicate_stamps: int = 0  # frames refused: same stamp as the one before
     backward_stamps: int = 0  # frames refused: older than the one before, far ahead of it, or not a number
     clock_resets: int = 0  # stamps of a new clock, or after ten seconds of silence: started afresh
@@ -67,7 +63,7 @@ class StatesEstimator:
         self._fit = PoseFit(templates, params, self._filter.add_body)
         self._counts = EstimatorCounts(unknown=self._fit.unknown)
         self._stamps = ClockGuard()
-        self._last_stamp_s = None
+        self._late = deque(maxlen=_LATE)  # frames that are late, or of a clock that was set: the next one tells
         for name in vehicles:
             if name not in self._fit.body_names():
                 raise ValueError(
@@ -91,6 +87,11 @@ class StatesEstimator:
         """Raw `pose_fit.Poses` of the newest frame, rows as in `names`: nothing smoothed, with covariances."""
         return self._fit.poses
 
+    @property
+    def on_board_wanted(self):
+        """What the filter wants to be given with `on_board`, a set; see `filters.VelocityFilter`."""
+        return frozenset(self._filter.ON_BOARD)
+
     def status(self):
         """[`filters.Status`] of all bodies in the newest frame."""
         return status_of(self._fit.poses, self._filter.visible)
@@ -102,57 +103,47 @@ class StatesEstimator:
     def update(self, stamp_s, layout, markers_m):
         """Estimate one frame. layout and markers_m: see `PoseFit.update`.
 
-        stamp_s: time of exposure [s]. Returns FrameEstimate; None when the stamp does not advance (counted; what is
-        not older than the filter's late_s still reaches the filter). Raises ValueError when layout and markers_m do not
-        match.
+        stamp_s: time of exposure [s]. Returns FrameEstimate; None when the stamp does not advance (counted). A frame
+        that is not older than the filter's late_s reaches the filter all the same, with the next one that advances: by
+        then it is known that the clock was not set. Raises ValueError when layout and markers_m do not match.
         """
-        late = stamp_s < self._stamps.newest_s <= stamp_s + self._filter.late_s
-        if not late and not self._accept_stamp(stamp_s):
+        newest_s = self._stamps.newest_s
+        step = self._stamps.look(stamp_s)
+        if step is Step.REFUSED:
+            if stamp_s == newest_s:
+                self._counts.duplicate_stamps += 1
+            elif stamp_s < newest_s <= stamp_s + self._filter.late_s:
+                self._late.append((stamp_s, layout, np.array(markers_m, dtype=float)))
+            else:
+                self._counts.backward_stamps += 1
             return None
-        landmark_names, landmarks_m = self._fit.update(stamp_s, layout, markers_m)
+        if step is Step.NEW_CLOCK:
+            self._counts.clock_resets += 1
+            self._late.clear()
+            self._filter.reset()
+        while self._late:
+            self._counts.late_frames += 1
+            self._take(*self._late.popleft())
+        landmark_names, landmarks_m = self._take(stamp_s, layout, markers_m)
+        return self._estimate(self._filter.visible.copy(), landmark_names, landmarks_m)
+
+    def _take(self, stamp_s, layout, markers_m):
+        landmarks = self._fit.update(stamp_s, layout, markers_m)
         self._counts.frames += 1
         self._filter.update(self._fit.poses)
-        if late:
-            self._counts.late_frames += 1
-            return None
-        return FrameEstimate(
-            stamp_s,
-            self._fit.names,
-            self._filter.visible.copy(),
-            self._filter.states.copy(),
-            landmark_names,
-            landmarks_m,
-        )
+        return landmarks
+
+    def _estimate(self, visible, landmark_names=(), landmarks_m=np.zeros((0, 3))):
+        states = self._filter.states.copy()
+        return FrameEstimate(self._fit.poses.stamp_s, self._fit.names, visible, states, landmark_names, landmarks_m)
 
     def on_board(self, name, stamp_s, what, values):
-        """Hand a body's own measurement to the filter, see `VelocityFilter.on_board`. Raises ValueError for a name
-        that is not known.
-        """
-        self._filter.on_board(self._fit.names.index(name), stamp_s, what, values)
+        """Hand the filter what it wants of a body, see `VelocityFilter.on_board`; of one that is not known: nothing."""
+        if what in self._filter.ON_BOARD and name in self.names:
+            self._filter.on_board(self.names.index(name), stamp_s, what, values)
 
     def lost(self):
         """FrameEstimate for "no frames arrive any more": the last numbers, nothing visible. None before any."""
-        if self._last_stamp_s is None:
+        if self._stamps.newest_s == -math.inf:
             return None
-        return FrameEstimate(
-            self._last_stamp_s,
-            self.names,
-            np.zeros(len(self.names), dtype=bool),
-            self._filter.states.copy(),
-            (),
-            np.zeros((0, 3)),
-        )
-
-    def _accept_stamp(self, stamp_s):
-        step = self._stamps.look(stamp_s)
-        if step is Step.REFUSED:
-            if stamp_s == self._last_stamp_s:
-                self._counts.duplicate_stamps += 1
-            else:
-                self._counts.backward_stamps += 1
-            return False
-        if step is Step.NEW_CLOCK:
-            self._counts.clock_resets += 1
-            self._filter.reset()
-        self._last_stamp_s = stamp_s
-        return True
+        return self._estimate(np.zeros(len(self.names), dtype=bool))

@@ -11,26 +11,20 @@ from risc_estimation.expected_bearings import LANDMARK, Hull, look
 from risc_estimation.pose_track import PoseTrack
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.landmark_catalogue import Disc
-from risc_lab.lab.ranges import check_positive, check_ranges
+from risc_lab.settings import NotNegative, Positive, Settings, between
 
 
 @dataclass(frozen=True)
-class SyntheticParams:
-    """What the imagined cameras and detectors are like; config/synthetic_angles.yaml explains and holds the same."""
+class SyntheticParams(Settings):
+    """What the imagined cameras and detectors are like: parameters of synthetic_angles, too."""
 
-    rate_hz: float = 30.0  # pictures a second
-    delay_s: float = 0.0  # a picture stamped t shows the world at t - delay_s
-    noise_deg: float = 0.0  # standard deviation of each angle
-    seed: int = 1
-    min_fraction: float = 0.9  # an object is found when this much of it is in the picture, and
-    min_diameter_px: float = 14.0  # its least diameter is this, and
-    max_distance_m: float = 6.0  # it is no farther than this
-
-    def __post_init__(self):
-        check_positive(self, "rate_hz", "max_distance_m", "min_fraction")
-        check_ranges(
-            self, delay_s=(0.0, np.inf), noise_deg=(0.0, np.inf), min_diameter_px=(0.0, np.inf), min_fraction=(0.0, 1.0)
-        )
+    rate_hz: Positive = 30.0  # pictures a second
+    delay_s: NotNegative = 0.0  # transport delay: a picture stamped t shows the world at t - delay_s
+    noise_deg: NotNegative = 0.0  # standard deviation of azimuth and of elevation
+    seed: int = 1  # of the noise
+    min_fraction: between(1e-6, 1.0) = 0.9  # an object is found when this much of it is in the picture, and
+    min_diameter_px: NotNegative = 14.0  # the least diameter of a landmark's middle, or of a vehicle, is this, and
+    max_distance_m: Positive = 6.0  # it is no farther than this
 
 
 class Picture(NamedTuple):

@@ -10,12 +10,13 @@ import enum
 
 import numpy as np
 
-from risc_lab.lab.yaml_reader import Section
 from risc_lab.registry import Registry
+from risc_lab.settings import settings_from
 from risc_lab.states import S
 
 REGISTRY = Registry("filters", __name__)
 DEFAULT = "least_squares"
+COMMAND = "command"  # what `on_board` calls a command that a vehicle was sent
 
 
 class Status(enum.IntEnum):
@@ -31,8 +32,9 @@ class Status(enum.IntEnum):
 class VelocityFilter:
     """Interface of all filters. Rows are bodies, in the order in which they were added. SI units, cortex frame."""
 
-    PARAMS = None  # frozen dataclass, a field (float, int, bool or str) for each key of the YAML file
+    PARAMS = None  # dataclass of settings (`risc_lab.settings`), a field for each key of the YAML file
     late_s = 0.0  # [s] poses may be older by so much than the newest that it has been given; 0 = only newer ones come
+    ON_BOARD = ()  # what `on_board` is to be given: COMMAND, quantities of `risc_estimation.sensors`; () costs nothing
 
     def __init__(self, params):
         """params: PARAMS."""
@@ -58,14 +60,18 @@ class VelocityFilter:
         raise NotImplementedError
 
     def on_board(self, row, stamp_s, what, values):
-        """Take what does not come from motion capture, in the order of arrival.
+        """Take what does not come from motion capture, in the order of arrival. Asked for by ON_BOARD.
 
-        row: of the body; stamp_s: of the measurement [s], maybe later than that of the next frame; what: e.g. "gyro";
-        values: array, SI, body axes.
+        row: of the body; stamp_s: of the measurement, or when the command was sent [s], maybe later than that of the
+        next frame; values: array, of a COMMAND as `risc_maap_msgs/CommandSent`: what roll, pitch [rad], climb loop and
+        yaw rate [rad/s] settle at, in force until the next; else as in `risc_estimation.sensors`.
         """
 
     def covariances(self):
-        """(bodies, 12, 12) of the states; None if it does not know. Called only when somebody asks."""
+        """(bodies, 12, 12) of the states; None if it does not know. Called only when somebody asks.
+
+        States_estimation publishes them on state_covariances while somebody listens.
+        """
 
 
 def make_filter(name=DEFAULT, given=None):
@@ -73,10 +79,8 @@ def make_filter(name=DEFAULT, given=None):
 
     Raises ValueError for an unknown name, an unknown key or a bad value.
     """
-    module = REGISTRY.module(name)
-    settings = REGISTRY.settings(name)
-    params = Section({**settings, **(given or {})}, "filter %s" % name).settings(module.Filter.PARAMS)
-    return module.Filter(params)
+    kind = REGISTRY.module(name).Filter
+    return kind(settings_from(kind.PARAMS, {**REGISTRY.settings(name), **(given or {})}, "filter %s" % name))
 
 
 def status_of(poses, visible):

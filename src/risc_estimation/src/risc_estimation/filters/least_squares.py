@@ -5,40 +5,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from risc_estimation.filters import VelocityFilter
-from risc_estimation.least_squares import SlidingFit, Window, estimate_newest, push_samples
+from risc_estimation.least_squares import Window, Windows, estimate_newest, push_samples
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import wrap_one_angle
+from risc_lab.settings import NotNegative, Positive, Settings, between
 
 
 @dataclass(frozen=True)
-class Params:
+class Params(Settings):
     """Settings; config/filters/least_squares.yaml explains and holds them."""
 
-    position_window_s: float
-    position_order: int
-    angle_window_s: float
-    angle_order: int
+    position_window_s: Positive
+    position_order: between(1, 3)
+    angle_window_s: Positive
+    angle_order: between(1, 3)
     smooth_position: bool
     smooth_angles: bool
-    min_samples: int
-    min_span_s: float
-    max_gap_s: float
-    max_rate_hz: float
+    min_samples: between(2, 1000)  # a rate needs two
+    min_span_s: NotNegative
+    max_gap_s: Positive
+    max_rate_hz: Positive
 
     def __post_init__(self):
-        for name in ("position_window_s", "angle_window_s", "max_gap_s", "max_rate_hz"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError("%s must be positive, got %r" % (name, getattr(self, name)))
-        for name in ("position_order", "angle_order"):
-            if getattr(self, name) not in (1, 2, 3):
-                raise ValueError("%s must be 1, 2 or 3, got %r" % (name, getattr(self, name)))
-        if self.min_samples < 2:
-            raise ValueError("min_samples must be at least 2 (a rate needs two), got %r" % (self.min_samples,))
-        shorter_s = min(self.position_window_s, self.angle_window_s)
-        if not 0.0 <= self.min_span_s < 0.9 * shorter_s:
+        super().__post_init__()
+        longest_s = 0.9 * min(self.position_window_s, self.angle_window_s)
+        if self.min_span_s >= longest_s:
             raise ValueError(
-                "min_span_s must be in [0, 0.9 x the shorter window = %g s), got %r: no vehicle would "
-                "ever become visible" % (0.9 * shorter_s, self.min_span_s)
+                "min_span_s must be below 0.9 x the shorter window = %g s, got %r: no vehicle would ever become visible"
+                % (longest_s, self.min_span_s)
             )
 
 
@@ -57,37 +51,25 @@ class Filter(VelocityFilter):
 
     def __init__(self, params):
         super().__init__(params)
-        self._settings = np.zeros(1, dtype=SETTINGS)
-        for name in SETTINGS.names:
-            self._settings[name] = getattr(params, name)
-        windows = (params.position_window_s, params.position_order), (params.angle_window_s, params.angle_order)
-        capacity_s = max(params.position_window_s, params.angle_window_s)
-        self._fits = [
-            SlidingFit(window_s, order, 3, params.max_gap_s, params.max_rate_hz, capacity_s=capacity_s)
-            for window_s, order in windows
-        ]
+        self._settings = np.array([tuple(getattr(params, name) for name in SETTINGS.names)], dtype=SETTINGS)
+        kinds = (params.position_window_s, params.position_order), (params.angle_window_s, params.angle_order)
+        self._windows = Windows(kinds, 3, params.max_gap_s, params.max_rate_hz)
         self._collect()
         _update(0.0, np.zeros((2, 0), dtype=bool), np.zeros((2, 0, 3)), *self._arguments)  # loads the compiled code
 
     def add_body(self, template):
         super().add_body(template)
-        for fit in self._fits:
-            fit.add_body()
+        self._windows.add_body()
         self._collect()
 
     def reset(self):
-        for fit in self._fits:
-            fit.reset()
+        self._windows.reset()
 
     def update(self, poses):
         _update(poses.stamp_s, poses.flags, poses.measured, *self._arguments)
 
     def _collect(self):
-        """One array of each kind for both windows: fewer of them to pass."""
-        stacked = [np.stack(arrays) for arrays in zip(*[fit.window for fit in self._fits])]
-        for k, fit in enumerate(self._fits):
-            fit.window = Window._make(array[k] for array in stacked)
-        self._arguments = self._settings, self.visible, self.states, *stacked
+        self._arguments = self._settings, self.visible, self.states, *self._windows.arrays
 
 
 # The arrays come one by one, since a tuple of them takes three times as long to pass.
@@ -97,7 +79,7 @@ def _update(
     settings, visible, states,
     fits, bodies, stamps_s, samples, values, weights, estimates,
 ):  # fmt: skip
-    """One frame: fills visible and states. After `Poses`: arrays of the filter, then both Windows, stacked."""
+    """One frame: fills visible and states. After `Poses`: arrays of the filter, then those of its Windows."""
     present, inside = flags[0], flags[1]
     if len(present) == 0:
         return

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 from risc_lab.compiled import compiled
 from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_lab.states import S
-from risc_maap_msgs.msg import BodyPose, BodyPoses
+from risc_maap_msgs.msg import BodyPose, BodyPoses, StateCovariance, StateCovariances
 
 FRAME_ID = "cortex"
 
@@ -56,6 +56,12 @@ def poses_to_msg(header, poses):
             )
         )
     return message
+
+
+def covariances_to_msg(header, names, covariances):
+    """StateCovariances of (vehicles, 12, 12), SI units."""
+    rows = zip(names, covariances.reshape(-1, 144).tolist())
+    return StateCovariances(header_for(header), [StateCovariance(*row) for row in rows])
 
 
 class EstimateMessages:

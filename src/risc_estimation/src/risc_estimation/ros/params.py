@@ -4,23 +4,21 @@ from dataclasses import dataclass
 
 from risc_estimation.filters import DEFAULT, REGISTRY, make_filter
 from risc_lab.ros.params import has_private, private
+from risc_lab.settings import Name, NotNegative, Positive, Settings
 
 
 @dataclass(frozen=True)
-class NodeParams:
-    """Settings of the node around the estimator; config/states_estimation.yaml explains and holds the same values."""
+class NodeParams(Settings):
+    """Of states_estimation, beside `pose_fit.PoseFitParams` and the settings of the filter (config/filters)."""
 
-    filter: str = DEFAULT  # name of the velocity filter, whose settings may be private parameters, too
-    vehicles: tuple[str, ...] = ()  # vehicles that are listed before they are seen; empty = those of /fleet
-    templates_file: str = ""  # marker templates; empty = config/templates.yaml of risc_lab
-    silence_s: float = 0.1  # [s] without frames before everything is declared invisible; 0 = never
-    queue_s: float = 0.05  # [s] of frames that may wait while the node is held up; older ones are passed over
-
-    def __post_init__(self):
-        if self.silence_s < 0.0:
-            raise ValueError("silence_s must be 0 (off) or positive, got %r" % (self.silence_s,))
-        if self.queue_s <= 0.0:
-            raise ValueError("queue_s must be positive, got %r" % (self.queue_s,))
+    filter: Name = DEFAULT  # of velocities, by name; its settings may be private parameters, too
+    vehicles: tuple[str, ...] = ()  # templates listed on /cortex_raw from the start, seen or not; () = those of /fleet
+    templates_file: str = ""  # marker templates; "" = config/templates.yaml of risc_lab
+    silence_s: NotNegative = 0.1  # [s] without frames before everything is published as invisible, once; 0 = never
+    # [s] of frames may wait while the node is held up: 10 frames at 200 Hz, 5 at 100 Hz (mocap.rate_hz of the fleet
+    # file; 200 Hz without one). Older ones are passed over: a computer that is too slow for all would fall behind until
+    # no state is young enough to fly by
+    queue_s: Positive = 0.05
 
     def queue_frames(self, rate_hz):
         """How many frames may wait at a rate of motion capture [Hz]."""
@@ -38,17 +36,21 @@ def load_filter():
 
 
 @dataclass(frozen=True)
-class AngleParams:
-    """Settings of angle_estimation; config/angle_estimation.yaml explains and holds the same values."""
+class AngleParams(Settings):
+    """Of angle_estimation."""
 
-    rectified: bool = True  # regions are of image_rect_color, not of image_raw
-    camera: str = "ardrone"  # namespace of the pictures below the vehicle's
-    default_calibration: str = ""  # calibration file of vehicles that have none; empty = none
+    # regions on /land_rois are in pixels of image_rect_color (as risc_landmarks finds them); False: of image_raw, whose
+    # distortion is then removed from each region's centre
+    rectified: bool = True
+    # namespace of the pictures below the vehicle's: its calibration is read from /<vehicle>/<camera>/camera_info while
+    # that is published, else from the fleet file
+    camera: str = "ardrone"
+    default_calibration: str = ""  # file for vehicles that have neither (risc_lab/config/cameras); "": nothing visible
 
 
 @dataclass(frozen=True)
-class SyntheticNodeParams:
-    """Settings of synthetic_angles beside those of the cameras; config/synthetic_angles.yaml holds the same values."""
+class SyntheticNodeParams(Settings):
+    """Of synthetic_angles, beside `synthetic_bearings.SyntheticParams`."""
 
-    vehicles: tuple[str, ...] = ()  # templates or namespaces of those that observe; empty = the whole fleet
-    default_calibration: str = ""  # calibration file of vehicles whose fleet entry names none; empty = none
+    vehicles: tuple[str, ...] = ()  # templates or namespaces of those that observe; () = the whole fleet
+    default_calibration: str = ""  # calibration file of vehicles whose fleet entry names none; "": they see nothing

@@ -1,0 +1,19 @@
+"""The navdata of an AR.Drone, as ardrone_autonomy publishes them: axes x forward, y left, z up."""
+
+import numpy as np
+
+from risc_lab.frames import GRAVITY_M_S2, flu_to_frd
+
+TOPIC, TYPE = "ardrone/navdata", "ardrone_autonomy/Navdata"
+
+
+def readings(navdata):
+    """See `risc_estimation.sensors`. The velocity's axes are levelled; an option that is not sent reads 0."""
+    quantities = {
+        "attitude": flu_to_frd(np.radians((navdata.rotX, navdata.rotY, navdata.rotZ))),
+        "velocity": flu_to_frd((navdata.vx, navdata.vy, navdata.vz)) / 1e3,
+        "height": np.array([navdata.altd / 1e3]),
+    }
+    if navdata.ax or navdata.ay or navdata.az:
+        quantities["specific_force"] = GRAVITY_M_S2 * flu_to_frd((navdata.ax, navdata.ay, navdata.az))
+    return quantities
