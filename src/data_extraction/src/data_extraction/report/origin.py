@@ -7,18 +7,13 @@ from dataclasses import dataclass, field
 
 import yaml
 
+from data_extraction.command_line import fleet_of
 from risc_control.failsafe import SafetyLimits
 from risc_control.vehicle_pilot import params_from_dict
-from risc_lab.lab import Fleet, load_fleet
+from risc_lab.lab import Fleet
 
-FLIGHT, PARAMETERS, FLEET, SUMMARY, LAB, PROCESSORS = (
-    "flight.yaml",
-    "parameters.yaml",
-    "fleet.yaml",
-    "summary.json",
-    "virtual_lab.json",
-    "processors.json",
-)
+FLIGHT, PARAMETERS = "flight.yaml", "parameters.yaml"
+SUMMARY, LAB, PROCESSORS = "summary.json", "virtual_lab.json", "processors.json"
 # Parameters that differ from run to run though the flight is the same: identities, addresses, and live switches.
 RUN_KEYS = frozenset(
     (
@@ -72,13 +67,13 @@ def read_beside(bag_path, fleet_path=None):
 
     Raises ValueError that names a file that cannot be read.
     """
-    folder = pathlib.Path(bag_path).parent
-    fleet_path = pathlib.Path(fleet_path) if fleet_path else folder / FLEET
+    bag_path = pathlib.Path(bag_path)
+    folder = bag_path.parent
     parameters = folder / PARAMETERS
     return Origin(
         flight=_flight(folder / FLIGHT),
         parameters=_mapping(parameters, yaml.safe_load) if parameters.exists() else None,
-        fleet=load_fleet(fleet_path) if fleet_path != folder / FLEET or fleet_path.exists() else None,
+        fleet=fleet_of(bag_path, fleet_path),
         summary=_mapping(folder / SUMMARY, json.loads),
         lab=_mapping(folder / LAB, json.loads),
         processors=_mapping(folder / PROCESSORS, json.loads),
