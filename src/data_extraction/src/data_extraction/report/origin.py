@@ -39,6 +39,14 @@ class Origin:
         """Of the parameters, None when they are unknown."""
         return None if self.parameters is None else parameter_hash(self.parameters)
 
+    def command_delays_s(self):
+        """{template: delay [s] of the vehicle's link}, as the flight was asked for, else of the vehicle's type."""
+        asked_s = self.flight.get("arguments", {}).get("delay")
+        return {
+            vehicle.template: vehicle.vehicle_type.command_delay_s if asked_s is None else asked_s
+            for vehicle in (self.fleet.vehicles if self.fleet else ())
+        }
+
     def fence_limits(self):
         """{template: SafetyLimits} that the vehicles' nodes had; those that are not known are left out."""
         result = {}

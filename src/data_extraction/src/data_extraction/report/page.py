@@ -34,8 +34,7 @@ def summary_of(material):
     """The summary of a bag that nobody judges now: its figures, and what the summary beside it says."""
     beside = material.origin.summary
     experiment = material.origin.flight.get("experiment")
-    processors = material.origin.processors
-    result = summaries.summarise(material.flight, experiment, material.is_simulated and {}, {}, processors)
+    result = summaries.summarise(material.flight, experiment, material.is_simulated and {}, {}, material.origin)
     result.update({key: beside[key] for key in JUDGED if key in beside})
     result["mocap"].update({key: beside["mocap"][key] for key in ASKED if key in beside.get("mocap", {})})
     return result
