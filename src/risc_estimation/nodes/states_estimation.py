@@ -30,7 +30,7 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import has_private, known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import BodyPoses, Counter, EstimatorStatus, StateCovariances
+from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, StateCovariances
 
 
 class StatesEstimationNode:
@@ -83,8 +83,6 @@ class StatesEstimationNode:
     def _listen_on_board(self, wanted, vehicles):
         """Subscribe to what the filter wants, and to nothing else."""
         if COMMAND in wanted:
-            from risc_maap_msgs.msg import CommandsSent
-
             rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands, queue_size=100, tcp_nodelay=True)
         if wanted <= {COMMAND}:
             return

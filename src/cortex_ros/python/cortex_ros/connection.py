@@ -12,10 +12,7 @@ from cortex_ros import wire
 from cortex_ros.wire import Command
 
 BROADCAST = "broadcast"  # host: the first that answers on any network of this computer
-_HELLO_PATIENCE_S = 1.5
-_HELLO_PERIOD_S = 0.2
-_REQUEST_PATIENCE_S = 0.25
-_REQUEST_TRIES = 3
+_HELLO_TRIES, _HELLO_PERIOD_S = 8, 0.2
 _BUFFER_BYTES = 1 << 20
 _IP_RECVERR, _IP_MULTICAST_ALL = 11, 49  # linux/in.h; with the first a refusal by the other computer is told, too
 _ANY_PORT = 9  # connecting a UDP socket sends nothing
@@ -57,31 +54,28 @@ class CortexConnection:
     def hello(self):
         """Identity of the host. Raises OSError: TimeoutError, ConnectionRefusedError, ..."""
         packet = wire.encode_identity(Command.HELLO_WORLD, self._identity)
-        deadline = time.monotonic() + _HELLO_PATIENCE_S
-        while time.monotonic() < deadline:
-            self._command.sendto(packet, self._address)
-            answer = self._answer({Command.HERE_I_AM}, min(_HELLO_PERIOD_S, deadline - time.monotonic()))
-            if answer is not None:
-                return answer.content
-        raise TimeoutError("no answer within %g s" % _HELLO_PATIENCE_S)
+        identity = self.request(packet, Command.HERE_I_AM, _HELLO_TRIES, _HELLO_PERIOD_S)
+        if identity is None:
+            raise TimeoutError("no answer within %g s" % (_HELLO_TRIES * _HELLO_PERIOD_S))
+        return identity
 
-    def request(self, packet, *answers):
-        """Packet that answers, None when none comes or the host does not know the request."""
-        for _ in range(_REQUEST_TRIES):
-            while select.select([self._command], [], [], 0.0)[0]:  # an answer to an earlier request is none to this
-                self._receive(self._command)
+    def request(self, packet, answer, tries=3, patience_s=0.25):
+        """Content of the host's answer, None when none comes or the host does not know the request."""
+        for _ in range(tries):
+            self._drain(self._command)  # what answers an earlier request must not answer this one
             self._command.sendto(packet, self._address)
-            answer = self._answer({*answers, Command.UNRECOGNIZED_REQUEST}, _REQUEST_PATIENCE_S)
-            if answer is not None:
-                return None if answer.command == Command.UNRECOGNIZED_REQUEST else answer
+            deadline = time.monotonic() + patience_s
+            while (reply := self._next(self._command, deadline)) is not None:
+                if reply.command in (answer, Command.UNRECOGNIZED_REQUEST):
+                    return reply.content if reply.command == answer else None
         return None
 
     def number(self, text, layout):
         """The number that a text request is answered with, or None. layout: of struct, e.g. "<f"."""
-        answer = self.request(wire.encode_text(Command.GENERAL_REQUEST, text), Command.GENERAL_REPLY)
-        if answer is None or len(answer.content) < struct.calcsize(layout):
+        content = self.request(wire.encode_text(Command.GENERAL_REQUEST, text), Command.GENERAL_REPLY)
+        if content is None or len(content) < struct.calcsize(layout):
             return None
-        return struct.unpack_from(layout, answer.content)[0]
+        return struct.unpack_from(layout, content)[0]
 
     def go_live(self):
         """Ask for live mode, as stream_markers does."""
@@ -89,41 +83,37 @@ class CortexConnection:
 
     def body_defs(self):
         """wire.BodyDefs of the host, None when it does not say."""
-        answer = self.request(wire.encode_packet(Command.REQUEST_BODYDEFS), Command.BODYDEFS)
-        return answer and answer.content
+        return self.request(wire.encode_packet(Command.REQUEST_BODYDEFS), Command.BODYDEFS)
 
     def poll(self):
         """The frame that the host shows now, or None."""
-        answer = self.request(wire.encode_packet(Command.REQUEST_FRAME), Command.FRAME_OF_DATA)
-        return answer and answer.content
+        return self.request(wire.encode_packet(Command.REQUEST_FRAME), Command.FRAME_OF_DATA)
 
     def forget_stream(self):
         """Drop the frames that have come and were not read: they are old."""
-        while self._stream is not None and select.select([self._stream], [], [], 0.0)[0]:
-            self._receive(self._stream)
+        if self._stream is not None:
+            self._drain(self._stream)
 
     def stream(self, seconds, patience_s):
         """Yields (time of arrival, frame) of the stream for so long; ends early when none came within the patience."""
-        start, heard = time.monotonic(), False
-        while self._stream is not None:
-            now = time.monotonic()
-            end = start + (seconds if heard else min(seconds, patience_s))
-            if now >= end or not select.select([self._stream], [], [], end - now)[0]:
-                return
-            packet = self._receive(self._stream)
-            if packet is not None and packet.command == Command.FRAME_OF_DATA:
-                heard = True
+        start = time.monotonic()
+        end = start + min(seconds, patience_s)
+        while self._stream is not None and (packet := self._next(self._stream, end)) is not None:
+            if packet.command == Command.FRAME_OF_DATA:
+                end = start + seconds
                 yield time.monotonic(), packet.content
 
-    def _answer(self, commands, patience_s):
-        deadline = time.monotonic() + patience_s
-        while True:
-            left_s = deadline - time.monotonic()
-            if left_s <= 0.0 or not select.select([self._command], [], [], left_s)[0]:
-                return None
-            packet = self._receive(self._command)
-            if packet is not None and packet.command in commands:
+    def _drain(self, sock):
+        while select.select([sock], [], [], 0.0)[0]:
+            self._receive(sock)
+
+    def _next(self, sock, deadline):
+        """The next sound packet of the host, None when none has come by then."""
+        while (left_s := deadline - time.monotonic()) > 0.0 and select.select([sock], [], [], left_s)[0]:
+            packet = self._receive(sock)
+            if packet is not None:
                 return packet
+        return None
 
     def _receive(self, sock):
         """The packet that waits; None if it is not the host's, or malformed."""
@@ -136,10 +126,9 @@ class CortexConnection:
             self.malformed.append(str(error))
             return None
         if self._host == BROADCAST:
-            if packet.command == Command.HERE_I_AM and packet.content.version[0] == 1:  # other programs speak it, too
-                self._host, self._address = sender[0], sender
-                return packet
-            return None
+            if packet.command != Command.HERE_I_AM or packet.content.version[0] != 1:  # other programs speak it, too
+                return None
+            self._host, self._address = sender[0], sender
         if packet.command == Command.COMMENT:
             self.on_comment(packet.content)
         return packet

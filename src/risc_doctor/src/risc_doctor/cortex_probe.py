@@ -1,5 +1,6 @@
 """A short talk with a Cortex host over its own protocol: who are you, what do you show, and does the stream come?"""
 
+import contextlib
 import errno
 import time
 from dataclasses import dataclass, field
@@ -28,14 +29,13 @@ class CortexReport:
     stream_error: str = ""  # why the stream could not be listened to
     listeners: tuple[str, ...] = ()  # other programs on the stream's port: what comes to this computer alone is theirs
     frames: list[tuple[float, wire.Frame]] = field(default_factory=list)  # (monotonic time of arrival [s], frame)
-    malformed: int = 0  # packets that were not sound
-    polled: tuple[int, ...] = ()  # numbers of frames that it gave when asked, if its stream did not come
-    polled_frames: list[wire.Frame] = field(default_factory=list)
+    malformed: int = 0
+    polled: list[wire.Frame] = field(default_factory=list)  # that it gave when asked, if its stream did not come
 
     @property
     def live(self):
         """It shows new frames, streamed or asked for."""
-        return len(self.frames) > 1 or len(set(self.polled)) > 1
+        return len(self.frames) > 1 or len({frame.number for frame in self.polled}) > 1
 
     @property
     def rate_hz(self):
@@ -58,38 +58,33 @@ class CortexReport:
 
     def shown(self):
         """The frames that came, whichever way."""
-        return [frame for _, frame in self.frames] or self.polled_frames
+        return [frame for _, frame in self.frames] or self.polled
 
 
-def connect(endpoint):
-    """(CortexConnection to a risc_lab.lab.MocapEndpoint, to be closed; `stream_error`, `listeners` of a CortexReport).
+class EndpointConnection(CortexConnection):
+    """To a risc_lab.lab.MocapEndpoint, with its stream. To be closed. Raises OSError."""
 
-    Raises OSError.
-    """
-    listeners = tuple(users_of_port(endpoint.stream_port))
-    connection = CortexConnection(_IDENTITY, endpoint.host, endpoint.command_port, endpoint.interface)
-    try:
-        connection.open_stream(endpoint.stream_group, endpoint.stream_port, group_only=bool(listeners))
-    except OSError as error:
-        return connection, error.strerror or str(error), listeners
-    return connection, "", listeners
+    def __init__(self, endpoint):
+        super().__init__(_IDENTITY, endpoint.host, endpoint.command_port, endpoint.interface)
+        self.stream_error, self.listeners = "", tuple(users_of_port(endpoint.stream_port))
+        try:
+            self.open_stream(endpoint.stream_group, endpoint.stream_port, group_only=bool(self.listeners))
+        except OSError as error:
+            self.stream_error = error.strerror or str(error)
 
 
 def probe(endpoint, live=False, listen_s=LISTEN_S):
     """CortexReport of the host at an endpoint. live: ask it for live mode first."""
     report = CortexReport()
-    connection = None
     try:
-        connection, report.stream_error, report.listeners = connect(endpoint)
-        report.identity = connection.hello()
-        _interview(connection, report, live, listen_s)
-        report.malformed = len(connection.malformed)
+        with contextlib.closing(EndpointConnection(endpoint)) as connection:
+            report.stream_error, report.listeners = connection.stream_error, connection.listeners
+            report.identity = connection.hello()
+            _interview(connection, report, live, listen_s)
+            report.malformed = len(connection.malformed)
     except OSError as error:
         report.refused = isinstance(error, ConnectionRefusedError)
         report.error = _reason(error)
-    finally:
-        if connection is not None:
-            connection.close()
     return report
 
 
@@ -103,14 +98,11 @@ def _interview(connection, report, live, listen_s):
         connection.go_live()
     connection.forget_stream()  # what came meanwhile would come at once now, and spoil the rate
     report.frames = list(connection.stream(listen_s, _STREAM_PATIENCE_S))
-    if len(report.frames) > 1:
-        return
-    for _ in range(2):
+    for _ in range(2 if len(report.frames) < 2 else 0):
         frame = connection.poll()
         if frame is not None:
-            report.polled_frames.append(frame)
+            report.polled.append(frame)
         time.sleep(_POLL_PAUSE_S)
-    report.polled = tuple(frame.number for frame in report.polled_frames)
 
 
 def _reason(error):
