@@ -4,7 +4,7 @@ import contextlib
 import heapq
 import io
 import pathlib
-from itertools import count
+from itertools import accumulate, count
 
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag1 import Reader, ReaderError
@@ -105,32 +105,27 @@ class _ChunkReader(Reader):
 
     def most_overlapping(self):
         """How many chunks have to be held together to give the messages in order of time."""
-        most = held = 0
-        edges = [(chunk.start_time, 1) for chunk in self.chunk_infos]
-        edges += [(chunk.end_time, -1) for chunk in self.chunk_infos]
-        for _, step in sorted(edges):
-            held += step
-            most = max(most, held)
-        return most
+        edges = [edge for chunk in self.chunk_infos for edge in ((chunk.start_time, 1), (chunk.end_time, -1))]
+        return max(accumulate(step for _, step in sorted(edges)), default=0)
 
     def messages(self, connections=(), start=None, stop=None):
         """As Reader.messages: (connection, time [ns], raw message) in the order of time."""
         wanted = {connection.id: connection for connection in connections or self.connections}
         chunks = [info for info in self.chunk_infos if not wanted.keys().isdisjoint(info.connection_counts)]
         held, number = [], count()  # the number keeps the order in the file where times are equal
+
+        def popped():
+            time_ns, _, connection, raw = heapq.heappop(held)
+            return connection, time_ns, raw
+
         for info in sorted(chunks, key=lambda info: info.start_time):
             while held and held[0][0] < info.start_time:
-                yield self._popped(held)
+                yield popped()
             for time_ns, identity, raw in self._records(info):
                 if identity in wanted and (start is None or time_ns >= start) and (stop is None or time_ns < stop):
                     heapq.heappush(held, (time_ns, next(number), wanted[identity], raw))
         while held:
-            yield self._popped(held)
-
-    @staticmethod
-    def _popped(held):
-        time_ns, _, connection, raw = heapq.heappop(held)
-        return connection, time_ns, raw
+            yield popped()
 
     def _records(self, info):
         """(time [ns], connection's id, raw message) of one chunk, as they lie there."""

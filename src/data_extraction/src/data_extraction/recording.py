@@ -5,6 +5,7 @@ import operator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from data_extraction.samples import Samples
 from risc_lab.phases import phase_words
@@ -149,3 +150,11 @@ class Recording:
         labels = np.repeat([label for label, _ in parts], [len(samples) for _, samples in parts])
         t_s, first = np.unique(table[:, self.clock], return_index=True)
         return Series(t_s, table[first, 2:], table[first, 1], labels[first])
+
+
+def best_shift(cost, shifts_s):
+    """(time shift [s] of the least cost, that cost, the largest on the grid). shifts_s: (n,) even grid to begin."""
+    costs = [cost(shift_s) for shift_s in shifts_s]
+    best_s, step_s = shifts_s[int(np.argmin(costs))], shifts_s[1] - shifts_s[0]
+    found = minimize_scalar(cost, bounds=(best_s - step_s, best_s + step_s), method="bounded")
+    return float(found.x), float(found.fun), max(costs)

@@ -14,8 +14,6 @@ class Samples:
         When there are more, every second row is dropped, and from then on only every second is taken: the rows stay
         evenly spread over everything that came.
         """
-        if width < 1 or (limit is not None and limit < 2):
-            raise ValueError("width must be at least 1 and limit at least 2, got %r and %r" % (width, limit))
         self._width = width
         self._limit = limit
         self._numbers = array("d")

@@ -14,8 +14,7 @@ from data_extraction import summary as summaries
 from data_extraction.flight_metrics import HOPS, percentiles_ms
 from data_extraction.report.drops import CELL_M, GAP_S
 from data_extraction.report.events import head_and_tail
-from data_extraction.report.gates import GATES, TITLES
-from data_extraction.report.ladder import by_reason, raised
+from data_extraction.report.ladder import by_rule, raised
 from data_extraction.report.topics import expected, vehicle_of
 from risc_lab.lab.yaml_reader import package_file
 
@@ -169,12 +168,10 @@ def _spread(values_s):
 
 
 _FILTERS = {
-    "by_reason": by_reason,
+    "by_rule": by_rule,
     "clock": lambda time_s, digits=1: _unit(round(time_s, digits) + 0.0, 1.0, "s", digits),
     "date": _date,
-    "decision": lambda counter, gate: GATES[gate][counter],
     "expected": expected,
-    "gate_title": lambda gate: TITLES[gate].capitalize(),
     "head_and_tail": head_and_tail,
     "jpeg": lambda data: _uri("image/jpeg", data),
     "pairs": lambda items: ", ".join("%s %s" % (k, v) for k, v in items.items() if v is not None and v is not False),
