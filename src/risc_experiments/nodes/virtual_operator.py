@@ -3,7 +3,6 @@
 
 import threading
 import time
-from dataclasses import fields
 
 import rospy
 from sensor_msgs.msg import Joy
@@ -12,12 +11,12 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
-from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.phases import OperatorResult
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
+from risc_lab.ros.params import fleet_vehicles, params_from_dict, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases
 
@@ -30,27 +29,14 @@ class VirtualOperator:
     """Wiring only: what is decided is decided in risc_experiments.operator."""
 
     def __init__(self):
-        params = OperatorParams(
-            **{
-                item.name: rospy.get_param("~" + item.name)
-                for item in fields(OperatorParams)
-                if rospy.has_param("~" + item.name)
-            }
-        )
-        fleet = rospy.get_param("/fleet", None)
-        if fleet is None:
+        # others of the node may be the vehicle node's, which has the same buttons
+        (params,), _ = params_from_dict([OperatorParams], rospy.get_param("~", {}))
+        if not fleet_vehicles():
             raise ValueError("there is no parameter /fleet: load a fleet file with <rosparam ns='fleet' file=.../>")
-        templates = {v.namespace: v.template for v in fleet_from_dict(fleet, "parameter /fleet").vehicles}
-        wanted = rospy.get_param("~vehicles", sorted(templates))
-        wanted = wanted.split() if isinstance(wanted, str) else wanted
-        unknown = [name for name in wanted if name not in templates]
-        if unknown or not wanted:
-            raise ValueError(
-                "parameter ~vehicles names %s; the fleet has %s"
-                % (", ".join(unknown) or "nobody", ", ".join(templates))
-            )
+        flown = vehicles()
+        wanted = [vehicle.namespace for vehicle in flown]
         self._go_home = rospy.get_param("~trajectory_node", "/trajectory_node") + "/go_home"
-        self._namespaces = {templates[name]: name for name in wanted}
+        self._namespaces = {vehicle.template: vehicle.namespace for vehicle in flown}
         self._operator = Operator(wanted, params, time.monotonic())
         self._lock = threading.Lock()
         self._calling = False
