@@ -118,8 +118,8 @@ class ControllerNodeTest(unittest.TestCase):
             self.assertIn(NAMES, orders)
             self.assertLessEqual(orders, {NAMES, NAMES[:1], NAMES[1:], ()})
 
-    def test_a_clock_of_the_states_that_is_set_back_is_followed(self):
-        """By less than what is too late. Without a rule for it there would be no answer until the old time is reached."""
+    def test_states_of_a_clock_that_is_set_back_are_answered(self):
+        """By less than what is too late. Without a rule there would be no answer until the old time is reached."""
         self.newest("/controls")
         self.lab.age_s = 0.15
         received, before = self.lab.received["/controls"], len(self.lab.received["/controls"])
