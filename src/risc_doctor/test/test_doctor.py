@@ -22,6 +22,7 @@ import yaml
 
 from ardrone_autonomy.protocol.navdata import State
 from cortex_ros.wire import BodyDef
+from risc_control.failsafe import SafetyLimits
 from risc_doctor import (
     axes,
     clock_agreement,
@@ -385,7 +386,7 @@ def test_ages_of_stamps():
 
 
 def test_batteries_by_the_limit_of_the_loss_ladder():
-    limit_pct = vehicles.landing_limit_pct()
+    limit_pct = SafetyLimits.battery_min_pct
     assert 0.0 < limit_pct < vehicles.NEARLY_EMPTY_PCT
 
     def level(pct, state=0):
@@ -431,7 +432,7 @@ def test_an_address_that_several_vehicles_have_is_none_of_them_by_name():
 
 def test_joysticks(monkeypatch, tmp_path):
     needed = joystick.needed_indices()
-    assert needed == (10, 7), "vehicle_node.yaml"
+    assert needed == (10, 7)
     assert joystick.judge("js0", "Pad", 11, 8, needed).level == GREEN
     short = joystick.judge("js0", "Pad", 10, 8, needed)
     assert short.level == RED and "button 10" in short.text

@@ -4,12 +4,10 @@ import array
 import fcntl
 import glob
 import os
-from dataclasses import fields
 
 from joy.device import device_name
-from risc_control.joystick import JoystickParams
+from risc_control.joystick import Button, JoystickParams
 from risc_doctor.findings import green, red, yellow
-from risc_lab.lab.yaml_reader import load_yaml, package_file
 
 _PATTERN = "/dev/input/js*"
 _JSIOCGAXES, _JSIOCGBUTTONS = 0x80016A11, 0x80016A12  # linux/joystick.h
@@ -35,13 +33,10 @@ def check(situation):
 
 
 def needed_indices():
-    """(highest button index, highest axis index) of vehicle_node.yaml."""
-    settings = load_yaml(package_file("risc_control", "config/vehicle_node.yaml"))
-    params = JoystickParams(**{f.name: settings[f.name] for f in fields(JoystickParams) if f.name in settings})
-    values = {f.name: getattr(params, f.name) for f in fields(params) if not f.name.startswith("Scale")}
-    axes = [value for name, value in values.items() if name.startswith("Axis")]
-    buttons = [value for name, value in values.items() if not name.startswith("Axis")]
-    return int(max(buttons)), int(max(axes))
+    """(highest button index, highest axis index) of the vehicle node."""
+    params = JoystickParams()
+    buttons = max(getattr(params, button.value) for button in Button)
+    return buttons, max(params.AxisRoll, params.AxisPitch, params.AxisYaw)
 
 
 def look(path, needed):
@@ -72,8 +67,8 @@ def judge(path, name, buttons, axes, needed):
     if buttons <= button or axes <= axis:
         return red(
             "joystick",
-            text + "; vehicle_node.yaml uses button %d and axis %d (counted from 0)" % needed,
-            "use another pad, or set its buttons and axes in risc_control/config/vehicle_node.yaml",
+            text + "; the vehicle node uses button %d and axis %d (counted from 0)" % needed,
+            "use another pad, or set the vehicle node's parameters for its buttons and axes (JoystickParams)",
         )
     return green("joystick", text)
 

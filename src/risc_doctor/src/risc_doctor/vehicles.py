@@ -9,7 +9,6 @@ from risc_doctor import navdata_probe
 from risc_doctor.findings import green, red, yellow
 from risc_doctor.ports import driven_addresses
 from risc_doctor.situation import START_THE_VIRTUAL_LAB
-from risc_lab.lab.yaml_reader import load_yaml, package_file
 
 FULL_ENOUGH_PCT, NEARLY_EMPTY_PCT = 30.0, 20.0
 _CHARGE = "charge or change the battery"
@@ -24,7 +23,7 @@ _TROUBLE = {
 
 def check(situation):
     """Every vehicle that this computer is to fly, unless a driver does already: then what the driver says."""
-    limit_pct, heard = landing_limit_pct(), {}
+    limit_pct, heard = SafetyLimits.battery_min_pct, {}
     if situation.master is not None:
         graph = situation.graph()
         if graph.error and graph.vehicles:  # asking past a driver would take its telemetry
@@ -54,12 +53,6 @@ def check(situation):
     with concurrent.futures.ThreadPoolExecutor(max(1, len(silent))) as pool:
         jobs = [pool.submit(_ask, situation, vehicle, served, limit_pct) for vehicle in silent]
         return findings + [finding for job in jobs for finding in job.result()]
-
-
-def landing_limit_pct():
-    """Battery [%] at which the loss ladder lands: battery_min_pct of vehicle_node.yaml."""
-    settings = load_yaml(package_file("risc_control", "config/vehicle_node.yaml"))
-    return float(settings.get("battery_min_pct", SafetyLimits.battery_min_pct))
 
 
 def _reachable(situation, address):

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import yaml
 
-from risc_control.failsafe import SafetyLimits
-from risc_control.vehicle_pilot import params_from_dict
+from risc_control.failsafe import SafetyLimits, fence_of
 from risc_lab.lab import Fleet, load_fleet
+from risc_lab.settings import settings_from
 
 FLIGHT, PARAMETERS, FLEET, SUMMARY, LAB, PROCESSORS = (
     "flight.yaml",
@@ -51,7 +51,8 @@ class Origin:
             for node in self._nodes_of(vehicle.namespace):
                 if "fence_margin_m" in node:
                     names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
-                    result[vehicle.template] = params_from_dict(names, self.fleet.arena)[0].limits
+                    names = {**fence_of(self.fleet.arena), **names}
+                    result[vehicle.template] = settings_from(SafetyLimits, names, "parameters of the vehicle node")
         return result
 
     def _nodes_of(self, namespace):
