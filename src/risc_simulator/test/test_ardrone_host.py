@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata
 from risc_lab.frames import GRAVITY_M_S2
-from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Start, Template, load_vehicle_type
 from risc_simulator.faults import WireFault
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.vehicles.ardrone import host as ardrone_host
@@ -179,10 +179,12 @@ def make_world(n=1, yaw_rad=0.0):
         "test",
         MocapEndpoint("127.0.0.1"),
         tuple(
-            FleetVehicle("risc%d" % (i + 1), name, "ardrone", ADDRESS, "", (0.0, 0.8 * i, 0.0), yaw_rad)
+            FleetVehicle(
+                "risc%d" % (i + 1), name, "ardrone", ADDRESS, Start((0.0, 0.8 * i, 0.0), math.degrees(yaw_rad))
+            )
             for i, name in enumerate(names)
         ),
-        (),
+        own_networks=True,  # all have this one's address
     )
     templates = {name: Template(name, "vehicle", ("a", "b", "c", "d"), MARKERS) for name in names}
     return World(fleet, {"ardrone": VEHICLE_TYPE}, templates, perturbed=False)

@@ -15,7 +15,7 @@ import pytest
 from ardrone_autonomy.protocol.navdata import Navdata, Tag
 from ardrone_autonomy.protocol.video import FrameType, StreamParser
 from risc_lab.camera import Camera, cortex_to_camera
-from risc_lab.lab import FleetLandmark, FleetVehicle
+from risc_lab.lab import FleetLandmark, FleetVehicle, Start
 from risc_lab.lab.calibration import FRONT_MOUNT, load_calibration
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator.video.server import DEFAULT_FRONT_CALIBRATION
@@ -59,11 +59,11 @@ def make_fleet():
         probe.bind(("", 0))
         port = probe.getsockname()[1]
     vehicles = tuple(
-        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "%s.1.%d" % (net, k + 1), "", (0.5, y, 0.0), 0.0)
+        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "%s.1.%d" % (net, k + 1), Start((0.5, y, 0.0)))
         for k, (name, y) in enumerate([("fluffy_II", 0.0), ("Raven", -1.0)])
     )
     mocap = MocapEndpoint(net + ".0.1", stream_port=port, interface="127.0.0.1")
-    disc = FleetLandmark("Green_pink", DISC_M, facing_rad=np.pi)
+    disc = FleetLandmark("Green_pink", DISC_M, facing_deg=180.0)
     return Fleet("two", mocap, vehicles, (disc,))
 
 

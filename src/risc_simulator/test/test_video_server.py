@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ardrone_autonomy.protocol.video import StreamParser
-from risc_lab.lab import FleetVehicle, load_templates, load_vehicle_type
+from risc_lab.lab import FleetVehicle, Start, load_templates, load_vehicle_type
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
 from risc_simulator.video.blackboard import BITRATES_KBIT_S, BOTTOM, FRONT, RATES_HZ, Blackboard, Snapshot
@@ -92,7 +92,7 @@ def test_what_is_due_waits_for_no_camera_that_draws(monkeypatch):
     listeners = [socket.create_server((ADDRESS, 0)) for _ in range(3)]
     clients = [socket.create_connection(listener.getsockname(), PATIENCE_S) for listener in listeners]
     vehicles = tuple(
-        FleetVehicle("risc%d" % k, template, "ardrone", "127.93.1.%d" % k, "", (0.5 * k, 0.0, 0.0), 0.0)
+        FleetVehicle("risc%d" % k, template, "ardrone", "127.93.1.%d" % k, Start((0.5 * k, 0.0, 0.0)))
         for k, template in enumerate(("fluffy_II", "albatross", "Raven"), 1)
     )
     board = Blackboard(3)
@@ -140,7 +140,7 @@ def test_no_two_pictures_of_one_time(watched):
 
 
 def fleet_of_one(calibration=""):
-    vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", ADDRESS, calibration, (0.5, 0.0, 0.0), 0.0)
+    vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", ADDRESS, Start((0.5, 0.0, 0.0)), calibration)
     return Fleet("one", MocapEndpoint(ADDRESS), (vehicle,))
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_lab.lab import FleetLandmark, FleetVehicle, load_templates
+from risc_lab.lab import FleetLandmark, FleetVehicle, Start, load_templates
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
 from risc_simulator.models.mocap_cameras import split_bodies
@@ -50,7 +50,7 @@ def free_port():
 
 def make_fleet(net, count=2):
     vehicles = tuple(
-        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "%s.1.%d" % (net["net"], k + 1), "", (x, 0.0, 0.0), 0.0)
+        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "%s.1.%d" % (net["net"], k + 1), Start((x, 0.0, 0.0)))
         for k, (name, x) in enumerate([("fluffy_II", 0.5), ("Raven", -0.5)][:count])
     )
     return Fleet(

@@ -42,7 +42,7 @@ def make_world(count, seed=0):
     """World of make_fleet(), and where its vehicles are to fly [m]."""
     fleet = make_fleet(count)
     world = World(fleet, {"ardrone": load_vehicle_type("ardrone")}, load_templates(fleet=fleet), seed=seed)
-    return world, [vehicle.start_position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
+    return world, [vehicle.start.position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
 
 
 def start_flight(world, places_m, duration_s):
