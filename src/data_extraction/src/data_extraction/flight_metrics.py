@@ -10,6 +10,7 @@ from data_extraction.bearing_errors import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
 from data_extraction.samples import Arrivals, Samples
 from risc_lab.lab.arena import Arena
+from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase, TrajectoryPhase
 
 SETTLED_ERROR_M = 0.05  # settled: the position error stays below this ...
@@ -118,7 +119,8 @@ class FlightCollector:
         self._unstamped = False  # whether /trajectory bears no stamps, as in the original release
         # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
         self._arrivals = {topic: Arrivals() for topic in ("/mocap_data", "/cortex_raw", "/controls")}
-        self._commands = {}  # {topic of commands: Arrivals}
+        self._commands = {}  # {topic of commands: Arrivals of the states that they answer}
+        self._namespaces = {v.template: v.namespace for v in (fleet.vehicles if fleet else laboratory_vehicles())}
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
         self._phases = []  # (receipt, {vehicle: whether it is on its course})
@@ -144,7 +146,13 @@ class FlightCollector:
         elif topic == "/mocap_time":
             self._receipts.append(_stamp_ns(message), seconds(message.time_ref))
             self._frames.append(_stamp_ns(message), int(message.source))
-        elif topic.endswith("/cmd_vel_stamped"):
+        elif topic == "/commands_sent":
+            for command in message.commands:
+                if command.answers.sec:
+                    vehicle = self._namespaces.get(command.name, command.name)
+                    arrivals = self._commands.setdefault("/%s/cmd_vel" % vehicle, Arrivals())
+                    arrivals.append(_nanoseconds(command.answers), seconds(command.sent))
+        elif topic.endswith("/cmd_vel_stamped"):  # in bags without that: the stamp answered, and the time of receipt
             if _stamp_ns(message):
                 self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)
         elif topic.endswith("trajectory_phase"):
@@ -161,7 +169,7 @@ class FlightCollector:
         return (
             topic
             in ("/trajectory", "/mocap_time", "/operator/phase", "/operator/result", *self._states, *self._arrivals)
-            or topic.endswith(("/cmd_vel_stamped", "trajectory_phase"))
+            or topic.endswith(("/commands_sent", "/cmd_vel_stamped", "trajectory_phase"))
             or self._bearings.wants(topic)
         )
 
@@ -283,7 +291,7 @@ class FlightCollector:
         return latency
 
     def _command_latencies(self):
-        """{topic of commands: (n,) [s]} from the receipt of the datagram to the arrival in the bag."""
+        """{topic of commands: (n,) [s]} from the receipt of the datagram to the sending of the command."""
         receipts = self._receipts.first()
         return {topic: _since(*receipts, arrivals) for topic, arrivals in sorted(self._commands.items())}
 
@@ -348,8 +356,11 @@ def settling_time(t_s, error, limit=SETTLED_ERROR_M, hold_s=SETTLED_HOLD_S):
 
 
 def _stamp_ns(message):
-    stamp = message.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+    return _nanoseconds(message.header.stamp)
+
+
+def _nanoseconds(time):
+    return time.sec * 1_000_000_000 + time.nanosec
 
 
 def _stamp_s(message, receipt_s):

@@ -11,6 +11,7 @@ TOPICS = {
     "/mocap_data": "Mocap_data",
     "/mocap_time": "TimeReference",
     "/states3": "Landmarks",
+    "/commands_sent": "CommandsSent",
     "/angles": "Observed_angles",
     "/land_rois": "Observed_rois",
     "/detections": "Detections",

@@ -43,7 +43,7 @@ _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
 _REFERENCES_HZ = 20.0  # how often references are looked at
-_SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be another one, with other full scales;
+SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be another one, with other full scales;
 _GONE_S = 5.0  # after so long what is known of its full scales counts no more
 _VEHICLES_A_TURN = 5  # that one message of the controller commands;
 _MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
@@ -499,7 +499,7 @@ def _begins(who, heard_s):
     """
     now_s = time.monotonic()
     before_s, heard_s[who] = heard_s.get(who, -math.inf), now_s
-    return now_s - before_s > _SILENCE_S
+    return now_s - before_s > SILENCE_S
 
 
 def _next_command_s(flown):
