@@ -213,10 +213,10 @@ class VehicleNodeTest(unittest.TestCase):
         wait_for(lambda: statuses, "controller_status")
         (vehicle,) = node._vehicles
         pilot, good = vehicle._pilot, vehicle._pilot.tick
-        node._controllers_s["/other"] = time.monotonic()
+        node.controllers_s["/other"] = time.monotonic()
         vehicle.compare({"climb_max_m_s": 0.2}, "/other")
         self.assertIn("climb_max_m_s", pilot.disagreement)
-        node._controllers_s["/other"] -= 10.0
+        node.controllers_s["/other"] -= 10.0
         wait_for(lambda: not pilot.disagreement, "a controller that has gone is forgotten")
 
         def broken(_now_s):

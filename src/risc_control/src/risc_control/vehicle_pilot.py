@@ -167,7 +167,8 @@ class VehiclePilot:
         rate_hz = params.rate_hz(vehicle_type)
         self._adapter = adapter_class(vehicle_type)(vehicle_type, rate_hz)
         self._sent = CommandHistory(1)
-        self.disagreement = ""  # why the controller is not obeyed: it or the vehicle has other full scales
+        # why the controller is not obeyed: it or the vehicle has other full scales
+        self.disagreement = before.disagreement if before is not None else ""
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
         self._joysticks = before._joysticks if before is not None else defaultdict(lambda: Joystick(params))
         # a simulator's vehicle is always airborne: there, silence counts from the first joystick message
