@@ -11,6 +11,7 @@ import rosbag
 import rospy
 import yaml
 from cv_bridge import CvBridge
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo, TimeReference
 from std_msgs.msg import Bool, String
@@ -20,16 +21,7 @@ from data_extraction.report import pdf
 from data_extraction.report.__main__ import main, make
 from data_extraction.report.origin import parameter_hash
 from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
-from risc_maap_msgs.msg import (
-    CommandSent,
-    CommandsSent,
-    Counter,
-    EstimatorStatus,
-    OperatorState,
-    Safety,
-    TrajectoryPhases,
-    VehiclePhase,
-)
+from risc_maap_msgs.msg import Counter, EstimatorStatus, OperatorState, Safety, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import (
     Angle,
     Angles,
@@ -148,8 +140,7 @@ def full_rows():
         yield t_s, "/cortex_raw", Cortex(Obj=states)
         yield t_s, "/controls", Controls()
         if k % 7 == 0:
-            sent, answers = (rospy.Time.from_sec(T0_S + t_s + late_s) for late_s in (0.005, 0.0))
-            yield t_s, "/commands_sent", CommandsSent(commands=[CommandSent("fluffy_II", sent, answers, *[0.0] * 4)])
+            yield t_s, "/risc1/cmd_vel_stamped", TwistStamped()
         if k % 20 == 0:
             yield t_s, "/risc1/ardrone/navdata", Navdata(batteryPercent=90.0 - t_s, state=3)
             yield t_s, "/states3", Landmarks(Obj=[Landmark("Green_pink", 2.3, 0.3, 1.0)])
