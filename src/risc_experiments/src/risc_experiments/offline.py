@@ -15,6 +15,7 @@ import pathlib
 import sys
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
-from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, params_from_dict
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, node_params
 from risc_control.vehicles import Controls, FlightState, Status
 from risc_estimation.filters import make_filter
 from risc_estimation.pose_fit import PoseFitParams
@@ -145,14 +146,14 @@ def fly(flight):
     loop = ControlLoop(flight.controller, vehicle_types, flight.params)
     buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
-    params = params_from_dict({"joystick_timeout": 0.0, **flight.node}, fleet.arena)[0]
-    separation = Separation(names, params.limits, names)
+    params, _ = node_params({"joystick_timeout": 0.0, **flight.node}, fleet.arena)
+    separation = Separation(names, params, names)
     chains, loss = [], flight.loss
     wires, arrived = Wires(flight.seed), []
     stream = wires.wire("cortex/stream")
-    for vehicle, fleet_vehicle, phase in zip(world.vehicles.values(), fleet.vehicles, phases):
+    for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
-        chains.append(_Chain(vehicle, phase, params, wires))
+        chains.append(_Chain(vehicle, phase, params, wires, partial(loop.sent.append, i)))
     for fault in flight.wire_faults:
         wires.add(fault)
 
@@ -267,11 +268,14 @@ def _outcome(flight):
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
 
-    def __init__(self, vehicle, phase, params=None, wires=None):
-        """phase: of the radio's clock, a fraction.  params: VehicleNodeParams; None: the defaults, without joystick."""
+    def __init__(self, vehicle, phase, params=None, wires=None, on_sent=lambda *_: None):
+        """phase: of the radio's clock, a fraction.  params: VehicleNodeParams; None: the defaults, without joystick.
+        on_sent: takes the time and the command, as `CommandHistory.append`, of whatever is sent.
+        """
+        self._on_sent = on_sent
         self._vehicle = vehicle
         self._type = vehicle.type
-        self.pilot = VehiclePilot(params or params_from_dict({"joystick_timeout": 0.0})[0], vehicle.type, 0.0)
+        self.pilot = VehiclePilot(params or VehicleNodeParams(joystick_timeout=0.0), vehicle.type, 0.0)
         self.said = []  # (time [s], text) of its ladder, from the first trouble on
         self.lost = None  # "controls" or "laptop"
         rate_hz = vehicle.type.command_rate_hz
@@ -282,7 +286,7 @@ class _Chain:
         """The operator presses the button, and lets go."""
         buttons = [0] * 11
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
-        buttons[VehicleNodeParams().joystick.JoytoWay] = 1
+        buttons[VehicleNodeParams().JoytoWay] = 1
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
 
     def lose(self, what, now_s):
@@ -313,7 +317,8 @@ class _Chain:
         if orders.land:
             self._vehicle.schedule(now_s + self._vehicle.plant.command_delay_s, FlightAction.LAND)
         if orders.command is not None:
-            self._wire.carry(self._setpoint(orders.command[0]), None, now_s, self._submit)
+            self._on_sent(now_s, orders.command.settles_at)
+            self._wire.carry(self._setpoint(orders.command.sticks), None, now_s, self._submit)
 
     def _submit(self, setpoint, _, now_s):
         self._radio.submit(now_s, setpoint)
