@@ -70,11 +70,15 @@ class Bag:
                 return
         try:
             for connection, timestamp_ns, raw in self._reader.messages(connections=connections):
-                yield connection.topic, 1e-9 * timestamp_ns, self._message(connection, raw)
-        except BagError:
-            raise
+                yield connection.topic, 1e-9 * timestamp_ns, self._reader.deserialize(raw, connection.msgtype)
+        except (AnyReaderError, SerdeError) as error:
+            raise BagError("%s: a message on %s is damaged (%s)" % (self.path, connection.topic, error)) from error
         except (ReaderError, OSError, RuntimeError, ValueError, EOFError) as error:  # all but the first: decompression
             raise BagError("%s is damaged (%s): run `rosbag reindex` on it" % (self.path, error)) from error
+
+    def fraction(self, receipt_s):
+        """How much of the bag [0, 1] is before a time of receipt."""
+        return (receipt_s - self.start_s) / max(self.duration_s, 1e-3)
 
     def require(self, topics):
         """Raises BagError for topics that the bag does not have."""
@@ -86,12 +90,6 @@ class Bag:
     def contents(self):
         """What the bag has, for messages to people."""
         return "it has " + (", ".join(sorted(self.topics)) or "no message")
-
-    def _message(self, connection, raw):
-        try:
-            return self._reader.deserialize(raw, connection.msgtype)
-        except (AnyReaderError, SerdeError) as error:
-            raise BagError("%s: a message on %s is damaged (%s)" % (self.path, connection.topic, error)) from error
 
 
 class _ChunkReader(Reader):

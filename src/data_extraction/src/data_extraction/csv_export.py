@@ -3,7 +3,6 @@
 import csv
 import pathlib
 
-from data_extraction.bags import Bag
 from data_extraction.flatten import flatten
 
 
@@ -48,19 +47,11 @@ class _CsvTopic:
         complete.replace(self.path)
 
 
-def export(bag_path, folder, topics=None):
-    """Write the topics of a bag (all by default) as CSV files. Returns {topic: (path, rows)}.
+def export(bag, folder, topics=None, on_message=None):
+    """Write the topics of an open Bag (all by default) as CSV files. Returns {topic: (path, rows)}.
 
-    The first column is the time of receipt [s]. Raises BagError, from `Bag`.
-    """
-    with Bag(bag_path) as bag:
-        return export_open(bag, folder, topics)
-
-
-def export_open(bag, folder, topics=None, on_message=None):
-    """As `export`, of a Bag that is open already.
-
-    on_message: called as on_message(topic, receipt_s, message) for each message, so that one pass can serve more.
+    The first column is the time of receipt [s]. on_message: called as on_message(topic, receipt_s, message) for each
+    message, so that one pass can serve more. Raises BagError, from `Bag`.
     """
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -146,15 +146,11 @@ class FlightCollector:
             or self._bearings.wants(topic)
         )
 
-    def flight(self):
-        """Evaluate what was collected. Raises ValueError when the bag holds no flight."""
-        return self._evaluated(strict=True)
+    def flight(self, strict=True):
+        """Evaluate what was collected. Raises ValueError when the bag holds no flight.
 
-    def overview(self):
-        """As `flight`, but of any bag: what cannot be evaluated is left out and named in the notes."""
-        return self._evaluated(strict=False)
-
-    def _evaluated(self, strict):
+        strict: False: of any bag; what cannot be evaluated is left out and named in the notes.
+        """
         recording, notes = self._recording, []
         source = TRUTH if recording.parts(TRUTH) else STATES
         states = recording.parts(source)

@@ -9,16 +9,8 @@ import cv2
 import numpy as np
 from msgspec import Meta
 
+from data_extraction import camera_topics
 from data_extraction.bags import Bag, BagError
-from data_extraction.camera_topics import (
-    GREEN,
-    PICTURES,
-    YELLOW,
-    draw_outline,
-    is_bottom,
-    namespace_of,
-    picture_topics,
-)
 from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
 from data_extraction.surroundings import LANDMARKS, Surroundings
@@ -104,14 +96,14 @@ class _DataSet:
         """Label and write one picture."""
         params, surroundings = self._params, self._surroundings
         picture = picture_from_msg(message)
-        vehicle = surroundings.vehicle(namespace_of(topic))
+        vehicle = surroundings.vehicle(camera_topics.namespace_of(topic))
         stamp_s = seconds(message.header.stamp)
         exposure_s = stamp_s - params.delay_s
         pose = surroundings.tracks[params.states_topic][vehicle].at(exposure_s)
         if not pose.known[0]:
             self.without_pose += 1
             return
-        observer = self._observer(topic, vehicle, is_bottom(message), picture.shape)
+        observer = self._observer(topic, vehicle, camera_topics.is_bottom(message), picture.shape)
         targets = self._discs + surroundings.hulls(params.states_topic, exposure_s, without=vehicle)
         sightings = filter(self._is_labelled, look(observer, pose.positions_m[0], pose.R_body_to_cortex[0], targets))
         sightings = list(sightings)
@@ -212,9 +204,9 @@ def draw(picture, sightings):
     """A copy of the picture with the outlines, centres and names of what is to be seen."""
     drawn = picture.copy()
     for sighting in sightings:
-        colour = GREEN if sighting.kind == LANDMARK else YELLOW
+        colour = camera_topics.GREEN if sighting.kind == LANDMARK else camera_topics.YELLOW
         text = "%s %.1f m" % (sighting.name, sighting.distance_m)
-        draw_outline(drawn, sighting.outline_px, text, colour)
+        camera_topics.draw_outline(drawn, sighting.outline_px, text, colour)
         if np.isfinite(sighting.centre_px).all():
             cv2.drawMarker(drawn, np.rint(sighting.centre_px).astype(int).tolist(), colour, cv2.MARKER_CROSS, 7)
     return drawn
@@ -226,11 +218,11 @@ def _picture_topics(bag, wanted):
     for topic in wanted or ():
         if bag.types[topic] not in MESSAGES:
             raise BagError("%s, %s: this is no topic of pictures but of %s" % (bag.path, topic, bag.types[topic]))
-    found = list(wanted or picture_topics(bag.types))
+    found = list(wanted or camera_topics.picture_topics(bag.types))
     if not found:
         raise BagError(
             "%s has no pictures (no topic ends in %s): record with the cameras, or name the topics with --topics; %s"
-            % (bag.path, " or ".join(PICTURES), bag.contents)
+            % (bag.path, " or ".join(camera_topics.PICTURES), bag.contents)
         )
     return found
 

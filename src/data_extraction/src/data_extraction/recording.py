@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 from data_extraction.samples import Samples
 from risc_lab.phases import phase_words
 
-STATES, TRUTH, REFERENCES = "/cortex_raw", "/ground_truth", "/trajectory"
+STATES, TRUTH, REFERENCES, COMMANDS = "/cortex_raw", "/ground_truth", "/trajectory", "/controls"
 _ALONE = -1  # place of an entry that is the only one of its message
 
 
@@ -117,12 +117,12 @@ class Recording:
     def by_place(self, topic, states):
         """Whether the names on a topic are not those of its vehicles, which are named by `states`."""
         names = {name for _, name in self._samples[topic]}
-        return bool(names) and (topic in self._repeated or names.isdisjoint(states))
+        return topic in (REFERENCES, COMMANDS) and bool(names) and (topic in self._repeated or names.isdisjoint(states))
 
     def parts(self, topic, states=()):
         """{vehicle: [(label, Samples), ...]} of a topic. states: names of the known vehicles."""
         parts = {}
-        by_place = topic not in (STATES, TRUTH) and self.by_place(topic, states)
+        by_place = self.by_place(topic, states)
         for (place, name), samples in self._samples[topic].items():
             places = list(self._only if self._only and place == _ALONE else self.order)
             place = 0 if place == _ALONE else place

@@ -55,9 +55,6 @@ class Arrivals:
         self._stamps_ns = array("q")
         self._receipts_s = array("d")
 
-    def __len__(self):
-        return len(self._stamps_ns)
-
     def append(self, stamp_ns, receipt_s):
         """Take one message: its stamp [ns] and when it was received [s]."""
         self._stamps_ns.append(stamp_ns)

@@ -31,7 +31,7 @@ def make(bag_path, folder=None, fleet_path=None, pdf=False, progress=None):
         for number, (topic, receipt_s, message) in enumerate(bag.messages(collector.wanted)):
             collector(topic, receipt_s, message)
             if number % _SHOW_EVERY == 0:
-                progress.show("reading", "%s of %.2f GB" % (bar(collector.fraction(receipt_s)), size_gb))
+                progress.show("reading", "%s of %.2f GB" % (bar(bag.fraction(receipt_s)), size_gb))
         progress.show("evaluating")
         material = collector.material()
     progress.show("drawing")

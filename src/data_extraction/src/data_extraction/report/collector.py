@@ -48,17 +48,13 @@ class ReportCollector:
         for part in self._takers.get(topic, ()):
             part(topic, receipt_s, message)
 
-    def fraction(self, receipt_s):
-        """How much of the bag is done [0, 1] when a message of that time comes."""
-        return (receipt_s - self._bag.start_s) / max(self._bag.duration_s, 1e-3)
-
     def material(self, flight=None):
         """All that a report is made of, by name. flight: when it has been evaluated already.
 
         zero_s: ROS time that the report calls 0: of the first reference, else of the bag.  is_simulated: the bag is of
         the virtual lab: nothing else knows a ground truth.  foreign: topics with the lab's names and other types.
         """
-        bag, flight = self._bag, flight or self.flight.overview()
+        bag, flight = self._bag, flight or self.flight.flight(strict=False)
         snapshots, snapshot_notes = self._snapshots.snapshots()
         end_s = bag.start_s + bag.duration_s
         return SimpleNamespace(
