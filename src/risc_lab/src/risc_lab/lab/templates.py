@@ -73,8 +73,8 @@ def load_templates(path=None, fleet=None):
 
 
 def attached_bodies(templates):
-    """Names of the bodies that hang on vehicles, such as the tip of a pendulum: motion capture sees them, nobody flies
-    them.
+    """Names of the bodies that hang on vehicles, such as the tip of a pendulum: motion capture sees them, but they
+    are not flown.
     """
     return frozenset(name for name, template in templates.items() if template.kind == ATTACHED)
 

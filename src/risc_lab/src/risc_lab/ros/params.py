@@ -38,7 +38,7 @@ def warn_of_unknown():
 def load_params(*classes, known=()):
     """Private parameters of this node as instances of the dataclasses. Unknown ones are logged as warnings.
 
-    known: names of others, which somebody else reads.
+    known: names of others, which are read elsewhere.
     """
     instances, unknown = params_from_dict(classes, rospy.get_param("~", {}))
     _warn([name for name in unknown if name not in known])
