@@ -40,7 +40,7 @@ def probe(address, patience_s=PATIENCE_S):
                     break
                 if now >= next_wake_up:
                     if newest is not None and newest.state & State.BOOTSTRAP:
-                        command = at.config(1, "general:navdata_demo", "TRUE")
+                        command = at.encode("CONFIG", 1, "general:navdata_demo", "TRUE")
                         sock.sendto(command, (address, AT_PORT))
                     sock.sendto(WAKE_UP, (address, NAVDATA_PORT))
                     next_wake_up = now + _WAKE_UP_PERIOD_S

@@ -10,12 +10,12 @@ old value of theirs survives.
 """
 
 from ardrone_autonomy.protocol import at, config
-from ardrone_autonomy.protocol.config import Category, ConfigError, Kind
+from ardrone_autonomy.protocol.config import Category, Kind
 from ardrone_autonomy.protocol.navdata import ALL_OPTIONS_MASK
 
 APPLICATION_NAME = "ardrone_driver"  # names both the application and the user profile
-APPLICATION_ID = config.application_id(APPLICATION_NAME)
-USER_ID = config.user_id(APPLICATION_NAME)
+APPLICATION_ID = config.crc_id("%s:%s" % (APPLICATION_NAME, config.SDK_VERSION))
+USER_ID = config.crc_id(APPLICATION_NAME)
 
 MAX_STRING_CHARS = 127
 
@@ -38,48 +38,42 @@ DRIVER_DEFAULTS = {
 WRITABLE_KEYS = {key.name: key for key in config.KEYS.values() if not key.read_only and key.section != "custom"}
 
 
-class SettingError(ValueError):
-    """A parameter value that cannot be written to the aircraft; the text names the parameter and the cure."""
-
-
 def wire_text(key, value):
     """Text of a parameter value for one ConfigKey.
 
     value: number, bool or string as a parameter server holds it.  Numbers are read as floats and converted to the
-    kind of the key; strings are cut at MAX_STRING_CHARS.  SettingError when that is not possible.
+    kind of the key; strings are cut at MAX_STRING_CHARS.  ValueError when that is not possible.
     """
     try:
         if key.kind is Kind.STRING:
             text = str(value)[:MAX_STRING_CHARS]
         else:
-            text = config.format_value(key.kind, _number(value))
-        at.config(1, key.key, text)  # refuses what no command can carry
-    except (ValueError, TypeError, OverflowError, ConfigError) as error:
-        raise SettingError(
+            text = config.format_value(key.kind, float(value))
+        at.encode("CONFIG", 1, key.key, text)  # refuses what no command can carry
+    except (ValueError, TypeError) as error:
+        raise ValueError(
             "parameter ~%s: %r cannot be written as %s (%s): correct it in the launch file"
             % (key.name, value, key.kind.value, error)
         ) from None
     return text
 
 
-def _number(value):
-    if isinstance(value, (list, dict)):
-        raise TypeError("a single number is needed")
-    return float(value)
-
-
 def wanted_texts(parameters):
     """{bare name: wire text} of every key that is to be written.
 
     parameters: {bare name: value}, all written whatever their value; names that are no key are skipped.  Of
-    DRIVER_DEFAULTS what differs from the SDK's default, and `navdata_demo` always.  SettingError on a bad value.
+    DRIVER_DEFAULTS what differs from the SDK's default, and `navdata_demo` always.  ValueError on a bad value.
     """
-    texts = {name: wire_text(WRITABLE_KEYS[name], value) for name, value in parameters.items() if name in WRITABLE_KEYS}
-    for name, value in DRIVER_DEFAULTS.items():
-        key = WRITABLE_KEYS[name]
-        if name not in texts and (name == "navdata_demo" or value != key.default):
-            texts[name] = wire_text(key, value)
-    return texts
+    own = {
+        name: value
+        for name, value in DRIVER_DEFAULTS.items()
+        if name == "navdata_demo" or value != WRITABLE_KEYS[name].default
+    }
+    return {
+        name: wire_text(WRITABLE_KEYS[name], value)
+        for name, value in {**own, **parameters}.items()
+        if name in WRITABLE_KEYS
+    }
 
 
 def setup_writes(texts, session_id):
