@@ -14,7 +14,7 @@ HULL_M = 0.55
 @pytest.mark.parametrize(
     ("trajectory", "seed", "psi_deg"), [("circle", 1, 0.0), ("flat8", 2, 110.0), ("slanted8", 3, -160.0)]
 )
-def test_three_vehicles_on_honest_plants(trajectory, seed, psi_deg):
+def test_three_vehicles_on_perturbed_plants(trajectory, seed, psi_deg):
     result = fly(Flight(trajectory, seed=seed, psi_deg=psi_deg, duration_s=10.0))
     assert result.names == ("fluffy_II", "albatross", "Raven")
     assert result.rmse_m.max() < 0.02, "the requirement is 0.03"

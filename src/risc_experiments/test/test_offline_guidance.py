@@ -16,7 +16,7 @@ from risc_lab.states import S, States
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.world import World
 
-CHASE_S, CHASED_S = 22.0, 14.0  # the chase, and when it has settled
+PURSUIT_S, SETTLED_S = 22.0, 14.0  # the pursuit, and when it has settled
 PSI_DEG = 60.0  # where a mirrored yaw sense would not fly (D-25)
 LOST_EVERY = 97  # frames: one in which motion capture does not see the vehicle
 NOW = np.ones(1, dtype=bool)
@@ -55,7 +55,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         if reference.phases[0] is Phase.COURSE and let_go_s == math.inf:
             let_go_s = time_s
             assert target.let_go(time_s)
-        if time_s >= let_go_s + CHASE_S and home_s == math.inf:
+        if time_s >= let_go_s + PURSUIT_S and home_s == math.inf:
             home_s = time_s
             assert target.go_home(time_s) == [name]
             reference = target.sample(time_s)
@@ -71,7 +71,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         offline.step_chains([chain], frame, time_s, now_s, states, output.controls)
         assert not world.crashes
         truth = vehicle.state.position_m
-        if let_go_s + CHASED_S <= time_s < home_s:
+        if let_go_s + SETTLED_S <= time_s < home_s:
             ranges.append(np.hypot(*(present[0, 0, :2] - truth[:2])))
             radii.append(np.hypot(*truth[:2]))
         elif time_s >= home_s:
