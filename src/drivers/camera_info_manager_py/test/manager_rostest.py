@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from camera_info_manager import CameraInfoError, CameraInfoManager, CameraInfoMissingError
-from camera_info_manager.calibration_file import read_calibration
+from risc_lab.lab.calibration import read_calibration
 
 LIMIT_S = 60.0
 
