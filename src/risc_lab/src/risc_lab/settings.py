@@ -78,6 +78,9 @@ def _refuse(hint, values, where, path):
     if isinstance(values, (list, tuple)):
         for i, item in enumerate(values):
             _refuse(hint, item, where, "%s[%d]" % (path, i))
+    if typing.get_origin(hint) is typing.Literal and values not in typing.get_args(hint):
+        choice = ", ".join(map(str, typing.get_args(hint)))
+        raise ValueError(_said(where, path, "must be one of %s, found %r" % (choice, values)))
     if typing.get_origin(hint) is dict and isinstance(values, Mapping):
         for key, value in values.items():
             _refuse(typing.get_args(hint)[1], value, where, "%s.%s" % (path, key))
