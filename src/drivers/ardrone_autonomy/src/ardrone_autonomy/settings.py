@@ -22,17 +22,8 @@ MAX_STRING_CHARS = 127
 VIDEO_CODEC_LIVE = 0x81  # H.264, 360p
 VIDEO_CODEC_RECORD = 0x82  # 360p to the client, 720p to the USB key
 
-# Values that the driver sets unless a parameter does; those that equal the SDK's default are not written.
-DRIVER_DEFAULTS = {
-    "max_bitrate": 4000,
-    "navdata_options": ALL_OPTIONS_MASK,
-    "video_channel": 0,
-    "video_codec": VIDEO_CODEC_LIVE,
-    "bitrate_ctrl_mode": 0,
-    "control_level": 0,
-    "flying_mode": 0,
-    "navdata_demo": False,
-}
+# Values that the driver writes unless a parameter has another; all else stays as the aircraft has it.
+DRIVER_DEFAULTS = {"max_bitrate": 4000, "navdata_options": ALL_OPTIONS_MASK, "navdata_demo": False}
 
 # Parameters of the driver that reach the aircraft, by bare name.
 WRITABLE_KEYS = {key.name: key for key in config.KEYS.values() if not key.read_only and key.section != "custom"}
@@ -61,19 +52,11 @@ def wire_text(key, value):
 def wanted_texts(parameters):
     """{bare name: wire text} of every key that is to be written.
 
-    parameters: {bare name: value}, all written whatever their value; names that are no key are skipped.  Of
-    DRIVER_DEFAULTS what differs from the SDK's default, and `navdata_demo` always.  ValueError on a bad value.
+    parameters: {bare name: value}, all written whatever their value; names that are no key are skipped.  ValueError
+    on a bad value.
     """
-    own = {
-        name: value
-        for name, value in DRIVER_DEFAULTS.items()
-        if name == "navdata_demo" or value != WRITABLE_KEYS[name].default
-    }
-    return {
-        name: wire_text(WRITABLE_KEYS[name], value)
-        for name, value in {**own, **parameters}.items()
-        if name in WRITABLE_KEYS
-    }
+    values = {**DRIVER_DEFAULTS, **parameters}
+    return {name: wire_text(WRITABLE_KEYS[name], value) for name, value in values.items() if name in WRITABLE_KEYS}
 
 
 def setup_writes(texts, session_id):

@@ -98,8 +98,9 @@ class CameraInfoManager:
                 path = urls.path_of(self._url, self._name)
                 save_calibration(CameraCalibration.from_info(self._info, self._name), path)
             except (ValueError, OSError) as error:
-                rospy.logerr("the new calibration of %s is used but not saved: %s", self._name, error)
-                return SetCameraInfoResponse(success=False, status_message="used but not saved: %s" % error)
+                problem = "used but not saved as %s: %s" % (self._url.strip() or urls.DEFAULT_URL, error)
+                rospy.logerr("the new calibration of %s is %s", self._name, problem)
+                return SetCameraInfoResponse(success=False, status_message=problem)
             rospy.loginfo("the new calibration of %s is saved in %s", self._name, path)
             return SetCameraInfoResponse(success=True, status_message="saved in %s" % path)
 

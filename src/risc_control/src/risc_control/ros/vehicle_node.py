@@ -28,7 +28,7 @@ from risc_control.vehicles import Controls, adapter_class
 from risc_lab.lab.vehicle_types import disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import known_fleet, told_vehicle_type
@@ -235,8 +235,7 @@ class _Vehicle:
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._lock = threading.Lock()
         self._counts = dict.fromkeys(("states", "controls", "commands", "unseen", "errors"), 0)
-        self._reported = dict(self._counts)
-        self._reported_s = time.monotonic()
+        self._growth = Growth()
         self._error_land_s = 0.0  # when a landing was ordered because of an error
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
         self._link = adapter_class(vehicle_type).connect(prefix)
@@ -415,9 +414,7 @@ class _Vehicle:
         """A task of diagnostic_updater; what other programs use of it goes out as a VehicleNodeStatus."""
         with self._lock:
             now_s = time.monotonic()
-            elapsed_s = max(now_s - self._reported_s, 1e-3)
-            rates = {what: (self._counts[what] - self._reported[what]) / elapsed_s for what in self._counts}
-            self._reported, self._reported_s = dict(self._counts), now_s
+            _, rates = self._growth(self._counts)
             answer_max_s, self._answer_max_s = self._answer_max_s, 0.0
             pilot = self._pilot
             verdict, reactions = pilot.ladder.verdict, list(pilot.ladder.reactions)

@@ -70,32 +70,33 @@ ControlState = IntEnum(
 
 
 # --- layouts -----------------------------------------------------------------------------------------------------
-class Field(namedtuple("Field", "name code count offset")):
-    """One field: struct code, number of elements (1: a scalar, else a tuple), byte offset behind tag and size."""
-
-    __slots__ = ()
+# One field: struct code, number of elements (1: a scalar, else a tuple), byte offset behind tag and size.
+Field = namedtuple("Field", "name code count offset")
 
 
 class Layout:
     """One option: its fields in wire order and the value type with the same field names.
 
-    required: the last field that must be there.  Options grow at their end between firmware versions, so the fields
-    behind it may be absent; they read 0.
+    Options grow at their end between firmware versions: those behind a bar may be absent, and read 0 then.
     """
 
-    def __init__(self, name, spec, required=None):
+    def __init__(self, name, spec):
         self.name = name
         self.fields = ()
         self._places = []  # of each field among the numbers of the struct: one, or a slice
+        self.required_bytes = None
         offset = elements = 0
-        for field_name, kind in (item.split(":") for item in spec.split()):
+        for item in spec.split():
+            if item == "|":
+                self.required_bytes = offset
+                continue
+            field_name, kind = item.split(":")
             count = int(kind[:-1] or 1)
             self.fields += (Field(field_name, kind[-1], count, offset),)
             self._places.append(elements if count == 1 else slice(elements, elements + count))
             offset += struct.calcsize("<" + kind)
             elements += count
-            if field_name == required or required is None:
-                self.required_bytes = offset
+        self.required_bytes = self.required_bytes or offset
         self.index = {field.name: i for i, field in enumerate(self.fields)}
         self.size = OPTION_HEADER.size + offset  # as on the wire
         self.value_type = namedtuple(name, self.index)
@@ -118,48 +119,42 @@ _LAYOUTS = (
     # drone_camera_rot: from body axes to those of the start, row by row; drone_camera_trans: mm from the start, z down
     Layout(
         "demo",
-        "ctrl_state:I vbat_flying_percentage:I theta:f phi:f psi:f altitude:i vx:f vy:f vz:f num_frames:I "
+        "ctrl_state:I vbat_flying_percentage:I theta:f phi:f psi:f altitude:i vx:f vy:f vz:f | num_frames:I "
         "detection_camera_rot:9f detection_camera_trans:3f detection_tag_index:I detection_camera_type:I "
         "drone_camera_rot:9f drone_camera_trans:3f",
-        required="vz",
     ),
     Layout("time", "time:I"),  # see time_to_seconds
     Layout(
         "raw_measures",  # accs: counts around 2048, z grows upwards; vbat_raw: mV; alt_temp_raw: mm
         "raw_accs:3H raw_gyros:3h raw_gyros_110:2h vbat_raw:I us_debut_echo:H us_fin_echo:H us_association_echo:H "
         "us_distance_echo:H us_courbe_temps:H us_courbe_valeur:H us_courbe_ref:H flag_echo_ini:H nb_echo:H "
-        "sum_echo:I alt_temp_raw:i gradient:h",
-        required="alt_temp_raw",
+        "sum_echo:I alt_temp_raw:i | gradient:h",
     ),
     Layout(
         "phys_measures",  # accs: milli-g, -1000 on z at rest; gyros: deg/s
-        "accs_temp:f gyro_temp:H phys_accs:3f phys_gyros:3f alim3V3:I vrefEpson:I vrefIDG:I",
-        required="phys_gyros",
+        "accs_temp:f gyro_temp:H phys_accs:3f phys_gyros:3f | alim3V3:I vrefEpson:I vrefIDG:I",
     ),
     Layout("gyros_offsets", "offset_g:3f"),
     Layout("euler_angles", "theta_a:f phi_a:f"),  # mdeg
     Layout(
         "references",
-        "ref_theta:i ref_phi:i ref_theta_I:i ref_phi_I:i ref_pitch:i ref_roll:i ref_yaw:i ref_psi:i vx_ref:f "
+        "ref_theta:i ref_phi:i ref_theta_I:i ref_phi_I:i ref_pitch:i ref_roll:i ref_yaw:i ref_psi:i | vx_ref:f "
         "vy_ref:f theta_mod:f phi_mod:f k_v_x:f k_v_y:f k_mode:I ui_time:f ui_theta:f ui_phi:f ui_psi:f "
         "ui_psi_accuracy:f ui_seq:i",
-        required="ref_psi",
     ),
     Layout("trims", "angular_rates_trim_r:f euler_angles_trim_theta:f euler_angles_trim_phi:f"),
     Layout("rc_references", "rc_ref_pitch:i rc_ref_roll:i rc_ref_yaw:i rc_ref_gaz:i rc_ref_ag:i"),
     Layout(
         "pwm",  # motors 0..255: front-left, clockwise; current: mA
-        "motor1:B motor2:B motor3:B motor4:B sat_motor1:B sat_motor2:B sat_motor3:B sat_motor4:B "
+        "motor1:B motor2:B motor3:B motor4:B | sat_motor1:B sat_motor2:B sat_motor3:B sat_motor4:B "
         "gaz_feed_forward:f gaz_altitude:f altitude_integral:f vz_ref:f u_pitch:i u_roll:i u_yaw:i yaw_u_I:f "
         "u_pitch_planif:i u_roll_planif:i u_yaw_planif:i u_gaz_planif:f current_motor1:H current_motor2:H "
         "current_motor3:H current_motor4:H altitude_prop:f altitude_der:f",
-        required="motor4",
     ),
     Layout(
         "altitude",  # altitude_*: mm; altitude_vz: mm/s
-        "altitude_vision:i altitude_vz:f altitude_ref:i altitude_raw:i obs_accZ:f obs_alt:f obs_x:3f obs_state:I "
+        "altitude_vision:i altitude_vz:f altitude_ref:i altitude_raw:i | obs_accZ:f obs_alt:f obs_x:3f obs_state:I "
         "est_vb:2f est_state:I",
-        required="altitude_raw",
     ),
     Layout("vision_raw", "vision_tx_raw:f vision_ty_raw:f vision_tz_raw:f"),
     Layout("vision_of", "of_dx:5f of_dy:5f"),
@@ -167,58 +162,50 @@ _LAYOUTS = (
         "vision",
         "vision_state:I vision_misc:i vision_phi_trim:f vision_phi_ref_prop:f vision_theta_trim:f "
         "vision_theta_ref_prop:f new_raw_picture:i theta_capture:f phi_capture:f psi_capture:f altitude_capture:i "
-        "time_capture:I body_v:3f delta_phi:f delta_theta:f delta_psi:f gold_defined:I gold_reset:I gold_x:f "
+        "time_capture:I body_v:3f | delta_phi:f delta_theta:f delta_psi:f gold_defined:I gold_reset:I gold_x:f "
         "gold_y:f",
-        required="body_v",
     ),
     Layout(
         "vision_perf",
-        "time_szo:f time_corners:f time_compute:f time_tracking:f time_trans:f time_update:f time_custom:20f",
-        required="time_update",
+        "time_szo:f time_corners:f time_compute:f time_tracking:f time_trans:f time_update:f | time_custom:20f",
     ),
     Layout("trackers_send", "locked:30i point:60i"),  # point: x0 y0 x1 y1 ...
     Layout(
         "vision_detect",  # only the first nb_detected of each four are valid; dist: cm
-        "nb_detected:I type:4I xc:4I yc:4I width:4I height:4I dist:4I orientation_angle:4f rotation:36f "
+        "nb_detected:I type:4I xc:4I yc:4I width:4I height:4I dist:4I orientation_angle:4f | rotation:36f "
         "translation:12f camera_source:4I",
-        required="orientation_angle",
     ),
     Layout("watchdog", "watchdog:i"),
     Layout("adc_data_frame", "version:I data_frame:32B"),
     Layout(
         "video_stream",
-        "quant:B frame_size:I frame_number:I atcmd_ref_seq:I atcmd_mean_ref_gap:I atcmd_var_ref_gap:f "
+        "quant:B frame_size:I frame_number:I | atcmd_ref_seq:I atcmd_mean_ref_gap:I atcmd_var_ref_gap:f "
         "atcmd_ref_quality:I out_bitrate:I desired_bitrate:I data1:i data2:i data3:i data4:i data5:i "
         "tcp_queue_level:I fifo_queue_level:I",
-        required="frame_number",
     ),
     Layout("games", "double_tap_counter:I finish_line_counter:I"),
     Layout("pressure_raw", "up:i ut:h Temperature_meas:i Pression_meas:i"),  # 0.1 deg C, Pa
     Layout(
         "magneto",  # mx..mz: counts of the sensor; fields: mG; headings: deg; behind the uint8 all is unaligned
-        "mx:h my:h mz:h magneto_raw:3f magneto_rectified:3f magneto_offset:3f heading_unwrapped:f "
+        "mx:h my:h mz:h | magneto_raw:3f magneto_rectified:3f magneto_offset:3f heading_unwrapped:f "
         "heading_gyro_unwrapped:f heading_fusion_unwrapped:f magneto_calibration_ok:B magneto_state:I "
         "magneto_radius:f error_mean:f error_var:f",
-        required="mz",
     ),
     Layout(
         "wind_speed",  # m/s, rad
-        "wind_speed:f wind_angle:f wind_compensation_theta:f wind_compensation_phi:f state_x1:f state_x2:f "
+        "wind_speed:f wind_angle:f wind_compensation_theta:f wind_compensation_phi:f | state_x1:f state_x2:f "
         "state_x3:f state_x4:f state_x5:f state_x6:f magneto_debug1:f magneto_debug2:f magneto_debug3:f",
-        required="wind_compensation_phi",
     ),
     Layout(
         "kalman_pressure",
-        "offset_pressure:f est_z:f est_zdot:f est_bias_PWM:f est_biais_pression:f offset_US:f prediction_US:f "
+        "offset_pressure:f est_z:f est_zdot:f | est_bias_PWM:f est_biais_pression:f offset_US:f prediction_US:f "
         "cov_alt:f cov_PWM:f cov_vitesse:f bool_effet_sol:i somme_inno:f flag_rejet_US:i u_multisinus:f "
         "gaz_altitude:f Flag_multisinus:i Flag_multisinus_debut:i",
-        required="est_zdot",
     ),
     Layout(
         "hdvideo_stream",  # sizes in kB; remaining time in s
-        "hdvideo_state:I storage_fifo_nb_packets:I storage_fifo_size:I usbkey_size:I usbkey_freespace:I "
+        "hdvideo_state:I | storage_fifo_nb_packets:I storage_fifo_size:I usbkey_size:I usbkey_freespace:I "
         "frame_number:I usbkey_remaining_time:I",
-        required="hdvideo_state",
     ),
     Layout("wifi", "link_quality:I"),
     Layout("zimmu_3000", "vzimmuLSB:i vzfind:f"),
@@ -227,11 +214,10 @@ _LAYOUTS = (
 # Tag 27 on firmware 2.4.  Field list as public clients print it, types chosen to fill the 216 bytes seen on the wire.
 GPS_LAYOUT = Layout(
     "gps",
-    "latitude:d longitude:d elevation:d hdop:d data_available:i zero_validated:i wpt_validated:i lat0:d lon0:d "
+    "latitude:d longitude:d elevation:d | hdop:d data_available:i zero_validated:i wpt_validated:i lat0:d lon0:d "
     "lat_fuse:d lon_fuse:d gps_state:I x_traj:f x_ref:f y_traj:f y_ref:f theta_p:f phi_p:f theta_i:f phi_i:f "
     "theta_d:f phi_d:f vdop:d pdop:d speed:f last_frame_timestamp:I degree:f degree_mag:f ehpe:f ehve:f c_n0:f "
     "nb_satellites:I channels:24B gps_plugged:i ephemeris_status:I vx_traj:f vy_traj:f firmware_status:I",
-    required="elevation",
 )
 
 LAYOUTS = {int(Tag[layout.name.upper()]): layout for layout in _LAYOUTS}  # by tag

@@ -106,7 +106,7 @@ class ArdroneDriver:
         self._realtime = queue.Queue(REALTIME_BACKLOG) if params.realtime_navdata else None
         self._arrived = threading.Event()  # a packet that was not published yet
         self._replacing = threading.Lock()
-        self._udp = self._make_udp()
+        self.udp = self._make_udp()  # the UdpThread in service: another one after a failure
         self._channel = configuration.video_channel
         self._channel_set_in = 0  # which configuration of the vehicle the channel was chosen in
         self._video = Video(
@@ -125,18 +125,13 @@ class ArdroneDriver:
         self._health = _Health(self, self._video)
         self._subscribe()
 
-    @property
-    def udp(self):
-        """The UdpThread in service: another one after a failure."""
-        return self._udp
-
     def label(self, what):
         """Name of a status on /diagnostics."""
         return what if self._is_alone else "%s %s" % (what, self._prefix.strip("/"))
 
     @property
     def _link(self):
-        return self._udp.link
+        return self.udp.link
 
     @property
     def _who(self):
@@ -163,16 +158,16 @@ class ArdroneDriver:
         """Look for the vehicle."""
         rospy.loginfo("%slooking for the vehicle at %s", self._who, self._address)
         threading.Thread(target=self._publish_loop, name="ardrone_publish", daemon=True).start()
-        self._udp.start()
+        self.udp.start()
         self._video.start()
 
     def begin_to_stop(self):
         """Hover, and land if flying; `stop` waits for it."""
-        self._udp.begin_to_stop()
+        self.udp.begin_to_stop()
 
     def stop(self):
         """End what `start` has begun."""
-        self._udp.stop()
+        self.udp.stop()
         self._video.stop()
 
     # --- orders: handed over, nothing else ------------------------------------------------------------------------
@@ -195,11 +190,22 @@ class ArdroneDriver:
             ("flattrim", EmptySrv, self._on_flat_trim),
             ("setrecord", srv.RecordEnable, self._on_record),
         ):
-            rospy.Service(prefix + "ardrone/" + name, service_type, handler)
+            answer = functools.partial(self._answer, name, service_type is EmptySrv, handler)
+            rospy.Service(prefix + "ardrone/" + name, service_type, answer)
+
+    def _answer(self, name, is_empty, handler, request):
+        """Of a service: whether its order was given. handler: gives it, and returns a text when it refuses."""
+        phase = self._link.phase
+        why = handler(request) if phase is Phase.READY else "the vehicle is not ready (%s)" % phase.value
+        if why:
+            rospy.logwarn("%s refused: %s", name, why)
+            if is_empty:  # an answer that has no field that could say so
+                raise rospy.ServiceException("%s refused: %s" % (name, why))
+        return EmptyResponse() if is_empty else not why
 
     def _post(self, order, *arguments):
         """Hand an order (a method of DroneLink) to the UDP thread in service."""
-        udp = self._udp
+        udp = self.udp
         udp.post(order, udp.link, *arguments)
 
     def _on_cmd_vel(self, twist):
@@ -213,15 +219,10 @@ class ArdroneDriver:
         self._post(DroneLink.steer, sticks)
 
     def _on_toggle_camera(self, _request):
-        self._require_vehicle("togglecam")
         self._select_channel(self._current_channel() + 1)
-        return EmptyResponse()
 
     def _on_camera_channel(self, request):
-        if self._ready("setcamchannel"):
-            self._select_channel(request.channel)
-            return True
-        return False
+        self._select_channel(request.channel)
 
     def _current_channel(self):
         is_chosen = self._channel_set_in == self._link.configurations
@@ -234,50 +235,29 @@ class ArdroneDriver:
         self._write("video_channel", "%d" % self._channel)
 
     def _on_led_animation(self, request):
-        if not self._ready("setledanimation"):
-            return False
         if not math.isfinite(request.freq):
-            rospy.logwarn("setledanimation refused: the frequency %r is not a finite number", request.freq)
-            return False
+            return "the frequency %r is not a finite number" % request.freq
         animation = LED_ANIMATIONS[request.type % len(LED_ANIMATIONS)]
         self._post(DroneLink.blink, animation, abs(request.freq), request.duration)
-        return True
+        return ""
 
     def _on_flight_animation(self, request):
-        if not self._ready("setflightanimation"):
-            return False
         animation = request.type % len(FLIGHT_ANIMATIONS_MS)
-        duration_ms = request.duration or FLIGHT_ANIMATIONS_MS[animation]
-        self._write("flight_anim", "%d,%d" % (animation, duration_ms))
-        return True
+        self._write("flight_anim", "%d,%d" % (animation, request.duration or FLIGHT_ANIMATIONS_MS[animation]))
 
     def _on_flat_trim(self, _request):
-        self._require_vehicle("flattrim")
         if self._link.state_bits & State.FLYING:
-            raise rospy.ServiceException("flattrim refused: the vehicle flies")
+            return "the vehicle flies"
         self._post(DroneLink.flat_trim)
-        return EmptyResponse()
+        return ""
 
     def _on_record(self, request):
-        if not self._ready("setrecord"):
-            return False
         self._write("video_codec", "%d" % (VIDEO_CODEC_RECORD if request.enable else VIDEO_CODEC_LIVE))
         stamp = time.strftime("%Y%m%d_%H%M%S", time.localtime(rospy.get_time()))
         self._write("userbox_cmd", "1," + stamp if request.enable else "0")
-        return True
 
     def _write(self, name, text):
         self._post(DroneLink.write, WRITABLE_KEYS[name].key, text)
-
-    def _ready(self, service):
-        if self._link.phase is Phase.READY:
-            return True
-        rospy.logwarn("%s refused: the vehicle is not ready (%s)", service, self._link.phase.value)
-        return False
-
-    def _require_vehicle(self, service):
-        if not self._ready(service):  # the answer has no field that could say so
-            raise rospy.ServiceException("%s refused: the vehicle is not ready" % service)
 
     # --- from the UDP thread ----------------------------------------------------------------------------------------
     def _report(self, level, text):
@@ -285,7 +265,7 @@ class ArdroneDriver:
 
     def _on_failure(self, error):
         if not self._ends_node(error):
-            threading.Thread(target=self._begin_again, args=(self._udp,), name="ardrone_restart", daemon=True).start()
+            threading.Thread(target=self._begin_again, args=(self.udp,), name="ardrone_restart", daemon=True).start()
 
     def _ends_node(self, error):
         """Report a failure. Alone the node ends, and is started again; beside others only this vehicle's part is."""
@@ -301,9 +281,9 @@ class ArdroneDriver:
         failed.stop()
         time.sleep(RESTART_S)
         with self._replacing:  # the UDP thread and the one that publishes may have failed together
-            if not rospy.is_shutdown() and self._udp is failed:
-                self._udp = self._make_udp()
-                self._udp.start()
+            if not rospy.is_shutdown() and self.udp is failed:
+                self.udp = self._make_udp()
+                self.udp.start()
 
     def _on_packet(self, packet):
         if self._telemetry is None:
@@ -327,7 +307,7 @@ class ArdroneDriver:
                 if rospy.core.is_shutdown_requested() or self._ends_node(error):
                     return
                 self._failing_since_s = None
-                self._begin_again(self._udp)
+                self._begin_again(self.udp)
 
     def _wait_until_ready(self):
         while not rospy.is_shutdown() and self._link.phase is not Phase.READY:
@@ -358,7 +338,7 @@ class ArdroneDriver:
 
     def _waiting_packets(self):
         if self._realtime is None:
-            return [self._udp.newest]
+            return [self.udp.newest]
         packets = []
         while not self._realtime.empty():
             packets.append(self._realtime.get_nowait())
