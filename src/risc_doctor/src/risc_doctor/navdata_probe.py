@@ -36,7 +36,7 @@ def probe(address, patience_s=PATIENCE_S):
         try:
             while time.monotonic() < deadline:
                 if state is not None and state & State.BOOTSTRAP:
-                    sock.sendto(at.config(1, "general:navdata_demo", "TRUE"), (address, AT_PORT))
+                    sock.sendto(at.encode("CONFIG", 1, "general:navdata_demo", "TRUE"), (address, AT_PORT))
                 sock.sendto(WAKE_UP, (address, NAVDATA_PORT))
                 with contextlib.suppress(TimeoutError, NavdataError):
                     data, source = sock.recvfrom(_PACKET_BYTES)
