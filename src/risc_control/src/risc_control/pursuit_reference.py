@@ -11,7 +11,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from risc_control.motions import coasting
-from risc_control.trajectories import YawProgram, make_course, points
+from risc_control.reference_buffer import Axis, Order
+from risc_control.trajectories import YawProgram, make_course, on_course, points
 from risc_control.trajectory_manager import Phase, TrajectoryManager
 
 # The target's speed is told so long before it runs, and after it has stopped: it has a topic of its own, and no order
@@ -49,10 +50,10 @@ class TargetParams:
         course = make_course(
             "circle", 1, self._yaw(), radius_m=self.radius_m, period_s=period_s, height_m=self.height_m
         )
-        return replace(course, name="NGC", shifts_s=np.array([self.phase_deg / 360.0 * period_s]))
+        return replace(course, name="NGC", paths=(on_course(course, 0, -self.phase_deg / 360.0 * period_s),))
 
     def _yaw(self):
-        return YawProgram((math.radians(self.psi_deg),))
+        return YawProgram(math.radians(self.psi_deg))
 
 
 class VirtualTarget(TrajectoryManager):
@@ -76,7 +77,7 @@ class VirtualTarget(TrajectoryManager):
     def target_speed_m_s(self, now_s):
         """Speed of the target as its topic tells it, 0 while it rests."""
         told = self.chasing or now_s < self._told_until_s
-        return float(np.linalg.norm(self.target.at(0.0)[0][1, 0])) if told else 0.0
+        return float(np.linalg.norm(self.target.at(0.0)[Order.VELOCITY, 0, : Axis.PSI])) if told else 0.0
 
     def let_go(self, now_s):
         """Let the target run, as soon as the vehicle is where it waits. Returns whether it will.
@@ -96,8 +97,8 @@ class VirtualTarget(TrajectoryManager):
         if self._wanted:
             self._wanted, self._epoch_of_target_s = False, now_s + _LEAD_S
         if self.chasing and now_s >= self._epoch_of_target_s:
-            path, yaw = self.target.at(now_s - self._epoch_of_target_s)
-            reference.derivatives[..., :3], reference.derivatives[: len(yaw), :, 3] = path, yaw
+            derivatives = self.target.at(now_s - self._epoch_of_target_s, len(reference.derivatives) - 1)
+            reference = reference._replace(derivatives=derivatives)
         return reference
 
     def set_autonomous(self, name, autonomous, now_s):

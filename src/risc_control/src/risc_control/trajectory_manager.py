@@ -2,8 +2,8 @@
 
 The reference of a vehicle in manual mode is the place where it is seen. When its vehicle node reports autonomous mode
 it flies smoothly to its place on the course, meeting it in position to snap, and stays on the course until it is sent
-home. Ways are planned together (`ways.py`), so that vehicles keep apart on them too. Times are seconds of any one
-clock.
+home. Ways are planned together (`transitions.py`), so that vehicles keep apart on them too. Times are seconds of any
+one clock.
 
 Planning takes up to some tenths of a second. Offline the manager plans at once. A node that publishes references says
 how long after the order ways begin (`lead_s`), takes the `task`, plans it in another thread with `plan_ways`, and gives
@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.motions import LINK, NO_PATHS, NO_TABLE, ORDERS, coasting, sample_fleet, standing
+from risc_control.motions import Chains, coasting, standing
+from risc_control.reference_buffer import Axis, Order, sample_orders
 from risc_control.trajectories import Course, on_course
 from risc_control.transitions import Home, Task, WayLimits, load, plan_ways
 from risc_lab.phases import TrajectoryPhase as Phase
@@ -26,27 +27,26 @@ _GATHER_S = 0.3  # vehicles that become autonomous within this time start togeth
 _DEEPEST = 4  # blends of blends; with more orders in so short a time the next way begins at a coasting vehicle
 
 
-_PHASES = tuple(Phase)
-_CALL = {phase: k for k, phase in enumerate(_PHASES)}  # what links call it
-
-
 class Reference(NamedTuple):
     """References of all vehicles at one time."""
 
-    derivatives: np.ndarray  # (5, n, 4) x, y, z, psi: value to snap; those of psi beyond its acceleration are 0
+    derivatives: np.ndarray  # (orders, n, 4) x, y, z, psi: value to snap, or as far as is asked for
     phases: tuple  # of Phase
 
 
 class TrajectoryManager:
     """References of n vehicles. Not thread-safe."""
 
-    def __init__(self, names, homes, course, limits=None, smooth=True, wait_for_all=True, lead_s=None):
+    def __init__(
+        self, names, homes, course, limits=None, smooth=True, wait_for_all=True, lead_s=None, order=Order.SNAP
+    ):
         """names: of the vehicles.  homes: a Home each.  course: Course for so many vehicles.
 
         smooth=False: on the course from the first moment on, in every mode (simulations, teaching).
         wait_for_all: nobody starts while another vehicle hovers there that is not flown automatically: courses lead
         through the places where the others wait.
         lead_s: ways begin this long after the order [s], and another thread plans them; None: they are planned at once.
+        order: as `ask` takes it.
         """
         if not len(names) == len(homes) == len(course.paths):
             raise ValueError("%d vehicles, %d homes and a course for %d" % (len(names), len(homes), len(course.paths)))
@@ -70,10 +70,21 @@ class TrajectoryManager:
         self._joining_s = None  # when the vehicles that became autonomous start
         self._joining = set()
         self._motions = [None] * len(names)  # None = it stands where it is seen
-        self._phases, self._calls = (Phase.HOLD,) * len(names), np.zeros(len(names), dtype=int)
-        self._packed = None  # the motions as compiled code takes them; None = they have changed
+        self._phases = (Phase.HOLD,) * len(names)
+        self._chains = None  # the motions as compiled code takes them; None = they have changed
+        self._smooth_to = self._highest = int(Order.SNAP)  # of the ways; derivative of the references
+        self.ask(order)
         self._evaluate(0.0)
         load()
+
+    def ask(self, order):
+        """A controller reads derivatives to this order: from now on references have `sample_orders` of them, and ways
+        are continuous to the order. It is never less than the snap, nor than what was asked before.
+
+        Raises ValueError as `sample_orders`.
+        """
+        self._highest = max(self._highest, sample_orders(order) - 1)
+        self._smooth_to = max(self._smooth_to, int(order))
 
     # ---------------------------------------------------------------------------------------------- what happens
 
@@ -84,9 +95,9 @@ class TrajectoryManager:
             return
         self._seen_m[i], self._seen_yaw_rad[i], self._velocity[i] = position_m, yaw_rad, velocity_m_s
         self._airborne[i] = position_m[2] > AIRBORNE_M  # and in the way of the others
-        if self._motions[i] is None and self._packed is not None:
-            self._packed.links["position_m"][i, 0] = position_m
-            self._packed.links["yaw_rad"][i, 0] = yaw_rad
+        if self._motions[i] is None and self._chains is not None:
+            self._chains.links["position_m"][i, 0] = position_m
+            self._chains.links["yaw_rad"][i, 0] = yaw_rad
 
     @property
     def watching(self):
@@ -107,7 +118,7 @@ class TrajectoryManager:
             return False
         if self._smooth and not autonomous:
             # until it is seen again it is where it was to be
-            place = self.sample(now_s).derivatives[0, i]
+            place = self.sample(now_s).derivatives[Order.POSITION, i]
             self._seen_m[i], self._seen_yaw_rad[i], self._velocity[i] = place[:3], place[3], 0.0
         self._autonomous[i] = autonomous
         if not self._smooth:
@@ -233,15 +244,16 @@ class TrajectoryManager:
             self._epoch_s,
             self._homes if home else None,
             self.limits,
-            (_CALL[Phase.HOME], _CALL[Phase.HOMED]) if home else (_CALL[Phase.APPROACH], _CALL[Phase.COURSE]),
+            (Phase.HOME, Phase.HOMED) if home else (Phase.APPROACH, Phase.COURSE),
+            self._smooth_to,
         )
 
     def _start(self, i, now_s, begin_s):
         """The motion that a vehicle is in, to blend from."""
         motion = self._motion(i).since(now_s).until(begin_s)
         if motion.blends_after(begin_s) >= _DEEPEST:
-            path, yaw = motion(np.array([begin_s]))
-            drifting = coasting(path[0, 0], path[1, 0], yaw[0, 0], begin_s)
+            position, velocity = motion.at(np.array([begin_s]), Order.VELOCITY)[:, 0]
+            drifting = coasting(position[: Axis.PSI], velocity[: Axis.PSI], position[Axis.PSI], begin_s)
             motion = motion.followed_by(drifting, begin_s=begin_s, end_s=begin_s, yaw_end_s=begin_s)
         return motion
 
@@ -263,51 +275,23 @@ class TrajectoryManager:
             self._epoch_s = now_s
             for i in range(len(self.names)):
                 motion = on_course(self.course, i, now_s)
-                motion.links["arrived"] = _CALL[Phase.COURSE]
-                self._hold(i, motion)
+                self._hold(i, motion.with_fields(arrived=Phase.COURSE, smooth=self._smooth_to))
         return self._evaluate(now_s)
 
     def _evaluate(self, now_s):
-        if self._packed is None:
-            self._packed = _pack([self._motion(i) for i in range(len(self.names))])
-        links, counts, table, given, functions = self._packed
-        for i, k, path_at in functions:
-            given[i, k] = path_at(now_s)
-        derivatives = np.empty((ORDERS, len(counts), 4))
-        if sample_fleet(links, counts, table, given, now_s, derivatives, self._calls):
-            self._phases = tuple(_PHASES[call] for call in self._calls)
+        if self._chains is None:
+            self._chains = Chains([self._motion(i) for i in range(len(self.names))])
+        derivatives = self._chains.at(np.array([now_s]), self._highest)
+        if self._chains.is_new:
+            self._phases = tuple(Phase(call) for call in self._chains.calls)
         return Reference(derivatives, self._phases)
 
     def _hold(self, i, motion):
         """A vehicle flies this motion; None: it stands where it is seen."""
-        self._motions[i], self._packed = motion, None
+        self._motions[i], self._chains = motion, None
 
     def _motion(self, i):
         return self._motions[i] or standing(self._seen_m[i], self._seen_yaw_rad[i])
-
-
-class _Packed(NamedTuple):
-    """Motions of a fleet as `sample_fleet` takes them."""
-
-    links: np.ndarray  # (n, most)
-    counts: np.ndarray  # (n,)
-    table: np.ndarray
-    given: np.ndarray
-    functions: list  # (vehicle, link, function of a time) for `given`
-
-
-def _pack(motions):
-    counts = np.array([len(motion.links) for motion in motions])
-    links = np.zeros((len(motions), counts.max()), LINK)
-    row, functions = 0, []
-    for i, motion in enumerate(motions):
-        links[i, : counts[i]] = motion.links
-        links["first"][i] += row
-        row += len(motion.table)
-        functions += [(i, k, function.at) for k, function in motion.functions.items()]
-    table = np.concatenate([NO_TABLE] + [motion.table for motion in motions])
-    given = np.zeros((*links.shape, ORDERS, 3)) if functions else NO_PATHS
-    return _Packed(links, counts, table, given, functions)
 
 
 def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=TrajectoryManager, **options):

@@ -8,12 +8,13 @@ import traceback
 
 import numpy as np
 import rospy
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, UInt8
 from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
 from risc_control.joystick import parse_bool
-from risc_control.ros.conversions import StatesReader, TrajectoriesMessage
+from risc_control.reference_buffer import Order
+from risc_control.ros.conversions import StatesReader, TrajectoriesMessage, derivatives_message
 from risc_control.ros.joystick_buttons import ButtonSubscriber
 from risc_control.trajectories import (
     COURSES,
@@ -31,7 +32,7 @@ from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import dataclass_from_params, has_private, known_arena, number, private, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
+from risc_maap_msgs.msg import TrajectoryDerivatives, TrajectoryPhases, VehiclePhase
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 
@@ -78,6 +79,7 @@ class ManagerWiring:
         for vehicle in fleet_vehicles:
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, vehicle.template, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber("reference_order", UInt8, self._on_reference_order, queue_size=10)
         self._listens = smooth and listens
         self._watch()
 
@@ -142,6 +144,10 @@ class ManagerWiring:
             self._watch()
             rospy.loginfo("%s: %s", name, "flown automatically" if message.data else "no longer flown automatically")
 
+    def _on_reference_order(self, message):
+        with self.lock:
+            self.manager.ask(message.data)
+
     def _on_go_home(self, _request):
         with self.lock:
             names = self.manager.go_home(self.clock.now_s())
@@ -192,6 +198,9 @@ class ReferenceNode:
         self.wiring = wiring
         self._message = TrajectoriesMessage(wiring.manager.names)
         self._publisher = rospy.Publisher("trajectory", TrajectoriesArrays, queue_size=1, tcp_nodelay=True)
+        self._derivatives = rospy.Publisher(
+            "trajectory_derivatives", TrajectoryDerivatives, queue_size=1, tcp_nodelay=True
+        )
         rate_hz = number("~rate", 200.0)
         if not 1.0 <= rate_hz <= 1000.0:
             raise ValueError("parameter ~rate must be from 1 to 1000 Hz, got %r" % rate_hz)
@@ -203,7 +212,11 @@ class ReferenceNode:
             time_s, stamp_s = self.wiring.clock.now()
             reference = self.wiring.sample(time_s)
             self._sampled(time_s)
-        self._publisher.publish(self._message.fill(rospy.Time.from_sec(stamp_s), reference.derivatives))
+        stamp = rospy.Time.from_sec(stamp_s)
+        self._publisher.publish(self._message.fill(stamp, reference.derivatives))
+        if len(reference.derivatives) > Order.SNAP + 1:  # a controller has asked for more than /trajectory carries
+            names = self.wiring.manager.names
+            self._derivatives.publish(derivatives_message(stamp, names, reference.derivatives))
 
     def _sampled(self, time_s):
         """For subclasses: called after every sample, with the lock held."""
@@ -245,7 +258,7 @@ def yaw_from_params():
     along = parse_bool(private("yaw_along_path", False), "~yaw_along_path")
     if psi_deg == "":
         return YawProgram(along_path=True) if along else None
-    return YawProgram((math.radians(number("~psi_deg", 0.0)),), along_path=along)
+    return YawProgram(math.radians(number("~psi_deg", 0.0)), along_path=along)
 
 
 def course_from_params(fleet_vehicles, default_course, default_options):
