@@ -300,7 +300,7 @@ def blend(start, end, begin_s, duration_s, rise_m=0.0, yaw_duration_s=None, revo
     link of `end` (snap, if nothing else is said); those of the yaw to its acceleration. Every position in between lies
     on the line between the two (or above it, when it rises): where both are inside the (convex) arena, so is the way.
     A polynomial between two states of motion has no such bound; for the yaw, which needs none, it is the better way,
-    because a vehicle need not chase a nose that turns.
+    because a vehicle need not follow a nose that turns.
 
     end: its yaw is turned by whole revolutions to be nearest.  rise_m: how much higher it leads, over vehicles in
     between.  yaw_duration_s: of the yaw [s], at least duration_s; None = duration_s.  revolutions: further turns of the
