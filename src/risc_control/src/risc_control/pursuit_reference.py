@@ -6,7 +6,7 @@ from there begins where the vehicle is seen, not at the reference.
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from risc_control.motions import coasting
 from risc_control.reference_buffer import Axis, Order
 from risc_control.trajectories import YawProgram, make_course, on_course, points
 from risc_control.trajectory_manager import Phase, TrajectoryManager
+from risc_lab.settings import Positive, Settings
 
 # The target's speed is told so long before it runs, and after it has stopped: it has a topic of its own, and no order
 # with the references. Meanwhile the vehicle pursues the place where it is; otherwise it would fly to a target.
@@ -21,23 +22,16 @@ _LEAD_S = 0.1
 
 
 @dataclass(frozen=True)
-class TargetParams:
+class TargetParams(Settings):
     """Where the vehicle waits and where its target runs, a circle around the origin. Numbers of the original."""
 
     start_x_m: float = 0.5643  # cortex frame
     start_y_m: float = 1.2213
-    height_m: float = 1.0
+    height_m: Positive = 1.0
     psi_deg: float = -90.0  # of the nose, all the time
-    radius_m: float = 0.8
-    target_speed_m_s: float = 0.2  # of the target, counter-clockwise from above
+    radius_m: Positive = 0.8
+    target_speed_m_s: Positive = 0.2  # of the target, counter-clockwise from above
     phase_deg: float = 90.0  # where on the circle it begins; 0 = on the x axis, + towards y
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            positive = field.name in ("height_m", "radius_m", "target_speed_m_s")
-            if not math.isfinite(value) or (positive and value <= 0.0):
-                raise ValueError("%s must be a number%s, got %r" % (field.name, " > 0" if positive else "", value))
 
     def waiting_place(self):
         """Course that stands where the vehicle waits."""

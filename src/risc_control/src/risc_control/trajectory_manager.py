@@ -18,11 +18,12 @@ import numpy as np
 
 from risc_control.motions import Chains, coasting, standing
 from risc_control.reference_buffer import Axis, Order, sample_orders
-from risc_control.trajectories import Course, on_course
+from risc_control.trajectories import on_course
 from risc_control.transitions import Home, Task, WayLimits, load, plan_ways
 from risc_lab.phases import TrajectoryPhase as Phase
 from risc_lab.states import AIRBORNE_M
 
+_FLIES = (Phase.APPROACH, Phase.COURSE)
 _GATHER_S = 0.3  # vehicles that become autonomous within this time start together
 _DEEPEST = 4  # blends of blends; with more orders in so short a time the next way begins at a coasting vehicle
 
@@ -55,7 +56,7 @@ class TrajectoryManager:
         self.limits = limits or WayLimits()
         self.closest_m = math.inf  # smallest planned distance of the last plan
         self.task = None  # what is to be planned now; None = nothing
-        self._orders = []  # [home, {vehicles}] that are not planned yet, in turn; the first is the task
+        self._orders = {}  # {home: {vehicles}} that are not planned yet, in turn; the first is the task
         self._lead_s, self._inline = lead_s or 0.0, lead_s is None
         self._homes = tuple(homes)
         self._unordered = course
@@ -135,8 +136,7 @@ class TrajectoryManager:
                 self._epoch_s = None
             stay = [i]
             if self._epoch_s is None:  # those who were about to be the first may have to wait for this one
-                about = {k for home, waiting in self._orders if not home for k in waiting - {i}}
-                about = {k for k in about if self._phases[k] is Phase.HOLD}
+                about = {k for k in self._orders.get(False, set()) - {i} if self._phases[k] is Phase.HOLD}
                 self._joining |= about
                 stay += about
         self._drop(stay, now_s)
@@ -146,11 +146,11 @@ class TrajectoryManager:
         """Leave what is flown for another course (for as many vehicles), smoothly."""
         if len(course.paths) != len(self.names):
             raise ValueError("the course is for %d vehicles, there are %d" % (len(course.paths), len(self.names)))
-        movers = [i for i, phase in enumerate(self.sample(now_s).phases) if phase in (Phase.APPROACH, Phase.COURSE)]
+        movers = [i for i, phase in enumerate(self.sample(now_s).phases) if phase in _FLIES]
         self.course = self._unordered = course
         self._epoch_s = None
         if self._smooth:
-            self._order([i for i in movers if not self._is_sent_home(i)], False, now_s)
+            self._order([i for i in movers if i not in self._orders.get(True, ())], False, now_s)
 
     def start(self, now_s):
         """Vehicles that are home and autonomous fly to the course again. Returns their names."""
@@ -159,7 +159,7 @@ class TrajectoryManager:
         phases = self.sample(now_s).phases
         movers = [i for i, phase in enumerate(phases) if phase is Phase.HOMED and self._autonomous[i]]
         if movers:
-            if not any(phase in (Phase.APPROACH, Phase.COURSE) for phase in phases):
+            if not any(phase in _FLIES for phase in phases):
                 self._epoch_s = None
             self._order(movers, False, now_s)
         return [self.names[i] for i in movers]
@@ -170,12 +170,8 @@ class TrajectoryManager:
             return []
         self._begin_joining(now_s)
         phases = self.sample(now_s).phases
-        movers = [
-            i
-            for i, phase in enumerate(phases)
-            if phase in (Phase.APPROACH, Phase.COURSE) or (phase is Phase.HOLD and self._autonomous[i])
-        ]
-        stay = [i for home, waiting in self._orders if not home for i in waiting if phases[i] is Phase.HOMED]
+        movers = [i for i, phase in enumerate(phases) if phase in _FLIES or phase is Phase.HOLD and self._autonomous[i]]
+        stay = [i for i in self._orders.get(False, ()) if phases[i] is Phase.HOMED]
         self._joining -= set(movers)
         self._drop(stay, now_s)
         self._order(movers, True, now_s)
@@ -199,31 +195,23 @@ class TrajectoryManager:
         for i, way in plan.ways.items():
             self._hold(i, way)
         self.closest_m = plan.closest_m
-        del self._orders[0]
+        del self._orders[task.homes is not None]
         self.task = None
         self._plan_next(now_s)
         return True
 
     def _order(self, movers, home, now_s):
         """Vehicles are to fly home or to the course, whatever they were to do before."""
-        for _, waiting in self._orders:
+        for waiting in self._orders.values():
             waiting.difference_update(movers)
-        same = next((waiting for is_home, waiting in self._orders if is_home == home), None)
-        if same is None:
-            self._orders.append([home, set(movers)])
-        else:
-            same.update(movers)
+        self._orders.setdefault(home, set()).update(movers)
         self._drop([], now_s)
 
     def _drop(self, stay, now_s):
         """These are not to fly anywhere; what is left is planned anew."""
-        for _, waiting in self._orders:
-            waiting.difference_update(stay)
-        self._orders = [order for order in self._orders if order[1]]
+        self._orders = {home: waiting.difference(stay) for home, waiting in self._orders.items()}
+        self._orders = {home: waiting for home, waiting in self._orders.items() if waiting}
         self._plan_next(now_s)
-
-    def _is_sent_home(self, i):
-        return any(home and i in waiting for home, waiting in self._orders)
 
     def _plan_next(self, now_s):
         self.task = self._next_task(now_s) if self._orders else None
@@ -231,7 +219,7 @@ class TrajectoryManager:
             self.accept(self.task, plan_ways(self.task), now_s)  # and then what comes after it
 
     def _next_task(self, now_s):
-        home, movers = self._orders[0]
+        home, movers = next(iter(self._orders.items()))
         begin_s = now_s + self._lead_s
         # on the way to a course vehicles in manual mode are left out: nobody knows where their pilots will fly them
         others = [i for i in range(len(self.names)) if i not in movers and (home or self._autonomous[i])]
@@ -299,7 +287,5 @@ def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=Trajecto
 
     kind: it, or a subclass.  options: of TrajectoryManager.
     """
-    if not isinstance(course, Course):
-        raise TypeError("course must be a Course, got %r" % (course,))
     homes = [Home((v.start.position_m[0], v.start.position_m[1], home_height_m), v.start.yaw_rad) for v in vehicles]
     return kind([v.template for v in vehicles], homes, course, limits, **options)

@@ -111,12 +111,12 @@ def plan_ways(task):
     if shortest_s is None:
         shortest_s = _shortest_s(pairs, task.begin_s, task.limits)
     timetable = _Timetable(pairs, task, shortest_s, together_s or shortest_s)
-    choice, closest_m = timetable.best()
+    closest_m, choice = timetable.best()
     ways = {}
     for i, pair, option in zip(ends, pairs, choice):
-        begin_s = task.begin_s + option.delay_s
-        turning = pair.turning(begin_s, option.duration_s, task.limits)
-        ways[i] = blend(*pair, begin_s, option.duration_s, option.rise_m, *turning, task.calls)
+        rise_m, _, delay_s, duration_s = timetable.options[option]
+        turning = pair.turning(task.begin_s + delay_s, duration_s, task.limits)
+        ways[i] = blend(*pair, task.begin_s + delay_s, duration_s, rise_m, *turning, task.calls)
     return Plan(ways, course, epoch_s, closest_m)
 
 
@@ -125,7 +125,7 @@ def load():
     tracks_m, steps = np.zeros((2, 2, 3)), np.zeros((1, 2, 2))
     _fly(tracks_m[0], tracks_m[1], steps[0], tracks_m[0])
     _update_distances(tracks_m, 0, np.zeros((2, 2)))
-    _lacking(tracks_m[0], tracks_m[1], steps, tracks_m, 0, 0.0, np.ones((2, 2)), np.empty(1))
+    _lacking(tracks_m[0], tracks_m[1], steps, tracks_m, 0.0, np.ones(2), np.empty(1))
     minimum_separation(tracks_m)
     standing(np.zeros(3), 0.0).at(np.zeros(2))
 
@@ -186,28 +186,32 @@ class _Timetable:
         self._enough_m = min(_ENOUGH_M, apart_m - 0.003)  # more cannot be had on a course that has less itself
 
     def best(self):
-        """([_Option] of those who leave, smallest distance [m]): apart if that can be, then soon."""
-        best = self._jointly(self._first)
+        """(smallest distance, choice: an option for each of those who leave): apart if that can be, then soon."""
+        best = self._all_choose([self._first] * len(self._pairs))
         if best[0] < self._enough_m:
             staggered = self._staggered(best[1])
             best = self._better_of(best, staggered)
             for option in range(self._level):
-                soonest_s = max(self.options[k].arrival_s for k in best[1])
-                if best[0] >= self._enough_m and self.options[option].arrival_s >= soonest_s:
+                if best[0] >= self._enough_m and self.options[option].arrival_s >= self._arrival_s(best[1]):
                     break
-                found = self._jointly(option)
+                found = self._all_choose([option] * len(self._pairs))
                 if self._better_of(best, found) is found and all(self._fits(*way) for way in enumerate(found[1])):
                     best = found
             if best[0] < self._enough_m and best is not staggered:
                 best = self._better_of(best, self._staggered(best[1]))
-        return [self.options[option] for option in best[1]], best[0]
+        return best
+
+    def _arrival_s(self, choice):
+        """When the last one arrives."""
+        return max(self.options[option].arrival_s for option in choice)
 
     def _better_of(self, known, found):
         """Of two (smallest distance, choice) the first, unless the second is better by far, or enough and sooner."""
         if known[0] >= self._enough_m:
-            arrivals_s = [max(self.options[option].arrival_s for option in choice) for _, choice in (known, found)]
-            return found if found[0] >= self._enough_m and arrivals_s[1] < arrivals_s[0] else known
-        return found if found[0] >= self._enough_m or found[0] > known[0] + _WORTH_M else known
+            is_better = found[0] >= self._enough_m and self._arrival_s(found[1]) < self._arrival_s(known[1])
+        else:
+            is_better = found[0] >= self._enough_m or found[0] > known[0] + _WORTH_M
+        return found if is_better else known
 
     def _fits(self, i, option):
         """Whether a way keeps the limits."""
@@ -229,10 +233,6 @@ class _Timetable:
         for i, option in enumerate(choice):
             self._choose(i, option)
         return float(self._near_m.min()), list(choice)
-
-    def _jointly(self, option):
-        """(smallest distance, choice) with the same option for all."""
-        return self._all_choose([option] * len(self._pairs))
 
     def _staggered(self, choice):
         """(smallest distance, choice): some options changed, one after the other, so that all come less near."""
@@ -270,26 +270,27 @@ class _Timetable:
         return self._all_choose(choice)
 
     def _lacking(self, i, weights):
-        lacking_m = np.empty(len(self.options))
-        _lacking(self._starts[i], self._ends[i], self._steps, self._tracks, i, self._enough_m, weights, lacking_m)
+        """(options,) how much distance to all others vehicle i lacks; weights (n, n): how much each pair counts."""
+        own_m, lacking_m = np.concatenate([self._starts[i], self._ends[i]]), np.empty(len(self.options))
+        low_m, high_m = own_m.min(axis=0) - self._enough_m, own_m.max(axis=0) + self._enough_m
+        high_m[Axis.Z] += self._steps[:, 1].max()
+        can_meet = ((self._tracks.max(axis=1) >= low_m) & (self._tracks.min(axis=1) <= high_m)).all(axis=1)
+        can_meet[i] = False
+        counts = weights[i] * can_meet
+        _lacking(self._starts[i], self._ends[i], self._steps, self._tracks, self._enough_m, counts, lacking_m)
         return lacking_m
 
     def _better(self, i, present, weights):
         """An option of a vehicle with which it comes less near to the others than now; None = there is none."""
         lacking_m = self._lacking(i, weights)
-        for option in np.argsort(lacking_m, kind="stable"):
-            if lacking_m[option] > lacking_m[present] - 1e-6:
-                return None
-            if self._fits(i, option):
-                return option
-        return None
+        better = [k for k in np.argsort(lacking_m, kind="stable") if lacking_m[k] <= lacking_m[present] - 1e-6]
+        return next((option for option in better if self._fits(i, option)), None)
 
 
 def _positions(motions, times_s):
     """(motions, t, 3)"""
-    return np.array([motion.at(times_s, Order.POSITION)[0, :, : Axis.PSI] for motion in motions]).reshape(
-        -1, len(times_s), 3
-    )
+    tracks_m = [motion.at(times_s, Order.POSITION)[0, :, : Axis.PSI] for motion in motions]
+    return np.array(tracks_m).reshape(-1, len(times_s), 3)
 
 
 @compiled
@@ -327,35 +328,18 @@ def _update_distances(tracks_m, i, near_m):
 
 
 @compiled
-def _extent(track_m, axis):
-    """(least, largest) coordinate of a track (t, 3)."""
-    low_m = high_m = track_m[0, axis]
-    for k in range(1, len(track_m)):
-        low_m, high_m = min(low_m, track_m[k, axis]), max(high_m, track_m[k, axis])
-    return low_m, high_m
+def _lacking(start_m, end_m, steps, tracks_m, enough_m, weights, lacking_m):
+    """lacking_m (options,): how much distance to all tracks (n, t, 3) together a vehicle lacks with each option.
 
-
-@compiled
-def _lacking(start_m, end_m, steps, tracks_m, i, enough_m, weights, lacking_m):
-    """lacking_m (options,): how much distance to all others together vehicle i lacks with each option.
-
-    steps: (options, 2, t) as of `_fly`.  weights: (n, n) how much each pair counts.
+    steps: (options, 2, t) as of `_fly`.  weights: (n,) how much each track counts.
     """
-    track_m, lacking_m[:] = np.empty(start_m.shape), 0.0
-    around = np.ones(len(tracks_m), np.bool_)  # vehicles that can be met at all
-    around[i] = False
-    for axis in range(3):
-        (low_m, high_m), (end_low_m, end_high_m) = _extent(start_m, axis), _extent(end_m, axis)
-        low_m, high_m = min(low_m, end_low_m) - enough_m, max(high_m, end_high_m) + enough_m
-        if axis == 2:
-            high_m += steps[:, 1].max()  # of the rises
-        for j in range(len(tracks_m)):
-            other_low_m, other_high_m = _extent(tracks_m[j], axis)
-            around[j] &= other_high_m >= low_m and other_low_m <= high_m
+    track_m = np.empty(start_m.shape)
     for option in range(len(steps)):
         _fly(start_m, end_m, steps[option], track_m)
-        for j in np.flatnonzero(around):
-            lacking_m[option] += weights[i, j] * max(0.0, enough_m - _nearest(track_m, tracks_m[j]))
+        lacking_m[option] = 0.0
+        for j in range(len(tracks_m)):
+            if weights[j] > 0.0:
+                lacking_m[option] += weights[j] * max(0.0, enough_m - _nearest(track_m, tracks_m[j]))
 
 
 # ------------------------------------------------------------------------------------------- who flies which path
