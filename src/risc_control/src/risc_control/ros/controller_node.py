@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, UInt8
 
 from risc_control.controllers import REGISTRY, ControlLoop, default_params
 from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
-from risc_control.ros.conversions import ControlsMessage, StatesReader
+from risc_control.ros.conversions import ControlsMessage, StatesReader, settles_at
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES
@@ -33,7 +33,7 @@ from risc_lab.ros.params import (
 )
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import ControllerReport, TrackingError, TrajectoryDerivatives
+from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 
@@ -86,6 +86,7 @@ class ControllerNode:
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands_sent, queue_size=None, tcp_nodelay=True)
         self._subscribe()
         rospy.loginfo(
             "%s controls %s by %s, acting %.0f ms ahead",
@@ -123,6 +124,15 @@ class ControllerNode:
             rospy.logerr("weights not taken: %s", error)
             config.update({name: getattr(params, name) for name in weights})
         return config
+
+    def _on_commands_sent(self, message):
+        with self._lock:
+            now_s = ros_time_s()
+            for command in message.commands:
+                i, sent_s = self._index.get(command.name), command.sent.to_sec()
+                # by a clock that differs by more than that of a state may, nothing is known
+                if i is not None and abs(now_s - sent_s) <= self._state_timeout_s:
+                    self._loop.sent.append(i, sent_s, settles_at(command))
 
     def _on_status(self, message, i):
         self._autonomous[i] = message.data
@@ -172,7 +182,7 @@ class ControllerNode:
             if step is Step.REFUSED:
                 return
             if step is Step.NEW_CLOCK:
-                self._loop.controller.forget_times()
+                self._loop.forget_times()
             age_s = now_s - stamp_s
             if abs(age_s) > self._state_timeout_s:
                 # nothing that happened so long ago says what to do now

@@ -1,5 +1,7 @@
 """What a node tells of itself on /diagnostics."""
 
+import time
+
 import rospy
 from diagnostic_updater import Updater
 
@@ -18,3 +20,18 @@ def make_updater(hardware_id):
     updater = Updater()
     updater.setHardwareID(hardware_id)
     return updater
+
+
+class Rates:
+    """Counts of what happens, and how often it has happened lately. Not locked."""
+
+    def __init__(self, *what):
+        self.counts = dict.fromkeys(what, 0)
+        self._before, self._before_s = dict(self.counts), time.monotonic()
+
+    def lately(self):
+        """{what: times a second since the last call}."""
+        now_s = time.monotonic()
+        elapsed_s, self._before_s = max(now_s - self._before_s, 1e-3), now_s
+        before, self._before = self._before, dict(self.counts)
+        return {what: (count - before.get(what, 0)) / elapsed_s for what, count in self.counts.items()}
