@@ -77,7 +77,7 @@ class ManagerWiring:
         for vehicle in fleet_vehicles:
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, vehicle.template, queue_size=1, tcp_nodelay=True)
-        rospy.Subscriber("reference_order", UInt8, self._on_reference_order, queue_size=10)
+        rospy.Subscriber("reference_order", UInt8, self._on_reference_order, queue_size=10, tcp_nodelay=True)
         self._listens = smooth and listens
         self._watch()
 
