@@ -19,7 +19,7 @@ from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import (
@@ -65,7 +65,7 @@ class ControllerNode:
         self._lock = threading.Lock()
         self._stamps = ClockGuard()  # of the states
         self._counts = dict.fromkeys(("states", "saturated", "without command", "late", "refused references"), 0)
-        self._reported, self._reported_s = dict(self._counts), time.monotonic()
+        self._growth = Growth()
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
         self._attached = attached_bodies(load_templates(fleet=known_fleet()))
@@ -226,10 +226,7 @@ class ControllerNode:
     def _diagnose(self, status):
         """Diagnostics for people; what other programs use of it goes out as a ControllerReport."""
         with self._lock:
-            now_s = time.monotonic()
-            elapsed_s = max(now_s - self._reported_s, 1e-3)
-            rates = {what: (self._counts[what] - self._reported[what]) / elapsed_s for what in self._counts}
-            self._reported, self._reported_s = dict(self._counts), now_s
+            _, rates = self._growth(self._counts)
             cycle_s, age_s, answered = self._cycle_max_s, self._age_max_s, self._answered
             self._cycle_max_s = self._age_max_s = 0.0
         if rates["states"] == 0.0:
