@@ -30,8 +30,7 @@ from risc_msgs.msg import Cortex, Landmarks, Observed_angles
 from risc_visual.cfg import TransformTunerConfig
 from risc_visual.drawing.ros import markers
 from risc_visual.drawing.ros.marker_publisher import MarkerPublisher
-from risc_visual.ros.conversions import landmarks_from_msg
-from risc_visual.ros.health import Health
+from risc_visual.ros.node import Health
 from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, TunerParams
 from risc_visual.tuner.ros.mount_marker import mount_marker, numbers_from_pose, pose_of
 
@@ -172,7 +171,7 @@ class TransformTunerNode:
     def _on_landmarks(self, msg):
         with self._lock:
             for item in self._tuned:
-                item.tuner.window.see_landmarks(dict(landmarks_from_msg(msg)))
+                item.tuner.window.see_landmarks({entry.name: (entry.x, entry.y, entry.z) for entry in msg.Obj})
         self._health.drawn("/states3")
 
     def _on_angles(self, msg):
