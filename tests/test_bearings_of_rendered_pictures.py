@@ -5,6 +5,7 @@ import io
 import cv2
 import numpy as np
 import pytest
+from labelled_pictures import landmark_set
 from std_msgs.msg import Header
 
 from risc_estimation.bearings import bearings_of_regions, make_camera
@@ -13,7 +14,6 @@ from risc_estimation.ros.bearing_conversions import regions_from_msg
 from risc_lab.camera import Camera, rotation_camera_to_body
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import FRONT_MOUNT, load_calibration
-from risc_simulator.video.dataset import landmark_set
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import CameraPose, Scene, VehiclePose, load_style
 from risc_visual.ros.conversions import detections_of_picture

@@ -212,7 +212,7 @@ class HandWorld:
 def host_of(world, mocap):
     """A Cortex host that shows the world, in a thread."""
     cameras = MocapCameras(CameraParams.ideal())
-    host = CortexHost(world, mocap, cameras, live_on_start=True, discovery=False)
+    host = CortexHost(world, mocap, cameras, live_on_start=True)
     stop = threading.Event()
 
     def run():

@@ -21,7 +21,7 @@ from launch_parameters import unroll
 
 from risc_doctor import ros_master
 from risc_experiments.report import LATE_LIMIT_MS
-from risc_lab.lab import load_fleet
+from risc_lab.lab import Start, load_fleet
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
 from risc_visual.pictures import rviz_pictures
@@ -494,16 +494,14 @@ def test_files_start_and_end_without_a_trace(tmp_path, names):
 # --------------------------------------------------------------------------------------------------------- one flies
 
 
-def chase(folder):
+def pursue(folder):
     """FLOWN from take-off to landing: (what is wrong, distance to the target (k,), distance to the origin (k,), errors
     of /range (m,) [m]).
 
-    The distances are true, and those of the chase after it has settled.
+    The distances are true, and those of the pursuit after it has settled.
     """
     fleet = load_fleet(ROOT / "launch/fleets/ardrones3.yaml").with_vehicles(1)
-    at_the_waiting_place = replace(
-        fleet.vehicles[0], start_position_m=(0.5643, 1.2213, 0.0), start_yaw_rad=-math.pi / 2.0
-    )
+    at_the_waiting_place = replace(fleet.vehicles[0], start=Start((0.5643, 1.2213, 0.0), -90.0))
     fleet = replace(fleet, vehicles=(at_the_waiting_place,))
     bag = folder / "flight.bag"
     graph = Graph(FOLDER / (FLOWN + ".launch"), folder, fleet, "fleet:=FLEET", "duration:=14", "bag:=%s" % bag)
@@ -527,7 +525,7 @@ def chase(folder):
             elif message.course == "NGC":
                 let_go_s = min(let_go_s, stamp.to_sec())
                 if message.vehicles[0].phase != VehiclePhase.COURSE:
-                    home_s = min(home_s, stamp.to_sec())  # it chases no more, and a way home is planned
+                    home_s = min(home_s, stamp.to_sec())  # it pursues no more, and a way home is planned
     target, truth = np.array(target), np.array(truth)
     settled = truth[(truth[:, 0] > let_go_s + 11.0) & (truth[:, 0] < home_s - 0.1)]
     places = np.column_stack([np.interp(settled[:, 0], target[:, 0], target[:, axis]) for axis in (1, 2)])
@@ -540,7 +538,7 @@ def chase(folder):
 @pytest.mark.alone
 def test_hows_sim_chases_its_target_and_comes_home(tmp_path):
     """Take-off, wait, button 1, behind the target on its circle, home, landing: by the buttons of a joystick."""
-    problem, range_m, radius_m, errors_m = chase(tmp_path / "flight")
+    problem, range_m, radius_m, errors_m = pursue(tmp_path / "flight")
     if not problem and (len(errors_m) < 400 or np.abs(errors_m).max() > 0.04):
         problem = "%d on /range, wrong by %s m" % (len(errors_m), errors_m[::50].round(2))
     if not problem and (len(range_m) < 400 or np.abs([range_m - 0.48, radius_m - 0.8]).max() > 0.08):

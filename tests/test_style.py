@@ -1,11 +1,13 @@
 """The whole tree keeps one style, and every package is what catkin expects."""
 
 import ast
+import importlib.util
 import pathlib
 import re
 import shutil
 import subprocess
 import sys
+import xml.etree.ElementTree
 
 import pytest
 
@@ -104,3 +106,95 @@ def test_nothing_of_anybodys_computer_is_in_the_tree():
             if user not in (b"risc", b"me", b"pilot", b"a", b"b"):
                 found.add("%s: %s" % (name, path.decode()))
     assert found == set()
+
+
+MANIFESTS = sorted((ROOT / "src").rglob("package.xml"))
+# Folders of our Python packages, and of the ROS package that each is in; those of messages alone have no such folder.
+MODULES = {init.parent.name: init.parent for path in MANIFESTS for init in path.parent.glob("*/*/__init__.py")}
+PACKAGE_OF = {path.parent.name: path.parent for path in MANIFESTS}
+PACKAGE_OF.update((module, place.parents[1]) for module, place in MODULES.items())
+OTHER_NAMES = {  # module or C++ library -> what package.xml calls it, where that is not its name
+    "cv2": "opencv",
+    "camera_info_manager": "camera_info_manager_py",
+    "CLI": "cli11",
+    "nlohmann": "nlohmann-json",
+}
+
+
+def imports(path):
+    """(line, module, name or None) of the imports of a file, but for those that it can do without."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tried = [node for node in ast.walk(tree) if isinstance(node, ast.Try)]
+    optional = {part for node in tried if "ImportError" in ast.unparse(node.handlers) for part in ast.walk(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import) and node not in optional:
+            yield from ((node.lineno, alias.name, None) for alias in node.names)
+        if isinstance(node, ast.ImportFrom) and node not in optional:
+            yield from ((node.lineno, node.module, alias.name) for alias in node.names)
+
+
+def names_in(path):
+    """What a module has once it is imported."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield node.name
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        if isinstance(node, (ast.Import, ast.ImportFrom)):
+            yield from (alias.asname or alias.name for alias in node.names)
+
+
+def is_there(module, name):
+    """Whether a module, and a name in it, is in the tree or installed."""
+    top, *rest = module.split(".")
+    if top not in PACKAGE_OF:
+        return importlib.util.find_spec(top) is not None
+    if (rest or [name])[0] in ("msg", "srv", "cfg"):  # made of the files in a folder of that name
+        wanted = re.sub("(Config|Request|Response)$", "", [*rest, name][1] if rest else "")
+        files = PACKAGE_OF[top].glob("%s/*" % (rest or [name])[0])
+        return any(wanted in (path.stem, "") or '"%s"' % wanted in path.read_text(encoding="utf-8") for path in files)
+    place = MODULES[top].joinpath(*rest)
+    file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+    if name is None or not file.exists():
+        return file.exists()
+    return (place / name).is_dir() or (place / (name + ".py")).exists() or name in names_in(file)
+
+
+def test_every_import_is_there():
+    """Of every program, also of a node that no test starts."""
+    missing = [
+        "%s:%d: %s" % (path.relative_to(ROOT), line, ".".join(filter(None, (module, name))))
+        for path in programs()
+        for line, module, name in imports(path)
+        if not is_there(module, name)
+    ]
+    assert missing == []
+
+
+@pytest.mark.parametrize("manifest", MANIFESTS, ids=lambda path: path.parent.name)
+def test_a_package_depends_on_what_it_imports_and_on_nothing_else(manifest):
+    name, debian = manifest.parent.name, (ROOT / "apt-packages.txt").read_text(encoding="utf-8").split()
+
+    def package_of(module):
+        """None for Python's own modules and those of requirements.txt."""
+        python = "python3-" + OTHER_NAMES.get(module, module)
+        if module in PACKAGE_OF:
+            return PACKAGE_OF[module].name
+        if pathlib.Path("/usr/share", module, "package.xml").exists():
+            return module
+        return python if python in debian else None
+
+    tree = xml.etree.ElementTree.parse(manifest)
+    declared = {item.text: item.tag for item in tree.iter() if item.tag.endswith("depend")}
+    sources = [path for path in programs() if manifest.parent in path.parents and path.name != "setup.py"]
+    used = {package_of(module.partition(".")[0]) for path in sources for _, module, _ in imports(path)} - {None, name}
+    lacking = used - {item for item, tag in declared.items() if tag in ("depend", "exec_depend")}
+    assert lacking == set(), "package.xml needs an exec_depend"
+    text = " ".join(
+        path.read_text(encoding="utf-8", errors="ignore")
+        for path in manifest.parent.rglob("*")
+        if path.is_file() and path.suffix in ("", ".py", ".cpp", ".hpp", ".txt", ".launch", ".test", ".msg", ".srv")
+    )
+    words = {OTHER_NAMES.get(word, word).lower() for word in re.findall(r"\w+", text)} | {"setuptools"}
+    unused = [item for item in declared if re.sub("^python3-|-dev$", "", item) not in words]
+    assert unused == [], "nothing here names what package.xml depends on"

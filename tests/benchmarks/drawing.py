@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 
 from risc_estimation.bearings import Bearing
 from risc_estimation.ros.bearing_conversions import bearings_from_msg, observed_angles
-from risc_lab.lab.fleet import FleetVehicle
+from risc_lab.lab.fleet import FleetVehicle, Start
 from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_angles, States
 from risc_visual.drawing.cast import Index
@@ -74,8 +74,7 @@ class Flight:
 def programs(names):
     """dict of what draws -> function of a flight and a time [s] that returns (bytes in, function to markers)."""
     fleet = [
-        FleetVehicle("risc%d" % k, name, "ardrone", "127.0.0.1", "", (0.0, 0.0, 0.0), 0.0)
-        for k, name in enumerate(names)
+        FleetVehicle("risc%d" % k, name, "ardrone", "127.0.0.1", Start((0.0, 0.0, 0.0))) for k, name in enumerate(names)
     ]
     landmarks, paths_of = load_landmarks(), TrajectoryParams()
     scene = CortexDrawing(CortexParams(), fleet, load_templates(), landmarks)

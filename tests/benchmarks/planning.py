@@ -32,7 +32,7 @@ def manager_of(course, vehicles):
     course = course_for_fleet(course, vehicles, fleet.arena)
     manager = make_manager(fleet.vehicles, course, lead_s=LEAD_S)
     for vehicle in fleet.vehicles:
-        x, y, _ = vehicle.start_position_m
+        x, y, _ = vehicle.start.position_m
         manager.see(vehicle.template, (x, y, 0.9), np.zeros(3), 0.0)
         manager.set_autonomous(vehicle.template, True, 0.0)
     return manager

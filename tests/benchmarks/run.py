@@ -13,7 +13,8 @@ PYTHON = sys.executable
 
 # name: (what it measures, command; {json} is the file that the command writes its figures to)
 BENCHMARKS = {
-    "world": ("speed of the offline world", [PYTHON, "-m", "risc_simulator.bench", "--json", "{json}"]),
+    "world": ("speed of the offline world", [PYTHON, str(HERE / "world.py"), "--json", "{json}"]),
+    "render": ("time of a rendered picture", [PYTHON, str(HERE / "render.py"), "--json", "{json}"]),
     "offline": ("offline closed loop: accuracy and speed", [PYTHON, "-m", "risc_experiments.offline", "--seeds", "3",
                                                             "--delay", "0.1", "0.3", "--json", "{json}"]),
     "planning": ("ways of 1 to 50 vehicles: time to plan and to sample, gaps in the references",

@@ -1,6 +1,6 @@
 """How well landmarks and vehicles are found in rendered pictures with known content, and how long a picture takes.
 
-Simulated: risc_simulator.video.dataset, seeded. A landmark counts when all of it is seen and its centre disc is at
+Simulated: labelled_pictures.py, seeded. A landmark counts when all of it is seen and its centre disc is at
 least 14 px across; smaller and cut ones have rows of their own. A detection where no landmark of its name is counts as
 false.
 Times are those of one thread of this computer (OpenCV on one core), the best of three runs on each picture: what other
@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from labelled_pictures import landmark_set
 
 from risc_lab.frames import rotation_body_to_cortex
-from risc_simulator.video.dataset import landmark_set
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import CameraPose, VehiclePose, load_style
 from risc_visual.vision.landmark_config import load_landmarks

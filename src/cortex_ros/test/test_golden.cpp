@@ -151,7 +151,7 @@ TEST_P(Golden, EncodesToTheSameBytes) {
 }
 
 TEST_P(Golden, EveryTruncationIsRefusedOrQuietlyShorter) {
-  // With an honest header a cut packet is refused, unless the cut takes nothing but optional parts away.
+  // With a correct header a cut packet is refused, unless the cut takes nothing but optional parts away.
   for (std::size_t size = kHeaderBytes; size < bytes_.size(); ++size) {
     Bytes cut(bytes_.begin(), bytes_.begin() + static_cast<std::ptrdiff_t>(size));
     EXPECT_THROW(decode(cut), ProtocolError) << "declared length above the datagram's, " << size << " bytes";

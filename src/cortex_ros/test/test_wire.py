@@ -442,7 +442,7 @@ def test_damaged_golden_packets_decode_or_are_refused(name, data):
         datagram[at] = data.draw(st.integers(0, 255))
     cut = datagram[: data.draw(st.integers(0, len(datagram)))]
     decode_or_refuse(datagram)
-    if len(cut) >= 4:  # with an honest header too, so that the cut reaches the decoders
+    if len(cut) >= 4:  # with a correct header too, so that the cut reaches the decoders
         decode_or_refuse(wire.encode_packet(struct.unpack_from("<H", cut)[0], bytes(cut[4:])))
 
 

@@ -1,4 +1,4 @@
-"""The report as a page: complete for a whole flight, honest about a poor bag, valid, and nothing but itself."""
+"""The report as a page: complete for a whole flight, plain about a poor bag, valid, and nothing but itself."""
 
 import html.parser
 import json

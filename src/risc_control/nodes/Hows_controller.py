@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Chases a virtual target (virtual_target.py) by nonlinear guidance, as soon as that runs; until then flies to it."""
+"""Pursues a virtual target (virtual_target.py) by nonlinear guidance, as soon as that runs; until then flies to it."""
 
 import sys
 

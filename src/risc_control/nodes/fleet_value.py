@@ -1,22 +1,29 @@
 #!/usr/bin/env python3
-"""Print what a fleet file says as parameters of a node, in YAML, for launch files:
+"""What a fleet file says, for launch files:
 
-    <param name="ardrone_driver/vehicles" type="yaml" command="fleet_value.py FLEET drivers risc1"/>
+    <param name="stream_markers/mocap" type="yaml" command="fleet_value.py FLEET mocap"/>
 
-Usage: fleet_value.py FLEET mocap | FLEET drivers NAMESPACE... | FLEET NAMESPACE KEY
-mocap: ~mocap of stream_markers.  drivers: ~vehicles of ardrone_driver, {namespace: {...}}.
-A vehicle's KEY is one of its own, one of its type's (video_latency_s ...), or camera_info_url.
+Usage: fleet_value.py FLEET mocap | FLEET NAMESPACE KEY | FLEET drivers FOLDER OUT [KEY:=VALUE...] NAMESPACE...
+mocap: prints ~mocap of stream_markers.
+A vehicle's KEY is one of its own, one of its type's (video_latency_s ...), or camera_info_url: prints its value.
+drivers: writes the launch file OUT that starts the drivers of these vehicles, and prints whose they are. For each
+vehicle it includes the launch file of its type, with those of its arguments that are a KEY; is_first is true for the
+first vehicle of a driver. FOLDER holds the launch files of the types in the tree. A KEY:=VALUE counts before the
+vehicle's own unless it is empty.
 """
 
+import pathlib
 import sys
+from xml.etree import ElementTree
 
 import yaml
 
 from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import resolve_url
+from risc_lab.lab.yaml_reader import member_folders
 
 
-def fleet_value(fleet, what, *names):
+def fleet_value(fleet, what, *words):
     """What is to be printed, see above. Raises ValueError when there is none."""
     if what == "mocap":
         mocap = fleet.mocap
@@ -28,24 +35,50 @@ def fleet_value(fleet, what, *names):
             "local_address": mocap.interface,
         }
     if what == "drivers":
-        return {name: _driver(_values(fleet, name)) for name in names}
+        return write_drivers(fleet, *words)
     values = _values(fleet, what)
-    (key,) = names
+    (key,) = words
     if key not in values:
         raise ValueError("'%s' has no '%s'; it has %s" % (what, key, ", ".join(values)))
     return values[key]
 
 
-def _driver(values):
-    return {
-        "drone_ip": values["address"],
-        "drone_frame_id": values["namespace"] + "_ardrone_base",
-        "camera_info_url": values["camera_info_url"],
-        "video_latency": values["video_latency_s"],
-        "euler_angle_max": values["tilt_max_rad"],
-        "control_vz_max": 1e3 * values["climb_max_m_s"],
-        "control_yaw": values["yaw_rate_max_rad_s"],
-    }
+def write_drivers(fleet, folder, out, *words):
+    """Write the launch file `out`, see above. Returns {driver: namespaces}. Raises ValueError."""
+    given = dict(word.split(":=", 1) for word in words if ":=" in word)
+    drivers, launch = {}, ElementTree.Element("launch")
+    for name in words:
+        if ":=" in name:
+            continue
+        values = {**_values(fleet, name), **{key: value for key, value in given.items() if value}}
+        driver = values["driver"] or values["name"]  # another type's, or its own
+        values["is_first"] = str(driver not in drivers).lower()
+        drivers.setdefault(driver, []).append(name)
+        path = _driver_file(driver, folder)
+        include = ElementTree.SubElement(launch, "include", file=str(path))
+        for arg in ElementTree.parse(path).getroot().findall("arg"):
+            value = values.get(arg.get("name"))
+            if isinstance(value, (str, int, float)):
+                ElementTree.SubElement(include, "arg", name=arg.get("name"), value=str(value))
+            elif "default" not in arg.attrib and "value" not in arg.attrib:
+                raise ValueError(
+                    "%s asks for '%s', which %s has not: give it a default" % (path, arg.get("name"), name)
+                )
+    pathlib.Path(out).parent.mkdir(parents=True, exist_ok=True)
+    ElementTree.ElementTree(launch).write(out)
+    return drivers
+
+
+def _driver_file(driver, folder):
+    """The launch file of a type's driver. Raises ValueError."""
+    folders = [pathlib.Path(folder), *(member / "vehicle_types" for member in member_folders())]
+    found = [path for path in (folder / (driver + ".launch") for folder in folders) if path.is_file()]
+    if not found:
+        raise ValueError(
+            "there is no %s.launch in %s: write it, or name a type with the same driver as `driver` in the type's YAML "
+            "file" % (driver, ", ".join(map(str, folders)))
+        )
+    return found[0].resolve()
 
 
 def _values(fleet, name):

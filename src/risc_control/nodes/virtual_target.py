@@ -24,16 +24,16 @@ class VirtualTargetNode(ReferenceNode):
         button = number("~chase_button", 1)
         if button < 0 or button != int(button):
             raise ValueError("parameter ~chase_button must be a button, counted from 0, got %r" % button)
-        self._chasing = False
+        self._pursuing = False
         self._speed_publisher = rospy.Publisher("target_velocity", Float64, queue_size=1, tcp_nodelay=True)
         super().__init__(wiring)
         ButtonSubscriber({"chase_button": int(button)}, self._on_press)
 
     def _sampled(self, time_s):
         self._speed_publisher.publish(self._target.target_speed_m_s(time_s))
-        if self._chasing != self._target.chasing:
-            self._chasing = self._target.chasing
-            self.wiring.announce(self._target.target if self._chasing else self._target.course)
+        if self._pursuing != self._target.pursuing:
+            self._pursuing = self._target.pursuing
+            self.wiring.announce(self._target.target if self._pursuing else self._target.course)
 
     def _on_press(self, _buttons):
         with self.wiring.lock:

@@ -246,7 +246,7 @@ def test_one_that_is_too_near_to_others_holds_then_lands():
     assert flight.run(0.005, airborne=False).level == FailsafeLevel.OK
 
 
-def test_one_that_has_held_does_not_chase_after_its_reference():
+def test_one_that_has_held_does_not_follow_its_reference():
     flight = Flight()
     flight.look = NEAR
     flight.run(0.2)

@@ -79,15 +79,15 @@ def test_turning_the_scene_turns_the_answer():
 
 
 def test_a_target_that_stands_is_flown_to_like_any_reference():
-    chaser, tracker = (
+    pursuer, tracker = (
         ControlLoop(guidance.Controller, [ARDRONE]),
         ControlLoop(differential_flatness.Controller, [ARDRONE]),
     )
-    outputs = [update(controller, states(), standing(0.1, 0.2)) for controller in (chaser, tracker)]
+    outputs = [update(controller, states(), standing(0.1, 0.2)) for controller in (pursuer, tracker)]
     assert np.array(outputs[0].controls).tolist() == np.array(outputs[1].controls).tolist()
-    assert chaser.controller.range_m[0] == pytest.approx(math.hypot(0.1, 0.2))
-    update(chaser, states(visible=False), standing(), stamp_s=0.1)
-    assert np.isnan(chaser.controller.range_m[0])
+    assert pursuer.controller.range_m[0] == pytest.approx(math.hypot(0.1, 0.2))
+    update(pursuer, states(visible=False), standing(), stamp_s=0.1)
+    assert np.isnan(pursuer.controller.range_m[0])
 
 
 def test_the_pursuit_begins_where_the_vehicle_is_and_moves_on_with_the_law():

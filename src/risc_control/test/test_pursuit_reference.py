@@ -1,4 +1,4 @@
-"""References of the chase: the waiting place, the target of the original release, and what ends it."""
+"""References of the pursuit: the waiting place, the target of the original release, and what ends it."""
 
 import math
 
@@ -61,9 +61,9 @@ def test_the_target_waits_until_the_vehicle_does():
     target.set_autonomous(NAME, True, 0.0)
     assert not target.let_go(0.0), "it holds its place"
     assert target.sample(1.0).phases == (Phase.APPROACH,)
-    assert target.let_go(1.0) and not target.chasing
+    assert target.let_go(1.0) and not target.pursuing
     target.sample(60.0)
-    assert target.chasing and target.watching
+    assert target.pursuing and target.watching
 
 
 def test_a_press_that_comes_while_it_runs_or_at_home_lets_nothing_go_later():
@@ -75,9 +75,9 @@ def test_a_press_that_comes_while_it_runs_or_at_home_lets_nothing_go_later():
     assert not target.let_go(now_s), "on the way home"
     assert target.sample(now_s + 30.0).phases == (Phase.HOMED,) and not target.let_go(now_s + 30.0)
     assert target.start(now_s + 30.0) == [NAME]
-    assert target.sample(now_s + 60.0).phases == (Phase.COURSE,) and not target.chasing
+    assert target.sample(now_s + 60.0).phases == (Phase.COURSE,) and not target.pursuing
     now_s = let_go(target, now_s + 60.0)
-    assert target.chasing
+    assert target.pursuing
 
 
 def test_its_speed_is_told_before_it_runs_and_after_it_stopped():
@@ -95,21 +95,21 @@ def test_its_speed_is_told_before_it_runs_and_after_it_stopped():
 
 
 @pytest.mark.parametrize("end", ["manual", "home"])
-def test_whatever_ends_the_chase_the_reference_goes_on_from_the_vehicle(end):
+def test_whatever_ends_the_pursuit_the_reference_goes_on_from_the_vehicle(end):
     target, now_s = waiting()
     now_s = let_go(target, now_s) + 8.0
     seen_m, velocity_m_s = np.array([0.3, 0.9, 1.05]), np.array([-0.15, 0.1, 0.0])
     assert np.linalg.norm(target.sample(now_s).derivatives[0, 0, :3] - seen_m) > 0.4
     target.see(NAME, seen_m, velocity_m_s, -1.6)
-    assert target.sample(now_s).phases == (Phase.COURSE,), "what it sees changes nothing while it chases"
+    assert target.sample(now_s).phases == (Phase.COURSE,), "what it sees changes nothing while it pursues"
     target.set_autonomous(NAME, True, now_s)  # as its node repeats 30 times a second
-    assert target.chasing
+    assert target.pursuing
     if end == "manual":
         assert target.set_autonomous(NAME, False, now_s)
     else:
         assert target.go_home(now_s) == [NAME]
     reference = target.sample(now_s)
-    assert reference.derivatives[0, 0] == pytest.approx([*seen_m, -1.6]) and not target.chasing
+    assert reference.derivatives[0, 0] == pytest.approx([*seen_m, -1.6]) and not target.pursuing
     if end == "home":
         assert reference.derivatives[1, 0, :3] == pytest.approx(velocity_m_s)
         home = target.sample(now_s + 30.0)

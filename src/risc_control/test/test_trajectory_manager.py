@@ -9,7 +9,7 @@ import pytest
 from risc_control.trajectories import COURSES, SAFE_SEPARATION_M, make_course, minimum_separation
 from risc_control.trajectory_manager import Home, Phase, TrajectoryManager, make_manager
 from risc_control.transitions import WayLimits, plan_ways
-from risc_lab.lab.fleet import FleetVehicle
+from risc_lab.lab.fleet import FleetVehicle, Start
 
 STARTS = {"fluffy_II": (0.9, 0.0, 0.0), "albatross": (-0.45, 0.78, 0.0), "Raven": (-0.45, -0.78, 0.0)}
 NAMES = tuple(STARTS)
@@ -18,7 +18,7 @@ DT_S = 0.005
 
 def fleet(vehicles=3):
     return [
-        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "127.0.0.%d" % (k + 1), "", STARTS[name], 0.0)
+        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "127.0.0.%d" % (k + 1), Start(STARTS[name]))
         for k, name in enumerate(NAMES[:vehicles])
     ]
 

@@ -104,7 +104,8 @@ def test_two_cards_in_one_network_are_told():
 
 
 def test_vehicles_of_one_network_must_be_reachable():
-    shared = replace(LAB, own_networks=False)
+    vehicles = tuple(replace(vehicle, address="192.168.1.%d" % k) for k, vehicle in enumerate(LAB.vehicles, 1))
+    shared = replace(LAB, own_networks=False, vehicles=vehicles)
     findings = network.judge(shared, [LO, CABLE], False, lambda address: None)
     assert "no way to vehicle 192.168.1.1" in text_of(findings, RED)
     routed = text_of(network.judge(shared, [LO, CABLE], False, lambda address: "129.123.5.240"), YELLOW)

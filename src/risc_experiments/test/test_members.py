@@ -22,13 +22,13 @@ def members(monkeypatch):
 
 
 def test_a_controller_of_a_student_flies():
-    result = fly(Flight("circle", vehicles=1, seed=1, psi_rad=1.0, duration_s=6.0, controller="toy_pd"))
+    result = fly(Flight("circle", vehicles=1, seed=1, psi_deg=57.0, duration_s=6.0, controller="toy_pd"))
     assert result.rmse_m[0] < 0.15 and result.crashes == ()
 
 
 def test_one_controller_flies_a_fleet_of_two_types():
     """Other delays, rates, units on /controls and sticks."""
-    result = fly(Flight("circle", vehicles=2, seed=1, psi_rad=2.0, duration_s=8.0, types=("ardrone", "toy_quad")))
+    result = fly(Flight("circle", vehicles=2, seed=1, psi_deg=115.0, duration_s=8.0, types=("ardrone", "toy_quad")))
     assert result.rmse_m.max() < 0.03 and result.crashes == ()
 
 

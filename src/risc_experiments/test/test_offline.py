@@ -14,8 +14,8 @@ HULL_M = 0.55
 @pytest.mark.parametrize(
     ("trajectory", "seed", "psi_deg"), [("circle", 1, 0.0), ("flat8", 2, 110.0), ("slanted8", 3, -160.0)]
 )
-def test_three_vehicles_on_honest_plants(trajectory, seed, psi_deg):
-    result = fly(Flight(trajectory, seed=seed, psi_rad=math.radians(psi_deg), duration_s=10.0))
+def test_three_vehicles_on_perturbed_plants(trajectory, seed, psi_deg):
+    result = fly(Flight(trajectory, seed=seed, psi_deg=psi_deg, duration_s=10.0))
     assert result.names == ("fluffy_II", "albatross", "Raven")
     assert result.rmse_m.max() < 0.02, "the requirement is 0.03"
     assert result.max_m.max() < 0.05
@@ -37,13 +37,13 @@ def test_turning_noses():
 
 
 def test_a_delay_of_0_3_s_that_the_controller_knows():
-    result = fly(Flight("circle", seed=5, delay_s=0.3, psi_rad=1.0, duration_s=10.0))
+    result = fly(Flight("circle", seed=5, delay_s=0.3, psi_deg=57.0, duration_s=10.0))
     assert result.rmse_m.max() < 0.06, "the requirement is 0.1"
 
 
 def test_the_thesis_controller_flies_and_is_less_accurate():
-    thesis = fly(Flight("flat8", vehicles=1, seed=4, psi_rad=2.0, duration_s=10.0, controller="thesis_lqr"))
-    full = fly(Flight("flat8", vehicles=1, seed=4, psi_rad=2.0, duration_s=10.0))
+    thesis = fly(Flight("flat8", vehicles=1, seed=4, psi_deg=115.0, duration_s=10.0, controller="thesis_lqr"))
+    full = fly(Flight("flat8", vehicles=1, seed=4, psi_deg=115.0, duration_s=10.0))
     assert 2.0 * full.rmse_m[0] < thesis.rmse_m[0] < 0.15
 
 
@@ -85,9 +85,9 @@ def test_many_flights_at_once_are_the_same_flights():
 
 
 def test_gusts_and_an_ideal_plant_without_noise():
-    ideal = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, perturbed=False, noise=False))
+    ideal = fly(Flight("circle", vehicles=1, psi_deg=29.0, duration_s=6.0, perturbed=False, noise=False))
     assert ideal.rmse_m[0] < 0.006
-    gusty = fly(Flight("circle", vehicles=1, psi_rad=0.5, duration_s=6.0, gusts=True))
+    gusty = fly(Flight("circle", vehicles=1, psi_deg=29.0, duration_s=6.0, gusts=True))
     assert ideal.rmse_m[0] < gusty.rmse_m[0] < 0.1
 
 

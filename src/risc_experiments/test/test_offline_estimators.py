@@ -35,7 +35,7 @@ def test_the_thesis_controller_flies_with_the_thesis_estimator_unless_another_is
         "least_squares",
         "least_squares",
     )
-    flight = Flight("flat8", vehicles=1, seed=4, psi_rad=2.0, duration_s=10.0, controller=THESIS)
+    flight = Flight("flat8", vehicles=1, seed=4, psi_deg=115.0, duration_s=10.0, controller=THESIS)
     own, flattered = fly(flight), fly(Flight(**{**vars(flight), "estimator": "least_squares"}))
     assert own.rmse_m[0] > 1.2 * flattered.rmse_m[0]
 

@@ -16,14 +16,14 @@ from risc_lab.states import S, States
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.world import World
 
-CHASE_S, CHASED_S = 22.0, 14.0  # the chase, and when it has settled
+PURSUIT_S, SETTLED_S = 22.0, 14.0  # the pursuit, and when it has settled
 PSI_DEG = 60.0  # where a mirrored yaw sense would not fly (D-25)
 LOST_EVERY = 97  # frames: one in which motion capture does not see the vehicle
 NOW = np.ones(1, dtype=bool)
 
 
 def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it_is():
-    flight = offline.Flight(vehicles=1, psi_rad=math.radians(PSI_DEG))
+    flight = offline.Flight(vehicles=1, psi_deg=PSI_DEG)
     fleet, types, vehicle_types = offline._lab(flight)
     templates = load_templates()
     world = World(fleet, types, templates, seed=flight.seed, perturbed=True, step_s=offline.FRAME_S)
@@ -35,7 +35,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     target.target = params.target_course()
     controller = ControlLoop("guidance", vehicle_types)
     vehicle = world.vehicles[place.namespace]
-    vehicle.fly_at(place.start_position_m[:2] + (1.0,), place.start_yaw_rad)
+    vehicle.fly_at(place.start.position_m[:2] + (1.0,), place.start.yaw_rad)
     chain, buffer = offline._Chain(vehicle, 0.3), ReferenceBuffer()
 
     let_go_s = home_s = math.inf
@@ -55,7 +55,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         if reference.phases[0] is Phase.COURSE and let_go_s == math.inf:
             let_go_s = time_s
             assert target.let_go(time_s)
-        if time_s >= let_go_s + CHASE_S and home_s == math.inf:
+        if time_s >= let_go_s + PURSUIT_S and home_s == math.inf:
             home_s = time_s
             assert target.go_home(time_s) == [name]
             reference = target.sample(time_s)
@@ -71,7 +71,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         offline.step_chains([chain], frame, time_s, now_s, states, output.controls)
         assert not world.crashes
         truth = vehicle.state.position_m
-        if let_go_s + CHASED_S <= time_s < home_s:
+        if let_go_s + SETTLED_S <= time_s < home_s:
             ranges.append(np.hypot(*(present[0, 0, :2] - truth[:2])))
             radii.append(np.hypot(*truth[:2]))
         elif time_s >= home_s:
@@ -80,4 +80,4 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     assert np.abs(np.array(ranges) - guidance.Params().range_m).max() < 0.04
     assert np.abs(np.array(radii) - params.radius_m).max() < 0.04
     assert max(homing) < 0.1, "home begins where the vehicle is"
-    assert truth[:2] == pytest.approx(place.start_position_m[:2], abs=0.05)
+    assert truth[:2] == pytest.approx(place.start.position_m[:2], abs=0.05)

@@ -58,9 +58,9 @@ def test_on_the_course_of_the_multi_machine_launch_the_others_fly_on(what, vehic
 def test_no_course_makes_anybody_hold():
     """From take-over to the course and on it, each for three numbers of vehicles, seeds and headings."""
     flights = [
-        Flight(name, vehicles=vehicles, seed=seed, psi_rad=psi_rad, duration_s=8.0)
+        Flight(name, vehicles=vehicles, seed=seed, psi_deg=psi_deg, duration_s=8.0)
         for name in COURSES
-        for seed, vehicles, psi_rad in ((1, 3, None), (2, 4, math.radians(140.0)), (3, 5, math.radians(210.0)))
+        for seed, vehicles, psi_deg in ((1, 3, None), (2, 4, 140.0), (3, 5, 210.0))
         if not (name == "quadrants" and vehicles > 4)
     ]
     for flight, result in zip(flights, fly_all(flights)):
@@ -77,8 +77,8 @@ def test_neither_changes_of_the_course_nor_ways_home_make_anybody_hold(vehicles)
     manager = make_manager(fleet.vehicles, courses[0])
     separation, visible = Separation(manager.names, LIMITS, manager.names), np.ones(vehicles, bool)
     for vehicle in fleet.vehicles:
-        start_m = (*vehicle.start_position_m[:2], 1.0)
-        manager.see(vehicle.template, start_m, (0.0, 0.0, 0.0), vehicle.start_yaw_rad)
+        start_m = (*vehicle.start.position_m[:2], 1.0)
+        manager.see(vehicle.template, start_m, (0.0, 0.0, 0.0), vehicle.start.yaw_rad)
         manager.set_autonomous(vehicle.template, True, 0.0)
     orders = [(lambda now_s, course=course: manager.set_course(course, now_s)) for course in [*courses[1:], courses[0]]]
     closest_m = math.inf

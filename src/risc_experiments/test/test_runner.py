@@ -201,7 +201,7 @@ def test_as_many_vehicles_as_asked_for(tmp_path):
     fleet = prepare_fleet(arguments(["--vehicles", "8", "--trajectory", "flat8"]), "127.99", tmp_path)
     assert [v.namespace for v in fleet.vehicles] == ["risc%d" % k for k in range(1, 9)]
     assert fleet == load_fleet(tmp_path / "fleet.yaml") and fleet.vehicles[7].address == "127.99.1.8"
-    assert fleet.arena.half_x_m > 2.5 and "ardrone8" in fleet.templates, "the file describes the whole lab"
+    assert fleet.arena.half_x_m > 2.5 and "ardrone8" in fleet.templates.templates, "the file describes the whole lab"
     assert launch_arguments(arguments(["--vehicles", "8"]), fleet, tmp_path)["vehicles"].split()[7] == "risc8"
     few = prepare_fleet(arguments(["--vehicles", "5"]), "127.99", tmp_path)
     assert few.name == "ardrones5" and few.arena == Arena()

@@ -10,8 +10,9 @@ import yaml
 from risc_lab.lab import Arena, fleet_from_dict, generated_fleet, load_fleet, load_templates, load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
 from risc_lab.lab.generated_fleet import MOST_VEHICLES, rows
-from risc_lab.lab.templates import attached_bodies, templates_from_dict, templates_to_dict
-from risc_lab.lab.vehicle_types import vehicle_type_from_dict
+from risc_lab.lab.templates import TemplateSet, attached_bodies
+from risc_lab.lab.vehicle_types import VehicleType
+from risc_lab.settings import settings_from
 
 FLEETS = pathlib.Path(__file__).resolve().parents[3] / "launch" / "fleets"
 TYPES = pathlib.Path(__file__).resolve().parents[1] / "config" / "vehicle_types"
@@ -41,7 +42,7 @@ def test_fleet_survives_the_way_through_a_dict(fleet_dict):
     fleet = fleet_from_dict(fleet_dict)
     assert fleet_from_dict(fleet.to_dict()) == fleet
     assert fleet.vehicles[1].namespace == "risc2"
-    assert fleet.vehicles[1].start_position_m == (-0.45, 0.78, 0.0)
+    assert fleet.vehicles[1].start.position_m == (-0.45, 0.78, 0.0)
 
 
 def test_vehicles_share_an_address_only_in_networks_of_their_own(fleet_dict):
@@ -89,12 +90,12 @@ def set_in(content, path, value):
         (["vehicles"], "risc1", "must be a list"),
         (["vehicles", 0, "namespace"], "risc2", "same namespace: risc2"),
         (["vehicles", 0, "namespace"], "1risc", "no ROS name"),
-        (["vehicles", 0, "template"], None, "'template' is missing"),
+        (["vehicles", 0, "template"], None, "template' is missing"),
         (["vehicles", 0, "adress"], "127.0.0.9", "unknown key.* adress"),
         (["vehicles", 0, "address"], "localhost", "IPv4 address"),
         (["vehicles", 1, "address"], "", r"vehicles\[1\]: 'address' is not written yet"),
-        (["mocap", "host"], "", "fleet, mocap: 'host' is not written yet"),
-        (["vehicles", 0, "start", "position_m"], [0.0, 1.0], "list of 3 numbers"),
+        (["mocap", "host"], "", "fleet: mocap: 'host' is not written yet"),
+        (["vehicles", 0, "start", "position_m"], [0.0, 1.0], "list of length 3"),
         (["vehicles", 0, "start", "position_m"], [0.0, 1.0, float("nan")], "finite"),
         (["landmarks", 0, "name"], "Pink_blue", "Pink_blue"),
         (["mocap", "stream_port"], 70000, "65535"),
@@ -105,9 +106,9 @@ def set_in(content, path, value):
         (["arena"], {"half_x_m": "wide"}, "half_x_m"),
         (["arena"], {"radius_m": 3.0}, "arena.*radius_m"),
         (["arena"], [5, 4], "must be a mapping"),
-        (["templates"], {"templates": {}}, "templates.*geometries"),
         (["templates"], {"geometries": {}, "templates": {"x": {"kind": "vehicle", "geometry": "y"}}}, "geometry 'y'"),
         (["templates"], ["fluffy_II"], "templates"),
+        (["templates"], {"geometries": {"wide": {"a": [0.0, 1.0, "high"]}}}, r"templates.geometries.wide.a\[2\]"),
     ],
 )
 def test_mistakes_in_a_fleet_are_named(fleet_dict, path, value, message):
@@ -144,7 +145,7 @@ def test_a_generated_lab_is_whole(vehicles):
     fleet = generated_fleet(vehicles)
     assert fleet_from_dict(yaml.safe_load(yaml.safe_dump(fleet.to_dict()))) == fleet == generated_fleet(vehicles)
     assert [v.namespace for v in fleet.vehicles] == ["risc%d" % k for k in range(1, vehicles + 1)]
-    templates, places = load_templates(fleet=fleet), np.array([v.start_position_m for v in fleet.vehicles])
+    templates, places = load_templates(fleet=fleet), np.array([v.start.position_m for v in fleet.vehicles])
     assert all(templates[v.template].kind == "vehicle" for v in fleet.vehicles)
     assert all(templates[m.name].kind == "landmark" for m in fleet.landmarks)
     apart_m = np.linalg.norm(places[:, None] - places, axis=2) + 9.0 * np.eye(vehicles)
@@ -158,7 +159,7 @@ def test_a_generated_lab_is_whole(vehicles):
 
 def test_nobody_can_take_one_generated_hull_for_another():
     fleet = generated_fleet(50)
-    hulls = [t.markers_m for t in fleet.templates.values()]
+    hulls = [t.markers_m for t in fleet.templates.by_name().values()]
     assert len(hulls) == 45 and {len(markers) for markers in hulls} == {5}
     distances = []
     for markers in hulls:
@@ -172,8 +173,7 @@ def test_nobody_can_take_one_generated_hull_for_another():
 
 def test_a_larger_generated_lab_begins_with_the_same_hulls():
     small, large = generated_fleet(8).templates, generated_fleet(20).templates
-    assert all(large[name] == template for name, template in small.items())
-    assert templates_from_dict(templates_to_dict(large)) == large
+    assert len(small.templates) == 3 and small.geometries.items() <= large.geometries.items()
 
 
 @pytest.mark.parametrize("vehicles", [0, MOST_VEHICLES + 1])
@@ -216,8 +216,8 @@ def test_vehicle_type_mistakes_are_named():
         load_vehicle_type("zeppelin")
     content = yaml.safe_load((TYPES / "ardrone.yaml").read_text())
     content["inertia_kg_m2"] = [0.002, 0.0, 0.004]
-    with pytest.raises(ValueError, match="must be positive"):
-        vehicle_type_from_dict(content)
+    with pytest.raises(ValueError, match="inertia_kg_m2.*> 0"):
+        settings_from(VehicleType, content)
 
 
 def test_square_hull_has_its_middle_at_the_vehicle():
@@ -230,8 +230,8 @@ def test_square_hull_has_its_middle_at_the_vehicle():
 def test_template_mistakes_are_named():
     line = {"a": [0.0, 0, 0], "b": [0.1, 0, 0], "c": [0.2, 0, 0]}
     with pytest.raises(ValueError, match="off one line"):
-        templates_from_dict({"geometries": {"line": line}, "templates": {"x": {"kind": "vehicle", "geometry": "line"}}})
+        TemplateSet({"line": line}, {"x": {"kind": "vehicle", "geometry": "line"}})
     with pytest.raises(ValueError, match="unknown geometry 'cube'"):
-        templates_from_dict({"geometries": {}, "templates": {"x": {"kind": "vehicle", "geometry": "cube"}}})
+        TemplateSet({}, {"x": {"kind": "vehicle", "geometry": "cube"}})
     with pytest.raises(ValueError, match="kind"):
-        templates_from_dict({"geometries": {"g": line}, "templates": {"x": {"kind": "bird", "geometry": "g"}}})
+        TemplateSet({"g": line}, {"x": {"kind": "bird", "geometry": "g"}})

@@ -56,6 +56,21 @@ def test_wrong_names_say_what_is_there(registry, tmp_path, monkeypatch):
         registry.names()
 
 
+def test_a_yaml_file_with_the_name_of_one_of_the_tree_is_an_error(registry, tmp_path, monkeypatch):
+    (tmp_path / "shapes_pack" / "config" / "shapes").mkdir(parents=True)
+    (tmp_path / "shapes_pack" / "config" / "shapes" / "square.yaml").touch()
+    monkeypatch.setenv(MEMBERS_VARIABLE, str(tmp_path / "mine"))
+    with pytest.raises(ValueError, match="shapes: square.yaml is there twice: rename the one in RISC_MAAP_MEMBERS"):
+        registry.settings("square")
+
+
+@pytest.mark.parametrize("params", [None, 3, int])
+def test_params_that_are_no_dataclass_are_an_error(registry, tmp_path, monkeypatch, params):
+    monkeypatch.setenv(MEMBERS_VARIABLE, str(tmp_path / "mine"))
+    with pytest.raises(ValueError, match="'square': its PARAMS must be a dataclass"):
+        registry.settings("square", params)
+
+
 @pytest.mark.parametrize("text", ["import no_such_module\n", "def broken(:\n"])
 def test_a_member_that_cannot_be_imported_is_one_error_that_names_it(registry, tmp_path, monkeypatch, text):
     monkeypatch.setenv(MEMBERS_VARIABLE, str(tmp_path / "mine"))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ class _Wheel(Settings):
     spokes: between(0, 100) = 3
     life_s: float = math.inf
     marks: tuple[str, ...] = ()
+    side: Literal["left", "right"] = "left"
 
     def __post_init__(self):
         super().__post_init__()
@@ -47,8 +49,9 @@ def test_values_take_the_types_of_their_fields():
         ({"name": "left", "spokes": 101}, "a whole number <= 100, found 101"),
         ({"name": ""}, "a text of length >= 1, found ''"),
         ({"name": "left", "marks": "a"}, "a list, found 'a'"),
+        ({"name": "left", "side": "up"}, r"'wheels\[0\].side' must be one of left, right, found 'up'"),
         ({"name": "left", "radius": 1.0}, r"cart.yaml: wheels\[0\]: unknown key\(s\) radius; known are life_s, "),
-        ({"name": "left", "radius_m": 6.0}, "cart.yaml: a wheel of 6 m is too large"),
+        ({"name": "left", "radius_m": 6.0}, r"cart.yaml: wheels\[0\]: a wheel of 6 m is too large"),
         ({}, r"'wheels\[0\].name' is missing"),
         (3, r"'wheels\[0\]' must be a mapping, found 3"),
     ],

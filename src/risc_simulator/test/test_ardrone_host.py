@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata
 from risc_lab.frames import GRAVITY_M_S2
-from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Start, Template, load_vehicle_type
 from risc_simulator.faults import WireFault
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.vehicles.ardrone import host as ardrone_host
@@ -179,10 +179,12 @@ def make_world(n=1, yaw_rad=0.0):
         "test",
         MocapEndpoint("127.0.0.1"),
         tuple(
-            FleetVehicle("risc%d" % (i + 1), name, "ardrone", ADDRESS, "", (0.0, 0.8 * i, 0.0), yaw_rad)
+            FleetVehicle(
+                "risc%d" % (i + 1), name, "ardrone", ADDRESS, Start((0.0, 0.8 * i, 0.0), math.degrees(yaw_rad))
+            )
             for i, name in enumerate(names)
         ),
-        (),
+        own_networks=True,  # all have this one's address
     )
     templates = {name: Template(name, "vehicle", ("a", "b", "c", "d"), MARKERS) for name in names}
     return World(fleet, {"ardrone": VEHICLE_TYPE}, templates, perturbed=False)
@@ -923,6 +925,45 @@ def test_delayed_commands_are_obeyed_later(lab):
     assert delays_s[1] - delays_s[0] == pytest.approx(0.3, abs=1.0 / 30.0 + STEP_S)  # a slot of the radio
 
 
+def stick(k):
+    """Bytes of one set of sticks that says its number."""
+    return b"AT*PCMD=%d,1,%d,0,0,0\r" % (k, bits(k / 1000.0))
+
+
+@pytest.mark.parametrize("loss_s", [0.3, 0.05])  # the delay ends within the loss, or after it
+def test_what_was_sent_before_a_link_loss_arrives_once(fake_lab, loss_s):
+    """In both directions, whether a fault holds it back beyond the loss's begin or end, or it has just come in."""
+    lab = fake_lab()
+    lab.connect()
+    lab.run(0.5, ref=IDLE)
+    host = lab.host
+    for channel in ("risc9/commands", "risc9/navdata"):
+        host.wires.add(WireFault("delay", channel, 0.2, lab.now_s))
+    heard, deliver = [], host._on_at_datagram
+    host._on_at_datagram = lambda data, sender, now_s: (heard.append(data), deliver(data, sender, now_s))
+    lab.run(0.1)  # navdata on its way
+    lab.client.raw(stick(901))
+    lab.run(0.05)
+    lab.client.raw(stick(902))  # the host has not read it yet
+    lost = host.statistics()
+    host.lose_link(loss_s)
+    sent = host._sequence
+    lab.client.raw(stick(903))  # lost
+    packets = lab.run(loss_s)
+    assert not host.link_lost
+    lab.client.raw(stick(904))
+    packets += lab.run(0.5)
+    assert heard == [stick(901), stick(902), stick(904)]
+    numbers = [packet[1] for packet in packets]
+    assert len(numbers) == len(set(numbers)) and numbers == sorted(numbers)
+    assert sent in numbers and sent + 1 not in numbers
+    before = [number for number in numbers if number <= sent]
+    assert before == list(range(before[0], sent + 1)), "all that was on its way"
+    assert host.statistics()["datagrams_lost_in"] == lost["datagrams_lost_in"] + 1
+    gone = host.statistics()["datagrams_lost_out"] - lost["datagrams_lost_out"]
+    assert gone == pytest.approx(loss_s * 200.0, abs=2) and max(numbers) - len(before) - gone > 0
+
+
 def test_long_link_loss_lands(lab):
     lab.fly()
     lab.host.lose_link(20.0)
@@ -968,7 +1009,41 @@ def test_configuration_readback(lab):
     assert not lab.state & ACK
     connection.close()
     lab.run(0.05)
-    assert connection.fileno() == -1 and len(lab.host.sockets()) == 5
+    assert connection.fileno() == -1 and len(lab.host.sockets()) == 4
+
+
+def test_faults_act_on_the_configurations_stream(lab):
+    """Delayed, held up, and cut; the host goes on with others."""
+    lab.connect()
+    connection = socket.create_connection((ADDRESS, lab.host.ports.control))
+    lab.serve()
+
+    def text_comes_after(seconds):
+        asked_s = lab.now_s
+        lab.client.at("CTRL,5,0", "CTRL,4,0")
+        while not select.select([connection], [], [], 0.0)[0]:
+            lab.run(STEP_S, ref=IDLE)
+            assert lab.now_s < asked_s + 5.0
+        assert lab.now_s - asked_s == pytest.approx(seconds, abs=0.02)
+        assert read_all(lab, connection).count(b"\0") == 1
+
+    text_comes_after(0.0)
+    lab.host.wires.add(WireFault("delay", "risc1/control", 0.4, lab.now_s, 1.0))
+    text_comes_after(0.4)
+    lab.run(1.0, ref=IDLE)
+    lab.host.wires.add(WireFault("blackhole", "risc1/control", 1.0, lab.now_s, 0.7))
+    text_comes_after(0.7)
+    lab.host.wires.add(WireFault("cut", "risc1/control", 1.0, lab.now_s))
+    other = socket.create_connection((ADDRESS, lab.host.ports.control))
+    lab.serve()
+    lab.client.at("CTRL,5,0", "CTRL,4,0")
+    lab.run(0.1, ref=IDLE)
+    for sock in (connection, other):
+        with pytest.raises(ConnectionResetError):
+            sock.recv(1)
+        sock.close()
+    assert lab.host.wires.statistics()["risc1/control"]["cut"] == 2
+    assert lab.packets and lab.state & ACK
 
 
 def test_multi_configuration_on_the_wire(lab):
@@ -1022,23 +1097,10 @@ def test_unknown_and_read_only_keys_are_acknowledged(lab):
     assert lab.host.get("general:num_version_soft") == "2.4.8"
 
 
-def test_video_port_accepts_and_stays_silent(lab):
-    lab.connect()
-    connection = socket.create_connection((ADDRESS, lab.host.ports.video))
-    lab.run(0.2, ref=IDLE)
-    assert lab.packets[-1][0] & 1 << 1
-    connection.setblocking(False)
-    with pytest.raises(BlockingIOError):
-        connection.recv(1)
-    connection.close()
-    lab.run(0.1, ref=IDLE)
-    assert not lab.packets[-1][0] & 1 << 1
-
-
-def test_too_many_stream_clients_are_turned_away(lab):
+def test_too_many_readers_are_turned_away(lab):
     connections = []
     for _ in range(20):
-        connections.append(socket.create_connection((ADDRESS, lab.host.ports.video)))
+        connections.append(socket.create_connection((ADDRESS, lab.host.ports.control)))
         lab.serve()
     assert lab.host.statistics()["tcp_clients_refused"] == 4
     for connection in connections:
@@ -1277,6 +1339,30 @@ def test_with_the_link_down_ftp_stalls_too(lab):
             client.recv(1000)
         lab.run(0.2)
         assert client.recv(1000).startswith(b"331")
+
+
+def test_faults_act_on_ftp(lab):
+    with socket.create_connection((ADDRESS, lab.host.ports.ftp), 15.0) as client:
+        lab.serve()
+        client.settimeout(0.0)
+        lab.run(0.05)
+        assert client.recv(1000).startswith(b"220")
+        lab.host.wires.add(WireFault("delay", "risc1/ftp", 0.3, lab.now_s, 0.2))
+        client.sendall(b"USER anonymous\r\n")
+        lab.run(0.29)
+        with pytest.raises(BlockingIOError):
+            client.recv(1000)
+        lab.run(0.02)
+        assert client.recv(1000).startswith(b"331")
+        lab.host.wires.add(WireFault("cut", "risc1/ftp", 1.0, lab.now_s, 0.2))
+        client.sendall(b"NOOP\r\n")
+        lab.run(0.05)
+        with pytest.raises(ConnectionResetError):
+            client.recv(1000)
+    lab.run(0.2)
+    with socket.create_connection((ADDRESS, lab.host.ports.ftp), 15.0) as client:
+        lab.serve()
+        assert client.recv(1000).startswith(b"220"), "the next one is served"
 
 
 def test_three_aircraft_on_the_standard_ports():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cortex_ros import wire
 from risc_simulator.faults import REGISTRY, WireFault, Wires, load_wire_faults
 
 GAP_S = 0.005
@@ -26,7 +27,8 @@ def carry(*faults, seed=1, count=len(DATAGRAMS), gap_s=GAP_S, channel="risc1/nav
 
 
 def test_the_members():
-    assert REGISTRY.names() == ["blackhole", "corrupt", "delay", "drop", "duplicate", "jitter", "reorder"]
+    datagrams = {"corrupt", "drop", "duplicate", "reorder", "truncate", "wrong_reply"}
+    assert set(REGISTRY.names()) == datagrams | {"blackhole", "cut", "delay", "jitter"}
 
 
 @pytest.mark.parametrize("severity", [0.0, 0.2, 0.7, 1.0])
@@ -84,6 +86,26 @@ def test_corrupt_changes_one_byte():
     assert set(wrong) == {0, 1} and np.mean(wrong) == pytest.approx(0.25, abs=0.03)
 
 
+def test_truncate_leaves_the_beginning():
+    arrived = [data for _, _, data in carry(WireFault("truncate", "*", 0.3))]
+    assert all(sent.startswith(data) for data, sent in zip(arrived, DATAGRAMS, strict=True))
+    cut = [len(data) for data in arrived if len(data) < 5]
+    assert len(cut) / len(DATAGRAMS) == pytest.approx(0.3, abs=0.03)
+    assert np.bincount(cut).min() > 150, "anywhere"
+
+
+def test_wrong_reply_is_another_command_with_the_same_content():
+    """Of Cortex' protocol; the length is as sent, so that the packet is well formed."""
+    wires, reply = Wires(1), wire.encode_packet(wire.Command.GENERAL_REPLY, b"abc")
+    replies = wires.wire("cortex/replies")
+    wires.add(WireFault("wrong_reply", "cortex/replies", 0.5))
+    found = [wire.split_packet(replies.carry(reply, None, 0.0, lambda data, *_: data)) for _ in range(400)]
+    assert {payload for _, payload in found} == {b"abc"}
+    wrong = [command for command, _ in found if command != wire.Command.GENERAL_REPLY]
+    assert len(wrong) / len(found) == pytest.approx(0.5, abs=0.1)
+    assert set(wrong) == set(wire.Command) - {wire.Command.GENERAL_REPLY}
+
+
 def test_blackhole_has_a_window():
     arrived = [data for _, _, data in carry(WireFault("blackhole", "*", 1.0, 1.0, 0.5))]
     assert arrived == DATAGRAMS[:200] + DATAGRAMS[300:]
@@ -133,8 +155,8 @@ def test_a_channel_may_mean_several_wires_and_an_end_frees_them():
         (("fire", "*"), "unknown name 'fire' among the faults; known are: blackhole"),
         (("drop", "*", 1.5), r"severity must be in \[0, 1\]"),
         (("drop", "*", float("nan")), "severity"),
-        (("drop", "*", 0.5, float("inf")), "finite start"),
-        (("drop", "*", 0.5, 0.0, -1.0), "not negative"),
+        (("drop", "*", 0.5, float("inf")), "'start_s' must be finite"),
+        (("drop", "*", 0.5, 0.0, -1.0), "'duration_s' must be a number >= 0"),
     ],
 )
 def test_impossible_faults_are_refused(fields, message):
@@ -155,10 +177,10 @@ def test_a_file_of_faults(tmp_path):
         "faults:\n- {fault: drop, channel: risc1/*, severity: 0.3, start_s: 10, duration_s: 5}\n"
         "- {fault: blackhole, channel: cortex/stream}\n"
     )
-    assert load_wire_faults(path) == [
+    assert load_wire_faults(path) == (
         WireFault("drop", "risc1/*", 0.3, 10.0, 5.0),
         WireFault("blackhole", "cortex/stream"),
-    ]
+    )
     path.write_text("faults: [{fault: drop, channel: '*', strength: 1}]\n")
     with pytest.raises(ValueError, match="strength"):
         load_wire_faults(path)
@@ -168,3 +190,110 @@ def test_a_clean_wire_hands_over_what_it_gets():
     wires, packet = Wires(), bytearray(b"frame")
     assert wires.wire("cortex/stream").carry(packet, None, 0.0, lambda data, *_: data) is packet
     assert wires.statistics() == {}
+
+
+# --- streams
+
+
+class Connection:
+    """One end of a stream."""
+
+    def __init__(self):
+        self.got, self.times_s, self.is_cut = [], [], False
+
+
+class Stream:
+    """A stream with connections, and time that the test turns."""
+
+    def __init__(self, *faults, seed=1):
+        self.wires, self.now_s = Wires(seed), 0.0
+        self.stream = self.wires.stream("risc1/control")
+        for fault in faults:
+            self.wires.add(fault)
+
+    def write(self, connection, data):
+        self.stream.carry(data, connection, self.now_s, self._deliver, self._cut)
+
+    def wait(self, until_s):
+        while self.wires.due_s <= until_s:
+            self.wires.release(self.wires.due_s if self.wires.due_s > 0.0 else self.now_s)
+        self.now_s = until_s
+
+    def _deliver(self, data, connection, now_s):
+        connection.got.append(data)
+        connection.times_s.append(now_s)
+
+    def _cut(self, connection):
+        connection.is_cut = True
+
+
+@pytest.mark.parametrize("fault", [WireFault("delay", "*", 0.05), WireFault("jitter", "*", 0.5)])
+def test_bytes_of_a_stream_come_later_and_in_order(fault):
+    stream, one, other = Stream(fault), Connection(), Connection()
+    for k in range(200):
+        stream.wait(0.01 * k)
+        stream.write(one, b"%d" % k)
+        stream.write(other, b"%d" % k)
+    stream.wait(10.0)
+    for connection in (one, other):
+        assert connection.got == [b"%d" % k for k in range(200)]
+        later_s = np.array(connection.times_s) - 0.01 * np.arange(200)
+        assert later_s.min() >= 0.0 and later_s.max() == pytest.approx(fault.severity, rel=0.05)
+    assert one.times_s != other.times_s or fault.fault == "delay"
+
+
+def test_order_holds_when_the_fault_ends_while_bytes_are_on_their_way():
+    stream, one = Stream(WireFault("delay", "*", 0.1, 0.0, 0.5)), Connection()
+    for k in range(100):
+        stream.wait(0.01 * k)
+        stream.write(one, k)
+    stream.wait(2.0)
+    assert one.got == list(range(100)) and one.times_s[-1] == pytest.approx(0.99)
+
+
+def test_a_blackhole_holds_a_stream_up_and_loses_nothing():
+    stream, one = Stream(WireFault("blackhole", "*", 1.0, 0.2, 0.3)), Connection()
+    for k in range(100):
+        stream.wait(0.01 * k)
+        stream.write(one, k)
+    assert one.got == list(range(100))
+    held = np.array(one.times_s[20:50])
+    assert held == pytest.approx(0.5) and one.times_s[19] == pytest.approx(0.19)
+
+
+def test_clear_lets_go_what_a_blackhole_without_end_holds():
+    stream, one = Stream(WireFault("blackhole", "*")), Connection()
+    stream.write(one, b"a")
+    stream.write(one, b"b")
+    stream.wait(5.0)
+    assert one.got == []
+    stream.wires.clear("risc1/*")
+    stream.write(one, b"c")
+    stream.wait(5.1)
+    assert one.got == [b"a", b"b", b"c"]
+
+
+def test_cut_ends_one_connection():
+    stream, one, other = Stream(WireFault("cut", "*", 1.0, 0.5, 0.5)), Connection(), Connection()
+    stream.write(one, b"a")
+    stream.wait(0.6)
+    stream.write(one, b"b")
+    stream.wait(2.0)
+    stream.write(other, b"c")
+    assert (one.got, one.is_cut, other.got, other.is_cut) == ([b"a"], True, [b"c"], False)
+    assert stream.wires.statistics() == {"risc1/control": {"sent": 1, "cut": 1}}
+
+
+def test_a_fault_acts_where_it_makes_sense():
+    """What loses, doubles or damages datagrams would be no TCP; a fault on both kinds acts on those that it can."""
+    wires = Wires()
+    datagrams, stream = wires.wire("risc1/navdata"), wires.stream("risc1/video")
+    for fault in ("drop", "duplicate", "reorder", "corrupt", "truncate", "wrong_reply"):
+        with pytest.raises(ValueError, match="fault %s acts on datagrams; risc1/video: streams" % fault):
+            wires.add(WireFault(fault, "risc1/video", 0.5))
+        wires.add(WireFault(fault, "risc1/*", 0.5))
+    with pytest.raises(ValueError, match="fault cut acts on streams; risc1/navdata: datagrams"):
+        wires.add(WireFault("cut", "risc1/navdata"))
+    wires.add(WireFault("cut", "risc1/*"))
+    wires.add(WireFault("blackhole", "risc1/*"))
+    assert (len(datagrams.acting), len(stream.acting)) == (7, 2)

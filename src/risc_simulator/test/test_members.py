@@ -5,13 +5,16 @@ import pathlib
 import random
 import socket
 import sys
+import threading
 
+import av
 import numpy as np
 import pytest
 
+from ardrone_autonomy.protocol.video import StreamParser
 from cortex_ros import wire
 from risc_lab.frames import GRAVITY_M_S2
-from risc_lab.lab import fleet_from_dict, load_templates, load_vehicle_type
+from risc_lab.lab import FleetLandmark, fleet_from_dict, load_templates, load_vehicle_type
 from risc_lab.lab.fleet import AttachedBody
 from risc_lab.registry import VARIABLE
 from risc_simulator import bodies, vehicles
@@ -116,6 +119,30 @@ def test_the_lab_speaks_its_wire(clock):
         assert lab.statistics()["vehicles"]["risc2"]["video"]["pictures"] == 0
         assert not lab.cameras_ready
     finally:
+        lab.close()
+
+
+def test_a_vehicle_type_has_its_own_camera():
+    """Another place, view and size than those of an AR.Drone; a disc behind the balloon is in the middle of it."""
+    fleet = dataclasses.replace(
+        make_fleet(BALLOON), landmarks=(FleetLandmark("Green_pink", (-2.4, -1.0, 0.08), facing_deg=0.0),)
+    )
+    lab = VirtualLab(fleet, seed=3, cameras_ahead=True)
+    stop = threading.Event()
+    thread = threading.Thread(target=lab.run, args=(stop,))
+    thread.start()
+    try:
+        with socket.create_connection((fleet.vehicles[0].address, balloon().VIDEO_PORT), 60.0) as client:
+            parser, packets = StreamParser(), []
+            while not packets:
+                packets = parser.feed(client.recv(1 << 16))
+        assert packets[0].header.display_px == (320, 240)
+        (frame,) = av.CodecContext.create("h264", "r").decode(av.Packet(packets[0].payload))
+        blue, green, red = frame.to_ndarray(format="bgr24")[120, 160].tolist()
+        assert green > 1.3 * blue and green > 1.3 * red
+    finally:
+        stop.set()
+        thread.join()
         lab.close()
 
 

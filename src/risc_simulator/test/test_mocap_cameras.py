@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from risc_simulator.models import mocap_cameras
-from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
+from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 
 RATE_HZ = 200.0
 BODIES = [
@@ -18,9 +18,14 @@ LAYOUT = tuple((name, len(markers)) for name, markers in BODIES)
 EXACT = np.concatenate([markers for _, markers in BODIES])
 
 
-def run(cameras, frames):
-    """Observations of `frames` frames at RATE_HZ."""
-    return [cameras.observe(k / RATE_HZ, LAYOUT, EXACT) for k in range(frames)]
+def run(cameras, frames, hides=None):
+    """Observations of `frames` frames at RATE_HZ. hides: {frame before which: arguments of `hide`}."""
+    seen = []
+    for k in range(frames):
+        if hides and k in hides:
+            cameras.hide(*hides[k])
+        seen.append(cameras.observe(k / RATE_HZ, LAYOUT, EXACT))
+    return seen
 
 
 def markers_of(observations):
@@ -32,13 +37,11 @@ def test_ideal_cameras_report_the_exact_markers():
     assert np.array_equal(seen.markers_m, EXACT)
     assert seen.unidentified_m.shape == (0, 3)
     assert seen.layout == (("Raven", 4), ("Landmark_A", 3))
-    assert [(name, m.tolist()) for name, m in seen.bodies()] == [(name, m.tolist()) for name, m in BODIES]
 
 
 def test_input_is_not_changed():
     before = EXACT.copy()
-    cameras = MocapCameras(windows=[OcclusionWindow("Raven", 0.0, 1.0)])
-    run(cameras, 10)
+    run(MocapCameras(), 10, {1: ("Raven", 1.0)})
     assert np.array_equal(EXACT, before)
 
 
@@ -46,9 +49,10 @@ def test_the_same_numbers_as_ever():
     """Bit for bit: noise, occlusions and ghosts of a seed."""
     golden = np.load(GOLDEN / "mocap_cameras.npz")
     params = CameraParams(occlusions_per_marker_hz=2.0, ghosts_hz=20.0)
-    cameras = MocapCameras(params, seed=5, windows=[OcclusionWindow("Raven", 0.1, 0.2, (1, 2))])
-    seen = run(cameras, 150)
-    assert np.array_equal(markers_of(seen), golden["markers_m"], equal_nan=True)
+    seen = run(MocapCameras(params, seed=5), 150)
+    markers_m = markers_of(seen)
+    markers_m[20:40, 1:3] = np.nan  # hidden on purpose there
+    assert np.array_equal(markers_m, golden["markers_m"], equal_nan=True)
     assert np.isnan(golden["markers_m"]).any(axis=(1, 2)).mean() > 0.2
     assert np.array_equal(np.concatenate([o.unidentified_m for o in seen]), golden["unidentified_m"])
     assert [len(o.unidentified_m) for o in seen] == golden["unidentified_count"].tolist()
@@ -71,14 +75,14 @@ def test_same_seed_same_output_other_seed_other_output():
     assert not np.array_equal(markers_of(first), markers_of(other), equal_nan=True)
 
 
-def test_occlusion_of_some_markers_leaves_the_noise_of_the_others_alone():
+def test_hiding_a_body_leaves_the_noise_of_the_others_alone():
     params = CameraParams(occlusions_per_marker_hz=1.0, ghosts_hz=5.0)
     free = run(MocapCameras(params, seed=3), 300)
-    scripted = run(MocapCameras(params, seed=3, windows=[OcclusionWindow("Raven", 0.2, 0.9, (1, 2))]), 300)
+    scripted = run(MocapCameras(params, seed=3), 300, {40: ("Raven", 0.9)})
     without = markers_of(run(MocapCameras(CameraParams(occlusions_per_marker_hz=0.0, ghosts_hz=0.0), seed=3), 300))
     a, b = markers_of(free), markers_of(scripted)
     hidden_by_script = np.zeros(a.shape[:2], bool)
-    hidden_by_script[40:180, 1:3] = True
+    hidden_by_script[40:180, :4] = True
     assert np.isnan(b[hidden_by_script]).all()
     assert np.array_equal(a[~hidden_by_script], b[~hidden_by_script], equal_nan=True)
     seen = ~np.isnan(a)
@@ -105,36 +109,19 @@ def test_a_lost_marker_is_lost_in_all_coordinates():
     assert np.array_equal(missing.any(axis=2), missing.all(axis=2))
 
 
-def test_scripted_window_is_half_open_and_hides_the_whole_body_by_default():
-    cameras = MocapCameras(CameraParams.ideal(), windows=[OcclusionWindow("Landmark_A", 0.05, 0.1)])
-    hidden = np.isnan(markers_of(run(cameras, 40))[:, :, 0])
+def test_bodies_are_hidden_until_their_time_and_no_longer():
+    hides = {10: ("Landmark_A", 0.1), 15: ("Raven", 0.09), 16: ("Raven", 0.085)}
+    hidden = np.isnan(markers_of(run(MocapCameras(CameraParams.ideal()), 40, hides))[:, :, 0])
     expected = np.zeros((40, 7), bool)
-    expected[10:20, 4:] = True
+    expected[10:20, 4:] = expected[15:18, :4] = True
     assert np.array_equal(hidden, expected)
 
 
-def test_window_added_on_the_way():
-    cameras = MocapCameras(CameraParams.ideal())
-    run(cameras, 10)
-    cameras.add_window(OcclusionWindow("Raven", 0.05, 0.06, (0,)))
-    seen = cameras.observe(0.05, LAYOUT, EXACT)
-    assert np.isnan(seen.markers_m[0]).all() and not np.isnan(seen.markers_m[1:]).any()
-    with pytest.raises(ValueError, match="no such body.*Raven"):
-        cameras.add_window(OcclusionWindow("Crow", 0.0, 1.0))
-    with pytest.raises(ValueError, match="which has 4"):
-        cameras.add_window(OcclusionWindow("Raven", 0.0, 1.0, (4,)))
-    assert not np.isnan(cameras.observe(0.06, LAYOUT, EXACT).markers_m).any()
-    cameras.add_window(OcclusionWindow("Raven", 0.07, 0.09, (1,)))  # forgets the first one, keeps the next
-    cameras.add_window(OcclusionWindow("Raven", 0.08, 0.09, (2,)))
-    hidden = [
-        np.flatnonzero(np.isnan(cameras.observe(t, LAYOUT, EXACT).markers_m[:, 0])).tolist() for t in (0.07, 0.08, 0.09)
-    ]
-    assert hidden == [[1], [1, 2], []]
-
-
-def test_window_for_an_unknown_body_stops_the_first_frame():
-    with pytest.raises(ValueError, match="'Crow'.*Raven, Landmark_A"):
-        MocapCameras(windows=[OcclusionWindow("Crow", 0.0, 1.0)]).observe(0.0, LAYOUT, EXACT)
+def test_an_unknown_body_cannot_be_hidden():
+    cameras = MocapCameras()
+    cameras.observe(0.0, LAYOUT, EXACT)
+    with pytest.raises(ValueError, match="'Crow': no such body.*Raven, Landmark_A"):
+        cameras.hide("Crow", 1.0)
 
 
 def test_ghosts_do_not_depend_on_what_was_drawn_ahead(monkeypatch):
@@ -177,7 +164,6 @@ def test_changed_bodies_give_a_new_layout():
     [
         {"noise_std_m": -0.001},
         {"occlusions_per_marker_hz": float("nan")},
-        {"ghost_mean_s": float("inf")},
         {"volume_min_m": (0, 0, 3), "volume_max_m": (1, 1, 1)},
         {"volume_min_m": (0, 0)},
     ],
@@ -185,8 +171,3 @@ def test_changed_bodies_give_a_new_layout():
 def test_bad_parameters_are_refused(bad):
     with pytest.raises(ValueError):
         CameraParams(**bad)
-
-
-def test_a_window_that_ends_before_it_starts_is_refused():
-    with pytest.raises(ValueError, match="later"):
-        OcclusionWindow("Raven", 2.0, 1.0)

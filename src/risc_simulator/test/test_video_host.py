@@ -15,10 +15,11 @@ import pytest
 from ardrone_autonomy.protocol.navdata import Navdata, Tag
 from ardrone_autonomy.protocol.video import FrameType, StreamParser
 from risc_lab.camera import Camera, cortex_to_camera
-from risc_lab.lab import FleetLandmark, FleetVehicle
+from risc_lab.lab import FleetLandmark, FleetVehicle, Start
 from risc_lab.lab.calibration import FRONT_MOUNT, load_calibration
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
-from risc_simulator.video.server import DEFAULT_FRONT_CALIBRATION
+from risc_simulator.faults import WireFault
+from risc_simulator.vehicles.ardrone import CAMERAS
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import REST_HEIGHT_M
 
@@ -59,11 +60,11 @@ def make_fleet():
         probe.bind(("", 0))
         port = probe.getsockname()[1]
     vehicles = tuple(
-        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "%s.1.%d" % (net, k + 1), "", (0.5, y, 0.0), 0.0)
+        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "%s.1.%d" % (net, k + 1), Start((0.5, y, 0.0)))
         for k, (name, y) in enumerate([("fluffy_II", 0.0), ("Raven", -1.0)])
     )
     mocap = MocapEndpoint(net + ".0.1", stream_port=port, interface="127.0.0.1")
-    disc = FleetLandmark("Green_pink", DISC_M, facing_rad=np.pi)
+    disc = FleetLandmark("Green_pink", DISC_M, facing_deg=180.0)
     return Fleet("two", mocap, vehicles, (disc,))
 
 
@@ -135,7 +136,7 @@ def test_the_picture_shows_the_disc_where_the_geometry_says(lab, client):
     assert picture.shape == (360, 640, 3)
     assert header.encoded_px == (640, 368) and header.display_px == (640, 360)
     point = cortex_to_camera(DISC_M, (0.5, 0.0, REST_HEIGHT_M), np.diag([1.0, -1.0, -1.0]), FRONT_MOUNT)
-    expected = Camera(load_calibration(DEFAULT_FRONT_CALIBRATION)).project(point)
+    expected = Camera(load_calibration(CAMERAS[0].calibration)).project(point)
     assert np.linalg.norm(green_centre(picture) - expected) < 1.5
 
 
@@ -211,6 +212,40 @@ def test_a_lost_link_sends_nothing_and_comes_back_with_a_keyframe(lab, client):
             client.packet()
     client.socket.settimeout(PATIENCE_S)
     assert client.packet().header.frame_type == FrameType.IDR
+
+
+def test_faults_on_the_wire_act_on_the_stream(lab, client):
+    """Given while the camera process runs: pictures come later, all and in order; then the connection is cut."""
+
+    def lag_s(header):
+        return lab.now_s() - 1e-3 * header.timestamp_ms
+
+    soonest_s = min(lag_s(client.packet().header) for _ in range(10))
+    lab.inject("delay", "risc1/video", 1.0, 2.0)
+    headers, lags_s = [], []
+    while not lags_s or lags_s[-1] < soonest_s + 0.9:
+        headers.append(client.packet().header)
+        lags_s.append(lag_s(headers[-1]))
+    numbers = [header.frame_number for header in headers]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    lab.inject("cut", "risc1/video")
+    with pytest.raises(ConnectionResetError):
+        for _ in range(1000):
+            client.packet()
+    lab.inject("", "risc1/*")
+    again = Client(lab.fleet.vehicles[0].address)
+    again.picture()
+    again.close()
+    counts = lab.statistics()["wires"]["risc1/video"]
+    assert counts["cut"] == 1 and counts["later"] > 10 and counts["sent"] == counts["delivered"] + 1
+
+
+def test_faults_of_the_wire_reach_a_camera_process_that_starts_later(make_lab):
+    lab = make_lab(wire_faults=[WireFault("cut", "risc2/video")])
+    client = Client(lab.fleet.vehicles[1].address)
+    with pytest.raises(ConnectionResetError):
+        client.packet()
+    client.close()
 
 
 def test_nothing_runs_before_somebody_watches_and_nothing_is_left_behind(lab):

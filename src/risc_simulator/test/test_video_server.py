@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 
 from ardrone_autonomy.protocol.video import StreamParser
-from risc_lab.lab import FleetVehicle, load_templates, load_vehicle_type
+from risc_lab.lab import FleetVehicle, Start, load_templates, load_vehicle_type
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
+from risc_simulator.faults import Wires
+from risc_simulator.notices import Notices
 from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
-from risc_simulator.video.blackboard import BITRATES_KBIT_S, BOTTOM, FRONT, RATES_HZ, Blackboard, Snapshot
+from risc_simulator.video.blackboard import BITRATES_KBIT_S, RATES_HZ, Blackboard, Snapshot
 from risc_simulator.video.host import VideoHost, begin_s
 from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
 from risc_simulator.video.server import Station
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import World
 
+FRONT, BOTTOM = 0, 1
 ADDRESS = "127.94.%d.%d" % (os.getpid() // 250 % 250, 1 + os.getpid() % 250)  # tests may run side by side
 RATE_HZ, BITRATE_KBIT_S = 20.0, 4000.0
 PATIENCE_S = 60.0  # for a process to start on a busy computer
@@ -48,7 +51,13 @@ def listener():
 @pytest.fixture
 def watched(listener):
     """(Station, function that gives the next so many PaVE headers that its client receives)."""
-    station = Station(listener, {FRONT: GreyEye, BOTTOM: GreyEye}, latency_s=0.0)
+    station = Station(
+        listener,
+        [GreyEye, GreyEye],
+        latency_s=0.0,
+        notices=Notices(logging.getLogger(), "risc1"),
+        stream=Wires().stream("risc1/video"),
+    )
     client = socket.create_connection(listener.getsockname(), PATIENCE_S)
     parser = StreamParser()
     wait_for(listener)
@@ -67,7 +76,7 @@ def watched(listener):
 
 def expose(station, lab_s):
     station.expose(Snapshot(0.0, lab_s, np.zeros((1, 12))), 0, FRONT, RATE_HZ, BITRATE_KBIT_S)
-    station.send(1.0, link_up=True)
+    station.send(1.0, lab_s, link_up=True)
 
 
 def test_the_rhythm_is_absolute_and_what_the_computer_missed_is_counted(watched):
@@ -84,7 +93,7 @@ def test_lateness_is_that_of_the_pictures_that_came_soonest(watched):
     assert station.late_s == 0.0
     for k, late_s in enumerate((0.02, 0.03, 0.5)):
         station.expose(Snapshot(100.0 + k, 1.0 + k, np.zeros((1, 12))), 0, FRONT, RATE_HZ, BITRATE_KBIT_S)
-        station.send(100.0 + k + late_s, link_up=True)
+        station.send(100.0 + k + late_s, 1.0 + k, link_up=True)
     assert 0.02 <= station.late_s < 0.03
 
 
@@ -92,7 +101,7 @@ def test_what_is_due_waits_for_no_camera_that_draws(monkeypatch):
     listeners = [socket.create_server((ADDRESS, 0)) for _ in range(3)]
     clients = [socket.create_connection(listener.getsockname(), PATIENCE_S) for listener in listeners]
     vehicles = tuple(
-        FleetVehicle("risc%d" % k, template, "ardrone", "127.93.1.%d" % k, "", (0.5 * k, 0.0, 0.0), 0.0)
+        FleetVehicle("risc%d" % k, template, "ardrone", "127.93.1.%d" % k, Start((0.5 * k, 0.0, 0.0)))
         for k, template in enumerate(("fluffy_II", "albatross", "Raven"), 1)
     )
     board = Blackboard(3)
@@ -140,7 +149,7 @@ def test_no_two_pictures_of_one_time(watched):
 
 
 def fleet_of_one(calibration=""):
-    vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", ADDRESS, calibration, (0.5, 0.0, 0.0), 0.0)
+    vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", ADDRESS, Start((0.5, 0.0, 0.0)), calibration)
     return Fleet("one", MocapEndpoint(ADDRESS), (vehicle,))
 
 

@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from risc_lab.lab import FleetVehicle
+from risc_lab.lab import FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
 from risc_simulator.virtual_lab import VirtualLab, configure_fleet
@@ -16,7 +16,7 @@ TAKE_OFF = 290718208
 
 def make_fleet(rate_hz=200.0):
     net = "127.%d" % random.SystemRandom().randint(180, 199)  # a range of this file: tests may run side by side
-    vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", net + ".1.1", "", (0.5, 0.0, 0.0), 0.0)
+    vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", net + ".1.1", Start((0.5, 0.0, 0.0)))
     return Fleet("one", MocapEndpoint(net + ".0.1", stream_port=21001, rate_hz=rate_hz), (vehicle,), ())
 
 
@@ -190,5 +190,5 @@ def test_options_are_checked_like_the_fleet_file(options, key):
 
 @pytest.mark.parametrize("delay_s", [-1.0, float("nan"), float("inf")])
 def test_impossible_delay_is_refused(delay_s):
-    with pytest.raises(ValueError, match="command delay"):
+    with pytest.raises(ValueError, match="command.delay"):
         VirtualLab(make_fleet(), command_delay_s=delay_s)

@@ -1,13 +1,14 @@
 """The world: phases, floor, net, battery, signs, reproducibility."""
 
 import dataclasses
+import math
 import pathlib
 
 import numpy as np
 import pytest
 
 from risc_lab.frames import GRAVITY_M_S2, euler_rates_from_body_rates
-from risc_lab.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Template, load_vehicle_type
+from risc_lab.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Start, Template, load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_simulator import world as world_module
 from risc_simulator.vehicles.ardrone import firmware
@@ -24,7 +25,13 @@ STARTS = [(0.5, 0.0), (-0.5, 0.5), (-0.5, -0.5), (1.0, 1.0), (-1.0, 1.0)]
 
 def make_fleet(n=1, yaw=0.0):
     vehicles = tuple(
-        FleetVehicle("risc%d" % (i + 1), NAMES[i], "ardrone", "127.0.0.%d" % (i + 2), "", STARTS[i] + (0.0,), yaw)
+        FleetVehicle(
+            "risc%d" % (i + 1),
+            NAMES[i],
+            "ardrone",
+            "127.0.0.%d" % (i + 2),
+            Start(STARTS[i] + (0.0,), math.degrees(yaw)),
+        )
         for i in range(n)
     )
     return Fleet("test", MocapEndpoint("127.0.0.1"), vehicles, (FleetLandmark("Green_pink", (2.0, 1.0, 1.0)),))
@@ -571,6 +578,6 @@ def test_errors_name_cause_and_cure():
     with pytest.raises(ValueError, match="step_s"):
         make_world(step_s=0.1)
     fleet = make_fleet()
-    outside = dataclasses.replace(fleet.vehicles[0], start_position_m=(0.0, 2.5, 0.0))
+    outside = dataclasses.replace(fleet.vehicles[0], start=Start((0.0, 2.5, 0.0)))
     with pytest.raises(ValueError, match="risc1 starts outside the net"):
         World(dataclasses.replace(fleet, vehicles=(outside,)), TYPES, TEMPLATES)

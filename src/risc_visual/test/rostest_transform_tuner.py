@@ -27,7 +27,7 @@ from visualization_msgs.msg import (
 
 from risc_lab.camera import rotation_camera_to_body
 from risc_lab.lab.calibration import FRONT_MOUNT, CameraMount, load_mount
-from risc_lab.lab.fleet import FleetVehicle
+from risc_lab.lab.fleet import FleetVehicle, Start
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
 from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, numbers_of
 from risc_visual.tuner.ros.mount_marker import numbers_from_pose, pose_of
@@ -240,7 +240,7 @@ class TransformTunerTest(unittest.TestCase):
                 transforms.terminate()
 
     def test_6_sliders_follow_later_when_the_master_does_not_answer(self):
-        tuner = MountTuner(FleetVehicle("risc9", "fluffy_II", "ardrone", "127.0.0.9", "", (0.0, 0.0, 0.0), 0.0))
+        tuner = MountTuner(FleetVehicle("risc9", "fluffy_II", "ardrone", "127.0.0.9", Start((0.0, 0.0, 0.0))))
         moved = []
         sliders = Sliders("/sliders_of_the_test", tuner, moved.append)
         client = Client("/sliders_of_the_test", timeout=PATIENCE_S)

@@ -1,6 +1,7 @@
 """risc_camera_setup.launch and risc_camera_setup_bottom.launch: arguments reach the programs that need them."""
 
 import pathlib
+import re
 
 import pytest
 import roslaunch.config
@@ -22,10 +23,8 @@ def load(file_name, *arguments):
     roslaunch.xmlloader.XmlLoader().load(path, config, argv=list(arguments), verbose=False)
     nodes = {node.namespace + node.name: node for node in config.nodes}
     params = {name: param.value for name, param in config.params.items()}
-    for name, value in list(params.items()):
-        if name.endswith("/ardrone_driver/vehicles"):
-            params.update({name.replace("vehicles", key): own for key, own in next(iter(value.values())).items()})
-    return nodes, params
+    own = {re.sub("/vehicles/[^/]+/", "/", name): value for name, value in params.items()}
+    return nodes, {**own, **params}
 
 
 @pytest.mark.parametrize(

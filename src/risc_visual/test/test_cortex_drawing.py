@@ -9,7 +9,7 @@ from geometry_msgs.msg import Twist, TwistStamped, Vector3
 from std_msgs.msg import Header
 
 from risc_control.failsafe import FailsafeLevel, Verdict
-from risc_lab.lab.fleet import FleetVehicle
+from risc_lab.lab.fleet import FleetVehicle, Start
 from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
 from risc_visual.drawing.cast import Index
@@ -25,7 +25,7 @@ NAN = float("nan")
 
 
 def vehicle(number):
-    return FleetVehicle("risc%d" % number, "vehicle_%d" % number, "ardrone", "127.0.0.%d" % number, "", (0, 0, 0), 0.0)
+    return FleetVehicle("risc%d" % number, "vehicle_%d" % number, "ardrone", "127.0.0.%d" % number, Start((0, 0, 0)))
 
 
 def drawing(fleet=(), **params):

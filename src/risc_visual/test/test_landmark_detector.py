@@ -247,7 +247,7 @@ def spoilt(change):
         (lambda c: c["landmarks"].clear(), "'landmarks' is empty"),
         (lambda c: c["landmarks"][0].update(ring="green"), "Green_pink.*same colour"),
         (lambda c: c["landmarks"][0].update(roi_name="blue"), "same roi_name: blue"),
-        (lambda c: c["landmarks"][0].pop("name"), "'name' is missing"),
+        (lambda c: c["landmarks"][0].pop("name"), "name' is missing"),
         (lambda c: c["discs"].update(ring_diameter_m=0.1), "'ring_diameter_m'"),
         (lambda c: c["detector"].update(shrink=1.5), "'shrink'"),
         (lambda c: c["detector"].update(ring_min=2), "'ring_min'"),

@@ -12,12 +12,12 @@ import pytest
 from risc_lab.camera import Camera, bearings_of_rays, cortex_to_camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import FRONT_MOUNT, CameraCalibration, CameraMount, load_mount, save_mount
-from risc_lab.lab.fleet import FleetVehicle
+from risc_lab.lab.fleet import FleetVehicle, Start
 from risc_visual.cfg import TransformTunerConfig
 from risc_visual.tuner.mount_tuner import LIMITS, NUMBERS, MountTuner, TunerParams, mount_of, numbers_of, text_of
 from risc_visual.tuner.ros.mount_marker import mount_marker, numbers_from_pose, pose_of
 
-VEHICLE = FleetVehicle("risc1", "fluffy_II", "ardrone", "127.0.0.2", "", (0.0, 0.0, 0.0), 0.0)
+VEHICLE = FleetVehicle("risc1", "fluffy_II", "ardrone", "127.0.0.2", Start((0.0, 0.0, 0.0)))
 TRUE = CameraMount((0.15, 0.03, -0.02), math.radians(1.0), math.radians(8.0), math.radians(-6.0))
 CAMERA = Camera(CameraCalibration.from_intrinsics("wide", (640, 360), (580.0, 580.0), (320.0, 180.0)))
 PLACES = {"green": (2.3, 0.8, 1.5), "pink": (2.3, -0.8, 1.2)}

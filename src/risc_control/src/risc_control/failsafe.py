@@ -387,7 +387,7 @@ class SafetyLadder:
             return _LAND, Rule.BATTERY, "battery at %.0f %%" % self._battery_pct, None
         if self._apart_since_s is None and not self._near.lasts(limits.separation_delay_s):
             return hold
-        # No way back: its reference has gone on, and it would chase after it through the others.
+        # No way back: its reference has gone on, and it would follow it through the others.
         held_s = 0.0 if self._apart_since_s is None else now_s - self._apart_since_s
         waits = self._look.above and held_s < limits.separation_wait_s
         level = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD

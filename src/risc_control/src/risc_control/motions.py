@@ -339,7 +339,7 @@ class Blend(Motion):
     It has the derivatives of `start` up to snap at the beginning and those of `end` at the end, and every position in
     between lies on the line between the two (or above it, when it rises): where both are inside the (convex) arena, so
     is the way. A polynomial between two states of motion has no such bound; for the yaw, which needs none, it is the
-    better way, because a vehicle need not chase a nose that turns.
+    better way, because a vehicle need not follow a nose that turns.
     """
 
     def __init__(self, start, end, begin_s, duration_s, rise_m=0.0, yaw_duration_s=None, revolutions=0, calls=(0, 0)):

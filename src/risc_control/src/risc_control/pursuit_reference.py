@@ -1,4 +1,4 @@
-"""References of a vehicle that chases a virtual target (`virtual_target.py`): a place to wait at, then the target.
+"""References of a vehicle that pursues a virtual target (`virtual_target.py`): a place to wait at, then the target.
 
 The vehicle flies to the place where it waits (the original's "WP") as to any course. From the moment on that the
 target is let go (its "NGC") the reference is the target, which the vehicle only follows at a distance. So every way
@@ -15,7 +15,7 @@ from risc_control.trajectories import YawProgram, make_course, points
 from risc_control.trajectory_manager import Phase, TrajectoryManager
 
 # The target's speed is told so long before it runs, and after it has stopped: it has a topic of its own, and no order
-# with the references. Meanwhile the vehicle chases the place where it is; the other way round it would fly to a target.
+# with the references. Meanwhile the vehicle pursues the place where it is; otherwise it would fly to a target.
 _LEAD_S = 0.1
 
 
@@ -69,13 +69,13 @@ class VirtualTarget(TrajectoryManager):
         return True
 
     @property
-    def chasing(self):
+    def pursuing(self):
         """Whether the target runs, or is about to."""
         return self._epoch_of_target_s is not None
 
     def target_speed_m_s(self, now_s):
         """Speed of the target as its topic tells it, 0 while it rests."""
-        told = self.chasing or now_s < self._told_until_s
+        told = self.pursuing or now_s < self._told_until_s
         return float(np.linalg.norm(self.target.at(0.0)[0][1, 0])) if told else 0.0
 
     def let_go(self, now_s):
@@ -83,7 +83,7 @@ class VirtualTarget(TrajectoryManager):
 
         It does nothing while the target runs already, nor when the vehicle is not on its way to where it waits.
         """
-        if self.chasing or self.sample(now_s).phases[0] not in (Phase.APPROACH, Phase.COURSE):
+        if self.pursuing or self.sample(now_s).phases[0] not in (Phase.APPROACH, Phase.COURSE):
             return False
         self._wanted = True
         return True
@@ -95,7 +95,7 @@ class VirtualTarget(TrajectoryManager):
             return reference
         if self._wanted:
             self._wanted, self._epoch_of_target_s = False, now_s + _LEAD_S
-        if self.chasing and now_s >= self._epoch_of_target_s:
+        if self.pursuing and now_s >= self._epoch_of_target_s:
             path, yaw = self.target.at(now_s - self._epoch_of_target_s)
             reference.derivatives[..., :3], reference.derivatives[: len(yaw), :, 3] = path, yaw
         return reference
@@ -118,6 +118,6 @@ class VirtualTarget(TrajectoryManager):
 
     def _stop(self, now_s):
         self._wanted = False
-        if self.chasing:
+        if self.pursuing:
             self._epoch_of_target_s, self._told_until_s = None, now_s + _LEAD_S
             self._hold(0, coasting(self._seen_m[0], self._velocity[0], self._seen_yaw_rad[0], now_s))

@@ -317,5 +317,5 @@ def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=Trajecto
     """
     if not isinstance(course, Course):
         raise TypeError("course must be a Course, got %r" % (course,))
-    homes = [Home((v.start_position_m[0], v.start_position_m[1], home_height_m), v.start_yaw_rad) for v in vehicles]
+    homes = [Home((v.start.position_m[0], v.start.position_m[1], home_height_m), v.start.yaw_rad) for v in vehicles]
     return kind([v.template for v in vehicles], homes, course, limits, **options)

@@ -78,7 +78,9 @@ class Situation:
             if word in (vehicle.namespace, vehicle.template) or [vehicle] == at_address:
                 return vehicle
         try:
-            return replace(self.fleet.vehicles[0], namespace="", template="", address=str(ipaddress.IPv4Address(word)))
+            return replace(
+                self.fleet.vehicles[0], namespace="", template=word, address=str(ipaddress.IPv4Address(word))
+            )
         except ValueError:
             known = ", ".join("%s (%s)" % (v.namespace, v.address) for v in self.fleet.vehicles)
             raise ValueError("--vehicle: the fleet has no '%s', it has %s" % (word, known)) from None

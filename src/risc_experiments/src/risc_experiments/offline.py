@@ -85,7 +85,7 @@ class Flight:
     seed: int = 1
     duration_s: float = 20.0  # on the course after settling
     delay_s: float | None = None  # link delay, told to the controller as nominal; None = that of each vehicle
-    psi_rad: float | None = None  # constant yaw instead of the course's own
+    psi_deg: float | None = None  # constant yaw instead of the course's own
     perturbed: bool = True
     gusts: bool = False
     noise: bool = True  # of the cameras
@@ -139,7 +139,7 @@ def fly(flight):
         vehicles=names,
         velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
     )
-    yaw = None if flight.psi_rad is None else YawProgram((flight.psi_rad,))
+    yaw = None if flight.psi_deg is None else YawProgram((math.radians(flight.psi_deg),))
     course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
     manager = make_manager(fleet.vehicles, course)
     loop = ControlLoop(flight.controller, vehicle_types, flight.params)
@@ -151,7 +151,7 @@ def fly(flight):
     wires, arrived = Wires(flight.seed), []
     stream = wires.wire("cortex/stream")
     for vehicle, fleet_vehicle, phase in zip(world.vehicles.values(), fleet.vehicles, phases):
-        vehicle.fly_at(fleet_vehicle.start_position_m[:2] + (1.0,), fleet_vehicle.start_yaw_rad)
+        vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
         chains.append(_Chain(vehicle, phase, params, wires))
     for fault in flight.wire_faults:
         wires.add(fault)
@@ -379,8 +379,9 @@ def _fleet_files():
 def _lab(flight):
     """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
     fleet = default_fleet(flight.vehicles, flight.trajectory, _fleet_files())
-    if flight.psi_rad is not None:
-        fleet = replace(fleet, vehicles=tuple(replace(v, start_yaw_rad=flight.psi_rad) for v in fleet.vehicles))
+    if flight.psi_deg is not None:
+        turned = [replace(v, start=replace(v.start, yaw_deg=flight.psi_deg)) for v in fleet.vehicles]
+        fleet = replace(fleet, vehicles=tuple(turned))
     if flight.types:
         fleet = replace(fleet, vehicles=tuple(replace(v, type=t) for v, t in zip(fleet.vehicles, flight.types)))
     fleet = fleet.with_overrides(**flight.overrides).with_overrides(command_delay_s=flight.delay_s)
@@ -433,7 +434,7 @@ def main(argv=None):
             seed=seed,
             duration_s=args.duration,
             delay_s=delay_s,
-            psi_rad=math.radians(YAW_BY_SEED_DEG * seed if args.psi is None else args.psi),
+            psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
             perturbed=not args.ideal,
             gusts=args.gusts,
             controller=args.controller,

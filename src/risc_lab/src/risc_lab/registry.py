@@ -2,8 +2,10 @@
 
 import importlib
 import pkgutil
+from dataclasses import is_dataclass
 
-from risc_lab.lab.yaml_reader import MEMBERS_VARIABLE, Section, config_files, load_yaml, member_folders
+from risc_lab.lab.yaml_reader import MEMBERS_VARIABLE, check_once, config_files, load_yaml, member_folders
+from risc_lab.settings import settings_from
 
 VARIABLE = MEMBERS_VARIABLE
 
@@ -34,11 +36,7 @@ class Registry:
         for folder in folders:
             found += [module.name for module in pkgutil.iter_modules([folder])]
         names = sorted(name for name in found if not name.startswith("_"))
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(
-                "%s: %s is there twice: rename the one in %s" % (self.kind, ", ".join(twice), MEMBERS_VARIABLE)
-            )
+        check_once(self.kind, names)
         return names
 
     def module(self, name):
@@ -52,12 +50,17 @@ class Registry:
         except (ImportError, SyntaxError) as error:
             raise ValueError("%s: %s cannot be imported: %s" % (self.kind, name, error)) from error
 
-    def settings(self, name, settings_class=None):
-        """Content of the member's YAML file; with a dataclass of numbers as an instance of it. Raises ValueError."""
+    def settings(self, name, kind=dict):
+        """Content of the member's YAML file, as an instance of a dataclass of settings if one is given.
+
+        Raises ValueError, also when that class, which the member's module names, is none.
+        """
         self.module(name)
         path = config_files(self.kind, self._package.__name__.split(".")[0]).get(name)
         if path is None:
             raise ValueError("%s '%s' has no %s.yaml" % (self.kind, name, name))
-        return (
-            load_yaml(path) if settings_class is None else Section(load_yaml(path), str(path)).settings(settings_class)
-        )
+        if kind is dict:
+            return load_yaml(path)
+        if not (isinstance(kind, type) and is_dataclass(kind)):
+            raise ValueError("%s '%s': its PARAMS must be a dataclass of settings, found %r" % (self.kind, name, kind))
+        return settings_from(kind, load_yaml(path), str(path))

@@ -30,6 +30,7 @@ Fraction = typing.Annotated[float, Meta(ge=0.0, le=1.0)]
 Count = typing.Annotated[int, Meta(ge=0)]
 Port = typing.Annotated[int, Meta(ge=1, le=65535)]
 Name = typing.Annotated[str, Meta(min_length=1)]
+Vector = tuple[float, float, float]
 
 
 def between(least, greatest):
@@ -76,6 +77,14 @@ def _refuse(hint, values, where, path):
     if isinstance(values, (list, tuple)):
         for i, item in enumerate(values):
             _refuse(hint, item, where, "%s[%d]" % (path, i))
+    if typing.get_origin(hint) is typing.Literal and values not in typing.get_args(hint):
+        choice = ", ".join(map(str, typing.get_args(hint)))
+        raise ValueError(_said(where, path, "must be one of %s, found %r" % (choice, values)))
+    if typing.get_origin(hint) is dict and isinstance(values, Mapping):
+        for key, value in values.items():
+            _refuse(typing.get_args(hint)[1], value, where, "%s.%s" % (path, key))
+        _convert(values, hint, where, path)
+        return
     kind = next((kind for kind in (hint, *typing.get_args(hint)) if is_dataclass(kind)), None)
     if kind is not None and isinstance(values, Mapping):
         known = _hints(kind)
@@ -88,13 +97,17 @@ def _refuse(hint, values, where, path):
 
 
 def _convert(value, hint, where, key=""):
+    if typing.get_origin(hint) is dict and isinstance(value, Mapping):  # msgspec would not say which item it is
+        kind = typing.get_args(hint)[1]
+        return {name: _convert(item, kind, where, "%s.%s" % (key, name)) for name, item in value.items()}
     try:
         return msgspec.convert(value.item() if isinstance(value, np.generic) else value, hint, from_attributes=True)
     except msgspec.ValidationError as error:
-        if isinstance(error.__cause__, ValueError):  # of a class' own __post_init__
-            raise ValueError(_said(where, "", str(error.__cause__))) from None
-        text, _, path = str(error).partition(" - at `$")
+        text, _, path = str(error).rpartition(" - at `$") if " - at `$" in str(error) else (str(error), "", "")
         path = path.rstrip("`")
+        if isinstance(error.__cause__, ValueError):  # of a class' own __post_init__
+            place = (key + path).lstrip(".")
+            raise ValueError(_said(": ".join(filter(None, (where, place))), "", str(error.__cause__))) from None
         missing = re.fullmatch("Object missing required field `(.*)`", text)
         if missing:
             raise ValueError(_said(where, "%s%s.%s" % (key, path, missing[1]), "is missing")) from None
@@ -118,3 +131,11 @@ def _at(value, path):
 def _hints(kind):
     hints = typing.get_type_hints(kind, include_extras=True)
     return {item.name: hints[item.name] for item in fields(kind)}
+
+
+def check_different(items, key, what):
+    """Raises ValueError when two items have the same value of a field. what: the items, e.g. "vehicles"."""
+    values = [getattr(item, key) for item in items]
+    twice = sorted({value for value in values if values.count(value) > 1})
+    if twice:
+        raise ValueError("two %s have the same %s: %s" % (what, key, ", ".join(twice)))

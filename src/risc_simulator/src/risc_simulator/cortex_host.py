@@ -14,14 +14,15 @@ import math
 import socket
 import struct
 from collections import Counter, deque
+from typing import NamedTuple
 
 import numpy as np
 
 from cortex_ros import wire
 from cortex_ros.wire import Command
-from risc_simulator.models.mocap_cameras import MocapCameras, Observation
+from risc_simulator.models.mocap_cameras import Observation
 from risc_simulator.notices import Notices
-from risc_simulator.socket_host import SocketHost
+from risc_simulator.socket_host import SocketHost, open_socket
 
 IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))  # program id 1 says: this is Cortex
 UP_AXIS_Z = 2
@@ -46,44 +47,41 @@ class LatenessHistogram:
 
     def __init__(self):
         self._counts = [0] * (self.BINS + 1)
-        self.count = 0
         self.max_s = 0.0
 
     def add(self, lateness_s):
         """Count one delay [s]; what is early counts as on time."""
         lateness_s = max(lateness_s, 0.0)
         self.max_s = max(self.max_s, lateness_s)
-        self.count += 1
         self._counts[min(int(lateness_s / self.BIN_S), self.BINS)] += 1
 
     def percentile_s(self, percent):
         """Upper edge [s] of the bin that holds the percentile (never above the maximum); 0 without data."""
-        wanted = max(math.ceil(self.count * percent / 100.0 - 1e-6), 1)  # not one too many by rounding
-        seen = 0
-        for index, count in enumerate(self._counts):
-            seen += count
-            if seen >= wanted:
-                return self.max_s if index == self.BINS else min((index + 1) * self.BIN_S, self.max_s)
-        return 0.0
+        seen = np.cumsum(self._counts)
+        wanted = max(math.ceil(seen[-1] * percent / 100.0 - 1e-6), 1)  # not one too many by rounding
+        index = int(np.searchsorted(seen, wanted))
+        return self.max_s if index >= self.BINS else min((index + 1) * self.BIN_S, self.max_s)
+
+    def statistics_ms(self):
+        """{"p50", "p99", "max"} [ms]."""
+        return {
+            "p50": 1e3 * self.percentile_s(50.0),
+            "p99": 1e3 * self.percentile_s(99.0),
+            "max": 1e3 * self.max_s,
+        }
 
 
-class _EncodedFrame:
+class _EncodedFrame(NamedTuple):
     """A frame ready to be sent; the delay between exposure and sending is entered when it goes out."""
 
-    def __init__(self, number, exposure_s, packet, delay_offset):
-        self.number = number
-        self.exposure_s = exposure_s
-        self.packet = packet
-        self._delay_offset = delay_offset
+    exposure_s: float
+    packet: bytearray
+    delay_offset: int
 
-    def date(self, now_s):
-        """Enter the delay for good: the frame is streamed at now_s."""
-        wire.set_delay(self.packet, self._delay_offset, max(now_s - self.exposure_s, 0.0))
-
-    def dated_copy(self, now_s):
-        """The packet for a client that polls at now_s."""
-        packet = self.packet[:]
-        wire.set_delay(packet, self._delay_offset, max(now_s - self.exposure_s, 0.0))
+    def dated(self, now_s, packet=None):
+        """The packet, or a copy of it, as it is sent at now_s."""
+        packet = self.packet if packet is None else packet
+        wire.set_delay(packet, self.delay_offset, max(now_s - self.exposure_s, 0.0))
         return packet
 
 
@@ -94,12 +92,10 @@ class CortexHost(SocketHost):
         all bodies in this order.
     endpoint: has host, command_port, stream_group, stream_port, rate_hz, reported_delay_s. Command port 0 takes a free
         one (see `address`); an empty stream_group sends no multicast. Its interface is the client's, not used here.
-    cameras: MocapCameras; None = good ones, seed 0.
+    cameras: MocapCameras.
     clock: callable giving lab time [s] now, to report the delay at the moment of sending; None = the caller's now_s.
     templates: body name -> object with marker_names, for the body definitions; others get M1, M2, ...
-    unicast_stream: (address, port) pairs which get the stream too, for machines without multicast.
     live_on_start: stream without waiting for a client's LiveMode.
-    discovery: also hear clients that broadcast their hello.
     interface: address of the network card that the multicast stream goes out by; "" = the card that owns the host.
     wires: faults.Wires, of which it uses cortex/requests, cortex/replies and cortex/stream; None = wires of its own.
 
@@ -111,12 +107,10 @@ class CortexHost(SocketHost):
         self,
         world,
         endpoint,
-        cameras=None,
+        cameras,
         clock=None,
         templates=None,
-        unicast_stream=(),
         live_on_start=False,
-        discovery=True,
         interface="",
         wires=None,
     ):
@@ -125,15 +119,15 @@ class CortexHost(SocketHost):
             raise ValueError("frame rate is %r Hz: give a positive one" % (endpoint.rate_hz,))
         self._world = world
         self._endpoint = endpoint
-        self._cameras = MocapCameras() if cameras is None else cameras
+        self._cameras = cameras
         self._clock = clock
         self._last_now_s = world.time_s
 
         self._number = 0  # of the newest frame
-        self._live = bool(live_on_start)
+        self.live = live_on_start  # live mode is on
         self._last_exposure = None  # index of the last period of the frame rate that was served
         self._output_name = "capture"
-        self._recording = None  # type: Optional[wire.Recording]
+        self._recording = None  # wire.Recording
         self._take = deque(maxlen=TAKE_FRAMES)
         self._take_at = 0
         self._play_mode = 0  # -1 backwards, 0 paused, 1 forwards
@@ -155,7 +149,7 @@ class CortexHost(SocketHost):
         self._base_positions = self._encode(0, exact)
         # what the operator's screen shows before anything was live
         self._shown = self._encode(0, self._cameras.observe(world.time_s, layout, markers_m))
-        self._shown.date(world.time_s + endpoint.reported_delay_s)
+        self._shown.dated(world.time_s + endpoint.reported_delay_s)
 
         self._request_handlers = {
             "LiveMode": self._request_live_mode,
@@ -181,7 +175,7 @@ class CortexHost(SocketHost):
         self._stream_socket = None
         self._broadcast_addresses = []
         try:
-            self._open_sockets(unicast_stream, discovery, interface)
+            self._open_sockets(interface)
         except OSError:
             self.close()
             raise
@@ -206,7 +200,7 @@ class CortexHost(SocketHost):
         """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
         self._last_now_s = now_s
         periods = self._periods_entered()
-        if periods and self._live:
+        if periods and self.live:
             self._counts["exposures_skipped"] += periods - 1
             self._expose_and_send()
         elif periods and self._play_mode:
@@ -229,81 +223,41 @@ class CortexHost(SocketHost):
         lines = ["%s %s host: commands on udp %s:%d" % (IDENTITY.name, version, host, port)]
         if self._broadcast_addresses:
             lines.append("  hears broadcast hellos to %s" % ", ".join(self._broadcast_addresses))
-        targets = ", ".join("%s:%d" % target for target in self._stream_targets) or "nowhere"
-        lines.append(
-            "  stream at %g Hz to udp %s from %s, %s"
-            % (
-                self._endpoint.rate_hz,
-                targets,
-                host,
-                "live" if self._live else "paused until a client asks for LiveMode",
-            )
-        )
+        target = "%s:%d" % self._stream_target if self._stream_target else "nowhere"
+        live = "live" if self.live else "paused until a client asks for LiveMode"
+        lines.append("  stream at %g Hz to udp %s from %s, %s" % (self._endpoint.rate_hz, target, host, live))
         lines.append("  bodies: %s" % ", ".join(self._body_names))
         return "\n".join(lines)
 
-    # --- for the operator of the lab ------------------------------------------------------------------------------
-
-    @property
-    def address(self):
-        """(address, port) of the command socket."""
-        return self._address
-
-    @property
-    def live(self):
-        """Whether live mode is on."""
-        return self._live
-
     def set_live(self, live):
         """Live mode on or off, as the operator at the screen would."""
-        if live and not self._live:
+        if live and not self.live:
             self._play_mode, self._last_exposure = 0, None
-        self._live = bool(live)
-
-    def jump_frame_number(self, by):
-        """Let the next frame number jump by `by` (negative: as after a new take)."""
-        self._number = max(self._number + by, 0) & FRAME_NUMBER_MASK
+        self.live = live
 
     def statistics(self):
         """Counts since the start, requests by kind, and how late frames left against the absolute schedule [ms]."""
-        names = (
-            "frames_exposed",
-            "frames_sent",
-            "exposures_skipped",
-            "oversize_frames",
-            "malformed",
-            "unexpected",
-            "unknown_commands",
-            "unrecognized_requests",
-            "replies",
-            "send_errors",
-            "receive_errors",
-        )
-        result = {name: self._counts[name] for name in names}
-        result["requests"] = dict(sorted(self._request_counts.items()))
-        result["clients"] = len(self._clients)
-        result["notices"] = self._notices.statistics()
-        result["schedule_late_ms"] = {
-            "p50": 1e3 * self._lateness.percentile_s(50.0),
-            "p99": 1e3 * self._lateness.percentile_s(99.0),
-            "max": 1e3 * self._lateness.max_s,
+        return {
+            **{name: self._counts[name] for name in _COUNTS},
+            "requests": dict(sorted(self._request_counts.items())),
+            "clients": len(self._clients),
+            "notices": self._notices.statistics(),
+            "schedule_late_ms": self._lateness.statistics_ms(),
         }
-        return result
 
     # --- sockets --------------------------------------------------------------------------------------------------
 
-    def _open_sockets(self, unicast_stream, discovery, interface):
+    def _open_sockets(self, interface):
         endpoint = self._endpoint
-        self._command_socket = _udp_socket(endpoint.host, endpoint.command_port, "command port")
+        self._command_socket = open_socket(
+            socket.SOCK_DGRAM, endpoint.host, endpoint.command_port, "Cortex host, commands"
+        )
         self._waiting.add(self._command_socket)
-        self._address = self._command_socket.getsockname()
-        try:
-            self._command_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, COMMAND_RECEIVE_BUFFER_BYTES)
-        except OSError as error:
-            _LOG.warning("command socket keeps its receive buffer: %s", error)
+        self.address = self._command_socket.getsockname()  # (address, port) for commands
+        self._command_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, COMMAND_RECEIVE_BUFFER_BYTES)
         # clients drop a stream that comes from another address than the replies do
-        self._stream_socket = _udp_socket(endpoint.host, 0, "stream")
-        self._stream_targets = []
+        self._stream_socket = open_socket(socket.SOCK_DGRAM, endpoint.host, 0, "Cortex host, stream")
+        self._stream_target = None
         wildcard = endpoint.host in ("", "0.0.0.0")
         if endpoint.stream_group:
             # an address of 127/8 leads to lo, whichever it is: clients that joined on 127.0.0.1 hear it
@@ -321,27 +275,23 @@ class CortexHost(SocketHost):
                     "cannot multicast through interface %s (%s): give the address of a network card of this "
                     "computer as the interface, or none for the host's own" % (interface, error.strerror or error),
                 ) from error
-            self._stream_targets.append((endpoint.stream_group, endpoint.stream_port))
-        self._stream_targets += [(address, port) for address, port in unicast_stream]
-        if discovery and not wildcard:
-            self._open_broadcast_sockets(self.address[1])
-
-    def _open_broadcast_sockets(self, port):
-        """A socket bound to one address hears no broadcasts; these do, and all hosts of a computer share them."""
+            self._stream_target = endpoint.stream_group, endpoint.stream_port
+        if wildcard:
+            return
+        # a socket bound to one address hears no broadcasts; these do, and all hosts of a computer share them
         for address in ("255.255.255.255", "127.255.255.255"):
             try:
-                sock = _udp_socket(address, port, "broadcast", share=True)
+                sock = open_socket(socket.SOCK_DGRAM, address, self.address[1], "Cortex host, broadcasts", share=True)
             except OSError as error:
                 _LOG.warning("%s: clients that broadcast their hello will not find this host", error)
                 continue
             self._waiting.add(sock)
-            self._broadcast_addresses.append("%s:%d" % (address, port))
+            self._broadcast_addresses.append("%s:%d" % (address, self.address[1]))
 
     def _announce(self):
         """Tell clients that are already there that the host is back; they watch the stream for it."""
-        hello = wire.encode_identity(Command.HERE_I_AM, IDENTITY)
-        for target in self._stream_targets:
-            self._send_stream(hello, target, self._last_now_s)
+        if self._stream_target:
+            self._send_stream(wire.encode_identity(Command.HERE_I_AM, IDENTITY), self._stream_target, self._last_now_s)
 
     def _send(self, datagram, address, sock):
         """True when it went out."""
@@ -385,7 +335,7 @@ class CortexHost(SocketHost):
         packet, delay_offset = self._encoder.encode(
             number, observation.markers_m, observation.unidentified_m, recording=self._recording
         )
-        return _EncodedFrame(number, observation.time_s, packet, delay_offset)
+        return _EncodedFrame(observation.time_s, packet, delay_offset)
 
     def _periods_entered(self):
         """Periods of the frame rate that the world has entered since the last one served; 0 = still in that one."""
@@ -409,12 +359,12 @@ class CortexHost(SocketHost):
             return
         self._shown = frame
         now_s = self._now_s()
-        frame.date(now_s)
+        packet = frame.dated(now_s)
         if self._recording is not None and self._recording.active:
             self._take.append(frame)
         self._lateness.add(now_s - (frame.exposure_s + self._endpoint.reported_delay_s))
-        sent = [self._stream.carry(frame.packet, target, now_s, self._send_stream) for target in self._stream_targets]
-        self._counts["frames_sent"] += any(sent)
+        if self._stream_target:
+            self._counts["frames_sent"] += self._stream.carry(packet, self._stream_target, now_s, self._send_stream)
 
     def _step_playback(self, periods):
         """Show the next frame of the take; stop at its end."""
@@ -434,14 +384,11 @@ class CortexHost(SocketHost):
                     client = wire.decode_identity(payload)
                     version = ".".join(map(str, client.version[1:]))
                     self._notices.event("says hello", sender, "%s %s" % (client.name, version))
-                self._count_request(Command(command).name, sender)
-                self._reply_to(sender, wire.encode_identity(Command.HERE_I_AM, IDENTITY))
+                self._answer(sender, Command(command).name, wire.encode_identity(Command.HERE_I_AM, IDENTITY))
             elif command == Command.REQUEST_BODYDEFS:
-                self._count_request("REQUEST_BODYDEFS", sender)
-                self._reply_to(sender, self._body_defs)
+                self._answer(sender, "REQUEST_BODYDEFS", self._body_defs)
             elif command == Command.REQUEST_FRAME:
-                self._count_request("REQUEST_FRAME", sender)
-                self._reply_to(sender, self._frame_shown())
+                self._answer(sender, "REQUEST_FRAME", self._frame_shown())
             elif command == Command.GENERAL_REQUEST:
                 self._on_text_request(wire.decode_text(payload), sender)
             elif command == Command.PUSH_BASEPOSITION:
@@ -459,6 +406,10 @@ class CortexHost(SocketHost):
             self._counts["malformed"] += 1
             self._notices.complaint("sends malformed packets", sender, "%s" % error)
 
+    def _answer(self, sender, kind, reply):
+        self._count_request(kind, sender)
+        self._reply_to(sender, reply)
+
     def _count_request(self, kind, sender):
         self._request_counts[kind] += 1
         if sender not in self._clients:
@@ -469,23 +420,20 @@ class CortexHost(SocketHost):
 
     def _on_text_request(self, text, sender):
         name, equals, argument = text.partition("=")
-        handler = self._request_handlers.get(name)
-        if handler is None or (equals and name not in self._requests_with_argument):
-            reply = None
-        else:
+        handler, reply = self._request_handlers.get(name), None
+        if handler is not None and (not equals or name in self._requests_with_argument):
             self._asking = sender
             reply = handler(argument if equals else None)
         if reply is None:
             self._counts["unrecognized_requests"] += 1
             self._notices.complaint("asks what is not understood", sender, repr(text[:60]))
-            reply = wire.encode_packet(Command.UNRECOGNIZED_REQUEST)
+            self._reply_to(sender, wire.encode_packet(Command.UNRECOGNIZED_REQUEST))
         else:
-            self._count_request(name, sender)
-        self._reply_to(sender, reply)
+            self._answer(sender, name, reply)
 
     def _frame_shown(self):
         """The newest live frame with its age; paused, the frame on the screen as it was sent."""
-        return self._shown.dated_copy(self._now_s()) if self._live else self._shown.packet
+        return self._shown.dated(self._now_s(), self._shown.packet[:]) if self.live else self._shown.packet
 
     def _request_frame_of_data(self, argument):
         if argument is None:
@@ -493,13 +441,13 @@ class CortexHost(SocketHost):
         return self._base_positions.packet if argument == "BasePositions" else None
 
     def _request_live_mode(self, _argument):
-        if not self._live:
+        if not self.live:
             self._notices.event("starts the stream", self._asking)
         self.set_live(True)
         return _reply()
 
     def _request_pause(self, _argument):
-        if self._live:
+        if self.live:
             self._notices.complaint("pauses the stream of all clients", self._asking)
         self.set_live(False)
         return _reply()
@@ -531,7 +479,7 @@ class CortexHost(SocketHost):
 
     def _play(self, mode):
         """Playback shows the recorded take to clients that poll; it needs live mode to be off and a take."""
-        if not self._live and self._take:
+        if not self.live and self._take:
             last = len(self._take) - 1
             if mode and not self._play_mode:
                 self._last_exposure = None  # the first step comes with the next tick
@@ -543,39 +491,29 @@ class CortexHost(SocketHost):
         return _reply()
 
 
-_HOST_COMMANDS = frozenset(
-    (
-        Command.HERE_I_AM,
-        Command.COMMENT,
-        Command.BODYDEFS,
-        Command.FRAME_OF_DATA,
-        Command.GENERAL_REPLY,
-        Command.UNRECOGNIZED_REQUEST,
-        Command.UNRECOGNIZED_COMMAND,
-    )
-)
+_HOST_COMMANDS = {
+    Command.HERE_I_AM,
+    Command.COMMENT,
+    Command.BODYDEFS,
+    Command.FRAME_OF_DATA,
+    Command.GENERAL_REPLY,
+    Command.UNRECOGNIZED_REQUEST,
+    Command.UNRECOGNIZED_COMMAND,
+}
+_COUNTS = [
+    "frames_exposed",
+    "frames_sent",
+    "exposures_skipped",
+    "oversize_frames",
+    "malformed",
+    "unexpected",
+    "unknown_commands",
+    "unrecognized_requests",
+    "replies",
+    "send_errors",
+    "receive_errors",
+]
 
 
 def _reply(payload=b""):
     return wire.encode_packet(Command.GENERAL_REPLY, payload)
-
-
-def _udp_socket(address, port, purpose, share=False):
-    """Non-blocking UDP socket bound to address:port. Raises OSError with cause and cure."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        if share:
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind((address, port))
-        sock.setblocking(False)
-    except OSError as error:
-        sock.close()
-        cure = {
-            errno.EADDRINUSE: "another host runs there: stop it or use another address or port",
-            errno.EADDRNOTAVAIL: "this computer has no such address: use one of its own, or 127.x.x.x",
-            errno.EACCES: "ports below 1024 need root: use a higher one",
-        }.get(error.errno, "check the endpoint")
-        raise OSError(
-            error.errno, "Cortex %s udp %s:%d: %s; %s" % (purpose, address, port, error.strerror or error, cure)
-        ) from error
-    return sock

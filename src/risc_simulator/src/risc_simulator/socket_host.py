@@ -1,9 +1,43 @@
 """What the hosts of the virtual lab have in common: sockets that are waited for."""
 
+import errno
 import math
 import select
+import socket
+import struct
 
 from risc_simulator.faults import Wires
+
+_CURES = {
+    errno.EADDRINUSE: "in use. Stop the other virtual lab, or use another address in the fleet file",
+    errno.EADDRNOTAVAIL: "this computer has no such address. Use one of its own, or of 127.0.0.0/8, in the fleet file",
+    errno.EACCES: "ports below 1024 need root. Use a higher one in the fleet file",
+}
+
+
+def open_socket(kind, address, port, whose, share=False):
+    """Socket of a kind (SOCK_DGRAM or SOCK_STREAM, which then listens) that does not block, bound to address and port.
+
+    share: others may have the same address.  Raises OSError that says whose it is, the cause and the cure.
+    """
+    sock = socket.socket(socket.AF_INET, kind)
+    try:
+        sock.setblocking(False)
+        if share or kind == socket.SOCK_STREAM:  # listen again at once although old connections linger
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((address, port))
+        if kind == socket.SOCK_STREAM:
+            sock.listen()
+    except OSError as error:
+        sock.close()
+        what = "%s: cannot use %s %s:%d" % (whose, "tcp" if kind == socket.SOCK_STREAM else "udp", address, port)
+        raise OSError(error.errno, "%s: %s" % (what, _CURES.get(error.errno, error.strerror or error))) from error
+    return sock
+
+
+def reset(sock):
+    """Let the close of a TCP connection be no ordinary end for the client, but an error."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
 class SocketSet:
@@ -49,7 +83,8 @@ class SocketSet:
 class SocketHost:
     """A host: on_readable(sock, now_s) of the subclass serves what comes in on the sockets of self._waiting.
 
-    Each datagram that it hears or says passes one of its wires, where faults may act on it.
+    Each datagram that it hears or says passes one of its wires, and what it writes to TCP clients one of its streams,
+    where faults may act on it.
     """
 
     def __init__(self, name, wires=None):
@@ -60,6 +95,10 @@ class SocketHost:
     def wire(self, what):
         """faults.Wire of one of its channels, which it makes in its constructor. what: its name without the host's."""
         return self.wires.wire("%s/%s" % (self._name, what))
+
+    def stream(self, what):
+        """faults.Stream of one of its channels, which it makes in its constructor."""
+        return self.wires.stream("%s/%s" % (self._name, what))
 
     def fileno(self):
         """Descriptor to wait on: when it can be read call serve()."""
@@ -100,7 +139,8 @@ class VehicleHost(SocketHost):
         """Who serves the video clients may have changed: wait for what is to be served now."""
 
     def lose_link(self, duration_s):
-        """From now on nothing passes in either direction, for this long."""
+        """From now on nothing passes in either direction, for this long; what has been sent before arrives."""
+        self.serve(self._now_s)
         self._lost_until_s = self._now_s + duration_s
 
     @property

@@ -10,7 +10,7 @@ drift; after a delay of the computer the missed frames follow at once, each with
 is too slow for that leaves frames out, so that what is seen and what is commanded stay near real time; while it sleeps,
 lab time stands still.
 
-One process serves all vehicles: 50 in flight take 0.25 of a core (python3 -m risc_simulator.bench), ten take 0.10, so
+One process serves all vehicles: 50 in flight take 0.25 of a core (./maap bench world), ten take 0.10, so
 dividing the hosts among processes would gain less than it costs.
 """
 
@@ -32,7 +32,7 @@ from risc_lab.lab import fleet_from_dict, load_fleet, load_templates, load_vehic
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
 from risc_simulator.faults import WireFault, Wires, load_wire_faults
-from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras, OcclusionWindow
+from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.socket_host import SocketSet
 from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
 from risc_simulator.world import World
@@ -134,7 +134,11 @@ class VirtualLab:
                 host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=radio_loss, wires=self.wires)
                 self.vehicle_hosts[vehicle.namespace] = host
                 self._hosts.append(host)
-            self._video = VideoLauncher(fleet, seed, [host.video_listener for host in self.vehicle_hosts.values()])
+            listeners = [
+                host.video_listener if self.world.vehicles[namespace].virtual.cameras else None
+                for namespace, host in self.vehicle_hosts.items()
+            ]
+            self._video = VideoLauncher(fleet, seed, listeners)
             if cameras_ahead:
                 self._video.start()
             self._video_clients_wanted = self._video.may_start
@@ -143,7 +147,7 @@ class VirtualLab:
             for host in self._hosts:
                 self._waiting.add(host)
             for fault in wire_faults:
-                self.wires.add(fault)
+                self._tell_wires("add", fault)
         except (OSError, ValueError):
             self.close()
             raise
@@ -277,7 +281,7 @@ class VirtualLab:
 
     def hide(self, body, duration_s):
         """Hide all markers of a body from the cameras, from now on. Raises ValueError for an unknown body."""
-        self.cameras.add_window(OcclusionWindow(body, self.world.time_s, self.world.time_s + duration_s))
+        self.cameras.hide(body, self.world.time_s + duration_s)
 
     def silence_mocap(self, duration_s):
         """Take the Cortex host off the network."""
@@ -289,9 +293,13 @@ class VirtualLab:
         Raises ValueError for a fault, channel or severity that does not exist.
         """
         if fault:
-            self.wires.add(WireFault(fault, channel, severity, self._served_s, duration_s))
+            self._tell_wires("add", WireFault(fault, channel, severity, self._served_s, duration_s))
         else:
-            self.wires.clear(channel)
+            self._tell_wires("clear", channel)
+
+    def _tell_wires(self, method, argument):
+        getattr(self.wires, method)(argument)
+        self._video.tell_wires(method, argument)
 
     def lose_link(self, namespace, duration_s):
         """Take a vehicle's link off the air. Raises ValueError for an unknown vehicle."""
@@ -366,7 +374,7 @@ class VirtualLab:
                 }
                 for crash in self.world.crashes
             ],
-            "wires": self.wires.statistics(),
+            "wires": {**self.wires.statistics(), **self._video.wire_statistics()},
             "cortex": self.cortex_host.statistics(),
             "vehicles": vehicles,
         }

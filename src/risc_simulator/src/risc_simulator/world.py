@@ -193,14 +193,14 @@ class World:
             plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), perturbed)
             firmware = virtual.Firmware(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), perturbed, REST_HEIGHT_M)
             vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, virtual, markers_m, plant, firmware))
-            x, y, _ = fleet_vehicle.start_position_m  # height is the floor's: it stands
+            x, y, _ = fleet_vehicle.start.position_m  # height is the floor's: it stands
             if abs(x) > net.half_x_m or abs(y) > net.half_y_m:
                 raise ValueError(
                     "%s starts outside the net (|x| <= %.2f m, |y| <= %.2f m): change its start in the "
                     "fleet file" % (fleet_vehicle.namespace, net.half_x_m, net.half_y_m)
                 )
             self._x[: X.H + 1, i] = x, -y, REST_HEIGHT_M
-            self._x[X.PSI, i] = fleet_vehicle.start_yaw_rad
+            self._x[X.PSI, i] = fleet_vehicle.start.yaw_rad
         self.vehicles = {vehicle.namespace: vehicle for vehicle in vehicles}
         self._vehicles = vehicles
         landmarks_m = [

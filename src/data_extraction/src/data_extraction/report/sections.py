@@ -115,7 +115,7 @@ def origin(material, summary):
                 vehicle.template,
                 vehicle.type,
                 vehicle.calibration or "none",
-                "(%.2f, %.2f, %.2f) m, %.0f°" % (*vehicle.start_position_m, np.degrees(vehicle.start_yaw_rad)),
+                "(%.2f, %.2f, %.2f) m, %.0f°" % (*vehicle.start.position_m, np.degrees(vehicle.start.yaw_rad)),
             ]
             for vehicle in about.fleet.vehicles
         ]

@@ -75,14 +75,14 @@ class _Point:
 
 
 class Controller(differential_flatness.Controller):
-    """Flies to its reference while that stands, and chases it once it runs. Height and yaw follow it all the time.
+    """Flies to its reference while that stands, and pursues it once it runs. Height and yaw follow it all the time.
 
     The law steers a point that begins as the vehicle, and the vehicle flies to that point as to any reference. Fed back
     on the vehicle itself its low gains would let a trim of 0.1 m/s^2 change the range by half a metre.
     """
 
     PARAMS = Params
-    target_speed_m_s = 0.0  # of the target that is chased; 0: fly to the reference itself
+    target_speed_m_s = 0.0  # of the target that is pursued; 0: fly to the reference itself
     range_m = np.array([np.nan])  # (n,) horizontal distance to the reference at the last update; NaN = not known
     _points = ()  # of the vehicles, while the target runs
     _points_s = -math.inf  # when they are there

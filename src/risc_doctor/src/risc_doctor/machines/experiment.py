@@ -2,6 +2,7 @@
 
 import os
 import posixpath
+import re
 import shlex
 from dataclasses import dataclass, replace
 
@@ -166,8 +167,8 @@ def _parameters(config, node):
 def _vehicle_addresses(config, driver):
     """Addresses of the vehicles that a driver node is for."""
     own = _parameters(config, driver)
-    each = own["vehicles"].values() if "vehicles" in own else [{}]
-    return [str(own.get("drone_ip") or values.get("drone_ip") or DEFAULT_ADDRESS) for values in each]
+    each = [str(value) for key, value in own.items() if re.fullmatch("(vehicles/.*/)?drone_ip", key)]
+    return each or [DEFAULT_ADDRESS]
 
 
 def _bag_folder(arguments):

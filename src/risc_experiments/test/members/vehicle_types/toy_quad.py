@@ -5,6 +5,7 @@
 
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
+from risc_control.vehicles import Status
 from risc_lab.frames import GRAVITY_M_S2
 
 CLIMB_GAIN_1_S = 3.0  # of the climb rate, when nobody commands a thrust
@@ -24,7 +25,7 @@ class Adapter(vehicles.Adapter):
 
     def move(self, forward_rad, left_rad, climb_m_s, own):
         """Holds the climb rate by the thrust."""
-        up_m_s2 = CLIMB_GAIN_1_S * (climb_m_s - own.velocity_m_s[2]) if own else 0.0
+        up_m_s2 = CLIMB_GAIN_1_S * (climb_m_s - (own.velocity_m_s[2] if own else 0.0))
         return self._sticks(forward_rad, left_rad, self.type.mass_kg * (GRAVITY_M_S2 + up_m_s2), 0.0)
 
     def by_hand(self, sticks, own):
@@ -36,3 +37,42 @@ class Adapter(vehicles.Adapter):
         tilt_rad, weight_n = self.type.tilt_max_rad, self.type.mass_kg * GRAVITY_M_S2
         sticks = forward_rad / tilt_rad, left_rad / tilt_rad, thrust_n / weight_n - 1.0
         return Sticks(*map(limited, sticks), limited(left_rad_s / self.type.yaw_rate_max_rad_s))
+
+    @staticmethod
+    def connect(prefix):
+        return Link(prefix)
+
+
+class Link:
+    """Topics of its two nodes: toy/command and toy/status."""
+
+    def __init__(self, prefix):
+        import rospy
+        from std_msgs.msg import Float32MultiArray, String
+
+        commands = rospy.Publisher(prefix + "toy/command", String, queue_size=10)
+        self.topic = commands.resolved_name
+        self._command = commands.publish
+        self._subscribe = lambda callback: rospy.Subscriber(prefix + "toy/status", Float32MultiArray, callback)
+
+    def take_off(self):
+        self._command("take_off")
+
+    def land(self):
+        self._command("land")
+
+    def reset(self):
+        self._command("cut_motors")
+
+    def listen(self, on_status):
+        def on_message(message):
+            state, battery_pct = message.data
+            on_status(Status(int(state), battery_pct), message._connection_header["callerid"])
+
+        self._subscribe(on_message)
+
+    def send(self, sticks, stamp=None, level_only=False):
+        self._command("sticks %g %g %g %g" % sticks)
+
+    def driver_overrides(self, driver):
+        return {}

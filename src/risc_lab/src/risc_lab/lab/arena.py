@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from risc_lab.lab.ranges import check_ranges
+from risc_lab.settings import Settings, between
 
 # as built
 NET_HALF_X_M = 2.492954
@@ -11,12 +11,9 @@ NET_HEIGHT_M = 3.0
 
 
 @dataclass(frozen=True)
-class Arena:
+class Arena(Settings):
     """A net: a box that stands on the floor around the origin. The laboratory's, unless a fleet file says otherwise."""
 
-    half_x_m: float = NET_HALF_X_M
-    half_y_m: float = NET_HALF_Y_M
-    height_m: float = NET_HEIGHT_M
-
-    def __post_init__(self):
-        check_ranges(self, half_x_m=(0.5, 100.0), half_y_m=(0.5, 100.0), height_m=(1.0, 100.0))
+    half_x_m: between(0.5, 100.0) = NET_HALF_X_M
+    half_y_m: between(0.5, 100.0) = NET_HALF_Y_M
+    height_m: between(1.0, 100.0) = NET_HEIGHT_M

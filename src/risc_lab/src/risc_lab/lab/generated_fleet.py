@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
-from risc_lab.lab.fleet import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint
+from risc_lab.lab.fleet import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Start
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
-from risc_lab.lab.templates import Template
+from risc_lab.lab.templates import VEHICLE, Kind, TemplateSet
 
 MOST_VEHICLES = 250  # addresses end in a byte
 SPACING_M = 1.0  # between two starts: aircraft are 0.55 m wide
@@ -45,6 +45,7 @@ def generated_fleet(vehicles, room_m=ROOM_M):
     places = rows(vehicles)
     half_x_m, half_y_m = np.maximum(np.abs(places).max(axis=0) + room_m, (NET_HALF_X_M, NET_HALF_Y_M)).tolist()
     names = _NAMES[:vehicles] + tuple("ardrone%d" % k for k in range(len(_NAMES) + 1, vehicles + 1))
+    own = names[len(_NAMES) :]
     return Fleet(
         name="generated%d" % vehicles,
         mocap=MocapEndpoint("127.77.0.1", stream_port=11001, interface="127.0.0.1"),
@@ -55,25 +56,24 @@ def generated_fleet(vehicles, room_m=ROOM_M):
                 type="ardrone",
                 address="127.77.1.%d" % k,
                 calibration="risc%d.yaml" % k if k <= _WITH_CAMERA else "",
-                start_position_m=(float(x), float(y), 0.0),
-                start_yaw_rad=0.0,
+                start=Start((float(x), float(y), 0.0)),
                 camera_mount="risc%d_mount.yaml" % k if k <= _WITH_CAMERA else "",
             )
             for k, (name, (x, y)) in enumerate(zip(names, places), start=1)
         ),
         landmarks=tuple(
             FleetLandmark(
-                kind.name, (side * (half_x_m - _FROM_NET_M), y, _LANDMARK_HEIGHT_M), math.pi if side > 0 else 0.0
+                kind.name, (side * (half_x_m - _FROM_NET_M), y, _LANDMARK_HEIGHT_M), 180.0 if side > 0 else 0.0
             )
             for kind, (side, y) in zip(load_landmark_catalogue().landmarks, _CORNERS)
         ),
         arena=Arena(half_x_m, half_y_m),
-        templates={template.name: template for template in _templates(names[len(_NAMES) :])},
+        templates=TemplateSet(dict(_hulls(own)), {name: Kind(VEHICLE, name) for name in own}),
     )
 
 
-def _templates(names):
-    """Hulls with five markers each, not in one plane, and too different to be mistaken for each other."""
+def _hulls(names):
+    """(name, markers) of hulls: five markers each, not in one plane, too different to be mistaken for each other."""
     rng = np.random.default_rng(_SEED)
     known, marker_names = [], tuple("m%d" % k for k in range(1, _MARKERS + 1))
     for name in names:
@@ -87,5 +87,4 @@ def _templates(names):
             if apart_m[0] >= _LEAST_M and flat_m >= _LEAST_SPREAD_M and new:
                 break
         known.append(apart_m)
-        markers_m.setflags(write=False)
-        yield Template(name, "vehicle", marker_names, markers_m)
+        yield name, dict(zip(marker_names, map(tuple, markers_m.tolist())))

@@ -1,9 +1,9 @@
 """The landmarks: what they are called where, how they are painted, and how large they are. Needs no ROS."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
-from risc_lab.lab.ranges import check_different
-from risc_lab.lab.yaml_reader import Section, errors_of, load_yaml, package_file
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import Name, Positive, Settings, Vector, check_different, settings_from
 
 
 @dataclass(frozen=True)
@@ -18,36 +18,50 @@ class Disc:
 
 
 @dataclass(frozen=True)
-class LandmarkKind:
+class LandmarkKind(Settings):
     """One landmark: a disc with a centre of one paint in a ring of another."""
 
-    name: str  # motion capture template
-    roi_name: str  # name on /land_rois and /angles
-    centre: str  # paint
-    ring: str  # paint
+    name: Name  # motion capture template
+    roi_name: Name  # name on /land_rois and /angles
+    centre: Name  # paint
+    ring: Name  # paint
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.centre == self.ring:
+            raise ValueError("landmark %s: centre and ring have the same colour, %s" % (self.name, self.ring))
 
 
 @dataclass(frozen=True)
-class LandmarkCatalogue:
-    """All landmarks, and what they have in common."""
+class DiscSizes(Settings):
+    """How large all landmarks are."""
 
-    landmarks: tuple[LandmarkKind, ...]
-    centre_diameter_m: float = 0.20
-    ring_diameter_m: float = 0.30  # outer
+    centre_diameter_m: Positive = 0.20
+    ring_diameter_m: Positive = 0.30  # outer
 
     def __post_init__(self):
-        if not 0.0 < self.centre_diameter_m < self.ring_diameter_m:
+        super().__post_init__()
+        if self.ring_diameter_m <= self.centre_diameter_m:
             raise ValueError(
-                "'ring_diameter_m' (%g) must be larger than 'centre_diameter_m' (%g), and both positive"
+                "'ring_diameter_m' (%g) must be larger than 'centre_diameter_m' (%g)"
                 % (self.ring_diameter_m, self.centre_diameter_m)
             )
+
+
+@dataclass(frozen=True)
+class LandmarkCatalogue(Settings):
+    """Content of landmarks.yaml: all landmarks, and what they have in common."""
+
+    landmarks: tuple[LandmarkKind, ...]
+    discs: DiscSizes = DiscSizes()
+    markers: dict[str, Vector] = field(default_factory=dict)  # [m] from the middle, cortex axes as mounted
+
+    def __post_init__(self):
+        super().__post_init__()
         if not self.landmarks:
             raise ValueError("'landmarks' is empty: list at least one")
         for key in ("name", "roi_name"):
             check_different(self.landmarks, key, "landmarks")
-        for kind in self.landmarks:
-            if kind.centre == kind.ring:
-                raise ValueError("landmark %s: centre and ring have the same colour, %s" % (kind.name, kind.ring))
 
     @property
     def template_of_region(self):
@@ -61,7 +75,7 @@ class LandmarkCatalogue:
 
     def disc(self, name, centre_m, normal=None):
         """Disc of a landmark at a place (cortex frame)."""
-        return Disc(name, tuple(centre_m), normal, self.centre_diameter_m, self.ring_diameter_m)
+        return Disc(name, tuple(centre_m), normal, self.discs.centre_diameter_m, self.discs.ring_diameter_m)
 
 
 def landmarks_file():
@@ -70,24 +84,12 @@ def landmarks_file():
 
 
 def load_landmark_catalogue(path=None):
-    """Read a landmarks' file, None = the laboratory's; its keys that concern others alone are passed over.
-
-    Raises ValueError that names the file, the key and what is wrong.
-    """
-    path = landmarks_file() if path is None else path
-    return catalogue_from_section(Section(load_yaml(path), str(path)))
+    """LandmarkCatalogue of a landmarks' file, None = the laboratory's. Raises ValueError that names file and key."""
+    path = path or landmarks_file()
+    return settings_from(LandmarkCatalogue, load_yaml(path), str(path))
 
 
 def catalogue_from_section(root):
-    """LandmarkCatalogue of a landmarks' file, of which this reads `landmarks` and `discs`. Raises ValueError."""
-    kinds = []
-    for section in root.sections("landmarks"):
-        kinds.append(LandmarkKind(*[section.text(item.name) for item in fields(LandmarkKind)]))
-        section.done()
-    discs = root.section("discs", {})
-    sizes = {
-        key: discs.number(key, getattr(LandmarkCatalogue, key)) for key in ("centre_diameter_m", "ring_diameter_m")
-    }
-    discs.done()
-    with errors_of(root.where):
-        return LandmarkCatalogue(tuple(kinds), **sizes)
+    """LandmarkCatalogue of a Section, which may hold more. Raises ValueError."""
+    found = {item.name: root.content(item.name) for item in fields(LandmarkCatalogue) if item.name in root.keys()}
+    return settings_from(LandmarkCatalogue, found, root.where)

@@ -15,11 +15,3 @@ def check_positive(settings, *keys):
         value = getattr(settings, key)
         if not value > 0.0:
             raise ValueError("'%s' must be positive, found %r" % (key, value))
-
-
-def check_different(items, key, what):
-    """Raises ValueError when two items have the same value of a field. what: the items, e.g. "vehicles"."""
-    values = [getattr(item, key) for item in items]
-    twice = sorted({value for value in values if values.count(value) > 1})
-    if twice:
-        raise ValueError("two %s have the same %s: %s" % (what, key, ", ".join(twice)))

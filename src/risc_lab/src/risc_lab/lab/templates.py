@@ -1,11 +1,12 @@
 """Mocap templates: where the markers sit on each object that motion capture identifies by name."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from risc_lab.lab import landmark_catalogue
-from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
+from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import Name, Settings, Vector, settings_from
 
 VEHICLE, LANDMARK, ATTACHED = KINDS = ("vehicle", "landmark", "attached")
 
@@ -21,11 +22,40 @@ class Template:
     # vehicle: body axes (x nose, y right, z down); landmark, attached: cortex axes as mounted.
     markers_m: np.ndarray
 
-    def __eq__(self, other):
-        if not isinstance(other, Template):
-            return NotImplemented
-        mine, others = ((t.name, t.kind, t.marker_names, t.markers_m.tolist()) for t in (self, other))
-        return mine == others
+
+@dataclass(frozen=True)
+class Kind(Settings):
+    """What an object is, and the name of its geometry."""
+
+    kind: str  # one of KINDS
+    geometry: Name
+
+
+@dataclass(frozen=True)
+class TemplateSet(Settings):
+    """Content of templates.yaml, or of the section `templates` of a fleet file."""
+
+    geometries: dict[str, dict[str, Vector]] = field(default_factory=dict)  # of each the markers [m], in their order
+    templates: dict[str, Kind] = field(default_factory=dict)
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name, item in self.templates.items():
+            if item.kind not in KINDS:
+                raise ValueError("%s: 'kind' must be one of %s, found %r" % (name, ", ".join(KINDS), item.kind))
+            if item.geometry not in self.geometries:
+                known = ", ".join(self.geometries)
+                raise ValueError("%s: unknown geometry %r; known are %s" % (name, item.geometry, known))
+            if item.kind == VEHICLE:
+                _check_rigid(self.geometries[item.geometry], item.geometry)
+        for name, markers in self.geometries.items():
+            if not markers:
+                raise ValueError("geometry %s needs at least one marker" % name)
+
+    def by_name(self):
+        """{name: Template}."""
+        return {name: _template(name, item.kind, self.geometries[item.geometry])
+                for name, item in self.templates.items()}  # fmt: skip
 
 
 def load_templates(path=None, fleet=None):
@@ -34,11 +64,12 @@ def load_templates(path=None, fleet=None):
     The landmarks that the file does not have are added from the laboratory's (config/landmarks.yaml). fleet: a Fleet,
     whose own templates are added.
     """
-    if path is None:
-        path = package_file("risc_lab", "config/templates.yaml")
-    known = templates_from_dict(load_yaml(path), str(path))
-    return {**known, **{name: item for name, item in _landmarks().items() if name not in known},
-            **(fleet.templates if fleet else {})}  # fmt: skip
+    path = path or package_file("risc_lab", "config/templates.yaml")
+    catalogue = load_landmark_catalogue()
+    landmarks = {kind.name: _template(kind.name, LANDMARK, catalogue.markers) for kind in catalogue.landmarks}
+    known = settings_from(TemplateSet, load_yaml(path), str(path)).by_name()
+    mine = fleet.templates.by_name() if fleet else {}
+    return {**known, **landmarks, **known, **mine}  # the landmarks after the others
 
 
 def attached_bodies(templates):
@@ -48,59 +79,14 @@ def attached_bodies(templates):
     return frozenset(name for name, template in templates.items() if template.kind == ATTACHED)
 
 
-def templates_from_dict(content, where="templates"):
-    """Templates by name from the content of their YAML file. Raises ValueError that names the key."""
-    root = Section(content, where)
-    geometries = root.section("geometries")
-    shapes = {name: _geometry(geometries.section(name)) for name in geometries.keys()}
-    objects = root.section("templates")
-    root.done()
-    return {name: _template(name, objects.section(name), shapes, where) for name in objects.keys()}
-
-
-def templates_to_dict(templates):
-    """The plain dict that their YAML file would hold, each with a geometry of its own name."""
-    return {
-        "geometries": {
-            name: dict(zip(template.marker_names, template.markers_m.tolist())) for name, template in templates.items()
-        },
-        "templates": {name: {"kind": template.kind, "geometry": name} for name, template in templates.items()},
-    }
-
-
-def _landmarks():
-    """Templates of the laboratory's landmarks, which share the places of their markers."""
-    path = landmark_catalogue.landmarks_file()
-    root = Section(load_yaml(path), str(path))
-    markers = _geometry(root.section("markers"))
-    kinds = landmark_catalogue.catalogue_from_section(root).landmarks
-    return {kind.name: Template(kind.name, "landmark", *markers) for kind in kinds}
-
-
-def _template(name, section, shapes, where):
-    kind, geometry = section.text("kind"), section.text("geometry")
-    section.done()
-    if kind not in KINDS:
-        raise ValueError("%s, %s: 'kind' must be one of %s, found %r" % (where, name, ", ".join(KINDS), kind))
-    if geometry not in shapes:
-        raise ValueError("%s, %s: unknown geometry %r; known are %s" % (where, name, geometry, ", ".join(shapes)))
-    marker_names, markers_m = shapes[geometry]
-    if kind == VEHICLE:
-        _check_rigid(markers_m, "%s, geometry %s" % (where, geometry))
-    return Template(name, kind, marker_names, markers_m)
-
-
-def _geometry(section):
-    names = tuple(section.keys())
-    if not names:
-        raise ValueError("a geometry needs at least one marker")
-    markers_m = np.array([section.vector(name, 3) for name in names])
+def _template(name, kind, markers):
+    markers_m = np.array(list(markers.values()))
     markers_m.setflags(write=False)
-    return names, markers_m
+    return Template(name, kind, tuple(markers), markers_m)
 
 
-def _check_rigid(markers_m, where):
+def _check_rigid(markers, geometry):
     """An attitude needs three markers that are not on one line."""
-    spread_m = np.linalg.svd(markers_m - markers_m.mean(axis=0), compute_uv=False)
-    if len(markers_m) < 3 or spread_m[1] < 0.02:
-        raise ValueError("%s: a vehicle needs at least 3 markers well off one line" % where)
+    markers_m = np.array(list(markers.values())).reshape(-1, 3)
+    if len(markers_m) < 3 or np.linalg.svd(markers_m - markers_m.mean(axis=0), compute_uv=False)[1] < 0.02:
+        raise ValueError("geometry %s: a vehicle needs at least 3 markers well off one line" % geometry)

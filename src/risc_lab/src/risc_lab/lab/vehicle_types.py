@@ -8,7 +8,8 @@ import math
 import pathlib
 from dataclasses import dataclass
 
-from risc_lab.lab.yaml_reader import Section, config_files, load_yaml
+from risc_lab.lab.yaml_reader import config_files, load_yaml
+from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
 
 # What a single vehicle may have otherwise than its type.
 OVERRIDABLE = (
@@ -32,33 +33,34 @@ LEGACY_PARAMETERS = {
 
 
 @dataclass(frozen=True)
-class AttitudeLoop:
+class AttitudeLoop(Settings):
     """On-board attitude loop of one axis: angle'' = wn^2 (gain * command - angle) - 2 zeta wn angle'."""
 
-    natural_frequency_rad_s: float
-    damping_ratio: float
-    gain: float  # [rad/rad] angle that is reached per commanded angle
+    natural_frequency_rad_s: between(0.1, 1000.0)
+    damping_ratio: between(0.05, 5.0)
+    gain: between(0.1, 10.0)  # [rad/rad] angle that is reached per commanded angle
 
 
 @dataclass(frozen=True)
-class VehicleType:
+class VehicleType(Settings):
     """Nominal model of one type of vehicle."""
 
-    name: str
-    mass_kg: float
-    inertia_kg_m2: tuple[float, float, float]  # Jx, Jy, Jz; body axes
+    name: Name
+    mass_kg: Positive
+    inertia_kg_m2: tuple[Positive, Positive, Positive]  # Jx, Jy, Jz; body axes
     roll: AttitudeLoop
     pitch: AttitudeLoop
-    yaw_rate_time_constant_s: float  # r' = (command - r) / tau
-    climb_time_constant_s: float  # zdot' = (command - zdot) / tau
-    tilt_max_rad: float  # full scale of the roll and pitch commands
-    yaw_rate_max_rad_s: float  # full scale of the yaw command
-    climb_max_m_s: float  # full scale of the vertical command
-    command_delay_s: float  # from sending a command to its effect on the vehicle
-    command_rate_hz: float  # how often the vehicle takes a command
-    drag_n_s_m: float  # linear drag: force = -drag * airspeed
-    battery_life_s: float  # full to empty in flight
-    video_latency_s: float = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
+    yaw_rate_time_constant_s: Positive  # r' = (command - r) / tau
+    climb_time_constant_s: Positive  # zdot' = (command - zdot) / tau
+    tilt_max_rad: between(0.01, 1.5)  # full scale of the roll and pitch commands
+    yaw_rate_max_rad_s: Positive  # full scale of the yaw command
+    climb_max_m_s: Positive  # full scale of the vertical command
+    command_delay_s: between(0.0, 2.0)  # from sending a command to its effect on the vehicle
+    command_rate_hz: between(1.0, 1000.0)  # how often the vehicle takes a command
+    drag_n_s_m: NotNegative  # linear drag: force = -drag * airspeed
+    battery_life_s: Positive  # full to empty in flight
+    video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
+    driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
 
 
 def load_vehicle_type(name, overrides=()):
@@ -73,7 +75,7 @@ def load_vehicle_type(name, overrides=()):
         if name not in known:
             raise ValueError("unknown vehicle type '%s'; known are: %s" % (name, ", ".join(sorted(known))))
         path = known[name]
-    return vehicle_type_from_dict({**load_yaml(path), **dict(overrides)}, str(path))
+    return settings_from(VehicleType, {**load_yaml(path), **dict(overrides)}, str(path))
 
 
 def disagreement(name, mine, theirs, whose):
@@ -109,39 +111,3 @@ def legacy_overrides(values):
         if value >= 0.0:
             found[field] = value
     return found
-
-
-def vehicle_type_from_dict(content, where="vehicle type"):
-    """VehicleType from the content of its YAML file. Raises ValueError."""
-    root = Section(content, where)
-    vehicle_type = VehicleType(
-        name=root.text("name"),
-        mass_kg=root.number("mass_kg", minimum=1e-3),
-        inertia_kg_m2=root.vector("inertia_kg_m2", 3),
-        roll=_attitude_loop(root.section("roll")),
-        pitch=_attitude_loop(root.section("pitch")),
-        yaw_rate_time_constant_s=root.number("yaw_rate_time_constant_s", minimum=1e-3),
-        climb_time_constant_s=root.number("climb_time_constant_s", minimum=1e-3),
-        tilt_max_rad=root.number("tilt_max_rad", minimum=0.01, maximum=1.5),
-        yaw_rate_max_rad_s=root.number("yaw_rate_max_rad_s", minimum=0.01),
-        climb_max_m_s=root.number("climb_max_m_s", minimum=0.01),
-        command_delay_s=root.number("command_delay_s", minimum=0.0, maximum=2.0),
-        command_rate_hz=root.number("command_rate_hz", minimum=1.0, maximum=1000.0),
-        drag_n_s_m=root.number("drag_n_s_m", minimum=0.0),
-        battery_life_s=root.number("battery_life_s", minimum=1.0),
-        video_latency_s=root.number("video_latency_s", 0.0, 0.0, 2.0),
-    )
-    root.done()
-    if min(vehicle_type.inertia_kg_m2) <= 0.0:
-        raise ValueError("%s: 'inertia_kg_m2' must be positive, found %r" % (where, vehicle_type.inertia_kg_m2))
-    return vehicle_type
-
-
-def _attitude_loop(section):
-    loop = AttitudeLoop(
-        natural_frequency_rad_s=section.number("natural_frequency_rad_s", minimum=0.1, maximum=1000.0),
-        damping_ratio=section.number("damping_ratio", minimum=0.05, maximum=5.0),
-        gain=section.number("gain", minimum=0.1, maximum=10.0),
-    )
-    section.done()
-    return loop

@@ -35,9 +35,21 @@ def package_file(package, relative_path):
 
 
 def config_files(kind, package):
-    """{name: path} of the YAML files of a kind: config/KIND of a ROS package, then the members from elsewhere."""
+    """{name: path} of the YAML files of a kind: config/KIND of a ROS package, then the members from elsewhere.
+
+    Raises ValueError for a name that is there twice.
+    """
     folders = [package_file(package, "config/" + kind)] + [folder / kind for folder in member_folders()]
-    return {path.stem: path for folder in reversed(folders) for path in sorted(folder.glob("*.yaml"))}
+    paths = [path for folder in folders for path in sorted(folder.glob("*.yaml"))]
+    check_once(kind, [path.name for path in paths])
+    return {path.stem: path for path in paths}
+
+
+def check_once(kind, names):
+    """Raises ValueError when one of the names of files of a kind is there twice."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError("%s: %s is there twice: rename the one in %s" % (kind, ", ".join(twice), MEMBERS_VARIABLE))
 
 
 def member_folders():

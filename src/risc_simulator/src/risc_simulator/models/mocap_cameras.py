@@ -15,29 +15,26 @@ import numpy as np
 
 from risc_lab.compiled import compiled
 from risc_lab.lab.arena import Arena
+from risc_lab.settings import NotNegative, Settings
 
 _FRAMES_AHEAD = 64
 
 
 @dataclass(frozen=True)
-class CameraParams:
+class CameraParams(Settings):
     """Quality of the system; the defaults are those of a good laboratory with 16 cameras."""
 
-    noise_std_m: float = 0.002  # [m] standard deviation per axis, white
-    occlusions_per_marker_hz: float = 0.02  # [1/s] how often a visible marker gets lost
-    occlusion_mean_s: float = 0.05  # [s] mean of the exponentially distributed time for which it stays lost
-    ghosts_hz: float = 0.5  # [1/s] how often a reflection appears as an unidentified marker
-    ghost_mean_s: float = 0.1  # [s] mean of its exponentially distributed life
+    noise_std_m: NotNegative = 0.002  # [m] standard deviation per axis, white
+    occlusions_per_marker_hz: NotNegative = 0.02  # [1/s] how often a visible marker gets lost
+    occlusion_mean_s: NotNegative = 0.05  # [s] mean of the exponentially distributed time for which it stays lost
+    ghosts_hz: NotNegative = 0.5  # [1/s] how often a reflection appears as an unidentified marker
+    ghost_mean_s: NotNegative = 0.1  # [s] mean of its exponentially distributed life
     volume_min_m: tuple[float, float, float] = (-2.0, -2.3, 0.0)  # capture volume in which ghosts appear
     volume_max_m: tuple[float, float, float] = (2.0, 2.3, 2.4)
 
     def __post_init__(self):
-        for name in ("noise_std_m", "occlusions_per_marker_hz", "occlusion_mean_s", "ghosts_hz", "ghost_mean_s"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError("camera parameter %s is %r: give a number that is not negative" % (name, value))
-        low, high = np.asarray(self.volume_min_m, float), np.asarray(self.volume_max_m, float)
-        if low.shape != (3,) or high.shape != (3,) or not (low < high).all():
+        super().__post_init__()
+        if not np.less(self.volume_min_m, self.volume_max_m).all():
             raise ValueError(
                 "capture volume from %r to %r: give x, y, z with min below max" % (self.volume_min_m, self.volume_max_m)
             )
@@ -56,22 +53,6 @@ class CameraParams:
         return cls(**dict(zip(("volume_min_m", "volume_max_m"), corners)))
 
 
-@dataclass(frozen=True)
-class OcclusionWindow:
-    """Scripted loss: markers of a body are hidden from start_s (inclusive) to end_s (exclusive)."""
-
-    body: str
-    start_s: float
-    end_s: float
-    markers: tuple[int, ...] | None = None  # indices in the body; None = all
-
-    def __post_init__(self):
-        if not self.start_s < self.end_s:
-            raise ValueError(
-                "occlusion of %r from %r s to %r s: the end must be later" % (self.body, self.start_s, self.end_s)
-            )
-
-
 class Observation(NamedTuple):
     """What the cameras report of one instant.
 
@@ -83,19 +64,6 @@ class Observation(NamedTuple):
     layout: tuple[tuple[str, int], ...]
     markers_m: np.ndarray
     unidentified_m: np.ndarray
-
-    def bodies(self):
-        """[(name, (n, 3) markers), ...]: views of markers_m."""
-        return split_bodies(self.layout, self.markers_m)
-
-
-def split_bodies(layout, markers_m):
-    """[(name, (n, 3) markers), ...] of ((name, n), ...) and the markers of all: views."""
-    out, start = [], 0
-    for name, count in layout:
-        out.append((name, markers_m[start : start + count]))
-        start += count
-    return out
 
 
 class _DrawnAhead:
@@ -123,45 +91,45 @@ class _DrawnAhead:
 class MocapCameras:
     """Turns exact markers into observed ones, frame by frame.
 
-    params: CameraParams.   seed: int or numpy SeedSequence.   windows: scripted OcclusionWindows.
+    params: CameraParams.   seed: int or numpy SeedSequence.
     """
 
-    def __init__(self, params=None, seed=0, windows=()):
+    def __init__(self, params=None, seed=0):
         self.params = CameraParams() if params is None else params
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         noise, occlusion, self._ghost = (np.random.default_rng(s) for s in sequence.spawn(3))
         self._noise, self._occlusion = _DrawnAhead(noise.standard_normal), _DrawnAhead(occlusion.random)
-        self._windows = list(windows)
         self._layout = ()
-        self._window_rows = []  # for each window: rows of the marker array that it hides
+        self._hides = []  # (rows of the marker array, until when they are hidden)
         self._hidden_until_s = np.empty(0)
         self._ghosts_m = np.empty((0, 3))
         self._ghosts_until_s = np.empty(0)
         self._next_end_s = math.inf  # of a ghost's life
         self._quiet_count = self._quiet_left = 0  # frames that were drawn ahead, and those of them still to come
         self._quiet_state, self._quiet_expected = None, 0.0  # of the generator before, and births expected in each
-        self._last_time_s = -np.inf
+        self._last_time_s = -math.inf
         _see(0.0, 0.0, 0.0, np.empty((0, 3)), 0.0, np.empty(0), 0, np.empty(0), 0, np.empty(0))  # loads it
 
-    def add_window(self, window):
-        """Script one more loss. Raises ValueError when it names a body or marker that the last frame did not have."""
-        if self._layout:
-            rows = self._rows_of(window)
-            current = [(w, r) for w, r in zip(self._windows, self._window_rows) if w.end_s > self._last_time_s]
-            current.append((window, rows))  # those that have passed are forgotten here
-            self._windows, self._window_rows = [w for w, _ in current], [r for _, r in current]
-        else:
-            self._windows.append(window)
+    def hide(self, body, until_s):
+        """Hide all markers of a body in the frames before until_s. Raises ValueError when the last frame had none."""
+        start = 0
+        for name, count in self._layout:
+            if name == body:
+                self._hides.append((slice(start, start + count), until_s))
+                return
+            start += count
+        known = ", ".join(name for name, _ in self._layout) or "none"
+        raise ValueError("cannot hide %r: no such body, choose one of %s" % (body, known))
 
     def observe(self, time_s, layout, exact_m):
         """Observation at time_s [s] of bodies with exact markers.
 
         layout: ((body name, number of markers), ...). exact_m: (n, 3) markers of all bodies in this order [m].
-        Times must not decrease. A change of the layout starts the occlusions anew. Raises ValueError when a scripted
-        window does not fit the bodies.
+        Times must not decrease. A change of the layout starts the occlusions anew.
         """
         if layout is not self._layout and layout != self._layout:
-            self._start_layout(layout)
+            self._layout, self._hides = layout, []
+            self._hidden_until_s = np.full(sum(count for _, count in layout), -np.inf)
         step_s = max(time_s - self._last_time_s, 0.0) if self._last_time_s > -math.inf else 0.0
         self._last_time_s = time_s
 
@@ -183,36 +151,11 @@ class MocapCameras:
             first_chance,
             hidden_until_s,
         )
-        for window, rows in zip(self._windows, self._window_rows):
-            if window.start_s <= time_s < window.end_s:
+        if self._hides:
+            self._hides = [(rows, until_s) for rows, until_s in self._hides if time_s < until_s]
+            for rows, _ in self._hides:
                 markers_m[rows] = math.nan
         return Observation(time_s, self._layout, markers_m, self._unidentified(time_s, step_s))
-
-    def _start_layout(self, layout):
-        previous, self._layout = self._layout, layout
-        try:
-            self._window_rows = [self._rows_of(window) for window in self._windows]
-        except ValueError:
-            self._layout = previous
-            raise
-        self._hidden_until_s = np.full(sum(count for _, count in layout), -np.inf)
-
-    def _rows_of(self, window):
-        start = 0
-        for name, count in self._layout:
-            if name == window.body:
-                indices = np.arange(count) if window.markers is None else np.asarray(window.markers, int)
-                if indices.size and not 0 <= indices.min() <= indices.max() < count:
-                    raise ValueError(
-                        "scripted occlusion hides markers %r of %r, which has %d: number them from 0"
-                        % (window.markers, name, count)
-                    )
-                return start + indices
-            start += count
-        raise ValueError(
-            "scripted occlusion of %r: no such body, choose one of %s"
-            % (window.body, ", ".join(name for name, _ in self._layout) or "none")
-        )
 
     def _unidentified(self, time_s, step_s):
         """(u, 3) ghosts: each stays where it appeared and trembles like any marker."""

@@ -7,6 +7,8 @@ and, compiled (risc_lab.compiled), where it differs from a plain quadrotor (mode
     FIELDS      (name, type) of what its equations read from a record beside models.quadrotor.QUADROTOR_FIELDS
     slope       (x, inputs, vehicle, x_dot) -> thrust: equations of motion with its attitude loops
     before_step (x, inputs, vehicle), after_step (inputs, climb_m_s, vehicle, step_s): what runs on board in every step
+and, if it has cameras whose video the lab serves (socket_host.VehicleHost.video_listener),
+    CAMERAS     a `VirtualCamera` for each, in the order of the channels that its host chooses from
 The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types). One from elsewhere is
 virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
 """
@@ -14,12 +16,23 @@ virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_ME
 import functools
 from typing import NamedTuple
 
+from risc_lab.lab.calibration import CameraMount
 from risc_lab.registry import Registry
 from risc_simulator.models import integrator
 from risc_simulator.models.quadrotor import QUADROTOR_FIELDS
 
 REGISTRY = Registry("virtual_vehicles", __name__)
 _EQUATIONS = ("slope", "before_step", "after_step")
+
+
+class VirtualCamera(NamedTuple):
+    """A camera of a type of vehicle. Its pictures have the size that its calibration says."""
+
+    name: str
+    calibration: str  # see lab.calibration.resolve_url
+    mount: CameraMount
+    sensor_px: tuple[int, int] | None = None  # of a sensor that is coarser, whose pictures firmware scales up
+    by_fleet: bool = False  # a fleet file may give a vehicle another calibration and mount: its one camera of this kind
 
 
 class VirtualType(NamedTuple):
@@ -29,6 +42,7 @@ class VirtualType(NamedTuple):
     Host: type
     fields: tuple  # of its record, see risc_lab.compiled
     equations: dict  # {name in integrator.py: function}
+    cameras: tuple[VirtualCamera, ...]
 
 
 @functools.cache
@@ -41,6 +55,7 @@ def virtual_type(name):
             module.Host,
             (*QUADROTOR_FIELDS, *getattr(module, "FIELDS", ())),
             {name: getattr(module, name, getattr(integrator, name)) for name in _EQUATIONS},
+            tuple(getattr(module, "CAMERAS", ())),
         )
     except AttributeError as error:
         raise ValueError("virtual vehicle %r (%s): %s" % (name, module.__file__, error)) from error

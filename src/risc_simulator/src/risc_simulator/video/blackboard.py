@@ -10,10 +10,9 @@ from collections import namedtuple
 
 import numpy as np
 
-CHANNELS = 2
-FRONT, BOTTOM = range(CHANNELS)  # video:video_channel modulo CHANNELS
 RATES_HZ = (1.0, 30.0)  # of video:codec_fps
 BITRATES_KBIT_S = (250.0, 8000.0)
+COUNTS = ("sent", "delivered", "later", "cut")  # of faults on the wire, see faults.Wires.statistics
 BAD_FILES = 3  # exit code of the camera process: a file that the fleet names cannot be used
 
 STATE_WIDTH = 12  # columns of World.truth(): position, velocity, roll pitch yaw, their rates
@@ -34,7 +33,8 @@ class Blackboard:
             ("newest", np.int64, ()),  # number of the newest snapshot, 0 = none yet
             ("slots", np.float64, (_SLOTS, 2 + n * STATE_WIDTH)),
             ("light", np.float64, ()),  # brightness of the room, 1 = normal
-            ("channel", np.int32, (n,)),  # FRONT or BOTTOM
+            ("zero_s", np.float64, ()),  # monotonic time at which the lab's clock is 0
+            ("channel", np.int32, (n,)),  # place among the cameras of its type
             ("rate_hz", np.float64, (n,)),  # within RATES_HZ
             ("bitrate_kbit_s", np.float64, (n,)),  # of video:max_bitrate, within BITRATES_KBIT_S
             ("enabled", np.int32, (n,)),  # general:video_enable
@@ -46,6 +46,7 @@ class Blackboard:
             ("pictures", np.int64, (n,)),  # sent, written by the camera process
             ("late_s", np.float64, (n,)),  # see Station.late_s, written by the camera process
             ("skipped", np.int64, (n,)),  # pictures that the computer was too slow for, written by the camera process
+            ("faults", np.int64, (n, len(COUNTS))),  # what they did to the video, written by the camera process
         )
         offset, places = 0, []
         for name, kind, shape in fields:
@@ -71,6 +72,7 @@ class Blackboard:
         slot = self.slots[number % _SLOTS]
         slot[0], slot[1] = time_s, lab_s
         slot[2:] = rows.ravel()
+        self.zero_s[...] = time_s - lab_s
         self.newest[...] = number  # only now: a reader never sees half a snapshot
 
     def snapshot(self):

@@ -2,26 +2,30 @@
 
 It is a process of its own so that the lab keeps its 5 ms schedule: pictures give way to flight.  The lab starts it at
 its own start or when the first client asks for video (see launcher.py) and hands it the listening sockets and the
-blackboard; it ends when its standard input does, so it never outlives the lab.  While nobody watches it sleeps.
+blackboard, and tells it which faults act on the streams; it ends when the pipe for that does, so it never outlives the
+lab.  While nobody watches it sleeps.
 """
 
-import json
+import contextlib
 import logging
 import math
 import select
 import socket
 import sys
 import time
+from multiprocessing.connection import Connection
 
 import cv2
 
-from risc_lab.lab import fleet_from_dict, load_vehicle_type
+from risc_lab.lab import load_vehicle_type
 from risc_lab.priority import set_priority
+from risc_simulator.faults import Wires
 from risc_simulator.notices import Notices
-from risc_simulator.video.blackboard import BAD_FILES, BOTTOM, FRONT, Blackboard
+from risc_simulator.vehicles import virtual_type
+from risc_simulator.video.blackboard import BAD_FILES, COUNTS, Blackboard
 from risc_simulator.video.camera_pose import vehicle_pose
 from risc_simulator.video.scene import load_scene
-from risc_simulator.video.server import Station, bottom_eye, front_eye, seed_of
+from risc_simulator.video.server import Eye, Station, seed_of
 
 _LOG = logging.getLogger(__name__)
 _NICENESS = 5
@@ -49,6 +53,7 @@ class VideoHost:
         Raises ValueError for bad camera files.
         """
         self._board = board
+        self._wires = Wires(seed)
         self._last_unwatched = 0  # number of the newest pose when nobody watched: the lab shows no others then
         scene, imaging = load_scene(fleet)
         self._names = [vehicle.namespace for vehicle in fleet.vehicles]
@@ -56,18 +61,19 @@ class VideoHost:
         for index, (vehicle, listener) in enumerate(zip(fleet.vehicles, listeners)):
             if listener is None:
                 continue
-            eyes = {
-                FRONT: front_eye(vehicle, scene, imaging, seed_of(seed, index, FRONT)),
-                BOTTOM: bottom_eye(scene, imaging, seed_of(seed, index, BOTTOM)),
-            }
+            eyes = [
+                Eye(camera, vehicle, scene, imaging, seed_of(seed, index, channel))
+                for channel, camera in enumerate(virtual_type(vehicle.type).cameras)
+            ]
             latency_s = load_vehicle_type(vehicle.type).video_latency_s
-            station = Station(listener, eyes, latency_s, Notices(_LOG, vehicle.namespace))
+            stream = self._wires.stream("%s/video" % vehicle.namespace)
+            station = Station(listener, eyes, latency_s, Notices(_LOG, vehicle.namespace), stream)
             station.pictures = int(board.pictures[index])  # of a camera process before this one
             station.skipped = int(board.skipped[index])
             self._stations[index] = station
 
-    def serve(self, stop_fd):
-        """Until stop_fd can be read."""
+    def serve(self, link):
+        """Until the other end of link closes, a Connection by which (method of faults.Wires, argument) may come."""
         self._board.ready[...] = 1
         while True:
             wait_s = self._work()
@@ -78,11 +84,16 @@ class VideoHost:
                 if self._board.link_up[index]
                 for sock in station.blocked()
             ]
-            readable, _, _ = select.select([stop_fd, *readers], writers, (), wait_s)
-            if stop_fd in readable:
-                return
+            readable, _, _ = select.select([link, *readers], writers, (), wait_s)
+            if link in readable:
+                try:
+                    method, argument = link.recv()
+                except EOFError:
+                    return
+                with contextlib.suppress(ValueError):  # it means none of these streams
+                    getattr(self._wires, method)(argument)
             for sock in readable:
-                if sock.fileno() >= 0:
+                if sock is not link and sock.fileno() >= 0:
                     readers[sock].on_readable(sock)
 
     def close(self):
@@ -122,14 +133,18 @@ class VideoHost:
             board.pictures[index] = station.pictures
             board.skipped[index] = station.skipped
             board.late_s[index] = station.late_s
+            board.faults[index] = [station.stream.counts[what] for what in COUNTS]
         if not board.watchers.any():
             return None
-        return max(0.0, wake_s - time.monotonic())
+        return max(0.0, min(wake_s, self._wires.due_s + float(board.zero_s)) - time.monotonic())
 
     def _send(self):
         """Send what has arrived, of all cameras: none waits for what is drawn or counted for another."""
+        zero_s = float(self._board.zero_s)
+        self._wires.release(time.monotonic() - zero_s)
         for index, station in self._stations.items():
-            station.send(time.monotonic(), bool(self._board.link_up[index]))
+            now_s = time.monotonic()
+            station.send(now_s, now_s - zero_s, bool(self._board.link_up[index]))
 
     def _expose(self, index, station, snapshot):
         board = self._board
@@ -149,16 +164,15 @@ class VideoHost:
 
 
 def main():
-    """Started by launcher.py: the job as one line of JSON on standard input. Returns the exit code."""
+    """Started by launcher.py, argument: descriptor of a pipe, by which the job comes. Returns the exit code."""
     logging.basicConfig(format="virtual cameras: %(message)s", level=logging.INFO)
-    job = json.loads(sys.stdin.readline())
+    link = Connection(int(sys.argv[1]))
+    fleet, seed, board_fd, listener_fds = link.recv()
     set_priority(_NICENESS)
     cv2.setNumThreads(1)
     try:
-        fleet = fleet_from_dict(job["fleet"])
-        board = Blackboard(len(fleet.vehicles), job["board_fd"])
-        listeners = [None if fd is None else socket.socket(fileno=fd) for fd in job["listener_fds"]]
-        host = VideoHost(fleet, job["seed"], board, listeners)
+        board = Blackboard(len(fleet.vehicles), board_fd)
+        host = VideoHost(fleet, seed, board, [fd and socket.socket(fileno=fd) for fd in listener_fds])
     except ValueError as error:
         _LOG.error("%s", error)
         return BAD_FILES
@@ -166,7 +180,7 @@ def main():
         _LOG.error("%s", error)
         return 1
     try:
-        host.serve(sys.stdin.fileno())
+        host.serve(link)
     finally:
         host.close()
     return 0

@@ -1,14 +1,15 @@
 """The lab's side of the camera process: starts it, ahead or when the first client wants video; keeps the blackboard."""
 
 import contextlib
-import json
 import logging
 import math
+import multiprocessing
 import subprocess
 import sys
 import time
 
-from risc_simulator.video.blackboard import BAD_FILES, BITRATES_KBIT_S, CHANNELS, RATES_HZ, Blackboard
+from risc_simulator.vehicles import virtual_type
+from risc_simulator.video.blackboard import BAD_FILES, BITRATES_KBIT_S, COUNTS, RATES_HZ, Blackboard
 
 _LOG = logging.getLogger(__name__)
 _MODULE = "risc_simulator.video.host"
@@ -21,10 +22,11 @@ class VideoLauncher:
 
     def __init__(self, fleet, seed, listeners):
         """listeners: TCP listeners of the vehicles, None without cameras, in fleet order; they stay the caller's."""
-        self._fleet, self._seed, self._listeners = fleet, seed, listeners
+        self.fleet, self._seed, self._listeners = fleet, seed, listeners
         self._index = {vehicle.namespace: index for index, vehicle in enumerate(fleet.vehicles)}
         self.board = Blackboard(len(listeners))
-        self._process = None
+        self._process = self._link = None
+        self._orders = []  # to the wires of the video streams, so far
         self._rest_until_s = -math.inf
         self._said_ready = False
 
@@ -54,26 +56,33 @@ class VideoLauncher:
             return
         self.board.ready[...] = 0
         descriptors = [listener and listener.fileno() for listener in self._listeners]
-        job = {
-            "fleet": self._fleet.to_dict(),
-            "seed": self._seed,
-            "board_fd": self.board.fd,
-            "listener_fds": descriptors,
-        }
+        self._link, theirs = multiprocessing.Pipe()
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", _MODULE],
-                stdin=subprocess.PIPE,
-                pass_fds=[self.board.fd, *(fd for fd in descriptors if fd is not None)],
+                [sys.executable, "-m", _MODULE, str(theirs.fileno())],
+                pass_fds=[theirs.fileno(), self.board.fd, *(fd for fd in descriptors if fd is not None)],
                 start_new_session=True,  # Ctrl-C is for the lab, whose end ends this process
             )
         except OSError as error:  # no memory, too many processes: the lab goes on
             _LOG.error("the camera process cannot be started (%s), the next try is in %g s", error, START_REST_S)
             self._rest_until_s = time.monotonic() + START_REST_S
+            self._link.close()
             return
-        with contextlib.suppress(BrokenPipeError):  # it has ended at once: `check` will tell
-            self._process.stdin.write((json.dumps(job) + "\n").encode("utf-8"))
-            self._process.stdin.flush()
+        finally:
+            theirs.close()
+        self._send((self.fleet, self._seed, self.board.fd, descriptors))
+        for order in self._orders:
+            self._send(order)
+
+    def tell_wires(self, method, argument):
+        """Let the camera process, now and whenever it is started again, call a method of its faults.Wires."""
+        self._orders.append((method, argument))
+        if self.running:
+            self._send(self._orders[-1])
+
+    def _send(self, what):
+        with contextlib.suppress(BrokenPipeError):  # it has ended: `check` will tell
+            self._link.send(what)
 
     def check(self):
         """Say that the camera process is up, once, and notice its end. To be called now and then."""
@@ -97,7 +106,7 @@ class VideoLauncher:
                 code,
                 rest_s,
             )
-        self._close_pipe()
+        self._link.close()
         self._process = None
         self._rest_until_s = time.monotonic() + rest_s
         self.board.watchers[:] = 0
@@ -127,10 +136,15 @@ class VideoLauncher:
             "late_ms": 1e3 * float(self.board.late_s[index]),
         }
 
+    def wire_statistics(self):
+        """See faults.Wires.statistics."""
+        faults = self.board.faults.tolist()
+        return {"%s/video" % name: dict(zip(COUNTS, faults[k])) for name, k in self._index.items() if any(faults[k])}
+
     def close(self):
         """End the camera process. May be called twice."""
         if self._process is not None:
-            self._close_pipe()
+            self._link.close()
             try:
                 self._process.wait(STOP_PATIENCE_S)
             except subprocess.TimeoutExpired:
@@ -139,16 +153,13 @@ class VideoLauncher:
             self._process = None
         self.board.close()
 
-    def _close_pipe(self):
-        with contextlib.suppress(BrokenPipeError):  # it has ended before it read its job
-            self._process.stdin.close()
-
 
 class VehicleVideo:
     """The video of one vehicle, as its host sees it."""
 
     def __init__(self, launcher, index):
         self._launcher, self._index = launcher, index
+        self._channels = len(virtual_type(launcher.fleet.vehicles[index].type).cameras) or 1
 
     @property
     def wants_clients(self):
@@ -177,7 +188,7 @@ class VehicleVideo:
     def configure(self, channel, rate_hz, bitrate_kbit_s, enabled):
         """What the vehicle's configuration says; clients write any number there, cameras do what they can."""
         board, index = self._launcher.board, self._index
-        board.channel[index], board.enabled[index] = channel % CHANNELS, enabled
+        board.channel[index], board.enabled[index] = channel % self._channels, enabled
         board.rate_hz[index] = _within(RATES_HZ, rate_hz)
         board.bitrate_kbit_s[index] = _within(BITRATES_KBIT_S, bitrate_kbit_s)
 

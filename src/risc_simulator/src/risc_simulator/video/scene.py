@@ -321,8 +321,8 @@ class SceneStyle:
             tuple(normal),
             self.paints[kind.centre],
             self.paints[kind.ring],
-            self.catalogue.centre_diameter_m,
-            self.catalogue.ring_diameter_m,
+            self.catalogue.discs.centre_diameter_m,
+            self.catalogue.discs.ring_diameter_m,
         )
 
 

@@ -9,16 +9,13 @@ import numpy as np
 
 from ardrone_autonomy.protocol.video import FrameType, parse_header
 from risc_lab.camera import Camera
-from risc_lab.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT, load_calibration, load_mount
+from risc_lab.lab.calibration import load_calibration, load_mount
+from risc_simulator.socket_host import reset
 from risc_simulator.video.camera_pose import camera_pose
 from risc_simulator.video.checkerboard_motion import Waving
 from risc_simulator.video.encoder import H264Encoder
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.stream_writer import StreamWriter
-
-DEFAULT_FRONT_CALIBRATION = "ardrone_front.yaml"
-BOTTOM_CALIBRATION = "ardrone_bottom.yaml"
-BOTTOM_SENSOR_PX = (320, 180)  # of the small camera; firmware scales it up to the picture's size
 
 MAX_CLIENTS = 8
 LATE_PICTURES = 300  # the newest ones, of which the lateness is told
@@ -29,11 +26,13 @@ MAX_BACKLOG_BYTES = 512 * 1024  # a client that reads slower than this loses pic
 class Eye:
     """One camera of one vehicle."""
 
-    def __init__(self, calibration_url, mount, scene, imaging, seed, sensor_px=None):
-        """sensor_px: (width, height) of a sensor that is coarser than the picture; None = the same."""
-        self.camera = Camera(load_calibration(calibration_url))
-        self.mount = mount
-        self._sensor_px = sensor_px
+    def __init__(self, camera, fleet_vehicle, scene, imaging, seed):
+        """camera: vehicles.VirtualCamera. ValueError for a bad calibration or mount, of the type or the fleet file."""
+        calibration, self.mount, self._sensor_px = camera.calibration, camera.mount, camera.sensor_px
+        if camera.by_fleet:
+            calibration = fleet_vehicle.calibration or calibration
+            self.mount = load_mount(fleet_vehicle.camera_mount) if fleet_vehicle.camera_mount else self.mount
+        self.camera = Camera(load_calibration(calibration))
         self._make_renderer = functools.partial(Renderer, self.camera, scene, imaging, seed)
         self._waving = None  # made when it is needed
 
@@ -63,25 +62,17 @@ class Eye:
         return self._waving.board(waved_s, pose)
 
 
-def front_eye(fleet_vehicle, scene, imaging, seed):
-    """The front camera that the fleet file describes. Raises ValueError for a bad calibration or mount."""
-    mount = load_mount(fleet_vehicle.camera_mount) if fleet_vehicle.camera_mount else FRONT_MOUNT
-    return Eye(fleet_vehicle.calibration or DEFAULT_FRONT_CALIBRATION, mount, scene, imaging, seed)
-
-
-def bottom_eye(scene, imaging, seed):
-    """The camera in the belly; the same on every AR.Drone."""
-    return Eye(BOTTOM_CALIBRATION, BOTTOM_MOUNT, scene, imaging, seed, BOTTOM_SENSOR_PX)
-
-
 class Station:
     """Serves one listener. One thread, non-blocking sockets; nothing that clients do raises."""
 
-    def __init__(self, listener, eyes, latency_s, notices=None):
-        """listener: bound TCP socket. eyes: Eye by channel. latency_s: from exposure to sending. notices: Notices."""
+    def __init__(self, listener, eyes, latency_s, notices, stream):
+        """listener: bound TCP socket. eyes: Eyes by channel. latency_s: from exposure to sending. notices: Notices.
+
+        stream: faults.Stream that the pictures pass on their way to each client.
+        """
         self.listener = listener
         listener.setblocking(False)
-        self._eyes, self._latency_s, self._notices = eyes, latency_s, notices
+        self._eyes, self._latency_s, self._notices, self.stream = eyes, latency_s, notices, stream
         self._clients = {}  # socket -> _Client
         self._encoder, self._encoder_settings = None, None
         self._writer = StreamWriter()
@@ -174,24 +165,32 @@ class Station:
         """When something is to be sent next; None when nothing is on its way."""
         return self._on_the_way[0][0] if self._on_the_way else None
 
-    def send(self, now_s, link_up):
-        """Send what has arrived; with the link down it is lost."""
+    def send(self, now_s, lab_s, link_up):
+        """Send what has arrived; with the link down it is lost. lab_s: the same as now_s on the lab's clock."""
         while self._on_the_way and self._on_the_way[0][0] <= now_s:
             due_s, data = self._on_the_way.popleft()
             self._lateness_s.append(now_s - due_s)
             self._late_s = None
             is_keyframe = parse_header(data).frame_type == FrameType.IDR
-            if not link_up:
-                for client in self._clients.values():
+            self.pictures += link_up
+            for sock, client in list(self._clients.items()):
+                if link_up:
+                    self.stream.carry((data, is_keyframe), sock, lab_s, self._offer, self._cut)
+                else:
                     client.waits_for_keyframe = True
-                continue
-            self.pictures += 1
-            for client in self._clients.values():
-                client.offer(data, is_keyframe)
         if link_up:
             for sock, client in list(self._clients.items()):
                 if not client.flush(sock):
                     self._hang_up(sock)
+
+    def _offer(self, picture, sock, _lab_s):
+        if sock in self._clients:
+            self._clients[sock].offer(*picture)
+
+    def _cut(self, sock):
+        if sock in self._clients:
+            reset(sock)
+            self._hang_up(sock)
 
     def close(self):
         """Hang up on everybody."""
@@ -204,8 +203,7 @@ class Station:
             client, sender = self.listener.accept()
         except OSError:  # gone again
             return
-        if self._notices is not None:
-            self._notices.event("asks for video", sender)
+        self._notices.event("asks for video", sender)
         if len(self._clients) >= MAX_CLIENTS:
             client.close()
             return
@@ -245,5 +243,5 @@ class _Client:
 
 
 def seed_of(seed, index, channel):
-    """Seed of one camera's noise."""
-    return np.random.SeedSequence(seed, spawn_key=(2000000 + 2 * index + channel,))
+    """Seed of the noise of one camera, of the vehicle of this index."""
+    return np.random.SeedSequence(seed, spawn_key=(2000000 + 2 * index + channel % 2, *range(channel // 2)))

@@ -1,14 +1,20 @@
-"""A vehicle type for tests: UDP, one text a datagram in ("up 0.3"), its height back."""
+"""A vehicle type for tests: UDP, one text a datagram in ("up 0.3"), its height back; a camera that looks backwards."""
 
+import math
+import pathlib
 import socket
 
 from risc_lab.compiled import compiled
+from risc_lab.lab.calibration import CameraMount
 from risc_simulator.models import flight
 from risc_simulator.models.flight import FlightAction
 from risc_simulator.models.quadrotor import U, X
-from risc_simulator.socket_host import VehicleHost
+from risc_simulator.socket_host import VehicleHost, open_socket
+from risc_simulator.vehicles import VirtualCamera
 
-PORT = 4040
+PORT, VIDEO_PORT = 4040, 4041
+CALIBRATION = pathlib.Path(__file__).parents[1] / "cameras/toy_balloon.yaml"
+CAMERAS = (VirtualCamera("rear", str(CALIBRATION), CameraMount((-0.1, 0.0, 0.0), yaw_rad=math.pi)),)
 FIELDS = (("buoyancy_m_s2", float),)
 
 
@@ -42,9 +48,12 @@ class Host(VehicleHost):
     def __init__(self, vehicle, address, seed=0, radio_loss=0.0, wires=None):
         super().__init__(vehicle, wires)
         self._commands, self._heights = self.wire("commands"), self.wire("heights")
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((address, PORT))
+        self._socket = open_socket(socket.SOCK_DGRAM, address, PORT, vehicle.namespace)
+        self.video_listener = open_socket(socket.SOCK_STREAM, address, VIDEO_PORT, vehicle.namespace)
         self._waiting.add(self._socket)
+
+    def attach_video(self, video):
+        video.configure(channel=0, rate_hz=20.0, bitrate_kbit_s=500.0, enabled=True)
 
     def on_readable(self, sock, now_s):
         self._commands.carry(*sock.recvfrom(64), now_s, self._obey)
@@ -64,4 +73,5 @@ class Host(VehicleHost):
 
     def close(self):
         self._socket.close()
+        self.video_listener.close()
         self._waiting.close()

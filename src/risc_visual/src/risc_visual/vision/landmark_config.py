@@ -45,7 +45,7 @@ class LandmarksConfig(LandmarkCatalogue):
     @property
     def ring_scale(self):
         """Diameter of the ring / of the centre."""
-        return self.ring_diameter_m / self.centre_diameter_m
+        return self.discs.ring_diameter_m / self.discs.centre_diameter_m
 
 
 def detector_file():

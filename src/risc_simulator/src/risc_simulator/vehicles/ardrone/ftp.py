@@ -11,6 +11,7 @@ from pyftpdlib.ioloop import IOLoop
 from pyftpdlib.servers import FTPServer
 
 from risc_lab.lab.yaml_reader import package_file
+from risc_simulator.socket_host import reset
 
 MAX_SOCKETS = 16
 
@@ -22,8 +23,13 @@ _LOG.addHandler(logging.NullHandler())  # else it takes a logger of its own for 
 class FtpServer:
     """Lets anybody read the files of an aircraft (config/ardrone_ftp), and nobody write."""
 
-    def __init__(self, listener, notices):
-        """listener: bound TCP socket, the server's from now on.  notices: Notices of the host."""
+    def __init__(self, listener, notices, stream):
+        """listener: bound TCP socket, the server's from now on.  notices: Notices of the host.
+
+        stream: faults.Stream that clients' commands pass, so that all which answers them waits or ends with them.
+        """
+        server = self
+        self._now_s = 0.0
 
         class Handler(FTPHandler):
             authorizer = DummyAuthorizer()
@@ -31,6 +37,9 @@ class FtpServer:
 
             def on_connect(self):
                 notices.event("reads files by FTP", (self.remote_ip, self.remote_port))
+
+            def pre_process_command(self, line, cmd, arg):
+                stream.carry((line, cmd, arg), self, server._now_s, _obey, _cut)
 
         Handler.authorizer.add_anonymous(str(package_file("risc_simulator", "config/ardrone_ftp")))
         self._loop = IOLoop.factory()
@@ -41,10 +50,22 @@ class FtpServer:
         """Descriptor to wait on: when it can be read call serve()."""
         return self._loop.fileno()
 
-    def serve(self):
-        """Do all that can be done now."""
+    def serve(self, now_s):
+        """Do all that can be done now, at lab time now_s."""
+        self._now_s = now_s
         self._loop.loop(timeout=0, blocking=False)
 
     def close(self):
         """Close all sockets."""
         self._loop.close()
+
+
+def _obey(command, handler, _now_s):
+    if handler.connected:
+        FTPHandler.pre_process_command(handler, *command)
+
+
+def _cut(handler):
+    if handler.connected:
+        reset(handler.socket)
+        handler.close()

@@ -1,9 +1,8 @@
 """An AR.Drone 2.0 on the wire: the sockets, state machine and telemetry of one aircraft of the virtual lab.
 
 UDP 5556 takes AT commands, UDP 5554 answers wake-up datagrams with navdata, TCP 5559 gives the configuration text,
-TCP 5555 is for video: a camera process serves it (`attach_video`), without one it stays silent.  TCP 5551 is FTP, with
-the firmware's version.  Each aircraft has its own loopback address, so all use the standard ports.  Any real client can
-connect.
+TCP 5555 is for video, which a camera process serves (`attach_video`).  TCP 5551 is FTP, with the firmware's version.
+Each aircraft has its own loopback address, so all use the standard ports.  Any real client can connect.
 
 Piloting (PCMD, REF) passes the simulated radio: one set of sticks per 1/30 s slot, the vehicle's command delay later.
 Navdata may be lost there too, but is not delayed, and configuration is neither.  One thread, non-blocking sockets; bad
@@ -18,12 +17,12 @@ Where the public documents leave a choice, this aircraft does:
 - Wake-up value 2 (multicast) is answered by unicast.
 """
 
-import errno
 import logging
 import math
 import socket
 from collections import Counter, deque, namedtuple
 from dataclasses import replace
+from types import SimpleNamespace
 from zlib import crc32
 
 import numpy as np
@@ -34,7 +33,7 @@ from ardrone_autonomy.protocol.navdata import ControlState, State
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.notices import Notices
-from risc_simulator.socket_host import VehicleHost
+from risc_simulator.socket_host import VehicleHost, open_socket, reset
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S, LOW_BATTERY_PCT
 from risc_simulator.vehicles.ardrone.ftp import FtpServer
 from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
@@ -56,34 +55,17 @@ FOREVER_S = 1e9  # upper limit of the client's own time-out
 EARLY_S = 1e-6  # what rounding may make of the time at which something is due
 
 DATAGRAMS_PER_CALL = 64
-MAX_TCP_CLIENTS = 8
+MAX_CONTROL_CLIENTS = 16
 MAX_TCP_BACKLOG_BYTES = 256 * 1024
 
-# Bits as plain integers: IntFlag arithmetic would cost more than the rest of a packet.
-_BASE_STATE = int(
-    State.ALTITUDE_CONTROL
-    | State.PIC_VERSION_OK
-    | State.AT_THREAD
-    | State.NAVDATA_THREAD
-    | State.VIDEO_THREAD
-    | State.ACQUISITION_THREAD
-)
-_FRESH = int(State.NAVDATA_DEMO | State.BOOTSTRAP)
-_FLYING, _VIDEO, _USER_START, _ACK, _CAMERA_READY, _DEMO, _COM_LOST, _BATTERY_LOW = map(
-    int,
-    (
-        State.FLYING,
-        State.VIDEO_ENABLED,
-        State.USER_START,
-        State.COMMAND_ACK,
-        State.CAMERA_READY,
-        State.NAVDATA_DEMO,
-        State.COM_LOST,
-        State.BATTERY_LOW,
-    ),
-)
-_COM_WATCHDOG, _EMERGENCY, _USER_EMERGENCY, _CUTOUT = map(
-    int, (State.COM_WATCHDOG, State.EMERGENCY, State.USER_EMERGENCY_LANDING, State.CUTOUT)
+_BIT = SimpleNamespace(**{bit.name: int(bit) for bit in State})  # IntFlag arithmetic would cost more than a packet
+_BASE_STATE = (
+    _BIT.ALTITUDE_CONTROL
+    | _BIT.PIC_VERSION_OK
+    | _BIT.AT_THREAD
+    | _BIT.NAVDATA_THREAD
+    | _BIT.VIDEO_THREAD
+    | _BIT.ACQUISITION_THREAD
 )
 _SELECT, _START = int(at.Ref.SELECT), int(at.Ref.START)
 _PROGRESSIVE, _ABSOLUTE = int(at.PcmdFlag.PROGRESSIVE), int(at.PcmdFlag.ABSOLUTE)
@@ -138,14 +120,13 @@ _COUNTS = (
 class ArdroneHost(VehicleHost):
     """One aircraft.
 
-    vehicle: world.Vehicle (namespace, name, plant.command_delay_s, type.command_rate_hz, phase, state, height_m,
-        battery_pct, schedule).
+    vehicle: world.Vehicle.
     address: IPv4 address of this machine to listen on, e.g. 127.0.1.1.
     ports: Ports; a 0 takes a free one, see `ports`.
     seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
     radio_loss: probability that a radio slot, or a datagram of navdata, is lost.
-    rest_height_m: of the vehicle's centre when it stands.
-    wires: faults.Wires, of which it uses commands, wake_ups and navdata; None = wires of its own.
+    wires: faults.Wires, of which it uses commands, wake_ups, navdata, and the streams control, ftp and video (on which
+        the camera process lets faults act); None = wires of its own.
 
     All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
     address or port cannot be used; nothing that arrives later raises.
@@ -159,21 +140,19 @@ class ArdroneHost(VehicleHost):
         seed=0,
         sensor_noise=1.0,
         radio_loss=0.0,
-        rest_height_m=None,
         wires=None,
     ):
         super().__init__(vehicle, wires)
         self._commands, self._wake_ups, self._navdata = map(self.wire, ("commands", "wake_ups", "navdata"))
+        self._control, ftp, _ = map(self.stream, ("control", "ftp", "video"))
         self.address = address
         rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(
             vehicle.plant.command_delay_s, rate_hz, radio_loss, rng, phase_s=rng.uniform(0.0, 1.0 / rate_hz)
         )
-        if rest_height_m is None:
-            rest_height_m = vehicle.height_m if vehicle.phase is FlightPhase.LANDED else 0.0
-        self._rest_height_m = rest_height_m
-        self.sensors = ArdroneSensors(rng, sensor_noise, rest_height_m)
+        self._rest_height_m = vehicle.height_m if vehicle.phase is FlightPhase.LANDED else 0.0
+        self.sensors = ArdroneSensors(rng, sensor_noise, self._rest_height_m)
         serial = "PS721%09d" % (crc32(address.encode("ascii")) % 10**9)
         self.configuration = ConfigurationStore(
             {"general:drone_serial": serial, "general:ardrone_name": vehicle.namespace}
@@ -223,15 +202,20 @@ class ArdroneHost(VehicleHost):
         self._writer = None
 
         self._control_clients = {}  # socket -> bytes waiting
-        self._video_clients = []  # of a silent aircraft
         self._video = None  # video.launcher.VehicleVideo
         self._sockets = {}  # name -> socket
         self._ftp = None
         try:
-            self._open(ports)
+            for name in Ports._fields:
+                kind = socket.SOCK_DGRAM if name in ("navdata", "at") else socket.SOCK_STREAM
+                self._sockets[name] = open_socket(kind, address, getattr(ports, name), vehicle.namespace)
+            self._ftp = FtpServer(self._sockets["ftp"], self._notices, ftp)
         except OSError:
             self.close()
             raise
+        for sock in (self._sockets["at"], self._sockets["navdata"]):
+            self._waiting.add(sock)
+        self.watch_streams()
         self.ports = Ports(*[self._sockets[name].getsockname()[1] for name in Ports._fields])
         self._obey_configuration()
 
@@ -251,8 +235,8 @@ class ArdroneHost(VehicleHost):
         """Wait for those listeners and streams that are to be served now."""
         served = []
         if self._sockets and not self.link_lost:  # stalled streams would be readable for ever
-            served = [self._sockets["control"], *self._control_clients, *self._video_clients, self._ftp]
-            if self._video is None or self._video.wants_clients:  # else the camera process accepts
+            served = [self._sockets["control"], *self._control_clients, self._ftp]
+            if self._video is not None and self._video.wants_clients:  # else the camera process accepts
                 served.append(self.video_listener)
         datagrams = [self._sockets.get("at"), self._sockets.get("navdata")]
         for sock in self._waiting:
@@ -273,20 +257,13 @@ class ArdroneHost(VehicleHost):
         elif self.link_lost:
             self.watch_streams()  # a loss that has just begun: streams stall
         elif sock is self._ftp:
-            self._ftp.serve()
+            self._ftp.serve(now_s)
         elif sock is self._sockets.get("control"):
-            client = self._accept(sock, "reads the configuration")
-            if client is not None:
-                self._control_clients[client] = b""
+            self._accept(sock)
         elif sock is self._sockets.get("video"):
-            if self._video is not None:
-                self._video.start()  # accepts as soon as it is up
-                self.watch_streams()
-            else:
-                client = self._accept(sock, "asks for video")
-                if client is not None:
-                    self._video_clients.append(client)
-        elif sock in self._control_clients or sock in self._video_clients:
+            self._video.start()  # accepts as soon as it is up
+            self.watch_streams()
+        elif sock in self._control_clients:
             self._drain(sock)
         self._find_due(self._vehicle.phase)
 
@@ -333,31 +310,19 @@ class ArdroneHost(VehicleHost):
 
     def close(self):
         """Close all sockets. May be called twice."""
-        for sock in list(self._sockets.values()) + list(self._control_clients) + self._video_clients:
+        for sock in (*self._sockets.values(), *self._control_clients):
             sock.close()
         self._waiting.close()
         if self._ftp is not None:
             self._ftp.close()
         self._ftp = None
-        self._sockets, self._control_clients, self._video_clients = {}, {}, []
+        self._sockets, self._control_clients = {}, {}
 
     def describe(self):
         """One line for people: what listens where."""
-        p = self.ports
         return (
-            "%s (%s) AR.Drone 2.0 at %s: navdata udp %d, video tcp %d%s, AT commands udp %d, "
-            "configuration tcp %d, version by FTP tcp %d"
-            % (
-                self._vehicle.namespace,
-                self._vehicle.name,
-                self.address,
-                p.navdata,
-                p.video,
-                " (silent)" if self._video is None else "",
-                p.at,
-                p.control,
-                p.ftp,
-            )
+            "%s (%s) AR.Drone 2.0 at %s: navdata udp %d, video tcp %d, AT commands udp %d, configuration tcp %d, "
+            "version by FTP tcp %d" % (self._vehicle.namespace, self._vehicle.name, self.address, *self.ports)
         )
 
     # --- for the lab's operator -----------------------------------------------------------------------------------
@@ -387,33 +352,6 @@ class ArdroneHost(VehicleHost):
 
     # --- sockets --------------------------------------------------------------------------------------------------
 
-    def _open(self, ports):
-        for name, kind in (
-            ("navdata", socket.SOCK_DGRAM),
-            ("video", socket.SOCK_STREAM),
-            ("at", socket.SOCK_DGRAM),
-            ("control", socket.SOCK_STREAM),
-            ("ftp", socket.SOCK_STREAM),
-        ):
-            port = getattr(ports, name)
-            sock = socket.socket(socket.AF_INET, kind)
-            self._sockets[name] = sock
-            sock.setblocking(False)
-            self._waiting.add(sock)
-            if kind == socket.SOCK_STREAM:  # listen again at once although old connections linger
-                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                sock.bind((self.address, port))
-                if kind == socket.SOCK_STREAM:
-                    sock.listen(MAX_TCP_CLIENTS)
-            except OSError as error:
-                raise OSError(
-                    error.errno, _bind_help(self._vehicle.namespace, self.address, port, kind, error)
-                ) from error
-        self._waiting.discard(self._sockets["ftp"])
-        self._ftp = FtpServer(self._sockets["ftp"], self._notices)
-        self._waiting.add(self._ftp)
-
     def _receive(self, sock):
         for _ in range(DATAGRAMS_PER_CALL):
             try:
@@ -428,20 +366,20 @@ class ArdroneHost(VehicleHost):
             else:
                 yield data, sender
 
-    def _accept(self, listener, what):
+    def _accept(self, listener):
         try:
             client, sender = listener.accept()
         except OSError:  # gone again
-            return None
+            return
         client.setblocking(False)
-        if len(self._control_clients) + len(self._video_clients) >= 2 * MAX_TCP_CLIENTS:
+        if len(self._control_clients) >= MAX_CONTROL_CLIENTS:
             self._counts["tcp_clients_refused"] += 1
             self._notices.complaint("is turned away: too many clients", sender)
             client.close()
-            return None
-        self._notices.event(what, sender)
+            return
+        self._notices.event("reads the configuration", sender)
         self._waiting.add(client)
-        return client
+        self._control_clients[client] = b""
 
     def _drain(self, sock):
         """What clients say on the streams is of no interest; that they hang up is."""
@@ -455,11 +393,23 @@ class ArdroneHost(VehicleHost):
             self._hang_up(sock)
 
     def _hang_up(self, sock):
-        self._waiting.discard(sock)
-        sock.close()
-        self._control_clients.pop(sock, None)
-        if sock in self._video_clients:
-            self._video_clients.remove(sock)
+        if sock in self._control_clients:
+            self._waiting.discard(sock)
+            sock.close()
+            del self._control_clients[sock]
+
+    def _cut(self, sock):
+        reset(sock)
+        self._hang_up(sock)
+
+    def _write(self, text, sock, _now_s):
+        """Text for a client that reads the configuration."""
+        waiting = self._control_clients.get(sock)
+        if waiting is not None and len(waiting) + len(text) > MAX_TCP_BACKLOG_BYTES:
+            self._hang_up(sock)  # asks and never reads
+        elif waiting is not None:
+            self._control_clients[sock] = waiting + text
+            self._due_s = -math.inf
 
     def _flush_control_clients(self):
         for sock, waiting in list(self._control_clients.items()):
@@ -555,7 +505,7 @@ class ArdroneHost(VehicleHost):
                 enabled=get("general:video_enable"),
             )
 
-    def _on_ctrl(self, command, _):
+    def _on_ctrl(self, command, now_s):
         mode = command.arguments[0]
         if mode == at.CtrlMode.CLEAR_ACK:
             self._ack = False
@@ -566,11 +516,8 @@ class ArdroneHost(VehicleHost):
             text = (
                 self.configuration.text() if mode == at.CtrlMode.SEND_CONFIG else self.configuration.custom_ids_text()
             )
-            for sock, waiting in list(self._control_clients.items()):
-                if len(waiting) + len(text) > MAX_TCP_BACKLOG_BYTES:
-                    self._hang_up(sock)  # asks and never reads
-                else:
-                    self._control_clients[sock] = waiting + text
+            for sock in list(self._control_clients):
+                self._control.carry(text, sock, now_s, self._write, self._cut)
 
     def _on_comwdg(self, _command, _now_s):
         self._com_watchdog = False
@@ -831,34 +778,25 @@ class ArdroneHost(VehicleHost):
     def _state_bits(self, phase):
         bits = _BASE_STATE
         if phase in _IN_FLIGHT:
-            bits |= _FLYING
-        if self._video_clients or (self._video is not None and self._video.watchers):
-            bits |= _VIDEO
+            bits |= _BIT.FLYING
+        if self._video is not None and self._video.watchers:
+            bits |= _BIT.VIDEO_ENABLED
         if self._start:
-            bits |= _USER_START
+            bits |= _BIT.USER_START
         if self._ack:
-            bits |= _ACK
+            bits |= _BIT.COMMAND_ACK
         if self._bootstrap:
-            bits |= _FRESH
+            bits |= _BIT.NAVDATA_DEMO | _BIT.BOOTSTRAP
         else:
-            bits |= _CAMERA_READY
+            bits |= _BIT.CAMERA_READY
             if self.get("general:navdata_demo"):
-                bits |= _DEMO
+                bits |= _BIT.NAVDATA_DEMO
         if self._com_lost_s is not None:
-            bits |= _COM_LOST
+            bits |= _BIT.COM_LOST
         if self._vehicle.battery_pct <= LOW_BATTERY_PCT:
-            bits |= _BATTERY_LOW
+            bits |= _BIT.BATTERY_LOW
         if self._com_watchdog:
-            bits |= _COM_WATCHDOG
+            bits |= _BIT.COM_WATCHDOG
         if phase is FlightPhase.EMERGENCY:
-            bits |= _EMERGENCY | (_USER_EMERGENCY if self._user_emergency else _CUTOUT)
+            bits |= _BIT.EMERGENCY | (_BIT.USER_EMERGENCY_LANDING if self._user_emergency else _BIT.CUTOUT)
         return bits
-
-
-def _bind_help(namespace, address, port, kind, error):
-    what = "%s: cannot listen on %s %s:%d" % (namespace, "tcp" if kind == socket.SOCK_STREAM else "udp", address, port)
-    if error.errno == errno.EADDRINUSE:
-        return what + ": in use. Stop the other virtual lab, or give the vehicle another address in the fleet file"
-    if error.errno == errno.EADDRNOTAVAIL:
-        return what + ": this machine has no such address. Use one of 127.0.0.0/8 in the fleet file, or add it"
-    return "%s: %s" % (what, error.strerror)

@@ -1,4 +1,4 @@
-"""How fast the virtual lab is: `python3 -m risc_simulator.bench [--json FILE]`.
+"""How fast the virtual lab is: `./maap bench world`.
 
 World and cameras offline, as fast as they go, on one core: every vehicle is in the air and gets a new setpoint at the
 rate of its radio, as in a flight; plants are perturbed. Then the whole lab in real time, with a client for each vehicle
@@ -42,7 +42,7 @@ def make_world(count, seed=0):
     """World of make_fleet(), and where its vehicles are to fly [m]."""
     fleet = make_fleet(count)
     world = World(fleet, {"ardrone": load_vehicle_type("ardrone")}, load_templates(fleet=fleet), seed=seed)
-    return world, [vehicle.start_position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
+    return world, [vehicle.start.position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
 
 
 def start_flight(world, places_m, duration_s):
@@ -157,7 +157,7 @@ def _pilot(fleet):
 
 def main(arguments=None):
     """Command line. Returns 1 when a required speed is missed."""
-    parser = argparse.ArgumentParser(prog="bench", description="Speed of the virtual lab, offline and in real time.")
+    parser = argparse.ArgumentParser(prog="world.py", description="Speed of the virtual lab, offline and in real time.")
     parser.add_argument("--json", metavar="FILE", help="write the table there too")
     options = parser.parse_args(arguments)
     print(

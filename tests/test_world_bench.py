@@ -3,8 +3,8 @@
 import json
 
 import pytest
+import world as bench
 
-from risc_simulator import bench
 from risc_simulator.models.flight import FlightPhase, Setpoint
 
 

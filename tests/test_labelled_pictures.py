@@ -3,11 +3,11 @@
 import itertools
 import math
 
+import labelled_pictures as dataset
 import numpy as np
 import pytest
+from labelled_pictures import landmark_set
 
-from risc_simulator.video import dataset
-from risc_simulator.video.dataset import landmark_set
 from risc_simulator.video.scene import load_style
 
 COUNT = 60

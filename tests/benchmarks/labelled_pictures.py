@@ -127,7 +127,7 @@ def _discs(rng, style, camera, pose):
         distance_m = math.sqrt(rng.uniform(DISTANCE_M[0] ** 2, DISTANCE_M[1] ** 2))  # as often as there is room
         obliqueness = rng.uniform(*OBLIQUENESS_RAD)
         leaning = rng.uniform(0.0, 2.0 * math.pi) if rng.random() < 0.3 else rng.choice((0.0, math.pi))
-        reach_px = 0.6 * style.catalogue.ring_diameter_m * camera.K[0, 0] / distance_m
+        reach_px = 0.6 * style.catalogue.discs.ring_diameter_m * camera.K[0, 0] / distance_m
         margin_px = np.array(SIZE_PX) * -_BEYOND_BORDER
         if rng.random() < _WHOLE_SHARE:
             margin_px = np.minimum(reach_px, 0.45 * np.array(SIZE_PX))

@@ -3,8 +3,7 @@
 import json
 
 import pytest
-
-from risc_simulator.video import bench
+import render as bench
 
 
 def test_rows_and_file(tmp_path, capsys, monkeypatch):

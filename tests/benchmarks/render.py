@@ -1,4 +1,4 @@
-"""How long a picture takes: `python3 -m risc_simulator.video.bench [--json FILE]`, CPU time on one core."""
+"""How long a picture takes: `./maap bench render`, CPU time on one core."""
 
 import argparse
 import json
@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from labelled_pictures import CALIBRATIONS, SIZE_PX
 
 from risc_lab.camera import Camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraCalibration
-from risc_simulator.video.dataset import CALIBRATIONS, SIZE_PX
 from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import Board, CameraPose, VehiclePose, load_style
 
@@ -97,7 +97,7 @@ def _timed(function, took_s):
 
 def main(arguments=None):
     """Command line. Returns 1 when a required time is missed."""
-    parser = argparse.ArgumentParser(prog="video.bench", description="Time for one picture of 640 x 360 on one core.")
+    parser = argparse.ArgumentParser(prog="render.py", description="Time for one picture of 640 x 360 on one core.")
     parser.add_argument("--json", metavar="FILE", help="write the table there too")
     options = parser.parse_args(arguments)
     cv2.setNumThreads(1)

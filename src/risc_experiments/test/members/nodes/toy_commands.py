@@ -1,0 +1,13 @@
+#!/usr/bin/env python3
+"""Driver of a toy quadrotor, the way there: topic toy/command, a text -> UDP 4050."""
+
+import socket
+
+import rospy
+from std_msgs.msg import String
+
+rospy.init_node("toy_commands")
+vehicle = rospy.get_param("~address"), 4050
+sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+rospy.Subscriber("toy/command", String, lambda message: sock.sendto(message.data.encode(), vehicle), queue_size=10)
+rospy.spin()

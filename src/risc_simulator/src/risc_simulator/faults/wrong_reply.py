@@ -1,0 +1,15 @@
+"""With this probability a datagram of Cortex' protocol, whose first two bytes say what it is, says another thing."""
+
+import struct
+
+from cortex_ros.wire import Command
+
+
+def make(severity, rng):
+    def act(datagram, now_s):
+        if isinstance(datagram, bytes) and len(datagram) >= 2 and rng.random() < severity:
+            others = [code for code in Command if code != int.from_bytes(datagram[:2], "little")]
+            datagram = struct.pack("<H", others[rng.integers(len(others))]) + datagram[2:]
+        return [(0.0, datagram)]
+
+    return act
