@@ -134,28 +134,32 @@ class LiveView:
         """Somebody looks."""
         self._turns.update(due_s=0.0, panel_due_s=0.0)
 
-        def every(topic, kind, callback, *args):
-            self._subscribers.append(rospy.Subscriber(topic, kind, callback, args, queue_size=_QUEUE, tcp_nodelay=True))
+        note = self._note
 
-        def newest(topic, kind, callback, rate_hz, *args):
-            self._subscribers.append(PacedSubscriber(topic, kind, callback, rate_hz, (args,)))
+        def every(topic, kind, callback):
+            self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=_QUEUE, tcp_nodelay=True))
+
+        def newest(topic, kind, callback, rate_hz=_PANEL_HZ):
+            self._subscribers.append(PacedSubscriber(topic, kind, callback, rate_hz))
 
         for topic in WHOLE:
-            newest(topic, MarkerArray, self._on_markers, self._params.rate_hz, topic)
-        for topic in ARRAYS:
-            every(topic, MarkerArray, self._on_markers, topic)
-        for topic in SINGLE:
-            every(topic, Marker, self._on_markers, topic)
+            newest(topic, MarkerArray, self._to_scene(topic), self._params.rate_hz)
+        for topic, kind in [(topic, MarkerArray) for topic in ARRAYS] + [(topic, Marker) for topic in SINGLE]:
+            every(topic, kind, self._to_scene(topic))
         for vehicle in self._vehicles:
-            group, name = "/%s/" % vehicle.namespace, vehicle.namespace
-            newest(group + "controller_status", Bool, self._on_mode, _PANEL_HZ, name)
-            newest(group + "ardrone/navdata", Navdata, self._on_navdata, _PANEL_HZ, name)
-            every(group + "safety", Safety, self._on_safety, name)
-        newest("/trajectory", Trajectories, self._on_references, _PANEL_HZ)
+            name = vehicle.namespace
+            newest("/%s/controller_status" % name, Bool, lambda msg, name=name: note("mode", name, msg.data))
+            newest("/%s/ardrone/navdata" % name, Navdata, lambda msg, name=name: note("navdata", name, _report(msg)))
+            every("/%s/safety" % name, Safety, lambda msg, name=name: note("safety", name, verdict_from_msg(msg)))
+        newest("/trajectory", Trajectories, lambda _msg: note("references", "", True))
         every("/trajectory_phase", TrajectoryPhases, self._on_phases)
-        every("/operator/phase", OperatorState, self._on_operator)
+        every("/operator/phase", OperatorState, lambda msg: note("operator", "", _operator_text(msg)))
         every("/controller_report", ControllerReport, self._on_controller)
-        every("/estimator_status", EstimatorStatus, self._on_estimator)
+        every(
+            "/estimator_status",
+            EstimatorStatus,
+            lambda msg: note("mocap", "", Mocap(msg.rate_hz, msg.visible, msg.vehicles)),
+        )
 
     def _rest(self):
         """The last one has gone."""
@@ -171,40 +175,27 @@ class LiveView:
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
-    def _on_markers(self, message, args):
-        self._not_shown |= self._scene.note(args[0], getattr(message, "markers", [message]), time.monotonic())
+    def _to_scene(self, topic):
+        """Callback for the markers on a topic."""
+
+        def note(message):
+            markers = getattr(message, "markers", [message])
+            self._not_shown |= self._scene.note(topic, markers, time.monotonic())
+
+        return note
 
     def _note(self, what, whose, value):
         self._status.note(what, whose, value, time.monotonic())
 
-    def _on_mode(self, message, args):
-        self._note("mode", args[0], message.data)
-
-    def _on_navdata(self, message, args):
-        self._note("navdata", args[0], Report(message.state, message.batteryPercent))
-
-    def _on_references(self, _message, _args):
-        self._note("references", "", True)
-
-    def _on_safety(self, message, args):
-        self._note("safety", args[0], verdict_from_msg(message))
-
-    def _on_phases(self, message, _args):
+    def _on_phases(self, message):
         for template, phase in phase_words(message.vehicles).items():
             self._note("course", template, phase)
 
-    def _on_operator(self, message, _args):
-        words = OperatorPhase(message.phase).name.lower(), message.text
-        self._note("operator", "", ": ".join(filter(None, words)))
-
-    def _on_controller(self, message, _args):
+    def _on_controller(self, message):
         namespaces = {vehicle.template: vehicle.namespace for vehicle in self._vehicles}
         for vehicle in message.vehicles:
             if vehicle.name in namespaces:
                 self._note("error_m", namespaces[vehicle.name], vehicle.position_error_m)
-
-    def _on_estimator(self, message, _args):
-        self._note("mocap", "", Mocap(message.rate_hz, message.visible, message.vehicles))
 
     def _diagnose(self, status):
         turns = self._turns
@@ -214,6 +205,14 @@ class LiveView:
         status.add("types of markers that are not shown", ", ".join(map(str, sorted(self._not_shown))) or "none")
         turns["changes"], turns["took_max_s"] = 0, 0.0
         return status
+
+
+def _report(navdata):
+    return Report(navdata.state, navdata.batteryPercent)
+
+
+def _operator_text(message):
+    return ": ".join(filter(None, (OperatorPhase(message.phase).name.lower(), message.text)))
 
 
 def _call_land(name):

@@ -14,36 +14,13 @@ from dynamic_reconfigure.server import Server
 from sensor_msgs.msg import Image
 
 from risc_lab.ros.params import load_params
+from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 from risc_visual.ros import node
 from risc_visual.vision.ros.picture_reader import PictureReader
 
 _BRIDGE = CvBridge()
-
-
-class Demand(rospy.SubscribeListener):
-    """Calls back, in a thread of its own, after somebody has begun or ceased to listen to a publisher.
-
-    rospy tells while it holds locks of the publisher, which whoever then counts listeners needs: to do that in rospy's
-    thread stops both for ever.
-    """
-
-    def __init__(self, on_change):
-        self._on_change = on_change
-        self._changed = threading.Event()
-        threading.Thread(target=self._work, name="demand", daemon=True).start()
-
-    def peer_subscribe(self, _name, _publish, _peer_publish):
-        self._changed.set()
-
-    def peer_unsubscribe(self, _name, _number):
-        self._changed.set()
-
-    def _work(self):
-        while True:
-            self._changed.wait()
-            self._changed.clear()
-            self._on_change()
+_LOOK_S = 0.25  # between two looks whether somebody listens
 
 
 class PictureNode(abc.ABC):
@@ -56,8 +33,6 @@ class PictureNode(abc.ABC):
         names; None: the settings stand.  Raises ValueError that names a wrong parameter.
         """
         self.lock = threading.Lock()  # held while `process` runs: for what other callbacks share with it
-        self._demand_lock = threading.Lock()  # another one: listeners may come before the node is ready
-        self._publishers = {}
         self._encodings = {name: kind for name, kind in outputs.items() if isinstance(kind, str)}
         self.settings = load_params(settings_class)[0]
         self.use(self.settings)
@@ -68,14 +43,11 @@ class PictureNode(abc.ABC):
             self._server = Server(config_type, self._on_reconfigure)
         name = rospy.get_name().rsplit("/", 1)[-1]
         self._reader = PictureReader(topic, self._work, node.ticking_updater(), name)
-        demand = Demand(self._follow_demand)
         self._publishers = {
-            name: rospy.Publisher(
-                name, Image if isinstance(kind, str) else kind, queue_size=1, subscriber_listener=demand
-            )
+            name: rospy.Publisher(name, Image if isinstance(kind, str) else kind, queue_size=1)
             for name, kind in outputs.items()
         }
-        self._follow_demand()  # listeners may be there already
+        Ticker(_LOOK_S, self._follow_demand, "the demand for results")
 
     # -------- what a node brings
 
@@ -104,10 +76,9 @@ class PictureNode(abc.ABC):
     # -------- the frame
 
     def _follow_demand(self):
-        with self._demand_lock:
-            demanded = any(map(self.wanted, self._publishers))
-            if demanded != self._reader.is_open:
-                (self._reader.open if demanded else self._reader.close)()
+        demanded = any(map(self.wanted, self._publishers))
+        if demanded != self._reader.is_open:
+            (self._reader.open if demanded else self._reader.close)()
 
     def _work(self, picture, header):
         with self.lock:
