@@ -41,7 +41,7 @@ from risc_doctor import ros_environment as ros
 from risc_doctor.checks import CHECKS, run
 from risc_doctor.clock_agreement import judge as judge_clock
 from risc_doctor.clock_agreement import parse_tracking
-from risc_doctor.findings import GREEN, RED, YELLOW, green, worst
+from risc_doctor.findings import GREEN, RED, YELLOW, Finding, worst
 from risc_doctor.interfaces import Interface, is_own, read_interfaces, source_towards
 from risc_doctor.ros_master import MasterError, NobodyThereError, call
 from risc_doctor.situation import Situation
@@ -432,7 +432,7 @@ def test_an_address_that_several_vehicles_have_is_none_of_them_by_name():
 
 def test_joysticks(monkeypatch, tmp_path):
     needed = joystick.needed_indices()
-    assert needed == (10, 7), "vehicle_node.yaml"
+    assert needed == (10, 7), "the game pad of Appendix C"
     assert joystick.judge("js0", "Pad", 11, 8, needed).level == GREEN
     short = joystick.judge("js0", "Pad", 10, 8, needed)
     assert short.level == RED and "button 10" in short.text
@@ -566,9 +566,9 @@ def test_a_check_that_breaks_does_not_break_the_others():
     def broken(situation):
         raise KeyError("no such thing")
 
-    checks = {"a": ("", lambda situation: [green("a", "well")]), "b": ("", broken)}
-    findings = run(None, ["b", "a"], checks)
-    assert [(f.check, f.level) for f in findings] == [("b", RED), ("a", GREEN)]
+    checks = {"a": ("", lambda situation: [Finding("a", GREEN, "well")]), "ros": ("", broken)}
+    findings = run(None, ["ros", "a"], checks)
+    assert [(f.check, f.level) for f in findings] == [("ros", RED), ("a", GREEN)]
     assert "KeyError: 'no such thing'" in findings[0].text and "test_doctor.py" in findings[0].text
 
 

@@ -26,8 +26,8 @@ MASTER = "http://127.0.0.1:5000"
     ],
 )
 def test_an_unreachable_computer_has_its_own_cause(error, text, cure):
-    found = ssh.why_unreachable(error, "127.0.0.9", 22)
-    assert text in found[0] and cure in found[1]
+    found = ssh.unreachable(error, "127.0.0.9", 22).finding
+    assert text in found.text and cure in found.cure
 
 
 @pytest.mark.parametrize(

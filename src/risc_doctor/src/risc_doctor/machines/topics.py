@@ -10,15 +10,13 @@ import sys
 import tempfile
 import time
 
-from risc_doctor.findings import green, red
-from risc_doctor.machines import workspace_digest
+from risc_doctor.findings import Findings
 from risc_doctor.machines.echo import trouble_with
 
 _TALK_S = 6.0  # for the first message; a second is usual
 _START_S = 15.0  # for Python and rospy to start on a slow laptop
 _MASTER_S = 20.0
 _ECHO = "risc_doctor.machines.echo"
-_ALL_PORTS = "nodes talk over any TCP port: open all of them between the machines, e.g. sudo ufw allow from %s"
 
 
 class Master:
@@ -72,7 +70,7 @@ def check(session, master, here, number):
         answer = session.loaded(["python", "-m", _ECHO, theirs, ours, str(_TALK_S)], _TALK_S + _START_S, uri)
         there = outcome(answer.out)
         if there is None:
-            return [red("topics", "the test program does not run there: " + answer.reason(), workspace_digest.CURE)]
+            return Findings("topics").say("no_program", reason=answer.reason())
         if there.get("heard") and there.get("answered"):
             return judge(session.computer, uri, there, {"heard": True})
         near.terminate()
@@ -96,42 +94,20 @@ def outcome(printed):
 
 def judge(computer, uri, there, here):
     """Findings from the two outcomes of echo. uri: of the master that the far one was told."""
+    found, values = Findings("topics"), {"machine": computer.name, "address": computer.address}
     if there["master_uri"] != uri:
-        return [
-            red(
-                "topics",
-                "its env-loader sets ROS_MASTER_URI to %s" % there["master_uri"],
-                "it must pass on the one that it is given: use devel/coop.sh as env-loader",
-            )
-        ]
+        return found.say("other_uri", uri=there["master_uri"])
     if there["master_trouble"]:
-        text = "nodes there do not reach a ROS master here: %s" % there["master_trouble"]
-        return [red("topics", text, "a firewall here? " + _ALL_PORTS % computer.address)]
-    findings = []
+        return found.say("no_master", trouble=there["master_trouble"], **values)
+    host = _host(there["uri"])
     if not there["heard"]:
         cause = there.get("trouble") or "the node here answers, but its topic does not come through"
-        cure = _cure_of_name(there, "here", "there") or "a firewall here? " + _ALL_PORTS % computer.address
-        findings.append(red("topics", "nothing flows from here to %s: %s" % (computer.name, cause), cure))
+        found.say("name_unknown_there" if "resolved" in cause else "not_there", cause=cause, **values)
     if not here.get("heard"):
         cause = here.get("trouble") or "the node there answers, but its topic does not come through"
-        name = _host(there["uri"])
-        cure = "a firewall there? " + _ALL_PORTS % "ADDRESS_OF_THIS_COMPUTER"
-        if name not in _addresses(computer.address):
-            cause = "nodes there say that they are at %s, but %s is at %s (%s)" % (
-                name, computer.name, computer.address, cause,
-            )  # fmt: skip
-            cure = (
-                "a wrong ROS_IP or ROS_HOSTNAME there: devel/coop.sh sets ROS_IP by itself; remove both from the "
-                "env-loader, ~/.profile and /etc/environment there"
-            )
-        findings.append(red("topics", "nothing flows from %s to here: %s" % (computer.name, cause), cure))
-    return findings or [green("topics", "they flow in both directions (nodes there are at %s)" % _host(there["uri"]))]
-
-
-def _cure_of_name(outcome_there, where, elsewhere):
-    if "resolved" in outcome_there.get("trouble", ""):
-        return "set ROS_IP %s to this computer's address, or add the name to /etc/hosts %s" % (where, elsewhere)
-    return ""
+        code = "not_here" if host in _addresses(computer.address) else "other_address"
+        found.say(code, cause=cause, host=host, **values)
+    return found or found.say("good", host=host)
 
 
 def _host(uri):
