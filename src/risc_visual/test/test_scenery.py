@@ -41,7 +41,7 @@ def test_around_another_net_everything_is_further_out(scenery):
     assert (larger.net.half_x_m, larger.net.half_y_m, larger.net.height_m) == (5.0, 4.5, 4.0)
     for camera, before in zip(larger.cameras.poses, scenery.cameras.poses):
         assert np.abs(camera.position_m)[:2] - np.abs(before.position_m)[:2] == pytest.approx([2.507046, 2.44822])
-    assert larger.grid.labels(larger.net)[0] == ("5.0", (5.0, 4.85, 0.0))
+    assert larger.grid.labels(larger.net)[0] == ("5.0", (5.0, 5.0, 0.0))
 
 
 def test_edges_join_the_eight_corners(scenery):

@@ -41,7 +41,7 @@ class Grid(Settings):
     """Numbers along two edges of the floor, outside of the net: those on which the saved views look from outside."""
 
     step_m: Positive = 0.5
-    outside_m: Positive = 0.35  # of the net
+    outside_m: Positive = 0.5  # of the net
     text_height_m: Positive = 0.2
 
     def labels(self, net):
