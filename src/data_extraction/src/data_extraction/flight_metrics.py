@@ -11,6 +11,7 @@ from data_extraction.flatten import seconds
 from data_extraction.recording import REFERENCES, STATES, TRUTH, Recording, Series
 from data_extraction.samples import Arrivals
 from risc_lab.lab.arena import Arena
+from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase
 
 SETTLED_ERROR_M = 0.05  # settled: the position error stays below this ...
@@ -103,7 +104,8 @@ class FlightCollector:
         self._recording = Recording(dict.fromkeys((REFERENCES, STATES, TRUTH), _POSE), MOST_ROWS)
         # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
         self._arrivals = {topic: Arrivals() for topic in ("/mocap_data", STATES, "/controls")}
-        self._commands = {}  # {topic of commands: Arrivals}
+        self._commands = {}  # {topic of commands: Arrivals of the states that they answer}
+        self._namespaces = {v.template: v.namespace for v in (fleet.vehicles if fleet else laboratory_vehicles())}
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
         # Programs start before the operator's first phase that is not waiting, and end after its result.
@@ -120,7 +122,13 @@ class FlightCollector:
         elif topic == "/mocap_time":
             self._receipts.append(_stamp_ns(message), seconds(message.time_ref))
             self._frames.append(_stamp_ns(message), int(message.source))
-        elif topic.endswith("/cmd_vel_stamped"):
+        elif topic == "/commands_sent":
+            for command in message.commands:
+                if command.answers.sec:
+                    name = "/%s/cmd_vel" % self._namespaces.get(command.name, command.name)
+                    arrivals = self._commands.setdefault(name, Arrivals())
+                    arrivals.append(_nanoseconds(command.answers), seconds(command.sent))
+        elif topic.endswith("/cmd_vel_stamped"):  # in bags without that: the stamp answered, and the time of receipt
             if _stamp_ns(message):
                 self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)
         elif topic.endswith("trajectory_phase"):
@@ -135,7 +143,7 @@ class FlightCollector:
         """Whether messages of this topic say anything here."""
         return (
             topic in ("/mocap_time", "/operator/phase", "/operator/result", *self._recording.topics, *self._arrivals)
-            or topic.endswith(("/cmd_vel_stamped", "trajectory_phase"))
+            or topic.endswith(("/commands_sent", "/cmd_vel_stamped", "trajectory_phase"))
             or self._bearings.wants(topic)
         )
 
@@ -219,7 +227,7 @@ class FlightCollector:
         return latency
 
     def _command_latencies(self):
-        """{topic of commands: (n,) [s]} from the receipt of the datagram to the arrival in the bag."""
+        """{topic of commands: (n,) [s]} from the receipt of the datagram to the sending of the command."""
         receipts = self._receipts.first()
         return {topic: _since(*receipts, arrivals) for topic, arrivals in sorted(self._commands.items())}
 
@@ -284,8 +292,11 @@ def settling_time(t_s, error, limit=SETTLED_ERROR_M, hold_s=SETTLED_HOLD_S):
 
 
 def _stamp_ns(message):
-    stamp = message.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+    return _nanoseconds(message.header.stamp)
+
+
+def _nanoseconds(time):
+    return time.sec * 1_000_000_000 + time.nanosec
 
 
 def _since(stamps_ns, receipts_s, arrivals):

@@ -19,6 +19,7 @@ TYPES = {
     "/land_rois": "Observed_rois",
     "/detections": "Detections",
     "/camera_info": "CameraInfo",
+    "/commands_sent": "CommandsSent",
     "/cmd_vel_stamped": "TwistStamped",
     "/safety": "Safety",
     "/navdata": "Navdata",

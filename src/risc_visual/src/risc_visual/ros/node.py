@@ -7,10 +7,10 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, age_text, make_updater
 from risc_lab.ros.ticker import Ticker
 
-SILENCE_S = 3.0  # without news after which an input is silent
+_SILENCE_S = 3.0  # without news after which an input is silent
 
 
 def run(name, make):
@@ -32,6 +32,11 @@ def ticking_updater():
     return updater
 
 
+def is_silent(last_s):
+    """Whether an input is. last_s: when it was heard last, monotonic clock; None: never."""
+    return last_s is None or time.monotonic() - last_s > _SILENCE_S
+
+
 class Health:
     """Counts what is drawn per input and reports rates and ages at 1 Hz. No input is a warning, never an error."""
 
@@ -44,9 +49,9 @@ class Health:
         self._lock = threading.Lock()
         self._optional = optional
         self._refused = {}  # why -> how often
-        self._drawn = dict.fromkeys(inputs, 0)  # since the last report
+        self._drawn = dict.fromkeys(inputs, 0)
         self._last_s = dict.fromkeys(inputs)
-        self._reported_s = time.monotonic()
+        self._growth = Growth()
         ticking_updater().add(name, self._diagnose)
 
     def drawn(self, what):
@@ -62,17 +67,14 @@ class Health:
 
     def _diagnose(self, status):
         with self._lock:
-            now_s = time.monotonic()
-            drawn, self._drawn = self._drawn, dict.fromkeys(self._drawn, 0)
-            elapsed_s, self._reported_s = max(now_s - self._reported_s, 1e-3), now_s
-            ages_s = {what: None if last_s is None else now_s - last_s for what, last_s in self._last_s.items()}
-            refused = dict(self._refused)
-        silent = [what for what, age_s in ages_s.items() if age_s is None or age_s > SILENCE_S]
+            _, rates_hz = self._growth(self._drawn)
+            last_s, refused = dict(self._last_s), dict(self._refused)
+        silent = [what for what, at_s in last_s.items() if is_silent(at_s)]
         level = DiagnosticStatus.WARN if silent and not self._optional else DiagnosticStatus.OK
         status.summary(level, "nothing on " + ", ".join(silent) if silent else "working")
-        for what, age_s in ages_s.items():
-            status.add("%s from %s [Hz]" % (self._done, what), "%.1f" % (drawn[what] / elapsed_s))
-            status.add("age of last %s [s]" % what, "none yet" if age_s is None else "%.2f" % age_s)
+        for what, at_s in last_s.items():
+            status.add("%s from %s [Hz]" % (self._done, what), "%.1f" % rates_hz[what])
+            status.add("age of last %s [s]" % what, age_text(at_s))
         for why, count in refused.items():
             status.add("not %s: %s" % (self._done, why), str(count))
         return status

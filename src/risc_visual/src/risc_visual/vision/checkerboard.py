@@ -152,7 +152,7 @@ def calibrate(views, board, size_px, name="camera", radial_terms=2):
     try:
         calibration = CameraCalibration(
             name, *size_px, tuple(K.ravel().tolist()), tuple(D.tolist()), tuple(np.eye(3).ravel().tolist()), P
-        )
+        ).usable()
     except ValueError as error:
         raise ValueError("%s (%s)" % (_UNDETERMINED, error)) from error
     warnings = tuple(_warnings(kept, errors, dropped, K, sigma, size_px))

@@ -9,9 +9,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Image
 
 from risc_lab.images import picture_from_msg
+from risc_lab.ros.diagnostics import Growth, age_text
 from risc_lab.ros.paced_subscriber import PICTURES_BYTES
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_visual.ros.node import SILENCE_S
+from risc_visual.ros.node import is_silent
 
 _TOLD_S = 10.0  # between two reports of the same trouble
 
@@ -30,8 +31,8 @@ class PictureReader:
         self._next_s = 0.0  # when the next picture is taken; monotonic clock
         self._subscriber = None
         self._lock = threading.Lock()
-        self._pictures, self._refused, self._refused_before = 0, 0, 0
-        self._took_s, self._reported_s = [], time.monotonic()  # of the pictures since the last report
+        self._counts, self._growth = {"pictures": 0, "refused": 0}, Growth()
+        self._took_s = []  # of the pictures since the last report
         self._last_s = self._age_s = None
         updater.add(name, self._diagnose)
 
@@ -62,37 +63,34 @@ class PictureReader:
             self._work(picture_from_msg(message), message.header)
         except (ValueError, cv2.error) as error:
             with self._lock:
-                self._refused += 1
+                self._counts["refused"] += 1
             rospy.logerr_throttle_identical(_TOLD_S, "a picture on %s is refused: %s" % (self.topic, error))
             return
         with self._lock:
             self._last_s = time.monotonic()
             self._age_s = (rospy.Time.now() - message.header.stamp).to_sec()
-            self._pictures += 1
+            self._counts["pictures"] += 1
             self._took_s.append(self._last_s - start_s)
 
     def _diagnose(self, status):
         with self._lock:
-            now_s = time.monotonic()
+            new, rates_hz = self._growth(self._counts)
             took_s, self._took_s = self._took_s, []
-            rate_hz, self._reported_s = len(took_s) / max(now_s - self._reported_s, 1e-3), now_s
-            refused_now, self._refused_before = self._refused > self._refused_before, self._refused
-            age_s = None if self._last_s is None else now_s - self._last_s
         if not self.is_open:
             status.summary(DiagnosticStatus.OK, "waiting: nobody listens to a result")
-        elif refused_now:
+        elif new["refused"]:
             status.summary(DiagnosticStatus.ERROR, "pictures are refused: the log says why")
-        elif age_s is None or age_s > SILENCE_S:
+        elif is_silent(self._last_s):
             status.summary(DiagnosticStatus.WARN, "no pictures on " + self.topic)
         else:
             status.summary(DiagnosticStatus.OK, "working")
-        status.add("rate [Hz]", "%.1f" % rate_hz)
-        status.add("age of last picture [s]", "none yet" if age_s is None else "%.2f" % age_s)
+        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
+        status.add("age of last picture [s]", age_text(self._last_s))
         status.add("stamp to result [s]", "none yet" if self._age_s is None else "%.3f" % self._age_s)
         status.add("work on a picture [ms]", "%.2f" % (1e3 * sum(took_s) / max(1, len(took_s))))
         status.add("longest work on a picture [ms]", "%.2f" % (1e3 * max(took_s, default=0.0)))
-        status.add("pictures", str(self._pictures))
-        status.add("refused", str(self._refused))
+        for key, count in self._counts.items():
+            status.add(key, str(count))
         for key, text in self._more().items():
             status.add(key, text)
         return status
