@@ -4,13 +4,14 @@ The sentences stand in config/findings.yaml, by check and code.
 """
 
 import functools
-import math
 import pathlib
 import shutil
 import sys
 import textwrap
 import traceback
 from dataclasses import dataclass, field
+
+import msgspec
 
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Settings, settings_from
@@ -42,7 +43,7 @@ class Finding(Settings):
 
     def to_dict(self):
         """Plain values, as for JSON. Numbers that JSON has not (NaN, infinite) become None."""
-        return _plain(vars(self))
+        return msgspec.json.decode(msgspec.json.encode(self, enc_hook=str))
 
     @classmethod
     def from_dict(cls, content):
@@ -135,14 +136,3 @@ def _wrapped(text, width):
     for part in text.splitlines():
         lines += textwrap.wrap(part, width, break_long_words=False, break_on_hyphens=False)
     return lines or [""]
-
-
-def _plain(value):
-    """What JSON can hold of it."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -349,7 +349,7 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks=None):
     """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
 
     states: States at stamp_s.  controls: the controller's answer; None: no frame has come.
-    looks: `separation.Look` of each vehicle; None: nobody is near.
+    looks: `separation.Look` of each vehicle; None: no other is near.
     """
     ticks = frame % TICK_EVERY == 0
     commands = None
