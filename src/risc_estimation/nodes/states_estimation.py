@@ -24,7 +24,7 @@ from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.lab.fleet import MocapEndpoint
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros import low_latency
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import has_private, known_fleet, load_params
@@ -57,7 +57,7 @@ class StatesEstimationNode:
         self._passed_over = 0  # frames
         self._silent = True
         self._told_unknown = set()
-        self._reported = time.monotonic(), 0, 0, 0  # when, and what then: frames, refused, passed over
+        self._growth = Growth()
         # Queues that hold more than a hiccup: a late subscriber gets every frame, and judges its age by the stamp.
         self._states_pub = rospy.Publisher("cortex_raw", CortexArrays, queue_size=100, tcp_nodelay=True)
         self._landmarks_pub = rospy.Publisher("states3", LandmarksArrays, queue_size=100, tcp_nodelay=True)
@@ -148,21 +148,16 @@ class StatesEstimationNode:
         """Diagnostics for people; what other programs use of it goes out as an EstimatorStatus."""
         now_s = time.monotonic()
         with self._lock:
-            counts, names, last_s, silent = (
-                self._estimator.counts,
-                self._estimator.names,
-                self._last_receipt_s,
-                self._silent,
-            )
+            counts, names = self._estimator.counts, self._estimator.names
+            last_s, silent = self._last_receipt_s, self._silent
             visible = 0 if self._last_estimate is None else int(self._last_estimate.visible.sum())
             bodies, passed_over = zip(names, self._estimator.status()), self._passed_over
         numbers = {key: value for key, value in sorted(vars(counts).items()) if key != "unknown"}
         known, unknown = len(names), sorted(counts.unknown)
         refused = counts.duplicate_stamps + counts.backward_stamps
-        before, self._reported = self._reported, (now_s, counts.frames, refused, passed_over)
-        elapsed_s, new_frames, new_refused, new_passed_over = (now - then for now, then in zip(self._reported, before))
+        new, rates_hz = self._growth({"frames": counts.frames, "refused": refused, "passed over": passed_over})
         told = EstimatorStatus(
-            rate_hz=new_frames / max(elapsed_s, 1e-3),
+            rate_hz=rates_hz["frames"],
             age_s=math.nan if last_s is None else now_s - last_s,
             vehicles=known,
             visible=visible,
@@ -179,13 +174,13 @@ class StatesEstimationNode:
                 rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)
         if not told.age_s <= 1.0:
             refused_only = "all mocap frames are refused: their stamps do not advance"
-            status.summary(DiagnosticStatus.ERROR, refused_only if new_refused else "no mocap frames")
-        elif new_refused:
-            status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new_refused)
+            status.summary(DiagnosticStatus.ERROR, refused_only if new["refused"] else "no mocap frames")
+        elif new["refused"]:
+            status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new["refused"])
         elif visible < known:
             status.summary(DiagnosticStatus.WARN, "%d of %d vehicles visible" % (visible, known))
-        elif new_passed_over:
-            status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new_passed_over)
+        elif new["passed over"]:
+            status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new["passed over"])
         elif unknown:
             status.summary(DiagnosticStatus.WARN, "bodies without a template: " + ", ".join(unknown))
         else:

@@ -4,10 +4,9 @@ import array
 import fcntl
 import glob
 import os
-from dataclasses import asdict
 
 from joy.device import device_name
-from risc_control.joystick import JoystickParams
+from risc_control.joystick import Button, JoystickParams
 from risc_doctor.findings import Findings, finding
 
 _PATTERN = "/dev/input/js*"
@@ -24,9 +23,9 @@ def check(situation):
 
 def needed_indices():
     """(highest button index, highest axis index) of the vehicle node."""
-    values = {name: value for name, value in asdict(JoystickParams()).items() if not name.startswith("Scale")}
-    axes = [value for name, value in values.items() if name.startswith("Axis")]
-    return max(value for name, value in values.items() if not name.startswith("Axis")), max(axes)
+    params = JoystickParams()
+    buttons = max(getattr(params, button.value) for button in Button)
+    return buttons, max(params.AxisRoll, params.AxisPitch, params.AxisYaw)
 
 
 def look(path, needed):

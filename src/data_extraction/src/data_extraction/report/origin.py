@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import yaml
 
 from data_extraction.command_line import fleet_of
-from risc_control.failsafe import SafetyLimits
-from risc_control.vehicle_pilot import params_from_dict
+from risc_control.failsafe import SafetyLimits, fence_of
 from risc_lab.lab import Fleet
+from risc_lab.settings import settings_from
 
 FLIGHT, PARAMETERS = "flight.yaml", "parameters.yaml"
 SUMMARY, LAB, PROCESSORS = "summary.json", "virtual_lab.json", "processors.json"
@@ -54,7 +54,7 @@ class Origin:
             for node in self._nodes_of(vehicle.namespace):
                 if "fence_margin_m" in node:
                     names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
-                    result[vehicle.template] = params_from_dict(names, self.fleet.arena)[0].limits
+                    result[vehicle.template] = settings_from(SafetyLimits, {**fence_of(self.fleet.arena), **names})
         return result
 
     def _nodes_of(self, namespace):

@@ -8,17 +8,18 @@ from dataclasses import fields, replace
 import numpy as np
 import rospy
 from dynamic_reconfigure.server import Server
-from std_msgs.msg import Bool
+from rospy.numpy_msg import numpy_msg
+from std_msgs.msg import Bool, UInt8
 
 from risc_control.controllers import REGISTRY, ControlLoop, default_params
-from risc_control.reference_buffer import ReferenceBuffer
-from risc_control.ros.conversions import ControlsMessage, StatesReader
+from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
+from risc_control.ros.conversions import ControlsMessage, StatesReader, settles_at
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import (
@@ -32,7 +33,7 @@ from risc_lab.ros.params import (
 )
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import ControllerReport, TrackingError
+from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 
@@ -64,7 +65,7 @@ class ControllerNode:
         self._lock = threading.Lock()
         self._stamps = ClockGuard()  # of the states
         self._counts = dict.fromkeys(("states", "saturated", "without command", "late", "refused references"), 0)
-        self._reported, self._reported_s = dict(self._counts), time.monotonic()
+        self._growth = Growth()
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
         self._attached = attached_bodies(load_templates(fleet=known_fleet()))
@@ -85,6 +86,7 @@ class ControllerNode:
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands_sent, queue_size=None, tcp_nodelay=True)
         self._subscribe()
         rospy.loginfo(
             "%s controls %s by %s, acting %.0f ms ahead",
@@ -95,9 +97,14 @@ class ControllerNode:
         )
 
     def _subscribe(self):
-        self._references_in = PacedSubscriber(
-            "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory, _REFERENCES_HZ
-        )
+        order = self._loop.controller.ORDER
+        if order > Order.SNAP:
+            self._ask = rospy.Publisher("/reference_order", UInt8, queue_size=1, latch=True)
+            self._ask.publish(order)
+            topic, kind, callback = "/trajectory_derivatives", numpy_msg(TrajectoryDerivatives), self._on_derivatives
+        else:
+            topic, kind, callback = "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory
+        self._references_in = PacedSubscriber(topic, kind, callback, _REFERENCES_HZ)
         rospy.Subscriber(  # of what has come meanwhile the newest is answered
             "/cortex_raw",
             CortexArrays.Raw,
@@ -118,6 +125,15 @@ class ControllerNode:
             config.update({name: getattr(params, name) for name in weights})
         return config
 
+    def _on_commands_sent(self, message):
+        with self._lock:
+            now_s = ros_time_s()
+            for command in message.commands:
+                i, sent_s = self._index.get(command.name), command.sent.to_sec()
+                # by a clock that differs by more than that of a state may, nothing is known
+                if i is not None and abs(now_s - sent_s) <= self._state_timeout_s:
+                    self._loop.sent.append(i, sent_s, settles_at(command))
+
     def _on_status(self, message, i):
         self._autonomous[i] = message.data
 
@@ -131,6 +147,11 @@ class ControllerNode:
             rospy.logwarn_throttle(
                 10.0, "/trajectory comes without a stamp and is not flown: set header.stamp to the time it is meant for"
             )
+
+    def _on_derivatives(self, message):
+        names = tuple(message.names)
+        with self._lock:
+            self._take(names, message.header.stamp.to_sec(), message.derivatives.reshape(-1, len(names), len(Axis)))
 
     def _take(self, names, stamp_s, sample):
         entry = self._buffers.get(names)
@@ -161,7 +182,7 @@ class ControllerNode:
             if step is Step.REFUSED:
                 return
             if step is Step.NEW_CLOCK:
-                self._loop.controller.forget_times()
+                self._loop.forget_times()
             age_s = now_s - stamp_s
             if abs(age_s) > self._state_timeout_s:
                 # nothing that happened so long ago says what to do now
@@ -205,10 +226,7 @@ class ControllerNode:
     def _diagnose(self, status):
         """Diagnostics for people; what other programs use of it goes out as a ControllerReport."""
         with self._lock:
-            now_s = time.monotonic()
-            elapsed_s = max(now_s - self._reported_s, 1e-3)
-            rates = {what: (self._counts[what] - self._reported[what]) / elapsed_s for what in self._counts}
-            self._reported, self._reported_s = dict(self._counts), now_s
+            _, rates = self._growth(self._counts)
             cycle_s, age_s, answered = self._cycle_max_s, self._age_max_s, self._answered
             self._cycle_max_s = self._age_max_s = 0.0
         if rates["states"] == 0.0:

@@ -1,8 +1,7 @@
 """The camera topics of the driver: wires a video_stream.VideoStream to images, camera_info and set_camera_info."""
 
-import threading
 import time
-from collections import namedtuple
+from collections import deque, namedtuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -11,6 +10,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from ardrone_autonomy.video_channel import CameraTracker
 from ardrone_autonomy.video_stream import VideoStream
 from camera_info_manager import CameraInfoManager
+from risc_lab.ros.diagnostics import Growth, age_text
 
 CAMERA_NAMES = ("front", "bottom")  # by channel
 QUEUE_SIZE = 10  # as in the original
@@ -44,8 +44,7 @@ class Video:
     def __init__(self, address, frames, channel, camera_info_urls, latency_s, realtime, report, prefix=""):
         self._frames = frames
         self._realtime = realtime
-        self._lock = threading.Lock()
-        self._newest = None  # (Picture, channel) that is not published yet
+        self._waiting = deque(maxlen=1)  # (Picture, channel) that is not published yet
         self._tracker = CameraTracker(channel)
         self._selected = _advertise(prefix + "ardrone")
         self._cameras = tuple(_advertise(prefix + "ardrone/" + name) for name in CAMERA_NAMES)
@@ -61,8 +60,7 @@ class Video:
         self._unpublished = 0  # failures to publish
         self._superseded = 0  # a newer picture came before the loop did
         self._of_unknown_camera = 0
-        self._counted = 0
-        self._counted_s = time.monotonic()
+        self._growth = Growth()
         self._stream = VideoStream(address, self._on_picture, report, latency_s)
 
     def start(self):
@@ -87,10 +85,8 @@ class Video:
         is_ready: the vehicle is configured; before, nobody knows which camera it would send.
         """
         self._stream.want(is_ready and any(topic.get_num_connections() for topics in self._all() for topic in topics))
-        with self._lock:
-            newest, self._newest = self._newest, None
-        if newest is not None:
-            self._publish(*newest)
+        while self._waiting:
+            self._publish(*self._waiting.popleft())
 
     def _all(self):
         return (self._selected, *self._cameras)
@@ -104,9 +100,8 @@ class Video:
         elif self._realtime:
             self._publish(picture, channel)
         else:
-            with self._lock:
-                self._superseded += self._newest is not None
-                self._newest = picture, channel
+            self._superseded += len(self._waiting)
+            self._waiting.append((picture, channel))
 
     def _publish(self, picture, channel):
         try:
@@ -128,15 +123,13 @@ class Video:
             image.header.frame_id = self._frames[channel]
             image.data = picture.rgb.tobytes()
             for topics in outputs:
-                if topics.image.get_num_connections():
-                    topics.image.publish(image)
+                topics.image.publish(image)
         if any(topics.info.get_num_connections() for topics in outputs):
             info = self._camera_info(channel, width, height)
             info.header.stamp = stamp
             info.header.frame_id = self._frames[channel]
             for topics in outputs:
-                if topics.info.get_num_connections():
-                    topics.info.publish(info)
+                topics.info.publish(info)
 
     def _camera_info(self, channel, width, height):
         info = self._managers[channel].getCameraInfo()
@@ -157,24 +150,20 @@ class Video:
     def fill(self, status):
         """A task of diagnostic_updater."""
         stream, decoder = self._stream, self._stream.decoder
-        now_s = time.monotonic()
-        published = self._published
-        rate_hz = (published - self._counted) / max(1e-3, now_s - self._counted_s)
-        self._counted, self._counted_s = published, now_s
-        age_s = None if stream.last_s is None else now_s - stream.last_s
+        _, rates_hz = self._growth({"pictures": self._published})
         if not stream.wanted:
             status.summary(DiagnosticStatus.OK, "not received: nobody listens, or the vehicle is not ready")
         elif not stream.connected:
             status.summary(DiagnosticStatus.WARN, "no connection to the video of the vehicle")
-        elif age_s is None or age_s > STALE_S:
+        elif stream.last_s is None or time.monotonic() - stream.last_s > STALE_S:
             status.summary(DiagnosticStatus.WARN, "no pictures")
         else:
             status.summary(DiagnosticStatus.OK, "pictures")
         status.add("camera", CAMERA_NAMES[self._channel])
         for name, manager in zip(CAMERA_NAMES, self._managers):
             status.add(name + " calibrated", manager.isCalibrated())
-        status.add("rate [Hz]", "%.1f" % rate_hz)
-        status.add("age [s]", "unknown" if age_s is None else "%.3f" % age_s)
+        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
+        status.add("age [s]", age_text(stream.last_s))
         status.add("decode errors", decoder.errors)
         status.add("pictures of another codec", decoder.foreign)
         status.add("pictures missing in the stream", decoder.missing + stream.assembler.incomplete)

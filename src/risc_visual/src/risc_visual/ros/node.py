@@ -1,0 +1,80 @@
+"""What all nodes of risc_visual share: how they run, and what they say of themselves on /diagnostics."""
+
+import sys
+import threading
+import time
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from risc_lab.ros.diagnostics import Growth, age_text, make_updater
+from risc_lab.ros.ticker import Ticker
+
+_SILENCE_S = 3.0  # without news after which an input is silent
+
+
+def run(name, make):
+    """Make a node, and run it until shutdown; wrong parameters (ValueError) end it with one line."""
+    rospy.init_node(name)
+    try:
+        node = make()
+    except ValueError as error:
+        rospy.logfatal("%s: %s", name, error)
+        sys.exit(1)
+    rospy.spin()
+    del node
+
+
+def ticking_updater():
+    """A diagnostic_updater.Updater that reports once a second."""
+    updater = make_updater("none")
+    Ticker(1.0, updater.update, "the diagnostics")
+    return updater
+
+
+def is_silent(last_s):
+    """Whether an input is. last_s: when it was heard last, monotonic clock; None: never."""
+    return last_s is None or time.monotonic() - last_s > _SILENCE_S
+
+
+class Health:
+    """Counts what is drawn per input and reports rates and ages at 1 Hz. No input is a warning, never an error."""
+
+    def __init__(self, name, inputs, optional=False, done="drawn"):
+        """inputs: what `drawn` will be called with, and what a healthy laboratory sends; optional: or does not.
+
+        done: what the node does with a message, when that is not drawing.
+        """
+        self._done = done
+        self._lock = threading.Lock()
+        self._optional = optional
+        self._refused = {}  # why -> how often
+        self._drawn = dict.fromkeys(inputs, 0)
+        self._last_s = dict.fromkeys(inputs)
+        self._growth = Growth()
+        ticking_updater().add(name, self._diagnose)
+
+    def drawn(self, what):
+        """One message of an input has been drawn."""
+        with self._lock:
+            self._drawn[what] += 1
+            self._last_s[what] = time.monotonic()
+
+    def refused(self, why):
+        """One message of an input could not be drawn."""
+        with self._lock:
+            self._refused[why] = self._refused.get(why, 0) + 1
+
+    def _diagnose(self, status):
+        with self._lock:
+            _, rates_hz = self._growth(self._drawn)
+            last_s, refused = dict(self._last_s), dict(self._refused)
+        silent = [what for what, at_s in last_s.items() if is_silent(at_s)]
+        level = DiagnosticStatus.WARN if silent and not self._optional else DiagnosticStatus.OK
+        status.summary(level, "nothing on " + ", ".join(silent) if silent else "working")
+        for what, at_s in last_s.items():
+            status.add("%s from %s [Hz]" % (self._done, what), "%.1f" % rates_hz[what])
+            status.add("age of last %s [s]" % what, age_text(at_s))
+        for why, count in refused.items():
+            status.add("not %s: %s" % (self._done, why), str(count))
+        return status
