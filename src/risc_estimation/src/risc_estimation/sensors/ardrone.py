@@ -1,8 +1,8 @@
-"""The navdata of an AR.Drone, as ardrone_autonomy publishes them: axes x forward, y left, z up."""
+"""The navdata of an AR.Drone, as ardrone_autonomy publishes them: x forward, y left, z up (the map is its own inverse)."""
 
 import numpy as np
 
-from risc_lab.frames import GRAVITY_M_S2, flu_to_frd
+from risc_lab.frames import GRAVITY_M_S2, frd_to_flu
 
 TOPIC, TYPE = "ardrone/navdata", "ardrone_autonomy/Navdata"
 
@@ -10,10 +10,10 @@ TOPIC, TYPE = "ardrone/navdata", "ardrone_autonomy/Navdata"
 def readings(navdata):
     """See `risc_estimation.sensors`. The velocity's axes are levelled; an option that is not sent reads 0."""
     quantities = {
-        "attitude": flu_to_frd(np.radians((navdata.rotX, navdata.rotY, navdata.rotZ))),
-        "velocity": flu_to_frd((navdata.vx, navdata.vy, navdata.vz)) / 1e3,
+        "attitude": frd_to_flu(np.radians((navdata.rotX, navdata.rotY, navdata.rotZ))),
+        "velocity": frd_to_flu((navdata.vx, navdata.vy, navdata.vz)) / 1e3,
         "height": np.array([navdata.altd / 1e3]),
     }
     if navdata.ax or navdata.ay or navdata.az:
-        quantities["specific_force"] = GRAVITY_M_S2 * flu_to_frd((navdata.ax, navdata.ay, navdata.az))
+        quantities["specific_force"] = GRAVITY_M_S2 * frd_to_flu((navdata.ax, navdata.ay, navdata.az))
     return quantities
