@@ -1,4 +1,4 @@
-"""The navdata of an AR.Drone, as ardrone_autonomy publishes them: x forward, y left, z up (the map is its own inverse)."""
+"""The navdata of an AR.Drone, as ardrone_autonomy publishes them: x forward, y left, z up (the map is self-inverse)."""
 
 import numpy as np
 
