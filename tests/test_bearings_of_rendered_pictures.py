@@ -47,8 +47,7 @@ class Scenery:
         self.calibration = load_calibration(name)
         self.camera = Camera(self.calibration)
         discs = tuple(style.disc(template, *place) for template, place in PLACES.items())
-        scene = Scene(**dict(vars(style.scene), discs=discs))
-        self.renderer = Renderer(self.camera, scene, style.imaging, 1)
+        self.renderer = Renderer(self.camera, Scene(style, discs), 1)
         self.targets = [Disc(template, *place) for template, place in PLACES.items()]
 
     def poses(self, seed):

@@ -44,7 +44,7 @@ def test_motion_capture_and_estimation_know_it():
 def test_the_virtual_lab_shows_it_and_vision_finds_it():
     style, camera = load_style(), Camera(load_calibration("ardrone_front.yaml"))
     disc = style.disc("Blue_pink", PLACE_M, (-1.0, 0.0, 0.0))
-    renderer = Renderer(camera, Scene(**dict(vars(style.scene), discs=(disc,))), style.imaging, 1)
+    renderer = Renderer(camera, Scene(style, (disc,)), 1)
     eye = CameraPose(np.array([0.0, 0.0, 1.0]), rotation_body_to_cortex(0, 0, 0) @ rotation_camera_to_body(FRONT_MOUNT))
     (found,) = LandmarkDetector(load_landmarks(), camera).detect(renderer.render(eye))
     (truth,) = [item for item in renderer.truth(eye) if item.kind == "landmark"]

@@ -21,7 +21,7 @@ from labelled_pictures import landmark_set
 
 from risc_lab.frames import rotation_body_to_cortex
 from risc_simulator.video.renderer import Renderer
-from risc_simulator.video.scene import CameraPose, VehiclePose, load_style
+from risc_simulator.video.scene import CameraPose, Scene, VehiclePose, load_style
 from risc_visual.vision.landmark_config import load_landmarks
 from risc_visual.vision.landmark_detector import LandmarkDetector
 from risc_visual.vision.overlay import draw_landmarks
@@ -234,7 +234,7 @@ def measure_vehicles(seed, count):
                 ray = turn @ (1.0, rng.uniform(-0.5, 0.5), rng.uniform(-0.25, 0.25))
                 attitude = rotation_body_to_cortex(*(rng.uniform(-1.0, 1.0, 3) * (0.15, 0.15, math.pi)))
                 vehicles.append(VehiclePose(name, position + rng.uniform(1.0, 3.5) * ray, attitude, number))
-        renderer = Renderer(cameras[index % len(cameras)], style.scene, style.imaging, (seed, index))
+        renderer = Renderer(cameras[index % len(cameras)], Scene(style), (seed, index))
         pose = CameraPose(position, turn)
         picture = renderer.render(pose, vehicles, gain=float(np.exp(rng.uniform(math.log(0.4), math.log(1.8)))))
         taken_s = []

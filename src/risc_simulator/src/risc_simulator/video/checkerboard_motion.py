@@ -10,9 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from risc_lab.frames import rotation_body_to_cortex
-from risc_simulator.video.renderer import Renderer
-from risc_simulator.video.scene import Board, CameraPose
+from risc_simulator.video.scene import Board
 
 # The postures: everywhere in the picture, turned to every side, near and far. Near and strongly tilted boards tell the
 # principal point from a turn of the camera, upright ones in the corners tell the distortion.
@@ -129,25 +127,3 @@ class Waving:
             if camera.in_picture(camera.project(outline + centre)).all():
                 return centre
         raise ValueError("the board cannot be shown to camera %s: make it smaller" % camera.calibration.name)
-
-
-@dataclass(frozen=True)
-class CalibrationPicture:
-    """One picture of the waved board, with its truth."""
-
-    image: np.ndarray  # (height, width, 3) uint8, BGR
-    corners_px: np.ndarray  # (rows * columns, 2)
-
-
-def calibration_pictures(camera, scene, imaging, seed, count=60):
-    """Yield `count` CalibrationPicture of a board in front of a camera that stands in the scene, one of each posture.
-
-    camera: risc_lab.camera.Camera. scene, imaging: as of scene.load_scene. seed: of the pictures' noise.
-    """
-    waving = Waving(camera)
-    renderer = Renderer(camera, scene, imaging, seed)
-    level = rotation_body_to_cortex(0.0, 0.0, 0.0)
-    pose = CameraPose(np.array([0.0, 0.0, 1.0]), level, np.zeros(3), np.zeros(3))
-    for time_s in np.resize(waving.held_s, count):
-        image = renderer.render(pose, boards=(waving.board(time_s, pose),))
-        yield CalibrationPicture(image, waving.corners_px(time_s))

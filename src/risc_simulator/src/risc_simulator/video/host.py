@@ -55,14 +55,14 @@ class VideoHost:
         self._board = board
         self._wires = Wires(seed)
         self._last_unwatched = 0  # number of the newest pose when nobody watched: the lab shows no others then
-        scene, imaging = load_scene(fleet)
+        scene = load_scene(fleet)
         self._names = [vehicle.namespace for vehicle in fleet.vehicles]
         self._stations = {}  # by the vehicle's place in the fleet
         for index, (vehicle, listener) in enumerate(zip(fleet.vehicles, listeners)):
             if listener is None:
                 continue
             eyes = [
-                Eye(camera, vehicle, scene, imaging, seed_of(seed, index, channel))
+                Eye(camera, vehicle, scene, seed_of(seed, index, channel))
                 for channel, camera in enumerate(virtual_type(vehicle.type).cameras)
             ]
             latency_s = load_vehicle_type(vehicle.type).video_latency_s

@@ -19,7 +19,7 @@ import numpy as np
 from risc_lab.camera import bearings_of_rays
 from risc_simulator.video.clipping import clip_polygons, clip_segments
 from risc_simulator.video.coverage import coverage
-from risc_simulator.video.scene import ImagingParams, Scene, board_layers, room_geometry
+from risc_simulator.video.scene import bgr_of_hsv, board_layers, room_geometry
 
 __all__ = ["NoiseTile", "Renderer", "Truth", "to_camera"]
 
@@ -66,14 +66,13 @@ class NoiseTile:
 class Renderer:
     """One camera in one scene. The same arguments and the same calls give the same pictures, bit for bit."""
 
-    def __init__(self, camera, scene=None, imaging=None, seed=0, noise=None):
-        """camera: risc_lab.camera.Camera. scene: Scene. imaging: ImagingParams. seed: int or SeedSequence.
+    def __init__(self, camera, scene, seed=0, noise=None):
+        """camera: risc_lab.camera.Camera. scene: Scene. seed: int or SeedSequence.
 
         noise: NoiseTile that several renderers share; None makes one. Raises ValueError for a tile that is too small.
         """
         self.camera = camera
-        self.scene = Scene() if scene is None else scene
-        self.imaging = ImagingParams() if imaging is None else imaging
+        self.scene, self.imaging = scene, scene.style.imaging
         self._rng = np.random.default_rng(seed)
         size = camera.width_px, camera.height_px
         if noise is None:
@@ -88,7 +87,7 @@ class Renderer:
         self._exposed, self._grain = (np.zeros((_STRIP_ROWS, size[0], 3), np.float32) for _ in range(2))
         self._hull_parts = {}
         self._prop_things = [_prop_thing(prop) for prop in self.scene.props]
-        self._disc_things = [_disc_things(disc, self.scene.disc_back_bgr) for disc in self.scene.discs]
+        self._disc_things = [_disc_things(disc, bgr_of_hsv(scene.style.discs.back)) for disc in scene.discs]
 
         border = camera.undistort(_border(size))
         low, high = border.min(axis=0), border.max(axis=0)
@@ -111,7 +110,8 @@ class Renderer:
         grid = np.stack(np.meshgrid(np.linspace(0, size[0] - 1, 4), np.linspace(0, size[1] - 1, 3)), axis=-1)
         self._probe_rays = camera.rays(grid.reshape(-1, 2))
 
-        geometry = room_geometry(self.scene.room)
+        geometry = room_geometry(scene.style.room, scene.arena)
+        self._behind_all = scene.style.room.shaded(scene.style.room.walls.front)
         groups = [(bgr, group) for bgr, group in geometry.polygons + geometry.posts if group]
         outlines = [outline for _, group in groups for outline in group]
         self._room_points = np.concatenate(outlines)
@@ -187,7 +187,7 @@ class Renderer:
         return _smear(picture, mean / moments)
 
     def _draw_room_at(self, picture, pose, time_s):
-        _fill(picture, self.scene.room.wall_bgr["front"])  # nothing of it stays uncovered
+        _fill(picture, self._behind_all)  # nothing of it stays uncovered
         points, counts = self._clipped(to_camera(pose, self._room_points, time_s), self._room_counts)
         pixels = _fixed_point(self._pixels(points, pose))
         stops = np.cumsum(counts).tolist()
@@ -238,7 +238,7 @@ class Renderer:
         if not self._is_moving(pose):
             return np.zeros((1, 2))
         rays = self._probe_rays @ np.asarray(pose.R_camera_to_cortex).T
-        room = self.scene.room
+        room = self.scene.style.room
         low = np.array([-room.half_x_m, -room.half_y_m, 0.0])
         high = np.array([room.half_x_m, room.half_y_m, room.height_m])
         position = np.asarray(pose.position_m, dtype=float)
@@ -258,13 +258,18 @@ class Renderer:
         ]
         candidates += [(thing.centre_m, reach, _itself, (thing,)) for thing, reach in self._prop_things]
         candidates += [
-            (vehicle.position_m, scene.hull.radius_m, _vehicle_thing, (vehicle, self._parts_of(vehicle), position))
+            (
+                vehicle.position_m,
+                scene.style.hulls.radius_m,
+                _vehicle_thing,
+                (vehicle, self._parts_of(vehicle), position),
+            )
             for vehicle in vehicles
         ]
         for board in boards:
-            margin = 1.0 + 2.0 * scene.board_margin_squares
+            margin = 1.0 + 2.0 * scene.style.boards.margin_squares
             reach = 0.5 * board.square_m * math.hypot(board.columns + margin, board.rows + margin)
-            candidates.append((board.centre_m, reach, _board_thing, (board, position, scene)))
+            candidates.append((board.centre_m, reach, _board_thing, (board, position, scene.style.boards)))
         if not candidates:
             return []
         centres = to_camera(pose, np.array([candidate[0] for candidate in candidates], dtype=float))
@@ -276,7 +281,7 @@ class Renderer:
     def _parts_of(self, vehicle):
         colour = self.scene.hull_colour(vehicle)
         if colour not in self._hull_parts:
-            self._hull_parts[colour] = [(part, part.middle) for part in self.scene.hull.parts(colour)]
+            self._hull_parts[colour] = [(part, part.middle) for part in self.scene.style.hulls.parts(colour)]
         return self._hull_parts[colour]
 
     def _draw_things(self, picture, pose, things):
@@ -615,9 +620,9 @@ def _vehicle_thing(vehicle, parts, position):
     return _Thing(vehicle.name, "vehicle", centre, layers, outline)
 
 
-def _board_thing(board, position, scene):
+def _board_thing(board, position, params):
     centre = np.asarray(board.centre_m, dtype=float)
-    (white, sheet), (black, squares) = board_layers(board, scene)
+    (white, sheet), (black, squares) = board_layers(board, params)
     layers = [_Layer(sheet, white), _Layer(squares, black, ground_bgr=white)]
     if (centre - position) @ np.asarray(board.R_board_to_cortex)[:, 2] <= 0.0:  # its z points away from the viewer
         layers = layers[:1]

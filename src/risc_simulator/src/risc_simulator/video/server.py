@@ -26,14 +26,14 @@ MAX_BACKLOG_BYTES = 512 * 1024  # a client that reads slower than this loses pic
 class Eye:
     """One camera of one vehicle."""
 
-    def __init__(self, camera, fleet_vehicle, scene, imaging, seed):
+    def __init__(self, camera, fleet_vehicle, scene, seed):
         """camera: vehicles.VirtualCamera. ValueError for a bad calibration or mount, of the type or the fleet file."""
         calibration, self.mount, self._sensor_px = camera.calibration, camera.mount, camera.sensor_px
         if camera.by_fleet:
             calibration = fleet_vehicle.calibration or calibration
             self.mount = load_mount(fleet_vehicle.camera_mount) if fleet_vehicle.camera_mount else self.mount
         self.camera = Camera(load_calibration(calibration))
-        self._make_renderer = functools.partial(Renderer, self.camera, scene, imaging, seed)
+        self._make_renderer = functools.partial(Renderer, self.camera, scene, seed)
         self._waving = None  # made when it is needed
 
     @functools.cached_property
