@@ -8,7 +8,7 @@ import pytest
 from risc_lab.lab import FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
-from risc_simulator.virtual_lab import VirtualLab, configure_fleet
+from risc_simulator.virtual_lab import LabOptions, VirtualLab
 from risc_simulator.world import FlightPhase
 
 TAKE_OFF = 290718208
@@ -181,14 +181,14 @@ def test_vehicles_are_served_at_200_hz_whatever_the_cameras_do(clock, rate_hz, f
 
 @pytest.mark.parametrize(
     "options, key",
-    [({"rate_hz": 0.0}, "rate_hz"), ({"cortex_port": 70000}, "command_port"), ({"stream_port": -1}, "stream_port")],
+    [({"rate": 0.0}, "rate_hz"), ({"cortex_port": 70000}, "command_port"), ({"stream_port": 0}, "stream_port")],
 )
 def test_options_are_checked_like_the_fleet_file(options, key):
     with pytest.raises(ValueError, match=key):
-        configure_fleet(make_fleet(), **options)
+        LabOptions(**options).configure(make_fleet())
 
 
 @pytest.mark.parametrize("delay_s", [-1.0, float("nan"), float("inf")])
 def test_impossible_delay_is_refused(delay_s):
-    with pytest.raises(ValueError, match="command.delay"):
+    with pytest.raises(ValueError, match="command.delay|finite"):
         VirtualLab(make_fleet(), command_delay_s=delay_s)

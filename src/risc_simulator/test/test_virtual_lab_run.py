@@ -15,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_lab.lab import FleetLandmark, FleetVehicle, Start, load_templates
+from risc_lab.lab import FleetLandmark, FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
-from risc_simulator.virtual_lab import VirtualLab, configure_fleet, summary
+from risc_simulator.virtual_lab import LabOptions, VirtualLab, summary
 from risc_simulator.world import FlightPhase
 
 GROUP = "225.1.1.1"
@@ -215,10 +215,10 @@ def test_faults_by_name(net, clock):
 
 
 def test_options_reach_the_lab(net):
-    fleet = configure_fleet(make_fleet(net), vehicles=1, subnet="127.99", rate_hz=120.0, stream_port=5000)
+    fleet = LabOptions(vehicles=1, subnet="127.99", rate=120.0, stream_port=5000).configure(make_fleet(net))
     assert (fleet.mocap.host, fleet.vehicles[0].address, len(fleet.vehicles)) == ("127.99.0.1", "127.99.1.1", 1)
     assert (fleet.mocap.rate_hz, fleet.mocap.stream_port, fleet.mocap.interface) == (120.0, 5000, "127.0.0.1")
-    fleet = configure_fleet(make_fleet(net), rate_hz=120.0)
+    fleet = LabOptions(rate=120.0).configure(make_fleet(net))
     lab = VirtualLab(fleet, perturbed=False, command_delay_s=0.3, exact_markers=True)
     try:
         lab.run(duration_s=0.1)
@@ -380,7 +380,7 @@ def test_errors_are_one_line_with_cause_and_cure(tmp_path, net):
     program = start_program(tmp_path, net, "--vehicles", "5")
     _, err = program.communicate(timeout=60)
     assert program.returncode == 1 and "2 vehicles" in err and len(err.strip().splitlines()) == 1
-    for option, value, expected in (("--radio-loss", "1.5", "probability"), ("--interface", "eth9", "eth9")):
+    for option, value, expected in (("--radio-loss", "1.5", "radio_loss"), ("--interface", "eth9", "eth9")):
         program = start_program(tmp_path, net, option, value)
         _, err = program.communicate(timeout=60)
         assert program.returncode == 1 and expected in err and len(err.strip().splitlines()) == 1
@@ -391,6 +391,6 @@ def test_sockets_are_closed_when_a_later_host_fails(net):
         occupied.bind((net["net"] + ".1.2", 5556))
         with pytest.raises(OSError, match="in use"):
             VirtualLab(make_fleet(net))
-    lab = VirtualLab(make_fleet(net), templates=load_templates())  # everything is free again
+    lab = VirtualLab(make_fleet(net))  # everything is free again
     lab.close()
     lab.close()

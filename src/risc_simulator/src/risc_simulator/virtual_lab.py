@@ -19,17 +19,19 @@ import gc
 import json
 import logging
 import math
+import pathlib
 import select
 import signal
 import sys
 import threading
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from risc_lab.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
+from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
+from risc_lab.settings import Fraction, Settings, settings_from
 from risc_simulator.cortex_host import CortexHost, LatenessHistogram
 from risc_simulator.faults import WireFault, Wires, load_wire_faults
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
@@ -61,8 +63,6 @@ class VirtualLab:
         command_delay_s=None,
         exact_markers=False,
         live_on_start=False,
-        templates=None,
-        vehicle_types=None,
         radio_loss=0.0,
         interface="",
         cameras_ahead=False,
@@ -70,7 +70,7 @@ class VirtualLab:
     ):
         """fleet: Fleet. perturbed: vehicles differ from their nominal type. gusts: moving air.
         command_delay_s: nominal delay of every vehicle's link instead of its own. exact_markers: perfect cameras.
-        live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
+        live_on_start: stream without waiting for a client.
         radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
         interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
         (The fleet's mocap.interface is the client's card, which may be one of another computer.)
@@ -84,16 +84,12 @@ class VirtualLab:
         self._period_s = 1.0 / fleet.mocap.rate_hz
         self._send_after_s = fleet.mocap.reported_delay_s
         self._frames_per_second = max(1, int(fleet.mocap.rate_hz))
-        if command_delay_s is not None and not (math.isfinite(command_delay_s) and command_delay_s >= 0.0):
-            raise ValueError("the command delay must be 0 s or more, got %r" % (command_delay_s,))
-        if templates is None:
-            templates = load_templates(fleet=fleet)
-        if vehicle_types is None:
-            vehicle_types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
+        templates = load_templates(fleet=fleet)
+        types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
         self._cycles_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
         self.world = World(
             fleet,
-            vehicle_types,
+            types,
             templates,
             seed=seed,
             perturbed=perturbed,
@@ -357,11 +353,7 @@ class VirtualLab:
             "frames": self.frame - self.frames_skipped,
             "rate_hz": self.fleet.mocap.rate_hz,
             "duration_s": self.exposure_s,
-            "late_ms": {
-                "p50": 1e3 * self.lateness.percentile_s(50.0),
-                "p99": 1e3 * self.lateness.percentile_s(99.0),
-                "max": 1e3 * self.lateness.max_s,
-            },
+            "late_ms": self.lateness.statistics_ms(),
             "stalls": self.stalls,
             "frames_skipped": self.frames_skipped,
             "least_separation_m": self.world.least_separation_m,
@@ -424,132 +416,119 @@ def summary(statistics):
     return "\n".join(lines)
 
 
-def write_statistics(statistics, path):
-    """Statistics to a JSON file. Raises OSError."""
-    with open(path, "w", encoding="utf-8") as stream:
-        json.dump(statistics, stream, indent=2)
-        stream.write("\n")
+def report(statistics, path=""):
+    """Print the summary, and write the statistics to a JSON file if one is named. Returns the exit code."""
+    print(summary(statistics), flush=True)
+    if path:
+        try:
+            pathlib.Path(path).expanduser().write_text(json.dumps(statistics, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            print("virtual_lab: cannot write the statistics: %s" % error, file=sys.stderr)
+            return 1
+    return 0
 
 
-def configure_fleet(
-    fleet,
-    vehicles=None,
-    subnet=None,
-    cortex_host=None,
-    cortex_port=None,
-    stream_group=None,
-    stream_port=None,
-    rate_hz=None,
-):
-    """The fleet with other addresses; None leaves what the file says. Raises ValueError."""
-    if vehicles is not None:
-        fleet = fleet.with_vehicles(vehicles)
-    if subnet:
-        fleet = fleet.in_subnet(subnet)
-    changes = {
-        "host": cortex_host,
-        "command_port": cortex_port,
-        "stream_group": stream_group,
-        "stream_port": stream_port,
-        "rate_hz": rate_hz,
-    }
-    changes = {name: value for name, value in changes.items() if value is not None}
-    # the lab is one computer: there, vehicles with networks of their own need addresses of their own
-    changed = replace(fleet, own_networks=False, mocap=replace(fleet.mocap, **changes))
-    return fleet_from_dict(changed.to_dict(), "fleet with these options")  # what a file must not say, options must not
+def _told(default, text, metavar=None):
+    return field(default=default, metadata={"help": text, "metavar": metavar})
+
+
+@dataclass(frozen=True)
+class LabOptions(Settings):
+    """Options by name. An empty text or a negative number leaves what the fleet file and the vehicle types say."""
+
+    fleet: str = _told("", "what flies, and at which addresses", "FLEET.yaml")
+    seed: int = _told(0, "same seed, same vehicles and noise", "N")
+    ideal: bool = _told(False, "every vehicle is exactly what its type says")
+    exact_markers: bool = _told(False, "cameras without noise, loss and ghosts")
+    gusts: bool = _told(False, "moving air")
+    delay: float = _told(-1.0, "nominal command delay of every vehicle", "S")
+    radio_loss: Fraction = _told(0.0, "probability that the radio loses a command or navdata, 0 to 1", "P")
+    faults: str = _told("", "what happens to datagrams and streams, and when", "FILE.yaml")
+    live: bool = _told(False, "stream at once, without waiting for a client's LiveMode")
+    vehicles: int = _told(-1, "only the first N vehicles", "N")
+    subnet: str = _told("", "Cortex host at A.B.0.1, vehicle k at A.B.1.k, e.g. 127.78", "A.B")
+    cortex_host: str = _told("", "its address", "ADDRESS")
+    cortex_port: int = _told(-1, "its port for commands", "PORT")
+    stream_group: str = _told("", "multicast group of the stream", "ADDRESS")
+    stream_port: int = _told(-1, "port of the stream", "PORT")
+    interface: str = _told(
+        "", "of this computer's network card that the stream goes out by (default: that of the Cortex host)", "ADDRESS"
+    )
+    rate: float = _told(-1.0, "frame rate of motion capture", "HZ")
+    cameras_on_demand: bool = _told(
+        False, "start the program that makes pictures only when the first client asks for video, who then waits for it"
+    )
+    stats: str = _told("", "write the statistics there at the end", "FILE.json")
+
+    def configure(self, fleet):
+        """The fleet with the addresses that these options give. Raises ValueError."""
+        if self.vehicles >= 0:
+            fleet = fleet.with_vehicles(self.vehicles)
+        if self.subnet:
+            fleet = fleet.in_subnet(self.subnet)
+        texts = {"host": self.cortex_host, "stream_group": self.stream_group}
+        numbers = {"command_port": self.cortex_port, "stream_port": self.stream_port, "rate_hz": self.rate}
+        changes = {name: text for name, text in texts.items() if text}
+        changes.update({name: number for name, number in numbers.items() if number >= 0})
+        # the lab is one computer: there, vehicles with networks of their own need addresses of their own
+        return replace(fleet, own_networks=False, mocap=replace(fleet.mocap, **changes))
+
+    def make_lab(self, fleet):
+        """The lab of a fleet. Raises ValueError and OSError."""
+        return VirtualLab(
+            self.configure(fleet),
+            seed=self.seed,
+            perturbed=not self.ideal,
+            gusts=self.gusts,
+            command_delay_s=self.delay if self.delay >= 0.0 else None,
+            exact_markers=self.exact_markers,
+            live_on_start=self.live,
+            radio_loss=self.radio_loss,
+            interface=self.interface,
+            cameras_ahead=not self.cameras_on_demand,
+            wire_faults=load_wire_faults(self.faults) if self.faults else (),
+        )
 
 
 def _parse_arguments(arguments):
+    """(LabOptions, how long to run [s] or None) of a command line. Raises ValueError."""
     parser = argparse.ArgumentParser(
         prog="virtual_lab", description="The virtual lab: motion capture and vehicles on the wire, without ROS."
     )
-    parser.add_argument("fleet", metavar="FLEET.yaml", help="what flies, and at which addresses")
-    parser.add_argument("--seed", type=int, default=0, help="same seed, same vehicles and noise (default 0)")
-    parser.add_argument("--ideal", action="store_true", help="every vehicle is exactly what its type says")
-    parser.add_argument("--exact-markers", action="store_true", help="cameras without noise, loss and ghosts")
-    parser.add_argument("--gusts", action="store_true", help="moving air")
-    parser.add_argument("--delay", type=float, metavar="S", help="nominal command delay of every vehicle")
-    parser.add_argument(
-        "--radio-loss",
-        type=float,
-        default=0.0,
-        metavar="P",
-        help="what the radio loses of commands and navdata, 0 to 1",
-    )
-    parser.add_argument("--faults", metavar="FILE.yaml", help="what happens to datagrams, and when")
+    for option in fields(LabOptions):
+        kind, told = type(option.default), dict(option.metadata)
+        if option.name == "fleet":
+            parser.add_argument("fleet", **told)
+        elif kind is bool:
+            parser.add_argument("--" + option.name.replace("_", "-"), action="store_true", help=told["help"])
+        else:
+            parser.add_argument("--" + option.name.replace("_", "-"), type=kind, default=option.default, **told)
     parser.add_argument("--duration", type=float, metavar="S", help="stop after this time (default: Ctrl-C)")
-    parser.add_argument("--stats", metavar="FILE.json", help="write the statistics there at the end")
-    parser.add_argument("--live", action="store_true", help="stream at once, without waiting for a client's LiveMode")
-    parser.add_argument("--vehicles", type=int, metavar="N", help="only the first N vehicles")
-    parser.add_argument("--subnet", metavar="A.B", help="Cortex host at A.B.0.1, vehicle k at A.B.1.k, e.g. 127.78")
-    parser.add_argument("--cortex-host", metavar="ADDRESS")
-    parser.add_argument("--cortex-port", type=int, metavar="PORT")
-    parser.add_argument("--stream-group", metavar="ADDRESS")
-    parser.add_argument("--stream-port", type=int, metavar="PORT")
-    parser.add_argument(
-        "--interface",
-        default="",
-        metavar="ADDRESS",
-        help="of this computer's network card that the stream goes out by (default: that of the Cortex host)",
-    )
-    parser.add_argument("--rate", type=float, metavar="HZ", help="frame rate of motion capture")
-    parser.add_argument(
-        "--cameras-on-demand",
-        action="store_true",
-        help="start the program that makes pictures only when the first client asks for video, who then waits for it",
-    )
-    return parser.parse_args(arguments)
+    values = vars(parser.parse_args(arguments))
+    duration_s = values.pop("duration")
+    return settings_from(LabOptions, values), duration_s
 
 
 def main(arguments=None):
     """Command line. Returns the exit code."""
-    options = _parse_arguments(arguments)
     logging.basicConfig(stream=sys.stdout, format="%(asctime)s %(message)s", datefmt="%H:%M:%S", level=logging.INFO)
     stop_event = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop_event.set())
     try:
-        fleet = configure_fleet(
-            load_fleet(options.fleet),
-            options.vehicles,
-            options.subnet,
-            options.cortex_host,
-            options.cortex_port,
-            options.stream_group,
-            options.stream_port,
-            options.rate,
-        )
-        lab = VirtualLab(
-            fleet,
-            seed=options.seed,
-            perturbed=not options.ideal,
-            gusts=options.gusts,
-            command_delay_s=options.delay,
-            exact_markers=options.exact_markers,
-            live_on_start=options.live,
-            radio_loss=options.radio_loss,
-            interface=options.interface,
-            cameras_ahead=not options.cameras_on_demand,
-            wire_faults=load_wire_faults(options.faults) if options.faults else (),
-        )
+        options, duration_s = _parse_arguments(arguments)
+        lab = options.make_lab(load_fleet(options.fleet))
     except (ValueError, OSError) as error:
         print("virtual_lab: %s" % error, file=sys.stderr)
         return 1
     try:
         print(lab.describe(), flush=True)
         raise_priority(VIRTUAL_LAB)
-        lab.run(stop_event, options.duration)
+        lab.run(stop_event, duration_s)
         statistics = lab.statistics()
     finally:
         lab.close()
-    print(summary(statistics), flush=True)
-    if options.stats:
-        try:
-            write_statistics(statistics, options.stats)
-        except OSError as error:
-            print("virtual_lab: cannot write the statistics: %s" % error, file=sys.stderr)
-            return 1
-    return 0
+    return report(statistics, options.stats)
 
 
 if __name__ == "__main__":

@@ -762,18 +762,19 @@ class ArdroneHost(VehicleHost):
         else:
             major = _MAJOR[phase]
         minor = _HOVERING_LOST_COM if phase is FlightPhase.HOVERING and self._com_lost_s is not None else 0
-        frame = Frame()
-        frame.reading = self.sensors.read(state, airborne, now_s)
-        frame.time_s = max(0.0, now_s)
-        frame.ctrl_state = major << 16 | minor
-        frame.sticks = self._sticks
         s = self._scheduled
-        frame.command = (s.roll_rad, s.pitch_rad, s.climb_m_s, s.yaw_rate_rad_s)
-        frame.ref_sequence = self._ref_sequence
-        frame.ref_gap_ms = self._ref_gap_ms
-        frame.cycles = self._cycles
-        frame.picture = (0, 0) if self._video is None else self._video.newest_picture
-        return frame
+        return Frame(
+            reading=self.sensors.read(state, airborne, now_s),
+            time_s=max(0.0, now_s),
+            ctrl_state=major << 16 | minor,
+            sticks=self._sticks,
+            command=(s.roll_rad, s.pitch_rad, s.climb_m_s, s.yaw_rate_rad_s),
+            ref_sequence=self._ref_sequence,
+            ref_gap_ms=self._ref_gap_ms,
+            cycles=self._cycles,
+            picture=(0, 0) if self._video is None else self._video.newest_picture,
+            trim_deg=self.sensors.trim_deg,
+        )
 
     def _state_bits(self, phase):
         bits = _BASE_STATE
