@@ -9,12 +9,13 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from picture_truth import LabelledRenderer, Truth
 
 from risc_lab.camera import Camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraCalibration
 from risc_simulator.video.checkerboard_motion import Waving
-from risc_simulator.video.renderer import NoiseTile, Renderer, Truth, to_camera
+from risc_simulator.video.renderer import NoiseTile, to_camera
 from risc_simulator.video.scene import CameraPose, Prop, Scene, VehiclePose, bgr_of_hsv, load_style, plane_axes
 
 SIZE_PX = (640, 360)
@@ -88,7 +89,7 @@ def _sample(sequence, index, style, cameras, noise):
     props, counts, forbidden = _props(rng, style, discs, pose)
     vehicles = _vehicles(rng, discs, pose, len(style.hulls.colours))
     style = replace(style, imaging=imaging, room=_hall(rng, style.room, forbidden))
-    renderer = Renderer(camera, Scene(style, tuple(discs), props=tuple(props)), sequence.spawn(1)[0], noise)
+    renderer = LabelledRenderer(camera, Scene(style, tuple(discs), props=tuple(props)), sequence.spawn(1)[0], noise)
     conditions = {
         "index": index,
         "calibration": name,
@@ -283,7 +284,7 @@ def calibration_pictures(camera, seed, count=60):
 
     camera: risc_lab.camera.Camera. seed: of the pictures' noise.
     """
-    waving, renderer = Waving(camera), Renderer(camera, Scene(load_style()), seed)
+    waving, renderer = Waving(camera), LabelledRenderer(camera, Scene(load_style()), seed)
     level = rotation_body_to_cortex(0.0, 0.0, 0.0)
     pose = CameraPose(np.array([0.0, 0.0, 1.0]), level, np.zeros(3), np.zeros(3))
     for time_s in np.resize(waving.held_s, count):

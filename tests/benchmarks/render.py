@@ -8,11 +8,11 @@ import time
 import cv2
 import numpy as np
 from labelled_pictures import CALIBRATIONS, SIZE_PX
+from picture_truth import LabelledRenderer
 
 from risc_lab.camera import Camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraCalibration
-from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import Board, CameraPose, Scene, VehiclePose, load_style
 
 REPEATS = 200
@@ -53,7 +53,7 @@ def make_renderer():
     style = load_style()
     scene = Scene(style, tuple(style.disc(*landmark) for landmark in _LANDMARKS))
     camera = Camera(CameraCalibration.from_intrinsics("bench", SIZE_PX, *CALIBRATIONS["albatross"]))
-    return Renderer(camera, scene)
+    return LabelledRenderer(camera, scene)
 
 
 def measure(name, repeats=REPEATS):

@@ -20,9 +20,10 @@ from dataclasses import replace
 from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
 from risc_lab.lab import generated_fleet, load_templates, load_vehicle_type
+from risc_simulator.models.flight import FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import MocapCameras
 from risc_simulator.virtual_lab import VirtualLab
-from risc_simulator.world import FlightPhase, Setpoint, World
+from risc_simulator.world import World
 
 COUNTS = (1, 3, 10, 50)
 REPEATS = 5

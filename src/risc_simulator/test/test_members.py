@@ -19,8 +19,9 @@ from risc_lab.lab.fleet import AttachedBody
 from risc_lab.registry import VARIABLE
 from risc_simulator import bodies, vehicles
 from risc_simulator.faults import WireFault
+from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.virtual_lab import VirtualLab
-from risc_simulator.world import FlightAction, FlightPhase, Setpoint, World
+from risc_simulator.world import World
 
 MEMBERS = pathlib.Path(__file__).parent / "members"
 ARDRONE = {"namespace": "risc1", "template": "fluffy_II", "type": "ardrone", "start": {"position_m": [0.5, 0.2, 0]}}

@@ -3,13 +3,14 @@
 import random
 import socket
 
+import numpy as np
 import pytest
 
 from risc_lab.lab import FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
-from risc_simulator.virtual_lab import LabOptions, VirtualLab
-from risc_simulator.world import FlightPhase
+from risc_simulator.models.flight import FlightPhase
+from risc_simulator.virtual_lab import LabOptions, LatenessHistogram, VirtualLab
 
 TAKE_OFF = 290718208
 
@@ -192,3 +193,24 @@ def test_options_are_checked_like_the_fleet_file(options, key):
 def test_impossible_delay_is_refused(delay_s):
     with pytest.raises(ValueError, match="command.delay|finite"):
         VirtualLab(make_fleet(), command_delay_s=delay_s)
+
+
+def test_histogram_percentiles_agree_with_the_sorted_values():
+    values = np.random.default_rng(3).exponential(0.0005, 5000)
+    histogram = LatenessHistogram()
+    for value in values:
+        histogram.add(value)
+    for percent, rank in ((1.0, 50), (50.0, 2500), (90.0, 4500), (99.0, 4950), (99.9, 4995)):
+        exact = np.sort(values)[rank - 1]
+        assert exact <= histogram.percentile_s(percent) <= exact + histogram.BIN_S
+    assert histogram.percentile_s(100.0) == histogram.max_s == values.max()
+
+
+def test_histogram_edges():
+    histogram = LatenessHistogram()
+    assert histogram.percentile_s(99.0) == 0.0
+    histogram.add(-0.5)
+    assert (histogram.percentile_s(50.0), histogram.max_s) == (0.0, 0.0)
+    histogram.add(7.0)
+    assert histogram.percentile_s(99.0) == histogram.max_s == 7.0
+    assert histogram.percentile_s(50.0) == histogram.BIN_S

@@ -18,8 +18,8 @@ import pytest
 from risc_lab.lab import FleetLandmark, FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
+from risc_simulator.models.flight import FlightPhase
 from risc_simulator.virtual_lab import LabOptions, VirtualLab, summary
-from risc_simulator.world import FlightPhase
 
 GROUP = "225.1.1.1"
 LIVE_MODE = struct.pack("<HH", 14, 9) + b"LiveMode\0"

@@ -32,7 +32,7 @@ import numpy as np
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_lab.settings import Fraction, Settings, settings_from
-from risc_simulator.cortex_host import CortexHost, LatenessHistogram
+from risc_simulator.cortex_host import CortexHost
 from risc_simulator.faults import WireFault, Wires, load_wire_faults
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.socket_host import SocketSet
@@ -46,6 +46,30 @@ LATE_PATIENCE_S = 0.5  # and when all have been for so long those that are missi
 WATCH_VIDEO_EVERY = 20  # frames
 _LOG = logging.getLogger(__name__)
 _CAMERA_STREAM = (1000000,)  # random stream of the cameras beside the vehicles' (index, purpose)
+
+
+class LatenessHistogram:
+    """Streaming percentiles of delays: 10 us bins up to 100 ms, what is later falls into one last bin."""
+
+    BIN_S = 1e-5
+    BINS = 10000
+
+    def __init__(self):
+        self._counts = [0] * (self.BINS + 1)
+        self.max_s = 0.0
+
+    def add(self, lateness_s):
+        """Count one delay [s]; what is early counts as on time."""
+        lateness_s = max(lateness_s, 0.0)
+        self.max_s = max(self.max_s, lateness_s)
+        self._counts[min(int(lateness_s / self.BIN_S), self.BINS)] += 1
+
+    def percentile_s(self, percent):
+        """Upper edge [s] of the bin that holds the percentile (never above the maximum); 0 without data."""
+        seen = np.cumsum(self._counts)
+        wanted = max(math.ceil(seen[-1] * percent / 100.0 - 1e-6), 1)  # not one too many by rounding
+        index = int(np.searchsorted(seen, wanted))
+        return self.max_s if index >= self.BINS else min((index + 1) * self.BIN_S, self.max_s)
 
 
 class VirtualLab:
@@ -73,10 +97,8 @@ class VirtualLab:
         live_on_start: stream without waiting for a client.
         radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
         interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
-        (The fleet's mocap.interface is the client's card, which may be one of another computer.)
-        cameras_ahead: start the camera process now, so that the first client of a vehicle's video is served at once as
-        by the aircraft, and not only when that client has come.
-        wire_faults: faults.WireFaults, what acts on the hosts' datagrams.
+        cameras_ahead: start the camera process now, and not when the first client of a vehicle's video has come.
+        wire_faults: faults.WireFaults.
         """
         self.fleet = fleet = fleet.with_overrides(command_delay_s=command_delay_s)
         self.radio_loss = radio_loss
@@ -87,15 +109,8 @@ class VirtualLab:
         templates = load_templates(fleet=fleet)
         types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
         self._cycles_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
-        self.world = World(
-            fleet,
-            types,
-            templates,
-            seed=seed,
-            perturbed=perturbed,
-            gusts=gusts,
-            step_s=self._period_s / self._cycles_per_frame,
-        )
+        step_s = self._period_s / self._cycles_per_frame
+        self.world = World(fleet, types, templates, seed, perturbed, gusts, step_s)
         self.frame = 0  # of the newest exposure
         self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
         self.frames_skipped = 0  # that a computer was too slow for
@@ -111,7 +126,6 @@ class VirtualLab:
         self.wires = Wires(seed)
         self._waiting = SocketSet()
         self._video = None
-        self._board_until_s = {}  # {namespace: lab time} of the checkerboards that are waved
         try:
             self.cortex_host = CortexHost(
                 self.world,
@@ -186,21 +200,17 @@ class VirtualLab:
                 self.lateness.add(now_s - due_s)
                 self.cortex_host.tick(now_s)
                 if self._video.running:
-                    self._tend_video(now_s)
+                    self._tend_video()
                 if self.frame % WATCH_VIDEO_EVERY == 0:
                     self._watch_video_clients()
             for host in self.vehicle_hosts.values():
                 host.tick(now_s)
 
-    def _tend_video(self, now_s):
-        if self._video.watched:
-            self._video.publish(self._start_s + self.exposure_s, self.exposure_s, self.world.truth())
+    def _tend_video(self):
+        if self._video.board.watchers.any():
+            self._video.board.publish(self._start_s + self.exposure_s, self.exposure_s, self.world.truth())
         if self.frame % self._frames_per_second == 0:
             self._video.check()
-        for namespace, until_s in list(self._board_until_s.items()):
-            if now_s > until_s:
-                self._video.put_board_away(namespace)
-                del self._board_until_s[namespace]
 
     def _watch_video_clients(self):
         """Wait for clients of the video exactly while nobody else does."""
@@ -299,29 +309,27 @@ class VirtualLab:
 
     def lose_link(self, namespace, duration_s):
         """Take a vehicle's link off the air. Raises ValueError for an unknown vehicle."""
-        self._check_namespace(namespace)
-        self.vehicle_hosts[namespace].lose_link(duration_s)
+        self._look_up(self.vehicle_hosts, namespace).lose_link(duration_s)
 
     def set_battery_pct(self, namespace, pct):
         """Give a vehicle a battery with this charge. Raises ValueError for an unknown vehicle."""
-        self._check_namespace(namespace)
-        self.world.vehicles[namespace].set_battery_pct(pct)
+        self._look_up(self.world.vehicles, namespace).set_battery_pct(pct)
 
     def set_light(self, brightness):
         """Light of the room for the vehicles' cameras: 1 = normal. Raises ValueError unless it is from 0 to 10."""
         if not 0.0 <= brightness <= 10.0:
             raise ValueError("the light must be from 0 to 10 times the normal one, got %r" % (brightness,))
-        self._video.set_light(brightness)
+        self._video.board.light[...] = brightness
 
     def wave_board(self, namespace, duration_s):
         """Wave a checkerboard in front of a vehicle's camera, from now on. Raises ValueError for an unknown vehicle."""
-        self._check_namespace(namespace)
-        self._video.wave_board(namespace)
-        self._board_until_s[namespace] = self._served_s + duration_s
+        self._look_up(self.vehicle_hosts, namespace)
+        self._video.wave_board(namespace, duration_s)
 
-    def _check_namespace(self, namespace):
-        if namespace not in self.vehicle_hosts:
-            raise ValueError("no vehicle '%s'; known are: %s" % (namespace, ", ".join(self.vehicle_hosts)))
+    def _look_up(self, of_vehicles, namespace):
+        if namespace not in of_vehicles:
+            raise ValueError("no vehicle '%s'; known are: %s" % (namespace, ", ".join(of_vehicles)))
+        return of_vehicles[namespace]
 
     def statistics(self):
         """Everything worth keeping of the run, as plain numbers and texts (for JSON)."""
@@ -353,7 +361,11 @@ class VirtualLab:
             "frames": self.frame - self.frames_skipped,
             "rate_hz": self.fleet.mocap.rate_hz,
             "duration_s": self.exposure_s,
-            "late_ms": self.lateness.statistics_ms(),
+            "late_ms": {
+                "p50": 1e3 * self.lateness.percentile_s(50.0),
+                "p99": 1e3 * self.lateness.percentile_s(99.0),
+                "max": 1e3 * self.lateness.max_s,
+            },
             "stalls": self.stalls,
             "frames_skipped": self.frames_skipped,
             "least_separation_m": self.world.least_separation_m,

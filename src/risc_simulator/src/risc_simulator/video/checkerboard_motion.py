@@ -5,7 +5,6 @@ along a row of inner corners, y along a column, z away from who looks at the boa
 """
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -28,24 +27,15 @@ _PULLS = np.linspace(1.0, 0.0, 26)  # and nearer to the middle
 _FACING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # board to camera axes, squarely in front
 
 
-@dataclass(frozen=True)
-class WavingParams:
-    """How a board is moved."""
-
-    hold_s: float = 0.6  # a posture is held
-    move_s: float = 0.8  # from one to the next
-
-    def __post_init__(self):
-        if self.hold_s < 0.0 or self.move_s <= 0.0:
-            raise ValueError("hold_s >= 0 and move_s > 0 are needed, found %r" % (self,))
+HOLD_S = 0.6  # a posture is held
+MOVE_S = 0.8  # from one to the next
 
 
 class Waving:
     """The motion of one board in front of one camera; it repeats after `period_s`. Held, it is whole in the picture."""
 
-    def __init__(self, camera, columns=8, rows=6, square_m=0.025, params=None):
+    def __init__(self, camera, columns=8, rows=6, square_m=0.025):
         """camera: risc_lab.camera.Camera. columns, rows: inner corners. ValueError when a posture does not fit."""
-        self.params = params or WavingParams()
         self._camera = camera
         self._shape = (columns, rows, square_m)
         centres, turns = zip(*self._postures())
@@ -56,17 +46,17 @@ class Waving:
     @property
     def period_s(self):
         """Time of one round [s]."""
-        return self._count * (self.params.hold_s + self.params.move_s)
+        return self._count * (HOLD_S + MOVE_S)
 
     @property
     def held_s(self):
         """Times (postures,) [s] within the first round in the middle of each hold."""
-        return np.arange(self._count) * (self.params.hold_s + self.params.move_s) + 0.5 * self.params.hold_s
+        return np.arange(self._count) * (HOLD_S + MOVE_S) + 0.5 * HOLD_S
 
     def posture(self, time_s):
         """Centre (3,) [m] and rotation (3, 3) from board to camera axes at a time [s] since the start."""
-        step, within_s = divmod(time_s % self.period_s, self.params.hold_s + self.params.move_s)
-        part = max(0.0, (within_s - self.params.hold_s) / self.params.move_s)
+        step, within_s = divmod(time_s % self.period_s, HOLD_S + MOVE_S)
+        part = max(0.0, (within_s - HOLD_S) / MOVE_S)
         part = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)  # no jerk at either end
         index = int(step)
         centre = self._centres[index] + part * (self._centres[index + 1] - self._centres[index])

@@ -8,7 +8,6 @@ lab.  While nobody watches it sleeps.
 
 import contextlib
 import logging
-import math
 import select
 import socket
 import sys
@@ -148,7 +147,7 @@ class VideoHost:
 
     def _expose(self, index, station, snapshot):
         board = self._board
-        waved_s = snapshot.time_s - float(board.board_since_s[index])
+        is_waved = snapshot.time_s < board.board_until_s[index]
         station.expose(
             snapshot,
             index,
@@ -159,7 +158,7 @@ class VideoHost:
                 vehicle_pose(row, name) for k, (row, name) in enumerate(zip(snapshot.rows, self._names)) if k != index
             ],
             light=float(board.light),
-            waved_s=None if math.isnan(waved_s) else max(0.0, waved_s),
+            waved_s=max(0.0, snapshot.time_s - float(board.board_since_s[index])) if is_waved else None,
         )
 
 

@@ -38,12 +38,6 @@ class Disc:
     centre_diameter_m: float = 0.20
     ring_diameter_m: float = 0.30  # outer
 
-    def __post_init__(self):
-        if abs(np.linalg.norm(self.normal) - 1.0) > 1e-6:
-            raise ValueError("landmark %s: the normal %r must have length 1" % (self.name, tuple(self.normal)))
-        if not 0.0 < self.centre_diameter_m < self.ring_diameter_m:
-            raise ValueError("landmark %s: needs 0 < centre_diameter_m < ring_diameter_m" % self.name)
-
     def outline(self, diameter_m):
         """Corners (CIRCLE_POINTS, 3) [m], cortex frame, of a circle around the centre, with a circle's area."""
         across, upward = plane_axes(self.normal)
@@ -67,18 +61,6 @@ class Board:
     square_m: float
     centre_m: tuple[float, float, float]  # cortex frame
     R_board_to_cortex: np.ndarray  # (3, 3)
-
-    def __post_init__(self):
-        if self.columns < 2 or self.rows < 2 or not self.square_m > 0.0:
-            raise ValueError(
-                "board: needs 2 x 2 inner corners at least and squares of some size, found %d x %d of %r m"
-                % (self.columns, self.rows, self.square_m)
-            )
-
-    def corners(self):
-        """Inner corners (rows * columns, 3) [m], cortex frame, row by row: the order of findChessboardCorners."""
-        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        return self.to_cortex(column.ravel() - 0.5 * (self.columns - 1), row.ravel() - 0.5 * (self.rows - 1))
 
     def to_cortex(self, x_squares, y_squares):
         """Points (n, 3) [m], cortex frame, of coordinates on the board in squares from its middle."""
@@ -111,7 +93,7 @@ class VehiclePose:
     name: str
     position_m: np.ndarray  # (3,) centre, cortex frame
     R_body_to_cortex: np.ndarray  # (3, 3); body axes: x nose, y right wing, z belly
-    colour: int | str | None = None  # number or name of the hull; None: as the scene says, else the first
+    colour: int | None = None  # number of the hull; None: as the scene says, else the first
 
 
 class Part(NamedTuple):
@@ -311,29 +293,10 @@ class Scene:
     props: tuple[Prop, ...] = ()
 
     def hull_colour(self, vehicle):
-        """Name of the hull of a VehiclePose. Raises ValueError for a name that no hull has."""
-        names, colour = list(self.style.hulls.colours), vehicle.colour
-        if colour is None:
-            colour = self.colour_of_vehicle.get(vehicle.name, 0)
-        if isinstance(colour, str):
-            if colour not in names:
-                raise ValueError(
-                    "vehicle %s: no hull is called '%s'; known are %s" % (vehicle.name, colour, ", ".join(names))
-                )
-            return colour
-        return names[colour % len(names)]
-
-
-class Room(NamedTuple):
-    """The room as drawn.
-
-    polygons: list of (bgr, list of (n, 3) outlines [m]) in painter's order. cords: (k, 2, 3) ends of the net's cords.
-    """
-
-    polygons: list
-    cords: np.ndarray
-    cord_bgr: Bgr
-    posts: list  # as polygons; in front of the cords
+        """Name of the hull of a VehiclePose."""
+        number = self.colour_of_vehicle.get(vehicle.name, 0) if vehicle.colour is None else vehicle.colour
+        names = list(self.style.hulls.colours)
+        return names[number % len(names)]
 
 
 def normal_of_facing(facing_rad):
@@ -384,7 +347,11 @@ def load_style(path=None):
 
 
 def room_geometry(room, arena):
-    """Room of RoomParams around an Arena: all that never moves, as polygons and lines."""
+    """What never moves: polygons, the net's cords, their colour, and posts, of RoomParams around an Arena.
+
+    Polygons and posts are lists of (bgr, list of (n, 3) outlines [m]) in painter's order, posts in front of the cords;
+    cords: (k, 2, 3) their ends.
+    """
     x, y, z = room.half_x_m, room.half_y_m, room.height_m
     floor = _rectangle("floor", (0.0, 0.0), (2.0 * x, 2.0 * y), room)
     polygons = [(room.shaded(room.floor), [floor])]
@@ -418,7 +385,7 @@ def room_geometry(room, arena):
         for panel in room.panels
     ]
     cords, posts = _net(room, arena)
-    return Room(polygons, cords, bgr_of_hsv(room.net), [(bgr_of_hsv(room.posts), posts)])
+    return polygons, cords, bgr_of_hsv(room.net), [(bgr_of_hsv(room.posts), posts)]
 
 
 def board_layers(board, params):
