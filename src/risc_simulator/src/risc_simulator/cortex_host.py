@@ -71,23 +71,10 @@ class CortexHost(SocketHost):
     """
 
     def __init__(
-        self,
-        world,
-        endpoint,
-        cameras,
-        clock=None,
-        templates=None,
-        live_on_start=False,
-        interface="",
-        wires=None,
+        self, world, endpoint, cameras, clock=None, templates=None, live_on_start=False, interface="", wires=None
     ):
         super().__init__("cortex", wires)
-        if not 0.0 < endpoint.rate_hz < math.inf:
-            raise ValueError("frame rate is %r Hz: give a positive one" % (endpoint.rate_hz,))
-        self._world = world
-        self._endpoint = endpoint
-        self._cameras = cameras
-        self._clock = clock
+        self._world, self._endpoint, self._cameras, self._clock = world, endpoint, cameras, clock
         self._last_now_s = world.time_s
 
         self._number = 0  # of the newest frame

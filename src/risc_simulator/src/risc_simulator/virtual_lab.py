@@ -128,14 +128,7 @@ class VirtualLab:
         self._video = None
         try:
             self.cortex_host = CortexHost(
-                self.world,
-                fleet.mocap,
-                self.cameras,
-                clock=self.now_s,
-                templates=templates,
-                live_on_start=live_on_start,
-                interface=interface,
-                wires=self.wires,
+                self.world, fleet.mocap, self.cameras, self.now_s, templates, live_on_start, interface, self.wires
             )
             self._hosts.append(self.cortex_host)
             self.vehicle_hosts = {}
@@ -395,25 +388,17 @@ class VirtualLab:
 
 def summary(statistics):
     """The statistics in a few lines for people."""
-    late = statistics["late_ms"]
-    lines = [
-        "%d frames in %.1f s (%g Hz); late against the schedule: p50 %.2f, p99 %.2f, max %.2f ms%s%s"
-        % (
-            statistics["frames"],
-            statistics["duration_s"],
-            statistics["rate_hz"],
-            late["p50"],
-            late["p99"],
-            late["max"],
-            "; the computer stalled %d times" % statistics["stalls"] if statistics["stalls"] else "",
-            "; %d frames left out" % statistics["frames_skipped"] if statistics["frames_skipped"] else "",
-        )
-    ]
+    lines = ["%(frames)d frames in %(duration_s).1f s (%(rate_hz)g Hz); late against the schedule: " % statistics]
+    lines[0] += "p50 %(p50).2f, p99 %(p99).2f, max %(max).2f ms" % statistics["late_ms"]
+    if statistics["stalls"]:
+        lines[0] += "; the computer stalled %d times" % statistics["stalls"]
+    if statistics["frames_skipped"]:
+        lines[0] += "; %d frames left out" % statistics["frames_skipped"]
     if statistics["least_separation_m"] is not None:
         lines.append("least separation of vehicles in the air: %.2f m" % statistics["least_separation_m"])
     lines += [
         "crash at %.2f s: %s %s at (%.2f, %.2f, %.2f) m"
-        % ((crash["time_s"], crash["vehicle"], crash["reason"]) + tuple(crash["position_m"]))
+        % (crash["time_s"], crash["vehicle"], crash["reason"], *crash["position_m"])
         for crash in statistics["crashes"]
     ]
     hosts = {"Cortex host": statistics["cortex"]}
