@@ -25,7 +25,7 @@ MEMBERS = ROOT / "src/risc_experiments/test/members"
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"}
 TOY_NODES = {"/risc2/toy_commands", "/risc2/toy_status"}
 STARTED_S, RISEN_S = 120.0, 20.0
-TAKE_OFF, UP = 6, 9  # buttons, see vehicle_node.yaml
+TAKE_OFF, UP = 6, 9  # buttons, see JoystickParams
 
 
 @pytest.fixture(autouse=True)

@@ -312,7 +312,7 @@ def test_a_bag_that_is_drawn_moves_nothing():
     of_vehicles = {"/%s/%s" % (vehicle, topic) for vehicle in vehicles for topic in rviz_pictures.OF_VEHICLES}
     assert args[-2:] == ["--bags", "/tmp/a bag.bag"]
     assert set(topics) == {*rviz_pictures.DRAWN, *rviz_pictures.FRAMES, *of_vehicles}
-    commands = {"cmd_vel", "cmd_vel_stamped", "takeoff", "land", "reset", "joy", "controls", "target_velocity"}
+    commands = {"cmd_vel", "takeoff", "land", "reset", "joy", "controls", "target_velocity"}
     assert not commands & {topic.rpartition("/")[2] for topic in topics}
 
 

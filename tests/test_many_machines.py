@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 import yaml
 from flying import judged
@@ -35,15 +36,15 @@ from four_hosts import (
 from netlab import NetLab, unsupported
 from wire_log import ask_for_times, receive
 
-from ardrone_autonomy.piloting import sticks_from_velocity
-from ardrone_autonomy.protocol import at
 from data_extraction.bags import Bag
 from data_extraction.report.computers import ComputerCollector
 from risc_control.failsafe import SafetyLimits
-from risc_lab.lab import load_fleet
+from risc_control.vehicles import greatest_command
+from risc_lab.lab import load_fleet, load_vehicle_type
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 
 LIMITS = SafetyLimits()
+ARDRONE = load_vehicle_type("ardrone")
 LATE_S = 0.25  # a command is on its way, and the computer is busy with other things
 HANDLING_S = 0.05  # from the decision to the vehicle's network card
 DECISION_S = 0.01  # from the look at a state's age to the command
@@ -118,27 +119,30 @@ def stands_after(hosts, template, since_s):
 def state_ages(hosts, vehicle):
     """[(time on the wire [s], age of the state that it answers then [s], the first time?)] of what moved the vehicle.
 
-    The vehicle's node publishes each command a second time, with the stamp of that state, and no two have equal sticks.
+    The vehicle's node tells what each command makes of the vehicle, and that stamp; no two have equal sticks.
     Left out: after the bag's end; of risc3, what may have died with the base station before its cable was plugged.
     """
-    stamps_s = {}
+    template = {v.namespace: v.template for v in load_fleet(hosts.fleet).vehicles}[vehicle]
+    most = greatest_command(ARDRONE)
+    full = np.array((most.roll_rad, most.pitch_rad, ARDRONE.climb_max_m_s, most.yaw_rate_rad_s))
+    told, stamps_s = [], []
     with Bag(hosts.folder / "flight.bag") as bag:
         end_s = bag.start_s + bag.duration_s - HANDLING_S
-        for _, _, message in bag.messages(["/%s/cmd_vel_stamped" % vehicle]):
-            stamp, linear, angular = message.header.stamp, message.twist.linear, message.twist.angular
-            if stamp.sec:
-                twist = (linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z)
-                sticks = tuple(at.int_to_float(at.float_to_int(value)) for value in sticks_from_velocity(*twist)[1:])
-                stamps_s.setdefault(sticks, stamp.sec + 1e-9 * stamp.nanosec)
+        for _, _, message in bag.messages(["/commands_sent"]):
+            for sent in message.commands:
+                if sent.name == template and sent.answers.sec:
+                    told.append(np.array((sent.roll_rad, sent.pitch_rad, sent.climb, sent.yaw_rate_rad_s)) / full)
+                    stamps_s.append(sent.answers.sec + 1e-9 * sent.answers.nanosec)
     if vehicle == "risc3":
         end_s = hosts.cuts["risc3"][0] - HANDLING_S
     ages, seen = [], set()
     for command in hosts.commands(vehicle):
         if moves(command) and command.time_s < end_s:
-            sticks = tuple(command.arguments[1:5])
-            assert sticks in stamps_s, "nobody has ordered what moved %s at %.3f s" % (vehicle, command.time_s)
-            ages.append((command.time_s, command.time_s - stamps_s[sticks], sticks not in seen))
-            seen.add(sticks)
+            off = np.abs(np.array(told) - command.arguments[1:5]).max(axis=1)
+            which = int(off.argmin())
+            assert off[which] < 1e-6, "nobody has ordered what moved %s at %.3f s" % (vehicle, command.time_s)
+            ages.append((command.time_s, command.time_s - stamps_s[which], which not in seen))
+            seen.add(which)
     return ages
 
 

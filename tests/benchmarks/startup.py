@@ -29,7 +29,7 @@ NODES = {  # name: (package, program, its configuration, topics that it listens 
     "states_estimation": ("risc_estimation", "states_estimation.py", "states_estimation.yaml", ("/mocap_data",)),
     "controller": ("risc_control", "generic_DF_controller.py", None, ("/cortex_raw", "/trajectory")),
     "trajectory": ("risc_control", "circles3_traj.py", None, ("/cortex_raw",)),
-    "vehicles": ("risc_control", "risc_controller.py", "vehicle_node.yaml", ("/cortex_raw", "/controls")),
+    "vehicles": ("risc_control", "risc_controller.py", None, ("/cortex_raw", "/controls")),
     "ardrone_driver": ("ardrone_autonomy", "ardrone_driver", None, ("/{last}/cmd_vel",)),
 }  # fmt: skip
 POLL_S = 0.01

@@ -16,6 +16,7 @@ from std_msgs.msg import Bool, Empty, String
 
 from ardrone_autonomy.msg import Navdata
 from data_extraction.bags import Bag, BagError
+from data_extraction.camera_topics import one_topic_each
 from data_extraction.progress import bar
 from data_extraction.report.battery import BatteryCollector
 from data_extraction.report.computers import Computer, ComputerCollector
@@ -25,7 +26,7 @@ from data_extraction.report.fence import FenceCollector
 from data_extraction.report.gates import GateCollector
 from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.origin import Origin, parameter_hash, read_beside
-from data_extraction.report.snapshots import SnapshotCollector, picture_topics
+from data_extraction.report.snapshots import SnapshotCollector
 from data_extraction.samples import Arrivals, Samples
 from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimits
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
@@ -97,7 +98,7 @@ def test_the_maps_cells_cover_the_net():
     for arena in (Arena(), Arena(5.0, 4.4)):
         for edges, half in zip(cell_edges(arena), (arena.half_x_m, arena.half_y_m)):
             assert edges[0] == -edges[-1] and half <= edges[-1] < half + CELL_M
-        assert DropCollector(arena)._seen.shape == tuple(len(edges) - 1 for edges in cell_edges(arena))
+        assert DropCollector(arena)._drops.seen_map.shape == tuple(len(edges) - 1 for edges in cell_edges(arena))
 
 
 def test_a_vehicle_counts_as_lost_only_after_it_was_seen(play):
@@ -110,7 +111,7 @@ def test_a_vehicle_counts_as_lost_only_after_it_was_seen(play):
     raven = drops.vehicles["Raven"]
     assert (raven.frames, raven.invisible, raven.times) == (7, 4, 2)
     assert raven.longest_s == pytest.approx(0.3, abs=1e-6)
-    assert drops.lost_places_m == pytest.approx(np.array([[0.4, -0.5], [0.8, -0.5]]))
+    assert np.array(drops.lost_places_m) == pytest.approx(np.array([[0.4, -0.5], [0.8, -0.5]]))
 
 
 def test_a_gap_of_the_stream_is_counted(play):
@@ -159,9 +160,10 @@ def test_the_fence_margin_is_the_nearest_side_now_and_ahead(play):
     assert raven.least_s == pytest.approx(T0_S + 1.0, abs=1e-6)
     ahead_s = SafetyLimits().fence_lookahead_s
     assert raven.least_ahead_m == pytest.approx(min(NET_HALF_Y_M - 1.8, NET_HALF_X_M - 1.0 - 2.0 * ahead_s))
-    assert raven.t_s == pytest.approx([T0_S, T0_S + 1.0, T0_S + 2.0], abs=1e-6), "one point each 0.1 s"
-    assert raven.now_m[0] == pytest.approx(NET_HALF_X_M - 1.0)
-    assert raven.ahead_m[0] == pytest.approx(NET_HALF_X_M - 1.0 - 2.0 * ahead_s)
+    t_s, now_m, ahead_m = raven.table.T
+    assert t_s == pytest.approx([T0_S, T0_S + 1.0, T0_S + 2.0], abs=1e-6), "one point each 0.1 s"
+    assert now_m[0] == pytest.approx(NET_HALF_X_M - 1.0)
+    assert ahead_m[0] == pytest.approx(NET_HALF_X_M - 1.0 - 2.0 * ahead_s)
 
 
 def test_the_floor_is_no_fence(play):
@@ -331,7 +333,7 @@ def test_the_rectified_compressed_picture_is_preferred():
         "/risc3/ardrone/camera_info": "sensor_msgs/msg/CameraInfo",
         "/risc3/ardrone/image_modi": image,
     }
-    assert picture_topics(types) == {"/risc1/ardrone/image_rect_color", "/risc2/ardrone/image_raw"}
+    assert one_topic_each(types) == {"/risc1/ardrone/image_rect_color", "/risc2/ardrone/image_raw"}
 
 
 def picture(t_s, grey):

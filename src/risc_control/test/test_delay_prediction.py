@@ -9,28 +9,29 @@ from scipy.integrate import solve_ivp
 
 from risc_control.delay_prediction import (
     MAX_HORIZON_S,
-    Channel,
-    CommandHistory,
+    STEP_S,
+    TILT,
     Motion,
-    NominalModel,
     TiltObserver,
     discretised,
     effective_delay_s,
+    fill_in_force,
+    loops,
     observe,
+    plants,
     predicted,
-    rows_in_force,
     steps_of,
 )
+from risc_lab.command_history import CHANNELS, Channel, CommandHistory
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab import load_vehicle_type
 
 ARDRONE = load_vehicle_type("ardrone")
 OTHER = replace(ARDRONE, roll=replace(ARDRONE.roll, natural_frequency_rad_s=9.0), drag_n_s_m=0.0)
-MODEL = NominalModel.of([ARDRONE, OTHER])
-
-
-PLANTS = MODEL.plants()
+TYPES = [ARDRONE, OTHER]
+PLANTS = plants(TYPES)
+NOTHING = CommandHistory(2)
 REST = Motion(*[0.0] * len(Motion._fields))
 
 
@@ -53,23 +54,27 @@ def random_motion(rng):
 
 def ahead(motion, time_s, horizon_s, history, delay_s, i=0):
     """Motion of vehicle i after horizon_s; a command acts delay_s after it was sent."""
-    rows = rows_in_force(time_s - delay_s, steps_of(horizon_s), history.sent_s, history.ends)
-    return predicted(motion, PLANTS[MODEL.kind[i]], horizon_s, history.commands, rows, i)
+    plant, commands = PLANTS[i].copy(), np.empty((1 + steps_of(horizon_s), CHANNELS))
+    plant.delay_s, plant.period_s = delay_s, 0.0
+    fill_in_force(NOTHING.vehicles[i], history.vehicles[i], plant, time_s, commands)
+    return predicted(motion, plant, horizon_s, commands)
 
 
 def random_history(rng, start_s, end_s, n=2, step_s=1.0 / 30.0):
     history, commands = CommandHistory(n), []
     for time_s in np.arange(start_s, end_s, step_s):
         command = rng.uniform(-1.0, 1.0, (n, 4)) * (0.2, 0.2, 0.5, 0.3)
-        history.append(time_s, command)
+        for i in range(n):
+            history.append(i, time_s, command[i])
         commands.append((time_s, command))
     return history, commands
 
 
-def integrate(motion, i, model, time_s, horizon_s, delay_s, commands):
+def integrate(motion, i, time_s, horizon_s, delay_s, commands):
     """One vehicle by the full equations: thrust along the body axis from the climb loop, rotation matrix, drag."""
-    wn, zeta = model.natural_frequency_rad_s[i], model.damping_ratio[i]
-    climb, tau_yaw, drag = model.climb[i], model.yaw_time_constant_s[i], model.drag_1_s[i]
+    wn = [loop.natural_frequency_rad_s for loop in (TYPES[i].roll, TYPES[i].pitch)]
+    zeta = [loop.damping_ratio for loop in (TYPES[i].roll, TYPES[i].pitch)]
+    climb, tau_yaw, drag = PLANTS[i].climb, PLANTS[i].yaw_time_constant_s, PLANTS[i].drag_1_s
 
     def command_at(t):
         held = [command for sent_s, command in commands if sent_s <= t - delay_s]
@@ -112,7 +117,7 @@ def test_predicts_what_the_nonlinear_model_does(horizon_s, tolerance_m):
         history, commands = random_history(rng, now_s - 0.6, now_s)
         for i, motion in enumerate(motions):
             found = ahead(motion, now_s, horizon_s, history, delay_s, i)
-            x = integrate(motion, i, MODEL, now_s, horizon_s, delay_s, commands)
+            x = integrate(motion, i, now_s, horizon_s, delay_s, commands)
             assert (found.north_m, -found.east_m, found.up_m) == pytest.approx(x[:3], abs=tolerance_m)
             assert (found.north_m_s, -found.east_m_s, found.up_m_s) == pytest.approx(x[3:6], abs=10 * tolerance_m)
             # a command that acts up to half a grid step early or late is all that may be wrong with the angles
@@ -124,7 +129,7 @@ def test_loops_are_exact_on_the_grid():
     """Step response of the attitude loop against its closed form, after any number of whole steps."""
     wn, zeta = ARDRONE.roll.natural_frequency_rad_s, ARDRONE.roll.damping_ratio
     history = CommandHistory(2)
-    history.append(0.0, np.full((2, 4), 0.1))
+    history.append(0, 0.0, np.full(4, 0.1))
     for horizon_s in (0.1, 0.35, 0.8):
         found = ahead(REST, 0.2, horizon_s, history, 0.2)
         damped = wn * math.sqrt(1.0 - zeta**2)
@@ -147,10 +152,10 @@ def test_loops_are_exact_on_the_grid():
 )
 def test_where_a_positive_angle_goes(psi_deg, channel, north, east):
     """Nose up goes backwards, right wing down goes right, at any yaw."""
-    command = np.zeros((2, 4))
-    command[:, channel] = 0.1
+    command = np.zeros(4)
+    command[channel] = 0.1
     history = CommandHistory(2)
-    history.append(0.0, command)
+    history.append(0, 0.0, command)
     found = ahead(REST._replace(psi_rad=math.radians(psi_deg)), 1.0, 0.3, history, 0.1)
     speed_m_s = math.hypot(found.north_m_s, found.east_m_s)
     assert (found.north_m_s / speed_m_s, found.east_m_s / speed_m_s) == pytest.approx((north, east), abs=1e-9)
@@ -158,12 +163,12 @@ def test_where_a_positive_angle_goes(psi_deg, channel, north, east):
 
 def test_hover_stays():
     hover = REST._replace(north_m=0.3, east_m=-0.2, up_m=1.0)
-    assert ahead(hover, 5.0, 0.2, CommandHistory(2), 0.13) == pytest.approx(hover, abs=1e-15)
+    assert ahead(hover, 5.0, 0.2, NOTHING, 0.13) == pytest.approx(hover, abs=1e-15)
 
 
 def test_commands_count_from_when_they_act():
     history = CommandHistory(2)
-    history.append(1.0, np.full((2, 4), 0.1))
+    history.append(0, 1.0, np.full(4, 0.1))
     before, after = (ahead(REST, 1.0, horizon_s, history, 0.1) for horizon_s in (0.1, 0.15))
     assert before.phi_rad == 0.0 < after.phi_rad
 
@@ -178,44 +183,71 @@ def test_horizon_between_grid_points_is_smooth():
 @pytest.mark.parametrize("horizon_s", [-0.01, MAX_HORIZON_S + 0.1, math.nan])
 def test_impossible_horizons(horizon_s):
     with pytest.raises(ValueError, match="prediction horizon"):
-        ahead(REST, 0.0, horizon_s, CommandHistory(2), 0.1)
+        ahead(REST, 0.0, horizon_s, NOTHING, 0.1)
 
 
-def test_history_holds_replaces_and_never_grows():
-    history = CommandHistory(1)
-    assert history.at(-5.0).tolist() == [[0.0] * 4]
-    for k in range(10000):
-        history.append(0.005 * k, np.full((1, 4), float(k)))
-    assert [history.at(t)[0, 0] for t in (49.9951, 49.996, 49.9949, 60.0)] == [9999, 9999, 9998, 9999]
-    assert history.at(0.0)[0, 0] == history.at(49.0)[0, 0] - 9800 + 10000 - len(history.sent_s), "the oldest kept"
-    history.append(49.99, np.full((1, 4), -1.0))
-    assert [history.at(t)[0, 0] for t in (49.981, 49.999)] == [9996, -1], "the clock was set back"
-    history.clear()
-    assert history.at(49.98)[0, 0] == 0.0
+def in_force(sent, computed, stamp_s, steps=30):
+    """(1 + steps, 4) commands by which an AR.Drone is predicted from stamp_s on."""
+    commands = np.empty((1 + steps, CHANNELS))
+    fill_in_force(sent.vehicles[0], computed.vehicles[0], PLANTS[0], stamp_s, commands)
+    return commands
 
 
-def observed(observer, time_s, angles_rad, rates_rad_s, command):
+def test_what_was_really_sent_counts_up_to_a_period_after_the_newest_then_what_was_computed():
+    """A link of 0.1 s, on average half a period of waiting for the turn, and half a period for which one holds."""
+    sent, computed, period_s = CommandHistory(1), CommandHistory(1), 1.0 / ARDRONE.command_rate_hz
+    for k in range(200):  # up to 10.0
+        computed.append(0, 9.005 + 0.005 * k, np.full(4, 9.005 + 0.005 * k))
+    sent_s = (9.88, 9.915, 9.95)
+    for time_s in sent_s:
+        sent.append(0, time_s, np.full(4, -time_s))
+    now_s = 10.0
+    found = in_force(sent, computed, now_s)[:, 0]
+    for step, value in enumerate(found):
+        time_s = now_s + STEP_S * (step - 0.5) - 0.1 - 0.5 * period_s  # when what is in force was sent
+        if time_s < sent_s[-1] + period_s:
+            assert value == -max(s for s in sent_s if s <= time_s)
+        else:
+            latest_s = time_s - 0.5 * period_s
+            assert value == pytest.approx(min(10.0, 0.005 * math.floor(latest_s / 0.005 + 1e-6)))
+
+
+def test_without_word_of_what_was_sent_each_command_that_was_computed_counts_after_the_mean_delay():
+    rng, computed = np.random.default_rng(3), CommandHistory(1)
+    for k in range(100):
+        computed.append(0, 0.005 * k, rng.standard_normal(4))
+    found = in_force(NOTHING, computed, 0.5)
+    delay_s = effective_delay_s(ARDRONE)
+    wanted = [computed.at(0, 0.5 + STEP_S * (step - 0.5) - delay_s) for step in range(len(found))]
+    assert found.tolist() == np.array(wanted).tolist()
+
+
+def unseen():
+    tilt = np.zeros(1, TILT)[0]
+    tilt.time_s = -np.inf
+    return tilt
+
+
+def observed(observer, tilt, time_s, angles_rad, rates_rad_s, command):
     """((phi, theta), their rates) of the only vehicle."""
-    observe(observer.tilts[0], time_s, (*angles_rad, *rates_rad_s), command, observer.steps[0], observer.gains[0])
-    tilt = observer.tilts[0]
+    observe(tilt, time_s, (*angles_rad, *rates_rad_s), command, observer.steps[0], observer.gains[0])
     return (tilt.phi_rad, tilt.theta_rad), (tilt.phi_rate_rad_s, tilt.theta_rate_rad_s)
 
 
 def test_observer_knows_the_rate_from_noisy_angles():
     """Better than the measured angles, without lag in the rate: 0.3 degree of noise, known commands."""
-    model = NominalModel.of([ARDRONE])
-    observer = TiltObserver(model, 0.005, 0.6)
-    A, b = (part[0, :2] for part in model.loops())
+    observer, tilt = TiltObserver([ARDRONE], 0.005, 0.6), unseen()
+    A, b = (part[:2] for part in loops(ARDRONE))
     phi, gamma = discretised(A, b, 0.005)
     rng, truth = np.random.default_rng(0), np.zeros((2, 2))
     angle_errors, rate_errors = [], []
     for k in range(1500):
-        command = np.zeros(len(Channel))
+        command = np.zeros(CHANNELS)
         command[: Channel.CLIMB] = 0.1 * np.sin(2.0 * 0.005 * k + np.array([0.0, 1.0]))
         truth = np.matmul(phi, truth[..., None])[..., 0] + gamma * command[: Channel.CLIMB, None]
         measured = truth[:, 0] + 0.005 * rng.standard_normal(2)
         if k % 50 != 7:  # a frame is lost now and then
-            angles, rates = observed(observer, 0.005 * k, measured, (0.0, 0.0), command)
+            angles, rates = observed(observer, tilt, 0.005 * k, measured, (0.0, 0.0), command)
             if k > 300:
                 angle_errors.append(angles - truth[:, 0])
                 rate_errors.append(rates - truth[:, 1])
@@ -224,16 +256,15 @@ def test_observer_knows_the_rate_from_noisy_angles():
 
 
 def test_observer_starts_from_the_measurement_and_again_after_a_gap():
-    observer, command = TiltObserver(NominalModel.of([ARDRONE]), 0.005, 0.6), np.zeros(len(Channel))
+    observer, tilt, command = TiltObserver([ARDRONE], 0.005, 0.6), unseen(), np.zeros(CHANNELS)
     for time_s in (10.0, 10.5):
-        assert observed(observer, time_s, (0.1, -0.1), (0.3, 0.2), command) == ((0.1, -0.1), (0.3, 0.2))
-        observed(observer, time_s + 0.005, (0.0, 0.0), (0.0, 0.0), command)
+        assert observed(observer, tilt, time_s, (0.1, -0.1), (0.3, 0.2), command) == ((0.1, -0.1), (0.3, 0.2))
+        observed(observer, tilt, time_s + 0.005, (0.0, 0.0), (0.0, 0.0), command)
 
 
 def test_observer_steps_of_any_length_are_those_of_the_exponential():
-    model = NominalModel.of([ARDRONE, OTHER])
-    steps = TiltObserver(model, 0.005, 0.6).steps
-    A, b = (part[:, :2] for part in model.loops())
+    steps = TiltObserver(TYPES, 0.005, 0.6).steps
+    A, b = (np.stack(part)[:, :2] for part in zip(*map(loops, TYPES)))
     for j in (1, 10, 137, 200):
         Phi, Gamma = discretised(A, b, 0.0005 * j)
         for axis, name in enumerate(("phi", "theta")):

@@ -257,9 +257,9 @@ def test_one_that_has_held_does_not_follow_its_reference():
 
 def test_nobody_lands_on_one_that_is_below_unless_it_stays_there():
     flight, limits = Flight(), SafetyLimits()
-    flight.look = NEAR._replace(above=True, way=1, aside=(0.0, 1.0))
+    flight.look = NEAR._replace(above=True, climb=1, aside=(0.0, 1.0))
     flight.run(0.5)
-    assert flight.ladder.apart(flight.now_s) == NEAR._replace(above=True, way=1), "aside only when it is time to land"
+    assert flight.ladder.apart(flight.now_s) == NEAR._replace(above=True, climb=1), "aside only when it is time to land"
     assert flight.run(limits.separation_wait_s - 0.5).level == FailsafeLevel.HOLD
     assert flight.ladder.apart(flight.now_s) == flight.look
     assert flight.run(0.2).level == FailsafeLevel.LAND and flight.ladder.apart(flight.now_s) is None
@@ -272,7 +272,7 @@ def test_nobody_lands_on_one_that_is_below_unless_it_stays_there():
 
 def test_manual_mode_leaves_the_others_to_the_operator():
     flight = Flight(autonomous=False)
-    flight.look = NEAR._replace(way=1)
+    flight.look = NEAR._replace(climb=1)
     assert flight.run(3.0).level == FailsafeLevel.OK and flight.ladder.apart(flight.now_s) is None
     assert flight.ladder.autonomy_problem(flight.now_s) == NEAR.reason
 

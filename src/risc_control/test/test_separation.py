@@ -269,14 +269,14 @@ def test_an_own_vehicle_that_is_not_seen_has_its_own_reason():
 # --- giving way -----------------------------------------------------------------------------------------------------
 
 
-def ways(sky):
-    return {name: look.way for name, look in sky.look().items()}
+def climbs(sky):
+    return {name: look.climb for name, look in sky.look().items()}
 
 
 def test_the_higher_one_climbs_and_the_other_one_sinks():
     sky = pair(NEAR_M - 0.1)
     sky.places["albatross"] = (0.4, 0.0, 1.2)
-    assert ways(sky) == {"fluffy_II": -1, "albatross": 1}
+    assert climbs(sky) == {"fluffy_II": -1, "albatross": 1}
 
 
 def test_at_equal_heights_the_order_of_the_fleet_decides():
@@ -284,9 +284,9 @@ def test_at_equal_heights_the_order_of_the_fleet_decides():
         upper = min(NAMES[:2], key=fleet.index)
         sky = pair(NEAR_M - 0.1, fleet=fleet)
         sky.places["albatross"] = (0.4, 0.0, 1.02)
-        assert ways(sky) == {name: 1 if name == upper else -1 for name in NAMES[:2]}
+        assert climbs(sky) == {name: 1 if name == upper else -1 for name in NAMES[:2]}
     sky = pair(NEAR_M - 0.1, fleet=())
-    assert ways(sky) == {"albatross": 1, "fluffy_II": -1}, "without a fleet that of the names"
+    assert climbs(sky) == {"albatross": 1, "fluffy_II": -1}, "without a fleet that of the names"
 
 
 def test_nobody_gives_way_while_holding_is_enough():
@@ -294,19 +294,19 @@ def test_nobody_gives_way_while_holding_is_enough():
     sky = pair(NEAR_M + LIMITS.separation_lookahead_s * 0.8 - 0.02)
     sky.velocities = {"fluffy_II": (0.4, 0.0, 0.0), "albatross": (-0.4, 0.0, 0.0)}
     looks = sky.look()
-    assert near(looks) == set(NAMES[:2]) and not any(look.way for look in looks.values())
+    assert near(looks) == set(NAMES[:2]) and not any(look.climb for look in looks.values())
     sky.velocities["albatross"] = (-0.8, 0.0, 0.0)
-    assert sky.look()["fluffy_II"].way != 0
+    assert sky.look()["fluffy_II"].climb != 0
 
 
 @pytest.mark.parametrize(("height_m", "upwards", "downwards"), [(1.0, 1, -1), (0.45, 1, 0), (2.7, 0, -1)])
 def test_there_is_room_to_give_way(height_m, upwards, downwards):
-    assert ways(pair(NEAR_M - 0.1, height_m)) == {"fluffy_II": upwards, "albatross": downwards}
+    assert climbs(pair(NEAR_M - 0.1, height_m)) == {"fluffy_II": upwards, "albatross": downwards}
 
 
 def test_the_nearest_of_several_decides():
     sky = Sky({"fluffy_II": (0.0, 0.0, 1.0), "albatross": (0.3, 0.0, 1.3), "Raven": (0.2, 0.0, 0.8)})
-    assert ways(sky) == {"fluffy_II": 1, "albatross": 1, "Raven": -1}
+    assert climbs(sky) == {"fluffy_II": 1, "albatross": 1, "Raven": -1}
 
 
 def test_one_that_is_straight_below_is_not_landed_on():

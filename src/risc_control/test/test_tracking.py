@@ -9,7 +9,7 @@ import pytest
 
 from risc_control.controllers import ControlLoop, differential_flatness, thesis_lqr
 from risc_control.controllers.differential_flatness import Params
-from risc_control.delay_prediction import NominalModel, discretised
+from risc_control.delay_prediction import discretised, loops
 from risc_control.trajectories import YawProgram, make_course
 from risc_control.vehicles import adapter_class
 from risc_lab.frames import GRAVITY_M_S2 as G
@@ -183,7 +183,7 @@ def test_integral_rests_while_the_command_is_cut():
 def test_weights_can_change_and_wrong_ones_change_nothing():
     controller = flatness([ARDRONE])
     before = update(flatness([ARDRONE]), states(), standing(x=0.1)).controls.theta[0]
-    with pytest.raises(ValueError, match="q_position must be >= 0"):
+    with pytest.raises(ValueError, match="q_position.*must be"):
         controller.set_params(Params(q_position=-1.0))
     with pytest.raises(ValueError, match="no weight in Q sees"):
         controller.set_params(Params(q_integral=0.0, q_position=0.0))
@@ -196,8 +196,8 @@ def test_weights_can_change_and_wrong_ones_change_nothing():
     ("make", "message"),
     [
         (lambda: Params(error_max_m=0.0), "error_max_m"),
-        (lambda: Params(r_yaw=0.0), "r_yaw must be > 0"),
-        (lambda: Params(q_yaw=math.nan), "q_yaw must be >= 0"),
+        (lambda: Params(r_yaw=0.0), "r_yaw.*must be"),
+        (lambda: Params(q_yaw=math.nan), "q_yaw.*must be"),
         (lambda: flatness([replace(ARDRONE, command_delay_s=3.0)]), "command_delay_s"),
         (lambda: ControlLoop("zeppelin", [ARDRONE]), "known are: differential_flatness, guidance, thesis_lqr"),
     ],
@@ -211,10 +211,8 @@ class NominalVehicles:
     """Exactly what the controller believes in: linear loops, thrust along the body, drag, a delay. No radio slots."""
 
     def __init__(self, n, position, psi):
-        self.model = NominalModel.of([ARDRONE] * n)
         self.units = adapter_class(ARDRONE).units(ARDRONE)
-        A, b = self.model.loops()
-        self._phi, self._gamma = discretised(A, b, DT_S)
+        self._phi, self._gamma = discretised(*loops(ARDRONE), DT_S)
         self.x = np.zeros((n, 4, 2))  # (phi, theta, height, psi) and their rates
         self.x[:, 2, 0], self.x[:, 3, 0] = position[:, 2], psi
         self.p = position[:, 0] - 1j * position[:, 1]
@@ -233,7 +231,7 @@ class NominalVehicles:
         climb = climb_at_command_m_s + ARDRONE.climb_time_constant_s * a_up
         lift = G + (climb - self.x[:, 2, 1]) / ARDRONE.climb_time_constant_s
         a = lift * (-np.tan(theta) + 1j * np.tan(phi) / np.cos(theta)) * np.exp(1j * psi)
-        a = a - self.model.drag_1_s * self.v
+        a = a - ARDRONE.drag_n_s_m / ARDRONE.mass_kg * self.v
         command = np.empty((len(self.p), 4))
         command[:, 0], command[:, 1] = (
             controls.phi * self.units.roll_rad,

@@ -16,11 +16,13 @@ from risc_control.vehicles import (
     climb_command,
     climb_loops,
 )
+from risc_lab.command_history import CommandHistory
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
 
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * G
+NOTHING = CommandHistory(1).vehicles[0]  # sent
 
 
 def converted(roll=0.0, pitch=0.0, yaw_rate=0.0, thrust=4.4, vehicle_type=ARDRONE, known=True):
@@ -65,7 +67,7 @@ def climb_rate(thrust_n, phi=0.0, theta=0.0, climb_m_s=0.0):
     """What an AR.Drone is asked for [m/s]; the command takes effect at once."""
     adapter = adapter_class(ARDRONE)(replace(ARDRONE, command_delay_s=0.0), 1e9)
     own = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, climb_m_s), phi, theta, 0.0)
-    return adapter.answer(Controls(0.1, 0.2, 0.3, thrust_n), own, 5.0, 5.0).up * ARDRONE.climb_max_m_s
+    return adapter.answer(Controls(0.1, 0.2, 0.3, thrust_n), own, 5.0, 5.0, NOTHING).up * ARDRONE.climb_max_m_s
 
 
 def test_thrust_becomes_a_climb_rate():
@@ -91,7 +93,7 @@ def test_the_command_inverts_the_climb_loop():
 def test_sticks_are_the_fractions_and_giving_way_is_in_radians():
     adapter = adapter_class(ARDRONE)(ARDRONE, 29.5)
     own = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
-    assert adapter.answer(Controls(0.1, 2.0, -0.3, HOVER_N), own, 5.0, 5.0) == (1.0, 0.1, 0.0, -0.3)
+    assert adapter.answer(Controls(0.1, 2.0, -0.3, HOVER_N), own, 5.0, 5.0, NOTHING) == (1.0, 0.1, 0.0, -0.3)
     half = 0.5 * ARDRONE.tilt_max_rad
     assert adapter.move(half, -half, 0.25, own) == pytest.approx((0.5, -0.5, 0.25, 0.0))
 

@@ -1,12 +1,10 @@
 """risc_control.vehicle_pilot: what the vehicle node decides, with a clock that the test turns."""
 
 import math
-import pathlib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 from scipy.integrate import solve_ivp
 
 from risc_control.failsafe import FailsafeLevel, Rule
@@ -15,18 +13,19 @@ from risc_control.separation import ALONE, Look
 from risc_control.vehicle_pilot import (
     OwnState,
     SlotClock,
+    VehicleNodeParams,
     VehiclePilot,
     choose_vehicle,
-    params_from_dict,
+    node_params,
 )
 from risc_control.vehicles import Controls, FlightState, Status
-from risc_control.vehicles.ardrone import ClimbPredictor, status
+from risc_control.vehicles.ardrone import climb_ahead, status
+from risc_lab.command_history import CommandHistory
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.lab.vehicle_types import load_vehicle_type
 
-CONFIG = pathlib.Path(__file__).parents[1] / "config" / "vehicle_node.yaml"
 ARDRONE = load_vehicle_type("ardrone")
 HOVER_N = ARDRONE.mass_kg * GRAVITY_M_S2
 LEVEL = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
@@ -40,8 +39,7 @@ class Desk:
     """
 
     def __init__(self, **params):
-        parsed, unknown = params_from_dict(dict({"joystick_timeout": 0.0}, **params))
-        assert unknown == []
+        parsed = VehicleNodeParams(**{"joystick_timeout": 0.0, **params})
         self.now_s = 500.0
         self.pilot = VehiclePilot(parsed, ARDRONE, self.now_s)
         self.flight_state = FlightState.LANDED
@@ -73,7 +71,7 @@ class Desk:
                 self.take(self.pilot.on_joy(*self._joy, self.now_s))
             if self._step % 3 == 0:
                 self.take(self.pilot.tick(self.now_s))
-        return [(t, *orders.command) for t, orders in self.orders[first:] if orders.command is not None]
+        return [(t, *orders.command[:2]) for t, orders in self.orders[first:] if orders.command is not None]
 
     def joy(self, *down, axes=(0.0,) * 8):
         """One joystick message with these buttons down."""
@@ -137,7 +135,7 @@ def test_a_simulator_needs_no_joystick():
 
 def test_without_navdata_the_button_lands():
     desk = Desk()
-    desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
+    desk.pilot = VehiclePilot(VehicleNodeParams(), ARDRONE, desk.now_s)
     orders = desk.press(TAKEOFF_LAND)
     assert (orders.takeoff, orders.land) == (False, True)
     assert "nothing was heard" in texts(orders)
@@ -376,7 +374,7 @@ def test_last_orders_are_level_and_land_and_nothing_follows():
     desk = Desk().fly(autonomous=True)
     orders = desk.pilot.on_shutdown(desk.now_s)
     assert orders.land
-    assert orders.command == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
+    assert orders.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
     assert desk.run(1.0) == [], "controls still arrive while the node ends"
     assert not desk.press(TAKEOFF_LAND).takeoff
     assert desk.press(EMERGENCY).reset
@@ -396,7 +394,7 @@ def test_starts_in_manual_mode_and_toggles():
 def test_autonomous_mode_is_refused_without_data(lost, text):
     """D-30: the button before the first Controls message ended the node."""
     desk = Desk()
-    desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
+    desk.pilot = VehiclePilot(VehicleNodeParams(), ARDRONE, desk.now_s)
     desk.alive.remove(lost)
     desk.fly()
     orders = desk.press(TOGGLE)
@@ -433,7 +431,7 @@ def test_autonomous_mode_in_a_state_of_no_name():
     desk.run(0.1)
     assert "state 12, not known" in texts(desk.press(TOGGLE))
     off = Desk(navdata_timeout_s=0.0)
-    off.pilot = VehiclePilot(params_from_dict({"navdata_timeout_s": 0.0})[0], ARDRONE, off.now_s)
+    off.pilot = VehiclePilot(VehicleNodeParams(navdata_timeout_s=0.0), ARDRONE, off.now_s)
     off.alive.remove("navdata")
     off.run(0.1)
     assert "no state yet" in texts(off.press(TOGGLE))
@@ -562,22 +560,24 @@ def test_a_command_that_is_no_number_is_ignored():
     assert desk.run(0.1)[0][1] == Sticks(0.0, 0.0, 0.0, 0.0), "and then it is a loss like any other"
 
 
-def test_climb_predictor_solves_the_climb_loop():
-    predictor = ClimbPredictor(0.3, 0.12)
+def test_climb_ahead_solves_the_climb_loop():
+    history = CommandHistory(1)
     commands = [(0.00, 0.5), (0.033, -0.3), (0.067, 0.8), (0.10, 0.1), (0.133, -1.0)]
     for time_s, command in commands:
-        predictor.sent(time_s, command)
+        history.append(0, time_s, np.array([0.0, 0.0, command, 0.0]))
 
     def in_force(t):
         return next((c for s, c in reversed(commands) if s + 0.12 <= t), 0.0)
 
     start_s, now_s = 0.145, 0.16
     expected = solve_ivp(lambda t, v: (in_force(t) - v) / 0.3, (start_s, now_s + 0.12), [0.2], max_step=1e-4).y[0, -1]
-    assert predictor.predict(0.2, start_s, now_s) == pytest.approx(expected, abs=1e-4)
+    found = climb_ahead(0.2, start_s, now_s + 0.12, history.vehicles[0], 0.12, 0.3)
+    assert found == pytest.approx(expected, abs=1e-4)
 
 
-def test_climb_predictor_without_commands_decays():
-    assert ClimbPredictor(0.3, 0.1).predict(0.6, 5.0, 5.0) == pytest.approx(0.6 * math.exp(-1.0 / 3.0))
+def test_climb_ahead_without_commands_decays():
+    nothing = CommandHistory(1).vehicles[0]
+    assert climb_ahead(0.6, 5.0, 5.1, nothing, 0.1, 0.3) == pytest.approx(0.6 * math.exp(-1.0 / 3.0))
 
 
 # --- loss ladder -----------------------------------------------------------------------------------------------------
@@ -665,7 +665,7 @@ def test_autonomous_mode_is_refused_to_a_vehicle_that_is_seen_lying_on_its_side(
 
 
 def test_level_only_hold():
-    desk = Desk(hold_auto_hover="false").fly(autonomous=True)
+    desk = Desk(hold_auto_hover=False).fly(autonomous=True)
     desk.alive.remove("state")
     desk.run(0.3)
     assert [orders.level_only for _, orders in desk.orders if orders.command is not None][-1] is True
@@ -676,24 +676,24 @@ def test_level_only_hold():
 
 
 @pytest.mark.parametrize("psi_deg", [0.0, 70.0, -130.0])
-@pytest.mark.parametrize("way", [1, -1, 0])
-def test_one_that_is_too_near_holds_brakes_and_gives_way(psi_deg, way):
+@pytest.mark.parametrize("climb", [1, -1, 0])
+def test_one_that_is_too_near_holds_brakes_and_moves_apart(psi_deg, climb):
     desk = Desk().fly(autonomous=True)
     psi_rad = math.radians(psi_deg)
     # 0.4 m/s along the nose, which points along (cos psi, -sin psi), and 0.2 to the left
     forward, left = np.array([math.cos(psi_rad), -math.sin(psi_rad)]), np.array([math.sin(psi_rad), math.cos(psi_rad)])
     desk.state = LEVEL._replace(velocity_m_s=(*(0.4 * forward + 0.2 * left), 0.0), psi_rad=psi_rad)
     desk.control = Controls(0.3, 0.3, 0.1, HOVER_N)
-    desk.look = Look(holds=True, reason="near", way=way)
+    desk.look = Look(holds=True, reason="near", climb=climb)
     desk.run(0.2)
     commands = [sticks for _, sticks, _ in desk.run(0.3)]
     assert len(commands) > 5
     for sticks in commands:
-        if way == 0:
+        if climb == 0:
             assert sticks == Sticks(0.0, 0.0, 0.0, 0.0), "its own hover"
         else:
             assert sticks.forward < -0.1 and sticks.left == pytest.approx(0.5 * sticks.forward)
-            assert (sticks.up, sticks.turn_left) == (0.3 * way, 0.0)
+            assert (sticks.up, sticks.turn_left) == (0.3 * climb, 0.0)
     desk.run(1.0)
     assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND and desk.count("land")
     assert desk.run(0.3)[-1][1] == Sticks(0.0, 0.0, 0.0, 0.0), "landing is the vehicle's own affair"
@@ -777,7 +777,7 @@ def test_a_request_lands_in_both_modes_until_it_stands(autonomous):
     assert request(desk) == (True, "landing (landing was requested)")
     asked = desk.orders[-1][1]
     assert asked.land and (asked.safety.level, asked.safety.rule) == (FailsafeLevel.LAND, Rule.REQUEST), "at once"
-    assert asked.command == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
+    assert asked.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
     sent = desk.run(1.0)
     assert desk.count("land", since) == pytest.approx(6, abs=1), "ordered again every 0.2 s"
     assert all(sticks == Sticks(0.0, 0.0, 0.0, 0.0) for _, sticks, _ in sent)
@@ -816,7 +816,7 @@ def test_a_request_during_the_take_off_lands():
 
 def test_a_request_to_a_silent_vehicle_is_ordered_and_called_unsure():
     desk = Desk()
-    desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
+    desk.pilot = VehiclePilot(VehicleNodeParams(), ARDRONE, desk.now_s)
     done, text = request(desk)
     assert (done, desk.orders[-1][1].land) == (False, True)
     assert "silent" in text
@@ -832,7 +832,7 @@ def test_a_request_to_a_silent_vehicle_is_ordered_and_called_unsure():
 def test_a_request_to_a_vehicle_whose_state_proves_nothing_is_ordered_and_called_unsure(state):
     """A node that was started anew during a flight may hear nothing else."""
     desk = Desk()
-    desk.pilot = VehiclePilot(params_from_dict({})[0], ARDRONE, desk.now_s)
+    desk.pilot = VehiclePilot(VehicleNodeParams(), ARDRONE, desk.now_s)
     desk.flight_state = state
     desk.run(0.5)
     assert not desk.pilot.airborne
@@ -854,7 +854,7 @@ def test_a_request_to_a_node_that_ends_orders_nothing():
 
 
 def test_simulation_sends_without_navdata_and_resets_the_simulator():
-    desk = Desk(Simulation="True")
+    desk = Desk(Simulation=True)
     desk.alive.remove("navdata")
     assert desk.run(0.5)
     assert desk.joy(TAKEOFF_LAND).simulator_reset is True
@@ -874,28 +874,16 @@ def test_simulation_reset_parameter_falls_back_when_the_button_is_released():
 # --- parameters and identity -----------------------------------------------------------------------------------------
 
 
-def test_config_file_holds_every_parameter_with_the_values_of_appendix_c():
-    values = yaml.safe_load(CONFIG.read_text())
-    params, unknown = params_from_dict(values)
-    assert unknown == []
-    default, _ = params_from_dict({})
-    known = set(vars(default.pilot)) | set(vars(default.joystick)) | set(vars(default.limits))
-    assert set(values) == known - {"fence_min_m", "fence_max_m"}, "the fence is the net of the fleet file"
-    assert (params.pilot, params.limits) == (default.pilot, default.limits), "the file only scales the sticks"
-    assert (params.joystick.JoytoWay, params.joystick.ButtonEmergency, params.joystick.TakeoffLand) == (0, 2, 6)
-    assert (params.joystick.ScaleRoll, params.joystick.ScalePitch, params.joystick.ScaleYaw) == (3, 3, 1)
-
-
 def test_the_fence_is_the_net_unless_it_is_set():
-    limits = params_from_dict({}, Arena(6.0, 5.0, 4.0))[0].limits
+    limits, _ = node_params({}, Arena(6.0, 5.0, 4.0))
     assert (limits.fence_min_m, limits.fence_max_m) == ((-6.0, -5.0, -1.0), (6.0, 5.0, 4.0))
-    limits = params_from_dict({"fence_max_m": [1.0, 2.0, 3.0]}, Arena(6.0, 5.0, 4.0))[0].limits
+    limits, _ = node_params({"fence_max_m": [1.0, 2.0, 3.0]}, Arena(6.0, 5.0, 4.0))
     assert (limits.fence_min_m, limits.fence_max_m) == ((-6.0, -5.0, -1.0), (1.0, 2.0, 3.0))
-    assert params_from_dict({})[0].limits == params_from_dict({}, Arena())[0].limits
+    assert node_params({}) == node_params({}, Arena()) == (VehicleNodeParams(), [])
 
 
 def test_unknown_and_bad_parameters():
-    assert params_from_dict({"JoyToWay": 3})[1] == ["JoyToWay"]
+    assert node_params({"JoyToWay": 3, "delay": 0.3})[1] == ["JoyToWay"]
     for name, value in (
         ("Simulation", "perhaps"),
         ("delay", 0),
@@ -908,7 +896,7 @@ def test_unknown_and_bad_parameters():
         ("takeoff_grace_s", "3"),
     ):
         with pytest.raises(ValueError, match=name):
-            params_from_dict({name: value})
+            node_params({name: value})
 
 
 def test_a_controller_with_other_full_scales_is_not_obeyed():

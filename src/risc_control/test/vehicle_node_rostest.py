@@ -21,19 +21,22 @@ from vehicle_world import (
     EMERGENCY,
     FLYING,
     HOVER_N,
+    JOY_TO_WAY,
     LANDED,
     MOST_HZ,
     PUBLISHED,
     SHUT_DOWN,
     TAKEOFF_LAND,
     World,
+    equal,
     is_flown,
     is_zero,
     same,
+    twist_of,
     wait_for,
 )
 
-from risc_control.ros.vehicle_node import VehicleNode
+from risc_control.ros.vehicle_node import SILENCE_S, VehicleNode
 from risc_maap_msgs.msg import Safety, VehicleNodeStatus
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
@@ -105,17 +108,52 @@ class VehicleNodeTest(unittest.TestCase):
             world.wait(vehicle, "cmd_vel", lambda m, wanted=(x, y, z, yaw): same(m, *wanted))
             wait_for(lambda v=vehicle: len(world.answers(v)) >= 90, "answers of %s" % vehicle)
             answers = world.answers(vehicle)
-            self.assertTrue(all(same(m.twist, x, y, m.twist.linear.z, yaw) for m in answers))
-            stamps = [m.header.stamp for m in answers]
+            self.assertTrue(all(same(t, x, y, t.linear.z, yaw) for t in map(twist_of, answers)))
+            stamps = [m.answers for m in answers]
             self.assertEqual([stamp for stamp in stamps if stamp not in world.sent], [], "stamps of no command")
             self.assertEqual(stamps, sorted(set(stamps)), "each answer is to a newer command")
             times = [t for t, _ in world.received[vehicle, "cmd_vel"]]
             self.assertLess(len(times) - 1, MOST_HZ * (times[-1] - times[0] + RECEIPT_JITTER_S), "commands too often")
-            # Manual commands, all zero here, may have come before recording began on one of the topics.
+            # What is told is what went out. Manual commands, all zero here, may have come before recording began on one
+            # of the topics.
             twists = [m for m in world.messages(vehicle, "cmd_vel") if not is_zero(m)]
-            stamped = [m.twist for m in world.messages(vehicle, "cmd_vel_stamped") if not is_zero(m.twist)]
-            self.assertTrue(all(one == other for one, other in zip(twists, stamped)))
+            told = [m for m in world.told[TEMPLATES[vehicle]] if not is_zero(twist_of(m))]
+            self.assertTrue(all(equal(one, twist_of(other)) for one, other in zip(twists, told)))
+            sent = [m.sent for m in told]
+            self.assertEqual(sent, sorted(set(sent)), "in the order of sending")
+            self.assertLess(max((m.sent - m.answers).to_sec() for m in answers), LIMIT_S["hold"])
         wait_for(lambda: rospy.get_param("/controller_status", None) is True, "the parameter controller_status")
+
+    def test_3_a_controller_with_other_full_scales_is_not_obeyed(self):
+        """Its vehicle refuses autonomous mode, the others fly; it is compared again after a silence, and obeyed."""
+        world, parameter = self.world, rospy.get_name() + "/full_scales"
+        controllers = rospy.get_param(parameter, {})
+        try:
+            rospy.set_param(parameter, {"fluffy_II": {"climb_max_m_s": 0.2}, "albatross": {"climb_max_m_s": 1.0}})
+            self.be_silent()
+            for vehicle in TEMPLATES:
+                world.flight_state[vehicle] = FLYING
+                world.wait_for_state(vehicle, FLYING)
+            world.forget()
+            for _ in range(3):
+                world.press("risc1", JOY_TO_WAY)
+                world.let_pass("risc1")
+            self.assertFalse(any(m.data for m in world.messages("risc1", "controller_status")))
+            world.press("risc2", JOY_TO_WAY)
+            world.wait("risc2", "controller_status", lambda m: m.data)
+            self.assertEqual(world.answers("risc1"), [])
+        finally:
+            rospy.set_param(parameter, controllers)
+        self.be_silent()
+        world.fly_by_controls()
+
+    def be_silent(self):
+        """So long that a controller that is heard again may be another one."""
+        self.world.running = False
+        wait_for(lambda: time.monotonic() - self.world.sent_s > 2.0 * SILENCE_S, "silence")
+        self.world.running = True
+        since_s = time.monotonic()
+        wait_for(lambda: self.world.sent_s > since_s, "states and controls again")
 
     def test_4_loss_of_states_holds_then_lands(self):
         world = self.world
@@ -175,6 +213,11 @@ class VehicleNodeTest(unittest.TestCase):
         wait_for(lambda: statuses, "controller_status")
         (vehicle,) = node._vehicles
         pilot, good = vehicle._pilot, vehicle._pilot.tick
+        node.controllers_s["/other"] = time.monotonic()
+        vehicle.compare({"climb_max_m_s": 0.2}, "/other")
+        self.assertIn("climb_max_m_s", pilot.disagreement)
+        node.controllers_s["/other"] -= 10.0
+        wait_for(lambda: not pilot.disagreement, "a controller that has gone is forgotten")
 
         def broken(_now_s):
             raise ZeroDivisionError("as if")

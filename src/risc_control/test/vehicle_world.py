@@ -5,12 +5,14 @@ import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import Twist
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty
 
 from ardrone_autonomy.msg import Navdata
-from risc_maap_msgs.msg import Safety
+from risc_control.vehicles import adapter_class
+from risc_lab.lab.vehicle_types import load_vehicle_type
+from risc_maap_msgs.msg import CommandsSent, Safety
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
 JOY_TO_WAY, EMERGENCY, SHUT_DOWN, TAKEOFF_LAND = 0, 2, 7, 6
@@ -18,10 +20,10 @@ LANDED, FLYING = 2, 3
 HOVER_N = 0.45 * 9.80665
 MOST_HZ = 31.0  # commands: 30 Hz is command_rate_hz
 TIMEOUT_S = 60.0
+ARDRONE = load_vehicle_type("ardrone")
 STRAY_M_S = 0.5  # of a reference that leaves its vehicle, up to 1 m
 PUBLISHED = {
     "cmd_vel": Twist,
-    "cmd_vel_stamped": TwistStamped,
     "ardrone/takeoff": Empty,
     "ardrone/land": Empty,
     "ardrone/reset": Empty,
@@ -64,8 +66,12 @@ class World:
         self.sent_s = 0.0  # [s] monotonic, of the newest ones
         self._ended = False
         self.received = {(v, t): [] for v in self.templates for t in PUBLISHED}  # [(monotonic time, message)]
+        self.told = {template: [] for template in self.templates.values()}  # CommandSent, as they came
         self._reports = {}  # template: {key: value} of its node's diagnostics
-        self._subscribers = [rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)]
+        self._subscribers = [
+            rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics),
+            rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands_sent),
+        ]
         for vehicle in self.templates:
             for topic, kind in PUBLISHED.items():
                 key = (vehicle, topic)
@@ -116,6 +122,10 @@ class World:
             step += 1
             rate.sleep()
 
+    def _on_commands_sent(self, message):
+        for command in message.commands:
+            self.told[command.name].append(command)
+
     def _on_diagnostics(self, message):
         for status in message.status:
             values = {item.key: item.value for item in status.values}
@@ -143,12 +153,12 @@ class World:
         return [message for _, message in self.received[vehicle, topic]]
 
     def forget(self):
-        for received in self.received.values():
+        for received in (*self.received.values(), *self.told.values()):
             del received[:]
 
     def answers(self, vehicle):
-        """Stamped commands that answer /controls; the node's own ones, manual or held, have no stamp."""
-        return [m for m in self.messages(vehicle, "cmd_vel_stamped") if not m.header.stamp.is_zero()]
+        """What it was told to be sent that answers /controls; what is manual or held answers nothing."""
+        return [command for command in self.told[self.templates[vehicle]] if not command.answers.is_zero()]
 
     def wait(self, vehicle, topic, fits=lambda message: True):
         wait_for(lambda: any(map(fits, self.messages(vehicle, topic))), "%s of %s" % (topic, vehicle))
@@ -195,6 +205,28 @@ class World:
 def same(twist, x, y, z, yaw):
     wanted, found = (x, y, z, yaw), (twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z)
     return all(abs(a - b) < 0.01 for a, b in zip(wanted, found))
+
+
+def twist_of(command):
+    """cmd_vel of a CommandSent."""
+    twist, unit = Twist(), adapter_class(ARDRONE).units(ARDRONE)
+    twist.linear.x, twist.linear.y = command.pitch_rad / unit.pitch_rad, command.roll_rad / unit.roll_rad
+    twist.linear.z = command.climb / ARDRONE.climb_max_m_s
+    twist.angular.z = command.yaw_rate_rad_s / unit.yaw_rate_rad_s
+    return twist
+
+
+def equal(one, other):
+    """Whether two Twists are the same command."""
+    return all(
+        abs(a - b) < 1e-9
+        for a, b in (
+            (one.linear.x, other.linear.x),
+            (one.linear.y, other.linear.y),
+            (one.linear.z, other.linear.z),
+            (one.angular.z, other.angular.z),
+        )
+    )
 
 
 def is_zero(twist):

@@ -22,6 +22,7 @@ import yaml
 
 from ardrone_autonomy.protocol.navdata import State
 from cortex_ros.wire import BodyDef
+from risc_control.failsafe import SafetyLimits
 from risc_doctor import (
     axes,
     clock_agreement,
@@ -41,11 +42,12 @@ from risc_doctor import ros_environment as ros
 from risc_doctor.checks import CHECKS, run
 from risc_doctor.clock_agreement import judge as judge_clock
 from risc_doctor.clock_agreement import parse_tracking
-from risc_doctor.findings import GREEN, RED, YELLOW, green, worst
+from risc_doctor.findings import GREEN, RED, YELLOW, Finding, worst
 from risc_doctor.interfaces import Interface, is_own, read_interfaces, source_towards
 from risc_doctor.ros_master import MasterError, NobodyThereError, call
 from risc_doctor.situation import Situation
 from risc_lab.lab import fleet_from_dict, load_fleet, load_templates
+from risc_lab.ros.launching import argument_of
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 LAB = yaml.safe_load((ROOT / "launch" / "fleets" / "lab3.yaml").read_text())
@@ -213,7 +215,7 @@ def test_processes_are_called_what_people_call_them():
     }
     for words, name in names.items():
         assert socket_owners.Process(7, words).describe() == "%s (pid 7)" % name
-    assert socket_owners.argument(("a", "__name:=b"), "__name") == "b"
+    assert argument_of(("a", "__name:=b"), "__name") == "b"
 
 
 def test_what_cortex_sends_to_this_computer_alone_stays_with_the_program_that_flies_by_it():
@@ -386,7 +388,7 @@ def test_ages_of_stamps():
 
 
 def test_batteries_by_the_limit_of_the_loss_ladder():
-    limit_pct = vehicles.landing_limit_pct()
+    limit_pct = SafetyLimits.battery_min_pct
     assert 0.0 < limit_pct < vehicles.NEARLY_EMPTY_PCT
 
     def level(pct, state=0):
@@ -432,7 +434,7 @@ def test_an_address_that_several_vehicles_have_is_none_of_them_by_name():
 
 def test_joysticks(monkeypatch, tmp_path):
     needed = joystick.needed_indices()
-    assert needed == (10, 7), "vehicle_node.yaml"
+    assert needed == (10, 7), "the game pad of Appendix C"
     assert joystick.judge("js0", "Pad", 11, 8, needed).level == GREEN
     short = joystick.judge("js0", "Pad", 10, 8, needed)
     assert short.level == RED and "button 10" in short.text
@@ -566,9 +568,9 @@ def test_a_check_that_breaks_does_not_break_the_others():
     def broken(situation):
         raise KeyError("no such thing")
 
-    checks = {"a": ("", lambda situation: [green("a", "well")]), "b": ("", broken)}
-    findings = run(None, ["b", "a"], checks)
-    assert [(f.check, f.level) for f in findings] == [("b", RED), ("a", GREEN)]
+    checks = {"a": ("", lambda situation: [Finding("a", GREEN, "well")]), "ros": ("", broken)}
+    findings = run(None, ["ros", "a"], checks)
+    assert [(f.check, f.level) for f in findings] == [("ros", RED), ("a", GREEN)]
     assert "KeyError: 'no such thing'" in findings[0].text and "test_doctor.py" in findings[0].text
 
 

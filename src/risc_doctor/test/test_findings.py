@@ -1,29 +1,35 @@
 """Findings of checks: levels, JSON and back, the table for people."""
 
+import ast
 import io
 import json
+import pathlib
+import string
 
 import pytest
 
 from risc_doctor.findings import (
     GREEN,
+    LEVELS,
     RED,
     YELLOW,
     Finding,
+    catalogue,
     count_text,
     exit_code,
-    green,
     print_findings,
-    red,
     table,
     worst,
-    yellow,
 )
 
+SOURCES = sorted((pathlib.Path(__file__).resolve().parents[1] / "src").rglob("*.py"))
+
 MIXED = [
-    green("network", "eth0 has 10.0.0.1/24"),
-    yellow("clock", "nothing keeps this clock right", "sudo apt-get install chrony", offset_s=float("nan")),
-    red("cortex", "129.123.5.10 does not answer on port 1510", "switch the Cortex computer on"),
+    Finding("network", GREEN, "eth0 has 10.0.0.1/24"),
+    Finding(
+        "clock", YELLOW, "nothing keeps this clock right", "sudo apt-get install chrony", {"offset_s": float("nan")}
+    ),
+    Finding("cortex", RED, "129.123.5.10 does not answer on port 1510", "switch the Cortex computer on"),
 ]
 
 
@@ -69,7 +75,7 @@ def test_the_table_is_aligned_with_the_cure_below():
 
 def test_long_texts_are_wrapped_into_their_column_and_commands_stay_whole():
     address = "http://" + 60 * "a"
-    lines = table([red("x", 20 * "word ", "see " + address)], width=60)
+    lines = table([Finding("x", RED, 20 * "word ", "see " + address)], width=60)
     assert all(len(line) <= 60 for line in lines if address not in line)
     assert sum(address in line for line in lines) == 1
     assert all(line.startswith(" " * len("yellow  x  ")) for line in lines[1:])
@@ -85,3 +91,37 @@ def test_only_a_terminal_gets_colours():
     print_findings(MIXED, coloured)
     assert "\033" not in plain.getvalue() and plain.getvalue().splitlines() == table(MIXED)
     assert coloured.getvalue().count("\033[0m") == len(MIXED)
+
+
+def fields(entry):
+    return {name for text in entry.values() for _, name, _, _ in string.Formatter().parse(text) if name}
+
+
+def calls():
+    """(place, codes, names of values or None where they are not written out) of all that the doctor says."""
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
+            if name in ("say", "finding"):
+                code = node.args[name == "finding"]
+                codes = {part.value for part in ast.walk(code) if isinstance(part, ast.Constant)}
+                names = [keyword.arg for keyword in node.keywords]
+                yield "%s:%d" % (path.name, node.lineno), codes, None if None in names else set(names)
+
+
+def test_what_is_said_is_in_the_catalogue_and_has_its_values():
+    entries = {code: entry for codes in catalogue().values() for code, entry in codes.items()}
+    for place, codes, names in calls():
+        for code in codes & set(entries) if names is not None else ():
+            mine = [codes[code] for codes in catalogue().values() if code in codes]
+            assert any(fields(entry) <= names for entry in mine), (place, code)
+    texts = {
+        part.value
+        for path in SOURCES
+        for part in ast.walk(ast.parse(path.read_text()))
+        if isinstance(part, ast.Constant)
+    }
+    assert [code for code in entries if code not in texts] == [], "nobody says these"
+    for entry in entries.values():
+        (level,) = set(entry) & set(LEVELS)
+        assert set(entry) <= {level, "cure", "data"} and (level == GREEN or entry["cure"])

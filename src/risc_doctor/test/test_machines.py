@@ -298,7 +298,7 @@ def test_every_fault_is_named_with_its_cure(tmp_path):
             "yellow env-loader", "roslaunch waits 0.01 s",
             "red workspace another workspace there", "launch/strange.launch",
             "nothing flows from wrong to here: nodes there say that they are at 255.255.255.255", "a wrong ROS_IP",
-            "red clock", "ms ahead of this computer's", "loss ladder", "green disk",
+            "red clock", "ms ahead of this computer's", "the failsafe takes states older", "green disk",
         ],
         "stubborn": [
             "green workspace", "red topics its env-loader sets ROS_MASTER_URI to http://127.0.0.1:9",
@@ -412,7 +412,7 @@ def test_setup_changes_what_is_missing_and_nothing_twice(tmp_path):
         old = "# of the person\ngithub.invalid %s" % server.host_keys["ecdsa"]  # without a line end
         server.known_hosts.write_text(old)
         code, printed = server.maap("setup", file)
-        assert code == 1 and "nobody said that these are its keys" in flat(printed)
+        assert code == 1 and "you have not confirmed that these are its keys" in flat(printed)
         assert server.known_hosts.read_text() == old
         expected = run("ssh-keygen", "-lf", str(tmp_path / "server" / "host_ed25519.pub")).split()[1]
         assert expected in printed

@@ -29,8 +29,10 @@ def test_a_flight_is_written_down_and_read_again(tmp_path):
     write_flight(args, load_fleet(FLEET), ROOT, tmp_path)
     parameters = {"rosversion": "1.15.15\n", "rosdistro": "Debian\n", "controller": {"q_yaw": 4.0}}
     write_parameters(parameters, tmp_path)
+    (tmp_path / "fleet.yaml").write_text(yaml.safe_dump(load_fleet(FLEET).to_dict()))
     origin = read_beside(tmp_path / "flight.bag")
     flight = origin.flight
+    assert origin.command_delays_s() == dict.fromkeys(("fluffy_II", "albatross", "Raven"), 0.3)
     assert (flight["experiment"], flight["seed"], flight["fleet"]) == ("circles3", 7, "ardrones3")
     assert flight["vehicles"] == ["risc1", "risc2", "risc3"]
     assert flight["arguments"]["delay"] == 0.3 and flight["arguments"]["fleet"] == str(FLEET)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The course's plots, live, or from the bag that is its argument. See data_extraction.segments."""
+"""The course's plots, live, or from the bag that is its argument. See data_extraction.course_plots."""
 
 import contextlib
 import math
@@ -13,9 +13,9 @@ import rospy
 from sensor_msgs.msg import Joy
 from std_srvs.srv import Trigger, TriggerResponse
 
-from data_extraction import segments_of_bag
-from data_extraction.segment_pages import PageWriter
-from data_extraction.segments import PLOT_BUTTON, PlotParams, Recorder
+from data_extraction import course_plots
+from data_extraction.recording import REFERENCES, STATES
+from data_extraction.segments import COMMANDS, OPERATOR, PHASES, PLOT_BUTTON, PlotParams, Recorder
 from risc_control.joystick import ButtonPresses
 from risc_control.ros.joystick_buttons import origin
 from risc_lab.ros.paced_subscriber import PacedSubscriber
@@ -24,7 +24,7 @@ from risc_maap_msgs.msg import OperatorState, TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, Trajectories
 from risc_visual.ros.health import Health
 
-_LOOK_S = 0.2  # how often the main thread looks whether there is something to draw, or an end
+_LOOK_S = 1.0  # how often the main thread looks whether there is something to draw, or an end
 
 
 class DFPlots:
@@ -44,7 +44,7 @@ class DFPlots:
         self._lock = threading.Lock()  # of the recorder
         self._folder = pathlib.Path(params.folder or time.strftime("df_plots_%Y%m%d-%H%M%S")).expanduser().absolute()
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._writer = PageWriter(self._folder, params.pdf)
+        self._writer = course_plots.PageWriter(self._folder, params.pdf)
         self._drawing = threading.Lock()  # of the writer
         self._wanted = threading.Event()
         self._health = Health("DF_Plots", ("/cortex_raw", "/trajectory", "/controls"), done="logged")
@@ -54,17 +54,10 @@ class DFPlots:
             # Of any age: plots move nothing, and a bag that is played is old.
             presses = ButtonPresses((params.plot_button,), math.inf)
             rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10, tcp_nodelay=True)
-        for topic, kind, take in (
-            ("/trajectory_phase", TrajectoryPhases, self._recorder.phases),
-            ("/operator/phase", OperatorState, self._recorder.operator),
-        ):
-            rospy.Subscriber(topic, kind, self._on_phase, take, queue_size=10, tcp_nodelay=True)
-        for topic, kind, take in (
-            ("/trajectory", Trajectories, self._recorder.references),
-            ("/controls", Controls, self._recorder.commands),
-            ("/cortex_raw", Cortex, self._recorder.states),
-        ):
-            PacedSubscriber(topic, kind, self._on_message, params.rate_hz, (topic, take))
+        for topic, kind in ((PHASES, TrajectoryPhases), (OPERATOR, OperatorState)):
+            rospy.Subscriber(topic, kind, self._on_message, topic, queue_size=10, tcp_nodelay=True)
+        for topic, kind in ((REFERENCES, Trajectories), (COMMANDS, Controls), (STATES, Cortex)):
+            PacedSubscriber(topic, kind, self._on_message, params.rate_hz, (topic,))
         rospy.loginfo("plots go to %s: those of the course under way on button %d", self._folder, params.plot_button)
 
     def run(self):
@@ -75,7 +68,7 @@ class DFPlots:
             if asked:
                 self._wanted.clear()
             with self._lock:
-                ended = self._recorder.ended
+                ended = self._recorder.ended()
             if asked or ended > drawn:
                 self._plot(growing=asked)
                 drawn = ended
@@ -85,14 +78,12 @@ class DFPlots:
         with contextlib.suppress(OSError):
             self._folder.rmdir()  # nothing but an empty folder lets itself be removed
 
-    def _on_message(self, message, topic, take):
+    def _on_message(self, message, topic):
+        is_phase = topic in (PHASES, OPERATOR)
         with self._lock:
-            take(rospy.get_time(), message.header.stamp.to_sec(), message.Obj)
-        self._health.drawn(topic)
-
-    def _on_phase(self, message, take):
-        with self._lock:
-            take(rospy.get_time(), message)
+            self._recorder.add(topic, rospy.get_time(), message, None if is_phase else message.header.stamp.to_sec())
+        if not is_phase:
+            self._health.drawn(topic)
 
     def _on_joy(self, message, presses):
         if presses.update(message.buttons, sender=origin(message)[1]).in_time:
@@ -119,7 +110,7 @@ class DFPlots:
 def main():
     arguments = rospy.myargv()[1:]
     if arguments:
-        return segments_of_bag.main(arguments)
+        return course_plots.main(arguments)
     rospy.init_node("DF_Plots")
     try:
         DFPlots().run()

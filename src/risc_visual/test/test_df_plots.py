@@ -10,24 +10,25 @@ import numpy as np
 import pytest
 import rosbag
 import rospy
-import yaml
 from programs import run_program
 
 from data_extraction.bags import BagError
-from data_extraction.segment_pages import PageWriter, file_stem, page, path_limits_m
+from data_extraction.course_plots import PageWriter, file_stem, plot_bag
+from data_extraction.plots import course_limits_m, course_page
+from data_extraction.recording import REFERENCES, STATES
 from data_extraction.segments import (
     COLUMNS,
+    COMMANDS,
     DESIRED_POSITION,
+    OPERATOR,
+    PHASES,
     POSITION,
     PlotParams,
     Recorder,
     full_scales_deg,
 )
-from data_extraction.segments_of_bag import plot_bag
 from risc_lab.lab import load_fleet
-from risc_lab.lab.yaml_reader import package_file
 from risc_lab.phases import OperatorPhase, TrajectoryPhase
-from risc_lab.ros.params import params_from_dict
 from risc_maap_msgs.msg import OperatorState, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
@@ -63,9 +64,11 @@ def fly(recorder, begin_s, end_s, name="fluffy_II", course=None, stamped=True, s
         stamp_s = T0_S + t_s
         if k % 2 == 0:
             entries = [reference(course or name, t_s)]
-            recorder.references(stamp_s + 0.001, stamp_s if stamped else 0.0, entries)
-        recorder.states(stamp_s + 0.004, stamp_s, [see(name, t_s)])
-        recorder.commands(stamp_s + 0.006, stamp_s, [Control(name=name, phi=0.25, theta=-0.5, T=4.4)])
+            recorder.add(REFERENCES, stamp_s + 0.001, Trajectories(Obj=entries), stamp_s if stamped else 0.0)
+        recorder.add(STATES, stamp_s + 0.004, Cortex(Obj=[see(name, t_s)]), stamp_s)
+        recorder.add(
+            COMMANDS, stamp_s + 0.006, Controls(Obj=[Control(name=name, phi=0.25, theta=-0.5, T=4.4)]), stamp_s
+        )
 
 
 def column(segment, name):
@@ -114,17 +117,17 @@ def told(course, phase):
 
 def test_a_segment_for_each_course_and_phase():
     recorder = Recorder(PlotParams())
-    recorder.operator(T0_S, OperatorState(phase=OperatorPhase.FLY))
+    recorder.add(OPERATOR, T0_S, OperatorState(phase=OperatorPhase.FLY))
     hold, approach, course, home, _ = TrajectoryPhase
     for begin_s, name, phase in ((0.0, "origin", hold), (3.0, "slanted8", approach), (6.0, "slanted8", course)):
-        recorder.phases(T0_S + begin_s, told(name, phase))
+        recorder.add(PHASES, T0_S + begin_s, told(name, phase))
         fly(recorder, begin_s, begin_s + 3.0)
     fly(recorder, 9.0, 9.5)
-    recorder.phases(T0_S + 9.5, told("slanted8", home))
+    recorder.add(PHASES, T0_S + 9.5, told("slanted8", home))
     fly(recorder, 9.5, 10.0)  # too short for a page
-    assert (recorder.ended, [s.label for s in recorder.segments(growing=False)]) == (2, ["slanted8 approach"])
+    assert (recorder.ended(), [s.label for s in recorder.segments(growing=False)]) == (2, ["slanted8 approach"])
     recorder.finish()
-    assert recorder.ended == 3
+    assert recorder.ended() == 3
     found = [(s.label, round(s.start_s - T0_S, 1), round(s.duration_s, 1)) for s in recorder.segments()]
     assert found == [("slanted8 approach", 3.0, 3.0), ("slanted8", 6.0, 3.5)]
 
@@ -133,7 +136,7 @@ def test_the_operator_counts_where_no_trajectory_node_speaks():
     recorder = Recorder(PlotParams())
     takeoff, fly_ = OperatorPhase.TAKEOFF, OperatorPhase.FLY
     for begin_s, phase, text in ((0.0, takeoff, ""), (2.0, fly_, ""), (4.0, fly_, "figure 2")):
-        recorder.operator(T0_S + begin_s, OperatorState(phase=phase, text=text))
+        recorder.add(OPERATOR, T0_S + begin_s, OperatorState(phase=phase, text=text))
         fly(recorder, begin_s, begin_s + 2.0)
     recorder.finish()
     assert [s.label for s in recorder.segments()] == ["takeoff", "fly"]
@@ -160,12 +163,12 @@ def test_several_vehicles_of_the_original_go_by_their_place():
     for k in range(300):
         t_s = 0.01 * k
         stamp_s = T0_S + t_s
-        recorder.states(stamp_s, stamp_s, [state("fluffy_II", t_s), state("Raven", t_s, x=9.0)])
+        recorder.add(STATES, stamp_s, Cortex(Obj=[state("fluffy_II", t_s), state("Raven", t_s, x=9.0)]), stamp_s)
         entries = [reference("Circle", t_s), reference("Circle", t_s)]
         entries[1].x = 8.0
-        recorder.references(stamp_s, 0.0, entries)
+        recorder.add(REFERENCES, stamp_s, Trajectories(Obj=entries), 0.0)
         commands = [Control(name="fluffy_II", phi=0.1), Control(name="fluffy_II", phi=0.2)]  # D-26
-        recorder.commands(stamp_s, stamp_s, commands)
+        recorder.add(COMMANDS, stamp_s, Controls(Obj=commands), stamp_s)
     recorder.finish()
     (segment,) = recorder.segments()
     assert recorder.vehicles == ("fluffy_II", "Raven") and segment.vehicle == "Raven" and segment.label == "Circle"
@@ -187,8 +190,8 @@ def test_yaw_is_interpolated_over_the_seam():
     for k in range(21):
         stamp_s = T0_S + 0.1 * k
         psi_rad = math.radians(178.0) if k % 2 == 0 else math.radians(-178.0)
-        recorder.references(stamp_s, stamp_s, [reference("fluffy_II", 0.1 * k, psi_rad)])
-        recorder.states(stamp_s, stamp_s + 0.05, [state("fluffy_II", 0.1 * k + 0.05)])
+        recorder.add(REFERENCES, stamp_s, Trajectories(Obj=[reference("fluffy_II", 0.1 * k, psi_rad)]), stamp_s)
+        recorder.add(STATES, stamp_s, Cortex(Obj=[state("fluffy_II", 0.1 * k + 0.05)]), stamp_s + 0.05)
     recorder.finish()
     (segment,) = recorder.segments()
     assert np.abs(column(segment, "psi_desired_deg")) == pytest.approx(180.0, abs=1e-3)
@@ -196,16 +199,16 @@ def test_yaw_is_interpolated_over_the_seam():
 
 def test_what_is_not_known_is_not_invented():
     recorder = Recorder(PlotParams())
-    recorder.states(T0_S, T0_S, [state("fluffy_II", 0.0)])
-    recorder.references(T0_S + 0.5, T0_S + 0.5, [reference("fluffy_II", 0.5)])
+    recorder.add(STATES, T0_S, Cortex(Obj=[state("fluffy_II", 0.0)]), T0_S)
+    recorder.add(REFERENCES, T0_S + 0.5, Trajectories(Obj=[reference("fluffy_II", 0.5)]), T0_S + 0.5)
     fly(recorder, 1.0, 2.0)
     fly(recorder, 2.0, 3.0, see=lambda name, t_s: state(name, t_s, visible=False))
     fly(recorder, 3.0, 4.0, see=lambda name, t_s: state(name, t_s, x=math.nan))
     fly(recorder, 4.0, 6.0)
     for k in range(200):  # no commands for 2 s
         stamp_s = T0_S + 6.0 + 0.01 * k
-        recorder.references(stamp_s, stamp_s, [reference("fluffy_II", 6.0 + 0.01 * k)])
-        recorder.states(stamp_s, stamp_s, [state("fluffy_II", 6.0 + 0.01 * k)])
+        recorder.add(REFERENCES, stamp_s, Trajectories(Obj=[reference("fluffy_II", 6.0 + 0.01 * k)]), stamp_s)
+        recorder.add(STATES, stamp_s, Cortex(Obj=[state("fluffy_II", 6.0 + 0.01 * k)]), stamp_s)
     recorder.finish()
     (segment,) = recorder.segments()
     t_s = column(segment, "time_s") - T0_S
@@ -225,7 +228,7 @@ def test_a_bag_that_is_played_again_begins_anew():
 
 
 def test_a_long_flight_is_cut_and_old_segments_are_forgotten():
-    recorder = Recorder(PlotParams(rate_hz=100.0, max_s=2.0, keep_s=5.0))
+    recorder = Recorder(PlotParams(rate_hz=100.0, max_s=2.0, keep_s=3.0))
     fly(recorder, 0.0, 20.0)
     recorder.finish()
     segments = recorder.segments()
@@ -233,11 +236,7 @@ def test_a_long_flight_is_cut_and_old_segments_are_forgotten():
     assert all(s.duration_s == pytest.approx(2.0, abs=0.05) for s in segments)
 
 
-def test_parameters():
-    values = yaml.safe_load(package_file("risc_visual", "config/DF_Plots.yaml").read_text())
-    (params,), unknown = params_from_dict([PlotParams], values)
-    assert (params, unknown) == (PlotParams(), [])
-    assert set(values) == set(PlotParams.__dataclass_fields__)
+def test_parameters_that_make_no_sense_are_refused():
     for key, wrong in (("rate_hz", 0.0), ("min_s", 0.5), ("min_s", 700.0), ("euler_angle_max", 20.0)):
         with pytest.raises(ValueError, match="'%s'" % key):
             PlotParams(**{key: wrong})
@@ -249,7 +248,7 @@ def test_parameters():
 @pytest.fixture(scope="module")
 def segment():
     recorder = Recorder(PlotParams())
-    recorder.phases(T0_S, told("", TrajectoryPhase.COURSE))
+    recorder.add(PHASES, T0_S, told("", TrajectoryPhase.COURSE))
     fly(recorder, 0.0, 3.0)
     fly(recorder, 4.0, 6.0)
     recorder.finish()
@@ -267,7 +266,7 @@ def drawn(axes):
 
 
 def test_the_page_shows_what_is_in_the_table(segment):
-    figure = page(segment)
+    figure = course_page(segment)
     space, roll, pitch, position, velocity = figure.axes
     assert [axes.get_ylabel().split()[0] for axes in figure.axes] == ["y", "roll", "pitch", "position", "velocity"]
     assert (space.get_xlim(), space.get_ylim(), space.get_zlim()) == ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))
@@ -291,8 +290,8 @@ def test_the_page_shows_what_is_in_the_table(segment):
 
 
 def test_limits_give_way_to_a_flight_that_leaves_them():
-    assert path_limits_m(np.zeros((2, 3))) == ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))
-    wide = path_limits_m(np.array([[-3.0, 0.0, 0.5], [1.0, 2.5, 2.4]]))
+    assert course_limits_m(np.zeros((2, 3))) == ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))
+    wide = course_limits_m(np.array([[-3.0, 0.0, 0.5], [1.0, 2.5, 2.4]]))
     assert np.ravel(wide) == pytest.approx([-3.1, 2.0, -2.0, 2.6, 0.0, 2.5])
 
 
@@ -360,7 +359,7 @@ def test_pages_from_a_bag_of_the_original(tmp_path):
     segments, files = plot_bag(bag, tmp_path / "out", PlotParams())
     assert [s.label for s in segments] == ["Origin", "Flat Figure Eight"]
     assert {f.suffix for f in files} == {".csv", ".png", ".pdf"}
-    assert column(segments[0], "phi_desired_deg") == pytest.approx(-10.0, abs=1e-3)
+    assert column(segments[0], "phi_desired_deg")[1:] == pytest.approx(-10.0, abs=1e-3), "none before the first"
 
 
 def test_a_bag_without_a_flight_is_said(tmp_path):

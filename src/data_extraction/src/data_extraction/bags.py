@@ -22,6 +22,9 @@ class Bag:
     """A ROS 1 bag, opened for reading. Use as a context manager.
 
     The message definitions come from the bag itself, so bags of other versions and of other packages can be read too.
+
+    topics: {topic: number of messages}.  types: {topic: message type, as sensor_msgs/msg/Image; None = several}.
+    start_s: time of receipt [s] of the first message, 0 for an empty bag.  duration_s: from the first to the last [s].
     """
 
     def __init__(self, path):
@@ -42,31 +45,16 @@ class Bag:
                 "%s is not a complete ROS 1 bag (%s): if its recorder was killed, run `rosbag reindex` on it"
                 % (self.path, error)
             ) from error
+        topics = self._reader.topics
+        self.topics = {name: info.msgcount for name, info in topics.items()}
+        self.types = {name: info.msgtype for name, info in topics.items()}
+        self.start_s = 1e-9 * self._reader.start_time if topics else 0.0
+        self.duration_s = 1e-9 * self._reader.duration
         return self
 
     def __exit__(self, *exception):
         with contextlib.suppress(AnyReaderError):
             self._reader.close()
-
-    @property
-    def topics(self):
-        """{topic: number of messages} of the bag."""
-        return {name: info.msgcount for name, info in self._reader.topics.items()}
-
-    @property
-    def types(self):
-        """{topic: message type, as sensor_msgs/msg/Image} of the bag."""
-        return {name: info.msgtype for name, info in self._reader.topics.items()}
-
-    @property
-    def start_s(self):
-        """Time of receipt [s] of the first message; 0 for an empty bag."""
-        return 1e-9 * self._reader.start_time if self.topics else 0.0
-
-    @property
-    def duration_s(self):
-        """Time from the first to the last message [s]."""
-        return 1e-9 * self._reader.duration
 
     def messages(self, topics=None):
         """Iterate over (topic, time of receipt [s], message) in the order of receipt.
@@ -75,14 +63,9 @@ class Bag:
         """
         connections = self._reader.connections
         if topics is not None:
-            wanted = set(topics)
-            missing = wanted - set(self._reader.topics)
-            if missing:
-                raise BagError(
-                    "%s has no topic %s; it has %s"
-                    % (self.path, ", ".join(sorted(missing)), ", ".join(sorted(self._reader.topics)) or "none")
-                )
-            connections = [connection for connection in connections if connection.topic in wanted]
+            topics = set(topics)
+            self.require(topics)
+            connections = [connection for connection in connections if connection.topic in topics]
             if not connections:
                 return
         try:
@@ -92,6 +75,17 @@ class Bag:
             raise
         except (ReaderError, OSError, RuntimeError, ValueError, EOFError) as error:  # all but the first: decompression
             raise BagError("%s is damaged (%s): run `rosbag reindex` on it" % (self.path, error)) from error
+
+    def require(self, topics):
+        """Raises BagError for topics that the bag does not have."""
+        missing = sorted(set(topics) - set(self.topics))
+        if missing:
+            raise BagError("%s has no topic %s; %s" % (self.path, ", ".join(missing), self.contents))
+
+    @property
+    def contents(self):
+        """What the bag has, for messages to people."""
+        return "it has " + (", ".join(sorted(self.topics)) or "no message")
 
     def _message(self, connection, raw):
         try:

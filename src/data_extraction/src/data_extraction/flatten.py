@@ -30,6 +30,11 @@ def seconds(time):
     return time.sec + 1e-9 * time.nanosec
 
 
+def stamp_or_receipt_s(message, receipt_s):
+    """Stamp [s] of a message; its receipt when nobody stamped it, as in the original release."""
+    return seconds(message.header.stamp) or receipt_s
+
+
 def _add_fields(row, prefix, message):
     for field in dataclasses.fields(message):
         if not _is_constant(field):

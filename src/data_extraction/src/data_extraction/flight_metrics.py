@@ -8,9 +8,11 @@ from scipy.optimize import minimize_scalar
 
 from data_extraction.bearing_errors import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
-from data_extraction.samples import Arrivals, Samples
+from data_extraction.recording import REFERENCES, STATES, TRUTH, Recording, Series
+from data_extraction.samples import Arrivals
 from risc_lab.lab.arena import Arena
-from risc_lab.phases import OperatorPhase, TrajectoryPhase
+from risc_lab.lab.fleet import laboratory_vehicles
+from risc_lab.phases import OperatorPhase
 
 SETTLED_ERROR_M = 0.05  # settled: the position error stays below this ...
 SETTLED_HOLD_S = 1.0  # ... for this long
@@ -18,29 +20,16 @@ GRID_HZ = 200.0
 MOST_ROWS = 360_000  # of one vehicle's positions: half an hour at 200 Hz; longer bags are thinned out evenly
 PATH_ROWS = 5000  # of a path that is only drawn
 
-# Order and meaning of the hops: each is the time from the datagram's receipt to the arrival of the message that
-# answers the frame, at a subscriber of that topic. `exposure_to_datagram` is the camera system's own delay.
-HOPS = ("exposure_to_datagram", "datagram_to_mocap_data", "datagram_to_cortex_raw", "datagram_to_controls",
-        "datagram_to_cmd_vel")  # fmt: skip
-
-
-@dataclass
-class Series:
-    """Samples of one quantity over time."""
-
-    t_s: np.ndarray  # (n,) [s]
-    values: np.ndarray  # (n, k)
-
-    def at(self, t_s):
-        """Values interpolated at times t_s (m,). Returns (m, k); NaN outside the recorded time."""
-        return np.column_stack(
-            [np.interp(t_s, self.t_s, column, left=np.nan, right=np.nan) for column in self.values.T]
-        )
-
-    def thinned(self, most):
-        """A Series of its own of about so many samples, first and last among them."""
-        rows = np.unique(np.linspace(0, len(self.t_s) - 1, min(most, len(self.t_s))).round().astype(int))
-        return Series(self.t_s[rows], self.values[rows])
+# The hops, in their order: each is the time from the datagram's receipt to the arrival of the message that answers the
+# frame, at a subscriber of that topic. `exposure_to_datagram` is the camera system's own delay.
+HOPS = {
+    "exposure_to_datagram": "exposure to datagram (the camera system itself)",
+    "datagram_to_mocap_data": "datagram to /mocap_data",
+    "datagram_to_cortex_raw": "datagram to /cortex_raw",
+    "datagram_to_controls": "datagram to /controls",
+    "datagram_to_cmd_vel": "datagram to cmd_vel",
+}
+_POSE = ("x", "y", "z", "psi")
 
 
 @dataclass
@@ -112,44 +101,38 @@ class FlightCollector:
         self._bearings = BearingCollector(fleet)
         self._bearing_delay_s = bearing_delay_s
         self._with_bearings = with_bearings
-        self._desired = {}  # {(place in Obj[], name): Samples of stamp, receipt, x, y, z, psi}
-        self._states = {"/cortex_raw": {}, "/ground_truth": {}}  # {topic: {name: Samples of the same}}
-        self._order = []  # of the vehicles on /cortex_raw
-        self._unstamped = False  # whether /trajectory bears no stamps, as in the original release
+        self._recording = Recording(dict.fromkeys((REFERENCES, STATES, TRUTH), _POSE), MOST_ROWS)
         # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
-        self._arrivals = {topic: Arrivals() for topic in ("/mocap_data", "/cortex_raw", "/controls")}
-        self._commands = {}  # {topic of commands: Arrivals}
+        self._arrivals = {topic: Arrivals() for topic in ("/mocap_data", STATES, "/controls")}
+        self._commands = {}  # {topic of commands: Arrivals of the states that they answer}
+        self._namespaces = {v.template: v.namespace for v in (fleet.vehicles if fleet else laboratory_vehicles())}
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
-        self._phases = []  # (receipt, {vehicle: whether it is on its course})
         # Programs start before the operator's first phase that is not waiting, and end after its result.
         self._begun_s, self._over_s = -np.inf, np.inf
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
-        if self._with_bearings or topic not in self._states:
+        if self._with_bearings or topic not in (STATES, TRUTH):
             self._bearings(topic, receipt_s, message)
-        if topic == "/trajectory":
-            self._unstamped |= not _stamp_ns(message)
-            stamp_s = _stamp_s(message, receipt_s)
-            for index, reference in enumerate(message.Obj):
-                row = (stamp_s, receipt_s, reference.x, reference.y, reference.z, reference.psi)
-                _keep(self._desired, (index, reference.name), row)
-        elif topic in self._states:
-            self._keep_states(topic, receipt_s, message)
-            if topic in self._arrivals:
-                self._arrivals[topic].append(_stamp_ns(message), receipt_s)
-        elif topic in self._arrivals:
+        if topic in self._recording.topics:
+            self._recording.add(topic, receipt_s, seconds(message.header.stamp), message.Obj)
+        if topic in self._arrivals:
             self._arrivals[topic].append(_stamp_ns(message), receipt_s)
         elif topic == "/mocap_time":
             self._receipts.append(_stamp_ns(message), seconds(message.time_ref))
             self._frames.append(_stamp_ns(message), int(message.source))
-        elif topic.endswith("/cmd_vel_stamped"):
+        elif topic == "/commands_sent":
+            for command in message.commands:
+                if command.answers.sec:
+                    name = "/%s/cmd_vel" % self._namespaces.get(command.name, command.name)
+                    arrivals = self._commands.setdefault(name, Arrivals())
+                    arrivals.append(_nanoseconds(command.answers), seconds(command.sent))
+        elif topic.endswith("/cmd_vel_stamped"):  # in bags without that: the stamp answered, and the time of receipt
             if _stamp_ns(message):
                 self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)
         elif topic.endswith("trajectory_phase"):
-            on_course = {item.name: item.phase == TrajectoryPhase.COURSE for item in message.vehicles}
-            self._phases.append((receipt_s, on_course))
+            self._recording.phases(receipt_s, message)
         elif topic == "/operator/phase":
             if self._begun_s == -np.inf and message.phase != OperatorPhase.WAITING:
                 self._begun_s = receipt_s
@@ -159,20 +142,13 @@ class FlightCollector:
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
         return (
-            topic
-            in ("/trajectory", "/mocap_time", "/operator/phase", "/operator/result", *self._states, *self._arrivals)
-            or topic.endswith(("/cmd_vel_stamped", "trajectory_phase"))
+            topic in ("/mocap_time", "/operator/phase", "/operator/result", *self._recording.topics, *self._arrivals)
+            or topic.endswith(("/commands_sent", "/cmd_vel_stamped", "trajectory_phase"))
             or self._bearings.wants(topic)
         )
 
     def flight(self):
         """Evaluate what was collected. Raises ValueError when the bag holds no flight."""
-        if not self._desired:
-            raise ValueError("there is no /trajectory in the bag: nothing was to be flown")
-        source = self._source()
-        missing = sorted({name for _, name in self._desired} - set(self._states[source]))
-        if missing:
-            raise ValueError("%s never shows %s, which /trajectory names" % (source, ", ".join(missing)))
         return self._evaluated(strict=True)
 
     def overview(self):
@@ -180,30 +156,43 @@ class FlightCollector:
         return self._evaluated(strict=False)
 
     def _evaluated(self, strict):
-        source = self._source()
-        states = self._states[source]
-        notes = []
-        if not self._desired:
+        recording, notes = self._recording, []
+        source = TRUTH if recording.parts(TRUTH) else STATES
+        states = recording.parts(source)
+        references = recording.parts(REFERENCES, states)
+        if not references:
             notes.append("there is no /trajectory in the bag: nobody knows where the vehicles should have been")
-        every = max([samples.every for samples in states.values()], default=1)
+        unknown = sorted(set(references) - set(states))
+        if unknown:
+            notes.append("%s never shows %s, which /trajectory names" % (source, ", ".join(unknown)))
+        if strict and notes:
+            raise ValueError("; ".join(notes))
+        every = max((samples.every for [(_, samples)] in states.values()), default=1)
         if every > 1:
             notes.append("the bag is long: one of %d positions was used" % every)
-        references = self._references(states, notes)
-        clock = 1 if self._unstamped else 0  # column of the times: references and states must have the same
-        if self._unstamped:
-            notes.append("/trajectory bears no stamps: times are those of receipt, of the positions too")
-        whole = not strict and not self._phases
-        start_s = min([samples.first[clock] for parts in references.values() for samples in parts], default=None)
+        if recording.by_place(REFERENCES, states) and not unknown:
+            notes.append(
+                "/trajectory names courses, not vehicles (%s): references go to vehicles by their place, as in the "
+                "original release" % ", ".join(sorted({label for parts in references.values() for label, _ in parts}))
+            )
+        if recording.unstamped:
+            topics = ", ".join(sorted(recording.unstamped))
+            notes.append("%s bears no stamps: times are those of receipt, of the positions too" % topics)
+        known = {name: references[name] for name in states if name in references}
+        firsts = (samples.first[recording.clock] for parts in known.values() for _, samples in parts)
+        start_s = min(firsts, default=None)
+        whole = not strict and not recording.has_phases
         vehicles, paths = {}, {}
-        for name, samples in sorted(states.items()):  # one after the other: only one is in memory as a whole
-            actual = _series(samples.table(), clock)
+        for name, parts in sorted(states.items()):  # one after the other: only one is in memory as a whole
+            actual = recording.series(parts)
+            actual.values[:, 3] = np.unwrap(np.radians(actual.values[:, 3]))
             paths[name] = actual.thinned(PATH_ROWS)
-            if name not in references:
+            if name not in known:
                 continue
-            reference = _series(np.vstack([part.table() for part in references[name]]), clock)
-            spans = [(reference.t_s[0], np.inf)] if whole else self._course_spans(name)
+            desired = recording.series(known[name])
+            desired.values[:, 3] = np.unwrap(desired.values[:, 3])
             try:
-                vehicles[name] = evaluate(reference, actual, spans, start_s)
+                vehicles[name] = evaluate(desired, actual, None if whole else self._on_course(name), start_s)
             except ValueError as error:
                 if strict:
                     raise
@@ -216,7 +205,7 @@ class FlightCollector:
             latency_s=self._latencies(),
             command_latency_s=self._command_latencies(),
             mocap=self._mocap(),
-            judged_against="ground truth" if source == "/ground_truth" else "mocap",
+            judged_against="ground truth" if source == TRUTH else "mocap",
             bearings=self._bearings.statistics(self._bearing_delay_s),
             paths=paths,
             landmarks=self._bearings.landmarks(),
@@ -224,66 +213,21 @@ class FlightCollector:
             notes=notes,
         )
 
-    def _source(self):
-        return "/ground_truth" if self._states["/ground_truth"] else "/cortex_raw"
-
-    def _keep_states(self, topic, receipt_s, message):
-        stamp_s = _stamp_s(message, receipt_s)
-        if topic == "/cortex_raw" and len(message.Obj) > len(self._order):
-            self._order = [state.name for state in message.Obj]
-        for state in message.Obj:
-            if state.visible:
-                row = (stamp_s, receipt_s, state.x, state.y, state.z, math.radians(state.psi))
-                _keep(self._states[topic], state.name, row)
-
-    def _references(self, states, notes):
-        """{vehicle: [Samples of its reference, ...]}.
-
-        The original release labelled a reference with the name of its course, and meant the vehicle at the same place
-        of Obj[] on /cortex_raw.
-        """
-        references = {}
-        labels = {name for _, name in self._desired}
-        by_place = bool(labels) and labels.isdisjoint(states)
-        for (index, name), samples in self._desired.items():
-            if by_place and index < len(self._order):
-                name = self._order[index]
-            references.setdefault(name, []).append(samples)
-        unknown = sorted(set(references) - set(states))
-        if unknown:
-            notes.append("%s never shows %s, which /trajectory names" % (self._source(), ", ".join(unknown)))
-        elif by_place:
-            notes.append(
-                "/trajectory names courses, not vehicles (%s): references go to vehicles by their place, as in the "
-                "original release" % ", ".join(sorted(labels))
-            )
-        return {name: parts for name, parts in references.items() if name in states}
-
-    def _course_spans(self, name):
-        """[(begin, end)] of receipt times during which the trajectory node said that the vehicle is on its course."""
-        spans, begin = [], None
-        for receipt_s, on_course in self._phases:
-            is_on = on_course.get(name)
-            if is_on and begin is None:
-                begin = receipt_s
-            elif is_on is False and begin is not None:
-                spans.append((begin, receipt_s))
-                begin = None
-        if begin is not None:
-            spans.append((begin, np.inf))
-        return spans
+    def _on_course(self, name):
+        """Function of times (n,): whether the trajectory node said that the vehicle is on its course."""
+        return lambda t_s: self._recording.told(name, t_s)[1] == "course"
 
     def _latencies(self):
         """{hop: (n,) [s]} from the receipt of each datagram."""
         stamps_ns, receipts_s = self._receipts.first()
         latency = {"exposure_to_datagram": receipts_s - 1e-9 * stamps_ns}
-        for hop, topic in zip(HOPS[1:4], ("/mocap_data", "/cortex_raw", "/controls")):
-            latency[hop] = _since(stamps_ns, receipts_s, self._arrivals[topic])
+        for topic, arrivals in self._arrivals.items():
+            latency["datagram_to_" + topic.strip("/")] = _since(stamps_ns, receipts_s, arrivals)
         latency["datagram_to_cmd_vel"] = np.concatenate([np.zeros(0), *self._command_latencies().values()])
         return latency
 
     def _command_latencies(self):
-        """{topic of commands: (n,) [s]} from the receipt of the datagram to the arrival in the bag."""
+        """{topic of commands: (n,) [s]} from the receipt of the datagram to the sending of the command."""
         receipts = self._receipts.first()
         return {topic: _since(*receipts, arrivals) for topic, arrivals in sorted(self._commands.items())}
 
@@ -348,22 +292,11 @@ def settling_time(t_s, error, limit=SETTLED_ERROR_M, hold_s=SETTLED_HOLD_S):
 
 
 def _stamp_ns(message):
-    stamp = message.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+    return _nanoseconds(message.header.stamp)
 
 
-def _stamp_s(message, receipt_s):
-    """Stamp of a message; its receipt when nobody stamped it."""
-    return seconds(message.header.stamp) or receipt_s
-
-
-def _keep(samples, key, row):
-    """Append a row to the Samples of a key, unless a number in it is none."""
-    if not math.isfinite(sum(row)):
-        return
-    if key not in samples:
-        samples[key] = Samples(6, MOST_ROWS)
-    samples[key].append(row)
+def _nanoseconds(time):
+    return time.sec * 1_000_000_000 + time.nanosec
 
 
 def _since(stamps_ns, receipts_s, arrivals):
@@ -373,22 +306,11 @@ def _since(stamps_ns, receipts_s, arrivals):
     return arrivals_s[theirs] - receipts_s[ours]
 
 
-def _series(table, clock):
-    """Series of (n, 6) rows stamp, receipt, x, y, z, psi, in the order of time, yaw unwrapped.
-
-    clock: which column holds the times.
-    """
-    t_s, first = np.unique(table[:, clock], return_index=True)
-    values = table[first, 2:]
-    values[:, 3] = np.unwrap(values[:, 3])
-    return Series(t_s, values)
-
-
-def evaluate(desired, actual, spans, start_s):
+def evaluate(desired, actual, on_course, start_s):
     """VehicleFlight of a desired and an actual Series of x, y, z [m], yaw [rad].
 
-    spans: [(begin, end)] of the course; start_s: where its times begin. Raises ValueError when the two have no time in
-    common.
+    on_course: function of times (n,) that says whether it is on its course then; None: it always is.
+    start_s: where its times begin. Raises ValueError when the two have no time in common.
     """
     begin_s, end_s = max(desired.t_s[0], actual.t_s[0]), min(desired.t_s[-1], actual.t_s[-1])
     step_s = max(1.0 / GRID_HZ, (end_s - begin_s) / MOST_ROWS)
@@ -398,9 +320,7 @@ def evaluate(desired, actual, spans, start_s):
     if len(grid_s) < 2:
         raise ValueError("the bag is too short: there is no time at which both a reference and a position are known")
     want, have = desired.at(grid_s), actual.at(grid_s)
-    course = np.zeros(len(grid_s), dtype=bool)
-    for begin_s, end_s in spans:
-        course |= (grid_s >= begin_s) & (grid_s < end_s)
+    course = np.ones(len(grid_s), dtype=bool) if on_course is None else on_course(grid_s)
     vehicle = VehicleFlight(grid_s - start_s, want[:, :3], have[:, :3], want[:, 3], have[:, 3], course)
     if course.any():
         vehicle.settle_s = settling_time(vehicle.t_s[course], vehicle.error_m[course])

@@ -3,46 +3,48 @@
 import json
 import pathlib
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
+from msgspec import Meta
 
 from data_extraction.bags import Bag, BagError
+from data_extraction.camera_topics import (
+    GREEN,
+    PICTURES,
+    YELLOW,
+    draw_outline,
+    is_bottom,
+    namespace_of,
+    picture_topics,
+)
 from data_extraction.flatten import seconds
-from data_extraction.surroundings import Surroundings, is_bottom, namespace_of
+from data_extraction.progress import Progress
+from data_extraction.surroundings import LANDMARKS, Surroundings
 from risc_estimation.bearings import make_camera
 from risc_estimation.expected_bearings import LANDMARK, Observer, look
 from risc_lab.images import MESSAGES, picture_from_msg
-
-PICTURES = ("image_raw", "image_rect_color")
-_COMPRESSED = "/compressed"
-_GREEN, _YELLOW, _BLACK = (80, 220, 80), (60, 220, 240), (0, 0, 0)
+from risc_lab.settings import Positive, Settings
 
 
 @dataclass(frozen=True)
-class LabelParams:
+class LabelParams(Settings):
     """What is labelled."""
 
     delay_s: float = 0.0  # a picture stamped t shows the world at t - delay_s
-    min_fraction: float = 0.25  # least part of an object that must be in the picture
-    min_size_px: float = 6.0  # least width and height of its box
-    max_distance_m: float = 6.0
-    every: int = 1  # take every nth picture of a camera
+    min_fraction: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.25  # least part of an object that must be in the picture
+    min_size_px: Positive = 6.0  # least width and height of its box
+    max_distance_m: Positive = 6.0
+    every: Annotated[int, Meta(ge=1)] = 1  # take every nth picture of a camera
     overlay: bool = False  # also write the pictures with their labels drawn in
-    format: str = "jpg"  # of the pictures: jpg or png
+    format: Literal["jpg", "png"] = "jpg"  # of the pictures
     states_topic: str = "/cortex_raw"
 
     def __post_init__(self):
+        super().__post_init__()
         if not np.isfinite(self.delay_s):
-            raise ValueError("delay must be a number of seconds, got %r" % (self.delay_s,))
-        if not 0.0 < self.min_fraction <= 1.0:
-            raise ValueError("min-fraction must be in (0, 1], got %r" % (self.min_fraction,))
-        if self.min_size_px <= 0.0 or self.max_distance_m <= 0.0:
-            raise ValueError("min-size and max-distance must be positive")
-        if self.every < 1:
-            raise ValueError("every must be at least 1, got %r" % (self.every,))
-        if self.format not in ("jpg", "png"):
-            raise ValueError("format must be jpg or png, got %r" % (self.format,))
+            raise ValueError("'delay_s' must be finite, found %r" % self.delay_s)
 
 
 @dataclass
@@ -59,14 +61,18 @@ def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None)
     """Write the pictures of a bag and one labels.json into a folder. Returns LabelResult.
 
     fleet: risc_lab.lab.Fleet, see Surroundings. topics: of the pictures; None = all that there are.
-    progress: called with the number of pictures done, now and then. Raises BagError for a bag that lacks something,
-    ValueError for calibrations that are not usable, OSError when the folder cannot be written.
+    Raises BagError for a bag that lacks something, ValueError for calibrations that are not usable, OSError when the
+    folder cannot be written.
     """
-    params = params or LabelParams()
+    params, progress = params or LabelParams(), progress or Progress()
     surroundings = Surroundings(fleet, (params.states_topic,))
     with Bag(bag_path) as bag:
         topics = _picture_topics(bag, topics)
-        _need_states(bag, params.states_topic)
+        if not bag.topics.get(params.states_topic):
+            raise BagError(
+                "%s has no %s, so nobody knows where the vehicles were: record it, or name another topic with --states"
+                % (bag.path, params.states_topic)
+            )
         for message in bag.messages([topic for topic in bag.topics if surroundings.wants(topic)]):
             surroundings(*message)
         data_set = _DataSet(pathlib.Path(folder), surroundings, params)
@@ -78,8 +84,7 @@ def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None)
                     data_set.add(topic, message)
                 except ValueError as error:
                     raise BagError("%s, %s: %s" % (bag.path, topic, error)) from error
-                if progress is not None and data_set.result.pictures % 50 == 0:
-                    progress(data_set.result.pictures)
+                progress.show("labelling", "%d pictures" % data_set.result.pictures)
     if not data_set.result.pictures:
         raise BagError(
             "%s: no picture could be labelled: %s does not say where the vehicle was at any picture's time. Are the "
@@ -119,18 +124,16 @@ class _DataSet:
             return
         observer = self._observer(topic, vehicle, is_bottom(message), picture.shape)
         targets = self._discs + surroundings.hulls(params.states_topic, exposure_s, without=vehicle)
-        sightings = [
-            sighting
-            for sighting in look(observer, pose.positions_m[0], pose.R_body_to_cortex[0], targets)
-            if self._is_labelled(sighting)
-        ]
+        sightings = filter(self._is_labelled, look(observer, pose.positions_m[0], pose.R_body_to_cortex[0], targets))
+        sightings = list(sightings)
         stamp = message.header.stamp
         name = "%s_%d%09d.%s" % (topic.strip("/").replace("/", "_"), stamp.sec, stamp.nanosec, params.format)
         self._save(self._folder / "images" / name, picture)
-        image_id = len(self._images) + 1
+        if params.overlay:
+            self._save(self._folder / "overlays" / name, draw(picture, sightings))
         self._images.append(
             {
-                "id": image_id,
+                "id": len(self._images) + 1,
                 "file_name": "images/" + name,
                 "width": picture.shape[1],
                 "height": picture.shape[0],
@@ -141,11 +144,9 @@ class _DataSet:
             }
         )
         self._annotations += [
-            self._annotation(len(self._annotations) + k, image_id, sighting)
-            for k, sighting in enumerate(sightings, start=1)
+            self._annotation(number, sighting)
+            for number, sighting in enumerate(sightings, start=len(self._annotations) + 1)
         ]
-        if params.overlay:
-            self._save(self._folder / "overlays" / name, draw(picture, sightings))
         self.result.pictures, self.result.labels = len(self._images), len(self._annotations)
 
     def write(self, bag_path):
@@ -153,7 +154,7 @@ class _DataSet:
         content = {
             "info": {
                 "description": "labelled from motion capture (%s, %s) by label_images.py"
-                % (self._params.states_topic, "/states3"),
+                % (self._params.states_topic, LANDMARKS),
                 "bag": str(bag_path),
                 "delay_s": self._params.delay_s,
                 "coordinates": "pixels from the top left corner of the picture; the middle of its first pixel is at "
@@ -191,7 +192,7 @@ class _DataSet:
         x0, y0, x1, y1 = sighting.box_px
         return min(x1 - x0, y1 - y0) >= self._params.min_size_px
 
-    def _annotation(self, number, image_id, sighting):
+    def _annotation(self, number, sighting):
         # COCO counts from the corner of the picture, OpenCV and the messages from the middle of its first pixel
         outline = sighting.outline_px + 0.5
         x0, y0 = outline.min(axis=0)
@@ -199,7 +200,7 @@ class _DataSet:
         centre = sighting.centre_px + 0.5
         return {
             "id": number,
-            "image_id": image_id,
+            "image_id": len(self._images),
             "category_id": self._categories[sighting.name][0],
             "bbox": _rounded((x0, y0, width, height)),
             "segmentation": [_rounded(outline.ravel())],
@@ -221,51 +222,27 @@ def draw(picture, sightings):
     """A copy of the picture with the outlines, centres and names of what is to be seen."""
     drawn = picture.copy()
     for sighting in sightings:
-        colour = _GREEN if sighting.kind == LANDMARK else _YELLOW
-        outline = np.rint(16.0 * sighting.outline_px).astype(np.int32)
-        cv2.polylines(drawn, [outline], True, colour, 1, cv2.LINE_AA, 4)
-        if np.isfinite(sighting.centre_px).all():
-            cv2.drawMarker(drawn, tuple(int(v) for v in np.rint(sighting.centre_px)), colour, cv2.MARKER_CROSS, 7)
-        x0, y0, _, _ = sighting.box_px
+        colour = GREEN if sighting.kind == LANDMARK else YELLOW
         text = "%s %.1f m" % (sighting.name, sighting.distance_m)
-        corner = (max(0, int(x0)), max(10, int(y0) - 3))
-        for bgr, thickness in ((_BLACK, 3), (colour, 1)):
-            cv2.putText(drawn, text, corner, cv2.FONT_HERSHEY_PLAIN, 0.8, bgr, thickness, cv2.LINE_AA)
+        draw_outline(drawn, sighting.outline_px, text, colour)
+        if np.isfinite(sighting.centre_px).all():
+            cv2.drawMarker(drawn, np.rint(sighting.centre_px).astype(int).tolist(), colour, cv2.MARKER_CROSS, 7)
     return drawn
 
 
 def _picture_topics(bag, wanted):
     """The topics that are labelled: those asked for, else all that look like a camera's."""
-    if wanted:
-        missing = sorted(set(wanted) - set(bag.topics))
-        if missing:
-            raise BagError(
-                "%s has no topic %s; it has %s"
-                % (bag.path, ", ".join(missing), ", ".join(sorted(bag.topics)) or "none")
-            )
-        for topic in wanted:
-            if bag.types[topic] not in MESSAGES:
-                raise BagError("%s, %s: this is no topic of pictures but of %s" % (bag.path, topic, bag.types[topic]))
-        return list(wanted)
-    found = [
-        topic
-        for topic in sorted(bag.topics)
-        if (topic[: -len(_COMPRESSED)] if topic.endswith(_COMPRESSED) else topic).rpartition("/")[2] in PICTURES
-    ]
+    bag.require(wanted or ())
+    for topic in wanted or ():
+        if bag.types[topic] not in MESSAGES:
+            raise BagError("%s, %s: this is no topic of pictures but of %s" % (bag.path, topic, bag.types[topic]))
+    found = list(wanted or picture_topics(bag.types))
     if not found:
         raise BagError(
-            "%s has no pictures (no topic ends in %s): record with the cameras, or name the topics with --topics; it "
-            "has %s" % (bag.path, " or ".join(PICTURES), ", ".join(sorted(bag.topics)) or "none")
+            "%s has no pictures (no topic ends in %s): record with the cameras, or name the topics with --topics; %s"
+            % (bag.path, " or ".join(PICTURES), bag.contents)
         )
     return found
-
-
-def _need_states(bag, states_topic):
-    if not bag.topics.get(states_topic):
-        raise BagError(
-            "%s has no %s, so nobody knows where the vehicles were: record it, or name another topic of states with "
-            "--states" % (bag.path, states_topic)
-        )
 
 
 def _rounded(values):

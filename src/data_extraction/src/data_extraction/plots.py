@@ -3,6 +3,7 @@
 import io
 import math
 import pathlib
+import time
 
 import matplotlib
 
@@ -10,7 +11,10 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt  # noqa: E402  (the backend must be chosen first)
 import numpy as np  # noqa: E402
+from matplotlib.ticker import MultipleLocator  # noqa: E402
 
+from data_extraction.report.drops import cell_edges  # noqa: E402
+from data_extraction.segments import ANGLES, DESIRED_ANGLES, DESIRED_POSITION, POSITION, VELOCITY_ERROR  # noqa: E402
 from risc_control.failsafe import FailsafeLevel  # noqa: E402
 
 _HEIGHT_M = 2.5  # of the arena, as far as it is shown
@@ -18,6 +22,10 @@ _MOST_POINTS = 2500  # of one line: more cannot be told apart on paper
 _MARGIN_M = 0.15  # outside the net, that a plan shows
 _FEW = 6  # vehicles that have a colour and a line in a legend each; of more,
 _WORST = 3  # so many
+COURSE_LIMITS_M = ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))  # of a course's path, as in the original release
+_ROOM_M = 0.1  # beyond a path that leaves them
+_GAP_S = 0.25  # a line is broken where nothing is known for longer
+_STILL_DEG = 2.0  # angles that stay below this are shown on an axis of this size
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
 DESIRED, ACTUAL = COLOURS[1], COLOURS[0]
@@ -268,8 +276,9 @@ def arena_map(flight):
     return figure
 
 
-def drop_map(drops, edges_x_m, edges_y_m, arena):
+def drop_map(drops, arena):
     """Where in the arena markers were lost [%], and where vehicles became invisible. drops: report.drops.Drops."""
+    edges_x_m, edges_y_m = cell_edges(arena)
     figure, plan = plt.subplots(figsize=(6.6, 6.6), layout="constrained")
     total = drops.seen_map + drops.lost_map
     share = np.ma.masked_where(total < drops.least_markers, 100.0 * drops.lost_map / np.maximum(total, 1))
@@ -278,9 +287,9 @@ def drop_map(drops, edges_x_m, edges_y_m, arena):
     _draw_net(plan, arena)
     plan.grid(visible=False)
     figure.colorbar(mesh, ax=plan, label="markers lost [%]", shrink=0.75)
-    places_m = drops.lost_places_m
-    if len(places_m):
-        plan.plot(places_m[:, 1], places_m[:, 0], "x", color="#222222", ms=5, label="a vehicle became invisible")
+    if drops.lost_places_m:
+        x_m, y_m = zip(*drops.lost_places_m)
+        plan.plot(y_m, x_m, "x", color="#222222", ms=5, label="a vehicle became invisible")
         figure.legend(loc="outside lower center")
     return figure
 
@@ -307,8 +316,9 @@ def battery(batteries, zero_s):
     """Charge of every vehicle over time. batteries: {vehicle: report.battery.Battery}; zero_s: time 0."""
     figure, axes = plt.subplots(figsize=(9.0, 2.8), layout="constrained")
     for colour, (name, item) in zip(_colours(), batteries.items()):
-        axes.plot(item.t_s - zero_s, item.charge_pct, color=colour, lw=1.2, label=name, drawstyle="steps-post")
-    lowest = min(item.charge_pct.min() for item in batteries.values())
+        t_s, charge_pct = item.samples.table().T
+        axes.plot(t_s - zero_s, charge_pct, color=colour, lw=1.2, label=name, drawstyle="steps-post")
+    lowest = min(item.samples.table()[:, 1].min() for item in batteries.values())
     axes.set(xlabel="time [s]", ylabel="battery [%]", ylim=(max(0.0, lowest - 10.0), 102.0))
     figure.legend(loc="outside upper right", ncol=5)
     return figure
@@ -317,16 +327,100 @@ def battery(batteries, zero_s):
 def fence_margin(margins, zero_s):
     """Distance of every vehicle from the net over time. margins: {vehicle: report.fence.FenceMargin}."""
     figure, axes = plt.subplots(figsize=(9.0, 3.2), layout="constrained")
+    lowest_m = 0.05
     for colour, (name, item) in zip(_colours(), margins.items()):
-        for values_m, style in ((item.ahead_m, {"lw": 0.7, "alpha": 0.5}), (item.now_m, {"lw": 1.2, "label": name})):
-            t_s, closeness_m = _peaks(item.t_s, -values_m)
+        times_s, now_m, ahead_m = item.table.T
+        lowest_m = min(lowest_m, float(ahead_m.min()))
+        for values_m, style in ((ahead_m, {"lw": 0.7, "alpha": 0.5}), (now_m, {"lw": 1.2, "label": name})):
+            t_s, closeness_m = _peaks(times_s, -values_m)
             axes.plot(t_s - zero_s, -closeness_m, color=colour, **style)
     for limit_m in sorted({item.limits.fence_margin_m for item in margins.values()}):
         axes.axhline(limit_m, color="#b3261e", lw=1.0, ls="--", label="landing is ordered below %g m" % limit_m)
     axes.set(xlabel="time [s]    (pale: with the place after the look-ahead)", ylabel="distance from the net [m]")
-    axes.set_ylim(bottom=min(0.0, min(float(item.ahead_m.min()) for item in margins.values()) - 0.05))
+    axes.set_ylim(bottom=lowest_m - 0.05)
     figure.legend(loc="outside upper right", ncol=5)
     return figure
+
+
+def course_page(segment):
+    """Figure with the path in space, roll and pitch, position and velocity errors of a segment."""
+    figure = plt.figure(figsize=(11.0, 6.6))
+    figure.suptitle(
+        "%s: %s\n%s, %.0f s, position RMSE %.0f mm"
+        % (
+            segment.vehicle,
+            segment.label,
+            time.strftime("%Y-%m-%d %H:%M:%S", segment.clock),
+            segment.duration_s,
+            1e3 * segment.position_rmse_m,
+        )
+    )
+    _draw_course(figure.add_axes((0.005, 0.04, 0.455, 0.84), projection="3d"), segment)
+    grid = figure.add_gridspec(4, 1, left=0.575, right=0.985, bottom=0.075, top=0.88, hspace=0.24)
+    rows = [figure.add_subplot(grid[0])]
+    rows += [figure.add_subplot(grid[k], sharex=rows[0]) for k in (1, 2, 3)]
+    _draw_angle(rows[0], segment, 0, "roll [deg]")
+    _draw_angle(rows[1], segment, 1, "pitch [deg]")
+    _draw_errors(rows[2], segment, segment.position_error_m, "xyz", "position\nerror [m]")
+    _draw_errors(rows[3], segment, segment.columns(VELOCITY_ERROR), "uvw", "velocity\nerror [m/s]")
+    for axes in rows[:-1]:
+        axes.tick_params(labelbottom=False)
+    rows[-1].set_xlabel("time [s]    (errors: desired less actual, cortex axes)")
+    rows[-1].set_xlim(0.0, segment.duration_s)
+    figure.align_ylabels(rows)
+    return figure
+
+
+def _draw_course(axes, segment):
+    """Desired and actual path in space."""
+    desired_m, actual_m = segment.columns(DESIRED_POSITION), segment.columns(POSITION)
+    _, broken = _with_gaps(segment.table[:, -1], np.hstack((desired_m, actual_m)))
+    axes.plot(*broken.T[3:], color=ACTUAL, lw=1.5, label="actual")
+    axes.plot(*broken.T[:3], color=DESIRED, lw=0.9, ls="--", label="desired")
+    axes.plot(*actual_m[:1].T, "o", color=ACTUAL, ms=4, label="start")
+    axes.plot(*broken.T[3:5], 0.0, color="#bbbbbb", lw=0.8, label="on the floor")  # without it depth cannot be told
+    limits_m = course_limits_m(np.vstack((desired_m, actual_m)))
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", xlim=limits_m[0], ylim=limits_m[1], zlim=limits_m[2])
+    axes.set_box_aspect([high - low for low, high in limits_m], zoom=0.95)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_major_locator(MultipleLocator(0.5))
+    axes.legend(loc="upper center", ncol=4)
+
+
+def course_limits_m(points_m):
+    """Limits ((low, high) of x, y, z) of the original's plot, wider where the points (n, 3) leave them."""
+    lowest, highest = points_m.min(axis=0), points_m.max(axis=0)
+    return tuple(
+        (low if least >= low else least - _ROOM_M, high if most <= high else most + _ROOM_M)
+        for (low, high), least, most in zip(COURSE_LIMITS_M, lowest, highest)
+    )
+
+
+def _draw_angle(axes, segment, index, label):
+    """Desired and actual angle over time. index: 0 roll, 1 pitch."""
+    pair = segment.columns((DESIRED_ANGLES[index], ANGLES[index]))
+    t_s, broken = _with_gaps(segment.table[:, -1] - segment.start_s, pair)
+    # behind: the desired angle carries the noise that the vehicle's inertia takes out
+    draw_both(axes, t_s, *broken.T, 2.0 * _STILL_DEG, lw=0.8, alpha=0.6, zorder=1.5)
+    axes.set_ylabel(label + ("\n(no commands)" if np.isnan(pair[:, 0]).all() else ""))
+    if index == 0:
+        axes.legend(loc="lower right", ncol=2, bbox_to_anchor=(1.0, 0.96))
+
+
+def _draw_errors(axes, segment, errors, names, label):
+    """Three errors (n, 3) over time."""
+    t_s, broken = _with_gaps(segment.table[:, -1] - segment.start_s, errors)
+    axes.axhline(0.0, color="#333333", lw=0.6)
+    for name, colour, column in zip(names, COLOURS[2:], broken.T):
+        axes.plot(t_s, column, color=colour, lw=1.0, label=name)
+    axes.set_ylabel(label)
+    axes.legend(loc="lower right", ncol=3, bbox_to_anchor=(1.0, 0.93))
+
+
+def _with_gaps(t_s, values):
+    """Times (n,) and values (n, k) with a NaN wherever nothing is known for a while, so that lines break there."""
+    after = np.flatnonzero(np.diff(t_s) > _GAP_S) + 1
+    return np.insert(t_s, after, np.nan), np.insert(values, after, np.nan, axis=0)
 
 
 def _colours():

@@ -40,6 +40,11 @@ class Samples:
             self._numbers = array("d", self.table()[::2].tobytes())
             self.every *= 2
 
+    def forget(self, column, least):
+        """Forget the rows whose number in that column is less."""
+        table = self.table()
+        self._numbers = array("d", table[table[:, column] >= least].tobytes())
+
     def table(self):
         """(n, width) array of the rows, a copy."""
         return np.array(self._numbers).reshape(-1, self._width)

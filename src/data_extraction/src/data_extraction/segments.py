@@ -3,25 +3,35 @@
 The 16 columns are those of the course's logger in the original release, in its order; here every name says its unit.
 """
 
+import itertools
 import math
 import time
-from array import array
-from collections import deque
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
+from data_extraction.recording import REFERENCES, STATES, Recording
 from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.vehicle_types import load_vehicle_type
-from risc_lab.phases import OperatorPhase, phase_words
+from risc_lab.phases import OperatorPhase
+from risc_lab.settings import Positive, Settings
 
+COMMANDS, PHASES, OPERATOR = "/controls", "/trajectory_phase", "/operator/phase"
+TOPICS = (STATES, REFERENCES, COMMANDS, PHASES, OPERATOR)
 POSITION = ("x_m", "y_m", "z_m")  # cortex frame, as all positions and velocities here
 DESIRED_POSITION = ("x_desired_m", "y_desired_m", "z_desired_m")
 DESIRED_ANGLES = ("phi_desired_deg", "theta_desired_deg", "psi_desired_deg")
 ANGLES = ("phi_deg", "theta_deg", "psi_deg")
 VELOCITY_ERROR = ("u_error_m_s", "v_error_m_s", "w_error_m_s")  # desired less actual
 COLUMNS = POSITION + DESIRED_POSITION + DESIRED_ANGLES + ANGLES + VELOCITY_ERROR + ("time_s",)
+_FIELDS = {
+    STATES: ("x", "y", "z", "u", "v", "w", "phi", "theta", "psi"),
+    REFERENCES: ("x", "y", "z", "xdot", "ydot", "zdot", "psi"),
+    COMMANDS: ("phi", "theta"),
+}
 
 PLOT_BUTTON = 3  # of the original release
 ON_COURSE = "course"  # the phase in which the course itself is flown
@@ -29,38 +39,33 @@ IRIS = "iris"
 IRIS_EULER_ANGLE_MAX_RAD = 0.78537  # of the original release, for its IRIS+ controllers; the AR.Drone's is in its type
 
 _DELAY_S = 0.5  # a state waits so long for the reference and the command before and after it
-_MEMORY_S = 2.0  # references and commands are kept so long
 _GAP_S = 0.25  # nothing is interpolated over a longer silence
 
 
 @dataclass(frozen=True)
-class PlotParams:
-    """Settings of DF_Plots; config/DF_Plots.yaml explains and holds the same values."""
+class PlotParams(Settings):
+    """Settings of DF_Plots."""
 
-    rate_hz: float = 20.0
-    plot_button: int = -1
-    euler_angle_max: float = -1.0
-    vehicle_type: str = ""
-    vehicles: tuple[str, ...] = ()
-    joysticks: tuple[str, ...] = ()
-    folder: str = ""
-    pdf: bool = True
-    skip_phases: tuple[str, ...] = ("hold",)
-    min_s: float = 1.0
-    max_s: float = 600.0
-    keep_s: float = 3600.0
+    rate_hz: Positive = 20.0  # [Hz] how often a state is logged; what arrives in between is not even deserialised
+    plot_button: int = -1  # of a joystick, asks for the plots; negative: /plot_button, else 3 as in the original
+    euler_angle_max: Annotated[float, Meta(le=math.pi / 2.0)] = -1.0  # [rad] tilt at a fraction of 1 on /controls;
+    # negative: /euler_angle_max, else that of the vehicle's type
+    vehicle_type: str = ""  # ardrone or iris: what the fractions on /controls mean; "" = the fleet's, else ardrone
+    vehicles: tuple[str, ...] = ()  # which ones, by template or namespace; () = all
+    joysticks: tuple[str, ...] = ()  # topics whose button counts; () = joy, and /<namespace>/joy of the whole /fleet
+    folder: str = ""  # for the files; "" = df_plots_<date>-<time> in the working directory (of roslaunch: ~/.ros)
+    pdf: bool = True  # every page as PDF, too
+    skip_phases: tuple[str, ...] = ("hold",)  # that get no page; hold = the reference is where the vehicle is
+    min_s: Annotated[float, Meta(ge=1.0)] = 1.0  # [s] a shorter segment gets no page; files are named by its second
+    max_s: Positive = 600.0  # [s] a longer one is cut in two
+    keep_s: Positive = 3600.0  # [s] of each vehicle; older segments are forgotten (their files stay)
 
     def __post_init__(self):
-        for key in ("rate_hz", "max_s", "keep_s"):
-            if not getattr(self, key) > 0.0:
-                raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(self, key)))
-        if not 1.0 <= self.min_s < self.max_s:  # files are named by the second in which their segment begins
-            raise ValueError("parameter 'min_s' must be at least 1 s and less than max_s, got %r" % self.min_s)
-        if self.euler_angle_max == 0.0 or not self.euler_angle_max <= math.pi / 2.0:
-            raise ValueError(
-                "parameter 'euler_angle_max' must be an angle in (0, 1.57] rad, or negative: that of the vehicle's "
-                "type; got %r" % self.euler_angle_max
-            )
+        super().__post_init__()
+        if self.min_s >= self.max_s:
+            raise ValueError("'min_s' must be less than max_s, found %r and %r" % (self.min_s, self.max_s))
+        if self.euler_angle_max == 0.0:
+            raise ValueError("'euler_angle_max' must be an angle, or negative: that of the vehicle's type; found 0")
 
 
 @dataclass(frozen=True)
@@ -137,13 +142,7 @@ def full_scales_deg(params, fleet_vehicles=()):
 
 
 class Recorder:
-    """Takes messages, pairs them by their stamps, keeps the tables. Not thread-safe.
-
-    Entries are those of the messages' `Obj`, in the units of risc_msgs (rospy's or those that rosbags reads).
-    Vehicles are found by name. The original release put the course's name into `Trajectory.name`, or one vehicle's
-    name into all entries, and meant the place in the message; where no name is a vehicle's that is taken. It never
-    stamped its trajectories: the times of receipt are used for everything then.
-    """
+    """Takes messages, keeps the tables. Not thread-safe."""
 
     def __init__(self, params, fleet_vehicles=()):
         """fleet_vehicles: FleetVehicles, () = the original laboratory's. Raises ValueError for an unknown type."""
@@ -151,237 +150,109 @@ class Recorder:
         self._scales_deg, self._other_scale_deg = full_scales_deg(params, fleet_vehicles)
         template = {vehicle.namespace: vehicle.template for vehicle in fleet_vehicles}
         self._wanted = tuple(template.get(name, name) for name in params.vehicles)
-        self._logs = {}  # vehicle -> _Log, in the order of their first message
-        self._by_receipt = False
-        self._course, self._phases, self._operator = "", {}, ""
+        self._recording = Recording(_FIELDS, only=self._wanted)
+        self._clock = ClockGuard(math.inf)  # of the states; they may pause for long
+        self._delay_s = _DELAY_S
+        self._over, self._growing = {}, {}  # vehicle -> its Segments that have ended; that which has not
+        self._ended = 0
 
     @property
     def vehicles(self):
         """Names of the vehicles whose states came, in the order of the message."""
-        return tuple(self._logs)
+        return tuple(self._recording.order)
 
     @property
     def unknown_vehicles(self):
         """Names of the parameters' vehicles whose states never came."""
-        return tuple(name for name in self._wanted if name not in self._logs)
+        return tuple(name for name in self._wanted if name not in self._recording.order)
 
-    def states(self, receipt_s, stamp_s, entries):
-        """Entries of a Cortex message. Those of objects that are not visible are left out."""
-        time_s = self._time(receipt_s, stamp_s)
-        for entry in entries:
-            log = self._logs.get(entry.name)
-            if log is None:
-                log = self._logs[entry.name] = _Log(entry.name, self._params)
-                log.mark(receipt_s, *self._course_and_phase(entry.name))
-            values = (entry.x, entry.y, entry.z, entry.u, entry.v, entry.w, entry.phi, entry.theta, entry.psi)
-            if entry.visible and self._is_wanted(entry.name) and all(map(math.isfinite, values)):
-                log.state(time_s, receipt_s, values)
-
-    def references(self, receipt_s, stamp_s, entries):
-        """Entries of a Trajectories message."""
-        time_s = self._time(receipt_s, stamp_s)
-        for owner, entry in self._owned(entries):
-            values = (entry.x, entry.y, entry.z, entry.xdot, entry.ydot, entry.zdot, math.degrees(entry.psi))
-            if all(map(math.isfinite, values)):
-                self._logs[owner].references.add(time_s, values, "" if entry.name in self._logs else entry.name)
-
-    def commands(self, receipt_s, stamp_s, entries):
-        """Entries of a Controls message."""
-        time_s = self._time(receipt_s, stamp_s)
-        for owner, entry in self._owned(entries):
-            phi_deg, theta_deg = self._scales_deg.get(owner, self._other_scale_deg)
-            values = (phi_deg * entry.phi, theta_deg * entry.theta)
-            if all(map(math.isfinite, values)):
-                self._logs[owner].commands.add(time_s, values)
-
-    def phases(self, receipt_s, message):
-        """TrajectoryPhases: what the trajectory node flies, and does with each vehicle."""
-        self._course = message.course
-        self._phases.update(phase_words(message.vehicles))
-        self._mark_all(receipt_s)
-
-    def operator(self, receipt_s, message):
-        """OperatorState: its phase is that of vehicles of which no trajectory node says anything."""
-        self._operator = OperatorPhase(message.phase).name.lower()
-        self._mark_all(receipt_s)
+    def add(self, topic, receipt_s, message, stamp_s=None):
+        """Take a message of any topic in TOPICS. stamp_s: of its header, when it has one; 0 = nobody stamped it."""
+        recording = self._recording
+        if topic == PHASES:
+            recording.phases(receipt_s, message)
+        elif topic == OPERATOR:
+            recording.others_phase(receipt_s, OperatorPhase(message.phase).name.lower())
+        elif topic != STATES or self._advances(receipt_s if recording.unstamped else stamp_s):
+            was_stamped = not recording.unstamped
+            recording.add(topic, receipt_s, stamp_s, message.Obj)
+            if was_stamped and recording.unstamped:
+                self._clock.forget()  # times are those of receipt from now on
 
     def finish(self):
         """Use what still waits for later messages: there will be none."""
-        for log in self._logs.values():
-            log.settle(math.inf)
+        self._delay_s = 0.0
 
-    @property
     def ended(self):
         """How many segments have ended so far, long enough or not."""
-        return sum(log.ended for log in self._logs.values())
+        self._collect(self._clock.newest_s - self._delay_s)
+        return self._ended
 
     def segments(self, growing=True):
         """List of `Segment` that are long enough and of phases that are not skipped, by vehicle and time.
 
         growing: also those that have not ended.
         """
-        found = [segment for log in self._logs.values() for segment in log.segments(growing)]
+        self._collect(self._clock.newest_s - self._delay_s)
+        found = [segment for name in self.vehicles for segment in self._over.get(name, ())]
+        if growing:
+            found = sorted(found + list(self._growing.values()), key=lambda s: self.vehicles.index(s.vehicle))
         skipped = self._params.skip_phases
         return [s for s in found if s.duration_s >= self._params.min_s and s.phase not in skipped]
 
-    def _is_wanted(self, name):
-        return not self._wanted or name in self._wanted
-
-    def _course_and_phase(self, name):
-        return self._course, self._phases.get(name, self._operator)
-
-    def _mark_all(self, receipt_s):
-        for name, log in self._logs.items():
-            log.mark(receipt_s, *self._course_and_phase(name))
-
-    def _time(self, receipt_s, stamp_s):
-        """Time of a message [s] on the one clock that all messages have."""
-        if not stamp_s and not self._by_receipt:
-            self._by_receipt = True
-            for log in self._logs.values():
-                log.restart()
-        return receipt_s if self._by_receipt else stamp_s
-
-    def _owned(self, entries):
-        """[(vehicle, entry)] of entries that belong to vehicles whose states have come."""
-        names = [entry.name for entry in entries]
-        if len(set(names)) == len(names) and any(name in self._logs for name in names):
-            owners = names
-        elif len(names) == 1 and self._wanted:
-            owners = self._wanted
-        else:
-            owners = self.vehicles
-        return [
-            (owner, entry) for owner, entry in zip(owners, entries) if owner in self._logs and self._is_wanted(owner)
-        ]
-
-
-class _Track:
-    """Samples over time of one thing, of which the newest are kept."""
-
-    def __init__(self):
-        self._samples = deque()  # (time [s], values, tag)
-
-    def add(self, time_s, values, tag=""):
-        samples = self._samples
-        if not samples or time_s > samples[-1][0]:
-            samples.append((time_s, values, tag))
-            while time_s - samples[0][0] > _MEMORY_S:
-                samples.popleft()
-
-    def clear(self):
-        self._samples.clear()
-
-    def around(self, time_s):
-        """The samples before and after a time, the same twice for one just then; None when it is not in between.
-
-        Times must not decrease from call to call: what is before them is forgotten.
-        """
-        samples = self._samples
-        while len(samples) > 1 and samples[1][0] <= time_s:
-            samples.popleft()
-        if not samples or samples[0][0] > time_s:
-            return None
-        if samples[0][0] == time_s:
-            return samples[0], samples[0]
-        if len(samples) < 2 or samples[1][0] - samples[0][0] > _GAP_S or samples[0][2] != samples[1][2]:
-            return None
-        return samples[0], samples[1]
-
-
-class _Growing:
-    """The rows of a segment that may still grow."""
-
-    def __init__(self, vehicle, course, phase):
-        self.key = vehicle, course, phase
-        self.rows = array("d")
-
-    def __len__(self):
-        return len(self.rows) // len(COLUMNS)
-
-    @property
-    def start_s(self):
-        return self.rows[len(COLUMNS) - 1]
-
-
-class _Log:
-    """Everything of one vehicle."""
-
-    def __init__(self, name, params):
-        self._name = name
-        self._max_s, self._max_rows = params.max_s, int(params.keep_s * params.rate_hz)
-        self._waiting = deque()  # (time [s], receipt [s], values) of states
-        self._stamps = ClockGuard(math.inf)  # theirs; a vehicle may be out of sight for long
-        self.references, self.commands = _Track(), _Track()
-        self._marks = deque()  # (receipt [s], course, phase) from then on
-        self._growing = []
-        self._rows = 0
-        self.ended = 0
-        self._broken = True  # the next row begins a segment
-
-    def mark(self, receipt_s, course, phase):
-        if not self._marks or self._marks[-1][1:] != (course, phase):
-            self._marks.append((receipt_s, course, phase))
-
-    def restart(self):
-        """Forget all that waits: another clock, or the same one turned back."""
-        self._stamps.forget()
-        self._waiting.clear()
-        self.references.clear()
-        self.commands.clear()
-        last = list(self._marks)[-1:]
-        self._marks.clear()
-        self._marks.extend((-math.inf,) + mark[1:] for mark in last)
-        self._broken = True
-
-    def state(self, time_s, receipt_s, values):
-        step = self._stamps.look(time_s)
-        if step is Step.REFUSED:
-            return
+    def _advances(self, time_s):
+        step = self._clock.look(time_s)
         if step is Step.NEW_CLOCK:
-            self.restart()
-            self._stamps.look(time_s)
-        self._waiting.append((time_s, receipt_s, values))
-        self.settle(time_s - _DELAY_S)
+            self._collect(math.inf)
+            for name in list(self._growing):
+                self._end(self._growing.pop(name))
+            self._recording.restart()
+        return step is not Step.REFUSED
 
-    def settle(self, until_s):
-        """Make rows of the states up to a time."""
-        while self._waiting and self._waiting[0][0] <= until_s:
-            time_s, receipt_s, state = self._waiting.popleft()
-            while len(self._marks) > 1 and self._marks[1][0] <= receipt_s:
-                self._marks.popleft()
-            around = self.references.around(time_s)
-            if around is None:
+    def _end(self, segment):
+        over = self._over.setdefault(segment.vehicle, [])
+        over.append(segment)
+        self._ended += 1
+        while sum(len(kept.table) for kept in over) > self._params.keep_s * self._params.rate_hz:
+            del over[0]
+
+    def _collect(self, until_s):
+        """Pair what came up to a time, and forget what belongs to segments that have ended."""
+        recording = self._recording
+        references = recording.parts(REFERENCES, recording.order)
+        commands = recording.parts(COMMANDS, recording.order)
+        for name, parts in recording.parts(STATES).items():
+            if name not in references or (self._wanted and name not in self._wanted):
                 continue
-            course = around[0][2] or self._marks[0][1]
-            reference = _between(time_s, *around, wrapped=len(around[0][1]) - 1)
-            around = self.commands.around(time_s)
-            command = _between(time_s, *around) if around else (math.nan, math.nan)
-            errors = [want - have for want, have in zip(reference[3:6], state[3:6])]
-            row = [*state[:3], *reference[:3], *command, reference[6], *state[6:], *errors, time_s]
-            self._append((self._name, course, self._marks[0][2]), row)
+            told = commands.get(name, [])
+            found = list(self._paired(name, recording.series(parts), recording.series(references[name]),
+                                 recording.series(told) if told else None, until_s))  # fmt: skip
+            if not found:
+                continue
+            for segment in found[:-1]:
+                self._end(segment)
+            self._growing[name] = found[-1]
+            recording.forget(parts, found[-1].start_s)
+            recording.forget(references[name] + told, found[-1].start_s - _GAP_S)
 
-    def _append(self, key, row):
-        if self._broken or self._growing[-1].key != key or row[-1] - self._growing[-1].start_s >= self._max_s:
-            self.ended += bool(self._growing)
-            self._growing.append(_Growing(*key))
-            self._broken = False
-        self._growing[-1].rows.extend(row)
-        self._rows += 1
-        while self._rows > self._max_rows and len(self._growing) > 1:
-            self._rows -= len(self._growing.pop(0))
-
-    def segments(self, growing):
-        kept = self._growing if growing else self._growing[:-1]
-        return [Segment(*grown.key, np.array(grown.rows).reshape(-1, len(COLUMNS))) for grown in kept]
-
-
-def _between(time_s, before, after, wrapped=None):
-    """Values at a time between two samples; `wrapped`: index of an angle [deg], given back in [-180, 180)."""
-    (before_s, first, _), (after_s, last, _) = before, after
-    share = (time_s - before_s) / (after_s - before_s) if after_s > before_s else 0.0
-    values = [a + share * (b - a) for a, b in zip(first, last)]
-    if wrapped is not None:
-        turn = (last[wrapped] - first[wrapped] + 180.0) % 360.0 - 180.0
-        values[wrapped] = (first[wrapped] + share * turn + 180.0) % 360.0 - 180.0
-    return values
+    def _paired(self, name, states, references, commands, until_s):
+        """Segments of a vehicle, of its states up to a time that have a reference before and after them."""
+        near, labels = references.near(states.t_s, _GAP_S)
+        near &= states.t_s <= until_s
+        t_s, have, labels = states.t_s[near], states.values[near], labels[near]
+        references.values[:, 6] = np.unwrap(references.values[:, 6])
+        want = references.at(t_s)
+        told = np.full((len(t_s), 2), np.nan)
+        if commands is not None:
+            told = commands.at(t_s) * self._scales_deg.get(name, self._other_scale_deg)
+            told[~commands.near(t_s, _GAP_S)[0]] = np.nan
+        psi_deg = (np.degrees(want[:, 6:]) + 180.0) % 360.0 - 180.0
+        errors = want[:, 3:6] - have[:, 3:6]
+        table = np.hstack((have[:, :3], want[:, :3], told, psi_deg, have[:, 6:], errors, t_s[:, None]))
+        courses, phases = self._recording.told(name, states.receipts_s[near])
+        courses = np.where(labels == "", courses, labels)
+        changes = (courses[1:] != courses[:-1]) | (phases[1:] != phases[:-1])
+        for begin, end in itertools.pairwise((0, *np.flatnonzero(changes) + 1, len(t_s))):
+            cuts = np.flatnonzero(np.diff((t_s[begin:end] - t_s[begin : begin + 1]) // self._params.max_s)) + 1
+            parts = np.split(table[begin:end], cuts)
+            yield from (Segment(name, str(courses[begin]), str(phases[begin]), rows) for rows in parts if len(rows))

@@ -7,17 +7,20 @@ import numpy as np
 
 from data_extraction.flight_metrics import HOPS, percentiles_ms
 
+FIGURES = ("position_rmse_m", "position_max_m", "yaw_rmse_rad", "settle_s", "lag_s")  # of each vehicle
 _MOST_PROGRAMS = 5  # that are named in the table
 
 
-def summarise(flight, experiment, simulated, artefacts, processors=None):
+def summarise(flight, experiment, simulated, artefacts, origin=None):
     """The summary of a flight as a dict ready for JSON; README of this package explains the keys.
 
     experiment: name; simulated: False, or a dict that says the noise and delay model;
-    artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths], 'report': path}; processors: of report.origin.Origin.
+    artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths], 'report': path}; origin: report.origin.Origin.
     `passed` is None until somebody has judged.
     """
     duration_s = max((float(vehicle.t_s[-1]) for vehicle in flight.vehicles.values()), default=0.0)
+    delays_s = origin.command_delays_s() if origin else {}
+    mocap = flight.mocap
     return {
         "experiment": experiment,
         "simulated": simulated,
@@ -25,29 +28,23 @@ def summarise(flight, experiment, simulated, artefacts, processors=None):
         "duration_s": round(duration_s, 3),
         "judged_against": flight.judged_against,
         "vehicles": {
-            name: {
-                "position_rmse_m": vehicle.position_rmse_m,
-                "position_max_m": vehicle.position_max_m,
-                "yaw_rmse_rad": vehicle.yaw_rmse_rad,
-                "settle_s": vehicle.settle_s,
-                "lag_s": vehicle.lag_s,
-            }
+            name: {key: getattr(vehicle, key) for key in FIGURES} | {"command_delay_s": delays_s.get(name)}
             for name, vehicle in flight.vehicles.items()
         },
         "latency_ms": {hop: percentiles_ms(flight.latency_s.get(hop, np.array([]))) for hop in HOPS},
         "mocap": {
-            "frames_sent": flight.mocap.frames_sent,
-            "frames_received": flight.mocap.frames_received,
-            "frames_estimated": flight.mocap.frames_estimated,
-            "frames_passed_over": flight.mocap.frames_received - flight.mocap.frames_estimated,
-            "rate_hz": round(flight.mocap.rate_hz, 3),
+            "frames_sent": mocap.frames_sent,
+            "frames_received": mocap.frames_received,
+            "frames_estimated": mocap.frames_estimated,
+            "frames_passed_over": mocap.frames_received - mocap.frames_estimated,
+            "rate_hz": round(mocap.rate_hz, 3),
             "wanted_hz": None,
             "given_up": [],
         },
         "cpu_cores": {},
         "memory_mb": {},
         "computer": {},
-        **(processors or {}),
+        **(origin.processors if origin else {}),
         "bearings": flight.bearings.figures() if flight.bearings is not None else None,
         "artefacts": artefacts,
     }
@@ -60,26 +57,15 @@ def write(summary, path):
 
 def table(summary):
     """The summary as text for a terminal."""
-    lines = ["%-14s %10s %10s %10s %10s %10s" % ("vehicle", "RMSE", "max", "yaw RMSE", "settled", "lag")]
+    row, hop_row = "%-14s" + 5 * " %10s", "%-26s" + 3 * " %10s"
+    lines = [row % ("vehicle", "RMSE", "max", "yaw RMSE", "settled", "lag")]
+    units = ((1e3, "mm"), (1e3, "mm"), (np.degrees(1.0), "deg"), (1.0, "s"), (1e3, "ms"))
     for name, figures in summary["vehicles"].items():
-        lines.append(
-            "%-14s %10s %10s %10s %10s %10s"
-            % (
-                name,
-                _unit(figures["position_rmse_m"], 1e3, "mm"),
-                _unit(figures["position_max_m"], 1e3, "mm"),
-                _unit(figures["yaw_rmse_rad"], np.degrees(1.0), "deg"),
-                _unit(figures["settle_s"], 1.0, "s"),
-                _unit(figures["lag_s"], 1e3, "ms"),
-            )
-        )
-    lines.append("")
-    lines.append("%-26s %10s %10s %10s" % ("latency", "p50", "p99", "max"))
+        lines.append(row % (name, *(_unit(figures[key], *unit) for key, unit in zip(FIGURES, units))))
+    lines += ["", hop_row % ("latency", "p50", "p99", "max")]
     for hop, figures in summary["latency_ms"].items():
-        lines.append(
-            "%-26s %10s %10s %10s"
-            % (hop.replace("_", " "), *(_unit(figures[key], 1.0, "ms", 2) for key in ("p50", "p99", "max")))
-        )
+        cells = (_unit(figures[key], 1.0, "ms", 2) for key in ("p50", "p99", "max"))
+        lines.append(hop_row % (hop.replace("_", " "), *cells))
     mocap = summary["mocap"]
     lines.append("")
     lines.append(

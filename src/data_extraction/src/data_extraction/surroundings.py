@@ -5,6 +5,7 @@ from collections import defaultdict
 
 import numpy as np
 
+from data_extraction.camera_topics import is_bottom, namespace_of
 from data_extraction.flatten import seconds
 from data_extraction.samples import Samples
 from risc_estimation.bearings import calibration_from_info, fleet_calibration, fleet_mount
@@ -19,7 +20,6 @@ CAMERA_INFO = "/camera_info"
 LANDMARKS, MOCAP = "/states3", "/mocap_data"
 _MARKER_FRAMES = 200  # enough to average the noise of the markers
 _LANDMARK_ROWS = 60_000  # five minutes at 200 Hz; what stands still needs no more
-_BOTTOM = "bottomcam"  # how the frame_id of the bottom camera ends
 
 
 class Surroundings:
@@ -161,14 +161,3 @@ class Surroundings:
             return None
         normal = np.linalg.svd(markers_m - markers_m.mean(axis=0))[2][2]
         return tuple(-normal if normal @ towards < 0.0 else normal)
-
-
-def namespace_of(topic):
-    """Vehicle's namespace of a topic of one of its cameras: /risc1/ardrone/image_raw -> risc1; '' if it has none."""
-    first, _, rest = topic.strip("/").partition("/")
-    return first if "/" in rest else ""
-
-
-def is_bottom(message):
-    """Whether a picture or camera_info is of the bottom camera: both cameras share topics, the frame tells."""
-    return message.header.frame_id.endswith(_BOTTOM)

@@ -14,7 +14,7 @@ import numpy as np
 from risc_control.controllers import ControlLoop
 from risc_control.reference_buffer import ORDERS, ReferenceBuffer
 from risc_control.trajectories import make_course
-from risc_control.vehicle_pilot import OwnState, VehiclePilot, params_from_dict
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, FlightState, Status
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.states import S, States
@@ -74,7 +74,7 @@ def controller_row(count, vehicle_type, frames, seed):
 
 def pilot_table(frames):
     """Dict of what arrives -> median microseconds, of one vehicle in autonomous flight."""
-    params, _ = params_from_dict({"joystick_timeout": 0.0})
+    params = VehicleNodeParams(joystick_timeout=0.0)
     pilot = VehiclePilot(params, load_vehicle_type("ardrone"), 0.0)
     own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03, 0.0), Controls(0.1, 0.05, 0.02, 4.4)
     buttons = [0] * 11
@@ -84,7 +84,7 @@ def pilot_table(frames):
         if k % NAVDATA_EVERY == 0:
             pilot.on_status(Status(FlightState.FLYING, 90.0), now_s)
         if k in (5, 6):
-            buttons[params.joystick.JoytoWay] = k - 5
+            buttons[params.JoytoWay] = k - 5
             pilot.on_joy(buttons, [0.0] * 8, now_s)
         begin_s = time.perf_counter()
         pilot.on_state(own, 0.004, now_s)

@@ -3,34 +3,26 @@
 Commands reach a vehicle late (0.1 to 0.3 s of Wi-Fi), so feedback on the present state acts on the past. What the
 vehicle does until then is known, though: it follows the commands that are already on their way.
 
-Positions and velocities are north, east and up; angles are phi, theta, psi in the NED sense. Commands are what a
-vehicle settles at (gain of its loops included): columns `Channel`.
+Positions and velocities are north, east and up; angles are phi, theta, psi in the NED sense. Commands: see
+`risc_lab.command_history.Channel`.
 """
 
 import math
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from risc_control.vehicles import CLIMB_LOOP, climb_acceleration, climb_loops
+from risc_lab.command_history import ROWS, Channel, last_by
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2
 
 STEP_S = 0.005  # grid of the prediction; one frame of motion capture
 MAX_HORIZON_S = 1.0
-_HISTORY_ROWS = 2048  # > MAX_HORIZON_S of commands at 1 kHz
 _MAX_GAP_S = 0.1  # a longer gap between measurements restarts the tilt observer
 _OBSERVER_TABLE_S = 0.0005  # resolution of the observer's step
-
-
-class Channel(IntEnum):
-    """Columns of a command: angles [rad], what the type's CLIMB_LOOP takes [+ up], yaw rate [rad/s, + clockwise]."""
-
-    PHI, THETA, CLIMB, YAW_RATE = range(4)
-
+_MEASURED_HZ = 200.0  # the rate that the observer's gain is for
 
 # One step of a command loop, exact while the command u holds: value+ = f11 value + f12 rate + g1 u,
 # rate+ = f21 value + f22 rate + g2 u.
@@ -48,73 +40,65 @@ PLANT = record(
     ("drag_1_s", float),  # drag over mass
     ("mass_kg", float),
     ("delay_s", float),  # from sending a command to its effect
+    ("period_s", float),  # from one command to the next
 )
 
 
-@dataclass(frozen=True)
-class NominalModel:
-    """What a controller knows of its vehicles: arrays (k,) over their k types, or (k, 2) with columns roll, pitch."""
+def plants(vehicle_types):
+    """(k,) PLANT of k VehicleTypes. Raises ValueError when the delay of one cannot be predicted."""
+    found = np.zeros(len(vehicle_types), PLANT)
+    for plant, vehicle_type in zip(found, vehicle_types):
+        steps = _loop_steps(*discretised(*loops(vehicle_type), STEP_S))
+        plant.phi, plant.theta, plant.height, plant.psi = steps
+        plant.yaw_time_constant_s = vehicle_type.yaw_rate_time_constant_s
+        plant.drag_1_s = vehicle_type.drag_n_s_m / vehicle_type.mass_kg
+        plant.mass_kg = vehicle_type.mass_kg
+        plant.delay_s = effective_delay_s(vehicle_type)
+        plant.period_s = 1.0 / vehicle_type.command_rate_hz
+    found["climb"] = climb_loops(vehicle_types)
+    return found
 
-    kind: np.ndarray  # (n,) which of the types each vehicle is
-    mass_kg: np.ndarray
-    natural_frequency_rad_s: np.ndarray  # (k, 2)
-    damping_ratio: np.ndarray  # (k, 2)
-    climb: np.ndarray  # CLIMB_LOOP
-    yaw_time_constant_s: np.ndarray
-    drag_1_s: np.ndarray  # drag over mass
-    delay_s: np.ndarray  # from sending a command to its effect
 
-    @classmethod
-    def of(cls, vehicle_types):
-        """Of a sequence of VehicleType, one for each vehicle."""
-        different = list(dict.fromkeys(vehicle_types))
+def effective_delay_s(vehicle_type):
+    """Mean time [s] from a command leaving the controller to its effect.
 
-        def column(value):
-            return np.array([value(vehicle_type) for vehicle_type in different], dtype=float)
-
-        return cls(
-            kind=np.array([different.index(vehicle_type) for vehicle_type in vehicle_types], dtype=np.int64),
-            mass_kg=column(lambda t: t.mass_kg),
-            natural_frequency_rad_s=column(lambda t: (t.roll.natural_frequency_rad_s, t.pitch.natural_frequency_rad_s)),
-            damping_ratio=column(lambda t: (t.roll.damping_ratio, t.pitch.damping_ratio)),
-            climb=climb_loops(different),
-            yaw_time_constant_s=column(lambda t: t.yaw_rate_time_constant_s),
-            drag_1_s=column(lambda t: t.drag_n_s_m / t.mass_kg),
-            delay_s=column(effective_delay_s),
+    The link's delay, half a command period waiting for the vehicle's next slot, and half a period for which the
+    command then holds. Raises ValueError when it cannot be predicted.
+    """
+    delay_s = vehicle_type.command_delay_s + 1.0 / vehicle_type.command_rate_hz
+    if not (vehicle_type.command_delay_s >= 0.0 and delay_s < 0.8 * MAX_HORIZON_S):
+        raise ValueError(
+            "command delay must be from 0 to %.2g s, got %r"
+            % (0.8 * MAX_HORIZON_S - 1.0 / vehicle_type.command_rate_hz, vehicle_type.command_delay_s)
         )
+    return delay_s
 
-    def loops(self):
-        """(A (k, 4, 2, 2), b (k, 4, 2)) of the four command loops x' = A x + b command, x = (value, its rate).
 
-        The value of the climb loop is height and that of the yaw loop is yaw: its rate follows the command.
-        """
-        wn, zeta = self.natural_frequency_rad_s, self.damping_ratio
-        k = len(self.mass_kg)
-        A, b = np.zeros((k, 4, 2, 2)), np.zeros((k, 4, 2))
-        A[:, :, 0, 1] = 1.0
-        A[:, :2, 1, 0], A[:, :2, 1, 1], b[:, :2, 1] = -(wn**2), -2.0 * zeta * wn, wn**2
-        A[:, Channel.CLIMB, 1, 1], b[:, Channel.CLIMB, 1] = -self.climb["damping_1_s"], self.climb["gain"]
-        yaw_1_s = 1.0 / self.yaw_time_constant_s
-        A[:, Channel.YAW_RATE, 1, 1], b[:, Channel.YAW_RATE, 1] = -yaw_1_s, yaw_1_s
-        return A, b
+def loops(vehicle_type):
+    """(A (4, 2, 2), b (4, 2)) of a type's command loops x' = A x + b command, x = (value, its rate), by `Channel`.
 
-    def plants(self):
-        """(k,) PLANT."""
-        plants = np.zeros(len(self.mass_kg), PLANT)
-        Phi, Gamma = discretised(*self.loops(), STEP_S)
-        for channel, name in enumerate(("phi", "theta", "height", "psi")):
-            plants[name] = _loop_steps(Phi[:, channel], Gamma[:, channel])
-        for name in ("climb", "yaw_time_constant_s", "drag_1_s", "mass_kg", "delay_s"):
-            plants[name] = getattr(self, name)
-        return plants
+    The value of the climb loop is height and that of the yaw loop is yaw: its rate follows the command.
+    """
+    A, b = np.zeros((len(Channel), 2, 2)), np.zeros((len(Channel), 2))
+    A[:, 0, 1] = 1.0
+    for channel, loop in ((Channel.PHI, vehicle_type.roll), (Channel.THETA, vehicle_type.pitch)):
+        wn = loop.natural_frequency_rad_s
+        A[channel, 1], b[channel, 1] = (-(wn**2), -2.0 * loop.damping_ratio * wn), wn**2
+    climb, yaw_1_s = climb_loops([vehicle_type])[0], 1.0 / vehicle_type.yaw_rate_time_constant_s
+    A[Channel.CLIMB, 1, 1], b[Channel.CLIMB, 1] = -climb.damping_1_s, climb.gain
+    A[Channel.YAW_RATE, 1, 1], b[Channel.YAW_RATE, 1] = -yaw_1_s, yaw_1_s
+    return A, b
 
 
 def discretised(A, b, step_s):
-    """(Phi (..., m, m), Gamma (..., m)) of x' = A x + b u over one step of constant u: exact, by the exponential."""
+    """(Phi (..., m, m), Gamma (..., m)) of x' = A x + b u over one step of constant u: exact, by the exponential.
+
+    step_s: [s], a number or an array (..., 1, 1).
+    """
     m = A.shape[-1]
     block = np.zeros(A.shape[:-2] + (m + 1, m + 1))
-    block[..., :m, :m], block[..., :m, m] = A * step_s, b * step_s
-    both = expm(block)
+    block[..., :m, :m], block[..., :m, m] = A, b
+    both = expm(block * step_s)
     return both[..., :m, :m], both[..., :m, m]
 
 
@@ -135,63 +119,27 @@ def _stepped(loop, value, rate, command):
 # --- commands under way ------------------------------------------------------------------------------------------
 
 
-class CommandHistory:
-    """What was commanded when: zero-order hold, 0 before the first."""
-
-    def __init__(self, vehicles):
-        self.sent_s = np.empty(_HISTORY_ROWS)  # a ring: command k is in row k % _HISTORY_ROWS
-        self.commands = np.zeros((_HISTORY_ROWS, vehicles, len(Channel)))
-        self.ends = np.zeros(2, dtype=np.int64)  # k of the oldest and of the newest
-        self.clear()
-
-    def clear(self):
-        """Forget everything: no command is under way."""
-        self.ends[:], self.sent_s[0], self.commands[0] = 0, -np.inf, 0.0
-
-    def append(self, time_s, command):
-        """command (n, 4) holds from time_s on; times must not decrease (an earlier one replaces what came after)."""
-        append_command(time_s, command, self.sent_s, self.commands, self.ends)
-
-    def at(self, time_s):
-        """(n, 4) command in force at a time."""
-        k = last_sent(time_s, self.ends[1], self.sent_s, self.ends)
-        return self.commands[k % _HISTORY_ROWS].copy()
-
-
 @compiled
-def append_command(time_s, command, sent_s, commands, ends):
-    """See `CommandHistory.append`."""
-    k = ends[1]
-    while k > ends[0] and sent_s[k % _HISTORY_ROWS] >= time_s:
-        k -= 1
-    k += 1
-    sent_s[k % _HISTORY_ROWS] = time_s
-    for i in range(commands.shape[1]):
-        for channel in range(commands.shape[2]):
-            commands[k % _HISTORY_ROWS, i, channel] = command[i, channel]
-    ends[0], ends[1] = max(ends[0], k - _HISTORY_ROWS + 1), k
+def fill_in_force(sent, own, plant, stamp_s, commands):
+    """Fill commands (1 + steps, 4): those in force in the step of STEP_S before stamp_s, and in each after it.
 
-
-@compiled
-def last_sent(time_s, k, sent_s, ends):
-    """Number of the last command, of k and those before it, that was sent by time_s."""
-    while k > ends[0] and sent_s[k % _HISTORY_ROWS] > time_s:
-        k -= 1
-    return k
-
-
-@compiled
-def rows_in_force(from_s, steps, sent_s, ends):
-    """(1 + steps,) rows of the commands in force in the step of STEP_S before from_s, and in each after it.
-
+    sent, own: HISTORY of what the vehicle was really sent, as far as that is known, and of what the controller has
+    computed. The first counts up to a command period after the newest of it, when the next one is due. From then on
+    (also of a vehicle of which nobody tells what it is sent) each command that was computed counts as sent, half a
+    period later: on average it would have been in force for so long when it comes to its middle.
     A step has the command that is in force in its middle.
     """
-    rows = np.empty(1 + steps, dtype=np.int64)
-    k = ends[1]
-    for step in range(steps, -1, -1):
-        k = last_sent(STEP_S * (step - 0.5) + from_s, k, sent_s, ends)
-        rows[step] = k % _HISTORY_ROWS
-    return rows
+    wait_s = 0.5 * plant.period_s
+    known_s = sent.times_s[sent.newest % ROWS] + plant.period_s
+    k_sent, k_own = sent.newest, own.newest
+    for step in range(len(commands) - 1, -1, -1):
+        time_s = stamp_s + STEP_S * (step - 0.5) - (plant.delay_s - wait_s)
+        if time_s < known_s:
+            k_sent = last_by(sent, time_s, k_sent)
+            commands[step] = sent.commands[k_sent % ROWS]
+        else:
+            k_own = last_by(own, time_s - wait_s, k_own)
+            commands[step] = own.commands[k_own % ROWS]
 
 
 # --- roll and pitch with their rates -----------------------------------------------------------------------------
@@ -209,34 +157,23 @@ class TiltObserver:
     Rates by differencing noisy angles are noisy or late; the model of the attitude loop knows them better.
     """
 
-    def __init__(self, model, angle_noise_rad, disturbance_rad_s2, rate_hz=200.0):
+    def __init__(self, vehicle_types, angle_noise_rad, disturbance_rad_s2):
         """angle_noise_rad: standard deviation of a measured angle.  disturbance_rad_s2: density of what the model of
         the loop does not know, as an angular acceleration [rad/s^2/sqrt(Hz)]: more trusts the measurement more.
         """
-        A, b = (part[:, :2] for part in model.loops())
-        self.steps = _tilt_steps(A, b)  # (k, steps): of 1, 2, ... times _OBSERVER_TABLE_S
+        A, b = (np.stack(part)[:, : Channel.CLIMB] for part in zip(*map(loops, vehicle_types)))
+        times_s = _OBSERVER_TABLE_S * np.arange(1, round(_MAX_GAP_S / _OBSERVER_TABLE_S) + 1)
+        every = np.repeat(A[:, None], len(times_s), axis=1), np.repeat(b[:, None], len(times_s), axis=1)
+        table = _loop_steps(*discretised(*every, times_s[:, None, None, None]))
+        self.steps = np.zeros(table.shape[:2], TILT_STEP)  # (k, steps): of 1, 2, ... times _OBSERVER_TABLE_S
         self.gains = np.zeros(len(A), TILT_GAIN)  # (k,)
-        Phi, _ = discretised(A, b, 1.0 / rate_hz)
-        noise = np.diag([0.0, disturbance_rad_s2**2 / rate_hz])
-        for kind, gain in enumerate(self.gains):
-            for axis, name in enumerate(TILT_GAIN.names):
-                measured = np.array([[1.0], [0.0]])
-                P = solve_discrete_are(Phi[kind, axis].T, measured, noise + 1e-15 * np.eye(2), [[angle_noise_rad**2]])
+        Phi, _ = discretised(A, b, 1.0 / _MEASURED_HZ)
+        noise = np.diag([0.0, disturbance_rad_s2**2 / _MEASURED_HZ]) + 1e-15 * np.eye(2)
+        for axis, name in enumerate(TILT_GAIN.names):
+            self.steps[name] = table[:, :, axis]
+            for kind, gain in enumerate(self.gains):
+                P = solve_discrete_are(Phi[kind, axis].T, [[1.0], [0.0]], noise, [[angle_noise_rad**2]])
                 gain[name] = P[:, 0] / (P[0, 0] + angle_noise_rad**2)
-        self.tilts = np.zeros(len(model.kind), TILT)
-        self.tilts["time_s"] = -np.inf
-
-
-def _tilt_steps(A, b):
-    """(k, steps) TILT_STEP: Phi(j) = Phi(1)^j, Gamma(j) = Phi(1) Gamma(j - 1) + Gamma(1)."""
-    Phi_1, Gamma_1 = discretised(A, b, _OBSERVER_TABLE_S)
-    steps = np.zeros((len(A), round(_MAX_GAP_S / _OBSERVER_TABLE_S)), TILT_STEP)
-    Phi, Gamma = np.broadcast_to(np.eye(2), A.shape), np.zeros(b.shape)
-    for j in range(steps.shape[1]):
-        Phi, Gamma = Phi_1 @ Phi, (Phi_1 @ Gamma[..., None])[..., 0] + Gamma_1
-        for axis, name in enumerate(TILT_STEP.names):
-            steps[name][:, j] = _loop_steps(Phi[:, axis], Gamma[:, axis])
-    return steps
 
 
 @compiled
@@ -301,12 +238,11 @@ def _acceleration(phi_rad, theta_rad, psi_rad, up_m_s, command, plant):
 
 
 @compiled
-def predicted(motion, plant, horizon_s, commands, rows, vehicle):
-    """Motion of a vehicle after horizon_s by the nominal model.
+def predicted(motion, plant, horizon_s, commands):
+    """Motion of a vehicle after horizon_s by the nominal model, with the commands of `fill_in_force`.
 
     The response of the command loops is exact on the grid of STEP_S. The acceleration that they cause is integrated
     once and twice as if it were linear between the grid points. Drag is taken at the initial velocity.
-    commands, rows: of the history, see `rows_in_force`.
     """
     steps = steps_of(horizon_s)
     dt = STEP_S
@@ -315,14 +251,14 @@ def predicted(motion, plant, horizon_s, commands, rows, vehicle):
     v_north, v_east, v_up = motion.north_m_s, motion.east_m_s, motion.up_m_s
     phi, theta, psi = motion.phi_rad, motion.theta_rad, motion.psi_rad
     phi_rate, theta_rate, psi_rate = motion.phi_rate_rad_s, motion.theta_rate_rad_s, motion.psi_rate_rad_s
-    command = commands[rows[1], vehicle]
+    command = commands[1]
     a_north, a_east, a_up = _acceleration(phi, theta, psi, v_up, command, plant)
     for k in range(1, steps + 1):
         phi, phi_rate = _stepped(plant.phi, phi, phi_rate, command[Channel.PHI])
         theta, theta_rate = _stepped(plant.theta, theta, theta_rate, command[Channel.THETA])
         psi, psi_rate = _stepped(plant.psi, psi, psi_rate, command[Channel.YAW_RATE])
         up, v_up = _stepped(plant.height, up, v_up, command[Channel.CLIMB])
-        command = commands[rows[min(k + 1, steps)], vehicle]
+        command = commands[min(k + 1, steps)]
         before_north, before_east = a_north, a_east
         a_north, a_east, a_up = _acceleration(phi, theta, psi, v_up, command, plant)
         north += dt * v_north + dt * dt * (before_north / 3.0 + a_north / 6.0 - drag_north / 2.0)
@@ -345,18 +281,3 @@ def predicted(motion, plant, horizon_s, commands, rows, vehicle):
         psi_rate,
         a_up,
     )
-
-
-def effective_delay_s(vehicle_type):
-    """Mean time [s] from a command leaving the controller to its effect.
-
-    The link's delay, half a command period waiting for the vehicle's next slot, and half a period for which the
-    command then holds. Raises ValueError when it cannot be predicted.
-    """
-    delay_s = vehicle_type.command_delay_s + 1.0 / vehicle_type.command_rate_hz
-    if not (vehicle_type.command_delay_s >= 0.0 and delay_s < 0.8 * MAX_HORIZON_S):
-        raise ValueError(
-            "command delay must be from 0 to %.2g s, got %r"
-            % (0.8 * MAX_HORIZON_S - 1.0 / vehicle_type.command_rate_hz, vehicle_type.command_delay_s)
-        )
-    return delay_s

@@ -5,7 +5,7 @@ Levels, from the bottom:
     HOLD  level and hold altitude (zero acceleration, thesis 7.7). Ends at once when everything is fresh again.
     LAND  land, ordered again and again until the vehicle reports that it stands. Stays, even when everything is fresh
           again, until then or until the operator takes over.
-A vehicle that must hold because of others (`separation`) gives way upwards or downwards while that is not enough, and
+A vehicle that must hold because of others (`separation`) moves up or down while that is not enough, and
 lands when it has held for `separation_land_s`; beside one that is straight below, or after `separation_wait_s`.
 The top level, the emergency stop, is the operator's: the ladder only says when it is time to think of it.
 
@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 from risc_control.separation import ALONE
 from risc_lab.lab.arena import Arena
 from risc_lab.message_age import MessageAges
+from risc_lab.settings import NotNegative, Positive, Settings
 
 
 class FailsafeLevel(enum.IntEnum):
@@ -63,57 +64,60 @@ def fence_of(arena):
 
 
 @dataclass(frozen=True)
-class SafetyLimits:
+class SafetyLimits(Settings):
     """Thresholds of the ladder; 0 switches a rule off where noted."""
 
-    state_hold_s: float = 0.1  # [s] own state older than this: HOLD
-    state_land_s: float = 0.5  # [s] ... LAND
-    controls_hold_s: float = 0.1  # [s] own command older than this: HOLD
-    controls_land_s: float = 0.5  # [s] ... LAND
-    navdata_timeout_s: float = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
-    joystick_timeout: float = 1.0  # [s] a joystick silent: LAND; 0 = off, for joysticks that speak on change only
-    operator_after_s: float = 2.0  # [s] LAND without effect: tell the operator that the emergency stop is his
-    clock_tolerance_s: float = 0.1  # [s] a stamp that far in the future means that clocks differ
-    battery_min_pct: float = 10.0  # [%] at or below: LAND; 0 = off
-    battery_delay_s: float = 0.5  # [s] reported low for so long: LAND (one false report is no reason)
-    fence_min_m: tuple[float, float, float] = fence_of(Arena())["fence_min_m"]  # [m] the net, cortex frame
-    fence_max_m: tuple[float, float, float] = fence_of(Arena())["fence_max_m"]  # [m]
-    fence_margin_m: float = 0.2  # [m] the vehicle's centre must stay this far inside
-    fence_lookahead_s: float = 0.5  # [s] ... and so must the place that it reaches this much later at its velocity
-    fence_delay_s: float = 0.05  # [s] outside for so long: LAND (one false measurement is no reason)
-    separation_m: float = 0.55  # [m] between the centres of two vehicles: HOLD, then LAND; 0 = off
-    separation_stray_m: float = 1.0  # [m] the same from one that has left its course, is not seen, or holds itself
-    separation_course_m: float = 0.5  # [m] farther than this from its reference a vehicle has left its course
-    separation_lookahead_s: float = 1.2  # [s] ... now or within this time, in which a vehicle stops;
-    separation_follow_s: float = 0.8  # [s] of vehicles that follow their references: within this time
-    separation_delay_s: float = 0.05  # [s] too near for so long: HOLD (one false measurement is no reason)
-    separation_speed_m_s: float = 0.3  # [m/s] of giving way, while holding is not enough
-    separation_land_s: float = 1.0  # [s] held for so long: LAND
-    separation_wait_s: float = 10.0  # [s] ... but when another one is straight below, only after so long
-    separation_forget_s: float = 10.0  # [s] one that is not seen for so long stands on the floor
+    state_hold_s: Positive = 0.1  # [s] own state older than this: HOLD
+    state_land_s: Positive = 0.5  # [s] ... LAND
+    controls_hold_s: Positive = 0.1  # [s] own command older than this: HOLD
+    controls_land_s: Positive = 0.5  # [s] ... LAND
+    navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
+    # [s] no joystick heard, or one of several silent: LAND; 0 = off, for joysticks that speak on change only
+    joystick_timeout: NotNegative = 1.0
+    operator_after_s: NotNegative = 2.0  # [s] LAND without effect: tell the operator that the emergency stop is his
+    clock_tolerance_s: NotNegative = 0.1  # [s] a stamp that far in the future means that clocks differ
+    battery_min_pct: NotNegative = 10.0  # [%] at or below: LAND, and no take-off; 0 = off
+    battery_delay_s: NotNegative = 0.5  # [s] reported low for so long: LAND (one false report is no reason)
+    # [m] x, y, z, cortex frame; a node's are the net of its fleet file
+    fence_min_m: tuple[float, float, float] = fence_of(Arena())["fence_min_m"]
+    fence_max_m: tuple[float, float, float] = fence_of(Arena())["fence_max_m"]
+    fence_margin_m: NotNegative = 0.2  # [m] the vehicle's centre must stay this far inside
+    fence_lookahead_s: NotNegative = 0.5  # [s] ... and so must the place that it reaches this much later
+    fence_delay_s: NotNegative = 0.05  # [s] outside for so long: LAND (one false measurement is no reason)
+    # Distances between the centres of vehicles in the air, see `separation`.
+    separation_m: NotNegative = 0.55  # [m] nearer: HOLD, then LAND; hulls are as wide, courses keep 0.63 m; 0 = off
+    separation_stray_m: NotNegative = 1.0  # [m] ... from one that has left its course, is not seen, or holds itself
+    separation_course_m: NotNegative = 0.5  # [m] farther than this from its reference a vehicle has left its course
+    separation_lookahead_s: NotNegative = 1.2  # [s] ... now or within this time, in which an AR.Drone stops;
+    separation_follow_s: NotNegative = 0.8  # [s] of vehicles that follow their references: within this time
+    separation_delay_s: NotNegative = 0.05  # [s] too near for so long: HOLD (one false measurement is no reason)
+    separation_speed_m_s: NotNegative = 0.3  # [m/s] of moving apart, while holding is not enough
+    separation_land_s: NotNegative = 1.0  # [s] held for so long: LAND
+    separation_wait_s: NotNegative = 10.0  # [s] ... but when another one is straight below, only after so long
+    separation_forget_s: NotNegative = 10.0  # [s] one that is not seen for so long stands on the floor
 
     def __post_init__(self):
-        for name, value in vars(self).items():
-            values = value if name in ("fence_min_m", "fence_max_m") else (value,)
-            if not all(math.isfinite(number) for number in values):
-                raise ValueError("parameter %s must be finite, found %r" % (name, value))
-            if not name.startswith("fence_m") and value < 0.0:
-                raise ValueError("parameter %s must not be negative, found %r" % (name, value))
-        for what in ("state", "controls"):
-            hold_s, land_s = getattr(self, what + "_hold_s"), getattr(self, what + "_land_s")
-            if not 0.0 < hold_s <= land_s:
-                raise ValueError("need 0 < %s_hold_s <= %s_land_s, found %r and %r" % (what, what, hold_s, land_s))
-        if self.separation_m > self.separation_stray_m:
-            raise ValueError(
-                "need separation_m <= separation_stray_m, found %r and %r"
-                % (self.separation_m, self.separation_stray_m)
-            )
-        pairs = zip(self.fence_min_m, self.fence_max_m)
-        if any(low + self.fence_margin_m >= high - self.fence_margin_m for low, high in pairs):
+        super().__post_init__()
+        for least, most in (
+            ("state_hold_s", "state_land_s"),
+            ("controls_hold_s", "controls_land_s"),
+            ("separation_m", "separation_stray_m"),
+        ):
+            if getattr(self, least) > getattr(self, most):
+                raise ValueError(
+                    "need %s <= %s, found %r and %r" % (least, most, getattr(self, least), getattr(self, most))
+                )
+        if any(low >= high for low, high in self.room_m):
             raise ValueError(
                 "the fence leaves no room: fence_min_m %r, fence_max_m %r, fence_margin_m %r"
                 % (self.fence_min_m, self.fence_max_m, self.fence_margin_m)
             )
+
+    @property
+    def room_m(self):
+        """((low, high) of x, y, z) where a vehicle's centre may be."""
+        margin_m, sides = self.fence_margin_m, zip(self.fence_min_m, self.fence_max_m)
+        return tuple((low + margin_m, high - margin_m) for low, high in sides)
 
 
 class Freshness:
@@ -232,8 +236,7 @@ class SafetyLadder:
         self._apart_since_s, self._apart_reason = None, ""  # it holds or lands because of other vehicles
         self._position_m = None
         self._land_since_s = None
-        margin_m, sides = limits.fence_margin_m, zip(limits.fence_min_m, limits.fence_max_m)
-        self._room_m = tuple((low + margin_m, high - margin_m) for low, high in sides)  # x, y, z; where it may be
+        self._room_m = limits.room_m
 
     def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s):
         """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame."""
@@ -387,7 +390,7 @@ class SafetyLadder:
             return _LAND, Rule.BATTERY, "battery at %.0f %%" % self._battery_pct, None
         if self._apart_since_s is None and not self._near.lasts(limits.separation_delay_s):
             return hold
-        # No way back: its reference has gone on, and it would follow it through the others.
+        # It stays: its reference has gone on, and it would follow that through the others.
         held_s = 0.0 if self._apart_since_s is None else now_s - self._apart_since_s
         waits = self._look.above and held_s < limits.separation_wait_s
         level = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD

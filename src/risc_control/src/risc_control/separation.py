@@ -1,4 +1,4 @@
-"""How far the vehicles of a fleet are from each other: who must hold, and where it gives way to. No ROS.
+"""How far the vehicles of a fleet are from each other: who must hold, and where it avoids them to. No ROS.
 
 Every vehicle node looks at the states of all vehicles (/cortex_raw) and at the references of all (/trajectory), and
 works out for all who holds. The same messages give the same answer in every node: those that fly together stop
@@ -30,8 +30,8 @@ from risc_lab.states import AIRBORNE_M, S
 
 _REFERENCE_S = 0.5  # [s] a reference that much older, or newer, than the position says nothing about it
 _LEVEL_M = 0.05  # vehicles whose heights differ by less: the order of the fleet decides who is the upper one
-_PIECES = 4  # straight ones, of a bent way
-_FLOOR_M = AIRBORNE_M + 0.2  # nobody gives way downwards below this
+_PIECES = 4  # straight ones, of a bent path
+_FLOOR_M = AIRBORNE_M + 0.2  # nobody moves down below this
 _BESIDE = 1.2  # times separation_m: so far from the one that stands below a vehicle lands
 
 
@@ -64,24 +64,20 @@ _VEHICLE = record(
     ("neighbour", int),  # that makes it hold: the one that is beyond its limit by most
     ("cause", int),
 )
-_LIMITS = record(
-    ("near_m", float),
-    ("stray_m", float),
-    ("course_m", float),
-    ("lookahead_s", float),
-    ("follow_s", float),
-    ("unseen_s", float),  # from then on it may stand still or fly on, nobody knows
-    ("lost_s", float),
-    ("forget_s", float),
-    ("low_m", float, (3,)),  # where there is room to give way
-    ("high_m", float, (3,)),
-    ("speed_m_s", float),  # of giving way
+_OF_SAFETY = (  # fields of SafetyLimits
+    "state_hold_s",
+    "state_land_s",
+    "separation_m",
+    "separation_stray_m",
+    "separation_course_m",
+    "separation_lookahead_s",
+    "separation_follow_s",
+    "separation_forget_s",
+    "separation_speed_m_s",
 )
-_FOUND = record(
-    ("way", int),
-    ("above", bool),
-    ("aside", float, (2,)),
-)
+# Those, and where there is room to move.
+_LIMITS = record(*((name, float) for name in _OF_SAFETY), ("low_m", float, (3,)), ("high_m", float, (3,)))
+_FOUND = record(("climb", int), ("above", bool), ("aside", float, (2,)))
 
 
 class Look(NamedTuple):
@@ -89,7 +85,7 @@ class Look(NamedTuple):
 
     holds: bool = False
     reason: str = ""  # why, in a few words, with the numbers of the moment
-    way: int = 0  # holding is not enough: +1 climb, -1 sink
+    climb: int = 0  # holding is not enough: +1 climb, -1 sink
     above: bool = False  # another one is straight below: it must not land now,
     aside: tuple = (0.0, 0.0)  # but go there first: unit vector (x, y); 0 where others or the net are in the way
 
@@ -106,21 +102,12 @@ class Separation:
         """
         self._own, self._fleet = tuple(own), tuple(fleet)
         self._limits = np.zeros(1, _LIMITS)[0]
-        margin_m = limits.fence_margin_m + limits.fence_lookahead_s * limits.separation_speed_m_s
-        for name, value in (
-            ("near_m", limits.separation_m),
-            ("stray_m", limits.separation_stray_m),
-            ("course_m", limits.separation_course_m),
-            ("lookahead_s", limits.separation_lookahead_s),
-            ("follow_s", limits.separation_follow_s),
-            ("unseen_s", limits.state_hold_s),
-            ("lost_s", limits.state_land_s),
-            ("forget_s", limits.separation_forget_s),
-            ("low_m", np.maximum(np.array(limits.fence_min_m) + margin_m, (-np.inf, -np.inf, _FLOOR_M))),
-            ("high_m", np.array(limits.fence_max_m) - margin_m),
-            ("speed_m_s", limits.separation_speed_m_s),
-        ):
-            self._limits[name] = value
+        for name in _OF_SAFETY:
+            self._limits[name] = getattr(limits, name)
+        margin_m = limits.fence_lookahead_s * limits.separation_speed_m_s
+        low_m, high_m = np.transpose(limits.room_m)
+        self._limits.low_m[:] = np.maximum(low_m + margin_m, (-np.inf, -np.inf, _FLOOR_M))
+        self._limits.high_m[:] = high_m - margin_m
         self._names, self._index = [], {}
         self._vehicles = np.zeros(0, _VEHICLE)
         self._rows = {}  # {names of a message: row of each}
@@ -133,7 +120,7 @@ class Separation:
         _see(self._vehicles, rows, np.zeros(0, bool), np.zeros((0, len(S))), 0.0)
         _refer(self._vehicles, rows, np.zeros((0, 3, 4)), 0.0, 1.0)
         _judge(self._vehicles, self._apart_m, 0.0, self._limits)
-        _give_way(self._vehicles, 0, 0.0, self._limits, self._found)
+        _avoid(self._vehicles, 0, 0.0, self._limits, self._found)
 
     def see(self, names, visible, states, seen_s):
         """States of some vehicles. visible: (n,) bool.  states: (n, 12), columns `S` (angles are not used)."""
@@ -143,11 +130,11 @@ class Separation:
     def refer(self, names, derivatives, referred_s):
         """References of some vehicles. derivatives: (n, 3, 4) position, velocity, acceleration of x, y, z, psi."""
         rows = self._rows_of(names)
-        _refer(self._vehicles, rows, derivatives, referred_s, self._limits["course_m"])
+        _refer(self._vehicles, rows, derivatives, referred_s, self._limits.separation_course_m)
 
     def look(self, now_s):
         """{name: Look} of the own vehicles that have to do something; the others are `ALONE`."""
-        if self._limits["near_m"] == 0.0:
+        if self._limits.separation_m == 0.0:
             return {}
         if _judge(self._vehicles, self._apart_m, now_s, self._limits):
             self._alert_s = now_s
@@ -155,12 +142,12 @@ class Separation:
             return {}
         looks, found = {}, self._found
         for i, name in zip(self._own_rows, self._own):
-            _give_way(self._vehicles, i, now_s, self._limits, found)
+            _avoid(self._vehicles, i, now_s, self._limits, found)
             holds = bool(self._vehicles["holds"][i])
             if holds or found["above"]:
                 aside = tuple(found["aside"].tolist())
                 reason = self._reason(self._vehicles[i], now_s) if holds else ""
-                looks[name] = Look(holds, reason, int(found["way"]), bool(found["above"]), aside)
+                looks[name] = Look(holds, reason, int(found["climb"]), bool(found["above"]), aside)
         return looks
 
     def _reason(self, vehicle, now_s):
@@ -244,7 +231,7 @@ def _refer(vehicles, rows, derivatives, referred_s, course_m):
 def _note_course(vehicle, now_s, limits):
     """Whether a vehicle follows its reference or strays, as of now."""
     vehicle.follows = False
-    if now_s - vehicle.seen_s > limits.lost_s:
+    if now_s - vehicle.seen_s > limits.state_land_s:
         vehicle.on_course, vehicle.strays = False, True
         return
     ahead_s = vehicle.seen_s - vehicle.referred_s
@@ -256,17 +243,17 @@ def _note_course(vehicle, now_s, limits):
         error_m = vehicle.position_m[axis] - vehicle.reference_m[axis] - ahead_s * vehicle.reference_m_s[axis]
         error_m_s = vehicle.velocity_m_s[axis] - vehicle.reference_m_s[axis] - ahead_s * vehicle.reference_m_s2[axis]
         square += error_m**2
-        square_then += (error_m + limits.follow_s * error_m_s) ** 2
+        square_then += (error_m + limits.separation_follow_s * error_m_s) ** 2
     square_then = max(square, square_then)
-    if square_then <= 0.25 * limits.course_m**2:
+    if square_then <= 0.25 * limits.separation_course_m**2:
         vehicle.on_course = True
-    vehicle.strays = vehicle.on_course and square_then > limits.course_m**2
+    vehicle.strays = vehicle.on_course and square_then > limits.separation_course_m**2
     vehicle.follows = vehicle.on_course and not vehicle.strays
 
 
 @compiled
 def _nearest(x, y, z, u, v, w, within_s):
-    """Smallest length of the way (x, y, z) + t (u, v, w) for t from 0 to within_s."""
+    """Smallest length of the vector (x, y, z) + t (u, v, w) for t from 0 to within_s."""
     square, along = u * u + v * v + w * w, x * u + y * v + z * w
     t = min(max(-along / square, 0.0), within_s) if square > 0.0 else 0.0
     return math.sqrt((x + t * u) ** 2 + (y + t * v) ** 2 + (z + t * w) ** 2)
@@ -331,26 +318,26 @@ def _judge(vehicles, apart_m, now_s, limits):
         one, spare_m = vehicles[i], 0.0
         one.holds = False
         apart_m[i, :] = np.inf
-        if now_s - one.seen_s > limits.unseen_s or not _flies(one):
+        if now_s - one.seen_s > limits.state_hold_s or not _flies(one):
             continue  # it holds or lands because it is not seen, or stands
         for j in range(n):
             other = vehicles[j]
             unseen_s = now_s - other.seen_s
-            if i == j or unseen_s > limits.forget_s or not _flies(other):
+            if i == j or unseen_s > limits.separation_forget_s or not _flies(other):
                 continue
-            is_unseen = unseen_s > limits.unseen_s
-            apart_m[i, j] = nearest_m = _nearest_straight(one, other, is_unseen, limits.lookahead_s)
-            limit_m = limits.stray_m if other.strays else limits.near_m
+            is_unseen = unseen_s > limits.state_hold_s
+            apart_m[i, j] = nearest_m = _nearest_straight(one, other, is_unseen, limits.separation_lookahead_s)
+            limit_m = limits.separation_stray_m if other.strays else limits.separation_m
             if nearest_m < limit_m and one.follows and other.follows:
                 nearest_m = max(
-                    _nearest_straight(one, other, is_unseen, limits.follow_s),
-                    _nearest_bent(one, other, limits.follow_s),
+                    _nearest_straight(one, other, is_unseen, limits.separation_follow_s),
+                    _nearest_bent(one, other, limits.separation_follow_s),
                 )
             if nearest_m - limit_m < spare_m:
                 spare_m = nearest_m - limit_m
                 one.holds, one.neighbour, one.cause = True, j, Cause.NEAR
                 if other.strays:
-                    one.cause = Cause.UNSEEN if unseen_s > limits.lost_s else Cause.STRAYS
+                    one.cause = Cause.UNSEEN if unseen_s > limits.state_land_s else Cause.STRAYS
         anybody |= one.holds
     spreads = anybody
     while spreads:
@@ -359,27 +346,27 @@ def _judge(vehicles, apart_m, now_s, limits):
             one = vehicles[i]
             if one.holds:
                 continue
-            nearest_m = limits.stray_m
+            nearest_m = limits.separation_stray_m
             for j in range(n):
                 if vehicles[j].holds and apart_m[i, j] < nearest_m:
                     nearest_m = apart_m[i, j]
                     one.neighbour, one.cause = j, Cause.HOLDS
-            if nearest_m < limits.stray_m:
+            if nearest_m < limits.separation_stray_m:
                 one.holds = spreads = True
     return anybody
 
 
 @compiled
-def _give_way(vehicles, i, now_s, limits, found):
-    """Where a vehicle that holds has to go."""
+def _avoid(vehicles, i, now_s, limits, found):
+    """Where a vehicle that holds has to go, into found (_FOUND)."""
     one, height_m = vehicles[i], vehicles[i].position_m[2]
-    found.way, found.above = 0, False
+    found.climb, found.above = 0, False
     found.aside[0] = found.aside[1] = 0.0
-    closest_m, beside_m = limits.near_m, _BESIDE * limits.near_m
+    closest_m, beside_m = limits.separation_m, _BESIDE * limits.separation_m
     for j in range(len(vehicles)):
         other = vehicles[j]
         unseen_s = now_s - other.seen_s
-        if i == j or unseen_s > limits.forget_s:
+        if i == j or unseen_s > limits.separation_forget_s:
             continue
         x, y = one.position_m[0] - other.position_m[0], one.position_m[1] - other.position_m[1]
         z = one.position_m[2] - other.position_m[2]
@@ -391,38 +378,38 @@ def _give_way(vehicles, i, now_s, limits, found):
             continue
         # will it come too near even to one that stops at once?
         u, v, w = -other.velocity_m_s[0], -other.velocity_m_s[1], -other.velocity_m_s[2]
-        if unseen_s > limits.unseen_s:
+        if unseen_s > limits.state_hold_s:
             z, w = max(z, 0.0), 0.0
-        alone_m = _nearest(x, y, z, u, v, w, limits.lookahead_s)
+        alone_m = _nearest(x, y, z, u, v, w, limits.separation_lookahead_s)
         if alone_m < closest_m:
             closest_m = alone_m
-            found.way = 1 if _is_above(one, other) else -1
-    if (found.way > 0 and height_m > limits.high_m[2]) or (found.way < 0 and height_m < limits.low_m[2]):
-        found.way = 0
-    if found.above and not _is_free(vehicles, i, found.aside, _BESIDE * limits.near_m - beside_m, now_s, limits):
+            found.climb = 1 if _is_above(one, other) else -1
+    if (found.climb > 0 and height_m > limits.high_m[2]) or (found.climb < 0 and height_m < limits.low_m[2]):
+        found.climb = 0
+    if found.above and not _is_free(vehicles, i, found.aside, _BESIDE * limits.separation_m - beside_m, now_s, limits):
         found.aside[0] = found.aside[1] = 0.0
 
 
 @compiled
-def _is_free(vehicles, i, aside, way_m, now_s, limits):
-    """Whether a vehicle can go so far to one side, at the speed of giving way, and stop there."""
-    one, speed_m_s = vehicles[i], limits.speed_m_s
+def _is_free(vehicles, i, aside, distance_m, now_s, limits):
+    """Whether a vehicle can go so far to one side, at the speed of moving apart, and stop there."""
+    one, speed_m_s = vehicles[i], limits.separation_speed_m_s
     for axis in range(2):
-        end_m = one.position_m[axis] + way_m * aside[axis]
+        end_m = one.position_m[axis] + distance_m * aside[axis]
         if end_m < limits.low_m[axis] or end_m > limits.high_m[axis]:
             return False
-    within_s = way_m / speed_m_s + limits.lookahead_s if speed_m_s > 0.0 else 0.0
+    within_s = distance_m / speed_m_s + limits.separation_lookahead_s if speed_m_s > 0.0 else 0.0
     for j in range(len(vehicles)):
         other = vehicles[j]
         unseen_s = now_s - other.seen_s
-        if i == j or unseen_s > limits.forget_s or not _flies(other):
+        if i == j or unseen_s > limits.separation_forget_s or not _flies(other):
             continue
         x, y = other.position_m[0] - one.position_m[0], other.position_m[1] - one.position_m[1]
         z = other.position_m[2] - one.position_m[2]
-        if unseen_s > limits.unseen_s:
+        if unseen_s > limits.state_hold_s:
             z = min(z, 0.0)
         u, v = -speed_m_s * aside[0], -speed_m_s * aside[1]
         here_m = math.sqrt(x * x + y * y + z * z)
-        if _nearest(x, y, z, u, v, 0.0, within_s) < min(here_m - 1e-9, limits.stray_m):
+        if _nearest(x, y, z, u, v, 0.0, within_s) < min(here_m - 1e-9, limits.separation_stray_m):
             return False
     return True

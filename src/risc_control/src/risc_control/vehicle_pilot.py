@@ -5,113 +5,71 @@ never steps; `age_s` is the age of a message by its stamp when it arrived.
 """
 
 import math
-from collections import defaultdict, namedtuple
-from dataclasses import dataclass, field, fields
+from collections import defaultdict
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
 
 from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits, fence_of
-from risc_control.joystick import (
-    CENTRED,
-    CLOCK_MEMORY_S,
-    LATE_S,
-    Button,
-    Joystick,
-    JoystickParams,
-    Sticks,
-    parse_bool,
-)
+from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
 from risc_control.separation import ALONE
 from risc_control.vehicles import FlightState, adapter_class
+from risc_lab.command_history import CommandHistory
 from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
 from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, legacy_overrides
-from risc_lab.message_age import MessageAges
+from risc_lab.settings import NotNegative, Positive, Settings, settings_from
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
 _TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
-_WAY_RAD_PER_M_S = 0.15  # of a vehicle that gives way: tilt by the velocity that it lacks; it stops as by its own
-_WAY_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
-_SLOWER = 59.0 / 60.0  # than the vehicle takes commands: see config/vehicle_node.yaml
+_AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
+_AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
+_SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `PilotParams.command_rate_hz`
 _NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
 
 
 @dataclass(frozen=True)
-class PilotParams:
+class PilotParams(Settings):
     """Everything of the node that is neither the joystick's mapping nor the ladder's."""
 
     Simulation: bool = False  # send commands without navdata, for simulators that have none
-    command_rate_hz: float = -1.0  # [Hz] negative: a little slower than the vehicle takes them, see vehicle_node.yaml
-    status_rate_hz: float = 30.0  # [Hz] how often the mode is told; a change is told at once
-    land_repeat_s: float = 0.2  # [s] how often a landing of the ladder is ordered
-    takeoff_grace_s: float = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
-    stick_timeout: float = 0.5  # [s] a joystick silent: its sticks centred; 0 = off: the last message stays
-    joystick_late_s: float = LATE_S  # [s] a joystick message older than this when it arrives is not obeyed
-    hold_auto_hover: bool = True  # HOLD: True the vehicle's own position hold, False level without position hold
-
-    def __post_init__(self):
-        for name in ("status_rate_hz", "land_repeat_s", "joystick_late_s"):
-            if _number(getattr(self, name), name) <= 0.0:
-                raise ValueError("parameter %s must be a number > 0, found %r" % (name, getattr(self, name)))
-        if _number(self.command_rate_hz, "command_rate_hz") == 0.0:
-            raise ValueError("parameter command_rate_hz must not be 0")
-        for name in ("takeoff_grace_s", "stick_timeout"):
-            if _number(getattr(self, name), name) < 0.0:
-                raise ValueError("parameter %s must not be negative, found %r" % (name, getattr(self, name)))
+    # [Hz] 0 or negative: a sixtieth slower than the vehicle takes them (29.5 of 30). At the same rate commands that
+    # come now just before, now just after the channel's turn would do so for the whole flight (one vehicle in seven),
+    # be lost in pairs, and double its tracking error
+    command_rate_hz: float = -1.0
+    status_rate_hz: Positive = 30.0  # [Hz] how often controller_status is told; a change is told at once
+    land_repeat_s: Positive = 0.2  # [s] how often a landing of the ladder is ordered until the vehicle stands
+    takeoff_grace_s: NotNegative = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
+    # HOLD sends: True all zero, on which an AR.Drone holds its place by its own bottom camera; False zero tilt and
+    # climb without that (a floor without texture)
+    hold_auto_hover: bool = True
 
     def rate_hz(self, vehicle_type):
         """At which a vehicle of a type is sent commands."""
         return self.command_rate_hz if self.command_rate_hz > 0.0 else _SLOWER * vehicle_type.command_rate_hz
 
 
-@dataclass
-class _Sender:
-    """One joystick, by the name of its node."""
-
-    joystick: Joystick
-    ages: MessageAges
-    sticks: Sticks = CENTRED
-    heard_s: float = -math.inf  # arrival of its newest message in time
-
-
 @dataclass(frozen=True)
-class VehicleNodeParams:
-    """All parameters of the vehicle node."""
+class VehicleNodeParams(PilotParams, JoystickParams, SafetyLimits):
+    """All parameters of the vehicle node, by their names on the parameter server.
 
-    pilot: PilotParams = field(default_factory=PilotParams)
-    joystick: JoystickParams = field(default_factory=JoystickParams)
-    limits: SafetyLimits = field(default_factory=SafetyLimits)
-
-
-def params_from_dict(values, arena=None):
-    """Parameters by their names on the parameter server -> (`VehicleNodeParams`, names that mean nothing).
-
-    Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`), and checked only.
-
-    arena: Arena whose net is the fence unless the parameters say else; None = the laboratory's. Raises ValueError that
-    names the parameter.
+    Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`).
     """
-    legacy_overrides(values)
-    values = {name: value for name, value in values.items() if name not in LEGACY_PARAMETERS}
-    values = dict(fence_of(arena) if arena else {}, **values)
-    for name in ("Simulation", "hold_auto_hover"):
-        if name in values:
-            values[name] = parse_bool(values[name], name)
-    for name in ("fence_min_m", "fence_max_m"):
-        if name in values:
-            vector = values[name]
-            if not isinstance(vector, (list, tuple)) or len(vector) != 3:
-                raise ValueError("parameter %s must be a list of 3 numbers, found %r" % (name, vector))
-            values[name] = tuple(_number(value, name) for value in vector)
-    parts = []
-    for part in (PilotParams, JoystickParams, SafetyLimits):
-        names = [item.name for item in fields(part) if item.name in values]
-        if part is SafetyLimits:
-            for name in names:
-                if not name.startswith("fence_m") or name == "fence_margin_m":
-                    _number(values[name], name)
-        parts.append(part(**{name: values.pop(name) for name in names}))
-    return VehicleNodeParams(*parts), sorted(values)
+
+
+def node_params(values, arena=None):
+    """(`VehicleNodeParams`, names that mean nothing) of a mapping. Raises ValueError that names the parameter.
+
+    arena: Arena whose net is the fence unless the parameters say else; None = the laboratory's.
+    """
+    legacy_overrides(values)  # checks them
+    known = {item.name for item in fields(VehicleNodeParams)}
+    own = {name: value for name, value in values.items() if name in known}
+    params = settings_from(VehicleNodeParams, {**(fence_of(arena) if arena else {}), **own}, "parameters")
+    return params, sorted(set(values) - known - set(LEGACY_PARAMETERS))
 
 
 def choose_vehicle(wanted, namespace, fleet):
@@ -134,9 +92,22 @@ def choose_vehicle(wanted, namespace, fleet):
     )
 
 
-# Own entry of /cortex_raw, as far as the node needs it: position [m] and velocity [m/s] in the cortex frame (z up),
-# angles [rad].
-OwnState = namedtuple("OwnState", "position_m velocity_m_s phi_rad theta_rad psi_rad")
+class OwnState(NamedTuple):
+    """Own entry of /cortex_raw, as far as the node needs it; cortex frame (z up)."""
+
+    position_m: tuple
+    velocity_m_s: tuple
+    phi_rad: float
+    theta_rad: float
+    psi_rad: float
+
+
+class SentCommand(NamedTuple):
+    """A command to send."""
+
+    sticks: Sticks
+    answers_s: float  # stamp of the /controls answered [s]; 0 = of none
+    settles_at: np.ndarray  # (4,) what the vehicle makes of it: see `command_history.Channel`
 
 
 class Orders:
@@ -145,7 +116,7 @@ class Orders:
     reset = False
     takeoff = False
     land = False
-    command = None  # (Sticks, stamp [s] of the /controls answered; 0 = of none)
+    command = None  # SentCommand
     level_only = False  # the command must not start the vehicle's own position hold
     status = None  # autonomous?, when it is time to say so
     mode = None  # autonomous?, when that has just changed
@@ -188,24 +159,23 @@ class VehiclePilot:
     """Joystick state machine, input mapping and loss ladder of one vehicle."""
 
     def __init__(self, params, vehicle_type, now_s, slot_s=0.0, before=None):
-        """slot_s: when a slot for commands begins, see `SlotClock`.
+        """params: VehicleNodeParams.  slot_s: when a slot for commands begins, see `SlotClock`.
 
         before: VehiclePilot that this one follows, or None; a button that is still down is not pressed again.
         """
-        self._params = params.pilot
-        rate_hz = params.pilot.rate_hz(vehicle_type)
+        self._params = params
+        rate_hz = params.rate_hz(vehicle_type)
         self._adapter = adapter_class(vehicle_type)(vehicle_type, rate_hz)
-        self.disagreement = ""  # why the controller is not obeyed: it or the vehicle has other full scales
+        self._sent = CommandHistory(1)
+        # why the controller is not obeyed: it or the vehicle has other full scales
+        self.disagreement = before.disagreement if before is not None else ""
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
-        self._joysticks = defaultdict(lambda: _Sender(Joystick(params.joystick), MessageAges(CLOCK_MEMORY_S)))
-        if before is not None:
-            self._joysticks = before._joysticks
-        self._joystick_names = params.joystick
+        self._joysticks = before._joysticks if before is not None else defaultdict(lambda: Joystick(params))
         # a simulator's vehicle is always airborne: there, silence counts from the first joystick message
-        self.ladder = SafetyLadder(params.limits, math.inf if params.pilot.Simulation else now_s)
+        self.ladder = SafetyLadder(params, math.inf if params.Simulation else now_s)
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
-        self.airborne = self._params.Simulation  # may be in the air; simulators without navdata always fly
+        self.airborne = params.Simulation  # may be in the air; simulators without navdata always fly
         self._takeoff_s = None  # when a take-off was ordered of which nothing was heard yet
         self._state = None
         self._state_s = 0.0  # when the state held [s]
@@ -214,7 +184,7 @@ class VehiclePilot:
         self._ended = False
         self._land_s = -math.inf
         self._slots = SlotClock(rate_hz, slot_s)
-        self._status_slots = SlotClock(self._params.status_rate_hz, slot_s)
+        self._status_slots = SlotClock(params.status_rate_hz, slot_s)
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
@@ -227,17 +197,14 @@ class VehiclePilot:
         autonomous mode only.
         """
         orders = Orders()
-        source = self._joysticks[sender]
-        age_s = source.ages.corrected(age_s, now_s)
-        late = age_s > self._params.joystick_late_s
-        joy = source.joystick.update(buttons, axes, late)
-        if late:
+        joystick = self._joysticks[sender]
+        joy = joystick.update(buttons, axes, now_s, age_s)
+        if joy.late:
             text = "a joystick message came %.1f s late and is not obeyed: look at the network, and at the clocks"
-            orders.say("warn", text % age_s)
+            orders.say("warn", text % joy.age_s)
             return orders
         self.ladder.note_joystick(now_s, sender)
-        source.sticks, source.heard_s = joy.sticks, now_s
-        for problem in joy.problems:
+        for problem in joystick.problems:
             orders.say("warn", problem)
         down = joy.pressed | joy.belated
         if Button.EMERGENCY in down:
@@ -308,7 +275,8 @@ class VehiclePilot:
             return orders
         self._judge(orders, now_s)
         if self.ladder.verdict.level == _OK and self._takes_commands() and self._slots.due(now_s):
-            self._send(self._adapter.answer(own, self._state, self._state_s, now_s), stamp_s, orders, now_s)
+            sent = self._sent.vehicles[0]
+            self._send(self._adapter.answer(own, self._state, self._state_s, now_s, sent), stamp_s, orders, now_s)
         return orders
 
     def tick(self, now_s):
@@ -373,9 +341,9 @@ class VehiclePilot:
     def _centre_silent_sticks(self, orders, now_s):
         """A deflection holds only as long as the joystick repeats it: it may be unplugged, or its node dead."""
         limit_s = self._params.stick_timeout
-        for name, source in self._joysticks.items():
-            if 0.0 < limit_s < now_s - source.heard_s and source.sticks != CENTRED:
-                source.sticks = CENTRED
+        for name, joystick in self._joysticks.items():
+            if 0.0 < limit_s < now_s - joystick.heard_s and joystick.sticks != CENTRED:
+                joystick.sticks = CENTRED
                 orders.say(
                     "warn",
                     "joystick '%s' silent for %g s with its sticks deflected: taken as centred (joy_node must "
@@ -387,10 +355,10 @@ class VehiclePilot:
 
         Without stick_timeout a deflection may be that of a dead joystick: the newest message counts alone.
         """
-        sources = list(self._joysticks.values())
+        joysticks = list(self._joysticks.values())
         if self._params.stick_timeout == 0.0:
-            sources = sorted(sources, key=lambda source: source.heard_s)[-1:]
-        return Sticks(*(max(axis, key=abs) for axis in zip(CENTRED, *(source.sticks for source in sources))))
+            joysticks = sorted(joysticks, key=lambda joystick: joystick.heard_s)[-1:]
+        return Sticks(*(max(axis, key=abs) for axis in zip(CENTRED, *(joystick.sticks for joystick in joysticks))))
 
     def _takeoff_or_land(self, orders, now_s, may_take_off):
         """The vehicle's own report decides, not what was pressed before (D-31); an old report decides nothing."""
@@ -483,32 +451,26 @@ class VehiclePilot:
         holds, look = self.ladder.verdict.level > _OK, self.ladder.apart(now_s)
         itself = self._adapter.HOLDS_POSITION and self._params.hold_auto_hover
         orders.level_only = holds and not itself
-        if look is not None and (look.way or any(look.aside) or orders.level_only):
-            sticks = self._give_way(look)
+        if look is not None and (look.climb or any(look.aside) or orders.level_only):
+            sticks = self._avoid(look)
         elif not holds:
             sticks = self._adapter.by_hand(self._sticks(), self._state)
         else:
             sticks = CENTRED if itself else self._adapter.move(0.0, 0.0, 0.0, self._state)
         self._send(sticks, 0.0, orders, now_s)
 
-    def _give_way(self, look):
+    def _avoid(self, look):
         """Sticks that stop the vehicle where it is, except where a `separation.Look` sends it."""
         speed_m_s, psi_rad = self.ladder.limits.separation_speed_m_s, self._state.psi_rad
         x, y = (speed_m_s * part - velocity for part, velocity in zip(look.aside, self._state.velocity_m_s))
         forward_m_s = x * math.cos(psi_rad) - y * math.sin(psi_rad)
         left_m_s = x * math.sin(psi_rad) + y * math.cos(psi_rad)
         forward_rad, left_rad = (
-            max(-_WAY_TILT_MAX_RAD, min(_WAY_TILT_MAX_RAD, _WAY_RAD_PER_M_S * wanted_m_s))
+            max(-_AVOID_TILT_MAX_RAD, min(_AVOID_TILT_MAX_RAD, _AVOID_RAD_PER_M_S * wanted_m_s))
             for wanted_m_s in (forward_m_s, left_m_s)
         )
-        return self._adapter.move(forward_rad, left_rad, look.way * speed_m_s, self._state)
+        return self._adapter.move(forward_rad, left_rad, look.climb * speed_m_s, self._state)
 
     def _send(self, sticks, stamp_s, orders, now_s):
-        self._adapter.sent(sticks, now_s)
-        orders.command = (sticks, stamp_s)
-
-
-def _number(value, name):
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError("parameter %s must be a number, found %r" % (name, value))
-    return float(value)
+        orders.command = SentCommand(sticks, stamp_s, self._adapter.settles_at(sticks))
+        self._sent.append(0, now_s, orders.command.settles_at)

@@ -87,7 +87,7 @@ def main(argv=None):
     findings = run(situation, [name for name in CHECKS if name in args.only])
     with _told():
         if args.json:
-            print(json.dumps([finding.to_dict() for finding in findings]))
+            print(json.dumps([found.to_dict() for found in findings]))
         else:
             print_findings(findings)
             print("\n%s (%s)." % (_LAST_LINE[worst(findings)], count_text(findings)))

@@ -1,7 +1,6 @@
 """All checks by name, and running them side by side: most of them wait for answers."""
 
 import concurrent.futures
-import traceback
 
 from risc_doctor import (
     clock_agreement,
@@ -16,7 +15,7 @@ from risc_doctor import (
     sourced_workspace,
     vehicles,
 )
-from risc_doctor.findings import red, yellow
+from risc_doctor.findings import broken, finding
 from risc_doctor.ros_master import MasterError
 
 # name -> (what it looks at, function of a Situation that returns findings); in the order of the report
@@ -44,20 +43,13 @@ def run(situation, names, checks=None):
     checks = CHECKS if checks is None else checks
     with concurrent.futures.ThreadPoolExecutor(len(checks)) as pool:
         jobs = [pool.submit(_guarded, name, checks[name][1], situation) for name in names]
-        return [finding for job in jobs for finding in job.result()]
+        return [found for job in jobs for found in job.result()]
 
 
 def _guarded(name, function, situation):
     try:
         return function(situation)
     except MasterError as error:
-        return [yellow(name, "cannot be looked at, the master has gone meanwhile: %s" % error, "look again; see `ros`")]
+        return [finding(name, "master_gone", error=error)]
     except Exception as error:  # whatever it is: the other checks are worth having
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        text = "the check itself failed: %s: %s (%s, line %d)" % (
-            type(error).__name__,
-            error,
-            place.filename.rpartition("/")[2],
-            place.lineno,
-        )
-        return [red(name, text, "look at it by hand; and please report this")]
+        return [broken(name, error)]

@@ -5,7 +5,7 @@ import shutil
 import tempfile
 import time
 
-from risc_doctor.findings import green, red, yellow
+from risc_doctor.findings import GREEN, RED, YELLOW, Findings, finding
 
 # What record.launch writes: every topic at 200 Hz, and a vehicle's pictures, 10 a second of 80 kB.
 BASE_MB_S = 0.5
@@ -20,71 +20,49 @@ _LONGEST_S = 2.0
 
 def check(situation):
     """Free space and write speed where the bag goes."""
+    found = Findings("disk")
     folder = situation.root / "flights" if situation.bag_folder is None else situation.bag_folder
-    if not os.path.lexists(str(folder)):  # whoever records makes it
+    if not os.path.lexists(folder):  # whoever records makes it
         folder = folder.parent
-    if not os.path.isdir(str(folder)):  # False as well where it may not be looked at
-        return [
-            red(
-                "disk",
-                "there is no folder %s that could be entered" % folder,
-                "mkdir -p %s, or name another --bag-folder" % folder,
-            )
-        ]
+    if not os.path.isdir(folder):  # False as well where it may not be looked at
+        return found.say("no_folder", folder=folder)
     need_mb_s = BASE_MB_S + VEHICLE_MB_S * len(situation.fleet.vehicles)
-    free_bytes = shutil.disk_usage(str(folder)).free
-    findings = [judge_space(folder, free_bytes, need_mb_s)]
+    free_bytes = shutil.disk_usage(folder).free
+    found.append(judge_space(folder, free_bytes, need_mb_s))
     size = min(_TEST_BYTES, free_bytes // 2)
     if situation.master is not None:
         size //= 8  # a flight may be recorded at this moment
     try:
-        findings.append(judge_speed(folder, write_speed_mb_s(folder, size), need_mb_s))
+        found.append(judge_speed(folder, write_speed_mb_s(folder, size), need_mb_s))
     except OSError as error:
-        text = "%s cannot be written: %s" % (folder, error.strerror or error)
-        cure = "name another --bag-folder"
-        if isinstance(error, PermissionError):
-            cure = "sudo chown $USER %s, or %s" % (folder, cure)
-        findings.append(red("disk", text, cure))
-    return findings
+        code = "forbidden" if isinstance(error, PermissionError) else "read_only"
+        found.say(code, folder=folder, error=error.strerror or error)
+    return found
 
 
 def judge_space(folder, free_bytes, need_mb_s):
     """Finding about the room for a bag that grows by need_mb_s [MB/s]."""
     minutes = free_bytes / (need_mb_s * _MB) / 60.0
-    text = "%s has %.1f GB free: %s of recording" % (folder, free_bytes / 1e9, _duration(minutes))
-    data = {"free_bytes": free_bytes, "minutes": minutes}
-    cure = "move old bags away (du -sh %s/*), or name another --bag-folder" % folder
-    if minutes < RED_MINUTES:
-        return red("disk", text, cure, **data)
-    if minutes < YELLOW_MINUTES:
-        return yellow("disk", text, cure, **data)
-    return green("disk", text, **data)
+    level = RED if minutes < RED_MINUTES else YELLOW if minutes < YELLOW_MINUTES else GREEN
+    duration = "%.0f minutes" % minutes if minutes < 120.0 else "%.0f hours" % (minutes / 60.0)
+    values = {"free_bytes": free_bytes, "free_gb": free_bytes / 1e9, "minutes": minutes, "duration": duration}
+    return finding("disk", "room", level, folder=folder, **values)
 
 
 def judge_speed(folder, speed_mb_s, need_mb_s):
     """Finding about the speed of writing."""
-    text = "%s takes %.0f MB/s; a bag of this fleet needs %.1f" % (folder, speed_mb_s, need_mb_s)
-    cure = "record on an internal disk (no stick, no network folder), or less: record_hz:=0 leaves the pictures out"
-    data = {"speed_mb_s": speed_mb_s}
-    if speed_mb_s < need_mb_s:
-        return red("disk", text, cure, **data)
-    if speed_mb_s < _RESERVE * need_mb_s:
-        return yellow("disk", text, cure, **data)
-    return green("disk", text, **data)
+    level = RED if speed_mb_s < need_mb_s else YELLOW if speed_mb_s < _RESERVE * need_mb_s else GREEN
+    return finding("disk", "speed", level, folder=folder, speed_mb_s=speed_mb_s, need_mb_s=need_mb_s)
 
 
 def write_speed_mb_s(folder, size=_TEST_BYTES, longest_s=_LONGEST_S):
     """MB/s of a file that reaches the disk and is removed again. Raises OSError."""
     piece = os.urandom(_PIECE_BYTES)  # nothing that a file system could squeeze
     written = 0
-    with tempfile.TemporaryFile(dir=str(folder)) as stream:
+    with tempfile.TemporaryFile(dir=folder) as stream:
         start = time.monotonic()
         while written < max(size, _PIECE_BYTES) and time.monotonic() - start < longest_s:
             written += stream.write(piece)
             stream.flush()
             os.fdatasync(stream.fileno())
         return written / _MB / max(time.monotonic() - start, 1e-6)
-
-
-def _duration(minutes):
-    return "%.0f minutes" % minutes if minutes < 120.0 else "%.0f hours" % (minutes / 60.0)

@@ -1,10 +1,19 @@
-"""What checks have found: green, yellow or red, in one sentence, with the cure. For `maap doctor` and `machines`."""
+"""What checks have found: green, yellow or red, in one sentence, with the cure. For `maap doctor` and `machines`.
 
+The sentences stand in config/findings.yaml, by check and code.
+"""
+
+import functools
 import math
+import pathlib
 import shutil
 import sys
 import textwrap
+import traceback
 from dataclasses import dataclass, field
+
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import Settings, settings_from
 
 GREEN, YELLOW, RED = LEVELS = ("green", "yellow", "red")  # from good to bad
 _COLOURS = {GREEN: "\033[32m", YELLOW: "\033[33m", RED: "\033[1;31m"}
@@ -14,7 +23,7 @@ _NARROWEST = 40  # characters for the text, however narrow the terminal is
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(Settings):
     """One thing that was looked at. Raises ValueError for an unknown level or one that is not green without a cure."""
 
     check: str  # name of the check, e.g. "cortex"
@@ -22,8 +31,10 @@ class Finding:
     text: str  # what was found, one sentence, with numbers and units
     cure: str = ""  # what to do about it; needed unless green
     data: dict = field(default_factory=dict)  # what another program may want to know; must fit into JSON
+    code: str = ""  # of the sentence, in config/findings.yaml
 
     def __post_init__(self):
+        super().__post_init__()
         if self.level not in LEVELS:
             raise ValueError("the level of a finding is one of %s, not %r" % (", ".join(LEVELS), self.level))
         if self.level != GREEN and not self.cure:
@@ -31,40 +42,47 @@ class Finding:
 
     def to_dict(self):
         """Plain values, as for JSON. Numbers that JSON has not (NaN, infinite) become None."""
-        return {
-            "check": self.check,
-            "level": self.level,
-            "text": self.text,
-            "cure": self.cure,
-            "data": _plain(self.data),
-        }
+        return _plain(vars(self))
 
     @classmethod
     def from_dict(cls, content):
         """The finding of `to_dict`. Raises ValueError when it is none."""
-        try:
-            texts = [content[key] for key in ("check", "level", "text")] + [content.get("cure", "")]
-            data = content.get("data", {})
-        except (TypeError, KeyError, AttributeError):
-            raise ValueError("no finding: %r" % (content,)) from None
-        if not all(isinstance(text, str) for text in texts) or not isinstance(data, dict):
-            raise ValueError("no finding: %r" % (content,))
-        return cls(*texts, data)
+        return settings_from(cls, content)
 
 
-def green(check, text, **data):
-    """A finding that is good."""
-    return Finding(check, GREEN, text, "", data)
+@functools.cache
+def catalogue():
+    """{check: {code: entry}} of config/findings.yaml."""
+    return load_yaml(package_file("risc_doctor", "config/findings.yaml"))
 
 
-def yellow(check, text, cure, **data):
-    """A finding that lets fly, or something that could not be looked at."""
-    return Finding(check, YELLOW, text, cure, data)
+def finding(check, code, level=None, **values):
+    """The Finding of a code, with the values of its sentence and cure. level: None = the one in the file."""
+    entry = catalogue()[check].get(code) or catalogue()["any"][code]
+    usual = next(key for key in LEVELS if key in entry)
+    level, data = level or usual, {key: values[key] for key in entry.get("data", "").split()}
+    cure = entry["cure"].format(**values) if level != GREEN else ""
+    return Finding(check, level, entry[usual].format(**values), cure, data, code)
 
 
-def red(check, text, cure, **data):
-    """A finding that keeps from flying."""
-    return Finding(check, RED, text, cure, data)
+class Findings(list):
+    """What a check has found."""
+
+    def __init__(self, check):
+        super().__init__()
+        self._check = check
+
+    def say(self, code, level=None, **values):
+        """One more, see `finding`. Returns self."""
+        self.append(finding(self._check, code, level, **values))
+        return self
+
+
+def broken(check, error):
+    """The Finding that the check itself has failed, and where."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    where = "%s, line %d" % (pathlib.PurePath(place.filename).name, place.lineno)
+    return finding(check, "broken", error="%s: %s" % (type(error).__name__, error), place=where)
 
 
 def worst(findings):
@@ -106,9 +124,8 @@ def table(findings, width=_WIDTH, coloured=False):
 def print_findings(findings, out=None):
     """Print the table: coloured, and as wide as it is, when `out` is a terminal. out: text stream, None = stdout."""
     out = sys.stdout if out is None else out
-    terminal = out.isatty()
-    width = shutil.get_terminal_size((_WIDTH, 24)).columns if terminal else _WIDTH
-    for line in table(findings, width, terminal):
+    width = shutil.get_terminal_size((_WIDTH, 24)).columns if out.isatty() else _WIDTH
+    for line in table(findings, width, out.isatty()):
         print(line, file=out)
 
 

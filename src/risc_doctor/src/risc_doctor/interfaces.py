@@ -28,6 +28,11 @@ class Interface:
     def is_loopback(self):
         return any(address.ip in _LOOPBACK for address in self.addresses)
 
+    def has(self, address):
+        """Whether the address (text) is its own; each of 127.x.x.x is that of the loopback card."""
+        wanted = ipaddress.IPv4Address(address)
+        return any(own.ip == wanted or (own.ip in _LOOPBACK and wanted in _LOOPBACK) for own in self.addresses)
+
     def describe(self):
         """E.g. "eth0 192.168.0.10/24"."""
         return "%s %s" % (self.name, ", ".join(map(str, self.addresses)) or "without an address")
@@ -51,11 +56,7 @@ def read_interfaces():
 
 def is_own(interfaces, address):
     """True when this computer has the address (text), on a card that is up."""
-    wanted = ipaddress.IPv4Address(address)
-    return any(
-        card.up and any(own.ip == wanted or (own.ip in _LOOPBACK and wanted in _LOOPBACK) for own in card.addresses)
-        for card in interfaces
-    )
+    return any(card.up and card.has(address) for card in interfaces)
 
 
 def is_loopback(address):
@@ -66,26 +67,13 @@ def is_loopback(address):
 def interface_towards(interfaces, address):
     """(card, own address in that network) that reaches the address (text) without a router, or None."""
     wanted = ipaddress.IPv4Address(address)
-    candidates = [
-        (own.network.prefixlen, card, own)
-        for card in interfaces
-        if card.up
-        for own in card.addresses
-        if wanted in own.network
-    ]
-    if not candidates:
-        return None
-    _, card, own = max(candidates, key=lambda candidate: candidate[0])
-    return card, own
+    ways = [(card, own) for card in interfaces if card.up for own in card.addresses if wanted in own.network]
+    return max(ways, key=lambda way: way[1].network.prefixlen, default=None)
 
 
 def interface_of(interfaces, address):
     """The card that has the address (text), or None."""
-    wanted = ipaddress.IPv4Address(address)
-    for card in interfaces:
-        if any(own.ip == wanted or (own.ip in _LOOPBACK and wanted in _LOOPBACK) for own in card.addresses):
-            return card
-    return None
+    return next((card for card in interfaces if card.has(address)), None)
 
 
 def source_towards(address):
@@ -96,6 +84,11 @@ def source_towards(address):
         except OSError:
             return None
         return sock.getsockname()[0]
+
+
+def join(sock, group, own):
+    """Let a socket hear a multicast group by the card that has the address. Raises OSError."""
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + socket.inet_aton(own))
 
 
 def _read(path):

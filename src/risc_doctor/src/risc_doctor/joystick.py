@@ -4,12 +4,10 @@ import array
 import fcntl
 import glob
 import os
-from dataclasses import fields
 
 from joy.device import device_name
-from risc_control.joystick import JoystickParams
-from risc_doctor.findings import green, red, yellow
-from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_control.joystick import Button, JoystickParams
+from risc_doctor.findings import Findings, finding
 
 _PATTERN = "/dev/input/js*"
 _JSIOCGAXES, _JSIOCGBUTTONS = 0x80016A11, 0x80016A12  # linux/joystick.h
@@ -17,49 +15,34 @@ _JSIOCGAXES, _JSIOCGBUTTONS = 0x80016A11, 0x80016A12  # linux/joystick.h
 
 def check(situation):
     """The devices that were named, else those that are there."""
-    needed = needed_indices()
-    if situation.joysticks:
-        return [look(path, needed) for path in situation.joysticks]
-    devices = sorted(glob.glob(_PATTERN))
-    if devices:
-        return [look(path, needed) for path in devices]
-    if situation.simulated:
-        return [green("joystick", "none is plugged in; the virtual operator needs none")]
-    return [
-        yellow(
-            "joystick",
-            "none is plugged in (%s)" % _PATTERN,
-            "plug it into the computer that flies the vehicle (a base station needs none); --joystick names others",
-        )
-    ]
+    devices = situation.joysticks or sorted(glob.glob(_PATTERN))
+    if not devices:
+        return Findings("joystick").say("none_needed" if situation.simulated else "none", pattern=_PATTERN)
+    return [look(path, needed_indices()) for path in devices]
 
 
 def needed_indices():
-    """(highest button index, highest axis index) of vehicle_node.yaml."""
-    settings = load_yaml(package_file("risc_control", "config/vehicle_node.yaml"))
-    params = JoystickParams(**{f.name: settings[f.name] for f in fields(JoystickParams) if f.name in settings})
-    values = {f.name: getattr(params, f.name) for f in fields(params) if not f.name.startswith("Scale")}
-    axes = [value for name, value in values.items() if name.startswith("Axis")]
-    buttons = [value for name, value in values.items() if not name.startswith("Axis")]
-    return int(max(buttons)), int(max(axes))
+    """(highest button index, highest axis index) of the vehicle node."""
+    params = JoystickParams()
+    buttons = max(getattr(params, button.value) for button in Button)
+    return buttons, max(params.AxisRoll, params.AxisPitch, params.AxisYaw)
 
 
 def look(path, needed):
     """Finding about one device."""
-    say = "joystick"
+    say, place = "joystick", {"path": path, "pattern": _PATTERN}
     try:
         fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except FileNotFoundError:
-        return red(say, "%s is not there" % path, "plug it in; `ls %s` shows what is there" % _PATTERN)
+        return finding(say, "missing", **place)
     except PermissionError:
-        cure = "sudo usermod -aG input %s, then log in again" % (os.environ.get("USER") or "$USER")
-        return red(say, "%s may not be read by this user" % path, cure)
+        return finding(say, "forbidden", path=path, user=os.environ.get("USER") or "$USER")
     except OSError as error:
-        return red(say, "%s: %s" % (path, error.strerror), "plug it out and in again")
+        return finding(say, "failed", path=path, error=error.strerror)
     try:
         name = device_name(fd)
         if not name:
-            return red(say, "%s is no joystick" % path, "name the right device; `ls %s` shows them" % _PATTERN)
+            return finding(say, "other_device", **place)
         return judge(path, name, _count(fd, _JSIOCGBUTTONS), _count(fd, _JSIOCGAXES), needed)
     finally:
         os.close(fd)
@@ -68,14 +51,8 @@ def look(path, needed):
 def judge(path, name, buttons, axes, needed):
     """Finding about a joystick with so many buttons and axes. needed: highest index of each."""
     button, axis = needed
-    text = "%s is '%s' with %d buttons and %d axes" % (path, name, buttons, axes)
-    if buttons <= button or axes <= axis:
-        return red(
-            "joystick",
-            text + "; vehicle_node.yaml uses button %d and axis %d (counted from 0)" % needed,
-            "use another pad, or set its buttons and axes in risc_control/config/vehicle_node.yaml",
-        )
-    return green("joystick", text)
+    code = "short" if buttons <= button or axes <= axis else "good"
+    return finding("joystick", code, path=path, name=name, buttons=buttons, axes=axes, button=button, axis=axis)
 
 
 def _count(fd, request):

@@ -2,7 +2,7 @@
 
 import os
 
-from risc_doctor.findings import green, yellow
+from risc_doctor.findings import finding
 
 _BUSY = 1.0  # processes that want to run, for each core: more means waiting
 
@@ -14,8 +14,4 @@ def check(situation):
 
 def judge(load, cores):
     """Finding. load: mean number of processes that want to run, of the last minute."""
-    text = "%.1f processes want to run at a time, on %d cores" % (load, cores)
-    if load > _BUSY * cores:
-        cure = "end what is not needed (top shows it); fly with one computer a vehicle, and pictures on another one"
-        return yellow("load", text, cure, load=load, cores=cores)
-    return green("load", text, load=load, cores=cores)
+    return finding("load", "busy" if load > _BUSY * cores else "time", load=load, cores=cores)

@@ -1,14 +1,13 @@
 """A graph that runs, listened to for a moment: what it publishes, how often, how old, and what nodes complain of."""
 
+import statistics
 import struct
 import threading
 import time
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from ardrone_autonomy.protocol.navdata import ControlState
-from risc_doctor.findings import green, red, yellow
+from risc_doctor.findings import RED, YELLOW, Findings
 from risc_lab.lab import fleet_from_dict
 
 LISTEN_S = 2.5  # diagnostics come once a second
@@ -66,38 +65,33 @@ class _Meter:
 
     def fill(self, topic):
         if len(self.arrivals_s) > 1:
-            span_s = self.arrivals_s[-1] - self.arrivals_s[0]
-            topic.rate_hz = (len(self.arrivals_s) - 1) / max(span_s, 1e-6)
+            topic.rate_hz = (len(self.arrivals_s) - 1) / max(self.arrivals_s[-1] - self.arrivals_s[0], 1e-6)
         if self.ages_s:
-            topic.age_s = float(np.median(self.ages_s))
+            topic.age_s = statistics.median(self.ages_s)
 
 
-def listen(master, fleet, environment, listen_s=LISTEN_S):
+def listen(master, fleet, listen_s=LISTEN_S):
     """GraphReport of the graph of a ros_master.Master (None: an empty one). Never hangs."""
     report = GraphReport()
     if master is None:
         return report
     publishers = master.publishers()
-    for name in TOPICS:
-        if name in publishers:
-            report.topics[name] = Topic(tuple(publishers[name]))
+    report.topics = {name: Topic(tuple(publishers[name])) for name in TOPICS if name in publishers}
     for vehicle in fleet.vehicles:
         if "/%s/ardrone/navdata" % vehicle.namespace in publishers:
             report.vehicles[vehicle.namespace] = HeardVehicle()
-    errors = []
+    report.error = "the graph did not answer within %g s" % (listen_s + _PATIENCE_S)
 
     def work():
         try:
             _listen(report, listen_s)
+            report.error = ""
         except Exception as error:  # rospy raises many kinds when a master goes away
-            errors.append("%s: %s" % (type(error).__name__, error))
+            report.error = "%s: %s" % (type(error).__name__, error)
 
     thread = threading.Thread(target=work, daemon=True)  # rospy waits for ever for a master that has gone
     thread.start()
     thread.join(listen_s + _PATIENCE_S)
-    if thread.is_alive():
-        errors.append("the graph did not answer within %g s" % (listen_s + _PATIENCE_S))
-    report.error = "; ".join(errors)
     return report
 
 
@@ -108,85 +102,64 @@ def _listen(report, listen_s):
     from ardrone_autonomy.msg import Navdata
 
     rospy.init_node("maap_doctor", anonymous=True, disable_signals=True, disable_rostime=True)
-    meters = {name: _Meter() for name in report.topics}
-    worst = {}
+    meters, statuses = {name: _Meter() for name in report.topics}, {}
 
     def on_diagnostics(message):
         for status in message.status:
-            worst[status.name] = (status.level, status.name, status.message)
+            statuses[status.name] = (status.level, status.name, status.message)
 
-    subscribers = [rospy.Subscriber(name, rospy.AnyMsg, meter, tcp_nodelay=True) for name, meter in meters.items()]
-    subscribers.append(rospy.Subscriber("/diagnostics", DiagnosticArray, on_diagnostics, tcp_nodelay=True))
+    def on_navdata(message, heard):
+        heard.battery_pct, heard.flies = float(message.batteryPercent), message.state not in _ON_THE_GROUND
+
+    for name, meter in meters.items():
+        rospy.Subscriber(name, rospy.AnyMsg, meter, tcp_nodelay=True)
+    rospy.Subscriber("/diagnostics", DiagnosticArray, on_diagnostics, tcp_nodelay=True)
     for namespace, heard in report.vehicles.items():
-
-        def on_navdata(message, heard=heard):
-            heard.battery_pct, heard.flies = float(message.batteryPercent), message.state not in _ON_THE_GROUND
-
-        subscribers.append(
-            rospy.Subscriber("/%s/ardrone/navdata" % namespace, Navdata, on_navdata, queue_size=1, tcp_nodelay=True)
-        )
+        topic = "/%s/ardrone/navdata" % namespace
+        rospy.Subscriber(topic, Navdata, on_navdata, heard, queue_size=1, tcp_nodelay=True)
     time.sleep(listen_s)
-    for subscriber in subscribers:
-        subscriber.unregister()
+    rospy.signal_shutdown("done")
     for name, meter in meters.items():
         meter.fill(report.topics[name])
-    rospy.signal_shutdown("done")
-    report.statuses = len(worst)
-    report.complaints = sorted((s for s in list(worst.values()) if s[0] != OK), key=lambda s: (-s[0], s[1]))
+    report.statuses = len(statuses)
+    report.complaints = sorted((s for s in list(statuses.values()) if s[0] != OK), key=lambda s: (-s[0], s[1]))
 
 
 def check(situation):
     """Rates and complaints of a graph that runs."""
-    if situation.master is None and situation.nobody_there:
-        return [green("graph", "none runs (%s)" % situation.master_error)]
-    if situation.master is None:
-        return [yellow("graph", "nobody knows whether one runs: %s" % situation.master_error, "see `ros`")]
+    found, master = Findings("graph"), situation.master
+    if master is None:
+        return found.say("none" if situation.nobody_there else "unknown", error=situation.master_error)
     report = situation.graph()
     if report.error:
-        cure = "see `ros`: the master or the network to it is in trouble"
-        return [red("graph", "cannot be listened to: %s" % report.error, cure)]
-    return _other_fleet(situation) + judge(report, situation.fleet.mocap.rate_hz)
-
-
-def _other_fleet(situation):
-    """A finding when the graph was started with another fleet than the one that is looked at."""
-    content = situation.master.parameter("/fleet")
-    if content is None or fleet_from_dict(content, "the parameter /fleet") == situation.fleet:
-        return []
-    text = "the graph that runs has another fleet ('%s') than %s" % (content.get("name"), situation.fleet_source)
-    return [yellow("graph", text, "leave the file out to look at the fleet of the graph, or start it with this file")]
+        return found.say("unheard", error=report.error)
+    content = master.parameter("/fleet")
+    if content is not None and fleet_from_dict(content, "the parameter /fleet") != situation.fleet:
+        found.say("other_fleet", name=content.get("name"), source=situation.fleet_source)
+    return found + judge(report, situation.fleet.mocap.rate_hz)
 
 
 def judge(report, rate_hz):
     """Findings. rate_hz: of motion capture; every node of the chain keeps it."""
-    say = "graph"
+    found = Findings("graph")
     if not report.topics:
-        return [green(say, "a master runs, but no flight: nobody publishes %s" % " or ".join(TOPICS))]
-    findings = []
+        return found.say("no_flight", topics=" or ".join(TOPICS))
     for name, node in TOPICS.items():
         topic = report.topics.get(name)
         if topic is None:
-            text = "nobody publishes %s" % name
-            findings.append(yellow(say, text, "does %s run? rosnode list; its output says why it ended" % node))
+            found.say("unpublished", topic=name, node=node)
             continue
-        text = "%s comes at %.0f Hz" % (name, topic.rate_hz)
-        data = {"rate_hz": topic.rate_hz}
+        values = {"topic": name, "rate_hz": topic.rate_hz, "wanted_hz": rate_hz}
         if topic.rate_hz >= _SLOW * rate_hz:
-            findings.append(green(say, text, **data))
-            continue
-        if not topic.rate_hz:
-            text = "nothing comes on %s, although %s publishes it" % (name, " and ".join(topic.publishers))
-            cure = "what does it wait for? see the complaints below and `cortex`; is its computer reachable (`ros`)?"
+            found.say("rate", **values)
+        elif topic.rate_hz:
+            found.say("slow", RED if topic.rate_hz < _MUCH_TOO_SLOW * rate_hz else YELLOW, **values)
         else:
-            text += ", expected are %g" % rate_hz
-            cure = "what is the first in the chain that is slow? See `cortex`, `load`, and the network"
-        findings.append((red if topic.rate_hz < _MUCH_TOO_SLOW * rate_hz else yellow)(say, text, cure, **data))
+            found.say("silent", publishers=" and ".join(topic.publishers), **values)
     for level, name, message in report.complaints[:_SHOWN]:
-        cure = "what it says; rostopic echo /diagnostics tells its numbers"
-        findings.append((yellow if level == WARN else red)(say, "%s: %s" % (name, message), cure))
+        found.say("complaint", YELLOW if level == WARN else RED, name=name, message=message)
     if len(report.complaints) > _SHOWN:
-        text = "%d more complaints on /diagnostics" % (len(report.complaints) - _SHOWN)
-        findings.append(yellow(say, text, "rostopic echo /diagnostics"))
+        found.say("more", count=len(report.complaints) - _SHOWN)
     if report.statuses and not report.complaints:
-        findings.append(green(say, "%d parts report on /diagnostics, all well" % report.statuses))
-    return findings
+        found.say("well", count=report.statuses)
+    return found

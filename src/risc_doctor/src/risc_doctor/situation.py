@@ -1,6 +1,8 @@
 """What the checks look at: the fleet, this computer, and what is asked only once although several checks need it."""
 
-import ipaddress
+import concurrent.futures
+import contextlib
+import functools
 import os
 import pathlib
 import threading
@@ -11,29 +13,24 @@ from risc_doctor.ros_master import DEFAULT_URI, Master, MasterError, NobodyThere
 from risc_lab.lab import Fleet, fleet_from_dict, load_fleet, load_templates
 
 DEFAULT_FLEET = "launch/fleets/ardrones3.yaml"  # of the virtual lab: nothing is sent to computers nobody has named
-START_THE_VIRTUAL_LAB = "it is the virtual lab's: start it with ./maap lab; for yours: ./maap doctor YOUR_FLEET.yaml"
 
 
 class Once:
-    """Calls a function at the first call and gives everybody its result; threads wait for each other."""
+    """Calls a function at the first call and gives everybody its result, or its error; threads wait for each other."""
 
     def __init__(self, function, *arguments):
-        self._function, self._arguments = function, arguments
-        self._lock = threading.Lock()
-        self._done = False
-        self._result = self._error = None
+        self._work = functools.partial(function, *arguments)
+        self._lock, self._outcome = threading.Lock(), None
 
     def __call__(self):
         with self._lock:
-            if not self._done:
+            if self._outcome is None:
+                self._outcome = concurrent.futures.Future()
                 try:
-                    self._result = self._function(*self._arguments)
+                    self._outcome.set_result(self._work())
                 except Exception as error:  # whatever it is: every check that needs it reports it
-                    self._error = error
-                self._done = True
-        if self._error is not None:
-            raise self._error
-        return self._result
+                    self._outcome.set_exception(error)
+        return self._outcome.result()
 
 
 @dataclass
@@ -60,7 +57,7 @@ class Situation:
         self.templates = Once(load_templates, None, self.fleet)
         self.interfaces = Once(interfaces.read_interfaces)
         self.cortex = Once(cortex_probe.probe, self.fleet.mocap, self.live)
-        self.graph = Once(ros_graph.listen, self.master, self.fleet, self.environment)
+        self.graph = Once(ros_graph.listen, self.master, self.fleet)
 
     @property
     def simulated(self):
@@ -78,9 +75,7 @@ class Situation:
             if word in (vehicle.namespace, vehicle.template) or [vehicle] == at_address:
                 return vehicle
         try:
-            return replace(
-                self.fleet.vehicles[0], namespace="", template=word, address=str(ipaddress.IPv4Address(word))
-            )
+            return replace(self.fleet.vehicles[0], namespace="", template=word, address=word)
         except ValueError:
             known = ", ".join("%s (%s)" % (v.namespace, v.address) for v in self.fleet.vehicles)
             raise ValueError("--vehicle: the fleet has no '%s', it has %s" % (word, known)) from None
@@ -105,19 +100,12 @@ def look_around(fleet_path, environment, **options):
         master = Master(environment.get("ROS_MASTER_URI") or DEFAULT_URI)
     except MasterError as problem:
         error, nobody_there = str(problem), isinstance(problem, NobodyThereError)
-    fleet, source = None, ""
-    if fleet_path is not None:
-        fleet, source = load_fleet(fleet_path), str(fleet_path)
-    elif master is not None:
-        fleet, source = _fleet_of_graph(master), "the parameter /fleet of the graph that runs (%s)" % master.uri
-    if fleet is None:
-        fleet, source = load_fleet(root / DEFAULT_FLEET), DEFAULT_FLEET
+    content = None
+    if fleet_path is None and master is not None:
+        with contextlib.suppress(MasterError):  # it has just ended
+            content = master.parameter("/fleet")
+    if content is not None:
+        fleet, source = fleet_from_dict(content, "parameter /fleet"), "/fleet of the graph that runs (%s)" % master.uri
+    else:
+        fleet, source = load_fleet(fleet_path or root / DEFAULT_FLEET), str(fleet_path or DEFAULT_FLEET)
     return Situation(fleet, source, root, environment, master, error, nobody_there, **options)
-
-
-def _fleet_of_graph(master):
-    try:
-        content = master.parameter("/fleet")
-    except MasterError:
-        return None  # it has just ended
-    return None if content is None else fleet_from_dict(content, "the parameter /fleet")

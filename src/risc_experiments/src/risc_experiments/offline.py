@@ -15,6 +15,7 @@ import pathlib
 import sys
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
-from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, params_from_dict
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, node_params
 from risc_control.vehicles import Controls, FlightState, Status
 from risc_estimation.filters import make_filter
 from risc_estimation.pose_fit import PoseFitParams
@@ -145,14 +146,14 @@ def fly(flight):
     loop = ControlLoop(flight.controller, vehicle_types, flight.params)
     buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
-    params = params_from_dict({"joystick_timeout": 0.0, **flight.node}, fleet.arena)[0]
-    separation = Separation(names, params.limits, names)
+    params, _ = node_params({"joystick_timeout": 0.0, **flight.node}, fleet.arena)
+    separation = Separation(names, params, names)
     chains, loss = [], flight.loss
     wires, arrived = Wires(flight.seed), []
     stream = wires.wire("cortex/stream")
-    for vehicle, fleet_vehicle, phase in zip(world.vehicles.values(), fleet.vehicles, phases):
+    for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
-        chains.append(_Chain(vehicle, phase, params, wires))
+        chains.append(_Chain(vehicle, phase, params, wires, partial(loop.sent.append, i)))
     for fault in flight.wire_faults:
         wires.add(fault)
 
@@ -267,11 +268,14 @@ def _outcome(flight):
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
 
-    def __init__(self, vehicle, phase, params=None, wires=None):
-        """phase: of the radio's clock, a fraction.  params: VehicleNodeParams; None: the defaults, without joystick."""
+    def __init__(self, vehicle, phase, params=None, wires=None, on_sent=lambda *_: None):
+        """phase: of the radio's clock, a fraction.  params: VehicleNodeParams; None: the defaults, without joystick.
+        on_sent: takes the time and the command, as `CommandHistory.append`, of whatever is sent.
+        """
+        self._on_sent = on_sent
         self._vehicle = vehicle
         self._type = vehicle.type
-        self.pilot = VehiclePilot(params or params_from_dict({"joystick_timeout": 0.0})[0], vehicle.type, 0.0)
+        self.pilot = VehiclePilot(params or VehicleNodeParams(joystick_timeout=0.0), vehicle.type, 0.0)
         self.said = []  # (time [s], text) of its ladder, from the first trouble on
         self.lost = None  # "controls" or "laptop"
         rate_hz = vehicle.type.command_rate_hz
@@ -282,7 +286,7 @@ class _Chain:
         """The operator presses the button, and lets go."""
         buttons = [0] * 11
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
-        buttons[VehicleNodeParams().joystick.JoytoWay] = 1
+        buttons[VehicleNodeParams().JoytoWay] = 1
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
 
     def lose(self, what, now_s):
@@ -313,7 +317,8 @@ class _Chain:
         if orders.land:
             self._vehicle.schedule(now_s + self._vehicle.plant.command_delay_s, FlightAction.LAND)
         if orders.command is not None:
-            self._wire.carry(self._setpoint(orders.command[0]), None, now_s, self._submit)
+            self._on_sent(now_s, orders.command.settles_at)
+            self._wire.carry(self._setpoint(orders.command.sticks), None, now_s, self._submit)
 
     def _submit(self, setpoint, _, now_s):
         self._radio.submit(now_s, setpoint)
@@ -421,26 +426,25 @@ def main(argv=None):
         ControlsMessage(())
         EstimateMessages()
         return 0
-    settings = [
-        (trajectory, delay_s, seed)
+    common = {
+        "vehicles": args.vehicles,
+        "duration_s": args.duration,
+        "controller": args.controller,
+        "estimator": args.estimator,
+        "perturbed": not args.ideal,
+        "gusts": args.gusts,
+    }
+    flights = [
+        Flight(
+            trajectory,
+            seed=seed,
+            delay_s=delay_s,
+            psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
+            **common,
+        )
         for trajectory in args.trajectory
         for delay_s in args.delay or [None]
         for seed in range(1, args.seeds + 1)
-    ]
-    flights = [
-        Flight(
-            trajectory=trajectory,
-            vehicles=args.vehicles,
-            seed=seed,
-            duration_s=args.duration,
-            delay_s=delay_s,
-            psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
-            perturbed=not args.ideal,
-            gusts=args.gusts,
-            controller=args.controller,
-            estimator=args.estimator,
-        )
-        for trajectory, delay_s, seed in settings
     ]
     progress = Progress()
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
@@ -448,33 +452,34 @@ def main(argv=None):
     failed, rows, everyone = False, [], {}
     try:
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
-        for (trajectory, delay_s, seed), result in zip(settings, outcomes):
-            group = "%-9s %6s" % (trajectory, "type" if delay_s is None else "%.2f" % delay_s)
+        for flight, result in zip(flights, outcomes):
+            group = "%-9s %6s" % (flight.trajectory, "type" if flight.delay_s is None else "%.2f" % flight.delay_s)
             progress.clear()
             if isinstance(result, RuntimeError):
-                print("%s %5d  %s" % (group, seed, result))
+                print("%s %5d  %s" % (group, flight.seed, result))
                 failed = True
             elif any(result.landed):  # an error from a course that was left on purpose says nothing
                 said = "; ".join("%.1f s: %s: %s" % item for item in result.safety[:2])
-                print("%s %5d  %d landed (%s)" % (group, seed, sum(result.landed), said))
+                print("%s %5d  %d landed (%s)" % (group, flight.seed, sum(result.landed), said))
                 failed = True
             else:
-                rmse_mm = 1e3 * result.rmse_m
+                rmse_mm, speed = 1e3 * result.rmse_m, result.flown_s / result.took_s
                 everyone.setdefault(group, []).extend(rmse_mm)
+                closest_m = result.closest_m if math.isfinite(result.closest_m) else None
                 rows.append(
                     {
-                        "course": trajectory,
-                        "delay_s": delay_s,
-                        "seed": seed,
+                        "course": flight.trajectory,
+                        "delay_s": flight.delay_s,
+                        "seed": flight.seed,
                         "rmse_m": result.rmse_m.tolist(),
-                        "closest_m": result.closest_m if math.isfinite(result.closest_m) else None,
-                        "times_real_time": result.flown_s / result.took_s,
+                        "closest_m": closest_m,
+                        "times_real_time": speed,
                     }
                 )
                 print("%s %5d  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (
-                    group, seed, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm), rmse_mm.max(),
-                    result.closest_m, result.flown_s / result.took_s), flush=True)  # fmt: skip
-            if seed == args.seeds and group in everyone:
+                    group, flight.seed, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm),
+                    rmse_mm.max(), result.closest_m, speed), flush=True)  # fmt: skip
+            if flight.seed == args.seeds and group in everyone:
                 print("%s %5s  %-28s %6.1f %6.1f" % (
                     group, "all", "", np.median(everyone[group]), max(everyone[group])))  # fmt: skip
     except ValueError as error:
@@ -483,10 +488,11 @@ def main(argv=None):
         progress.say("offline: %s" % (error if str(error) else "interrupted"))
         return 130 if isinstance(error, KeyboardInterrupt) else 1
     if args.json:
+        estimator = estimator_of(args.controller, args.estimator)
         figures = {
             "simulated": True,
             "controller": args.controller,
-            "estimator": estimator_of(args.controller, args.estimator),
+            "estimator": estimator,
             "perturbed": not args.ideal,
             "flights": rows,
         }

@@ -36,8 +36,8 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
     except ValueError as error:  # no whole flight: summary and report say what there is
         flight, reasons = collector.flight.overview(), [failure, str(error)]
     material = collector.material(flight)
-    model, used = simulation_model(args, folder), material.origin.processors
-    result = summary.summarise(flight, args.experiment, model, artefacts, used)
+    model = simulation_model(args, folder)
+    result = summary.summarise(flight, args.experiment, model, artefacts, material.origin)
     lab = lab_statistics(folder)
     result["least_separation_m"] = lab.get("least_separation_m")
     result["lab_late_ms"] = lab.get("late_ms")

@@ -1,11 +1,11 @@
 """`python -m data_extraction.report BAG`: the report of any bag, as one HTML page. Needs no ROS master."""
 
-import argparse
 import os
 import pathlib
 import sys
 
 from data_extraction.bags import Bag, BagError
+from data_extraction.command_line import bag_parser, folder_beside, run
 from data_extraction.progress import Progress, bar
 from data_extraction.report import page
 from data_extraction.report.collector import ReportCollector
@@ -24,12 +24,9 @@ def make(bag_path, folder=None, fleet_path=None, pdf=False, progress=None):
     bag_path = pathlib.Path(bag_path)
     progress = progress or Progress()
     with Bag(bag_path) as bag:
-        origin = read_beside(bag_path, fleet_path)
-        collector = ReportCollector(bag, origin)
+        collector = ReportCollector(bag, read_beside(bag_path, fleet_path))
         if not collector.wanted:
-            raise BagError(
-                "%s holds nothing to report; it has %s" % (bag_path, ", ".join(sorted(bag.topics)) or "no message")
-            )
+            raise BagError("%s holds nothing to report; %s" % (bag_path, bag.contents))
         size_gb = 1e-9 * bag_path.stat().st_size
         for number, (topic, receipt_s, message) in enumerate(bag.messages(collector.wanted)):
             collector(topic, receipt_s, message)
@@ -38,8 +35,8 @@ def make(bag_path, folder=None, fleet_path=None, pdf=False, progress=None):
         progress.show("evaluating")
         material = collector.material()
     progress.show("drawing")
-    own = bag_path.parent if bag_path.name == "flight.bag" else bag_path.with_name(bag_path.stem + "_report")
-    folder = pathlib.Path(folder) if folder else own
+    own = bag_path.parent if bag_path.name == "flight.bag" else folder_beside(bag_path, "report")
+    folder = pathlib.Path(folder or own)
     folder.mkdir(parents=True, exist_ok=True)
     files = [page.write(folder / "report.html", material, page.summary_of(material))]
     if pdf:
@@ -50,24 +47,16 @@ def make(bag_path, folder=None, fleet_path=None, pdf=False, progress=None):
 
 def main(argv=None):
     """Command line. Returns the exit code."""
-    parser = argparse.ArgumentParser(prog="maap report", description=__doc__.partition(": ")[2])
-    parser.add_argument("bag", type=pathlib.Path, metavar="BAG")
-    parser.add_argument("--out", type=pathlib.Path, metavar="DIR", help="folder for report.html (default: the bag's)")
-    parser.add_argument("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: that beside the bag)")
+    parser = bag_parser("maap report", __doc__.partition(": ")[2])
     parser.add_argument("--pdf", action="store_true", help="also write report.pdf (needs WeasyPrint)")
     args = parser.parse_args(argv)
-    progress = Progress()
-    try:
+
+    def work(progress):
         for path in make(args.bag, args.out, args.fleet, args.pdf, progress):
             progress.say("")
             print(os.path.relpath(str(path)))
-    except (ValueError, OSError) as error:
-        progress.say("maap report: %s" % error)
-        return 1
-    except KeyboardInterrupt:
-        progress.say("maap report: interrupted")
-        return 130
-    return 0
+
+    return run(parser.prog, work)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-from data_extraction.report.naming import vehicle_of
-
-NODE_STATUS = "/node_status"
+from data_extraction.report.topics import Collector, vehicle_of
 
 
 @dataclass
@@ -16,20 +14,15 @@ class Computer:
     behind_ms: float = 0.0  # by how much its clock is behind that of the stamps, at least; the largest that was told
 
 
-class ComputerCollector:
-    """Takes the messages of a bag one by one, keeps the worst figures of each vehicle's computer."""
+class ComputerCollector(Collector):
+    """Keeps the worst figures of each vehicle's computer."""
+
+    ends = ("/node_status",)
 
     def __init__(self):
         self._computers = {}
 
-    def wants(self, topic):
-        """Whether messages of this topic say anything here."""
-        return topic.endswith(NODE_STATUS)
-
     def __call__(self, topic, _receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
-        if not topic.endswith(NODE_STATUS):
-            return
         computer = self._computers.setdefault(vehicle_of(topic), Computer(message.computer))
         computer.name = message.computer
         computer.oldest_ms = max(computer.oldest_ms, 1e3 * message.oldest_state_s)

@@ -1,12 +1,12 @@
 """What motion capture lost, and where in the arena: markers, whole vehicles, frames."""
 
 import math
-from array import array
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from data_extraction.flatten import seconds
+from data_extraction.flatten import stamp_or_receipt_s
+from data_extraction.report.topics import Collector
 from risc_lab.lab.arena import Arena
 
 MOCAP, STATES = "/mocap_data", "/cortex_raw"
@@ -35,22 +35,29 @@ class Invisibility:
     invisible: int = 0
     times: int = 0  # how often it began
     longest_s: float = 0.0
+    since_s: float | None = None  # stamp [s] since when it is not seen; None = it is seen
+
+    def until(self, stamp_s):
+        """The same when nothing comes before that stamp [s]."""
+        if self.since_s is None:
+            return self
+        return replace(self, longest_s=max(self.longest_s, stamp_s - self.since_s))
 
 
 @dataclass
 class Drops:
     """All that was lost."""
 
-    markers: dict[str, MarkerLoss]  # object -> its markers
-    vehicles: dict[str, Invisibility]
     seen_map: np.ndarray  # (x, y) markers seen in each cell of the arena, cortex frame; see `cell_edges`
     lost_map: np.ndarray  # (x, y) markers lost there: by the object's other markers, else by its last known place
-    unplaced: int  # markers lost of objects that were never seen before
-    lost_places_m: np.ndarray  # (n, 2) [m] where vehicles became invisible
-    frames: int  # of the stream
-    gaps: int
-    longest_gap_s: float | None  # None = there was no frame
-    silent_end_s: float  # how long before the bag's end the last frame came; a gap when it is longer than one
+    markers: dict[str, MarkerLoss] = field(default_factory=dict)  # object -> its markers
+    vehicles: dict[str, Invisibility] = field(default_factory=dict)
+    unplaced: int = 0  # markers lost of objects that were never seen before
+    lost_places_m: list[tuple] = field(default_factory=list)  # (x, y) [m] where vehicles became invisible
+    frames: int = 0  # of the stream
+    gaps: int = 0
+    longest_gap_s: float | None = None  # None = there was no frame
+    silent_end_s: float = 0.0  # how long before the bag's end the last frame came; a gap when it is longer than one
 
     @property
     def least_markers(self):
@@ -63,98 +70,61 @@ class Drops:
         return sum(loss.lost for loss in self.markers.values())
 
 
-@dataclass
-class _Watched:
-    """What is remembered of a vehicle from one frame to the next."""
-
-    seen: bool = False
-    lost_since_s: float | None = None
-    totals: Invisibility = field(default_factory=Invisibility)
-
-    def until(self, end_s):
-        """Invisibility of all the time until end_s [s], which is a stamp."""
-        if self.lost_since_s is None:
-            return self.totals
-        return replace(self.totals, longest_s=max(self.totals.longest_s, end_s - self.lost_since_s))
-
-
 def cell_edges(arena):
     """Edges [m] of the maps' cells along x (n + 1,) and y (m + 1,)."""
     halves = (math.ceil(half_m / CELL_M) for half_m in (arena.half_x_m, arena.half_y_m))
     return tuple(CELL_M * np.arange(-half, half + 1) for half in halves)
 
 
-class DropCollector:
-    """Takes the messages of a bag one by one; its memory does not grow."""
+class DropCollector(Collector):
+    """Its memory does not grow."""
+
+    topics = (MOCAP, STATES)
 
     def __init__(self, arena=None):
         """arena: whose map is made; None = the laboratory's."""
-        self._markers = {}
-        self._vehicles = {}
-        edges_m = cell_edges(arena or Arena())
-        self._seen = np.zeros([len(edges) - 1 for edges in edges_m], dtype=np.int64)
-        self._lost = np.zeros_like(self._seen)
+        shape = [len(edges) - 1 for edges in cell_edges(arena or Arena())]
+        self._drops = Drops(np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64))
         self._places = {}  # object -> (x, y) [m] where it was last
-        self._lost_places = array("d")
-        self._unplaced = 0
         self._last_frame_s = None
         self._late_s = math.inf  # least time from a stamp to its receipt: what the clocks differ by
-        self._frames, self._gaps, self._longest_gap_s = 0, 0, None
-
-    def wants(self, topic):
-        """Whether messages of this topic say anything here."""
-        return topic in (MOCAP, STATES)
 
     def __call__(self, topic, receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
-        if topic == MOCAP:
-            self._note_frame(self._stamp_s(message, receipt_s))
-            for body in message.Obj:
-                self._note_markers(body)
-        elif topic == STATES:
-            stamp_s = self._stamp_s(message, receipt_s)
+        stamp_s = stamp_or_receipt_s(message, receipt_s)
+        self._late_s = min(self._late_s, receipt_s - stamp_s)
+        if topic == STATES:
             for state in message.Obj:
                 self._note_state(state, stamp_s)
+            return
+        drops = self._drops
+        drops.frames += 1
+        gap_s = 0.0 if self._last_frame_s is None else stamp_s - self._last_frame_s
+        drops.gaps += gap_s > GAP_S
+        drops.longest_gap_s = max(drops.longest_gap_s or 0.0, gap_s)
+        self._last_frame_s = stamp_s
+        for body in message.Obj:
+            self._note_markers(body)
 
     def drops(self, end_s):
         """Drops of what was collected; None when the bag held no motion capture.
 
         end_s: time of receipt at which the bag ends. What is lost then is lost until then, and so is the stream.
         """
-        if not self._frames and not self._vehicles:
+        drops = self._drops
+        if not drops.frames and not drops.vehicles:
             return None
         end_s -= self._late_s  # on the clock of the stamps
-        silent_end_s = max(0.0, end_s - self._last_frame_s) if self._frames else 0.0
-        longest_gap_s = max(self._longest_gap_s or 0.0, silent_end_s) if self._frames else None
-        return Drops(
-            markers=dict(sorted(self._markers.items())),
-            vehicles={name: watched.until(end_s) for name, watched in sorted(self._vehicles.items())},
-            seen_map=self._seen,
-            lost_map=self._lost,
-            unplaced=self._unplaced,
-            lost_places_m=np.array(self._lost_places).reshape(-1, 2),
-            frames=self._frames,
-            gaps=self._gaps + (silent_end_s > GAP_S),
-            longest_gap_s=longest_gap_s,
-            silent_end_s=silent_end_s,
-        )
-
-    def _stamp_s(self, message, receipt_s):
-        """Stamp of a message; its receipt when nobody stamped it."""
-        stamp_s = seconds(message.header.stamp) or receipt_s
-        self._late_s = min(self._late_s, receipt_s - stamp_s)
-        return stamp_s
-
-    def _note_frame(self, stamp_s):
-        self._frames += 1
-        if self._last_frame_s is not None:
-            gap_s = stamp_s - self._last_frame_s
-            self._gaps += gap_s > GAP_S
-            self._longest_gap_s = max(self._longest_gap_s or 0.0, gap_s)
-        self._last_frame_s = stamp_s
+        vehicles = {name: item.until(end_s) for name, item in sorted(drops.vehicles.items())}
+        drops = replace(drops, markers=dict(sorted(drops.markers.items())), vehicles=vehicles)
+        if drops.frames:
+            drops.silent_end_s = max(0.0, end_s - self._last_frame_s)
+            drops.longest_gap_s = max(drops.longest_gap_s, drops.silent_end_s)
+            drops.gaps += drops.silent_end_s > GAP_S
+        return drops
 
     def _note_markers(self, body):
-        loss = self._markers.setdefault(body.name, MarkerLoss())
+        drops = self._drops
+        loss = drops.markers.setdefault(body.name, MarkerLoss())
         seen, sum_x, sum_y = 0, 0.0, 0.0
         for marker in body.marker:
             if abs(marker.x) < MARKER_LIMIT_M:  # False for NaN, too
@@ -167,32 +137,25 @@ class DropCollector:
         if seen:
             self._places[body.name] = (sum_x / seen, sum_y / seen)
         elif body.name not in self._places:
-            self._unplaced += lost
+            drops.unplaced += lost
             return
-        cell = self._cell(*self._places[body.name])
-        self._seen[cell] += seen
-        self._lost[cell] += lost
+        # what is outside counts at the border
+        place_m, counts = self._places[body.name], drops.seen_map.shape
+        cell = tuple(min(max(int(m // CELL_M) + n // 2, 0), n - 1) for m, n in zip(place_m, counts))
+        drops.seen_map[cell] += seen
+        drops.lost_map[cell] += lost
 
     def _note_state(self, state, stamp_s):
-        watched = self._vehicles.setdefault(state.name, _Watched())
-        totals = watched.totals
+        item = self._drops.vehicles.setdefault(state.name, Invisibility())
+        if not state.visible and not item.frames:
+            return
+        item.frames += 1
+        item.invisible += not state.visible
+        if not state.visible and item.since_s is None:
+            item.since_s = stamp_s
+            item.times += 1
+            if item.times <= _MOST_PLACES:
+                self._drops.lost_places_m.append((state.x, state.y))
+        item.longest_s = item.until(stamp_s).longest_s
         if state.visible:
-            watched.seen = True
-            totals.frames += 1
-            if watched.lost_since_s is not None:
-                totals.longest_s = max(totals.longest_s, stamp_s - watched.lost_since_s)
-                watched.lost_since_s = None
-        elif watched.seen:
-            totals.frames += 1
-            totals.invisible += 1
-            if watched.lost_since_s is None:
-                watched.lost_since_s = stamp_s
-                totals.times += 1
-                if totals.times <= _MOST_PLACES:
-                    self._lost_places.extend((state.x, state.y))
-            totals.longest_s = max(totals.longest_s, stamp_s - watched.lost_since_s)
-
-    def _cell(self, *place_m):
-        """Indices of the cell; what is outside counts at the border."""
-        counts = self._seen.shape
-        return tuple(min(max(int(m // CELL_M) + n // 2, 0), n - 1) for m, n in zip(place_m, counts))
+            item.since_s = None

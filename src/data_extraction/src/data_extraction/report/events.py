@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from data_extraction.report.naming import vehicle_of
+from data_extraction.report.topics import Collector, vehicle_of
 from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
 
 _MOST = 400  # events that are kept; twice as many while the bag is read
@@ -11,7 +11,6 @@ _AGAIN_S = 3.0  # the same event within so long is the same one, repeated
 _TOGETHER_S = 0.5  # the same event of several vehicles within so long is one of all of them
 _WARN = 4  # rosgraph_msgs/Log
 _ORDERS = {"takeoff": "take-off ordered", "land": "landing ordered", "reset": "reset ordered (emergency)"}
-_LAB = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout")
 
 
 @dataclass
@@ -41,16 +40,18 @@ def _ends(items, most):
     return items if len(items) <= most else items[: most - tail] + items[len(items) - tail :]
 
 
-class EventCollector:
-    """Takes the messages of a bag one by one, keeps what changed."""
+class EventCollector(Collector):
+    """Keeps what changed."""
+
+    topics = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout")
+    ends = ("/joy", "/controller_status", *("/" + order for order in _ORDERS))
 
     def __init__(self):
         self._events = []
         self._count = 0  # of all, also of those that were not kept
         self._newest = {}  # key -> (its newest event, {source: when that last came})
         self._pressed = {}  # source -> buttons held
-        self._modes = {}
-        self._phases, self._operator = {}, None
+        self._said = {}  # source -> what it said last: modes, phases
 
     @property
     def events(self):
@@ -62,48 +63,36 @@ class EventCollector:
         """How many events there were beyond those that were kept."""
         return self._count - len(self.events)
 
-    def wants(self, topic):
-        """Whether messages of this topic say anything here."""
-        return topic in _LAB or topic.rpartition("/")[2] in (*_ORDERS, "joy", "controller_status")
-
     def __call__(self, topic, receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
-        if not self.wants(topic):
-            return
-        last = topic.rpartition("/")[2]
-        source = vehicle_of(topic)
+        last, source = topic.rpartition("/")[2], vehicle_of(topic)
         if topic == "/rosout":
             if message.level >= _WARN:
                 # numbers in a warning are those of the moment
                 key = re.sub(r"\d+", "#", message.msg)
                 self._add(receipt_s, message.name.strip("/"), message.msg, key, is_minor=True)
-        elif topic == "/operator/phase":
-            said = OperatorPhase(message.phase).name.lower(), message.text
-            if said != self._operator:  # it is repeated as a sign of life
-                self._operator = said
-                self._add(receipt_s, "operator", ": ".join(filter(None, said)))
+        elif topic == "/operator/phase":  # it is repeated as a sign of life
+            self._note_change(receipt_s, "operator", "", _joined(OperatorPhase(message.phase), message.text))
         elif topic == "/operator/result":
-            said = OperatorResult(message.result).name.lower(), message.reason
-            self._add(receipt_s, "operator", "result: " + ": ".join(filter(None, said)))
+            self._add(receipt_s, "operator", "result: " + _joined(OperatorResult(message.result), message.reason))
         elif topic == "/trajectory_phase":
-            self._note_phases(receipt_s, message.vehicles)
+            for vehicle in message.vehicles:
+                phase = TrajectoryPhase(vehicle.phase).name.lower()
+                self._note_change(receipt_s, vehicle.name, "trajectory: ", phase)
         elif last == "joy":
             held = {index for index, value in enumerate(message.buttons) if value}
             for index in sorted(held - self._pressed.get(source, set())):
                 self._add(receipt_s, source, "joystick button %d" % index, is_minor=True)
             self._pressed[source] = held
         elif last == "controller_status":
-            if self._modes.get(source, False) != message.data:
-                self._add(receipt_s, source, "mode: autonomous" if message.data else "mode: manual")
-            self._modes[source] = message.data
+            if message.data or (source, "mode: ") in self._said:  # it begins manual
+                self._note_change(receipt_s, source, "mode: ", "autonomous" if message.data else "manual")
         else:
             self._add(receipt_s, vehicle_of(topic, levels=2), _ORDERS[last])  # of RISC/ardrone/land
 
-    def _note_phases(self, receipt_s, vehicles):
-        for vehicle in vehicles:
-            if self._phases.get(vehicle.name) != vehicle.phase:
-                self._phases[vehicle.name] = vehicle.phase
-                self._add(receipt_s, vehicle.name, "trajectory: " + TrajectoryPhase(vehicle.phase).name.lower())
+    def _note_change(self, time_s, source, what, word):
+        if self._said.get((source, what)) != word:
+            self._said[source, what] = word
+            self._add(time_s, source, what + word)
 
     def _add(self, time_s, source, text, key=None, is_minor=False):
         """Enter an event. key: what makes it the same as another one; None = its text."""
@@ -127,3 +116,7 @@ class EventCollector:
             self._events = self.events
             kept = {id(event) for event in self._events}
             self._newest = {key: newest for key, newest in self._newest.items() if id(newest[0]) in kept}
+
+
+def _joined(word, text):
+    return ": ".join(filter(None, (word.name.lower(), text)))

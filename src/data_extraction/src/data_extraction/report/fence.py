@@ -1,14 +1,14 @@
 """How far every vehicle was from the net, as its loss ladder sees it: now, and where it would be a little later."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from data_extraction.flatten import seconds
+from data_extraction.flatten import stamp_or_receipt_s
+from data_extraction.report.topics import Collector
 from data_extraction.samples import Samples
 from risc_control.failsafe import SafetyLimits
 
-STATES = "/cortex_raw"
 _BLOCK_S = 0.1  # the least margin of so long is one point of the drawing
 _ROWS = 50_000  # more are thinned out; the least margin of all is kept beside them
 
@@ -17,69 +17,54 @@ _ROWS = 50_000  # more are thinned out; the least margin of all is kept beside t
 class FenceMargin:
     """One vehicle's distance from the fence (risc_control.failsafe.SafetyLimits): positive inside."""
 
-    t_s: np.ndarray  # (n,) stamp [s] of the blocks below
-    now_m: np.ndarray  # (n,) [m] least margin of the position in the block
-    ahead_m: np.ndarray  # (n,) [m] least of both, the position and the place it reaches within the look-ahead
     limits: SafetyLimits
-    least_m: float  # of the position, over everything
-    least_s: float  # stamp
-    least_place_m: tuple[float, float, float]  # cortex frame
-    least_ahead_m: float
+    least_m: float = np.inf  # of the position, over everything
+    least_s: float = 0.0  # stamp
+    least_place_m: tuple = ()  # (x, y, z) cortex frame
+    least_ahead_m: float = np.inf
+    samples: Samples = field(default_factory=lambda: Samples(3, _ROWS))  # of the blocks that have ended
+    block: list = field(default_factory=list)  # stamp of its begin [s], and what follows
+
+    @property
+    def table(self):
+        """(n, 3): stamp [s], least margin [m] of the position, and of that and the place it reaches, of each block."""
+        return np.vstack((self.samples.table(), [self.block]))
+
+    def note(self, stamp_s, state):
+        position_m = (state.x, state.y, state.z)
+        now_m, ahead_m = margin(self.limits, position_m, (state.u, state.v, state.w))
+        if now_m < self.least_m or not self.block:
+            self.least_m, self.least_s, self.least_place_m = now_m, stamp_s, position_m
+        self.least_ahead_m = min(self.least_ahead_m, ahead_m)
+        if self.block and 0.0 <= stamp_s - self.block[0] < _BLOCK_S:
+            self.block[1:] = min(self.block[1], now_m), min(self.block[2], ahead_m)
+            return
+        if self.block:
+            self.samples.append(self.block)
+        self.block = [stamp_s, now_m, ahead_m]
 
 
-class _Vehicle:
-    def __init__(self, limits):
-        self.limits = limits
-        self.samples = Samples(3, _ROWS)
-        self.block = None  # [stamp of its begin, now, ahead]
-        self.least = None  # (margin, stamp, place)
-        self.least_ahead_m = np.inf
+class FenceCollector(Collector):
+    """Its memory does not grow."""
 
-
-class FenceCollector:
-    """Takes the messages of a bag one by one; its memory does not grow."""
+    topics = ("/cortex_raw",)
 
     def __init__(self, limits=None, default=None):
         """limits: {vehicle's template: SafetyLimits}.  default: of the others, None = that of SafetyLimits."""
         self._limits, self._default = limits or {}, default or SafetyLimits()
         self._vehicles = {}
 
-    def wants(self, topic):
-        """Whether messages of this topic say anything here."""
-        return topic == STATES
-
     def __call__(self, topic, receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
-        if topic != STATES:
-            return
-        stamp_s = seconds(message.header.stamp) or receipt_s
+        stamp_s = stamp_or_receipt_s(message, receipt_s)
         for state in message.Obj:
             if state.visible:
                 if state.name not in self._vehicles:
-                    self._vehicles[state.name] = _Vehicle(self._limits.get(state.name, self._default))
-                _note(self._vehicles[state.name], stamp_s, state)
+                    self._vehicles[state.name] = FenceMargin(self._limits.get(state.name, self._default))
+                self._vehicles[state.name].note(stamp_s, state)
 
     def margins(self):
         """{vehicle: FenceMargin}."""
-        result = {}
-        for name, vehicle in sorted(self._vehicles.items()):
-            table = np.vstack((vehicle.samples.table(), [vehicle.block]))
-            result[name] = FenceMargin(*table.T, vehicle.limits, *vehicle.least, vehicle.least_ahead_m)
-        return result
-
-
-def _note(vehicle, stamp_s, state):
-    now_m, ahead_m = margin(vehicle.limits, (state.x, state.y, state.z), (state.u, state.v, state.w))
-    if vehicle.least is None or now_m < vehicle.least[0]:
-        vehicle.least = (now_m, stamp_s, (state.x, state.y, state.z))
-    vehicle.least_ahead_m = min(vehicle.least_ahead_m, ahead_m)
-    block = vehicle.block
-    if block is not None and 0.0 <= stamp_s - block[0] < _BLOCK_S:
-        block[1], block[2] = min(block[1], now_m), min(block[2], ahead_m)
-        return
-    if block is not None:
-        vehicle.samples.append(block)
-    vehicle.block = [stamp_s, now_m, ahead_m]
+        return dict(sorted(self._vehicles.items()))
 
 
 def margin(limits, position_m, velocity_m_s):

@@ -1,6 +1,9 @@
 """What the estimator and the mocap client refused, and why: from the counters that they publish."""
 
+from collections import Counter, defaultdict
 from dataclasses import dataclass
+
+from data_extraction.report.topics import Collector
 
 _FRAMES = "frames"
 
@@ -38,27 +41,25 @@ class GateCounts:
     unknown: str = ""  # bodies without a template
 
 
-class GateCollector:
-    """Takes the messages of a bag one by one. Counters grow while their node lives; after a restart they are added."""
+class GateCollector(Collector):
+    """Counters grow while their node lives; after a restart they are added."""
+
+    ends = tuple("/" + gate for gate in GATES)
 
     def __init__(self):
-        self._newest = {}  # {(gate, counter): value}
-        self._before = {}  # the same, of lives of the node that have ended
+        self._newest = defaultdict(dict)  # gate -> {counter: value}
+        self._before = defaultdict(Counter)  # the same, of lives of the node that have ended
         self._unknown = {}
 
-    def wants(self, topic):
-        """Whether messages of this topic say anything here."""
-        return topic.rpartition("/")[2] in GATES
-
     def __call__(self, topic, _receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
         gate = topic.rpartition("/")[2]
-        if gate not in GATES:
-            return
-        self._note((gate, _FRAMES), message.frames)
-        for counter in message.counters:
-            if counter.name in GATES[gate]:
-                self._note((gate, counter.name), counter.count)
+        counts = {counter.name: counter.count for counter in message.counters if counter.name in GATES[gate]}
+        counts[_FRAMES] = message.frames
+        newest = self._newest[gate]
+        for name, value in counts.items():
+            if value < newest.get(name, 0):
+                self._before[gate][name] += newest[name]
+            newest[name] = value
         unknown = getattr(message, "unknown_bodies", ())
         if unknown:
             self._unknown[gate] = ", ".join(unknown)
@@ -66,17 +67,8 @@ class GateCollector:
     def counts(self):
         """{gate: GateCounts} of the nodes that reported."""
         result = {}
-        for gate, counters in GATES.items():
-            values = {
-                key: value + self._before.get((gate, key), 0) for (of, key), value in self._newest.items() if of == gate
-            }
-            if values:
-                refused = {key: values[key] for key in counters if key in values}
-                result[gate] = GateCounts(values.get(_FRAMES, 0), refused, self._unknown.get(gate, ""))
+        for gate in filter(self._newest.get, GATES):
+            values = {name: value + self._before[gate][name] for name, value in self._newest[gate].items()}
+            refused = {name: values[name] for name in GATES[gate] if name in values}
+            result[gate] = GateCounts(values[_FRAMES], refused, self._unknown.get(gate, ""))
         return result
-
-    def _note(self, key, value):
-        last = self._newest.get(key, 0)
-        if value < last:
-            self._before[key] = self._before.get(key, 0) + last
-        self._newest[key] = value

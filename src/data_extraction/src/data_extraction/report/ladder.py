@@ -1,12 +1,10 @@
 """The loss ladder of every vehicle over time, from its safety topic."""
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
-from data_extraction.report.naming import vehicle_of
+from data_extraction.report.topics import Collector, vehicle_of
 from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule
 
-SAFETY = "/safety"
 RULES = {
     Rule.NONE: "",
     Rule.JOYSTICK: "joystick silent",
@@ -21,63 +19,64 @@ RULES = {
 _MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
 
 
-class Span(NamedTuple):
+@dataclass
+class Span:
     """A time on one level."""
 
     vehicle: str  # namespace
     begin_s: float  # receipt
-    end_s: float
+    end_s: float | None  # None = it lasts
     level: FailsafeLevel
     rule: Rule  # that set the level
     reason: str  # with the numbers of the moment; "" when OK
 
 
-@dataclass
-class _Vehicle:
-    """One vehicle's levels so far."""
+class LadderCollector(Collector):
+    """Keeps the changes."""
 
-    said: tuple | None = None  # (level, rule, reason) of the newest message
-    rows: list[list] = field(default_factory=list)  # [begin, end, said]; end None = it lasts
-
-
-class LadderCollector:
-    """Takes the messages of a bag one by one, keeps the changes."""
+    ends = ("/safety",)
 
     def __init__(self):
-        self._vehicles = {}
+        self._said = {}  # vehicle -> (level, rule, reason) of its newest message
+        self._spans = {}  # vehicle -> its Spans
         self.left_out = 0  # changes to a higher level, or to another reason there, beyond those that were kept
 
-    def wants(self, topic):
-        """Whether messages of this topic say anything here."""
-        return topic.endswith(SAFETY)
-
     def __call__(self, topic, receipt_s, message):
-        """Take one message; topics that are of no interest are passed over."""
-        if not topic.endswith(SAFETY):
-            return
-        vehicle = self._vehicles.setdefault(vehicle_of(topic), _Vehicle())
+        name = vehicle_of(topic)
         level, reason = FailsafeLevel(message.level), message.reason + (WITHOUT_EFFECT if message.operator else "")
         said = level, Rule(message.rule), reason
-        if vehicle.said == said:
+        if self._said.get(name) == said:
             return
-        vehicle.said, rows = said, vehicle.rows
-        lasting = rows[-1] if rows and rows[-1][1] is None else None
-        if len(rows) >= _MOST_SPANS and lasting and level == lasting[2][0] == FailsafeLevel.LAND:
+        self._said[name], spans = said, self._spans.setdefault(name, [])
+        lasting = spans[-1] if spans and spans[-1].end_s is None else None
+        if len(spans) >= _MOST_SPANS and lasting and level == lasting.level == FailsafeLevel.LAND:
             self.left_out += 1  # another reason for the same landing
             return
         if lasting:
-            lasting[1] = receipt_s
-        if len(rows) < _MOST_SPANS or level == FailsafeLevel.LAND:
-            rows.append([receipt_s, None, said])
+            lasting.end_s = receipt_s
+        if len(spans) < _MOST_SPANS or level == FailsafeLevel.LAND:
+            spans.append(Span(name, receipt_s, None, *said))
         else:
             self.left_out += level != FailsafeLevel.OK
 
     def spans(self, end_s):
-        """{vehicle: [Span, ...]} in the order of time; the last lasts until the end of the bag, at end_s."""
+        """{vehicle: [Span, ...]} in the order of time; what lasts does so until the end of the bag, at end_s."""
         return {
-            name: [
-                Span(name, begin_s, end_s if until_s is None else until_s, *said)
-                for begin_s, until_s, said in vehicle.rows
-            ]
-            for name, vehicle in sorted(self._vehicles.items())
+            name: [span if span.end_s is not None else replace(span, end_s=end_s) for span in spans]
+            for name, spans in sorted(self._spans.items())
         }
+
+
+def raised(spans_of):
+    """The Spans of all vehicles on higher levels, those on the highest first. spans_of: {vehicle: [Span, ...]}."""
+    found = [span for spans in spans_of.values() for span in spans if span.level != FailsafeLevel.OK]
+    return sorted(found, key=lambda span: (-span.level, span.begin_s))
+
+
+def by_reason(spans):
+    """[((vehicle, word of the level, reason), [how long each lasted [s]]), ...] in this order."""
+    lengths_s = {}
+    for span in sorted(spans, key=lambda span: span.begin_s):
+        lengths_s.setdefault((span.vehicle, span.level, span.rule), []).append(span.end_s - span.begin_s)
+    return [((name, level.name.lower(), RULES[rule]), lengths_s[name, level, rule])
+            for name, level, rule in sorted(lengths_s)]  # fmt: skip

@@ -7,18 +7,13 @@ from dataclasses import dataclass, field
 
 import yaml
 
-from risc_control.failsafe import SafetyLimits
-from risc_control.vehicle_pilot import params_from_dict
-from risc_lab.lab import Fleet, load_fleet
+from data_extraction.command_line import fleet_of
+from risc_control.failsafe import SafetyLimits, fence_of
+from risc_lab.lab import Fleet
+from risc_lab.settings import settings_from
 
-FLIGHT, PARAMETERS, FLEET, SUMMARY, LAB, PROCESSORS = (
-    "flight.yaml",
-    "parameters.yaml",
-    "fleet.yaml",
-    "summary.json",
-    "virtual_lab.json",
-    "processors.json",
-)
+FLIGHT, PARAMETERS = "flight.yaml", "parameters.yaml"
+SUMMARY, LAB, PROCESSORS = "summary.json", "virtual_lab.json", "processors.json"
 # Parameters that differ from run to run though the flight is the same: identities, addresses, and live switches.
 RUN_KEYS = frozenset(
     (
@@ -44,6 +39,14 @@ class Origin:
         """Of the parameters, None when they are unknown."""
         return None if self.parameters is None else parameter_hash(self.parameters)
 
+    def command_delays_s(self):
+        """{template: delay [s] of the vehicle's link}, as the flight was asked for, else of the vehicle's type."""
+        asked_s = self.flight.get("arguments", {}).get("delay")
+        return {
+            vehicle.template: vehicle.vehicle_type.command_delay_s if asked_s is None else asked_s
+            for vehicle in (self.fleet.vehicles if self.fleet else ())
+        }
+
     def fence_limits(self):
         """{template: SafetyLimits} that the vehicles' nodes had; those that are not known are left out."""
         result = {}
@@ -51,7 +54,7 @@ class Origin:
             for node in self._nodes_of(vehicle.namespace):
                 if "fence_margin_m" in node:
                     names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
-                    result[vehicle.template] = params_from_dict(names, self.fleet.arena)[0].limits
+                    result[vehicle.template] = settings_from(SafetyLimits, {**fence_of(self.fleet.arena), **names})
         return result
 
     def _nodes_of(self, namespace):
@@ -72,13 +75,13 @@ def read_beside(bag_path, fleet_path=None):
 
     Raises ValueError that names a file that cannot be read.
     """
-    folder = pathlib.Path(bag_path).parent
-    fleet_path = pathlib.Path(fleet_path) if fleet_path else folder / FLEET
+    bag_path = pathlib.Path(bag_path)
+    folder = bag_path.parent
     parameters = folder / PARAMETERS
     return Origin(
         flight=_flight(folder / FLIGHT),
         parameters=_mapping(parameters, yaml.safe_load) if parameters.exists() else None,
-        fleet=load_fleet(fleet_path) if fleet_path != folder / FLEET or fleet_path.exists() else None,
+        fleet=fleet_of(bag_path, fleet_path),
         summary=_mapping(folder / SUMMARY, json.loads),
         lab=_mapping(folder / LAB, json.loads),
         processors=_mapping(folder / PROCESSORS, json.loads),

@@ -27,6 +27,7 @@ import numpy as np
 
 from risc_control.reference_buffer import Axis, Order
 from risc_control.vehicles import Command, Controls, ControlsConverter
+from risc_lab.command_history import CommandHistory
 from risc_lab.registry import Registry
 from risc_lab.states import S, States
 
@@ -45,6 +46,7 @@ class Bundle(NamedTuple):
 
     vehicles: States
     autonomous: np.ndarray  # (n,) bool, False where somebody else flies the vehicle: our commands are not sent
+    sent: CommandHistory  # what the vehicles were really sent, as far as that is known; its times are those of `Times`
 
 
 class Reference(NamedTuple):
@@ -123,6 +125,7 @@ class ControlLoop:
         self._to_controls = ControlsConverter(vehicle_types)
         self._delays_s, self._which = np.unique(self.controller.delay_s, return_inverse=True)
         self._everyone = np.arange(len(vehicle_types))
+        self.sent = CommandHistory(len(vehicle_types))  # whoever knows what was really sent appends it here
         self.set_params(self.params)
         n = len(vehicle_types)  # load what is compiled, by an update in which no vehicle is seen
         none, nowhere = np.zeros(n, dtype=bool), np.zeros((self.controller.ORDER + 1, n, len(Axis)))
@@ -133,6 +136,11 @@ class ControlLoop:
         """Fly with other parameters. Raises ValueError, and keeps the old ones, when there is no solution."""
         self.controller.prepare(params)
         self.params = params
+
+    def forget_times(self):
+        """The clock of stamps and commands was set."""
+        self.sent.clear()
+        self.controller.forget_times()
 
     def times_s(self, stamp_s, now_s):
         """(1 + k,) times of the references that an update wants: at the stamp, and where its commands take effect."""
@@ -153,8 +161,8 @@ class ControlLoop:
         present, ahead, usable: see `Reference`.  autonomous: see `Bundle`.  Raises ValueError, and nothing counts as
         sent, when a number of a vehicle that is seen is not finite.
         """
-        reference = Reference(present, ahead, usable)
-        command = self.controller.step(Times(stamp_s, now_s), Bundle(states, autonomous), reference, self.params)
+        reference, bundle = Reference(present, ahead, usable), Bundle(states, autonomous, self.sent)
+        command = self.controller.step(Times(stamp_s, now_s), bundle, reference, self.params)
         return Output(*self._to_controls(command, states.visible & usable, self.controller.saturated))
 
 

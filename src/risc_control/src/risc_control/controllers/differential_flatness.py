@@ -9,67 +9,57 @@ north and east turned by the yaw are forward and right (vehicle-1 axes).
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from risc_control import controllers
 from risc_control.delay_prediction import (
-    Channel,
-    CommandHistory,
+    TILT,
     Motion,
-    NominalModel,
     TiltObserver,
-    append_command,
+    fill_in_force,
+    loops,
     observe,
+    plants,
     predicted,
-    rows_in_force,
     steps_of,
 )
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
 from risc_control.lqr import lqr_gain, with_integral
 from risc_control.reference_buffer import Axis, Order
 from risc_control.vehicles import Command, climb_acceleration, climb_command, clipped, floats, greatest_command
+from risc_lab.command_history import CHANNELS, Channel, CommandHistory, append_command
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.settings import NotNegative, Positive, Settings
 from risc_lab.states import S
 
 _LONGEST_STEP_S = 0.1  # of the integrators: a gap in the states must not count as error
 
 
 @dataclass(frozen=True)
-class Params:
+class Params(Settings):
     """Diagonals of Q and R, and limits. An integral weight of 0 switches that integrator off."""
 
-    q_integral: float = 100.0  # horizontal [1/(m s)^2]
-    q_position: float = 200.0  # [1/m^2]
-    q_velocity: float = 25.0  # [1/(m/s)^2]
-    q_tilt: float = 0.0  # on the acceleration by tilt [1/(m/s^2)^2]
-    q_tilt_rate: float = 0.0
-    r_horizontal: float = 1.0  # [1/(m/s^2)^2]
-    q_height_integral: float = 40.0  # vertical [1/(m s)^2]
-    q_height: float = 70.0
-    q_climb: float = 8.0
-    r_vertical: float = 1.0
-    q_yaw: float = 4.0  # [1/rad^2]
-    q_yaw_rate: float = 0.0
-    r_yaw: float = 1.0
-    error_max_m: float = 0.4  # [m] larger position errors count as this long: bounds the speed of a return
-    integral_max_m_s: float = 0.3  # [m s] limit of each integrator
-    integral_min_height_m: float = 0.3  # [m] no integration lower than this: the vehicle may stand
-    angle_noise_rad: float = 0.005  # [rad] of a measured roll or pitch, for the tilt observer
-    tilt_disturbance_rad_s2: float = 0.6  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
-
-    def __post_init__(self):
-        check_params(self)
-
-
-def check_params(params):
-    """Raises ValueError for the first weight that is negative, or other number that is not positive."""
-    for field in fields(params):
-        value, may_be_0 = getattr(params, field.name), field.name.startswith("q_")
-        if not 0.0 <= value < math.inf or (value == 0.0 and not may_be_0):
-            raise ValueError("%s must be %s 0, got %r" % (field.name, ">=" if may_be_0 else ">", value))
+    q_integral: NotNegative = 100.0  # horizontal [1/(m s)^2]
+    q_position: NotNegative = 200.0  # [1/m^2]
+    q_velocity: NotNegative = 25.0  # [1/(m/s)^2]
+    q_tilt: NotNegative = 0.0  # on the acceleration by tilt [1/(m/s^2)^2]
+    q_tilt_rate: NotNegative = 0.0
+    r_horizontal: Positive = 1.0  # [1/(m/s^2)^2]
+    q_height_integral: NotNegative = 40.0  # vertical [1/(m s)^2]
+    q_height: NotNegative = 70.0
+    q_climb: NotNegative = 8.0
+    r_vertical: Positive = 1.0
+    q_yaw: NotNegative = 4.0  # [1/rad^2]
+    q_yaw_rate: NotNegative = 0.0
+    r_yaw: Positive = 1.0
+    error_max_m: Positive = 0.4  # larger position errors count as this long: bounds the speed of a return
+    integral_max_m_s: Positive = 0.3  # [m s] limit of each integrator
+    integral_min_height_m: Positive = 0.3  # no integration lower than this: the vehicle may stand
+    angle_noise_rad: Positive = 0.005  # of a measured roll or pitch, for the tilt observer
+    tilt_disturbance_rad_s2: Positive = 0.6  # [rad/s^2/sqrt(Hz)] what the attitude model does not know
 
 
 # What bounds the commands of a vehicle; see `Params`.
@@ -119,17 +109,19 @@ class Controller(controllers.Controller):
     def __init__(self, vehicle_types, params):
         super().__init__(vehicle_types, params)
         self._types = list(dict.fromkeys(vehicle_types))
-        self._model = NominalModel.of(vehicle_types)
-        self._plants = self._model.plants()
-        self.delay_s = self._model.delay_s[self._model.kind]
-        self._history = CommandHistory(len(vehicle_types))
-        self._observer = TiltObserver(self._model, params.angle_noise_rad, params.tilt_disturbance_rad_s2)
+        self._kinds = np.array([self._types.index(vehicle_type) for vehicle_type in vehicle_types])
+        self._plants = plants(self._types)
+        self.delay_s = self._plants["delay_s"][self._kinds]
+        self._computed = CommandHistory(len(vehicle_types))
+        self._observer = TiltObserver(self._types, params.angle_noise_rad, params.tilt_disturbance_rad_s2)
+        self._tilts = np.zeros(len(vehicle_types), TILT)
+        self._tilts["time_s"] = -np.inf
         self._integrals = np.zeros(len(vehicle_types), _INTEGRALS)
         self._stamp_s = -np.inf
 
     def design(self, params):
         """((k,) _GAINS, (k,) _LIMITS) of the k types. Raises ValueError when there is no solution."""
-        return _gains(self._model, params), np.array([_limits(t, params) for t in self._types], _LIMITS)
+        return _gains(self._types, params), np.array([_limits(t, params) for t in self._types], _LIMITS)
 
     def reset(self):
         """Forget the integrals and the commands under way."""
@@ -138,30 +130,28 @@ class Controller(controllers.Controller):
 
     def forget_times(self):
         """As `controllers.Controller`. The integrals are no times, and stay."""
-        self._history.clear()
+        self._computed.clear()
         self._stamp_s = -np.inf
 
     def step(self, t, states, reference, params):
         """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
-        history, observer = self._history, self._observer
         gains, limits = self.designed(params)
         is_finite = _step(
             float(t.stamp_s),
             float(t.now_s),
             float(step_s),
-            self._model.kind,
+            self._kinds,
             self._plants,
             limits,
             gains,
-            observer.steps,
-            observer.gains,
-            observer.tilts,
+            self._observer.steps,
+            self._observer.gains,
+            self._tilts,
             self._integrals,
-            history.sent_s,
-            history.commands,
-            history.ends,
+            states.sent.vehicles,
+            self._computed.vehicles,
             floats(states.vehicles.x),
             states.vehicles.visible & reference.usable,
             np.array(states.autonomous, dtype=bool),
@@ -184,24 +174,23 @@ def _limits(vehicle_type, params):
 
 @compiled
 def _step(
-    stamp_s, now_s, step_s, kind, plants, limits, gains, observer_steps, observer_gains, tilts, integrals, sent_s,
-    under_way, ends, x, usable, autonomous, present, ahead, commands, saturated
+    stamp_s, now_s, step_s, kinds, plants, limits, gains, observer_steps, observer_gains, tilts, integrals, sent,
+    computed, x, usable, autonomous, present, ahead, commands, saturated
 ):  # fmt: skip
     """See `Controller.step`: fills commands (4, n) and saturated (n,). step_s: since the last state.
 
-    Returns False, and counts nothing as sent, when a number of a vehicle is not finite.
+    sent, computed: see `fill_in_force`.  Returns False, and counts nothing as sent, when a number of a vehicle is not
+    finite.
     """
-    age_s, longest = max(0.0, now_s - stamp_s), 0
+    age_s = max(0.0, now_s - stamp_s)
+    steps = np.empty(len(plants), dtype=np.int64)
     for k in range(len(plants)):
-        longest = max(longest, steps_of(age_s + plants[k].delay_s))
-    rows = np.empty((len(plants), 1 + longest), dtype=np.int64)  # of commands under way, for each type
-    for k in range(len(plants)):
-        delay_s = plants[k].delay_s
-        steps = steps_of(age_s + delay_s)
-        rows[k, : 1 + steps] = rows_in_force(stamp_s - delay_s, steps, sent_s, ends)
-    applied = np.zeros(under_way.shape[1:])  # what the vehicles settle at, at our commands
-    for i in range(len(kind)):
-        plant, limit, gain, integral = plants[kind[i]], limits[kind[i]], gains[kind[i]], integrals[i]
+        steps[k] = steps_of(age_s + plants[k].delay_s)
+    in_force = np.empty((1 + steps.max(), CHANNELS))
+    applied = np.zeros((len(kinds), CHANNELS))  # what the vehicles settle at, at our commands
+    for i in range(len(kinds)):
+        kind, integral = kinds[i], integrals[i]
+        plant, limit, gain = plants[kind], limits[kind], gains[kind]
         saturated[i] = False
         if not autonomous[i]:
             # somebody else flies it: what was learnt of this vehicle's trim may not hold when we take over
@@ -210,10 +199,11 @@ def _step(
             # a vehicle that is out of sight for a moment keeps its trim
             integral.tilt_was_cut = integral.climb_was_cut = False
             continue
+        under_way = in_force[: 1 + steps[kind]]
+        fill_in_force(sent[i], computed[i], plant, stamp_s, under_way)
         measured = x[i, S.PHI], x[i, S.THETA], x[i, S.P], x[i, S.Q]
-        in_force = under_way[rows[kind[i], 0], i]
-        observe(tilts[i], stamp_s, measured, in_force, observer_steps[kind[i]], observer_gains[kind[i]])
-        motion = predicted(_motion(x[i], tilts[i]), plant, age_s + plant.delay_s, under_way, rows[kind[i]], i)
+        observe(tilts[i], stamp_s, measured, under_way[0], observer_steps[kind], observer_gains[kind])
+        motion = predicted(_motion(x[i], tilts[i]), plant, age_s + plant.delay_s, under_way)
         if autonomous[i] and 0.0 < step_s <= _LONGEST_STEP_S:
             _integrate(integral, step_s, x[i], present[:, i], limit)
 
@@ -234,7 +224,8 @@ def _step(
         if autonomous[i]:
             applied[i, Channel.PHI], applied[i, Channel.THETA], applied[i, Channel.YAW_RATE] = roll, pitch, yaw_rate
             applied[i, Channel.CLIMB] = climb_command(up, motion.up_m_s, plant.climb)
-    append_command(now_s, applied, sent_s, under_way, ends)
+    for i in range(len(kinds)):
+        append_command(computed[i], now_s, applied[i])
     return True
 
 
@@ -344,36 +335,35 @@ def _yaw_rate(motion, reference, plant, gain):
     """Yaw rate to command [rad/s]."""
     yaw, rate = reference[Order.POSITION, Axis.PSI], reference[Order.VELOCITY, Axis.PSI]
     forward = rate + plant.yaw_time_constant_s * reference[Order.ACCELERATION, Axis.PSI]
-    return forward + gain.yaw * short_way(yaw - motion.psi_rad) + gain.yaw_rate * (rate - motion.psi_rate_rad_s)
+    return forward + gain.yaw * wrapped(yaw - motion.psi_rad) + gain.yaw_rate * (rate - motion.psi_rate_rad_s)
 
 
-def _gains(model, weights):
-    """(k,) _GAINS of the types of a NominalModel."""
+def _gains(vehicle_types, weights):
+    """(k,) _GAINS of VehicleTypes."""
     A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
     height = [weights.q_height, weights.q_climb]
     vertical = _gain_with_integral(A, B, weights.q_height_integral, height, weights.r_vertical)
-    gains = np.zeros(len(model.mass_kg), _GAINS)
-    for kind, gain in enumerate(gains):
-        for axis, name in enumerate(("roll", "pitch")):
-            wn, zeta = model.natural_frequency_rad_s[kind, axis], model.damping_ratio[kind, axis]
-            gain[name] = _horizontal_gain(wn, zeta, model.drag_1_s[kind], weights)
+    gains = np.zeros(len(vehicle_types), _GAINS)
+    for gain, vehicle_type in zip(gains, vehicle_types):
+        A, b = loops(vehicle_type)
+        drag_1_s = vehicle_type.drag_n_s_m / vehicle_type.mass_kg
+        gain.roll, gain.pitch = (_horizontal_gain(A[axis], b[axis], drag_1_s, weights) for axis in (0, 1))
         gain.height_integral, gain.height, gain.climb = vertical
-        tau = model.yaw_time_constant_s[kind]
-        A_yaw, B_yaw = [[0.0, 1.0], [0.0, -1.0 / tau]], [[0.0], [1.0 / tau]]
-        gain.yaw, gain.yaw_rate = lqr_gain(A_yaw, B_yaw, [weights.q_yaw, weights.q_yaw_rate], [weights.r_yaw])[0]
+        yaw = [weights.q_yaw, weights.q_yaw_rate]
+        gain.yaw, gain.yaw_rate = lqr_gain(A[Channel.YAW_RATE], b[Channel.YAW_RATE, :, None], yaw, [weights.r_yaw])[0]
     return gains
 
 
-def _horizontal_gain(wn, zeta, drag_1_s, weights):
+def _horizontal_gain(A_loop, b_loop, drag_1_s, weights):
     """_AXIS_GAINS of one axis, as a tuple."""
-    A = np.zeros((4, 4))
-    A[0, 1] = A[1, 2] = A[2, 3] = 1.0
-    A[1, 1], A[3, 2], A[3, 3] = -drag_1_s, -(wn**2), -2.0 * zeta * wn
-    B = np.array([[0.0], [0.0], [0.0], [wn**2]])
+    A, B = np.zeros((4, 4)), np.zeros((4, 1))
+    A[0, 1] = A[1, 2] = 1.0
+    A[1, 1] = -drag_1_s
+    A[2:, 2:], B[2:, 0] = A_loop, b_loop
     Q = [weights.q_position, weights.q_velocity, weights.q_tilt, weights.q_tilt_rate]
     feedback = _gain_with_integral(A, B, weights.q_integral, Q, weights.r_horizontal)
     # the command that makes the loop a'' = wn^2 (u - a) - 2 zeta wn a' follow a given a(t)
-    return (*feedback, 2.0 * zeta / wn, wn**-2.0)
+    return (*feedback, -A_loop[1, 1] / b_loop[1], 1.0 / b_loop[1])
 
 
 def _gain_with_integral(A, B, q_integral, Q, r):
@@ -400,6 +390,6 @@ def _shortened(north, east, longest):
 
 
 @compiled
-def short_way(angle_rad):
-    """The angle less whole turns."""
+def wrapped(angle_rad):
+    """The same angle, within half a turn."""
     return angle_rad - 2.0 * math.pi * np.rint(angle_rad / (2.0 * math.pi))

@@ -15,6 +15,7 @@ import numpy as np
 
 from risc_control.controllers import differential_flatness
 from risc_control.reference_buffer import Axis
+from risc_lab.settings import Positive
 from risc_lab.states import S
 
 _LONGEST_STEP_S = 0.1  # out of sight: after a longer gap the pursuit begins anew, from where the vehicle is
@@ -25,11 +26,11 @@ _AT_TARGET_M = 1e-6  # nearer than this the target is in no direction
 class Params(differential_flatness.Params):
     """The pursuit's, and those of the controller that it is in. Range and speed gain are the original release's."""
 
-    range_m: float = 0.48  # R*: how far behind the target the vehicle flies
-    speed_gain_1_s: float = 0.9  # acceleration along the course per error of speed
-    range_gain_1_s: float = 0.25  # speed per error of range; a quarter of the speed gain would be critically damped
-    speed_max_m_s: float = 0.6  # while it catches up
-    slow_m_s: float = 0.05  # slower than this a vehicle has no course of its own: it heads for the target
+    range_m: Positive = 0.48  # R*: how far behind the target the vehicle flies
+    speed_gain_1_s: Positive = 0.9  # acceleration along the course per error of speed
+    range_gain_1_s: Positive = 0.25  # speed per error of range; a quarter of the speed gain would be critically damped
+    speed_max_m_s: Positive = 0.6  # while it catches up
+    slow_m_s: Positive = 0.05  # slower than this a vehicle has no course of its own: it heads for the target
 
 
 def pursuit_acceleration(position_m, velocity_m_s, target_m, target_speed_m_s, params):

@@ -10,34 +10,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from risc_control import controllers
-from risc_control.controllers.differential_flatness import check_params, short_way
+from risc_control.controllers.differential_flatness import wrapped
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt
 from risc_control.lqr import lqr_gain
 from risc_control.reference_buffer import Axis
 from risc_control.vehicles import Command, floats, greatest_command
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2
+from risc_lab.settings import NotNegative, Positive, Settings
 from risc_lab.states import S
 
 
 @dataclass(frozen=True)
-class Params:
+class Params(Settings):
     """Diagonals of Q and R: about the best without prediction; the original's gains (17.22, 1.62) oscillate at 0.1 s of
     command delay.
     """
 
-    q_position: float = 2.0  # horizontal [1/m^2]
-    q_velocity: float = 4.0  # [1/(m/s)^2]
-    r_horizontal: float = 1.0  # [1/(m/s^2)^2]
-    q_height: float = 2.0  # vertical [1/m^2]
-    q_climb: float = 1.0
-    r_vertical: float = 1.0
-    q_yaw: float = 1.0  # [1/rad^2]
-    r_yaw: float = 1.0
-    error_max_m: float = 0.4  # [m] larger position errors count as this long
-
-    def __post_init__(self):
-        check_params(self)
+    q_position: NotNegative = 2.0  # horizontal [1/m^2]
+    q_velocity: NotNegative = 4.0  # [1/(m/s)^2]
+    r_horizontal: Positive = 1.0  # [1/(m/s^2)^2]
+    q_height: NotNegative = 2.0  # vertical [1/m^2]
+    q_climb: NotNegative = 1.0
+    r_vertical: Positive = 1.0
+    q_yaw: NotNegative = 1.0  # [1/rad^2]
+    r_yaw: Positive = 1.0
+    error_max_m: Positive = 0.4  # [m] larger position errors count as this long
 
 
 _GAINS = record(("position", float), ("velocity", float), ("height", float), ("climb", float), ("yaw", float))
@@ -102,7 +100,7 @@ def _step(vehicles, gains, error_max_m, x, usable, present, commands, saturated)
             u_x + acceleration[Axis.X], -(u_y + acceleration[Axis.Y]), u_z + acceleration[Axis.Z] + GRAVITY_M_S2
         )
         psi = x[i, S.PSI]
-        yaw_rate = velocity[Axis.PSI] + K.yaw * short_way(position[Axis.PSI] - psi)
+        yaw_rate = velocity[Axis.PSI] + K.yaw * wrapped(position[Axis.PSI] - psi)
         if not math.isfinite(f.north + f.east + f.up + yaw_rate):
             return False
         f, saturated[i] = limit_tilt(f, vehicles[i].tilt_max_rad)

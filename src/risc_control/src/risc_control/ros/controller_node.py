@@ -12,13 +12,13 @@ from std_msgs.msg import Bool
 
 from risc_control.controllers import REGISTRY, ControlLoop, default_params
 from risc_control.reference_buffer import ReferenceBuffer
-from risc_control.ros.conversions import ControlsMessage, StatesReader
+from risc_control.ros.conversions import ControlsMessage, StatesReader, settles_at
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import (
@@ -32,7 +32,7 @@ from risc_lab.ros.params import (
 )
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import ControllerReport, TrackingError
+from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 
@@ -64,7 +64,7 @@ class ControllerNode:
         self._lock = threading.Lock()
         self._stamps = ClockGuard()  # of the states
         self._counts = dict.fromkeys(("states", "saturated", "without command", "late", "refused references"), 0)
-        self._reported, self._reported_s = dict(self._counts), time.monotonic()
+        self._growth = Growth()
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
         self._attached = attached_bodies(load_templates(fleet=known_fleet()))
@@ -85,6 +85,7 @@ class ControllerNode:
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands_sent, queue_size=None, tcp_nodelay=True)
         self._subscribe()
         rospy.loginfo(
             "%s controls %s by %s, acting %.0f ms ahead",
@@ -117,6 +118,15 @@ class ControllerNode:
             rospy.logerr("weights not taken: %s", error)
             config.update({name: getattr(params, name) for name in weights})
         return config
+
+    def _on_commands_sent(self, message):
+        with self._lock:
+            now_s = ros_time_s()
+            for command in message.commands:
+                i, sent_s = self._index.get(command.name), command.sent.to_sec()
+                # by a clock that differs by more than that of a state may, nothing is known
+                if i is not None and abs(now_s - sent_s) <= self._state_timeout_s:
+                    self._loop.sent.append(i, sent_s, settles_at(command))
 
     def _on_status(self, message, i):
         self._autonomous[i] = message.data
@@ -161,7 +171,7 @@ class ControllerNode:
             if step is Step.REFUSED:
                 return
             if step is Step.NEW_CLOCK:
-                self._loop.controller.forget_times()
+                self._loop.forget_times()
             age_s = now_s - stamp_s
             if abs(age_s) > self._state_timeout_s:
                 # nothing that happened so long ago says what to do now
@@ -205,10 +215,7 @@ class ControllerNode:
     def _diagnose(self, status):
         """Diagnostics for people; what other programs use of it goes out as a ControllerReport."""
         with self._lock:
-            now_s = time.monotonic()
-            elapsed_s = max(now_s - self._reported_s, 1e-3)
-            rates = {what: (self._counts[what] - self._reported[what]) / elapsed_s for what in self._counts}
-            self._reported, self._reported_s = dict(self._counts), now_s
+            _, rates = self._growth(self._counts)
             cycle_s, age_s, answered = self._cycle_max_s, self._age_max_s, self._answered
             self._cycle_max_s = self._age_max_s = 0.0
         if rates["states"] == 0.0:

@@ -7,6 +7,7 @@ import numpy as np
 from risc_lab.compiled import compiled
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.states import S, States
+from risc_maap_msgs.msg import CommandSent
 
 _RAD_PER_DEG = math.pi / 180.0
 
@@ -108,3 +109,13 @@ class TrajectoriesMessage:
         self._message.header.stamp = stamp
         self._derivatives[:] = derivatives[:3].transpose(1, 0, 2)
         return self._message
+
+
+def command_sent(name, sent, answers, command):
+    """CommandSent of an array (4,), columns `command_history.Channel`."""
+    return CommandSent(name, sent, answers, *command.tolist())
+
+
+def settles_at(message):
+    """Its inverse."""
+    return np.array((message.roll_rad, message.pitch_rad, message.climb, message.yaw_rate_rad_s))

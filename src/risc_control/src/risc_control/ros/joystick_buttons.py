@@ -70,8 +70,7 @@ class ButtonSubscriber:
         callback: takes the frozenset of the indices that one message presses, never empty.
 
         Presses are worked off one after the other in a thread of their own: as long as the callback takes, messages
-        would wait, and look as if the network had held them up. Raises ValueError for a parameter or an index that
-        makes no sense.
+        would wait, and look as if the network had held them up. Raises ValueError for a parameter that makes no sense.
         """
         self._judge = ButtonPresses(functions.values(), number("~joystick_late_s", LATE_S))
         self._callback = callback
@@ -88,7 +87,7 @@ class ButtonSubscriber:
             presses = self._judge.update(message.buttons, time.monotonic(), age_s, sender)
             if presses.in_time:
                 self._pressed.put(presses.in_time)
-        if presses.late:
+        if presses.late and presses.pressed:
             rospy.logwarn(
                 "a joystick button was pressed %.1f s ago and is not obeyed: look at the network, and at the clocks",
                 presses.age_s,

@@ -10,7 +10,7 @@ import threading
 import time
 import traceback
 from dataclasses import replace
-from functools import partial
+from functools import partial, wraps
 
 import genpy
 import rospy
@@ -19,21 +19,21 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.controller_stream import ControllerStream
-from risc_control.failsafe import FailsafeLevel
 from risc_control.joystick import Button
+from risc_control.ros.conversions import command_sent
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.separation import ALONE, Separation
-from risc_control.vehicle_pilot import OwnState, VehiclePilot, choose_vehicle, params_from_dict
+from risc_control.vehicle_pilot import OwnState, VehiclePilot, choose_vehicle, node_params
 from risc_control.vehicles import Controls, adapter_class
 from risc_lab.lab.vehicle_types import disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import known_fleet, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import Safety, VehicleNodeStatus
+from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus
 
 _RAD_PER_DEG = math.radians(1.0)
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
@@ -43,10 +43,12 @@ _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
 _REFERENCES_HZ = 20.0  # how often references are looked at
-_SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be another one, with other full scales
+SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be another one, with other full scales;
+_GONE_S = 5.0  # after so long what is known of its full scales counts no more
 _VEHICLES_A_TURN = 5  # that one message of the controller commands;
 _MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
 _OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
+_NONE = rospy.Time()
 
 
 class VehicleNode:
@@ -60,31 +62,30 @@ class VehicleNode:
     def __init__(self, namespace=""):
         values = rospy.get_param("~", {})
         fleet = known_fleet()
-        params, unknown = params_from_dict(
+        params, unknown = node_params(
             {name: value for name, value in values.items() if name not in _OWN_KEYS}, fleet and fleet.arena
         )
         for name in unknown:
             rospy.logwarn("parameter ~%s means nothing to this node: is it misspelt?", name)
-        self._errands = queue.Queue()  # functions: the master must not hold up a callback
+        self.params, self.errands = params, queue.Queue()  # functions: the master must not hold up a callback
         threading.Thread(target=self._run_errands, daemon=True).start()
         chosen = _chosen(values, namespace, fleet)
         # before anything is published: a node that is refused must not land a vehicle that another one flies
-        buttons = {button.value: getattr(params.joystick, button.value) for button in Button}
+        buttons = {button.value: getattr(params, button.value) for button in Button}
         claim_buttons(buttons, [prefix + "joy" for _, prefix, _ in chosen])
         types = [told_vehicle_type(vehicle, values) for vehicle, _, _ in chosen]
-        rates_hz = [params.pilot.rate_hz(vehicle_type) for vehicle_type in types]
+        rates_hz = [params.rate_hz(vehicle_type) for vehicle_type in types]
         turns_s = _turns_s([1.0 / rate_hz for rate_hz in rates_hz])
-        self._vehicles = [
-            _Vehicle(*who, kind, params, turn_s, self._errands.put) for who, kind, turn_s in zip(chosen, types, turns_s)
-        ]
+        self.sent = _Sent()
+        self.controllers_s = {}  # {node of a controller: when it was heard last}
+        self._vehicles = [_Vehicle(self, *who, kind, turn_s) for who, kind, turn_s in zip(chosen, types, turns_s)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         everybody = [vehicle.template for vehicle in fleet.vehicles] if fleet is not None else ()
-        self._separation = Separation(self._by_name, params.limits, everybody)
+        self._separation = Separation(self._by_name, params, everybody)
         tick_hz = _TICKS_PER_COMMAND * max(rates_hz)
         self._tick_s = 1.0 / tick_hz
         self._streams = {}  # {sender of /controls: ControllerStream}
-        self._controllers_s = {}  # {the same: when it was heard last}
         self._heard = {}  # {topic: {sender: names of its messages}}
         self._complete = set()  # topics that have all vehicles
         self._answering, self._looking = threading.Lock(), threading.Lock()  # senders have threads of their own
@@ -137,12 +138,13 @@ class VehicleNode:
             stream = self._streams.get(who)
             if stream is None:
                 stream = self._streams[who] = ControllerStream(self._tick_s)
-            if _begins(who, self._controllers_s):
-                self._errands.put(lambda: self._compare(who))
+            if _begins(who, self.controllers_s):
+                self.errands.put(lambda: self._compare(who))
             is_due = time.monotonic() >= _next_command_s(flown)
             answers = stream.answers(stamp_s, age_s, is_due)
             for vehicle, row in flown:
                 vehicle.on_controls(Controls(*row), stamp if answers else None, stamp_s, age_s)
+            self.sent.publish()
             return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
     def _on_states(self, message):
@@ -188,16 +190,17 @@ class VehicleNode:
     def _on_tick(self):
         for vehicle in self._vehicles:
             vehicle.on_tick()
+        self.sent.publish()
 
     def _compare(self, controller):
         """A controller says what full scales it reckons with; one that says nothing is believed."""
-        for name, theirs in rospy.get_param(controller + "/full_scales", {}).items():
-            if name in self._by_name:
-                self._by_name[name].compare(theirs, "the controller " + controller)
+        theirs = rospy.get_param(controller + "/full_scales", {})
+        for vehicle in self._vehicles:
+            vehicle.compare(theirs.get(vehicle.name, {}), controller)
 
     def _run_errands(self):
         while True:
-            errand = self._errands.get()
+            errand = self.errands.get()
             try:
                 errand()
             except Exception as error:  # whatever it is, the next errand must come
@@ -208,6 +211,7 @@ class VehicleNode:
         for ticker in self._tickers:
             ticker.stop()
         land(self._vehicles)
+        self.sent.publish()
         time.sleep(_FLUSH_S)
 
 
@@ -220,23 +224,57 @@ def land(vehicles):
         time.sleep(_LAND_ROUND_S)
 
 
+class _Sent:
+    """/commands_sent of all vehicles of the node: those that have their turn together share a message."""
+
+    def __init__(self):
+        self._commands, self._lock = [], threading.Lock()
+        self._publisher = rospy.Publisher("/commands_sent", CommandsSent, queue_size=100, tcp_nodelay=True)
+
+    def add(self, command):
+        """A CommandSent went out."""
+        with self._lock:
+            self._commands.append(command)
+
+    def publish(self):
+        """Tell what was added; in the order of sending."""
+        with self._lock:
+            commands, self._commands = self._commands, []
+            if commands:
+                message = CommandsSent(commands=commands)
+                message.header.stamp = commands[-1].sent
+                self._publisher.publish(message)
+
+
+def _contained(method):
+    """The method of a _Vehicle, of which an error is no other vehicle's affair, and not the end of its thread."""
+
+    @wraps(method)
+    def run(self, *arguments):
+        try:
+            method(self, *arguments)
+        except Exception as error:  # whatever it is, the next message must come
+            self.on_error(error)
+
+    return run
+
+
 class _Vehicle:
     """One vehicle of the node. Its trouble is its own: what fails here, fails for no other vehicle."""
 
-    def __init__(self, fleet_vehicle, prefix, is_alone, vehicle_type, params, turn_s, do_later):
+    def __init__(self, node, fleet_vehicle, prefix, is_alone, vehicle_type, turn_s):
         """prefix: of its topics.  is_alone: its shut-down button ends the node.  turn_s: when one of its turns to take
-        commands begins.  do_later: takes a function that talks to the parameter server.
+        commands begins.
         """
         self.name = fleet_vehicle.template
-        self._params, self._type = params, vehicle_type
-        self._prefix, self._is_alone, self._turn_s, self._do_later = prefix, is_alone, turn_s, do_later
-        self._pilot = VehiclePilot(params, self._type, time.monotonic(), turn_s)
-        self._disagreements = {}  # by who has other full scales
+        self._node, self._type, self._prefix, self._is_alone = node, vehicle_type, prefix, is_alone
+        self._turn_s = turn_s
+        self._pilot = VehiclePilot(node.params, vehicle_type, time.monotonic(), turn_s)
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
+        self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()
-        self._counts = dict.fromkeys(("states", "controls", "commands", "unseen", "errors"), 0)
-        self._reported = dict(self._counts)
-        self._reported_s = time.monotonic()
+        self._counts = dict.fromkeys(("states", "states while not visible", "controls", "commands", "errors"), 0)
+        self._growth = Growth()
         self._error_land_s = 0.0  # when a landing was ordered because of an error
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
         self._link = adapter_class(vehicle_type).connect(prefix)
@@ -250,8 +288,8 @@ class _Vehicle:
     def listen(self):
         """Begin: what arrives from now on counts."""
         # Every joystick message: of a burst that a network held up, the first say that a press is old.
-        rospy.Subscriber(self._prefix + "joy", Joy, self._guarded(self._on_joy), queue_size=None, tcp_nodelay=True)
-        self._link.listen(self._guarded(self._on_status))
+        rospy.Subscriber(self._prefix + "joy", Joy, self._on_joy, queue_size=None, tcp_nodelay=True)
+        self._link.listen(self._on_status)
         self._service = rospy.Service(self._prefix + "land", Trigger, self._on_land_request)
         where = rospy.get_name(), self.name, self._type.name, self._link.topic
         rospy.loginfo("%s flies %s (%s), commands on %s", *where)
@@ -260,17 +298,6 @@ class _Vehicle:
     def next_command_s(self):
         """When the vehicle takes the next command of the controller [s]; infinite while it takes none."""
         return self._pilot.next_command_s
-
-    def _guarded(self, work):
-        """`work` as a callback that outlives an exception."""
-
-        def run(*arguments):
-            try:
-                work(*arguments)
-            except Exception as error:  # whatever it is, the next message must come
-                self.on_error(error)
-
-        return run
 
     def on_error(self, error):
         """Something failed. An autonomous vehicle must not fly on with it; in manual mode its operator decides."""
@@ -288,6 +315,7 @@ class _Vehicle:
             self._link.land()
             rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.name, error))
 
+    @_contained
     def _on_joy(self, message):
         age_s, who = origin(message)
         with self._lock:
@@ -295,51 +323,54 @@ class _Vehicle:
             self._carry_out(orders)
         self._report(orders)
 
+    @_contained
     def _on_status(self, status, driver):
         if _begins(driver, self._drivers_s):
-            self._do_later(lambda: self.compare(self._link.driver_overrides(driver), "the driver " + driver))
+            self._node.errands.put(lambda: self.compare(self._link.driver_overrides(driver), driver))
         with self._lock:
             orders = self._pilot.on_status(status, time.monotonic())
             self._carry_out(orders)
         self._report(orders)
 
-    def compare(self, full_scales, whose):
-        """Somebody who commands the vehicle, too, or its driver has these; with others than ours nobody is obeyed."""
-        text = disagreement(self.name, vars(self._type), full_scales, whose)
+    def compare(self, full_scales, node):
+        """A controller or the vehicle's driver has these; with others than ours nobody is obeyed."""
+        text = disagreement(self.name, vars(self._type), full_scales, node)
         if text:
             rospy.logerr("%s. No autonomous flight until both agree", text)
         with self._lock:
-            self._disagreements[whose] = text
-            self._pilot.disagreement = next(filter(None, self._disagreements.values()), "")
+            self._disagreements[node] = text
+            self._agree()
 
+    def _agree(self):
+        """Whose full scales differ, of those that are still there. With the lock held."""
+        since_s, heard_s = time.monotonic() - _GONE_S, {**self._node.controllers_s, **self._drivers_s}
+        self._disagreements = {n: text for n, text in self._disagreements.items() if text and heard_s[n] > since_s}
+        self._pilot.disagreement = next(iter(self._disagreements.values()), "")
+
+    @_contained
     def on_state(self, visible, row, age_s, look):
         """Its entry of /cortex_raw. row: the twelve numbers in the message's units; age_s: of the message [s]; look:
         `separation.Look` at the other vehicles.
         """
         if not visible:
-            self._counts["unseen"] += 1
+            self._counts["states while not visible"] += 1
             return
         own = OwnState(row[:3], row[3:6], *(_RAD_PER_DEG * angle for angle in row[6:9]))
-        try:
-            with self._lock:
-                self._counts["states"] += 1
-                self._pilot.on_state(own, age_s, time.monotonic(), look)
-        except Exception as error:  # whatever it is, the other vehicles are no part of it
-            self.on_error(error)
+        with self._lock:
+            self._counts["states"] += 1
+            self._pilot.on_state(own, age_s, time.monotonic(), look)
 
+    @_contained
     def on_controls(self, own, stamp, stamp_s, age_s):
         """Its entry of /controls, with the stamp of the message; None: no command may follow."""
-        try:
-            with self._lock:
-                self._counts["controls"] += 1
-                if stamp is None:
-                    self._pilot.hear_controls(own, age_s, time.monotonic())
-                    return
-                orders = self._pilot.on_controls(own, stamp_s, age_s, time.monotonic())
-                self._carry_out(orders, stamp)
-            self._report(orders)
-        except Exception as error:  # whatever it is, the other vehicles are no part of it
-            self.on_error(error)
+        with self._lock:
+            self._counts["controls"] += 1
+            if stamp is None:
+                self._pilot.hear_controls(own, age_s, time.monotonic())
+                return
+            orders = self._pilot.on_controls(own, stamp_s, age_s, time.monotonic())
+            self._carry_out(orders, stamp)
+        self._report(orders)
 
     def _on_land_request(self, _request):
         with self._lock:
@@ -348,15 +379,15 @@ class _Vehicle:
         self._report(orders)
         return TriggerResponse(done, text)
 
+    @_contained
     def on_tick(self):
         """Twice for each command that the vehicle takes."""
-        try:
-            with self._lock:
-                orders = self._pilot.tick(time.monotonic())
-                self._carry_out(orders)
-            self._report(orders)
-        except Exception as error:  # whatever it is, the next tick must come
-            self.on_error(error)
+        with self._lock:
+            if self._disagreements:
+                self._agree()
+            orders = self._pilot.tick(time.monotonic())
+            self._carry_out(orders)
+        self._report(orders)
 
     def last_orders(self):
         """Level and land, once. Returns whether that was enough."""
@@ -373,11 +404,13 @@ class _Vehicle:
         if orders.land:
             self._link.land()
         if orders.command is not None:
-            sticks, stamp_s = orders.command
-            answered = stamp_s and stamp is not None
-            if answered:
-                self._answer_max_s = max(self._answer_max_s, ros_time_s() - stamp_s)
-            self._link.send(sticks, stamp if answered else None, orders.level_only)
+            command = orders.command
+            self._link.send(command.sticks, orders.level_only)
+            sent = rospy.Time.from_sec(ros_time_s())
+            answers = stamp if command.answers_s and stamp is not None else _NONE
+            if answers:
+                self._answer_max_s = max(self._answer_max_s, (sent - answers).to_sec())
+            self._node.sent.add(command_sent(self.name, sent, answers, command.settles_at))
             self._counts["commands"] += 1
         if orders.status is not None:
             self._status.publish(orders.status)
@@ -387,9 +420,9 @@ class _Vehicle:
     def _report(self, orders):
         """What may take its time: outside the lock."""
         if orders.mode is not None:
-            self._do_later(partial(rospy.set_param, "/controller_status", orders.mode))
+            self._node.errands.put(partial(rospy.set_param, "/controller_status", orders.mode))
         if orders.simulator_reset is not None:
-            self._do_later(partial(rospy.set_param, "/RESET", orders.simulator_reset))
+            self._node.errands.put(partial(rospy.set_param, "/RESET", orders.simulator_reset))
         for level, text in orders.log:
             text = "%s: %s" % (self.name, text)
             if level == "info":
@@ -406,18 +439,14 @@ class _Vehicle:
         """What the shut-down button means beside other vehicles: land, then be as a node that has just started."""
         land([self])
         with self._lock:
-            refused = self._pilot.disagreement
-            self._pilot = VehiclePilot(self._params, self._type, time.monotonic(), self._turn_s, before=self._pilot)
-            self._pilot.disagreement = refused
+            before, now_s = self._pilot, time.monotonic()
+            self._pilot = VehiclePilot(self._node.params, self._type, now_s, self._turn_s, before)
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):
         """A task of diagnostic_updater; what other programs use of it goes out as a VehicleNodeStatus."""
         with self._lock:
-            now_s = time.monotonic()
-            elapsed_s = max(now_s - self._reported_s, 1e-3)
-            rates = {what: (self._counts[what] - self._reported[what]) / elapsed_s for what in self._counts}
-            self._reported, self._reported_s = dict(self._counts), now_s
+            now_s, (_, rates) = time.monotonic(), self._growth(self._counts)
             answer_max_s, self._answer_max_s = self._answer_max_s, 0.0
             pilot = self._pilot
             verdict, reactions = pilot.ladder.verdict, list(pilot.ladder.reactions)
@@ -428,23 +457,19 @@ class _Vehicle:
         told.header.stamp = rospy.Time.now()
         told.oldest_state_s, told.clock_behind_s = answer_max_s, behind_s
         self._node_status.publish(told)
-        status.summary({FailsafeLevel.OK: 0, FailsafeLevel.HOLD: 1, FailsafeLevel.LAND: 2}[verdict.level], verdict.text)
-        status.add("vehicle", self.name)
-        status.add("computer", told.computer)
-        status.add("mode", "autonomous" if autonomous else "manual")
-        status.add("flight state (navdata)", "none yet" if flight_state is None else flight_state)
-        for what, label in (
-            ("states", "visible states looked at"),
-            ("unseen", "states while not visible"),
-            ("controls", "controls looked at"),
-            ("commands", "commands sent"),
-            ("errors", "errors of the node"),
+        status.summary(verdict.level.value, verdict.text)  # 0 is OK, 1 a warning, 2 an error
+        for key, value in (
+            ("vehicle", self.name),
+            ("computer", told.computer),
+            ("mode", "autonomous" if autonomous else "manual"),
+            ("flight state (navdata)", "none yet" if flight_state is None else flight_state),
+            *((what + " (Hz)", "%.1f" % rate_hz) for what, rate_hz in rates.items()),
+            ("age of the state (ms)", "%.0f" % (1e3 * ages_s[0])),
+            ("age of the controls (ms)", "%.0f" % (1e3 * ages_s[1])),
+            ("clock behind that of the states, at least (ms)", "%.1f" % (1e3 * behind_s)),
+            ("oldest state answered by a command (ms)", "%.1f" % (1e3 * answer_max_s)),
         ):
-            status.add(label + " (Hz)", "%.1f" % rates[what])
-        status.add("age of the state (ms)", "%.0f" % (1e3 * ages_s[0]))
-        status.add("age of the controls (ms)", "%.0f" % (1e3 * ages_s[1]))
-        status.add("clock behind that of the states, at least (ms)", "%.1f" % (1e3 * behind_s))
-        status.add("oldest state answered by a command (ms)", "%.1f" % (1e3 * answer_max_s))
+            status.add(key, value)
         for reaction in reactions:
             label = "last %s: " % reaction.level.name.lower()
             status.add(label + "age when it was ordered (ms)", "%.0f" % (1e3 * reaction.age_s))
@@ -467,7 +492,7 @@ def _begins(who, heard_s):
     """
     now_s = time.monotonic()
     before_s, heard_s[who] = heard_s.get(who, -math.inf), now_s
-    return now_s - before_s > _SILENCE_S
+    return now_s - before_s > SILENCE_S
 
 
 def _next_command_s(flown):

@@ -92,20 +92,21 @@ class Adapter:
         """(gain, damping, most) of a CLIMB_LOOP: what controllers count on."""
         raise NotImplementedError
 
-    def answer(self, controls, own, own_s, now_s):
-        """Sticks for the vehicle's `Controls`. own_s: when the state held [s]."""
+    def answer(self, controls, own, own_s, now_s, sent):
+        """Sticks for the vehicle's `Controls`. own_s: when the state held [s].  sent: HISTORY of what it was sent."""
         raise NotImplementedError
 
     def move(self, forward_rad, left_rad, climb_m_s, own):
-        """Sticks that tilt by these angles and climb: for giving way. All 0: level, at this height."""
+        """Sticks that tilt by these angles and climb: to avoid others. All 0: level, at this height."""
         raise NotImplementedError
 
     def by_hand(self, sticks, own):
         """Sticks for those of an operator; its `up` is a climb rate."""
         return sticks
 
-    def sent(self, sticks, now_s):
-        """The vehicle was sent these."""
+    def settles_at(self, sticks):
+        """(4,) what the vehicle settles at when it is sent these: see `command_history.Channel`."""
+        raise NotImplementedError
 
     @staticmethod
     def connect(prefix):
@@ -126,7 +127,7 @@ def climb_loops(vehicle_types):
     return np.array([tuple(adapter_class(t).climb_loop(t)) for t in vehicle_types], CLIMB_LOOP)
 
 
-# --- a vehicle's limits, and the way to /controls ----------------------------------------------------------------
+# --- a vehicle's limits, and its entry of /controls ---------------------------------------------------------------
 
 _COMMAND = record(("roll_rad", float), ("pitch_rad", float), ("yaw_rate_rad_s", float), ("thrust_n", float))
 # What commands of a type are limited to, and what 1 on /controls means.

@@ -9,14 +9,15 @@ where an angle becomes a fraction, and nowhere else.
 """
 
 import math
-from collections import deque
+
+import numpy as np
 
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
 from risc_control.vehicles import Command, FlightState, Status, climb_command, climb_loops, greatest_command
+from risc_lab.command_history import ROWS, Channel, CommandHistory, last_by
+from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2
-
-_CLIMB_MEMORY_S = 2.0  # [s] climb commands that took effect longer ago answer no state that anybody acts on
 
 
 class Adapter(vehicles.Adapter):
@@ -27,9 +28,9 @@ class Adapter(vehicles.Adapter):
     def __init__(self, vehicle_type, command_rate_hz):
         super().__init__(vehicle_type, command_rate_hz)
         self._loop = climb_loops([vehicle_type])[0]
-        delay_s = vehicle_type.command_delay_s + 0.5 / command_rate_hz  # a command waits for the vehicle's next slot
-        self._climb = ClimbPredictor(vehicle_type.climb_time_constant_s, delay_s)
-        climb_command(0.0, 0.0, self._loop)  # loads what is compiled
+        self._delay_s = vehicle_type.command_delay_s + 0.5 / command_rate_hz  # it waits for the vehicle's next slot
+        self._unit = self.units(vehicle_type)
+        climb_command(self._climb_ahead(0.0, 0.0, 0.0, CommandHistory(1).vehicles[0]), 0.0, self._loop)
 
     @staticmethod
     def units(vehicle_type):
@@ -41,9 +42,9 @@ class Adapter(vehicles.Adapter):
         per_s = 1.0 / vehicle_type.climb_time_constant_s
         return per_s, per_s, vehicle_type.climb_max_m_s
 
-    def answer(self, controls, own, own_s, now_s):
+    def answer(self, controls, own, own_s, now_s, sent):
         """Eqs 5.3-5.4 for the climb rate, at the moment the command takes effect; the rest are fractions already."""
-        climb_m_s = self._climb.predict(own.velocity_m_s[2], own_s, now_s)
+        climb_m_s = self._climb_ahead(own.velocity_m_s[2], own_s, now_s, sent)
         up_m_s2 = controls.thrust_n * math.cos(own.phi_rad) * math.cos(own.theta_rad) / self.type.mass_kg - GRAVITY_M_S2
         up = climb_command(up_m_s2, climb_m_s, self._loop) / self.type.climb_max_m_s
         return Sticks(limited(controls.theta), limited(controls.phi), limited(up), limited(controls.psi))
@@ -52,44 +53,35 @@ class Adapter(vehicles.Adapter):
         tilts = (limited(tilt_rad / self.type.tilt_max_rad) for tilt_rad in (forward_rad, left_rad))
         return Sticks(*tilts, limited(climb_m_s / self.type.climb_max_m_s), 0.0)
 
-    def sent(self, sticks, now_s):
-        self._climb.sent(now_s, sticks.up * self.type.climb_max_m_s)
+    def settles_at(self, sticks):
+        unit, climb_m_s = self._unit, sticks.up * self.type.climb_max_m_s
+        roll_rad, pitch_rad = sticks.left * unit.roll_rad, sticks.forward * unit.pitch_rad
+        return np.array((roll_rad, pitch_rad, climb_m_s, sticks.turn_left * unit.yaw_rate_rad_s))
+
+    def _climb_ahead(self, climb_m_s, measured_s, now_s, sent):
+        tau_s = self.type.climb_time_constant_s
+        return climb_ahead(climb_m_s, measured_s, now_s + self._delay_s, sent, self._delay_s, tau_s)
 
     @staticmethod
     def connect(prefix):
         return Link(prefix)
 
 
-class ClimbPredictor:
-    """Climb rate at the moment a command takes effect, by the nominal climb loop zdot' = (command - zdot) / tau."""
+@compiled
+def climb_ahead(climb_m_s, measured_s, until_s, sent, delay_s, tau_s):
+    """Climb rate [m/s, + up] at until_s, by the nominal climb loop zdot' = (command - zdot) / tau.
 
-    def __init__(self, time_constant_s, command_delay_s):
-        self._tau_s = time_constant_s
-        self._delay_s = command_delay_s
-        self._sent = deque([(-math.inf, 0.0)])  # (takes effect at [s], climb command [m/s])
-
-    def sent(self, now_s, command_m_s):
-        """A climb command was sent."""
-        self._sent.append((now_s + self._delay_s, command_m_s))
-        while self._sent[1][0] < now_s - _CLIMB_MEMORY_S:
-            self._sent.popleft()
-
-    def predict(self, climb_rate_m_s, measured_s, now_s):
-        """Climb rate [m/s, + up] when a command sent now takes effect; the measurement may be any age."""
-        sent = self._sent
-        while len(sent) > 1 and sent[1][0] <= measured_s:
-            sent.popleft()
-        until_s = now_s + self._delay_s
-        rate, since_s, command = climb_rate_m_s, measured_s, sent[0][1]
-        for effect_s, next_command in sent:
-            if effect_s > since_s:
-                end_s = min(effect_s, until_s)
-                rate = command + (rate - command) * math.exp((since_s - end_s) / self._tau_s)
-                since_s = end_s
-            command = next_command
-        if until_s > since_s:
-            rate = command + (rate - command) * math.exp((since_s - until_s) / self._tau_s)
-        return rate
+    measured_s: when the vehicle climbed at climb_m_s.  sent: its HISTORY; commands take effect delay_s later.
+    """
+    k = last_by(sent, measured_s - delay_s, sent.newest)
+    while measured_s < until_s:
+        end_s = until_s
+        if k < sent.newest:
+            end_s = min(until_s, sent.times_s[(k + 1) % ROWS] + delay_s)
+        command = sent.commands[k % ROWS, Channel.CLIMB]
+        climb_m_s = command + (climb_m_s - command) * math.exp((measured_s - end_s) / tau_s)
+        measured_s, k = end_s, k + 1
+    return climb_m_s
 
 
 def status(navdata):
@@ -102,16 +94,14 @@ class Link:
 
     def __init__(self, prefix):
         import rospy  # the rest of the file needs none
-        from geometry_msgs.msg import Twist, TwistStamped
+        from geometry_msgs.msg import Twist
         from std_msgs.msg import Empty
 
         def publisher(topic, message):
             return rospy.Publisher(prefix + topic, message, queue_size=10, tcp_nodelay=True)
 
-        self._prefix, self._never = prefix, rospy.Time()
-        self._twist = TwistStamped()  # filled again and again
+        self._prefix, self._twist = prefix, Twist()  # filled again and again
         self._cmd_vel = publisher("cmd_vel", Twist)
-        self._cmd_vel_stamped = publisher("cmd_vel_stamped", TwistStamped)
         # each called as it is
         self.take_off = publisher("ardrone/takeoff", Empty).publish
         self.land = publisher("ardrone/land", Empty).publish
@@ -129,14 +119,12 @@ class Link:
 
         rospy.Subscriber(self._prefix + "ardrone/navdata", Navdata, on_navdata, queue_size=10, tcp_nodelay=True)
 
-    def send(self, sticks, stamp=None, level_only=False):
-        """cmd_vel, and the same with the stamp of the /controls that it answers (None: of none)."""
-        twist = self._twist.twist
+    def send(self, sticks, level_only=False):
+        """cmd_vel. level_only: the driver must not start the vehicle's own position hold."""
+        twist = self._twist
         twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z = sticks
         twist.angular.x = 1.0 if level_only else 0.0  # any value but 0 keeps the driver from auto-hovering
         self._cmd_vel.publish(twist)
-        self._twist.header.stamp = self._never if stamp is None else stamp
-        self._cmd_vel_stamped.publish(self._twist)
 
     def driver_overrides(self, driver):
         """{field of VehicleType: value} that the driver's node has set on the vehicle, as far as it says so."""

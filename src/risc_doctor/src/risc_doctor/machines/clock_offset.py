@@ -3,9 +3,8 @@
 import time
 
 from risc_doctor.clock_agreement import BAD_S, GOOD_S, parse_tracking
-from risc_doctor.findings import green, red, yellow
+from risc_doctor.findings import RED, YELLOW, finding
 
-LADDER = "the loss ladder takes states older than 100 ms for lost"
 _ROUND_TRIPS = 25
 _LIMIT_S = 5.0
 # one line in, one line out; ends by itself when nobody asks; on one line for csh
@@ -20,36 +19,27 @@ def measure(session):
     channel = session.channel(_TELLER)
     channel.settimeout(_LIMIT_S)
     try:
-        lines = channel.makefile("r")
-        best = None
+        lines, trips = channel.makefile("r"), []
         for _ in range(_ROUND_TRIPS + 1):  # the first one waits for python3 to start
             sent = time.time()
             channel.sendall(b"\n")
             line = lines.readline()
             received = time.time()
-            there = float(line)
-            if best is None or received - sent < best[1]:
-                best = (there - (sent + received) / 2.0, received - sent)
-        return best[0], best[1] / 2.0
+            trips.append((received - sent, float(line) - (sent + received) / 2.0))
+        round_trip_s, offset_s = min(trips)
+        return offset_s, round_trip_s / 2.0
     finally:
         channel.close()
 
 
 def judge(offset_s, uncertainty_s, how, server):
     """The Finding for an offset. how: where it comes from, for the text; server: our address, for the cure."""
-    text = "%s this computer's (± %.1f ms, %s)" % (_offset_text(offset_s), 1e3 * uncertainty_s, how)
-    cure = (
-        "chrony on every machine, with this computer as its server (%s). Here: the lines 'allow' and 'local "
-        "stratum 10' in /etc/chrony/conf.d/base.conf. There: the line 'server %s iburst prefer' in "
-        "/etc/chrony/sources.d/base.sources. Then here, and there:\n"
-        "sudo systemctl restart chrony && sudo chronyc makestep" % (LADDER, server)
-    )
-    values = {"offset_s": offset_s, "uncertainty_s": uncertainty_s}
-    if abs(offset_s) >= BAD_S and abs(offset_s) > uncertainty_s:
-        return red("clock", text, cure, **values)
+    code, level = "offset", None
     if abs(offset_s) >= GOOD_S or uncertainty_s > BAD_S:
-        return yellow("clock", text, cure, **values)
-    return green("clock", text, **values)
+        code = "offset_large"
+        level = RED if abs(offset_s) >= BAD_S and abs(offset_s) > uncertainty_s else YELLOW
+    values = {"offset_s": offset_s, "uncertainty_s": uncertainty_s, "uncertainty_ms": 1e3 * uncertainty_s}
+    return finding("clock", code, level, offset_text=_offset_text(offset_s), how=how, server=server, **values)
 
 
 def check(session):
@@ -61,8 +51,7 @@ def check(session):
         measured = measure(session)
     except (OSError, ValueError):
         if not follows_us:
-            cure = "does `python3 -c 'print()'` work in a login there?"
-            return yellow("clock", "the clock there could not be asked", cure)
+            return finding("clock", "mute")
         measured = tracking.offset_s, tracking.error_s
     return combine(tracking, follows_us, measured, session.here)
 

@@ -11,9 +11,9 @@ import subprocess
 import sys
 import time
 
-from risc_doctor.findings import count_text, exit_code, green, print_findings, red, yellow
+from risc_doctor.findings import count_text, exit_code, finding
 from risc_doctor.machines import ssh, workspace_digest
-from risc_doctor.machines.check import needs_login
+from risc_doctor.machines.check import needs_login, visit_each
 
 _COMMAND_S = 20.0
 _NO_ANSWER_S = 20  # of the network, then rsync gives up; what arrived is kept for the next time
@@ -28,7 +28,6 @@ _NOT_SENT = (
 )  # fmt: skip
 # A file that is gone here goes there, too (into the backup); everywhere else nothing goes.
 _MIRRORED = "/src", "/launch", "/devel", "/install", "/.venv"
-_SETUP_THERE = "on that computer, once (installs its Debian packages):\ncd %s && ./maap setup"
 # A process of this workspace that roslaunch started; [_] so that the pattern does not find itself
 _RUNNING = "pgrep -f -a -- %s"
 
@@ -48,39 +47,27 @@ def run(experiment, root, out=None):
     if not description["built"]:
         print("maap machines: %s is not built: ./maap build" % root, file=sys.stderr)
         return 2
-    findings = []
-    for computer in computers:
-        print("%s (%s)" % (computer.name, computer.login), file=out, flush=True)
-        found = deploy(computer, root, description)
-        print_findings(found, out)
-        print(file=out, flush=True)
-        findings += found
+    findings = visit_each(computers, lambda computer: deploy(computer, root, description), out)
     print(count_text(findings), file=out)
     return exit_code(findings)
 
 
 def deploy(computer, root, description):
     """Findings about one computer, after the workspace was sent there. description: of workspace_digest.describe."""
-    findings = []
-    computer = dataclasses.replace(computer, password=None)  # rsync has none to give
-    with ssh.visit(findings) as sessions:
+    found, computer = [], dataclasses.replace(computer, password=None)  # rsync has none to give
+    try:
         if computer.workspace != str(root):
-            raise ssh.MachineError(
-                red(
-                    "folder",
-                    "the workspace is %s here, but %s there" % (root, computer.workspace),
-                    "devel and .venv hold absolute paths: put it into the same folder on every computer (its env-loader"
-                    " is devel/coop.sh in there, no link to it), or clone it there and ./maap build",
-                )
-            )
+            raise ssh.MachineError("folder", "elsewhere", here=root, there=computer.workspace)
         ssh.reach(computer)
-        session = sessions.enter_context(contextlib.closing(ssh.connect(computer)))
-        _prepare(session, root)
-        findings.append(_send(session, root))
-        _stamp(session, root, description)
-        findings += _packages(session, root)
-        findings.append(_verify(session, description))
-    return findings
+        with contextlib.closing(ssh.connect(computer)) as session:
+            _prepare(session, root)
+            found.append(_send(session, root))
+            _stamp(session, root, description)
+            found += _packages(session, root)
+            found.append(_verify(session, description))
+    except ssh.MachineError as problem:
+        found.append(problem.finding)
+    return found
 
 
 def _prepare(session, root):
@@ -88,40 +75,25 @@ def _prepare(session, root):
     folder = shlex.quote(str(root))
     if session.limited("mkdir -p %s && test -w %s" % (folder, folder), _COMMAND_S).code != 0:
         user = session.computer.user or "$USER"
-        cure = "on that computer: sudo install -d -o %s %s" % (user, folder)
-        raise ssh.MachineError(red("folder", "this login cannot write %s there" % root, cure))
+        raise ssh.MachineError("folder", "not_writable", folder=root, user=user, quoted=folder)
     if session.limited("command -v rsync", _COMMAND_S).code != 0:
-        raise ssh.MachineError(red("rsync", "it is not installed there", "on that computer: sudo apt install rsync"))
+        raise ssh.MachineError("rsync", "missing")
     answer = session.limited("uname -m", _COMMAND_S)
-    kind = answer.out.strip()
-    if answer.code == 0 and kind != os.uname().machine:
-        text = "its processor is %s, this one is %s: what is built here does not run there" % (kind, os.uname().machine)
-        raise ssh.MachineError(red("processor", text, "clone the workspace there, at the same revision: ./maap build"))
+    if answer.code == 0 and answer.out.strip() != os.uname().machine:
+        raise ssh.MachineError("processor", "other", there=answer.out.strip(), here=os.uname().machine)
     pattern = "".join("[%s]" % c if c in "[]()*+?{}|$." else c for c in str(root)) + "/.* [_]_name:="
     running = session.limited(_RUNNING % shlex.quote(pattern), _COMMAND_S)
     if running.code == 0:
         nodes = sorted({word[len("__name:=") :] for word in running.out.split() if word.startswith("__name:=")})
-        raise ssh.MachineError(
-            red(
-                "running",
-                "nodes of this workspace run there (%s): their files must not change under them" % ", ".join(nodes),
-                "land, end the launch with Ctrl-C, and deploy again",
-            )
-        )
+        raise ssh.MachineError("running", "nodes", nodes=", ".join(nodes))
     if running.code != 1:
-        raise ssh.MachineError(
-            red(
-                "running",
-                "cannot see what runs there: " + running.reason(),
-                "on that computer: sudo apt install procps",
-            )
-        )
+        raise ssh.MachineError("running", "unknown", reason=running.reason())
 
 
 def _send(session, root):
     computer = session.computer
     if session.limited("rm -f %s" % shlex.quote(str(root / workspace_digest.DEPLOYED)), _COMMAND_S).code != 0:
-        raise ssh.MachineError(red("folder", "cannot write %s there" % root, "who owns it there? ls -ld %s" % root))
+        raise ssh.MachineError("folder", "not_owned", folder=root)
     backup = "%s/%s" % (_BACKUPS, time.strftime("%Y%m%d-%H%M%S"))
     command = ["rsync", "--archive", "--compress", "--partial-dir=.rsync-partial", "--timeout=%d" % _NO_ANSWER_S]
     command += ["--backup", "--backup-dir=" + backup, "--delete", "--rsh", _remote_shell(computer)]
@@ -137,23 +109,14 @@ def _send(session, root):
         [*command, "%s/" % root, "%s:%s/" % (where, root)],
         stdin=subprocess.DEVNULL, stdout=sys.stderr, stderr=subprocess.PIPE, text=True, check=False,
     )  # fmt: skip
+    quoted = shlex.quote(str(root))
     if done.returncode != 0:
-        lines = [line for line in done.stderr.splitlines() if line.strip()]
-        cure = "run the same command again: what has arrived is not sent twice"
-        if "No space left" in done.stderr:
-            cure = "on that computer: df -h %s; remove old flights and old folders of %s there, then %s" % (
-                shlex.quote(str(root)), root / _BACKUPS, cure,
-            )  # fmt: skip
-        text = "rsync stopped: %s" % (lines[0] if lines else "exit code %d" % done.returncode)
-        raise ssh.MachineError(red("send", text, cure))
-    kept = session.limited(
-        "cd %s && find %s -type f | wc -l" % (shlex.quote(str(root)), shlex.quote(backup)), _COMMAND_S
-    )
+        lines = [line for line in done.stderr.splitlines() if line.strip()] or ["exit code %d" % done.returncode]
+        code = "no_room" if "No space left" in done.stderr else "stopped"
+        raise ssh.MachineError("send", code, reason=lines[0], quoted=quoted, backups=root / _BACKUPS)
+    kept = session.limited("cd %s && find %s -type f | wc -l" % (quoted, shlex.quote(backup)), _COMMAND_S)
     count = int(kept.out) if kept.code == 0 and kept.out.strip().isdigit() else 0
-    text = "the workspace is there"
-    if count:
-        text += "; %d files that were different or gone here are kept in %s/%s there" % (count, root, backup)
-    return green("send", text)
+    return finding("send", "done_with_backup" if count else "done", count=count, folder=root / backup)
 
 
 def _remote_shell(computer):
@@ -176,19 +139,10 @@ def _stamp(session, root, description):
         "time": time.strftime("%Y-%m-%d %H:%M:%S %z"),
         "from": socket.gethostname(),
     }
-    line = "printf '%%s\\n' %s > %s" % (
-        shlex.quote(json.dumps(content)),
-        shlex.quote(str(root / workspace_digest.DEPLOYED)),
-    )
-    answer = session.limited(line, _COMMAND_S)
+    stamp = shlex.quote(json.dumps(content)), shlex.quote(str(root / workspace_digest.DEPLOYED))
+    answer = session.limited("printf '%%s\\n' %s > %s" % stamp, _COMMAND_S)
     if answer.code != 0:
-        raise ssh.MachineError(
-            red(
-                "send",
-                "cannot write %s there: %s" % (workspace_digest.DEPLOYED, answer.reason()),
-                "is the disk there full? df -h",
-            )
-        )
+        raise ssh.MachineError("send", "no_stamp", file=workspace_digest.DEPLOYED, reason=answer.reason())
 
 
 def _packages(session, root):
@@ -196,32 +150,26 @@ def _packages(session, root):
     path = root / "apt-packages.txt"
     if not path.exists():
         return []
-    wanted = [line.partition("#")[0].strip() for line in path.read_text(encoding="utf-8").splitlines()]
-    wanted = [name for name in wanted if name]
-    script = "dpkg-query -W -f '${Package} ${db:Status-Status}\\n' %s 2>/dev/null" % " ".join(map(shlex.quote, wanted))
-    found = {
-        line.split()[0] for line in session.limited(script, _COMMAND_S).out.splitlines() if line.endswith(" installed")
-    }
-    missing = [name for name in wanted if name not in found]
+    lines = path.read_text(encoding="utf-8").splitlines()
+    wanted = [name for name in (line.partition("#")[0].strip() for line in lines) if name]
+    script = "dpkg-query -W -f '${Package} ${db:Status-Status}\\n' %s 2>/dev/null" % shlex.join(wanted)
+    found = session.limited(script, _COMMAND_S).out.splitlines()
+    missing = [name for name in wanted if "%s installed" % name not in found]
     if not missing:
-        return [green("packages", "all %d Debian packages are installed there" % len(wanted))]
-    text = "%d Debian packages are missing there: %s" % (len(missing), ", ".join(missing[:5]))
-    return [yellow("packages", text + (" ..." if len(missing) > 5 else ""), _SETUP_THERE % shlex.quote(str(root)))]
+        return [finding("packages", "all", count=len(wanted))]
+    names = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
+    return [finding("packages", "missing", count=len(missing), names=names, folder=shlex.quote(str(root)))]
 
 
 def _verify(session, description):
     """That what arrived runs there and is what was sent."""
+    computer = session.computer
     answer = session.loaded(["true"], _COMMAND_S)
     if answer.code != 0:
-        return red(
-            "env-loader",
-            "%s does not work there: %s" % (session.computer.env_loader, answer.reason()),
-            _SETUP_THERE % session.computer.workspace,
-        )
-    answer = session.loaded(["python", "-m", workspace_digest.__name__, session.computer.workspace], _COMMAND_S)
+        values = {"loader": computer.env_loader, "reason": answer.reason(), "folder": computer.workspace}
+        return finding("env-loader", "fails_after_deploy", **values)
+    answer = session.loaded(["python", "-m", workspace_digest.__name__, computer.workspace], _COMMAND_S)
     try:
-        there = workspace_digest.from_output(answer.out)
+        return workspace_digest.compare(description, workspace_digest.from_output(answer.out))
     except ValueError:
-        cure = _SETUP_THERE % session.computer.workspace
-        return red("workspace", "its Python does not run there: %s" % answer.reason(), cure)
-    return workspace_digest.compare(description, there)
+        return finding("workspace", "python_fails", reason=answer.reason(), folder=computer.workspace)

@@ -3,7 +3,7 @@
 Without them the nodes run on for good when the network goes away, and a second launch starts a second set beside them.
 """
 
-from risc_doctor.findings import green, yellow
+from risc_doctor.findings import finding
 
 FILE = "/etc/ssh/sshd_config.d/risc_maap.conf"
 TEXT = "ClientAliveInterval 2\nClientAliveCountMax 3\n"
@@ -51,49 +51,44 @@ printf '%s' | $sudo tee %s >/dev/null;
 
 def check(session):
     """The Finding whether a dead connection ends soon."""
-    well, ill = _look(session)
-    return green("keep-alive", well) if well else yellow("keep-alive", ill, "./maap machines setup")
+    good, state = _look(session)
+    return finding("keep-alive", "good" if good else "ill", state=state)
 
 
 def write(session):
     """Write the settings when they are missing, and have them read, where the login may. Returns the Finding."""
-    well, ill = _look(session)
-    text = TEXT.replace("\n", "\\n")
-    if well:  # by the files; whoever wrote them may have been cut off before sshd was told
+    good, state = _look(session)
+    content = TEXT.replace("\n", "\\n")
+    if good:  # by the files; whoever wrote them may have been cut off before sshd was told
         answer = _run(session, _READ_AGAIN)
         if answer.code in (0, _NOT_ROOT):
-            return green("keep-alive", well)
-        ill = well + ", but could not be told to read its settings"
+            return finding("keep-alive", "good", state=state)
+        state += ", but could not be told to read its settings"
     else:
-        answer = _run(session, _WRITE % (FILE, FILE, text, FILE) + _RELOAD)
+        answer = _run(session, _WRITE % (FILE, FILE, content, FILE) + _RELOAD)
     if answer.code == 0:
-        well, ill = _look(session)
-        if well:
-            return green("keep-alive", "wrote %s there: %s" % (FILE, well))
-        cure = "on that computer: another file sets ClientAlive... first, or /etc/ssh/sshd_config does not begin with\n"
-        cure += "Include /etc/ssh/sshd_config.d/*.conf"
-        return yellow("keep-alive", "wrote %s there, but %s" % (FILE, ill), cure)
+        good, state = _look(session)
+        return finding("keep-alive", "written" if good else "without_effect", file=FILE, state=state)
     why = "this login is not root there" if answer.code == _NOT_ROOT else answer.reason()
-    line = "printf '%s' | sudo tee %s && sudo systemctl reload ssh" % (text, FILE)
-    return yellow("keep-alive", "%s (%s)" % (ill, why), "on that computer:\n" + line)
+    return finding("keep-alive", "not_written", file=FILE, state=state, why=why, content=content)
 
 
 def _look(session):
-    """(what is well, ""), or ("", what is not)."""
+    """(whether it is well, how it is)."""
     answer = _run(session, _READ)
     if answer.code == _NOT_ROOT:
         answer = session.limited("cat " + FILE, _LIMIT_S)
         if answer.code == 0 and answer.out == TEXT:
-            return "%s is there; whether sshd has read it, only root can see there" % FILE, ""
-        return "", _ILL
+            return True, "%s is there; whether sshd has read it, only root can see there" % FILE
+        return False, _ILL
     settings = dict(line.split(None, 1) for line in answer.out.splitlines() if " " in line)
     try:
         limit_s = int(settings["clientaliveinterval"]) * int(settings["clientalivecountmax"])
     except (KeyError, ValueError):
-        return "", "sshd there cannot be asked for its settings: %s" % answer.reason()
+        return False, "sshd there cannot be asked for its settings: %s" % answer.reason()
     if not 0 < limit_s <= _SOON_S:
-        return "", _ILL
-    return "sshd there is set to end dead connections after %d s" % limit_s, ""
+        return False, _ILL
+    return True, "sshd there is set to end dead connections after %d s" % limit_s
 
 
 def _run(session, script):

@@ -7,15 +7,14 @@ import tempfile
 
 import paramiko
 
-from risc_doctor.machines.ssh import host_name
+from risc_doctor.machines.ssh import host_name, known_host_keys
 
-_SYSTEM_WIDE = pathlib.Path("/etc/ssh/ssh_known_hosts")
 _SCAN_S = 5
 _TYPES = "ed25519", "ecdsa", "rsa"
 
 
 class ChangedKeyError(Exception):
-    """A server shows another key than known_hosts has. `type_name` is that of the key."""
+    """A server shows another key than known_hosts has; the text is the type of the key."""
 
 
 def path():
@@ -28,9 +27,8 @@ def scan(address, port):
     command = ["ssh-keyscan", "-T", str(_SCAN_S), "-p", str(port), "-t", ",".join(_TYPES), address]
     try:
         done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-            timeout=3 * _SCAN_S, check=False,
-        )  # fmt: skip
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=3 * _SCAN_S, check=False
+        )
     except subprocess.TimeoutExpired:
         return []
     entries = (paramiko.hostkeys.HostKeyEntry.from_line(line) for line in done.stdout.splitlines() if line[:1] != "#")
@@ -43,18 +41,14 @@ def missing_lines(name, address, port, keys):
     name: that of the machine, which becomes an alias unless known_hosts has it. keys: those that the server shows.
     Raises ChangedKeyError when known_hosts has another key of the same type.
     """
-    known = paramiko.HostKeys()
-    for file in (_SYSTEM_WIDE, path()):  # as roslaunch does
-        if file.exists():
-            known.load(str(file))
-    full = host_name(address, port)
+    known = known_host_keys()
+    full, alias = host_name(address, port), host_name(name, port)
     have = known.lookup(full) or {}
     for key in keys:
         if key.get_name() in have and have[key.get_name()] != key:
             raise ChangedKeyError(key.get_name())
     # roslaunch looks for the bare address even when the server is at another port than 22
     bare = [] if port == 22 or known.lookup(address) else [address]
-    alias = host_name(name, port)
     aliases = [] if alias == full or known.lookup(alias) else [alias]
     lines = []
     # a server that has keys of other types shows roslaunch one of those, and an rsa entry is of no use
@@ -70,16 +64,10 @@ def add(lines):
     """Append lines in one step: whoever reads the file sees the old or the new one. Raises OSError."""
     target = path()
     target.parent.mkdir(mode=0o700, exist_ok=True)
-    old = target.read_bytes() if target.exists() else b""
-    if old and not old.endswith(b"\n"):
-        old += b"\n"
-    handle, temporary = tempfile.mkstemp(prefix=".known_hosts.", dir=str(target.parent))  # mode 600
-    try:
-        with os.fdopen(handle, "wb") as new:
-            new.write(old + "".join(line + "\n" for line in lines).encode())
-            new.flush()
-            os.fsync(new.fileno())
-        os.replace(temporary, str(target))
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    old = target.read_text(encoding="utf-8", errors="surrogateescape") if target.exists() else ""
+    old += "\n" if old and not old.endswith("\n") else ""
+    with tempfile.TemporaryDirectory(prefix=".known_hosts.", dir=target.parent) as folder:
+        new = pathlib.Path(folder, target.name)
+        new.touch(mode=0o600)
+        new.write_text(old + "".join(line + "\n" for line in lines), encoding="utf-8", errors="surrogateescape")
+        os.replace(new, target)

@@ -8,14 +8,12 @@ import os
 import shlex
 import socket
 import subprocess
-import threading
-import time
 from dataclasses import dataclass
 
 import paramiko
 from roslaunch.remoteprocess import ssh_check_known_hosts
 
-from risc_doctor.findings import red
+from risc_doctor.findings import finding
 
 KEY_FILES = "id_ed25519", "id_ecdsa", "id_rsa"  # in ~/.ssh: those that paramiko tries by itself
 MASTER_PORT = 11311  # of a launch from here
@@ -29,19 +27,9 @@ logging.getLogger("paramiko").addHandler(logging.NullHandler())  # it would prin
 class MachineError(Exception):
     """Nothing more can be done with a computer; `finding` says why."""
 
-    def __init__(self, finding):
-        super().__init__(finding.text)
-        self.finding = finding
-
-
-@contextlib.contextmanager
-def visit(findings):
-    """The sessions entered into the stack are closed at the end; a MachineError ends the visit as the last finding."""
-    try:
-        with contextlib.ExitStack() as sessions:
-            yield sessions
-    except MachineError as problem:
-        findings.append(problem.finding)
+    def __init__(self, check, code, **values):
+        self.finding = finding(check, code, **values)
+        super().__init__(self.finding.text)
 
 
 @dataclass(frozen=True)
@@ -66,32 +54,19 @@ def reach(computer):
     try:
         socket.create_connection((address, computer.port), CONNECT_S).close()
     except OSError as error:
-        raise MachineError(red("network", *why_unreachable(error, address, computer.port))) from None
+        raise unreachable(error, address, computer.port) from None
 
 
-def why_unreachable(error, address, port):
-    """(sentence, cure) for an OSError of a TCP connection to an ssh port."""
-    where = "%s port %d" % (address, port)
+def unreachable(error, address, port):
+    """The MachineError for an OSError of a TCP connection to an ssh port."""
     if isinstance(error, socket.gaierror):
-        return (
-            "%s: this name cannot be resolved" % address,
-            "give its number as the address, or add the name to /etc/hosts here and on every other machine",
-        )
-    if isinstance(error, ConnectionRefusedError):
-        return (
-            "%s refuses the connection: the computer is there, its ssh server is not" % where,
-            "on that computer:\nsudo apt install openssh-server && sudo systemctl enable --now ssh",
-        )
-    if isinstance(error, (socket.timeout, TimeoutError)):
-        return (
-            "no answer from %s within %g s" % (where, CONNECT_S),
-            "is it switched on, in the same network, at this address (`ip address` there)? Does a firewall drop ssh?",
-        )
-    return (
-        "no way to %s: %s" % (where, error.strerror or error),
-        "look at the cable or the Wi-Fi here, then at `ip route get %s`; two subnets need a route on both sides"
-        % address,
-    )
+        code = "unknown_name"
+    elif isinstance(error, ConnectionRefusedError):
+        code = "refused"
+    else:
+        code = "silent" if isinstance(error, TimeoutError) else "unreachable"
+    values = {"where": "%s port %d" % (address, port), "reason": error.strerror or error, "limit_s": CONNECT_S}
+    return MachineError("network", code, address=address, **values)
 
 
 def resolve(computer):
@@ -119,51 +94,40 @@ def connect(computer):
     address, options = resolve(computer)
     client = paramiko.SSHClient()
     complaint = ssh_check_known_hosts(client, address, computer.port, computer.user)
-    known = known_host_keys()
     if complaint:
-        raise MachineError(_unknown_host(complaint, known, computer, address))
+        raise _unknown_host(complaint, computer, address)
     login = {"timeout": CONNECT_S, "banner_timeout": CONNECT_S, "auth_timeout": 2.0 * CONNECT_S}
     if computer.password is None:
         login["key_filename"] = [os.path.expanduser(path) for path in options.get("identityfile", [])] or None
     else:  # then roslaunch ignores the IdentityFile
         login["password"] = computer.password
-    user = computer.user or options.get("user")
     try:
-        client.connect(address, computer.port, user, **login)
+        client.connect(address, computer.port, computer.user or options.get("user"), **login)
     except paramiko.BadHostKeyException as error:
-        raise MachineError(_bad_host_key(error, known, computer, address)) from None
+        raise _bad_host_key(error, computer, address) from None
     except paramiko.PasswordRequiredException:
-        raise MachineError(
-            red("login", "the ssh key has a passphrase, and roslaunch cannot ask for it", "ssh-add (once a login)")
-        ) from None
+        raise MachineError("login", "passphrase") from None
     except paramiko.AuthenticationException:
-        raise MachineError(_refused(computer)) from None
+        raise MachineError("login", "refused", login=computer.login, line=copy_id_line(computer)) from None
     except (paramiko.SSHException, EOFError) as error:  # EOFError: closed while the keys were exchanged
-        raise MachineError(_ssh_problem(str(error) or "it hangs up", computer, address)) from None
+        raise _ssh_problem(str(error) or "it hangs up", computer, address) from None
     except OSError as error:
-        raise MachineError(red("network", *why_unreachable(error, address, computer.port))) from None
+        raise unreachable(error, address, computer.port) from None
     session = Session(client, computer)
     if ":" in session.here:
         session.close()
-        text = "%s leads there by IPv6 only, and nodes talk IPv4" % computer.address
-        cure = "an IPv4 address in its <machine> tag, or of that name in /etc/hosts here and on every other machine"
-        raise MachineError(red("network", text, cure))
+        raise MachineError("network", "ipv6_only", address=computer.address)
     return session
 
 
 def server_key(address, port):
     """The host key that a server shows, None when it shows none in time."""
-    transport = None
-    try:
-        transport = paramiko.Transport(socket.create_connection((address, port), CONNECT_S))
-        transport.banner_timeout = CONNECT_S
-        transport.start_client(timeout=CONNECT_S)
-        return transport.get_remote_server_key()
-    except (OSError, EOFError, paramiko.SSHException):
-        return None
-    finally:
-        if transport is not None:
-            transport.close()
+    with contextlib.suppress(OSError, EOFError, paramiko.SSHException):
+        with paramiko.Transport(socket.create_connection((address, port), CONNECT_S)) as transport:
+            transport.banner_timeout = CONNECT_S
+            transport.start_client(timeout=CONNECT_S)
+            return transport.get_remote_server_key()
+    return None
 
 
 def fingerprint(key):
@@ -177,68 +141,33 @@ def host_name(address, port):
     return address if port == 22 else "[%s]:%d" % (address, port)
 
 
-def _unknown_host(complaint, known, computer, address):
-    cure = "./maap machines setup writes the entry (it shows the fingerprint and asks)"
+def _unknown_host(complaint, computer, address):
     if "corrupt" in complaint:
-        return red(
-            "host key",
-            "~/.ssh/known_hosts (or /etc/ssh/ssh_known_hosts) cannot be read",
-            "ssh-keygen -lf ~/.ssh/known_hosts names the line that is none; remove it",
-        )
+        return MachineError("host key", "corrupt")
     key = server_key(address, computer.port)
     if key is None:
         return _ssh_problem("no ssh greeting", computer, address)
-    full = host_name(address, computer.port)
-    others = [name for entry in known._entries if entry.key == key for name in entry.hostnames if name[:1] != "|"]
-    if full in others:
-        text = "known_hosts has %s, but roslaunch looks for %s without the port first" % (full, address)
-    elif others:
-        text = "known_hosts has this key for %s, but the launch file says %s" % (others[0], address)
-    else:
-        text = "%s is not in ~/.ssh/known_hosts; it shows %s" % (address, fingerprint(key))
-    return red("host key", text, cure)
-
-
-def _bad_host_key(error, known, computer, address):
     name = host_name(address, computer.port)
-    entry = known.lookup(name) or {}
-    if error.key.get_name() not in entry:
-        return red(
-            "host key",
-            "known_hosts has only the %s key of %s, but the server shows %s"
-            % (" and ".join(sorted(entry)), name, fingerprint(error.key)),
-            "./maap machines setup adds the ed25519 and ecdsa keys",
-        )
-    return red(
-        "host key",
-        "THE HOST KEY OF %s HAS CHANGED to %s: the computer was installed anew, another one has its address, or "
-        "somebody listens" % (name, fingerprint(error.key)),
-        "when you know why: the line below, and then ./maap machines setup; else do not connect\nssh-keygen -R '%s'"
-        % name,
-    )
+    entries = [entry for entry in known_host_keys()._entries if entry.key == key]
+    others = [other for entry in entries for other in entry.hostnames if other[:1] != "|"]
+    code = "without_port" if name in others else "other_name" if others else "unknown"
+    other = others[0] if others else ""
+    return MachineError("host key", code, name=name, address=address, other=other, key=fingerprint(key))
 
 
-def _refused(computer):
-    return red(
-        "login",
-        "the login %s takes none of this computer's keys" % computer.login,
-        "./maap machines setup, or:\n" + copy_id_line(computer),
-        bring_key=True,
-    )
+def _bad_host_key(error, computer, address):
+    name = host_name(address, computer.port)
+    types = sorted(known_host_keys().lookup(name) or {})
+    code = "changed" if error.key.get_name() in types else "other_type"
+    return MachineError("host key", code, name=name, types=" and ".join(types), key=fingerprint(error.key))
 
 
 def _ssh_problem(error, computer, address):
-    name = host_name(address, computer.port)
-    if "not found in known_hosts" in str(error):
-        return red("host key", "%s is not in ~/.ssh/known_hosts" % name, "./maap machines setup writes the entry")
-    if "No authentication methods" in str(error):
-        cure = "./maap machines setup makes one and brings it there"
-        return red("login", "there is no ssh key here to log in with", cure, bring_key=True)
-    return red(
-        "network",
-        "what answers at %s port %d speaks no ssh (%s)" % (address, computer.port, error),
-        "is another program at this port, or are too many logins open? On that computer: systemctl status ssh",
-    )
+    if "not found in known_hosts" in error:
+        return MachineError("host key", "not_found", name=host_name(address, computer.port))
+    if "No authentication methods" in error:
+        return MachineError("login", "no_key")
+    return MachineError("network", "no_ssh", where="%s port %d" % (address, computer.port), reason=error)
 
 
 def copy_id_line(computer):
@@ -262,14 +191,18 @@ class Session:
         """Log out."""
         self._client.close()
 
-    def loaded(self, arguments, limit_s, master_uri=None):
-        """Run a command through the env-loader, in the words that roslaunch uses. Returns an Answer.
+    def loaded(self, arguments, limit_s):
+        """Run a command through the env-loader. Returns an Answer."""
+        return self.shell(self.loaded_line(arguments, limit_s), limit_s)
+
+    def loaded_line(self, arguments, limit_s, master_uri=None):
+        """A line of shell that runs a command through the env-loader, in the words that roslaunch uses.
 
         master_uri: None = where the master of a launch from here will be.
         """
         master_uri = master_uri or "http://%s:%d" % (self.here, MASTER_PORT)
         words = ["env", "ROS_MASTER_URI=%s" % master_uri, "timeout -k 1 %g" % limit_s, self.computer.env_loader]
-        return self.shell(" ".join(words + [shlex.quote(word) for word in arguments]), limit_s)
+        return " ".join([*words, shlex.join(arguments)])
 
     def limited(self, script, limit_s):
         """Run a shell script that its own limit ends there. Returns an Answer."""
@@ -277,29 +210,19 @@ class Session:
 
     def shell(self, line, limit_s):
         """Run a line of shell. Its standard input stays open: env-loaders take its end for the end of the session."""
-        deadline = time.monotonic() + limit_s + _MARGIN_S
         channel = self.channel(line)
-        errors = bytearray()
-        reader = threading.Thread(target=_read_all, args=(channel.recv_stderr, errors), daemon=True)
-        reader.start()
-        out = bytearray()
+        channel.settimeout(limit_s + _MARGIN_S)
         try:
-            while True:
-                channel.settimeout(max(deadline - time.monotonic(), 0.01))
-                piece = channel.recv(1 << 16)
-                if not piece:
-                    break
-                out += piece
-            reader.join(max(deadline - time.monotonic(), 0.01))
+            streams = channel.makefile("rb"), channel.makefile_stderr("rb")
+            out, err = (stream.read().decode(errors="replace") for stream in streams)
             code = channel.recv_exit_status() if channel.status_event.wait(_MARGIN_S) else 255
         except TimeoutError:
-            code = None
+            return Answer(None, "", "")
         finally:
             channel.close()
         if code == -1 and not self._client.get_transport().is_active():
             raise self._lost("while it ran a command")
-        timed_out = code in (None, 124, 137)  # 124, 137: of `timeout`
-        return Answer(None if timed_out else code, out.decode(errors="replace"), errors.decode(errors="replace"))
+        return Answer(None if code in (124, 137) else code, out, err)  # 124, 137: of `timeout`
 
     def channel(self, line):
         """Start a command in the login shell, whichever that is, and return its channel."""
@@ -312,9 +235,7 @@ class Session:
         return channel
 
     def _lost(self, error):
-        text = "the ssh connection to %s is lost (%s)" % (self.computer.name, error)
-        cure = "is it still on and in the network? Then the same command again"
-        return MachineError(red("network", text, cure))
+        return MachineError("network", "lost", machine=self.computer.name, reason=error)
 
 
 class Here:
@@ -332,12 +253,3 @@ class Here:
         except subprocess.TimeoutExpired:
             return Answer(None, "", "")
         return Answer(done.returncode, done.stdout, done.stderr)
-
-
-def _read_all(receive, into):
-    with contextlib.suppress(OSError, EOFError):  # socket.timeout is an OSError: the reader of stdout has the deadline
-        while True:
-            piece = receive(1 << 16)
-            if not piece:
-                return
-            into += piece

@@ -11,11 +11,9 @@ import os
 import pathlib
 import sys
 
-from risc_doctor.findings import green, red, yellow
+from risc_doctor.findings import finding
 from risc_lab.revision import revision
 
-# of programs that do not run there: the files are others, or Debian packages are missing
-CURE = "./maap machines deploy, or ./maap setup on that computer"
 DEPLOYED = ".deployed"  # what `machines deploy` leaves there: JSON with revision, hash, time, from
 _PARTS = "src", "launch", "devel", "install", "maap", "requirements.txt", ".venv/.requirements"
 _BUILT = "devel/", "install/"
@@ -62,28 +60,19 @@ def compare(here, there):
     own = {path for path in differing if fnmatch.fnmatch(path, CALIBRATIONS) and path in there["files"]}
     own |= {path for path in extra if _matches(path, KEPT_THERE)}
     strange = (differing | extra) - own
-    text = "revision %s" % (there["revision"] or "unknown")
+    revision = "revision %s" % (there["revision"] or "unknown")
     if not there["built"]:
-        return red("workspace", text + ", but it is not built there", "./maap machines deploy, or ./maap build there")
+        return finding("workspace", "not_built", revision=revision)
     if here["revision"] != there["revision"]:
-        text += ", here %s" % (here["revision"] or "unknown")
+        revision += ", here %s" % (here["revision"] or "unknown")
     source = {path for path in strange if not path.startswith(_BUILT)}
     if source:
-        text = "another workspace there: %s; %s" % (text, _differ(source))
-        return red("workspace", text, "./maap machines deploy (or the same revision and ./maap build there)")
+        return finding("workspace", "another", revision=revision, files=_differ(source))
     if strange:
-        return yellow(
-            "workspace",
-            "%s: the same source, but not the same build: %s" % (text, _differ(strange)),
-            "./maap build here and there, or ./maap machines deploy",
-        )
+        return finding("workspace", "another_build", revision=revision, files=_differ(strange))
     if own & differing:
-        return yellow(
-            "workspace",
-            "%s; its own calibration: %s" % (text, ", ".join(sorted(own & differing))),
-            "the cameras were calibrated there? Copy the files here and commit them; else ./maap machines deploy",
-        )
-    return green("workspace", "%s, the same as here (%s)" % (text, content_hash(here)))
+        return finding("workspace", "own_calibration", revision=revision, files=", ".join(sorted(own & differing)))
+    return finding("workspace", "same", revision=revision, content=content_hash(here))
 
 
 def _differ(paths):

@@ -3,6 +3,8 @@
 `up` is the thrust as a fraction of twice the weight, less a half: it holds no height by itself.
 """
 
+import numpy as np
+
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
 from risc_control.vehicles import Status
@@ -19,7 +21,7 @@ class Adapter(vehicles.Adapter):
         """It takes an acceleration, up to its weight more or less."""
         return 1.0, 0.0, GRAVITY_M_S2
 
-    def answer(self, controls, own, own_s, now_s):
+    def answer(self, controls, own, own_s, now_s, sent):
         """Radians and newtons -> fractions."""
         return self._sticks(-controls.theta, -controls.phi, controls.thrust_n, -controls.psi)
 
@@ -32,6 +34,12 @@ class Adapter(vehicles.Adapter):
         """The operator's `up` is a climb rate."""
         up = self.move(0.0, 0.0, sticks.up * self.type.climb_max_m_s, own).up
         return sticks._replace(up=up)
+
+    def settles_at(self, sticks):
+        """Its climb loop takes an acceleration."""
+        roll_rad, pitch_rad = (-tilt * self.type.tilt_max_rad for tilt in (sticks.left, sticks.forward))
+        yaw_rate_rad_s = -sticks.turn_left * self.type.yaw_rate_max_rad_s
+        return np.array((roll_rad, pitch_rad, sticks.up * GRAVITY_M_S2, yaw_rate_rad_s))
 
     def _sticks(self, forward_rad, left_rad, thrust_n, left_rad_s):
         tilt_rad, weight_n = self.type.tilt_max_rad, self.type.mass_kg * GRAVITY_M_S2

@@ -171,8 +171,9 @@ class Fleet(Settings):
     def to_dict(self):
         """The fleet as the plain dict that its YAML file would hold; without what is empty, as ROS knows no null."""
         content = msgspec.to_builtins(self)
-        content["vehicles"] = [{key: value for key, value in vehicle.items() if value is not None}
-                               for vehicle in content["vehicles"]]  # fmt: skip
+        for vehicle in content["vehicles"]:
+            if vehicle["attached"] is None:
+                del vehicle["attached"]
         if not self.templates.templates:
             del content["templates"]
         return content

@@ -54,8 +54,8 @@ class TemplateSet(Settings):
 
     def by_name(self):
         """{name: Template}."""
-        return {name: _template(name, item.kind, self.geometries[item.geometry])
-                for name, item in self.templates.items()}  # fmt: skip
+        kinds = self.templates.items()
+        return {name: _template(name, item.kind, self.geometries[item.geometry]) for name, item in kinds}
 
 
 def load_templates(path=None, fleet=None):

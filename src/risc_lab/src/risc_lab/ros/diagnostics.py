@@ -1,5 +1,7 @@
 """What a node tells of itself on /diagnostics."""
 
+import time
+
 import rospy
 from diagnostic_updater import Updater
 
@@ -18,3 +20,23 @@ def make_updater(hardware_id):
     updater = Updater()
     updater.setHardwareID(hardware_id)
     return updater
+
+
+class Growth:
+    """How much counters have grown since they were reported last."""
+
+    def __init__(self):
+        self._counts, self._reported_s = {}, time.monotonic()
+
+    def __call__(self, counts):
+        """({name: growth}, {name: growth a second [Hz]}) of {name: count}."""
+        now_s = time.monotonic()
+        elapsed_s = max(now_s - self._reported_s, 1e-3)
+        new = {name: count - self._counts.get(name, 0) for name, count in counts.items()}
+        self._counts, self._reported_s = dict(counts), now_s
+        return new, {name: count / elapsed_s for name, count in new.items()}
+
+
+def age_text(last_s):
+    """How long ago something came last [s], for a status. last_s: time of the monotonic clock, None: never."""
+    return "none yet" if last_s is None else "%.2f" % (time.monotonic() - last_s)

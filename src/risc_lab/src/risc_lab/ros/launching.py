@@ -4,6 +4,7 @@ import contextlib
 import os
 import pathlib
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -74,17 +75,15 @@ class Launch:
         """Start it. arguments: {name: value}; folder: for its log and ROS home; reservation: that it keeps, too."""
         self.identity = uuid.uuid4().hex
         self.log_path = pathlib.Path(folder) / "roslaunch.log"
-        environment = dict(os.environ)
-        environment.update(
-            {
-                MARK: self.identity,
-                "ROS_MASTER_URI": "http://127.0.0.1:%d" % master_port,
-                "ROS_IP": "127.0.0.1",
-                "ROS_HOME": str(folder),
-                "ROS_LOG_DIR": str(pathlib.Path(folder) / "ros_log"),
-                "PYTHONUNBUFFERED": "1",
-            }
-        )
+        environment = {
+            **os.environ,
+            MARK: self.identity,
+            "ROS_MASTER_URI": "http://127.0.0.1:%d" % master_port,
+            "ROS_IP": "127.0.0.1",
+            "ROS_HOME": str(folder),
+            "ROS_LOG_DIR": str(pathlib.Path(folder) / "ros_log"),
+            "PYTHONUNBUFFERED": "1",
+        }
         environment.pop("ROS_HOSTNAME", None)
         command = ["setpriv", "--pdeathsig", "INT", "roslaunch", "--skip-log-check", "-p", str(master_port)]
         command += [str(launch_file)]
@@ -131,11 +130,9 @@ def all_marked_processes():
     """{identity: {process id: command}} of all flights, without the caller."""
     found = {}
     for process in psutil.process_iter():
-        if process.pid == os.getpid():
-            continue
         with contextlib.suppress(psutil.Error):  # it ended while we looked, or it belongs to another user
             identity = process.environ().get(MARK)
-            if identity:
+            if identity and process.pid != os.getpid():
                 found.setdefault(identity, {})[process.pid] = " ".join(process.cmdline())
     return found
 
@@ -165,18 +162,29 @@ def any_busy(pids):
     """Whether a thread of one of the processes runs or waits for a processor."""
     for pid in pids:
         for path in pathlib.Path("/proc/%d/task" % pid).glob("*/stat"):
-            try:
-                state = path.read_text(errors="replace").rpartition(")")[2].split()[0]  # its name may hold anything
-            except (FileNotFoundError, ProcessLookupError):
-                continue  # it ended while we looked
-            if state == "R":
-                return True
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it ended while we looked
+                if path.read_text(errors="replace").rpartition(")")[2].split()[0] == "R":  # its name may hold anything
+                    return True
     return False
 
 
 def send_signal(pid, number):
     """Signal a process, which may be gone."""
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.kill(pid, number)
-    except ProcessLookupError:
-        return  # already gone: what was wanted
+
+
+def program_of(words):
+    """What a person calls a command line: of ["/usr/bin/python3", "-u", "/x/roslaunch", "a.launch"] roslaunch."""
+    words = list(words)
+    if words and re.match("python|bash|sh$|nice$|env$", os.path.basename(words[0])):
+        if "-m" in words[:-1]:
+            return words[words.index("-m") + 1]
+        scripts = [word for word in words[1:] if not word.startswith("-")]
+        words = scripts[:1] if scripts and words[1] != "-c" else words
+    return os.path.basename(words[0]) if words else ""
+
+
+def argument_of(words, name):
+    """Value of a remapping argument NAME:=VALUE on a command line, or ""."""
+    return next((word[len(name) + 2 :] for word in words if word.startswith(name + ":=")), "")

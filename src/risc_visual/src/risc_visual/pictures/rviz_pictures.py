@@ -21,7 +21,7 @@ import yaml
 from data_extraction.bags import Bag
 from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
-from data_extraction.report.kinds import fits
+from data_extraction.report.topics import fits
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes

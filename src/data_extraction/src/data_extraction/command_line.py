@@ -1,0 +1,44 @@
+"""What the commands that read a bag have in common."""
+
+import argparse
+import pathlib
+
+from data_extraction.progress import Progress
+from risc_lab.lab import load_fleet
+
+
+def bag_parser(prog, description, fleet=True, **options):
+    """ArgumentParser with the bag, the folder of the results and, unless it is of no use, the fleet file."""
+    parser = argparse.ArgumentParser(prog=prog, description=description, **options)
+    parser.add_argument("bag", type=pathlib.Path, metavar="BAG")
+    parser.add_argument("-o", "--out", type=pathlib.Path, metavar="DIR", help="for the files (default: beside the bag)")
+    if fleet:
+        text = "fleet file (default: fleet.yaml beside the bag, if there)"
+        parser.add_argument("-f", "--fleet", type=pathlib.Path, metavar="YAML", help=text)
+    return parser
+
+
+def folder_beside(bag_path, kind):
+    """Folder beside a bag for what is made of it: flight.bag -> flight_KIND."""
+    return bag_path.with_name("%s_%s" % (bag_path.stem, kind))
+
+
+def fleet_of(bag_path, fleet_path=None):
+    """The Fleet of a bag: of the file that is given, else of fleet.yaml beside it; None without. Raises ValueError."""
+    beside = bag_path.parent / "fleet.yaml"
+    return load_fleet(fleet_path or beside) if fleet_path or beside.exists() else None
+
+
+def run(prog, work):
+    """Carry out work(progress). Returns the exit code; whatever is wrong is one line."""
+    progress = Progress()
+    try:
+        work(progress)
+        progress.clear()
+    except (ValueError, OSError) as error:  # also BagError
+        progress.say("%s: %s" % (prog, error))
+        return 1
+    except KeyboardInterrupt:
+        progress.say("%s: interrupted" % prog)
+        return 130
+    return 0

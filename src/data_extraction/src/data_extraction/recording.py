@@ -1,0 +1,151 @@
+"""What each vehicle did, should have done and was told, paired by time: for plots, reports, figures. Needs no ROS."""
+
+import math
+import operator
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_extraction.samples import Samples
+from risc_lab.phases import phase_words
+
+STATES, TRUTH, REFERENCES = "/cortex_raw", "/ground_truth", "/trajectory"
+_ALONE = -1  # place of an entry that is the only one of its message
+
+
+@dataclass
+class Series:
+    """Samples of one quantity over time."""
+
+    t_s: np.ndarray  # (n,) [s], increasing
+    values: np.ndarray  # (n, k)
+    receipts_s: np.ndarray | None = None  # (n,) [s] when they came
+    labels: np.ndarray | None = None  # (n,) the names that are no vehicle's but the course's; "" = none
+
+    def at(self, t_s):
+        """Values interpolated at times t_s (m,). Returns (m, k); NaN outside the recorded time."""
+        return np.column_stack(
+            [np.interp(t_s, self.t_s, column, left=np.nan, right=np.nan) for column in self.values.T]
+        )
+
+    def near(self, t_s, gap_s):
+        """(whether times t_s (m,) are between samples no farther apart than gap_s and of one label, their labels)."""
+        after = np.minimum(np.searchsorted(self.t_s, t_s), len(self.t_s) - 1)
+        before = np.maximum(np.where(self.t_s[after] > t_s, after - 1, after), 0)
+        near = (self.t_s[before] <= t_s) & (t_s <= self.t_s[after]) & (self.t_s[after] - self.t_s[before] <= gap_s)
+        return near & (self.labels[before] == self.labels[after]), self.labels[before]
+
+    def thinned(self, most):
+        """A Series of its own of about so many samples, first and last among them."""
+        rows = np.unique(np.linspace(0, len(self.t_s) - 1, min(most, len(self.t_s))).round().astype(int))
+        return Series(self.t_s[rows], self.values[rows])
+
+
+class Recording:
+    """Takes messages, and says whose entries they hold.
+
+    Entries are those of the messages' `Obj`, in the units of risc_msgs (rospy's or those that rosbags reads).
+    Vehicles are found by name. The original release put the course's name into `Trajectory.name`, or one vehicle's
+    name into all entries, and meant the place in the message; where no name is a vehicle's that is taken. It never
+    stamped its trajectories: the times of receipt are used for everything then.
+    """
+
+    def __init__(self, fields, limit=None, only=()):
+        """fields: {topic: names of an entry's fields to keep}.  limit: most rows of each, see Samples; None = all.
+
+        only: vehicles that are wanted: the first is meant by an entry that is alone; () = all.
+        """
+        self._take = {topic: operator.attrgetter(*names) for topic, names in fields.items()}
+        self._width = {topic: 2 + len(names) for topic, names in fields.items()}
+        self._limit, self._only = limit, only
+        self._samples = {topic: {} for topic in fields}  # {(place in Obj[], name): Samples of stamp, receipt, fields}
+        self._repeated = set()  # topics that had a name twice in a message
+        self._marks = [(-math.inf, "", {}, "")]  # (receipt, course, {vehicle: phase}, phase of others) from then on
+        self.order = {}  # the vehicles on STATES, by their first message -> None
+        self.unstamped = set()  # topics without stamps
+
+    @property
+    def topics(self):
+        return self._take.keys()
+
+    def add(self, topic, receipt_s, stamp_s, entries):
+        """Take the entries of a message. stamp_s: 0 when nobody stamped it."""
+        take, samples = self._take[topic], self._samples[topic]
+        if not stamp_s:
+            self.unstamped.add(topic)
+        is_state = topic in (STATES, TRUTH)
+        if topic == STATES:
+            self.order.update(dict.fromkeys(entry.name for entry in entries))
+        elif not is_state and len({entry.name for entry in entries}) < len(entries):
+            self._repeated.add(topic)
+        for place, entry in enumerate(entries):
+            if is_state and not entry.visible:
+                continue
+            row = (stamp_s or receipt_s, receipt_s, *take(entry))
+            if math.isfinite(sum(row)):
+                key = (None if is_state else _ALONE if len(entries) == 1 else place, entry.name)
+                if key not in samples:
+                    samples[key] = Samples(self._width[topic], self._limit)
+                samples[key].append(row)
+
+    def phases(self, receipt_s, message):
+        """TrajectoryPhases: what the trajectory node flies, and does with each vehicle."""
+        _, _, phases, others = self._marks[-1]
+        self._mark(receipt_s, message.course, {**phases, **phase_words(message.vehicles)}, others)
+
+    def others_phase(self, receipt_s, word):
+        """The phase of vehicles of which no trajectory node says anything."""
+        self._mark(receipt_s, *self._marks[-1][1:3], word)
+
+    def _mark(self, receipt_s, *what):
+        if self._marks[-1][1:] != what:
+            self._marks.append((receipt_s, *what))
+
+    @property
+    def has_phases(self):
+        """Whether a trajectory node said what vehicles do."""
+        return bool(self._marks[-1][2])
+
+    def told(self, vehicle, receipts_s):
+        """(courses, phases) of a vehicle at times of receipt (n,): words, "" where nobody says."""
+        marks = np.searchsorted([mark[0] for mark in self._marks], receipts_s, side="right") - 1
+        courses = np.array([course for _, course, _, _ in self._marks])
+        phases = np.array([phases.get(vehicle, others) for _, _, phases, others in self._marks])
+        return courses[marks], phases[marks]
+
+    def by_place(self, topic, states):
+        """Whether the names on a topic are not those of its vehicles, which are named by `states`."""
+        names = {name for _, name in self._samples[topic]}
+        return bool(names) and (topic in self._repeated or names.isdisjoint(states))
+
+    def parts(self, topic, states=()):
+        """{vehicle: [(label, Samples), ...]} of a topic. states: names of the known vehicles."""
+        parts = {}
+        by_place = topic not in (STATES, TRUTH) and self.by_place(topic, states)
+        for (place, name), samples in self._samples[topic].items():
+            places = list(self._only if self._only and place == _ALONE else self.order)
+            place = 0 if place == _ALONE else place
+            owner = places[place] if by_place and place < len(places) else name
+            parts.setdefault(owner, []).append(("" if name == owner or name in states else name, samples))
+        return parts
+
+    def forget(self, parts, before_s):
+        """Forget what the [(label, Samples), ...] hold of before a time."""
+        for _, samples in parts:
+            samples.forget(self.clock, before_s)
+
+    def restart(self):
+        """Forget all messages, not whose they are nor what was told: another clock, or the same one turned back."""
+        self._samples = {topic: {} for topic in self._take}
+
+    @property
+    def clock(self):
+        """Column of the Samples that holds the times: stamps, or receipts when somebody did not stamp."""
+        return 1 if self.unstamped else 0
+
+    def series(self, parts):
+        """Series of [(label, Samples), ...] in the order of time."""
+        table = np.vstack([samples.table() for _, samples in parts])
+        labels = np.repeat([label for label, _ in parts], [len(samples) for _, samples in parts])
+        t_s, first = np.unique(table[:, self.clock], return_index=True)
+        return Series(t_s, table[first, 2:], table[first, 1], labels[first])

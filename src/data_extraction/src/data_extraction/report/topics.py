@@ -1,0 +1,63 @@
+"""Whose a topic is, and which type its messages must have: a name alone does not say what is in them."""
+
+# How a topic's name ends -> name of its type without the package, which differs between the lab's releases.
+TYPES = {
+    "/trajectory": "Trajectories",
+    "/trajectory_phase": "TrajectoryPhases",
+    "/operator/phase": "OperatorState",
+    "/operator/result": "OperatorState",
+    "/cortex_raw": "Cortex",
+    "/ground_truth": "Cortex",
+    "/controls": "Controls",
+    "/mocap_data": "Mocap_data",
+    "/mocap_time": "TimeReference",
+    "/mocap_status": "MocapStatus",
+    "/estimator_status": "EstimatorStatus",
+    "/node_status": "VehicleNodeStatus",
+    "/states3": "Landmarks",
+    "/angles": "Observed_angles",
+    "/land_rois": "Observed_rois",
+    "/detections": "Detections",
+    "/camera_info": "CameraInfo",
+    "/commands_sent": "CommandsSent",
+    "/cmd_vel_stamped": "TwistStamped",
+    "/safety": "Safety",
+    "/navdata": "Navdata",
+    "/joy": "Joy",
+    "/controller_status": "Bool",
+    "/takeoff": "Empty",
+    "/land": "Empty",
+    "/reset": "Empty",
+    "/rosout": "Log",
+}
+
+
+class Collector:
+    """Takes the messages of a bag one by one, as (topic, time of receipt [s], message), of the topics that it wants."""
+
+    topics = ()  # their names
+    ends = ()  # how the names of others end
+
+    def wants(self, topic):
+        """Whether messages of this topic say anything here."""
+        return topic in self.topics or ("/" + topic).endswith(self.ends)
+
+
+def expected(topic):
+    """Name of the type that a topic must have, without its package; None when any will do."""
+    return next((name for end, name in TYPES.items() if ("/" + topic).endswith(end)), None)
+
+
+def fits(topic, kind):
+    """Whether a topic's messages are what its name says. kind: as std_msgs/msg/Bool; None = of several types."""
+    name = expected(topic)
+    return name is None or (kind is not None and kind.rpartition("/")[2] == name)
+
+
+def vehicle_of(topic, levels=1):
+    """Vehicle's namespace of a topic: /risc1/safety -> risc1; "vehicle" for the only one, whose topics have none.
+
+    levels: of the topic below the namespace, e.g. 2 for ardrone/navdata.
+    """
+    parts = topic.strip("/").split("/")
+    return parts[0] if len(parts) > levels else "vehicle"

@@ -1,0 +1,82 @@
+"""What vehicles were commanded when: filled with what was really sent, for controllers, filters and reports.
+
+A command holds until the next one; before the first a vehicle was commanded nothing. Compiled code gets a vehicle's
+record of `CommandHistory.vehicles`.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+from risc_lab.compiled import compiled, record
+
+ROWS = 1024  # of the ring: a second of commands at 1 kHz
+
+
+class Channel(IntEnum):
+    """Columns of a command, which is what a vehicle settles at, the gain of its loops included; NED senses.
+
+    Roll and pitch [rad], what the climb loop of its type takes [+ up; AR.Drone: m/s], yaw rate [rad/s].
+    """
+
+    PHI, THETA, CLIMB, YAW_RATE = range(4)
+
+
+CHANNELS = len(Channel)
+
+# Command k is in row k % ROWS; oldest and newest are such k.
+HISTORY = record(("times_s", float, (ROWS,)), ("commands", float, (ROWS, CHANNELS)), ("oldest", int), ("newest", int))
+
+
+class CommandHistory:
+    """The newest ROWS commands of each vehicle of a fleet. Times: one clock, that of the sender."""
+
+    def __init__(self, vehicles):
+        """vehicles: how many."""
+        self.vehicles = np.zeros(vehicles, HISTORY)
+        if vehicles:  # loads what is compiled
+            self.append(0, 0.0, np.zeros(CHANNELS))
+            self.at(0, 0.0)
+        self.clear()
+
+    def clear(self):
+        """Forget everything."""
+        self.vehicles["newest"] = self.vehicles["oldest"] = 0
+        self.vehicles["times_s"][:, 0] = -np.inf
+        self.vehicles["commands"][:, 0] = 0.0
+
+    def append(self, vehicle, time_s, command):
+        """A command, array (4,), holds from time_s on; an earlier time replaces what came after: a clock was set."""
+        append_command(self.vehicles[vehicle], time_s, command)
+
+    def at(self, vehicle, time_s):
+        """(4,) command in force at a time."""
+        history = self.vehicles[vehicle]
+        return history.commands[last_by(history, time_s, history.newest) % ROWS].copy()
+
+
+@compiled
+def append_command(history, time_s, command):
+    """See `CommandHistory.append`."""
+    k = last_before(history, time_s) + 1
+    history.times_s[k % ROWS] = time_s
+    for channel in range(len(command)):
+        history.commands[k % ROWS, channel] = command[channel]
+    history.oldest, history.newest = max(history.oldest, k - ROWS + 1), k
+
+
+@compiled
+def last_before(history, time_s):
+    """k of the last command before time_s, that of the oldest when there is none."""
+    k = history.newest
+    while k > history.oldest and history.times_s[k % ROWS] >= time_s:
+        k -= 1
+    return k
+
+
+@compiled
+def last_by(history, time_s, k):
+    """k of the last command, of k and those before it, that was sent by time_s."""
+    while k > history.oldest and history.times_s[k % ROWS] > time_s:
+        k -= 1
+    return k
