@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from picture_truth import LabelledRenderer, Truth
+from picture_truth import LabelledRenderer, Truth, corners_px, held_s
 
 from risc_lab.camera import Camera
 from risc_lab.frames import rotation_body_to_cortex
@@ -287,6 +287,6 @@ def calibration_pictures(camera, seed, count=60):
     waving, renderer = Waving(camera), LabelledRenderer(camera, Scene(load_style()), seed)
     level = rotation_body_to_cortex(0.0, 0.0, 0.0)
     pose = CameraPose(np.array([0.0, 0.0, 1.0]), level, np.zeros(3), np.zeros(3))
-    for time_s in np.resize(waving.held_s, count):
+    for time_s in np.resize(held_s(), count):
         image = renderer.render(pose, boards=(waving.board(time_s, pose),))
-        yield CalibrationPicture(image, waving.corners_px(time_s))
+        yield CalibrationPicture(image, corners_px(waving, camera, time_s))

@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 
 from risc_lab.camera import bearings_of_rays
+from risc_simulator.video.checkerboard_motion import HOLD_S, MOVE_S, POSTURES
 from risc_simulator.video.coverage import coverage
 from risc_simulator.video.renderer import NEAR_M, Renderer, _convex_hull, to_camera
+from risc_simulator.video.scene import CameraPose
 
 _TRUTH_RASTER = 128  # cells along the longer side of an outline in which its visible share is counted
 
@@ -146,3 +148,16 @@ class LabelledRenderer(Renderer):
         for mask in masks[2:]:
             seen *= 1.0 - mask
         return min(1.0, float(seen.sum()) / whole) if whole > 0.0 else 0.0
+
+
+def held_s():
+    """Times (postures,) [s] within the first round of a waved board in the middle of each hold."""
+    return (HOLD_S + MOVE_S) * np.arange(len(POSTURES)) + 0.5 * HOLD_S
+
+
+def corners_px(waving, camera, time_s):
+    """Pixels (rows * columns, 2) of the inner corners of a board that is waved before a camera, row by row."""
+    board = waving.board(time_s, CameraPose(np.zeros(3), np.eye(3)))
+    column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
+    corners = board.to_cortex(column.ravel() - 0.5 * (board.columns - 1), row.ravel() - 0.5 * (board.rows - 1))
+    return camera.project(corners)

@@ -111,7 +111,7 @@ def measure_lab(count, take_off_s=LAB_TAKE_OFF_S, measured_s=LAB_MEASURED_S):
     """{"lab_cores", "lab_late_ms", "lab_flying"}: what the lab takes, the 99th percentile of its lateness, and how many
     vehicles fly at the end."""
     fleet = make_fleet(count)
-    lab = VirtualLab(fleet, live_on_start=True)
+    lab = VirtualLab(fleet, live=True)
     pilots = multiprocessing.get_context("fork").Process(target=_pilot, args=(fleet,), daemon=True)
     pilots.start()
     try:

@@ -236,7 +236,7 @@ def test_who_carries_nothing_flies_as_without_the_other():
 
 
 def test_the_markers_of_a_body_are_in_the_mocap_frames(clock):
-    lab = VirtualLab(make_fleet(dict(ARDRONE, attached=SPRING)), seed=3, exact_markers=True, live_on_start=True)
+    lab = VirtualLab(make_fleet(dict(ARDRONE, attached=SPRING)), seed=3, exact_markers=True, live=True)
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
             client.settimeout(5.0)

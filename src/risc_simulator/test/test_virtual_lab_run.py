@@ -150,7 +150,7 @@ def test_polling_client_and_a_flight_over_at_commands(running, net):
 
 
 def test_world_time_follows_lab_time_and_catches_up_without_losing_frames(net, clock):
-    lab = VirtualLab(make_fleet(net, 1), live_on_start=True)
+    lab = VirtualLab(make_fleet(net, 1), live=True)
     try:
         with stream_client(net["port"]) as stream:
             lab.run(duration_s=0.1)
@@ -180,7 +180,7 @@ def test_a_long_stall_stops_the_clock(net, clock, monkeypatch):
 
 
 def test_faults_by_name(net, clock):
-    lab = VirtualLab(make_fleet(net, 1), live_on_start=True)
+    lab = VirtualLab(make_fleet(net, 1), live=True)
     try:
         with stream_client(net["port"]) as stream:
             lab.run(duration_s=0.05)
@@ -219,7 +219,7 @@ def test_options_reach_the_lab(net):
     assert (fleet.mocap.host, fleet.vehicles[0].address, len(fleet.vehicles)) == ("127.99.0.1", "127.99.1.1", 1)
     assert (fleet.mocap.rate_hz, fleet.mocap.stream_port, fleet.mocap.interface) == (120.0, 5000, "127.0.0.1")
     fleet = LabOptions(rate=120.0).configure(make_fleet(net))
-    lab = VirtualLab(fleet, perturbed=False, command_delay_s=0.3, exact_markers=True)
+    lab = VirtualLab(fleet, ideal=True, delay=0.3, exact_markers=True)
     try:
         lab.run(duration_s=0.1)
         assert lab.world.vehicles["risc2"].plant.command_delay_s == 0.3
@@ -236,7 +236,7 @@ def test_stream_needs_no_card_of_the_client(net):
     fleet = make_fleet(net)
     fleet = replace(fleet, mocap=replace(fleet.mocap, interface="192.0.2.254"))
     for interface in ("", "127.0.0.1"):
-        lab = VirtualLab(fleet, live_on_start=True, interface=interface)
+        lab = VirtualLab(fleet, live=True, interface=interface)
         try:
             with stream_client(net["port"]) as stream:
                 lab.run(duration_s=0.05)
@@ -268,7 +268,7 @@ def test_radio_loss_reaches_every_vehicle(net, clock):
 
 
 def test_least_separation_and_collisions_are_told(net):
-    lab = VirtualLab(make_fleet(net), perturbed=False)
+    lab = VirtualLab(make_fleet(net), ideal=True)
     try:
         first, second = lab.world.vehicles.values()
         first.fly_at((0.0, 0.4, 1.0))
@@ -283,7 +283,7 @@ def test_least_separation_and_collisions_are_told(net):
         assert "0.40 m" in summary(statistics) and "risc1 collided with risc2 at" in summary(statistics)
     finally:
         lab.close()
-    lab = VirtualLab(make_fleet(net, 1), perturbed=False)
+    lab = VirtualLab(make_fleet(net, 1), ideal=True)
     try:
         lab.world.vehicles["risc1"].fly_at((0.0, 0.0, 1.0))
         lab.run(duration_s=0.05)

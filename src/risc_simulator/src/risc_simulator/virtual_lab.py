@@ -72,37 +72,71 @@ class LatenessHistogram:
         return self.max_s if index >= self.BINS else min((index + 1) * self.BIN_S, self.max_s)
 
 
+def _told(default, text, metavar=None):
+    return field(default=default, metadata={"help": text, "metavar": metavar})
+
+
+@dataclass(frozen=True)
+class LabOptions(Settings):
+    """Options by name. An empty text or a negative number leaves what the fleet file and the vehicle types say."""
+
+    fleet: str = _told("", "what flies, and at which addresses", "FLEET.yaml")
+    seed: int = _told(0, "same seed, same vehicles and noise", "N")
+    ideal: bool = _told(False, "every vehicle is exactly what its type says")
+    exact_markers: bool = _told(False, "cameras without noise, loss and ghosts")
+    gusts: bool = _told(False, "moving air")
+    delay: float = _told(-1.0, "nominal command delay of every vehicle", "S")
+    radio_loss: Fraction = _told(0.0, "probability that the radio loses a command or navdata, 0 to 1", "P")
+    faults: str = _told("", "what happens to datagrams and streams, and when", "FILE.yaml")
+    live: bool = _told(False, "stream at once, without waiting for a client's LiveMode")
+    vehicles: int = _told(-1, "only the first N vehicles", "N")
+    subnet: str = _told("", "Cortex host at A.B.0.1, vehicle k at A.B.1.k, e.g. 127.78", "A.B")
+    cortex_host: str = _told("", "its address", "ADDRESS")
+    cortex_port: int = _told(-1, "its port for commands", "PORT")
+    stream_group: str = _told("", "multicast group of the stream", "ADDRESS")
+    stream_port: int = _told(-1, "port of the stream", "PORT")
+    interface: str = _told(
+        "", "of this computer's network card that the stream goes out by (default: that of the Cortex host)", "ADDRESS"
+    )
+    rate: float = _told(-1.0, "frame rate of motion capture", "HZ")
+    cameras_on_demand: bool = _told(
+        False, "start the program that makes pictures only when the first client asks for video, who then waits for it"
+    )
+    stats: str = _told("", "write the statistics there at the end", "FILE.json")
+
+    def configure(self, fleet):
+        """The fleet with the addresses that these options give. Raises ValueError."""
+        if self.vehicles >= 0:
+            fleet = fleet.with_vehicles(self.vehicles)
+        if self.subnet:
+            fleet = fleet.in_subnet(self.subnet)
+        texts = {"host": self.cortex_host, "stream_group": self.stream_group}
+        numbers = {"command_port": self.cortex_port, "stream_port": self.stream_port, "rate_hz": self.rate}
+        changes = {name: text for name, text in texts.items() if text}
+        changes.update({name: number for name, number in numbers.items() if number >= 0})
+        # the lab is one computer: there, vehicles with networks of their own need addresses of their own
+        return replace(fleet, own_networks=False, mocap=replace(fleet.mocap, **changes))
+
+    def make_lab(self, fleet):
+        """VirtualLab of a fleet. Raises ValueError and OSError."""
+        wire_faults = load_wire_faults(self.faults) if self.faults else ()
+        return VirtualLab(fleet, not self.cameras_on_demand, wire_faults, **vars(self))
+
+
 class VirtualLab:
     """World and hosts on one schedule. Use it from one thread; only `stop` may come from elsewhere.
 
     Raises ValueError when the fleet does not fit (unknown type, template, ...) and OSError when an address is in use.
     """
 
-    def __init__(
-        self,
-        fleet,
-        seed=0,
-        perturbed=True,
-        gusts=False,
-        command_delay_s=None,
-        exact_markers=False,
-        live_on_start=False,
-        radio_loss=0.0,
-        interface="",
-        cameras_ahead=False,
-        wire_faults=(),
-    ):
-        """fleet: Fleet. perturbed: vehicles differ from their nominal type. gusts: moving air.
-        command_delay_s: nominal delay of every vehicle's link instead of its own. exact_markers: perfect cameras.
-        live_on_start: stream without waiting for a client.
-        radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
-        interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
-        cameras_ahead: start the camera process now, and not when the first client of a vehicle's video has come.
-        wire_faults: faults.WireFaults.
+    def __init__(self, fleet, cameras_ahead=False, wire_faults=(), **options):
+        """fleet: Fleet. cameras_ahead: start the camera process now, and not when somebody wants video.
+
+        wire_faults: faults.WireFaults. options: fields of LabOptions.
         """
-        self.fleet = fleet = fleet.with_overrides(command_delay_s=command_delay_s)
-        self.radio_loss = radio_loss
-        self.seed, self.perturbed, self.gusts = seed, perturbed, gusts
+        told = self.options = LabOptions(**options)
+        fleet = told.configure(fleet).with_overrides(command_delay_s=told.delay if told.delay >= 0.0 else None)
+        self.fleet, seed = fleet, told.seed
         self._period_s = 1.0 / fleet.mocap.rate_hz
         self._send_after_s = fleet.mocap.reported_delay_s
         self._frames_per_second = max(1, int(fleet.mocap.rate_hz))
@@ -110,14 +144,14 @@ class VirtualLab:
         types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
         self._cycles_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
         step_s = self._period_s / self._cycles_per_frame
-        self.world = World(fleet, types, templates, seed, perturbed, gusts, step_s)
+        self.world = World(fleet, types, templates, seed, not told.ideal, told.gusts, step_s)
         self.frame = 0  # of the newest exposure
         self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
         self.frames_skipped = 0  # that a computer was too slow for
         self._late_since_s = None  # lab time; None: the last frame was not late
         self.lateness = LatenessHistogram()  # of frames against the absolute schedule
         self.cameras = MocapCameras(
-            CameraParams.ideal() if exact_markers else CameraParams.of_arena(fleet.arena),
+            CameraParams.ideal() if told.exact_markers else CameraParams.of_arena(fleet.arena),
             seed=np.random.SeedSequence(seed, spawn_key=_CAMERA_STREAM),
         )
         self._start_s = time.monotonic()
@@ -128,13 +162,13 @@ class VirtualLab:
         self._video = None
         try:
             self.cortex_host = CortexHost(
-                self.world, fleet.mocap, self.cameras, self.now_s, templates, live_on_start, interface, self.wires
+                self.world, fleet.mocap, self.cameras, self.now_s, templates, told.live, told.interface, self.wires
             )
             self._hosts.append(self.cortex_host)
             self.vehicle_hosts = {}
             for vehicle in fleet.vehicles:
                 body = self.world.vehicles[vehicle.namespace]
-                host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=radio_loss, wires=self.wires)
+                host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=told.radio_loss, wires=self.wires)
                 self.vehicle_hosts[vehicle.namespace] = host
                 self._hosts.append(host)
             listeners = [
@@ -157,10 +191,11 @@ class VirtualLab:
 
     def describe(self):
         """Lines for people: what listens where, and what flies."""
-        mode = "perturbed plant, seed %d" % self.seed if self.perturbed else "ideal plants, seed %d" % self.seed
-        lines = ["virtual lab '%s': %s%s" % (self.fleet.name, mode, ", gusts" if self.gusts else "")]
-        if self.radio_loss:
-            lines[0] += ", radio loses %g %% of the commands' slots and of navdata" % (100.0 * self.radio_loss)
+        told = self.options
+        mode = "%s, seed %d" % ("ideal plants" if told.ideal else "perturbed plant", told.seed)
+        lines = ["virtual lab '%s': %s%s" % (self.fleet.name, mode, ", gusts" if told.gusts else "")]
+        if told.radio_loss:
+            lines[0] += ", radio loses %g %% of the commands' slots and of navdata" % (100.0 * told.radio_loss)
         return "\n".join(lines + [host.describe() for host in self._hosts])
 
     @property
@@ -347,10 +382,10 @@ class VirtualLab:
         return {
             "simulated": True,
             "fleet": self.fleet.name,
-            "seed": self.seed,
-            "perturbed": self.perturbed,
-            "gusts": self.gusts,
-            "radio_loss": self.radio_loss,
+            "seed": self.options.seed,
+            "perturbed": not self.options.ideal,
+            "gusts": self.options.gusts,
+            "radio_loss": self.options.radio_loss,
             "frames": self.frame - self.frames_skipped,
             "rate_hz": self.fleet.mocap.rate_hz,
             "duration_s": self.exposure_s,
@@ -423,68 +458,6 @@ def report(statistics, path=""):
             print("virtual_lab: cannot write the statistics: %s" % error, file=sys.stderr)
             return 1
     return 0
-
-
-def _told(default, text, metavar=None):
-    return field(default=default, metadata={"help": text, "metavar": metavar})
-
-
-@dataclass(frozen=True)
-class LabOptions(Settings):
-    """Options by name. An empty text or a negative number leaves what the fleet file and the vehicle types say."""
-
-    fleet: str = _told("", "what flies, and at which addresses", "FLEET.yaml")
-    seed: int = _told(0, "same seed, same vehicles and noise", "N")
-    ideal: bool = _told(False, "every vehicle is exactly what its type says")
-    exact_markers: bool = _told(False, "cameras without noise, loss and ghosts")
-    gusts: bool = _told(False, "moving air")
-    delay: float = _told(-1.0, "nominal command delay of every vehicle", "S")
-    radio_loss: Fraction = _told(0.0, "probability that the radio loses a command or navdata, 0 to 1", "P")
-    faults: str = _told("", "what happens to datagrams and streams, and when", "FILE.yaml")
-    live: bool = _told(False, "stream at once, without waiting for a client's LiveMode")
-    vehicles: int = _told(-1, "only the first N vehicles", "N")
-    subnet: str = _told("", "Cortex host at A.B.0.1, vehicle k at A.B.1.k, e.g. 127.78", "A.B")
-    cortex_host: str = _told("", "its address", "ADDRESS")
-    cortex_port: int = _told(-1, "its port for commands", "PORT")
-    stream_group: str = _told("", "multicast group of the stream", "ADDRESS")
-    stream_port: int = _told(-1, "port of the stream", "PORT")
-    interface: str = _told(
-        "", "of this computer's network card that the stream goes out by (default: that of the Cortex host)", "ADDRESS"
-    )
-    rate: float = _told(-1.0, "frame rate of motion capture", "HZ")
-    cameras_on_demand: bool = _told(
-        False, "start the program that makes pictures only when the first client asks for video, who then waits for it"
-    )
-    stats: str = _told("", "write the statistics there at the end", "FILE.json")
-
-    def configure(self, fleet):
-        """The fleet with the addresses that these options give. Raises ValueError."""
-        if self.vehicles >= 0:
-            fleet = fleet.with_vehicles(self.vehicles)
-        if self.subnet:
-            fleet = fleet.in_subnet(self.subnet)
-        texts = {"host": self.cortex_host, "stream_group": self.stream_group}
-        numbers = {"command_port": self.cortex_port, "stream_port": self.stream_port, "rate_hz": self.rate}
-        changes = {name: text for name, text in texts.items() if text}
-        changes.update({name: number for name, number in numbers.items() if number >= 0})
-        # the lab is one computer: there, vehicles with networks of their own need addresses of their own
-        return replace(fleet, own_networks=False, mocap=replace(fleet.mocap, **changes))
-
-    def make_lab(self, fleet):
-        """The lab of a fleet. Raises ValueError and OSError."""
-        return VirtualLab(
-            self.configure(fleet),
-            seed=self.seed,
-            perturbed=not self.ideal,
-            gusts=self.gusts,
-            command_delay_s=self.delay if self.delay >= 0.0 else None,
-            exact_markers=self.exact_markers,
-            live_on_start=self.live,
-            radio_loss=self.radio_loss,
-            interface=self.interface,
-            cameras_ahead=not self.cameras_on_demand,
-            wire_faults=load_wire_faults(self.faults) if self.faults else (),
-        )
 
 
 def _parse_arguments(arguments):

@@ -48,11 +48,6 @@ class Waving:
         """Time of one round [s]."""
         return self._count * (HOLD_S + MOVE_S)
 
-    @property
-    def held_s(self):
-        """Times (postures,) [s] within the first round in the middle of each hold."""
-        return np.arange(self._count) * (HOLD_S + MOVE_S) + 0.5 * HOLD_S
-
     def posture(self, time_s):
         """Centre (3,) [m] and rotation (3, 3) from board to camera axes at a time [s] since the start."""
         step, within_s = divmod(time_s % self.period_s, HOLD_S + MOVE_S)
@@ -73,18 +68,6 @@ class Waving:
             centre_m=pose.position_m + pose.R_camera_to_cortex @ centre,
             R_board_to_cortex=pose.R_camera_to_cortex @ turn,
         )
-
-    def corners_px(self, time_s):
-        """Truth: pixels (rows * columns, 2) of the inner corners, row by row."""
-        centre, turn = self.posture(time_s)
-        return self._camera.project(self._corners() @ turn.T + centre)
-
-    def _corners(self):
-        """Inner corners (n, 3) [m], board axes."""
-        columns, rows, square_m = self._shape
-        grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
-        middle = [0.5 * (columns - 1), 0.5 * (rows - 1)]
-        return np.column_stack(((grid - middle) * square_m, np.zeros(len(grid))))
 
     def _outline(self):
         """Points (n, 3) [m] around the squares, board axes."""
