@@ -155,9 +155,12 @@ def held_s():
     return (HOLD_S + MOVE_S) * np.arange(len(POSTURES)) + 0.5 * HOLD_S
 
 
+def corners_of(board):
+    """Inner corners (rows * columns, 3) [m] of a Board, cortex frame, row by row: the order of findChessboardCorners."""
+    column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
+    return board.to_cortex(column.ravel() - 0.5 * (board.columns - 1), row.ravel() - 0.5 * (board.rows - 1))
+
+
 def corners_px(waving, camera, time_s):
     """Pixels (rows * columns, 2) of the inner corners of a board that is waved before a camera, row by row."""
-    board = waving.board(time_s, CameraPose(np.zeros(3), np.eye(3)))
-    column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
-    corners = board.to_cortex(column.ravel() - 0.5 * (board.columns - 1), row.ravel() - 0.5 * (board.rows - 1))
-    return camera.project(corners)
+    return camera.project(corners_of(waving.board(time_s, CameraPose(np.zeros(3), np.eye(3)))))

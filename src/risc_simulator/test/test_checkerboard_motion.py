@@ -13,7 +13,7 @@ from risc_simulator.video.checkerboard_motion import Waving
 from risc_simulator.video.scene import CameraPose
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[3] / "tests/benchmarks"))
-from picture_truth import corners_px, held_s  # noqa: E402
+from picture_truth import corners_of, corners_px, held_s  # noqa: E402
 
 CAMERAS = ("risc1.yaml", "risc3.yaml", "ardrone_front.yaml", "ardrone_bottom.yaml")
 
@@ -72,9 +72,7 @@ def test_the_board_is_where_its_corners_are_seen_from_any_camera_pose():
     for time_s in (0.1, 1.0, 20.0):
         board = waving.board(time_s, pose)
         assert (board.columns, board.rows, board.square_m) == (8, 6, 0.025)
-        column, row = np.meshgrid(np.arange(8) - 3.5, np.arange(6) - 2.5)
-        corners = board.to_cortex(column.ravel(), row.ravel())
-        seen = camera.project((corners - pose.position_m) @ pose.R_camera_to_cortex)
+        seen = camera.project((corners_of(board) - pose.position_m) @ pose.R_camera_to_cortex)
         assert np.allclose(seen, corners_px(waving, camera, time_s), atol=1e-6)
 
 

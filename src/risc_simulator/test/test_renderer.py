@@ -29,7 +29,7 @@ from risc_simulator.video.scene import (
 )
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[3] / "tests/benchmarks"))
-from picture_truth import LabelledRenderer  # noqa: E402
+from picture_truth import LabelledRenderer, corners_of  # noqa: E402
 
 SIZE_PX = (640, 360)
 CALIBRATIONS = {  # focal lengths, centre [px], k1, k2, p1, p2, k3; the first three are those of the original laboratory
@@ -309,7 +309,7 @@ def test_board_corners_are_found_where_they_are():
     assert found
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
     corners = cv2.cornerSubPix(grey, corners, (5, 5), (-1, -1), criteria)[:, 0]
-    expected = camera.project(to_camera(camera_pose, board.corners()))
+    expected = camera.project(to_camera(camera_pose, corners_of(board)))
     if np.linalg.norm(corners[0] - expected[0]) > np.linalg.norm(corners[-1] - expected[0]):
         corners = corners[::-1]
     error = np.linalg.norm(corners - expected, axis=1)

@@ -129,7 +129,7 @@ class VirtualLab:
     Raises ValueError when the fleet does not fit (unknown type, template, ...) and OSError when an address is in use.
     """
 
-    def __init__(self, fleet, cameras_ahead=False, wire_faults=(), **options):
+    def __init__(self, fleet, /, cameras_ahead=False, wire_faults=(), **options):
         """fleet: Fleet. cameras_ahead: start the camera process now, and not when somebody wants video.
 
         wire_faults: faults.WireFaults. options: fields of LabOptions.

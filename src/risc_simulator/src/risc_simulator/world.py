@@ -270,10 +270,10 @@ class World:
     def _advance(self, steps):
         """Advance by so many steps, or fewer if something happens."""
         anyone_touches = False
+        x, block, at = self._x, self._gust_block, self._steps % _GUST_BLOCK
         for kind in self._kinds:
-            gusts = self._gust_block, self._steps % _GUST_BLOCK
             made, least_m2, touching = kind.advance(
-                self._x, self._u, self._flags, kind.columns, kind.records, self.step_s, steps, *gusts, self._net_m
+                x, self._u, self._flags, kind.columns, kind.records, self.step_s, steps, block, at, self._net_m
             )
             anyone_touches |= touching
         self._steps += made
