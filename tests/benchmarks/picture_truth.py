@@ -156,7 +156,7 @@ def held_s():
 
 
 def corners_of(board):
-    """Inner corners (rows * columns, 3) [m] of a Board, cortex frame, row by row: the order of findChessboardCorners."""
+    """Inner corners (rows * columns, 3) [m] of a Board, cortex frame, in findChessboardCorners' order."""
     column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     return board.to_cortex(column.ravel() - 0.5 * (board.columns - 1), row.ravel() - 0.5 * (board.rows - 1))
 
