@@ -557,7 +557,7 @@ def test_rates_and_complaints_of_a_graph():
     bad = report({"/mocap_data": 0.0, "/cortex_raw": 120.0}, [(2, "stream", "no host"), (1, "est", "slow")])
     findings = ros_graph.judge(bad, 200.0)
     assert levels(findings) == [RED, YELLOW, YELLOW, RED, YELLOW]
-    assert "although /node publishes it" in findings[0].text and "nobody publishes /controls" in findings[2].text
+    assert "although /node publishes it" in findings[0].text and "no node publishes /controls" in findings[2].text
     assert levels(ros_graph.judge(ros_graph.GraphReport(), 200.0)) == [GREEN]
 
 

@@ -26,8 +26,8 @@ class VehicleReport:
 def probe(address, patience_s=PATIENCE_S):
     """VehicleReport of the vehicle at an address.
 
-    A vehicle sends its telemetry to whoever asked last: one that a driver flies must not be asked (the driver would
-    take it back 0.25 s later). One that was just switched on tells its battery only after a configuration write.
+    A vehicle sends its telemetry to the client that asked last: one that a driver flies must not be asked (the driver
+    would take it back 0.25 s later). One that was just switched on tells its battery only after a configuration write.
     """
     state, deadline = None, time.monotonic() + patience_s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:

@@ -56,7 +56,7 @@ def call(uri, method, *arguments, patience_s=CALL_PATIENCE_S):
 
 
 def resolve(name, patience_s=NAME_PATIENCE_S):
-    """IPv4 address of a host name, or None when nobody knows it in time."""
+    """IPv4 address of a host name, or None when it is not resolved in time."""
     result = []
 
     def look_up():
@@ -118,7 +118,7 @@ class Master:
 
 
 def _unknown(uri):
-    """Why nobody can be found at a URI; "" when its host is known."""
+    """Why no program can be found at a URI; "" when its host is known."""
     try:
         host, _ = host_and_port(uri)
     except ValueError as error:

@@ -34,7 +34,7 @@ def check(situation):
         else:
             silent.append(vehicle)
     if situation.fleet.own_networks and not situation.wanted:
-        if found:  # the others are elsewhere, whatever has their address here
+        if found:  # the others are elsewhere, even if something has their address here
             return found.say("no_driver", names=", ".join(v.namespace for v in silent)) if silent else found
         # the factory address of all is one vehicle from here
         cards = situation.interfaces()

@@ -115,7 +115,7 @@ class Watched:
         self._in_air = False  # by the newest report that says anything about it
         self._ground_s = -math.inf  # when it reported last that it stands
         self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when it was told so last
-        self.call_land = False  # its service is to be called; whoever does takes it back
+        self.call_land = False  # its service is to be called; `landings` takes it back
 
     def note_report(self, state, now_s):
         """It reports its state number."""

@@ -94,7 +94,7 @@ def _is_ours(name, here):
 
 
 def _guarded(computer, *arguments):
-    """check_computer; whatever breaks in it is a red finding: the others are worth having."""
+    """check_computer; an exception in it is a red finding: the other computers are still checked."""
     try:
         return check_computer(computer, *arguments)
     except Exception as error:

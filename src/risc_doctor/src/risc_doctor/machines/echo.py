@@ -17,7 +17,7 @@ _REACH_S = 2.0
 
 
 def trouble_with(uri):
-    """Why nobody answers at http://HOST:PORT/ as seen from this computer; "" when somebody does."""
+    """Why no program answers at http://HOST:PORT/ as seen from this computer; "" when one does."""
     parts = urlsplit(uri)
     try:
         socket.create_connection((parts.hostname, parts.port), _REACH_S).close()

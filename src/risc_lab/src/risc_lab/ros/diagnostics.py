@@ -12,7 +12,7 @@ _PERIOD_S = 1.0
 def make_updater(hardware_id):
     """A diagnostic_updater.Updater for this node that leaves the master alone.
 
-    An Updater asks for its period again and again as long as nobody has set it, and asking is to the master as good
+    An Updater asks for its period again and again as long as it is not set, and asking is to the master as good
     as registering: a node that is just being replaced by one of the same name would throw that one out again.
     """
     if not rospy.has_param(_PERIOD):

@@ -13,7 +13,7 @@ byte at every message. A topic has one class in a process: rospy takes that of i
 Between two frames caches go cold: what takes 1 us in a loop takes 10 when it is done once in 5 ms, so it is the number
 of different things done that counts. Nodes that see every frame subscribe to `CortexArrays.Raw` (the bytes alone) and
 let one CortexArrays of their own `deserialize` them. It overwrites its arrays in place as long as the names stay the
-same, and makes new ones otherwise: whoever keeps views of them compares `data`.
+same, and makes new ones otherwise: code that keeps views of them compares `data`.
 """
 
 import io

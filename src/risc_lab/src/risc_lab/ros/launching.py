@@ -22,7 +22,7 @@ class PortReservation:
     """A part of the loopback network that belongs to one flight: 127.<n>.*.*, told apart by <n>.
 
     The reservation is a listening socket, so it ends with the process, and the roslaunch that it is handed on to
-    (`Launch`), whatever happens.
+    (`Launch`), also when it is killed.
     """
 
     PORT = 1510
@@ -33,7 +33,7 @@ class PortReservation:
             try:
                 guard.bind(("127.%d.0.254" % number, self.PORT))
                 guard.listen(1)
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # a lab that nobody looks after?
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # an orphaned lab?
                     probe.bind(("127.%d.0.1" % number, self.PORT))
             except OSError:
                 guard.close()
@@ -53,9 +53,9 @@ class PortReservation:
 
 
 def free_tcp_port(*preferred):
-    """A TCP port on 127.0.0.1 that nobody listens on: the preferred one, unless it is taken.
+    """A TCP port on 127.0.0.1 on which no program listens: the preferred one, unless it is taken.
 
-    It is none of those that Linux gives to whoever asks for any, so it is free still when its user comes.
+    It is not one of those that Linux hands out to programs that ask for any port, so it stays free until it is used.
     """
     for port in (*preferred, *random.sample(_PORTS, _ATTEMPTS)):
         with socket.socket() as probe, contextlib.suppress(OSError):
@@ -67,8 +67,8 @@ def free_tcp_port(*preferred):
 class Launch:
     """One roslaunch with its own master, in its own session, with its output in a file.
 
-    Whoever starts it and dies of whatever leaves nothing: roslaunch is interrupted then, and ends its nodes, of which
-    those of the vehicles land them. (By the kernel; for the thread that starts it, so let that be the main one.)
+    However the caller dies, nothing is left behind: the kernel interrupts roslaunch then, which ends its nodes, and the
+    vehicle nodes land their vehicles. (The kernel watches the thread that starts it: let that be the main one.)
     """
 
     def __init__(self, launch_file, arguments, folder, master_port, reservation=None):

@@ -38,7 +38,7 @@ def warn_of_unknown():
 def load_params(*classes, known=(), lenient=False):
     """Private parameters of this node as instances of the dataclasses. Unknown ones are logged as warnings.
 
-    known: names of others, which somebody else reads.  lenient: see `params_from_dict`.
+    known: names of others, which are read elsewhere.  lenient: see `params_from_dict`.
     """
     instances, unknown = params_from_dict(classes, rospy.get_param("~", {}), lenient)
     _warn([name for name in unknown if name not in known])
@@ -111,21 +111,13 @@ def number(name, default):
     return result
 
 
-def dataclass_from_params(kind, aliases=None, defaults=None, **given):
-    """An instance of a dataclass of numbers: private parameters by the names of its fields, its defaults else.
+def dataclass_from_params(kind, defaults=None):
+    """An instance of a dataclass of numbers: private parameters by the names of its fields.
 
-    aliases: dict field -> name of the parameter, where that differs.  defaults: another instance to take them from.
-    given: values of fields that are no parameters.
+    defaults: another instance to take the others from.
     """
-    aliases = aliases or {}
-    values = {
-        field.name: number(
-            "~" + aliases.get(field.name, field.name), getattr(defaults, field.name) if defaults else field.default
-        )
-        for field in fields(kind)
-        if field.name not in given
-    }
-    return kind(**values, **given)
+    values = {item.name: getattr(defaults, item.name) if defaults else item.default for item in fields(kind)}
+    return kind(**{name: number("~" + name, value) for name, value in values.items()})
 
 
 def told_vehicle_type(vehicle, private_values=None):
