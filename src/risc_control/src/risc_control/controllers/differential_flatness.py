@@ -137,7 +137,7 @@ class Controller(controllers.Controller):
         """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
-        gains, limits = self.designed(params)
+        gains, limits = self.designed
         is_finite = _step(
             float(t.stamp_s),
             float(t.now_s),

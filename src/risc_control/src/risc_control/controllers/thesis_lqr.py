@@ -68,7 +68,7 @@ class Controller(controllers.Controller):
         commands = np.zeros((len(Command._fields), len(self.mass_kg)))
         is_finite = _step(
             self._vehicles,
-            self.designed(params),
+            self.designed,
             float(params.error_max_m),
             floats(states.vehicles.x),
             states.vehicles.visible & reference.usable,
