@@ -65,18 +65,11 @@ _VEHICLE = record(
     ("cause", int),
 )
 _OF_SAFETY = (  # fields of SafetyLimits
-    "state_hold_s",
-    "state_land_s",
-    "separation_m",
-    "separation_stray_m",
-    "separation_course_m",
-    "separation_lookahead_s",
-    "separation_follow_s",
-    "separation_forget_s",
-    "separation_speed_m_s",
+    *("state_hold_s", "state_land_s", "separation_m", "separation_stray_m", "separation_course_m"),
+    *("separation_lookahead_s", "separation_follow_s", "separation_forget_s", "separation_speed_m_s"),
 )
 # Those, and where there is room to move.
-_LIMITS = record(*((name, float) for name in _OF_SAFETY), ("low_m", float, (3,)), ("high_m", float, (3,)))
+_LIMITS = record(" ".join(_OF_SAFETY), ("low_m", float, (3,)), ("high_m", float, (3,)))
 
 
 class Look(NamedTuple):

@@ -38,8 +38,8 @@ class Params(Settings):
     error_max_m: Positive = 0.4  # [m] larger position errors count as this long
 
 
-_GAINS = record(("position", float), ("velocity", float), ("height", float), ("climb", float), ("yaw", float))
-_VEHICLE = record(("mass_kg", float), ("tilt_max_rad", float))
+_GAINS = record("position velocity height climb yaw")
+_VEHICLE = record("mass_kg tilt_max_rad")
 
 
 class Controller(controllers.Controller):
