@@ -145,7 +145,7 @@ def _pilot(fleet):
                     3 * k + 2, at.PcmdFlag.PROGRESSIVE, 0.2 * math.cos(swing), 0.2 * math.sin(swing)
                 )
                 if k < 10:
-                    commands += at.config(3 * k + 3, "general:navdata_demo", "TRUE")
+                    commands += at.encode("CONFIG", 3 * k + 3, "general:navdata_demo", "TRUE")
                     client.sendto(navdata.WAKE_UP, (address, protocol.NAVDATA_PORT))
                 client.sendto(commands, (address, protocol.AT_PORT))
                 with contextlib.suppress(BlockingIOError):

@@ -118,6 +118,18 @@ class ControllerNodeTest(unittest.TestCase):
             self.assertIn(NAMES, orders)
             self.assertLessEqual(orders, {NAMES, NAMES[:1], NAMES[1:], ()})
 
+    def test_states_of_a_clock_that_is_set_back_are_answered(self):
+        """By less than what is too late. Without a rule there would be no answer until the old time is reached."""
+        self.newest("/controls")
+        self.lab.age_s = 0.15
+        received, before = self.lab.received["/controls"], len(self.lab.received["/controls"])
+
+        def falls_back():
+            stamps = [message.header.stamp for message in received[before - 1 :]]
+            return any(later < earlier for earlier, later in itertools.pairwise(stamps))
+
+        wait_for(falls_back, "an answer to a state of the new clock")
+
     def test_signs_by_name(self):
         for topic in self.lab.received:
             self.lab.psi_deg = 0.0

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """session_guard.py roslaunch -c NAME -u URI ...: the far end of a launch, which never outlives its ssh session.
 
-coop.sh starts it. It runs the command and passes its exit code on. When nobody reads the output any more, the session
+coop.sh starts it. It runs the command and passes its exit code on. When its output is not read any more, the session
 is over: every process of the launch gets SIGINT, and SIGKILL when that did not help. roslaunch alone would keep its
 nodes running for ever when it cannot reach the base station.
 
@@ -52,7 +52,7 @@ def marked_processes():
                 continue
             arguments = (entry / "cmdline").read_bytes()
         except OSError:
-            continue  # it ended while we looked, or it belongs to somebody else
+            continue  # it ended while we looked, or it belongs to another user
         variables = dict(item.partition("=")[::2] for item in environment.decode(errors="replace").split("\0"))
         names = [word[8:] for word in arguments.decode(errors="replace").split("\0") if word.startswith("__name:=")]
         node = "%s/%s" % (variables.get("ROS_NAMESPACE", ""), names[-1]) if names else ""
@@ -147,7 +147,7 @@ def run(command, session, started):
     started()
     watch = select.poll()
     watch.register(wake_read, select.POLLIN)
-    watch.register(sys.stdout.fileno(), 0)  # reports only that nobody reads any more
+    watch.register(sys.stdout.fileno(), 0)  # reports only that the reader has gone
     reason = 0
     while child.poll() is None and not reason:
         for descriptor, _ in watch.poll():

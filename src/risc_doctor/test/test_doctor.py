@@ -22,6 +22,7 @@ import yaml
 
 from ardrone_autonomy.protocol.navdata import State
 from cortex_ros.wire import BodyDef
+from risc_control.failsafe import SafetyLimits
 from risc_doctor import (
     axes,
     clock_agreement,
@@ -46,6 +47,7 @@ from risc_doctor.interfaces import Interface, is_own, read_interfaces, source_to
 from risc_doctor.ros_master import MasterError, NobodyThereError, call
 from risc_doctor.situation import Situation
 from risc_lab.lab import fleet_from_dict, load_fleet, load_templates
+from risc_lab.ros.launching import argument_of
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 LAB = yaml.safe_load((ROOT / "launch" / "fleets" / "lab3.yaml").read_text())
@@ -213,7 +215,7 @@ def test_processes_are_called_what_people_call_them():
     }
     for words, name in names.items():
         assert socket_owners.Process(7, words).describe() == "%s (pid 7)" % name
-    assert socket_owners.argument(("a", "__name:=b"), "__name") == "b"
+    assert argument_of(("a", "__name:=b"), "__name") == "b"
 
 
 def test_what_cortex_sends_to_this_computer_alone_stays_with_the_program_that_flies_by_it():
@@ -386,7 +388,7 @@ def test_ages_of_stamps():
 
 
 def test_batteries_by_the_limit_of_the_loss_ladder():
-    limit_pct = vehicles.landing_limit_pct()
+    limit_pct = SafetyLimits.battery_min_pct
     assert 0.0 < limit_pct < vehicles.NEARLY_EMPTY_PCT
 
     def level(pct, state=0):
@@ -555,7 +557,7 @@ def test_rates_and_complaints_of_a_graph():
     bad = report({"/mocap_data": 0.0, "/cortex_raw": 120.0}, [(2, "stream", "no host"), (1, "est", "slow")])
     findings = ros_graph.judge(bad, 200.0)
     assert levels(findings) == [RED, YELLOW, YELLOW, RED, YELLOW]
-    assert "although /node publishes it" in findings[0].text and "nobody publishes /controls" in findings[2].text
+    assert "although /node publishes it" in findings[0].text and "no node publishes /controls" in findings[2].text
     assert levels(ros_graph.judge(ros_graph.GraphReport(), 200.0)) == [GREEN]
 
 

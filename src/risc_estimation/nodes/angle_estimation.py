@@ -13,7 +13,7 @@ from risc_estimation.ros.bearing_conversions import observed_angles, regions_fro
 from risc_estimation.ros.cameras import VehicleCameras
 from risc_estimation.ros.conversions import header_for
 from risc_estimation.ros.params import AngleParams
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, age_text, make_updater
 from risc_lab.ros.params import fleet_vehicles, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import Detections
@@ -31,7 +31,7 @@ class AngleEstimationNode:
         self._lock = threading.Lock()  # both topics and the diagnostics have a thread each
         self._pictures, self._exact, self._found, self._refused = 0, 0, 0, 0
         self._last_s = None  # monotonic clock
-        self._reported, self._reported_s = (0, 0), time.monotonic()
+        self._growth = Growth()
         self._pub = rospy.Publisher("angles", Observed_angles, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("none")
         self._diagnostics.add("angle estimation", self._diagnose)
@@ -73,20 +73,18 @@ class AngleEstimationNode:
         with self._lock:
             pictures, refused, last_s = self._pictures, self._refused, self._last_s
             found, exact = self._found, self._exact
-        elapsed_s = max(now_s - self._reported_s, 1e-3)
-        rate_hz, new_refused = (pictures - self._reported[0]) / elapsed_s, refused - self._reported[1]
-        self._reported, self._reported_s = (pictures, refused), now_s
+        new, rates_hz = self._growth({"pictures": pictures, "refused": refused})
         problems = self._cameras.problems()
         if last_s is None or now_s - last_s > _SILENCE_S:
             status.summary(DiagnosticStatus.WARN, "nothing on " + rospy.resolve_name("detections") + " or land_rois")
         elif problems:
             status.summary(DiagnosticStatus.WARN, "no camera of " + ", ".join(sorted(problems)))
-        elif new_refused:
-            status.summary(DiagnosticStatus.WARN, "%d regions have no direction" % new_refused)
+        elif new["refused"]:
+            status.summary(DiagnosticStatus.WARN, "%d regions have no direction" % new["refused"])
         else:
             status.summary(DiagnosticStatus.OK, "angles are published")
-        status.add("rate [Hz]", "%.1f" % rate_hz)
-        status.add("age of last regions [s]", "none yet" if last_s is None else "%.2f" % (now_s - last_s))
+        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
+        status.add("age of last regions [s]", age_text(last_s))
         status.add("images", str(pictures))
         status.add("images with exact detections", str(exact))
         status.add("angles", str(found))

@@ -19,7 +19,7 @@ from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.lab.fleet import MocapEndpoint
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros import low_latency
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES
 from risc_lab.ros.params import has_private, known_fleet, load_params
@@ -49,10 +49,10 @@ class StatesEstimationNode:
         self._last_receipt_s = None  # of the newest frame that was estimated; monotonic clock
         self._last_estimate = None
         self._last_seq = None  # of the newest frame; publishers count them
-        self._passed_over = self._reported_passed_over = 0  # frames
+        self._passed_over = 0  # frames
         self._silent = True
         self._told_unknown = set()
-        self._reported_frames, self._reported_refused, self._reported_s = 0, 0, time.monotonic()
+        self._growth = Growth()
         # Queues that hold more than a hiccup: a late subscriber gets every frame, and judges its age by the stamp.
         self._states_pub = rospy.Publisher("cortex_raw", CortexArrays, queue_size=100, tcp_nodelay=True)
         self._landmarks_pub = rospy.Publisher("states3", LandmarksArrays, queue_size=100, tcp_nodelay=True)
@@ -115,10 +115,8 @@ class StatesEstimationNode:
             unknown = dict(counts.unknown)
             passed_over = self._passed_over
         refused = counts.duplicate_stamps + counts.backward_stamps
-        rate_hz = (counts.frames - self._reported_frames) / max(now_s - self._reported_s, 1e-3)
-        new_refused, new_passed_over = refused - self._reported_refused, passed_over - self._reported_passed_over
-        self._reported_passed_over = passed_over
-        self._reported_frames, self._reported_refused, self._reported_s = counts.frames, refused, now_s
+        new, rates_hz = self._growth({"frames": counts.frames, "refused": refused, "passed over": passed_over})
+        rate_hz = rates_hz["frames"]
         told = EstimatorStatus(rate_hz=rate_hz, vehicles=known, visible=visible, passed_over=passed_over)
         told.header.stamp = rospy.Time.now()
         told.age_s = math.nan if last_s is None else now_s - last_s
@@ -130,13 +128,13 @@ class StatesEstimationNode:
             rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)
         if last_s is None or now_s - last_s > 1.0:
             refused_only = "all mocap frames are refused: their stamps do not advance"
-            status.summary(DiagnosticStatus.ERROR, refused_only if new_refused else "no mocap frames")
-        elif new_refused:
-            status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new_refused)
+            status.summary(DiagnosticStatus.ERROR, refused_only if new["refused"] else "no mocap frames")
+        elif new["refused"]:
+            status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new["refused"])
         elif visible < known:
             status.summary(DiagnosticStatus.WARN, "%d of %d vehicles visible" % (visible, known))
-        elif new_passed_over:
-            status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new_passed_over)
+        elif new["passed over"]:
+            status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new["passed over"])
         elif unknown:
             status.summary(DiagnosticStatus.WARN, "bodies without a template: " + ", ".join(sorted(unknown)))
         else:

@@ -16,7 +16,7 @@ from risc_estimation.ros.conversions import FRAME_ID
 from risc_estimation.ros.params import SyntheticNodeParams
 from risc_estimation.synthetic_bearings import SyntheticBearings, SyntheticParams
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, age_text, make_updater
 from risc_lab.ros.params import load_params, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
@@ -43,7 +43,7 @@ class SyntheticAnglesNode:
         self._synthetic = SyntheticBearings(observers, synthetic_params)
         self._lock = threading.Lock()  # states, landmarks and diagnostics have a thread each
         self._pictures, self._last_s = 0, None
-        self._reported, self._reported_s = 0, time.monotonic()
+        self._growth = Growth()
         self._pub = rospy.Publisher("angles_synthetic", Observed_angles, queue_size=10, tcp_nodelay=True)
         self._diagnostics = make_updater("none")
         self._diagnostics.add("synthetic angles", self._diagnose)
@@ -85,16 +85,15 @@ class SyntheticAnglesNode:
         now_s = time.monotonic()
         with self._lock:
             pictures, last_s = self._pictures, self._last_s
-        rate_hz = (pictures - self._reported) / max(now_s - self._reported_s, 1e-3)
-        self._reported, self._reported_s = pictures, now_s
+        _, rates_hz = self._growth({"pictures": pictures})
         if last_s is None or now_s - last_s > _SILENCE_S:
             status.summary(DiagnosticStatus.WARN, "nothing on " + rospy.resolve_name("cortex_raw"))
         elif self._blind:
             status.summary(DiagnosticStatus.WARN, "no camera of " + ", ".join(self._blind))
         else:
             status.summary(DiagnosticStatus.OK, "angles are published")
-        status.add("rate [Hz]", "%.1f" % rate_hz)
-        status.add("age of last states [s]", "none yet" if last_s is None else "%.2f" % (now_s - last_s))
+        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
+        status.add("age of last states [s]", age_text(last_s))
         return status
 
 

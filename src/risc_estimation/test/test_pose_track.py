@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from risc_estimation.pose_track import PoseTrack
-from risc_lab.frames import euler_from_body_to_ned, ned_to_cortex, rotation_body_to_cortex
+from risc_lab.frames import euler_from_body_to_ned, rotation_body_to_cortex
 
 
 def yaw_of(R_body_to_cortex):
-    return euler_from_body_to_ned(ned_to_cortex(np.swapaxes(R_body_to_cortex, -1, -2)).swapaxes(-1, -2))[2]
+    return euler_from_body_to_ned((np.swapaxes(R_body_to_cortex, -1, -2) * (1.0, -1.0, -1.0)).swapaxes(-1, -2))[2]
 
 
 def track_of(times_s, positions_m, angles_rad, **options):

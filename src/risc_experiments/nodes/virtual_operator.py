@@ -3,7 +3,6 @@
 
 import threading
 import time
-from dataclasses import fields
 
 import rospy
 from sensor_msgs.msg import Joy
@@ -12,12 +11,12 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
 from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
-from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.phases import OperatorResult
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
+from risc_lab.ros.params import fleet_vehicles, params_from_dict, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases
 
@@ -30,27 +29,14 @@ class VirtualOperator:
     """Wiring only: what is decided is decided in risc_experiments.operator."""
 
     def __init__(self):
-        params = OperatorParams(
-            **{
-                item.name: rospy.get_param("~" + item.name)
-                for item in fields(OperatorParams)
-                if rospy.has_param("~" + item.name)
-            }
-        )
-        fleet = rospy.get_param("/fleet", None)
-        if fleet is None:
+        # others of the node may be the vehicle node's, which has the same buttons
+        (params,), _ = params_from_dict([OperatorParams], rospy.get_param("~", {}))
+        if not fleet_vehicles():
             raise ValueError("there is no parameter /fleet: load a fleet file with <rosparam ns='fleet' file=.../>")
-        templates = {v.namespace: v.template for v in fleet_from_dict(fleet, "parameter /fleet").vehicles}
-        wanted = rospy.get_param("~vehicles", sorted(templates))
-        wanted = wanted.split() if isinstance(wanted, str) else wanted
-        unknown = [name for name in wanted if name not in templates]
-        if unknown or not wanted:
-            raise ValueError(
-                "parameter ~vehicles names %s; the fleet has %s"
-                % (", ".join(unknown) or "nobody", ", ".join(templates))
-            )
+        flown = vehicles()
+        wanted = [vehicle.namespace for vehicle in flown]
         self._go_home = rospy.get_param("~trajectory_node", "/trajectory_node") + "/go_home"
-        self._namespaces = {templates[name]: name for name in wanted}
+        self._namespaces = {vehicle.template: vehicle.namespace for vehicle in flown}
         self._operator = Operator(wanted, params, time.monotonic())
         self._lock = threading.Lock()
         self._calling = False
@@ -64,40 +50,48 @@ class VirtualOperator:
         rospy.Service("~land", Trigger, self._on_land)
         for name in wanted:
             for topic, message, callback in (
-                ("ardrone/navdata", Navdata, self._on_navdata),
-                ("controller_status", Bool, self._on_status),
+                ("ardrone/navdata", Navdata, self._locked(self._on_navdata)),
+                ("controller_status", Bool, self._locked(self._on_status)),
             ):
                 PacedSubscriber("/%s/%s" % (name, topic), message, callback, LOOK_RATE_HZ, (name,))
-            rospy.Subscriber("/%s/safety" % name, Safety, self._on_safety, name, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber("/trajectory_phase", TrajectoryPhases, self._on_phases, queue_size=10, tcp_nodelay=True)
-        PacedSubscriber("/cortex_raw", CortexArrays, self._on_states, LOOK_RATE_HZ)
+            rospy.Subscriber(
+                "/%s/safety" % name, Safety, self._locked(self._on_safety), name, queue_size=10, tcp_nodelay=True
+            )
+        rospy.Subscriber(
+            "/trajectory_phase", TrajectoryPhases, self._locked(self._on_phases), queue_size=10, tcp_nodelay=True
+        )
+        PacedSubscriber("/cortex_raw", CortexArrays, self._locked(self._on_states), LOOK_RATE_HZ)
         Ticker(1.0 / JOY_RATE_HZ, self._on_tick, "the operator's clock")
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
 
+    def _locked(self, note):
+        """A callback that notes something while nothing is decided."""
+
+        def callback(message, *args):
+            with self._lock:
+                note(message, *args)
+
+        return callback
+
     def _on_states(self, message):
         now_s = time.monotonic()
-        with self._lock:
-            for name, visible in zip(message.names, message.visible.tolist()):
-                if visible and name in self._namespaces:
-                    self._operator.on_seen(self._namespaces[name], now_s)
+        for name, visible in zip(message.names, message.visible.tolist()):
+            if visible and name in self._namespaces:
+                self._operator.on_seen(self._namespaces[name], now_s)
 
     def _on_navdata(self, message, name):
-        with self._lock:
-            self._operator.on_navdata(name, message.state, time.monotonic())
+        self._operator.on_navdata(name, message.state, time.monotonic())
 
     def _on_status(self, message, name):
-        with self._lock:
-            self._operator.on_status(name, message.data, time.monotonic())
+        self._operator.on_status(name, message.data, time.monotonic())
 
     def _on_safety(self, message, name):
-        with self._lock:
-            self._operator.on_safety(name, message.level, message.reason)
+        self._operator.on_safety(name, message.level, message.reason)
 
     def _on_phases(self, message):
-        with self._lock:
-            for vehicle in message.vehicles:
-                if vehicle.name in self._namespaces:
-                    self._operator.on_trajectory_phase(self._namespaces[vehicle.name], vehicle.phase)
+        for vehicle in message.vehicles:
+            if vehicle.name in self._namespaces:
+                self._operator.on_trajectory_phase(self._namespaces[vehicle.name], vehicle.phase)
 
     def _on_land(self, _request):
         with self._lock:
@@ -139,13 +133,17 @@ class VirtualOperator:
             self._result.publish(state_message(state))
             rospy.loginfo("operator: result %s", ": ".join(filter(None, (result.name.lower(), reason))))
 
+    @staticmethod
+    def _call(service):
+        """(whether it is done, what it says) of a service to trigger. Raises ROSException or ServiceException."""
+        rospy.wait_for_service(service, SERVICE_TIMEOUT_S)
+        answer = rospy.ServiceProxy(service, Trigger)()
+        return answer.success, answer.message
+
     def _call_home(self):
-        problem = ""
         try:
-            rospy.wait_for_service(self._go_home, SERVICE_TIMEOUT_S)
-            answer = rospy.ServiceProxy(self._go_home, Trigger)()
-            if not answer.success:
-                problem = answer.message or "refused"
+            done, said = self._call(self._go_home)
+            problem = "" if done else said or "refused"
         except (rospy.ROSException, rospy.ServiceException) as error:
             problem = "%s (%s)" % (self._go_home, error)
         with self._lock:
@@ -155,9 +153,7 @@ class VirtualOperator:
         """Ask a silent vehicle's node to land it; the answer may take as long as its network is out."""
         service = "/%s/land" % name
         try:
-            rospy.wait_for_service(service, SERVICE_TIMEOUT_S)
-            answer = rospy.ServiceProxy(service, Trigger)()
-            rospy.loginfo("operator: %s: %s", service, answer.message)
+            rospy.loginfo("operator: %s: %s", service, self._call(service)[1])
         except (rospy.ROSException, rospy.ServiceException) as error:
             rospy.logwarn("operator: cannot ask %s to land: %s (%s)", name, service, error)
         with self._lock:

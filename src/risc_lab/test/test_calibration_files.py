@@ -1,5 +1,8 @@
 """Calibration and mount files: what is written is read back, what is wrong is told with file and key."""
 
+import os
+from dataclasses import replace
+
 import pytest
 import yaml
 
@@ -8,6 +11,7 @@ from risc_lab.lab.calibration import (
     CameraMount,
     load_calibration,
     load_mount,
+    read_calibration,
     resolve_url,
     save_calibration,
     save_mount,
@@ -56,19 +60,91 @@ def broken(tmp_path, change):
     ("change", "message"),
     [
         (lambda c: c.pop("image_width"), "image_width"),
+        (lambda c: c.pop("camera_matrix"), "camera_matrix"),
         (lambda c: c.update(image_height=360.5), "image_height"),
-        (lambda c: c["camera_matrix"].update(rows=2), "rows"),
-        (lambda c: c["camera_matrix"]["data"].__setitem__(0, 0.0), "not calibrated"),
-        (lambda c: c["distortion_coefficients"].update(data="-0.5 0.2 0 0 0"), "list of 5 numbers"),
-        (lambda c: c.update(distortion_model="equidistant"), "plumb_bob"),
-        (lambda c: c.update(image_widht=640), "unknown key"),
+        (lambda c: c.update(image_width="640 px"), "image_width"),
+        (lambda c: c["camera_matrix"].update(rows=2), "'camera_matrix' must be 3 x 3, found 2 rows"),
+        (lambda c: c["camera_matrix"]["data"].pop(), "8 numbers"),
+        (lambda c: c["projection_matrix"].update(cols=3), "projection_matrix"),
+        (lambda c: c["camera_matrix"]["data"].__setitem__(0, "wide"), "wide"),
+        (lambda c: c["camera_matrix"]["data"].__setitem__(0, float("nan")), "nan"),
+        (lambda c: c["distortion_coefficients"].update(data="-0.5 0.2 0 0 0"), "a list"),
+        (lambda c: c["distortion_coefficients"].update(cols=6), "distortion_coefficients"),
+        (lambda c: c.update(distortion_model=7), "distortion_model"),
     ],
 )
 def test_a_wrong_calibration_file_is_one_clear_error(tmp_path, change, message):
     path = broken(tmp_path, change)
-    with pytest.raises(ValueError, match=message) as error:
+    for read in (read_calibration, load_calibration):
+        with pytest.raises(ValueError, match=message) as error:
+            read(path)
+        assert str(error.value).startswith(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c["camera_matrix"]["data"].__setitem__(0, 0.0), "not calibrated"),
+        (lambda c: c.update(image_width=0), "no size"),
+        (lambda c: c.update(distortion_model="equidistant"), "plumb_bob"),
+        (
+            lambda c: c["distortion_coefficients"].update(cols=8, data=[0.1] * 8),
+            "5 coefficients, found plumb_bob with 8",
+        ),
+    ],
+)
+def test_drivers_take_what_our_camera_cannot_use(tmp_path, change, message):
+    path = broken(tmp_path, change)
+    read_calibration(path)
+    with pytest.raises(ValueError, match=message):
         load_calibration(path)
-    assert "broken.yaml" in str(error.value)
+
+
+def test_what_others_write_otherwise_is_read(tmp_path):
+    def change(content):
+        del content["camera_name"], content["distortion_model"]
+        content.update(avg_reprojection_error=0.2)
+        content["distortion_coefficients"].update(rows=5, cols=1)
+
+    assert load_calibration(broken(tmp_path, change)) == replace(CALIBRATION, name="unknown")
+    short = broken(tmp_path, lambda c: c["distortion_coefficients"].update(cols=4, data=[0.1, 0.2, 0.0, 0.0]))
+    assert load_calibration(short).D == (0.1, 0.2, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("text", ["", "- 1\n", "image_width: [\n", "%YAML:1.0\n---\n", "\tx: 1\n"])
+def test_what_is_no_mapping_is_refused(tmp_path, text):
+    (tmp_path / "front.yaml").write_text(text)
+    with pytest.raises(ValueError, match="front.yaml"):
+        read_calibration(tmp_path / "front.yaml")
+
+
+def test_debian_reads_what_we_write(tmp_path):
+    parsers = pytest.importorskip("camera_calibration_parsers", reason="python3-camera-calibration-parsers is needed")
+    save_calibration(CALIBRATION, tmp_path / "new" / "front.yaml")
+    name, info = parsers.readCalibration(str(tmp_path / "new" / "front.yaml"))
+    assert CameraCalibration.from_info(info, name) == CALIBRATION
+
+
+def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "front.yaml"
+    save_calibration(CALIBRATION, path)
+
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        save_calibration(replace(CALIBRATION, width_px=1), path)
+    assert load_calibration(str(path)) == CALIBRATION
+    assert os.listdir(tmp_path) == ["front.yaml"]
+
+
+def test_a_link_stays_a_link(tmp_path):
+    path, link = tmp_path / "front.yaml", tmp_path / "link.yaml"
+    save_calibration(CALIBRATION, path)
+    link.symlink_to(path)
+    save_calibration(replace(CALIBRATION, width_px=320), link)
+    assert link.is_symlink() and load_calibration(str(path)).width_px == 320
 
 
 def test_a_missing_file_is_named():

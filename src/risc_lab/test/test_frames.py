@@ -13,20 +13,9 @@ angles = st.floats(-np.pi, np.pi)
 pitches = st.floats(-1.5, 1.5)
 
 
-@pytest.mark.parametrize(
-    ("convert", "expected"),
-    [
-        (frames.cortex_to_ned, [1.0, -2.0, -3.0]),
-        (frames.ned_to_cortex, [1.0, -2.0, -3.0]),
-        (frames.frd_to_flu, [1.0, -2.0, -3.0]),
-        (frames.flu_to_frd, [1.0, -2.0, -3.0]),
-        (frames.cortex_to_north_east_up, [1.0, -2.0, 3.0]),
-        (frames.north_east_up_to_cortex, [1.0, -2.0, 3.0]),
-    ],
-)
-def test_each_axis_of_each_flip(convert, expected):
-    assert convert(ONE_TWO_THREE).tolist() == expected
-    assert convert(np.tile(ONE_TWO_THREE, (4, 2, 1))).shape == (4, 2, 3)
+def test_each_axis_of_the_flip():
+    assert frames.frd_to_flu(ONE_TWO_THREE).tolist() == [1.0, -2.0, -3.0]
+    assert frames.frd_to_flu(np.tile(ONE_TWO_THREE, (4, 2, 1))).shape == (4, 2, 3)
 
 
 @pytest.mark.parametrize(
@@ -67,12 +56,6 @@ def test_nose_straight_up_or_down_gives_finite_angles_of_the_same_rotation(theta
         angles_rad = frames.euler_from_body_to_ned(R)
         assert np.all(np.isfinite(angles_rad))
         np.testing.assert_allclose(frames.rotation_body_to_ned(*angles_rad), R, atol=1e-12)
-
-
-@given(angles)
-def test_v_to_v1_turns_by_yaw_only(psi):
-    R = frames.rotation_v_to_v1(psi)
-    np.testing.assert_allclose(R, frames.rotation_body_to_ned(0.0, 0.0, psi).T, atol=1e-15)
 
 
 @given(angles, pitches, st.floats(-5, 5), st.floats(-5, 5), st.floats(-5, 5))

@@ -22,7 +22,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata
+from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata, peek
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Start, Template, load_vehicle_type
 from risc_simulator.faults import WireFault
@@ -1173,12 +1173,14 @@ def test_exact_readings_in_aircraft_axes(fake_lab):
 def test_what_a_real_capture_has_at_rest(fake_lab):
     """A landed AR.Drone 2.0, level to 3 degrees, its accelerometer reads (80, -33, -943) milli-g."""
     lab = fake_lab(FakeVehicle(FlightPhase.LANDED, position_m=np.array([0.0, 0.0, 0.0])))
-    packet = options_of(lab)
+    lab.connect()
+    data = lab.run(0.1, ref=IDLE)[-1][3]
+    packet = Navdata(data)
     raw_accs = packet.option(2).raw_accs
     assert raw_accs[:2] == (2048, 2048) and raw_accs[2] == pytest.approx(2528, rel=0.02), "above mid-scale"
     assert packet.option(2).alt_temp_raw == pytest.approx(243, abs=5), "nothing nearer is heard by ultrasound"
     assert packet.option(0).altitude == 0
-    assert packet.vision_defined == 1
+    assert peek(data).vision_defined == 1
     assert packet.option(9)[4:8] == (255, 255, 255, 255)
     assert packet.option(0).drone_camera_trans == pytest.approx((0, 0, -243), abs=5)
     np.testing.assert_allclose(packet.option(0).drone_camera_rot, np.eye(3).ravel(), atol=1e-6)

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_info_manager.calibration_file import read_calibration
 from risc_lab.camera import Camera, cortex_to_camera, rotation_camera_to_body
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import load_calibration, load_mount, resolve_url
@@ -58,11 +57,6 @@ def test_all_readers_agree_with_the_table(name):
     for read, expected in ((info.K, calibration.K), (info.D, calibration.D), (info.R, calibration.R)):
         assert tuple(read) == expected
     assert tuple(info.P) == calibration.P
-    drivers = read_calibration(str(FOLDER / name))
-    assert (drivers.name, drivers.width_px, drivers.height_px) == (camera_name, 640, 360)
-    assert (drivers.K, drivers.D, drivers.R, drivers.P) == (
-        (calibration.K, calibration.D, calibration.R, calibration.P)
-    )
     (fx, fy, cx, cy), D, projection = LAB[name]
     assert np.array_equal(calibration.K, (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0))
     assert np.array_equal(calibration.D, D)

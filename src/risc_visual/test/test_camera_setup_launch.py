@@ -61,7 +61,7 @@ def test_what_is_committed_is_what_the_next_flight_reads(tmp_path, calibration):
     url = setup["/risc2/ardrone_driver/camera_info_url"]
     assert url == flight["/risc2/ardrone_driver/camera_info_url"]
     if calibration:
-        assert path_of(url, "ardrone_front") == str(resolve_url(calibration).absolute())
+        assert path_of(url, "ardrone_front") == resolve_url(calibration).absolute()
     else:
         assert url == ""
     _, setup = load("risc_camera_setup_bottom.launch", "name:=risc2", "fleet:=%s" % fleet)

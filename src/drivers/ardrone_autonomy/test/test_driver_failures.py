@@ -49,7 +49,7 @@ def make_driver(log, monkeypatch):
         driver._realtime, driver._arrived, driver._replacing = None, threading.Event(), threading.Lock()
         driver._health = SimpleNamespace(unpublished=0, skipped_packets=0)
         driver._failing_since_s, driver._telemetry = None, SimpleNamespace()
-        driver._udp = Udp(log)
+        driver.udp = Udp(log)
         driver._make_udp = lambda: Udp(log)
         return driver
 
@@ -77,7 +77,7 @@ def test_alone_the_node_ends(make_driver, log):
 
 def test_two_failures_at_once_replace_the_thread_once(make_driver, log):
     driver = make_driver(is_alone=False)
-    failed = driver._udp
+    failed = driver.udp
     driver._begin_again(failed)
     driver._begin_again(failed)
     assert log.count("start") == 1

@@ -564,8 +564,3 @@ def test_nobody_gets_last_orders_who_never_answered():
     bench = Bench()
     bench.link.send_last_orders()
     assert not bench.datagrams
-
-
-def test_negative_times_are_refused():
-    with pytest.raises(ValueError, match="settle_time"):
-        Bench(settle_s=-1.0)

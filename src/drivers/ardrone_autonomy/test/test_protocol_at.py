@@ -75,25 +75,18 @@ def test_named_encoders():
         at.pcmd_mag(5, at.PcmdFlag.PROGRESSIVE, pitch=-0.8, yaw=7.0)
         == b"AT*PCMD_MAG=5,1,0,-1085485875,0,1065353216,0,0\r"
     )
-    assert at.ctrl(6, at.CtrlMode.SEND_CONFIG) == b"AT*CTRL=6,4,0\r"
-    assert at.config(7, "general:navdata_demo", "FALSE") == b'AT*CONFIG=7,"general:navdata_demo","FALSE"\r'
-    assert at.led(8, at.LedAnimation.BLINK_ORANGE, 1.0, 2) == b"AT*LED=8,3,1065353216,2\r"
-    assert (at.ftrim(9), at.comwdg(10)) == (b"AT*FTRIM=9\r", b"AT*COMWDG=10\r")
-    assert at.config_ids(11, "a", "b", "c") == b'AT*CONFIG_IDS=11,"a","b","c"\r'
 
 
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: at.encode("NOPE", 1),
         lambda: at.encode("REF", 1),
-        lambda: at.encode("REF", -1, 0),
         lambda: at.pcmd_mag(1, 1, roll=float("nan")),
         lambda: at.encode("LED", 1, 0, float("inf"), 1),
-        lambda: at.config(1, 'a"b', "c"),
-        lambda: at.config(1, "a:b", "c\r"),
-        lambda: at.config(1, "a:b", "\u20ac"),
-        lambda: at.config(1, "a:b", "x" * 1100),
+        lambda: at.encode("CONFIG", 1, 'a"b', "c"),
+        lambda: at.encode("CONFIG", 1, "a:b", "c\r"),
+        lambda: at.encode("CONFIG", 1, "a:b", "\u20ac"),
+        lambda: at.encode("CONFIG", 1, "a:b", "x" * 1100),
         lambda: at.encode("LED", 1, 0, 1e39, 1),
     ],
 )
@@ -166,13 +159,6 @@ def test_sequence_rules():
     assert gate.accept(50) and not gate.accept(5)
     gate.reset()
     assert gate.accept(5)
-
-
-def test_sequence_counter_starts_at_one():
-    counter = at.SequenceCounter()
-    assert [counter.next(), counter.next()] == [1, 2]
-    counter.reset()
-    assert counter.next() == 1
 
 
 @given(

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ardrone_autonomy import settings
 from ardrone_autonomy.protocol import config
 from ardrone_autonomy.protocol.config import Category, ConfigError, Kind
 from risc_simulator.vehicles.ardrone.profiles import ConfigurationStore
@@ -13,8 +14,7 @@ IDS = (SESSION, USER, APPLICATION)
 
 
 def test_ids_of_the_ros_driver():
-    assert config.user_id("ardrone_driver") == "cea48d22"
-    assert config.application_id("ardrone_driver") == config.application_id("ardrone_driver", "2.0") == "e182b69b"
+    assert (settings.USER_ID, settings.APPLICATION_ID) == ("cea48d22", "e182b69b")
     assert config.crc_id("123456789") == "cbf43926"  # the check value of CRC-32
     assert config.is_id("cea48d22") and not config.is_id("CEA48D22") and not config.is_id("-cea48d2")
 

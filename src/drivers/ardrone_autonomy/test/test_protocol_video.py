@@ -90,7 +90,6 @@ def test_every_field_lies_where_the_protocol_says():
     assert header._asdict() == {name: value for name, (_, _, value) in FIELDS_BY_HAND.items()}
     assert set(header._fields) == set(FIELDS_BY_HAND)
     assert pack_header(header) == header_by_hand()
-    assert header.stream_position == 0xDD99AABBCC
     assert (header.encoded_px, header.display_px) == ((640, 368), (639, 360))
 
 
@@ -131,17 +130,10 @@ def test_absurd_sizes_are_refused(field, value, cause):
         parse_header(data)
 
 
-def test_what_fits_no_field_is_not_packed():
-    header = parse_header(header_by_hand())
-    for change in (
-        {"frame_number": 2**32},
-        {"stream_id": -1},
-        {"header_bytes": 60},
-        {"header_bytes": 300},
-        {"payload_bytes": video.MAX_PAYLOAD_BYTES + 1},
-    ):
-        with pytest.raises(ValueError, match="PaVE|payload"):
-            pack_header(header._replace(**change))
+@pytest.mark.parametrize("change", [{"frame_number": 2**32}, {"stream_id": -1}])
+def test_what_fits_no_field_is_not_packed(change):
+    with pytest.raises(struct.error):
+        pack_header(parse_header(header_by_hand())._replace(**change))
 
 
 # --- NAL units and the writer ----------------------------------------------------------------------------------------
@@ -152,7 +144,7 @@ def test_nal_units():
         assert nal_units(nothing) == []
 
 
-@pytest.mark.parametrize("header_bytes", video.HEADER_SIZES)
+@pytest.mark.parametrize("header_bytes", (64, 68))
 def test_the_writer_counts_as_the_aircraft_does(header_bytes):
     writer = StreamWriter(header_bytes=header_bytes, stream_id=5)
     data = writer.picture(IDR, 1000) + writer.picture(P, 1033) + writer.picture(IDR[:17], 2**32 + 7)
@@ -165,17 +157,12 @@ def test_the_writer_counts_as_the_aircraft_does(header_bytes):
     assert [h.timestamp_ms for h in headers] == [1000, 1033, 7]
     assert [h.frame_type for h in headers] == [FrameType.IDR, FrameType.P, FrameType.HEADERS]
     assert [(h.sps_bytes, h.pps_bytes) for h in headers] == [(10, 7), (0, 0), (10, 7)]
-    assert [h.stream_position for h in headers] == [0, len(IDR), len(IDR) + len(P)]
+    assert [h.stream_position_low for h in headers] == [0, len(IDR), len(IDR) + len(P)]
     assert {(h.version, h.codec, h.stream_id, h.control) for h in headers} == {(2, 4, 5, 0)}
     assert {(h.encoded_px, h.display_px) for h in headers} == {((640, 368), (640, 360))}
     assert all(h.advertised_bytes == h.payload_bytes for h in headers)
     assert all(h.is_first_part and h.is_last_part for h in headers)
     assert (parser.packets, parser.skipped_bytes, parser.bad_headers, parser.broken_payloads) == (3, 0, 0, 0)
-
-
-def test_a_payload_that_no_reader_would_accept_is_not_written():
-    with pytest.raises(ValueError, match="payload"):
-        StreamWriter().picture(bytes(video.MAX_PAYLOAD_BYTES + 1), 0)
 
 
 # --- the parser ------------------------------------------------------------------------------------------------------
@@ -198,7 +185,7 @@ def counters(parser):
     return parser.packets, parser.bad_headers, parser.broken_payloads, parser.skipped_bytes
 
 
-@pytest.mark.parametrize("header_bytes", [*video.HEADER_SIZES, 100])
+@pytest.mark.parametrize("header_bytes", [64, 68, 100])
 def test_split_at_every_offset(header_bytes):
     data, payloads = a_stream(3, header_bytes)
     for cut in range(len(data) + 1):

@@ -8,6 +8,7 @@ import subprocess
 import tempfile
 import time
 import unittest
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -24,13 +25,13 @@ from std_srvs.srv import Empty as EmptySrv
 
 from ardrone_autonomy.protocol.navdata import ControlState
 from ardrone_autonomy.srv import CamSelect, RecordEnable
-from camera_info_manager.calibration_file import Calibration, read_calibration, write_calibration
+from risc_lab.lab.calibration import CameraCalibration, read_calibration, save_calibration
 
 FRONT_FRAME, BOTTOM_FRAME = "lab/ardrone_base_frontcam", "lab/ardrone_base_bottomcam"
 CHANNEL_OF_FRAME = {FRONT_FRAME: 0, BOTTOM_FRAME: 1}
 IMAGES = ("ardrone/image_raw", "ardrone/front/image_raw", "ardrone/bottom/image_raw")
 INFOS = ("ardrone/camera_info", "ardrone/front/camera_info", "ardrone/bottom/camera_info")
-CALIBRATION = Calibration(
+CALIBRATION = CameraCalibration(
     name="ardrone_front",
     width_px=640,
     height_px=360,
@@ -68,10 +69,10 @@ class VideoTest(unittest.TestCase):
     def calibrate(self, path=None, focal_px=None, **changes):
         """Write a calibration; its URL."""
         path = path or self.home + "/front.yaml"
-        calibration = CALIBRATION._replace(**changes)
+        calibration = replace(CALIBRATION, **changes)
         if focal_px is not None:
-            calibration = calibration._replace(K=(focal_px, *calibration.K[1:]))
-        write_calibration(calibration, path)
+            calibration = replace(calibration, K=(focal_px, *calibration.K[1:]))
+        save_calibration(calibration, path)
         return "file://" + path
 
     def watch(self, driver, *topics):

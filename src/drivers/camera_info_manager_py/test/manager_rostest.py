@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from camera_info_manager import CameraInfoError, CameraInfoManager, CameraInfoMissingError
-from camera_info_manager.calibration_file import read_calibration
+from risc_lab.lab.calibration import read_calibration
 
 LIMIT_S = 60.0
 
@@ -128,7 +128,7 @@ class ManagerTest(unittest.TestCase):
         while not errors and rospy.Time.now() < deadline:
             rospy.sleep(0.02)
         self.assertEqual(len(errors), 1)
-        self.assertIn("distortion_coefficients is missing", errors[0])
+        self.assertIn("'camera_matrix' is missing", errors[0])
 
     def test_a_url_that_names_no_file(self):
         manager = CameraInfoManager("lost", url="risc1.yaml", namespace="lost")

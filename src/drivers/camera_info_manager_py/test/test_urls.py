@@ -17,22 +17,21 @@ def ros_home(monkeypatch):
         ("   ", "/var/home_of_ros/camera_info/ardrone_front.yaml"),
         ("file:///etc/cameras/${NAME}.yaml", "/etc/cameras/ardrone_front.yaml"),
         ("file://${ROS_HOME}/${NAME}_${NAME}.yaml", "/var/home_of_ros/ardrone_front_ardrone_front.yaml"),
-        ("FILE:///a b.yaml", "/a b.yaml"),
+        ("file:///a b.yaml", "/a b.yaml"),
     ],
 )
 def test_path_of_a_file_url(url, path):
-    assert urls.path_of(url, "ardrone_front") == path
+    assert str(urls.path_of(url, "ardrone_front")) == path
 
 
 def test_the_home_of_ros_is_in_the_users_home_by_default(monkeypatch):
     monkeypatch.delenv("ROS_HOME")
-    assert urls.path_of("", "x") == os.path.expanduser("~/.ros/camera_info/x.yaml")
+    assert str(urls.path_of("", "x")) == os.path.expanduser("~/.ros/camera_info/x.yaml")
 
 
 def test_path_in_a_package():
     path = urls.path_of("package://sensor_msgs/calibrations/${NAME}.yaml", "left")
-    assert path.endswith("sensor_msgs/calibrations/left.yaml")
-    assert os.path.isabs(path)
+    assert path.is_absolute() and path.parts[-3:] == ("sensor_msgs", "calibrations", "left.yaml")
 
 
 @pytest.mark.parametrize(
@@ -45,11 +44,11 @@ def test_path_in_a_package():
         ("package://sensor_msgs", "no calibration URL"),
         ("package:///x.yaml", "no calibration URL"),
         ("package://no_such_package_anywhere/x.yaml", "no_such_package_anywhere"),
-        ("file:///${HOME}/x.yaml", r"\$\{HOME\} is not known"),
+        ("file:///${HOME}/x.yaml", "only the variables"),
     ],
 )
 def test_what_names_no_file_is_refused(url, cause):
-    with pytest.raises(urls.UrlError, match=cause):
+    with pytest.raises(ValueError, match=cause):
         urls.path_of(url, "x")
 
 

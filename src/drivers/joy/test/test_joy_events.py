@@ -5,6 +5,7 @@ import struct
 import pytest
 
 from joy.events import JoyEvent, JoySettings, JoyState, PublishClock, RecordReader, Urgency
+from risc_lab.settings import settings_from
 
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80
 
@@ -47,7 +48,7 @@ def test_axis_is_continuous_at_the_edge_of_the_dead_zone():
     [
         (JoySettings(deadzone=3276.7), JoySettings(deadzone=0.1), "32767"),
         (JoySettings(deadzone=0.95), JoySettings(deadzone=0.9), "0.9"),
-        (JoySettings(deadzone=-0.1), JoySettings(deadzone=0.0), "negative"),
+        (JoySettings(deadzone=-0.1), JoySettings(deadzone=0.0), "deadzone -0.1"),
         (JoySettings(autorepeat_rate=-1.0), JoySettings(autorepeat_rate=0.0), "autorepeat_rate"),
         (JoySettings(coalesce_interval=-1.0), JoySettings(coalesce_interval=0.0), "coalesce_interval"),
     ],
@@ -64,7 +65,7 @@ def test_settings_are_brought_into_range_and_say_so(given, used, note):
 def test_good_settings_are_left_alone():
     assert JoySettings().checked() == (JoySettings(), [])
     with pytest.raises(ValueError, match="deadzone"):
-        JoySettings(deadzone=float("nan")).checked()
+        settings_from(JoySettings, {"deadzone": float("nan")})
     _, notes = JoySettings(autorepeat_rate=100.0, coalesce_interval=0.1).checked()
     assert "coalesce_interval" in notes[0]
 

@@ -1,9 +1,8 @@
-"""camera_info of a picture, and the frame it is in."""
+"""camera_info of a picture."""
 
-import pytest
 from sensor_msgs.msg import CameraInfo
 
-from uvc_cam.camera_info import info_for, resolved_frame
+from uvc_cam.camera_info import info_for
 
 
 def calibration(width, height, focal_px):
@@ -24,16 +23,3 @@ def test_a_calibration_of_another_size_is_not_used():
 def test_without_calibration_the_size_is_the_pictures():
     info, fits = info_for(calibration(0, 0, 0.0), 320, 240)
     assert fits and (info.width, info.height, info.K[0]) == (320, 240, 0.0)
-
-
-@pytest.mark.parametrize(
-    "frame_id, prefix, resolved",
-    [
-        ("camera", "", "camera"),
-        ("camera", "risc1", "risc1/camera"),
-        ("camera", "/risc1/", "risc1/camera"),
-        ("/camera", "risc1", "camera"),
-    ],
-)
-def test_frames_get_the_prefix_and_no_slash(frame_id, prefix, resolved):
-    assert resolved_frame(frame_id, prefix) == resolved

@@ -3,12 +3,12 @@
 import dataclasses
 
 from uvc_cam.cfg import UVCCamConfig
-from uvc_cam.settings import Settings
+from uvc_cam.settings import CameraSettings
 
 
 def test_parameters_are_the_settings():
-    assert dict(UVCCamConfig.defaults) == dataclasses.asdict(Settings())
+    assert dict(UVCCamConfig.defaults) == dataclasses.asdict(CameraSettings())
     for ends in (UVCCamConfig.min, UVCCamConfig.max):
         for name, value in ends.items():
             if not isinstance(value, str):  # texts have no range
-                Settings(**{name: value})
+                CameraSettings(**{name: value})

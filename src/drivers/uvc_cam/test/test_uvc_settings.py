@@ -4,13 +4,12 @@ import dataclasses
 
 import pytest
 
-from uvc_cam.settings import CONTROLS, Settings, changed_controls, needs_reopening, settings_from_params
+from risc_lab.settings import settings_from
+from uvc_cam.settings import CONTROLS, CameraSettings, changed_controls, needs_reopening
 
 
 def test_defaults_are_those_of_the_original():
-    settings, unknown = settings_from_params({})
-    assert unknown == []
-    assert dataclasses.asdict(settings) == {
+    assert dataclasses.asdict(CameraSettings()) == {
         "device": "/dev/video0",
         "camera_name": "camera",
         "format_mode": 1,
@@ -33,8 +32,8 @@ def test_defaults_are_those_of_the_original():
 
 
 def test_values_of_launch_files_are_taken():
-    settings, unknown = settings_from_params({"device": 2, "width": 320.0, "frame_rate": 20, "with": 1})
-    assert (settings.device, settings.width, settings.frame_rate, unknown) == ("2", 320, 20.0, ["with"])
+    settings = settings_from(CameraSettings, {"width": 320.0, "frame_rate": 20}, lenient=True)
+    assert (settings.width, settings.frame_rate) == (320, 20.0)
     assert isinstance(settings.width, int) and isinstance(settings.frame_rate, float)
 
 
@@ -57,7 +56,7 @@ def test_values_of_launch_files_are_taken():
 )
 def test_a_wrong_value_is_named(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        settings_from_params(wrong)
+        settings_from(CameraSettings, wrong)
 
 
 @pytest.mark.parametrize(
@@ -73,10 +72,10 @@ def test_a_wrong_value_is_named(wrong):
     ],
 )  # fmt: skip
 def test_what_a_change_asks_of_the_camera(change, reopen, controls):
-    after = dataclasses.replace(Settings(), **change)
-    assert needs_reopening(Settings(), after) is reopen
-    assert changed_controls(Settings(), after) == controls
+    after = dataclasses.replace(CameraSettings(), **change)
+    assert needs_reopening(CameraSettings(), after) is reopen
+    assert changed_controls(CameraSettings(), after) == controls
 
 
 def test_every_control_is_a_setting():
-    assert set(CONTROLS) < {item.name for item in dataclasses.fields(Settings)}
+    assert set(CONTROLS) < {item.name for item in dataclasses.fields(CameraSettings)}

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from uvc_cam.settings import Settings
+from uvc_cam.settings import CameraSettings
 from uvc_cam.sources import CameraSource, FolderSource, NoMorePicturesError, SourceError, VideoSource, open_source
 
-FAST = Settings(frame_rate=240.0)
+FAST = CameraSettings(frame_rate=240.0)
 COLOURS = {"a": (200, 30, 30), "b": (30, 200, 30), "c": (30, 30, 200)}  # blue green red
 
 
@@ -186,7 +186,7 @@ def camera_path(tmp_path):
 
 
 def test_a_camera_is_asked_for_what_the_settings_say(camera_path):
-    source = CameraSource(camera_path, Settings(format_mode=3, frame_rate=30.0), Capture)
+    source = CameraSource(camera_path, CameraSettings(format_mode=3, frame_rate=30.0), Capture)
     asked = Capture.made[-1].asked
     assert asked == {
         cv2.CAP_PROP_FOURCC: cv2.VideoWriter_fourcc(*"MJPG"),
@@ -202,7 +202,7 @@ def test_a_camera_is_asked_for_what_the_settings_say(camera_path):
 
 
 def test_controls_are_set_when_they_differ_and_refusals_are_told(camera_path):
-    settings = Settings(width=320, height=240, exposure=3, gain=5, sharpness=7)
+    settings = CameraSettings(width=320, height=240, exposure=3, gain=5, sharpness=7)
     source = CameraSource(camera_path, settings, Capture)
     asked = Capture.made[-1].asked
     assert (asked[cv2.CAP_PROP_AUTO_EXPOSURE], asked[cv2.CAP_PROP_GAIN]) == (3.0, 5.0)
@@ -222,7 +222,7 @@ def test_power_line_frequency_goes_to_the_kernel(camera_path):
         if calls[1:]:
             raise OSError(errno.EINVAL, "Invalid argument")
 
-    source = CameraSource(camera_path, Settings(width=320, height=240, power_line_frequency=1), Capture, ioctl)
+    source = CameraSource(camera_path, CameraSettings(width=320, height=240, power_line_frequency=1), Capture, ioctl)
     # VIDIOC_S_CTRL and V4L2_CID_POWER_LINE_FREQUENCY of linux/videodev2.h
     assert calls == [(0xC008561C, (0x00980900 + 24, 1))]
     assert source.notes == []
@@ -231,7 +231,7 @@ def test_power_line_frequency_goes_to_the_kernel(camera_path):
 
 
 def test_a_camera_that_is_pulled_out_is_lost(camera_path):
-    source = CameraSource(camera_path, Settings(width=320, height=240), Capture)
+    source = CameraSource(camera_path, CameraSettings(width=320, height=240), Capture)
     for _ in range(3):
         next_picture(source)
     with pytest.raises(SourceError, match="video0 sends no more pictures"):
@@ -242,4 +242,4 @@ def test_a_camera_that_is_pulled_out_is_lost(camera_path):
 def test_a_camera_without_permission_says_which_group(camera_path):
     camera_path.chmod(0)
     with pytest.raises(SourceError, match="group video"):
-        CameraSource(camera_path, Settings(), Capture)
+        CameraSource(camera_path, CameraSettings(), Capture)

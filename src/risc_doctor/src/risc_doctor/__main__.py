@@ -96,7 +96,7 @@ def main(argv=None):
 
 @contextlib.contextmanager
 def _told():
-    """What is printed in here is read at once, or by nobody: `maap doctor | head` stops reading."""
+    """What is printed in here is flushed; a reader that has gone is no error: `maap doctor | head`."""
     try:
         yield
         sys.stdout.flush()

@@ -51,5 +51,5 @@ def _guarded(name, function, situation):
         return function(situation)
     except MasterError as error:
         return [finding(name, "master_gone", error=error)]
-    except Exception as error:  # whatever it is: the other checks are worth having
+    except Exception as error:  # of any kind: the other checks are worth having
         return [broken(name, error)]

@@ -93,7 +93,7 @@ def _chronyc_tracking():
 
 
 def _kernel_clock():
-    """What the kernel was told by whatever sets its clock."""
+    """What the kernel was told by the program that sets its clock."""
     timex = ctypes.create_string_buffer(_TIMEX_BYTES)  # all zero: only to be read
     synchronised = ctypes.CDLL(None, use_errno=True).adjtimex(timex) not in (-1, _TIME_ERROR)
     return ClockState("kernel" if synchronised else "none", synchronised)

@@ -22,7 +22,7 @@ def check(situation):
     """Free space and write speed where the bag goes."""
     found = Findings("disk")
     folder = situation.root / "flights" if situation.bag_folder is None else situation.bag_folder
-    if not os.path.lexists(folder):  # whoever records makes it
+    if not os.path.lexists(folder):  # the recorder makes it
         folder = folder.parent
     if not os.path.isdir(folder):  # False as well where it may not be looked at
         return found.say("no_folder", folder=folder)

@@ -1,6 +1,6 @@
 """One AR.Drone asked over its own protocol: are you there, and how full is your battery?"""
 
-import select
+import contextlib
 import socket
 import time
 from dataclasses import dataclass
@@ -26,42 +26,27 @@ class VehicleReport:
 def probe(address, patience_s=PATIENCE_S):
     """VehicleReport of the vehicle at an address.
 
-    A vehicle sends its telemetry to whoever asked last: one that a driver flies must not be asked (the driver would
-    take it back 0.25 s later). One that was just switched on tells its battery only after a configuration write.
+    A vehicle sends its telemetry to the client that asked last: one that a driver flies must not be asked (the driver
+    would take it back 0.25 s later). One that was just switched on tells its battery only after a configuration write.
     """
-    newest = None
+    state, deadline = None, time.monotonic() + patience_s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.IPPROTO_IP, IP_RECVERR, 1)
-        deadline, next_wake_up = time.monotonic() + patience_s, 0.0
+        sock.settimeout(_WAKE_UP_PERIOD_S)
         try:
-            while True:
-                now = time.monotonic()
-                if now >= deadline:
-                    break
-                if now >= next_wake_up:
-                    if newest is not None and newest.state & State.BOOTSTRAP:
-                        command = at.config(1, "general:navdata_demo", "TRUE")
-                        sock.sendto(command, (address, AT_PORT))
-                    sock.sendto(WAKE_UP, (address, NAVDATA_PORT))
-                    next_wake_up = now + _WAKE_UP_PERIOD_S
-                if not select.select([sock], [], [], min(deadline, next_wake_up) - now)[0]:
-                    continue
-                data, source = sock.recvfrom(_PACKET_BYTES)
-                if source != (address, NAVDATA_PORT):
-                    continue
-                try:
-                    first, newest = newest is None, Navdata(data)
-                    demo = newest.option(Tag.DEMO)
-                except NavdataError:
-                    continue
-                if demo is not None:
-                    return VehicleReport(state=newest.state, battery_pct=float(demo.vbat_flying_percentage))
-                if first:
-                    next_wake_up = 0.0  # ask for more at once
+            while time.monotonic() < deadline:
+                if state is not None and state & State.BOOTSTRAP:
+                    sock.sendto(at.encode("CONFIG", 1, "general:navdata_demo", "TRUE"), (address, AT_PORT))
+                sock.sendto(WAKE_UP, (address, NAVDATA_PORT))
+                with contextlib.suppress(TimeoutError, NavdataError):
+                    data, source = sock.recvfrom(_PACKET_BYTES)
+                    if source == (address, NAVDATA_PORT):
+                        packet = Navdata(data)
+                        state, demo = packet.state, packet.option(Tag.DEMO)
+                        if demo is not None:
+                            return VehicleReport(state=state, battery_pct=float(demo.vbat_flying_percentage))
         except ConnectionRefusedError:
             return VehicleReport("the address is there, but nothing listens on udp %d" % NAVDATA_PORT)
         except OSError as error:
             return VehicleReport(error.strerror or str(error))
-    if newest is None:
-        return VehicleReport("no telemetry within %g s" % patience_s)
-    return VehicleReport(state=newest.state)
+    return VehicleReport("no telemetry within %g s" % patience_s) if state is None else VehicleReport(state=state)

@@ -10,6 +10,7 @@ from risc_doctor import interfaces as net
 from risc_doctor import socket_owners
 from risc_doctor.findings import Findings, finding
 from risc_doctor.ros_master import DEFAULT_URI, MasterError, call, host_and_port, resolve
+from risc_lab.ros.launching import argument_of
 
 _UNPRIVILEGED = pathlib.Path("/proc/sys/net/ipv4/ip_unprivileged_port_start")
 
@@ -68,7 +69,7 @@ def _vehicle_clients(situation, found):
             found.say("many_drivers", count=len(here), address=address, drivers=names, pids=pids)
     for port in (NAVDATA_PORT, AT_PORT):
         # other clients of this vehicle take these ports on their own side, too; our driver takes any
-        users = socket_owners.users_of_port(port, matters=lambda holder: not net.is_loopback(holder.address))
+        users = socket_owners.users_of_port(port, from_elsewhere=True)
         if users:
             found.say("other_client", port=port, users=", ".join(users))
 
@@ -83,8 +84,8 @@ def _driven_addresses(process):
     if "-ip" in process.words[:-1]:
         return [process.words[process.words.index("-ip") + 1]]
     uri = process.environment.get("ROS_MASTER_URI")
-    name = socket_owners.argument(process.words, "__name") or "ardrone_driver"
-    space = socket_owners.argument(process.words, "__ns") or process.environment.get("ROS_NAMESPACE", "")
+    name = argument_of(process.words, "__name") or "ardrone_driver"
+    space = argument_of(process.words, "__ns") or process.environment.get("ROS_NAMESPACE", "")
     if not uri:
         return [None]
     place = "/".join(part for part in (space.strip("/"), name) if part)

@@ -1,6 +1,7 @@
 """The ROS master and its nodes, asked with patience that ends. Needs no ROS."""
 
 import concurrent.futures
+import contextlib
 import http.client
 import socket
 import threading
@@ -31,8 +32,8 @@ class _PatientTransport(xmlrpc.client.Transport):
         self._patience_s = patience_s
 
     def make_connection(self, host):
-        connection = http.client.HTTPConnection(host, timeout=self._patience_s)
-        self._connection = host, connection
+        connection = super().make_connection(host)
+        connection.timeout = self._patience_s
         return connection
 
 
@@ -55,14 +56,12 @@ def call(uri, method, *arguments, patience_s=CALL_PATIENCE_S):
 
 
 def resolve(name, patience_s=NAME_PATIENCE_S):
-    """IPv4 address of a host name, or None when nobody knows it in time."""
+    """IPv4 address of a host name, or None when it is not resolved in time."""
     result = []
 
     def look_up():
-        try:
+        with contextlib.suppress(OSError, UnicodeError):
             result.append(socket.gethostbyname(name))
-        except (OSError, UnicodeError):
-            return
 
     thread = threading.Thread(target=look_up, daemon=True)  # a dead name server takes half a minute to time out
     thread.start()
@@ -84,19 +83,14 @@ class Master:
     def __init__(self, uri):
         """Raises MasterError when nothing answers there."""
         self.uri = uri
-        try:
-            host, _ = host_and_port(uri)
-        except ValueError as error:
-            raise MasterError(str(error)) from None
-        if resolve(host) is None:
-            raise MasterError("the host name '%s' of %s is not known here" % (host, uri))
+        problem = _unknown(uri)
+        if problem:
+            raise MasterError(problem)
         call(uri, "getPid")
 
     def parameter(self, name, default=None):
         """A parameter, or the default when it is not set. Raises MasterError when the master is gone."""
-        if not call(self.uri, "hasParam", name):
-            return default
-        return call(self.uri, "getParam", name)
+        return call(self.uri, "getParam", name) if call(self.uri, "hasParam", name) else default
 
     def publishers(self):
         """{topic: [node, ...]}. Raises MasterError."""
@@ -108,19 +102,25 @@ class Master:
         return sorted({node for table in state for _, nodes in table for node in nodes if node != CALLER})
 
     def ask_nodes(self, names):
-        """{node: "" when it answers, else why not}, all at once. Raises MasterError when the master is gone."""
-        if not names:
-            return {}
-        with concurrent.futures.ThreadPoolExecutor(min(32, len(names))) as pool:
+        """{node: "" when it answers, else why not}, all at once."""
+        with concurrent.futures.ThreadPoolExecutor(min(32, len(names) + 1)) as pool:
             return dict(zip(names, pool.map(self._ask_node, names)))
 
     def _ask_node(self, name):
         try:
             uri = call(self.uri, "lookupNode", name)
-            host, _ = host_and_port(uri)
-            if resolve(host) is None:
-                return "its host name '%s' is not known here" % host
-            call(uri, "getPid", patience_s=NODE_PATIENCE_S)
-        except (MasterError, ValueError) as error:
+            problem = _unknown(uri)
+            if not problem:
+                call(uri, "getPid", patience_s=NODE_PATIENCE_S)
+        except MasterError as error:
             return str(error)
-        return ""
+        return problem
+
+
+def _unknown(uri):
+    """Why no program can be found at a URI; "" when its host is known."""
+    try:
+        host, _ = host_and_port(uri)
+    except ValueError as error:
+        return str(error)
+    return "" if resolve(host) else "the host name '%s' of %s is not known here" % (host, uri)

@@ -12,7 +12,9 @@ from risc_doctor import cortex_probe, interfaces, ros_graph
 from risc_doctor.ros_master import DEFAULT_URI, Master, MasterError, NobodyThereError
 from risc_lab.lab import Fleet, fleet_from_dict, load_fleet, load_templates
 
-DEFAULT_FLEET = "launch/fleets/ardrones3.yaml"  # of the virtual lab: nothing is sent to computers nobody has named
+DEFAULT_FLEET = (
+    "launch/fleets/ardrones3.yaml"  # of the virtual lab: nothing is sent to computers that the user did not name
+)
 
 
 class Once:
@@ -28,7 +30,7 @@ class Once:
                 self._outcome = concurrent.futures.Future()
                 try:
                     self._outcome.set_result(self._work())
-                except Exception as error:  # whatever it is: every check that needs it reports it
+                except Exception as error:  # of any kind: every check that needs it reports it
                     self._outcome.set_exception(error)
         return self._outcome.result()
 
@@ -43,9 +45,9 @@ class Situation:
     environment: dict
     master: object = None  # ros_master.Master, None when none answers
     master_error: str = ""  # why not
-    nobody_there: bool = False  # because no program has its port; else nobody knows whether one runs
+    nobody_there: bool = False  # because no program has its port; else it is not known whether one runs
     bag_folder: pathlib.Path = None  # None = where flights go
-    joysticks: tuple[str, ...] = ()  # devices; () = whatever is there
+    joysticks: tuple[str, ...] = ()  # devices; () = all that are there
     wanted: tuple[str, ...] = ()  # namespaces or addresses of vehicles; () = all of the fleet
     live: bool = False  # ask Cortex for its live mode
     templates: Once = field(init=False)

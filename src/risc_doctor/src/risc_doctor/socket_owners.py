@@ -3,21 +3,13 @@
 import contextlib
 import os
 import pathlib
-import re
 from dataclasses import dataclass, field
 
 import psutil
 
+from risc_lab.ros.launching import program_of
+
 _DRIVER = "ardrone_driver"  # name of the driver's executable
-_ANY = {"::": "0.0.0.0"}
-
-
-@dataclass(frozen=True)
-class PortHolder:
-    """A socket that is bound to a port."""
-
-    address: str  # that it is bound to; 0.0.0.0 = all
-    pid: int | None  # None: it belongs to another user, or its process is gone
 
 
 @dataclass(frozen=True)
@@ -30,30 +22,32 @@ class Process:
 
     def describe(self):
         """E.g. "rosmaster (pid 812)"."""
-        return "%s (pid %d)" % (_program(self.words), self.pid)
+        return "%s (pid %d)" % (program_of(self.words) or "?", self.pid)
 
 
-def holders_of_port(port, kind="udp"):
-    """Sockets bound to a port. kind: "udp", or "tcp" for those that listen."""
-    return [
-        PortHolder(_ANY.get(item.laddr.ip, item.laddr.ip.removeprefix("::ffff:")), item.pid)
+def users_of_port(port, kind="udp", from_elsewhere=False):
+    """Programs other than this one that hold a port, for people; [] when there are none.
+
+    kind: "udp", or "tcp" for those that listen.  from_elsewhere: those alone that other computers reach.
+    """
+    pids = _holders(port, kind, from_elsewhere)
+    if None in pids:  # perhaps another check of ours opened it while we looked
+        pids = _holders(port, kind, from_elsewhere)
+    names = {"a program of another user (sudo ss -lnptu tells which)"} if None in pids else set()
+    for pid in pids - {None, os.getpid()}:
+        with contextlib.suppress(psutil.NoSuchProcess):  # it ended meanwhile
+            names.add(_process(psutil.Process(pid)).describe())
+    return sorted(names)
+
+
+def _holders(port, kind, from_elsewhere):
+    """Process ids, None of one that belongs to another user, or has ended."""
+    return {
+        item.pid
         for item in psutil.net_connections(kind)
         if item.laddr and item.laddr.port == port and (kind == "udp" or item.status == psutil.CONN_LISTEN)
-    ]
-
-
-def users_of_port(port, kind="udp", matters=lambda holder: True):
-    """Programs other than this one that hold a port, for people; [] when there are none. matters: of a PortHolder."""
-    names, holders = set(), list(filter(matters, holders_of_port(port, kind)))
-    if any(holder.pid is None for holder in holders):  # perhaps another check of ours opened it while we looked
-        holders = filter(matters, holders_of_port(port, kind))
-    for holder in holders:
-        if holder.pid is None:
-            names.add("a program of another user (sudo ss -lnptu tells which)")
-        elif holder.pid != os.getpid():
-            with contextlib.suppress(psutil.NoSuchProcess):  # it ended meanwhile
-                names.add(_process(psutil.Process(holder.pid)).describe())
-    return sorted(names)
+        if not (from_elsewhere and item.laddr.ip.removeprefix("::ffff:").startswith(("127.", "::1")))
+    }
 
 
 def drivers():
@@ -65,14 +59,6 @@ def drivers():
             if _DRIVER in names and _network(process.pid) in (network, ""):
                 found.append(_process(process))
     return found
-
-
-def argument(words, name):
-    """Value of a remapping argument NAME:=VALUE on a command line, or ""."""
-    for word in words:
-        if word.startswith(name + ":="):
-            return word[len(name) + 2 :]
-    return ""
 
 
 def _network(pid):
@@ -90,14 +76,3 @@ def _process(process):
     except psutil.AccessDenied:
         environment = {}
     return Process(process.pid, tuple(process.cmdline()) or (process.name(),), environment)
-
-
-def _program(words):
-    """What a person calls a command line: the script or the module rather than its interpreter."""
-    names = [pathlib.PurePath(word).name for word in words]
-    if len(names) > 1 and re.fullmatch(r"python[0-9.]*|bash|sh|nice|env", names[0]):
-        if names[1] == "-m" and len(words) > 2:
-            return words[2]
-        if not names[1].startswith("-"):
-            return names[1]
-    return names[0] if names else "?"

@@ -34,7 +34,7 @@ def check(situation):
         else:
             silent.append(vehicle)
     if situation.fleet.own_networks and not situation.wanted:
-        if found:  # the others are elsewhere, whatever has their address here
+        if found:  # the others are elsewhere, even if something has their address here
             return found.say("no_driver", names=", ".join(v.namespace for v in silent)) if silent else found
         # the factory address of all is one vehicle from here
         cards = situation.interfaces()
@@ -48,17 +48,14 @@ def check(situation):
     return found
 
 
-def landing_limit_pct():
-    """Battery [%] at which the failsafe lands."""
-    return SafetyLimits.battery_min_pct
-
-
 def _by_driver(vehicle, heard):
     """Findings about a vehicle that a driver of the graph listens to. heard: ros_graph.HeardVehicle."""
     name = "%s (%s)" % (vehicle.namespace, vehicle.address)
     if heard.battery_pct is None:
         return Findings("vehicles").say("no_telemetry", name=name)
-    return judge(name, "by its driver", State.FLYING if heard.flies else 0, heard.battery_pct, landing_limit_pct())
+    return judge(
+        name, "by its driver", State.FLYING if heard.flies else 0, heard.battery_pct, SafetyLimits.battery_min_pct
+    )
 
 
 def _ask(situation, vehicle, served):
@@ -74,10 +71,10 @@ def _ask(situation, vehicle, served):
     if report.error:
         code = "no_lab" if net.is_loopback(vehicle.address) else "silent"
         return found.say(code, name=name, error=report.error, address=vehicle.address)
-    return judge(name, "asked directly", report.state, report.battery_pct, landing_limit_pct())
+    return judge(name, "asked directly", report.state, report.battery_pct)
 
 
-def judge(name, way, state, battery_pct, limit_pct):
+def judge(name, way, state, battery_pct, limit_pct=SafetyLimits.battery_min_pct):
     """Findings about one vehicle that answers. state: bits of navdata.State; battery_pct: None when not told."""
     found = Findings("vehicles")
     for bit, code in _TROUBLE.items():

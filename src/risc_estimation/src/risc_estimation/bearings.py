@@ -12,7 +12,6 @@ import numpy as np
 
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import (
-    DISTORTION_MODEL,
     FRONT_MOUNT,
     CameraCalibration,
     load_calibration,
@@ -125,27 +124,13 @@ def calibration_from_info(info, name):
 
     name: of the camera, for errors. Raises ValueError when the message says what this workspace does not do.
     """
-    K, D = [float(value) for value in info.K], [float(value) for value in info.D]
-    if K[0] == 0.0:
+    if info.K[0] == 0.0:
         return None
-    if info.distortion_model not in ("", DISTORTION_MODEL) or len(D) > 5:
-        raise ValueError(
-            "camera %s: distortion_model must be %s with 5 coefficients, its camera_info says %s with %d: calibrate it "
-            "with that model" % (name, DISTORTION_MODEL, info.distortion_model or "none", len(D))
-        )
     region = info.roi
     cropped = (region.width, region.height) not in ((0, 0), (info.width, info.height))
     if info.binning_x > 1 or info.binning_y > 1 or cropped or region.x_offset or region.y_offset:
         raise ValueError("camera %s: its camera_info has binning or a region of interest: switch them off" % name)
-    return CameraCalibration(
-        name=name,
-        width_px=int(info.width),
-        height_px=int(info.height),
-        K=tuple(K),
-        D=tuple(D + [0.0] * (5 - len(D))),
-        R=tuple(float(value) for value in info.R),
-        P=tuple(float(value) for value in info.P),
-    )
+    return CameraCalibration.from_info(info, name).usable()
 
 
 def fleet_calibration(vehicle, default=""):

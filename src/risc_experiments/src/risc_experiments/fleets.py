@@ -7,7 +7,7 @@ from risc_lab.lab import generated_fleet, load_fleet
 
 _FILES = ((3, "ardrones3.yaml"), (FEW_VEHICLES, "ardrones5.yaml"))
 _ROOMS_M = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)  # from the outermost start to a generated net: the first that will do
-_ONE_LAYER_M = 2.0  # in a net no higher than this: nobody has to fly above others
+_ONE_LAYER_M = 2.0  # in a net no higher than this: no vehicle has to fly above another
 
 
 def default_fleet(vehicles, trajectory, folder):

@@ -1,6 +1,7 @@
 """`./maap fly`: a whole flight in the virtual lab, from nothing to the table of results."""
 
 import argparse
+import contextlib
 import datetime
 import json
 import math
@@ -11,6 +12,7 @@ import socket
 import sys
 import threading
 import time
+import xmlrpc.client
 from dataclasses import replace
 
 import yaml
@@ -37,7 +39,7 @@ ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
 LONGEST_DELAY_S = 0.5  # well inside what the controller can look ahead
 CONTROLLER = "differential_flatness"
-BROWSER_PORT = 8080  # of the web page, unless somebody else has it
+BROWSER_PORT = 8080  # of the web page, unless another program has it
 IN_THE_AIR = range(OperatorPhase.TAKEOFF, OperatorPhase.LAND + 1)
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # ask for the end
 TRIED_RATES = "RISC_MAAP_TRIED_RATES"  # for the process that begins again at a lower rate
@@ -62,52 +64,57 @@ def arguments(argv):
     add = parser.add_argument
     help_text = "; ".join("%s: %s" % item for item in EXPERIMENTS.items())
     add("experiment", nargs="?", default="circles3", choices=EXPERIMENTS, help=help_text)
-    add("--vehicles", type=int, metavar="N", help="how many vehicles (default: 3, df_demo: 1)")
+    add("--vehicles", type=number(1), metavar="N", help="how many vehicles (default: 3, df_demo: 1)")
     add("--trajectory", choices=sorted(COURSES), help="course to fly (default: circles3)")
     add("--controller", metavar="NAME", help="of risc_control.controllers, or your own (default: %s)" % CONTROLLER)
-    add("--psi", type=float, metavar="DEG", help="constant heading, + clockwise (default: the course's own)")
-    add("--duration", type=float, metavar="S", help="time on each course (default: 30 s, df_demo: 20 s)")
+    psi_help = "constant heading, + clockwise (default: the course's own)"
+    add("--psi", type=number(-math.inf), metavar="DEG", help=psi_help)
+    add("--duration", type=number(5.0, 600.0), metavar="S", help="time on each course (default: 30 s, df_demo: 20 s)")
     add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
-    add("--delay", type=float, metavar="S", help="command delay (default: that of the type, 0.1 s)")
-    add("--mocap-rate", type=float, metavar="HZ", help="of motion capture (default: 200, less if it must be)")
+    delay_help = "command delay (default: that of the type, 0.1 s)"
+    add("--delay", type=number(0.0, LONGEST_DELAY_S), metavar="S", help=delay_help)
+    rate_help = "of motion capture (default: 200, less if it must be)"
+    add("--mocap-rate", type=number(RATES_HZ[-1], 500.0), metavar="HZ", help=rate_help)
     add_option(add)
     add("--ideal", action="store_true", help="plant exactly as the controllers believe it to be")
     add("--gusts", action="store_true", help="with gusts of wind")
     add("--rviz", action="store_true", help="open rviz")
     add("--browser", action="store_true", help="show the flight as a web page, whose address is printed")
-    add("--fps", type=float, metavar="HZ", help="pictures a second of each camera (coop; default: 15)")
+    fps_help = "pictures a second of each camera (coop; default: 15)"
+    add("--fps", type=number(1.0, 30.0), metavar="HZ", help=fps_help)
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/, from 6 on generated)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
     args = parser.parse_args(argv)
-    if args.vehicles is None:
-        args.vehicles = 1 if args.experiment == "df_demo" else 3
-    if args.duration is None:
-        args.duration = 20.0 if args.experiment == "df_demo" else 30.0
-    if args.experiment == "df_demo" and (args.vehicles != 1 or args.trajectory):
+    demo = args.experiment == "df_demo"
+    args.vehicles = args.vehicles or (1 if demo else 3)
+    args.duration = args.duration or (20.0 if demo else 30.0)
+    if demo and (args.vehicles != 1 or args.trajectory):
         parser.error("df_demo is for one vehicle and flies its own figures: leave out --vehicles and --trajectory")
-    if args.experiment == "df_demo" and args.controller:
+    if demo and args.controller:
         parser.error("df_demo is controller and trajectory in one: leave out --controller")
     args.controller = args.controller or CONTROLLER
     try:
         CONTROLLERS.module(args.controller)
     except ValueError as error:
         parser.error("--controller: %s" % error)
-    if args.vehicles < 1:
-        parser.error("--vehicles must be at least 1")
-    if not 5.0 <= args.duration <= 600.0:
-        parser.error("--duration must be from 5 to 600 s")
-    if args.delay is not None and not 0.0 <= args.delay <= LONGEST_DELAY_S:
-        parser.error("--delay must be from 0 to %g s" % LONGEST_DELAY_S)
     if args.fps is not None and args.experiment != "coop":
         parser.error("--fps is for coop: the other experiments use no cameras")
-    if args.fps is not None and not 1.0 <= args.fps <= 30.0:
-        parser.error("--fps must be from 1 to 30")
-    if args.mocap_rate is not None and not RATES_HZ[-1] <= args.mocap_rate <= 500.0:
-        parser.error("--mocap-rate must be from %g to 500 Hz" % RATES_HZ[-1])
-    if args.psi is not None and not math.isfinite(args.psi):
-        parser.error("--psi must be a number of degrees")
     args.estimator = estimator_of(args.controller, args.estimator)
     return args
+
+
+def number(least, most=math.inf):
+    """Type of an option: a finite number of the type of `least`, within limits."""
+    kind = type(least)
+
+    def parse(text):
+        value = kind(text)
+        if not (least <= value <= most and math.isfinite(value)):
+            raise argparse.ArgumentTypeError("must be from %g to %g, found %s" % (least, most, text))
+        return value
+
+    parse.__name__ = "number"  # for "invalid number value"
+    return parse
 
 
 def prepare_folder(args):
@@ -139,24 +146,21 @@ def prepare_fleet(args, subnet, folder):
         fleet = default_fleet(args.vehicles, trajectory, ROOT / "launch" / "fleets")
     else:
         fleet = load_fleet(args.fleet).with_vehicles(args.vehicles)
-    bodies = len(fleet.vehicles) + len(fleet.landmarks)
-    if bodies > MAX_BODIES:
-        raise FlightError(
-            "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"
-            % (len(fleet.vehicles), len(fleet.landmarks), bodies, MAX_BODIES)
-        )
+    counts = len(fleet.vehicles), len(fleet.landmarks)
+    if sum(counts) > MAX_BODIES:
+        text = "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"
+        raise FlightError(text % (*counts, sum(counts), MAX_BODIES))
     course_for_fleet(trajectory, args.vehicles, fleet.arena)  # better now than in the air
     fleet = fleet.in_subnet(subnet)
     if args.mocap_rate is not None:
         fleet = replace(fleet, mocap=replace(fleet.mocap, rate_hz=args.mocap_rate))
-    if args.experiment in WITH_CAMERAS:
-        for vehicle in fleet.vehicles:
-            if not vehicle.calibration:
-                raise FlightError(
-                    "%s measures bearings, but %s has no camera calibration: give it one in the fleet file%s, or fly "
-                    "fewer vehicles" % (args.experiment, vehicle.namespace, " %s" % args.fleet if args.fleet else "")
-                )
-            load_calibration(vehicle.calibration)  # the driver would fly without it, and no bearing would come
+    for vehicle in fleet.vehicles if args.experiment in WITH_CAMERAS else ():
+        if not vehicle.calibration:
+            raise FlightError(
+                "%s measures bearings, but %s has no camera calibration: give it one in the fleet file %s, or fly "
+                "fewer vehicles" % (args.experiment, vehicle.namespace, args.fleet or "")
+            )
+        load_calibration(vehicle.calibration)  # the driver would fly without it, and no bearing would come
     (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False), encoding="utf-8")
     return load_fleet(folder / "fleet.yaml")
 
@@ -285,12 +289,11 @@ class WebPage:
 
     def look(self):
         """Costs next to nothing; to be called again and again."""
-        if self._found:
-            return
-        with socket.socket() as probe:
-            self._found = probe.connect_ex(("127.0.0.1", self.port)) == 0
-        if self._found:
-            self._progress.say("to be seen (and landed) at http://127.0.0.1:%d" % self.port)
+        if not self._found:
+            with socket.socket() as probe:
+                self._found = probe.connect_ex(("127.0.0.1", self.port)) == 0
+            if self._found:
+                self._progress.say("to be seen (and landed) at http://127.0.0.1:%d" % self.port)
 
     def end(self):
         """The flight is over."""
@@ -299,23 +302,18 @@ class WebPage:
 
 
 def _wait_for_master(launch, port, interrupted):
-    import xmlrpc.client
-
     master = xmlrpc.client.ServerProxy("http://127.0.0.1:%d" % port)
     deadline = time.monotonic() + 30.0
     while True:
-        try:
+        with contextlib.suppress(OSError, xmlrpc.client.Error):  # not there yet, or just starting
             if master.lookupNode("/maap_fly", "/rosout")[0] == 1:
                 return
-        except (OSError, xmlrpc.client.Error):
-            time.sleep(0.05)  # not there yet, or just starting
         if not launch.running():
             raise FlightError("roslaunch ended at once:\n" + launch.log_tail())
-        if interrupted.is_set():
-            raise FlightError("interrupted before anything flew")
         if time.monotonic() > deadline:
             raise FlightError("the ROS master did not start within 30 s:\n" + launch.log_tail())
-        time.sleep(0.05)
+        if interrupted.wait(0.05):
+            raise FlightError("interrupted before anything flew")
 
 
 def _follow(args, folder, launch, watch, progress, interrupted, page=None):

@@ -349,7 +349,7 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks=None):
     """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
 
     states: States at stamp_s.  controls: the controller's answer; None: no frame has come.
-    looks: `separation.Look` of each vehicle; None: nobody is near.
+    looks: `separation.Look` of each vehicle; None: no other is near.
     """
     ticks = frame % TICK_EVERY == 0
     commands = None
@@ -426,26 +426,25 @@ def main(argv=None):
         ControlsMessage(())
         EstimateMessages()
         return 0
-    settings = [
-        (trajectory, delay_s, seed)
+    common = {
+        "vehicles": args.vehicles,
+        "duration_s": args.duration,
+        "controller": args.controller,
+        "estimator": args.estimator,
+        "perturbed": not args.ideal,
+        "gusts": args.gusts,
+    }
+    flights = [
+        Flight(
+            trajectory,
+            seed=seed,
+            delay_s=delay_s,
+            psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
+            **common,
+        )
         for trajectory in args.trajectory
         for delay_s in args.delay or [None]
         for seed in range(1, args.seeds + 1)
-    ]
-    flights = [
-        Flight(
-            trajectory=trajectory,
-            vehicles=args.vehicles,
-            seed=seed,
-            duration_s=args.duration,
-            delay_s=delay_s,
-            psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
-            perturbed=not args.ideal,
-            gusts=args.gusts,
-            controller=args.controller,
-            estimator=args.estimator,
-        )
-        for trajectory, delay_s, seed in settings
     ]
     progress = Progress()
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
@@ -453,33 +452,34 @@ def main(argv=None):
     failed, rows, everyone = False, [], {}
     try:
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
-        for (trajectory, delay_s, seed), result in zip(settings, outcomes):
-            group = "%-9s %6s" % (trajectory, "type" if delay_s is None else "%.2f" % delay_s)
+        for flight, result in zip(flights, outcomes):
+            group = "%-9s %6s" % (flight.trajectory, "type" if flight.delay_s is None else "%.2f" % flight.delay_s)
             progress.clear()
             if isinstance(result, RuntimeError):
-                print("%s %5d  %s" % (group, seed, result))
+                print("%s %5d  %s" % (group, flight.seed, result))
                 failed = True
             elif any(result.landed):  # an error from a course that was left on purpose says nothing
                 said = "; ".join("%.1f s: %s: %s" % item for item in result.safety[:2])
-                print("%s %5d  %d landed (%s)" % (group, seed, sum(result.landed), said))
+                print("%s %5d  %d landed (%s)" % (group, flight.seed, sum(result.landed), said))
                 failed = True
             else:
-                rmse_mm = 1e3 * result.rmse_m
+                rmse_mm, speed = 1e3 * result.rmse_m, result.flown_s / result.took_s
                 everyone.setdefault(group, []).extend(rmse_mm)
+                closest_m = result.closest_m if math.isfinite(result.closest_m) else None
                 rows.append(
                     {
-                        "course": trajectory,
-                        "delay_s": delay_s,
-                        "seed": seed,
+                        "course": flight.trajectory,
+                        "delay_s": flight.delay_s,
+                        "seed": flight.seed,
                         "rmse_m": result.rmse_m.tolist(),
-                        "closest_m": result.closest_m if math.isfinite(result.closest_m) else None,
-                        "times_real_time": result.flown_s / result.took_s,
+                        "closest_m": closest_m,
+                        "times_real_time": speed,
                     }
                 )
                 print("%s %5d  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (
-                    group, seed, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm), rmse_mm.max(),
-                    result.closest_m, result.flown_s / result.took_s), flush=True)  # fmt: skip
-            if seed == args.seeds and group in everyone:
+                    group, flight.seed, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm),
+                    rmse_mm.max(), result.closest_m, speed), flush=True)  # fmt: skip
+            if flight.seed == args.seeds and group in everyone:
                 print("%s %5s  %-28s %6.1f %6.1f" % (
                     group, "all", "", np.median(everyone[group]), max(everyone[group])))  # fmt: skip
     except ValueError as error:
@@ -488,10 +488,11 @@ def main(argv=None):
         progress.say("offline: %s" % (error if str(error) else "interrupted"))
         return 130 if isinstance(error, KeyboardInterrupt) else 1
     if args.json:
+        estimator = estimator_of(args.controller, args.estimator)
         figures = {
             "simulated": True,
             "controller": args.controller,
-            "estimator": estimator_of(args.controller, args.estimator),
+            "estimator": estimator,
             "perturbed": not args.ideal,
             "flights": rows,
         }

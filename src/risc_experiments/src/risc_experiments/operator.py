@@ -19,6 +19,7 @@ from risc_control.vehicle_pilot import FlightState
 from risc_lab.phases import OperatorPhase as Phase
 from risc_lab.phases import OperatorResult
 from risc_lab.phases import TrajectoryPhase as Trajectory
+from risc_lab.settings import Count, NotNegative, Settings
 
 _HOVERS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
 _ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
@@ -33,35 +34,30 @@ _TAKEOFF_PENDING_S = 3.0  # a take-off that was pressed may show that late: unti
 
 
 @dataclass(frozen=True)
-class OperatorParams:
+class OperatorParams(Settings):
     """Buttons (defaults: Appendix C), durations and time-outs."""
 
-    JoytoWay: int = 0  # button: manual/autonomous
-    TakeoffLand: int = 6  # button: take-off/land
-    bumper: int = 5  # button: next figure (DF_experiment_joy.py)
-    bumper_steps: int = 0  # how often the bumper is pressed on the course; 0 = the course needs none
-    duration: float = 40.0  # [s] on the course; with bumper steps: on each figure
-    rest: float = 8.0  # [s] at the origin before each figure, with bumper steps
-    settle: float = 2.0  # [s] hovering before the course
-    ready: float = 0.5  # [s] everything must have been ready for so long before take-off
-    seen_timeout: float = 0.3  # [s] mocap
-    report_timeout: float = 2.0  # [s] navdata, controller_status
-    waiting_timeout: float = 60.0  # [s] until all is ready
-    takeoff_timeout: float = 20.0  # [s] until all hover
-    autonomous_timeout: float = 10.0  # [s] until all are in autonomous mode
-    course_timeout: float = 40.0  # [s] until all are on their course
-    home_timeout: float = 40.0  # [s] until all are home
-    land_timeout: float = 30.0  # [s] until all stand
+    JoytoWay: Count = 0  # button: manual/autonomous
+    TakeoffLand: Count = 6  # button: take-off/land
+    bumper: Count = 5  # button: next figure (DF_experiment_joy.py)
+    bumper_steps: Count = 0  # how often the bumper is pressed on the course; 0 = the course needs none
+    duration: NotNegative = 40.0  # [s] on the course; with bumper steps: on each figure
+    rest: NotNegative = 8.0  # [s] at the origin before each figure, with bumper steps
+    settle: NotNegative = 2.0  # [s] hovering before the course
+    ready: NotNegative = 0.5  # [s] everything must have been ready for so long before take-off
+    seen_timeout: NotNegative = 0.3  # [s] mocap
+    report_timeout: NotNegative = 2.0  # [s] navdata, controller_status
+    waiting_timeout: NotNegative = 60.0  # [s] until all is ready
+    takeoff_timeout: NotNegative = 20.0  # [s] until all hover
+    autonomous_timeout: NotNegative = 10.0  # [s] until all are in autonomous mode
+    course_timeout: NotNegative = 40.0  # [s] until all are on their course
+    home_timeout: NotNegative = 40.0  # [s] until all are home
+    land_timeout: NotNegative = 30.0  # [s] until all stand
 
     def __post_init__(self):
-        for name, value in vars(self).items():
-            whole = name in ("JoytoWay", "TakeoffLand", "bumper", "bumper_steps")
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:
-                raise ValueError("operator: parameter %s must be a number >= 0, found %r" % (name, value))
-            if whole and value != int(value):
-                raise ValueError("operator: parameter %s must be a whole number, found %r" % (name, value))
+        super().__post_init__()
         if len({self.JoytoWay, self.TakeoffLand, self.bumper}) < 3:
-            raise ValueError("operator: JoytoWay, TakeoffLand and bumper must be three different buttons")
+            raise ValueError("JoytoWay, TakeoffLand and bumper must be three different buttons")
 
 
 def time_limit_s(params):
@@ -69,27 +65,15 @@ def time_limit_s(params):
 
     Not in it: a few periods of `step`, one for each phase.
     """
-    steps = int(params.bumper_steps)
-    # Both time-outs before the course count from the begin of the phase.
-    course_s = max(params.autonomous_timeout, params.course_timeout)
+    steps, stays_s = params.bumper_steps, params.duration
     if steps:  # figures are every other stay, the origin is the first
         figures = (steps + 1) // 2
-        course_s += (
-            figures * params.duration
-            + (steps + 1 - figures) * params.rest
-            + steps * 2.0 * _PRESS_MESSAGES / JOY_RATE_HZ
-        )
-    else:
-        course_s += params.duration
-    return (
-        params.waiting_timeout
-        + params.ready
-        + params.takeoff_timeout
-        + params.settle
-        + course_s
-        + params.home_timeout
-        + params.land_timeout
-    )
+        stays_s = figures * params.duration + (steps + 1 - figures) * params.rest
+    # both time-outs before the course count from the begin of the phase
+    course_s = max(params.autonomous_timeout, params.course_timeout) + stays_s
+    before_s = params.waiting_timeout + params.ready + params.takeoff_timeout + params.settle
+    presses_s = steps * 2.0 * _PRESS_MESSAGES / JOY_RATE_HZ
+    return before_s + course_s + presses_s + params.home_timeout + params.land_timeout
 
 
 class Joypad:
@@ -131,7 +115,7 @@ class Watched:
         self._in_air = False  # by the newest report that says anything about it
         self._ground_s = -math.inf  # when it reported last that it stands
         self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when it was told so last
-        self.call_land = False  # its service is to be called; whoever does takes it back
+        self.call_land = False  # its service is to be called; `landings` takes it back
 
     def note_report(self, state, now_s):
         """It reports its state number."""
@@ -315,13 +299,13 @@ class Operator:
                 self._fail("not on course within %g s: %s" % (params.course_timeout, ", ".join(away)), now_s)
             return
         self._course_since_s = self._step_since_s = now_s
-        self._steps_left = int(params.bumper_steps)
+        self._steps_left = params.bumper_steps
         self.text = "on course for %g s" % params.duration if not params.bumper_steps else "at the origin"
 
     def _step_through(self, now_s):
         """Figures of DF_experiment_joy: origin, figure, origin, figure, ...; the bumper leads to the next one."""
         params = self._params
-        done = int(params.bumper_steps) - self._steps_left
+        done = params.bumper_steps - self._steps_left
         on_figure = done % 2 == 1
         if now_s - self._step_since_s < (params.duration if on_figure else params.rest):
             return

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import psutil
 
-from risc_lab.ros.launching import MARK
+from risc_lab.ros.launching import MARK, argument_of, program_of
 
 _LEAST_S = 1.0  # shorter spans say nothing
 
@@ -93,20 +93,9 @@ def _machine_times():
 def program_name(process):
     """Of a node its name with its namespace, else what the program is called. Raises psutil.Error when it has ended."""
     words = process.cmdline()
-    node = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "")
-    if node:
-        with contextlib.suppress(psutil.AccessDenied):
-            node = "/".join(filter(None, (process.environ().get("ROS_NAMESPACE", "").strip("/"), node)))
-        return node
-    return _program(words) or process.name()
-
-
-def _program(words):
-    """Of ["/usr/bin/python3", "-u", "/x/roslaunch", "a.launch"] the part that says what it is: roslaunch."""
-    words = list(words)
-    if words and os.path.basename(words[0]).startswith(("python", "bash", "sh")):
-        if "-m" in words[:-1]:
-            return words[words.index("-m") + 1]
-        scripts = [word for word in words[1:] if not word.startswith("-")]
-        words = scripts[:1] if scripts and words[1] != "-c" else words
-    return os.path.basename(words[0]) if words else ""
+    node = argument_of(words, "__name")
+    if not node:
+        return program_of(words) or process.name()
+    with contextlib.suppress(psutil.AccessDenied):
+        node = "/".join(filter(None, (process.environ().get("ROS_NAMESPACE", "").strip("/"), node)))
+    return node

@@ -10,8 +10,6 @@ import numpy as np
 
 from risc_lab.frames import rotation_body_to_ned
 
-# Rotation (3, 3) from camera axes to those of OpenCV and of optical frames: x right, y down, z along the axis.
-CAMERA_TO_OPTICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 

@@ -22,40 +22,11 @@ GRAVITY_M_S2 = 9.80665  # one constant for the whole workspace (thesis ch. 6)
 
 _NOSE_VERTICAL = 1e-9  # cosine of the pitch below which roll and yaw cannot be told apart
 _FLIP_Y_Z = np.array([1.0, -1.0, -1.0])
-_FLIP_Y = np.array([1.0, -1.0, 1.0])
-
-
-def cortex_to_ned(vector_cortex):
-    """(..., 3) vector from cortex axes to North-East-Down axes; any unit."""
-    return np.asarray(vector_cortex, dtype=float) * _FLIP_Y_Z
-
-
-def ned_to_cortex(vector_ned):
-    """(..., 3) vector from North-East-Down axes to cortex axes; any unit. The map is its own inverse."""
-    return np.asarray(vector_ned, dtype=float) * _FLIP_Y_Z
 
 
 def frd_to_flu(vector_body):
     """(..., 3) vector from forward-right-down body axes to ROS' forward-left-up axes; any unit."""
     return np.asarray(vector_body, dtype=float) * _FLIP_Y_Z
-
-
-def flu_to_frd(vector_flu):
-    """(..., 3) vector from forward-left-up to forward-right-down body axes; any unit."""
-    return np.asarray(vector_flu, dtype=float) * _FLIP_Y_Z
-
-
-def cortex_to_north_east_up(vector_cortex):
-    """(..., 3) vector from cortex axes to (North, East, Up), the triple of flatness and of (p_n, p_e, h).
-
-    The triple is left-handed: never use it in a cross product or a rotation.
-    """
-    return np.asarray(vector_cortex, dtype=float) * _FLIP_Y
-
-
-def north_east_up_to_cortex(vector_neu):
-    """(..., 3) vector from (North, East, Up) to cortex axes. The map is its own inverse."""
-    return np.asarray(vector_neu, dtype=float) * _FLIP_Y
 
 
 def rotation_body_to_ned(phi_rad, theta_rad, psi_rad):
@@ -72,17 +43,6 @@ def rotation_body_to_ned(phi_rad, theta_rad, psi_rad):
 def rotation_body_to_cortex(phi_rad, theta_rad, psi_rad):
     """Rotation matrix from body (FRD) to cortex axes: v_cortex = R @ v_body. Returns (..., 3, 3)."""
     return _FLIP_Y_Z[:, None] * rotation_body_to_ned(phi_rad, theta_rad, psi_rad)
-
-
-def rotation_v_to_v1(psi_rad):
-    """Rotation matrix from the vehicle frame (ned axes) to vehicle-1, i.e. turned by yaw. Returns (..., 3, 3)."""
-    psi = np.asarray(psi_rad, dtype=float)
-    R = np.zeros(psi.shape + (3, 3))
-    R[..., 0, 0] = R[..., 1, 1] = np.cos(psi)
-    R[..., 0, 1] = np.sin(psi)
-    R[..., 1, 0] = -R[..., 0, 1]
-    R[..., 2, 2] = 1.0
-    return R
 
 
 def euler_from_body_to_ned(R_body_to_ned):

@@ -6,7 +6,7 @@ import math
 class MessageAges:
     """Ages by stamp, corrected for a clock of ours that is behind.
 
-    Nobody receives a message before it was sent: an age below zero is a difference of the clocks, and without
+    No message is received before it was sent: an age below zero is a difference of the clocks, and without
     correction every later message would pass for that much younger than it is. A clock that is ahead makes messages
     older than they are, which is on the safe side and looks like a slow network, so it stays.
     """

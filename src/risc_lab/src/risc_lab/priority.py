@@ -19,7 +19,7 @@ _AUTOGROUP = "/proc/self/autogroup"  # not there when the kernel does not divide
 def raise_priority(niceness):
     """Give this thread, and those that it starts from now on, a negative niceness, where that is allowed.
 
-    What somebody has started with `nice` stays as it is: it was meant.
+    A program that was started with `nice` keeps its niceness.
     """
     if niceness < os.getpriority(os.PRIO_PROCESS, 0) <= 0:
         set_priority(niceness)

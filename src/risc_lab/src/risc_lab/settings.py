@@ -61,13 +61,14 @@ class Settings:
             object.__setattr__(self, key, value)  # a whole number for a float, a list for a tuple
 
 
-def settings_from(kind, values, where=""):
+def settings_from(kind, values, where="", lenient=False):
     """An instance of a dataclass from a mapping; a key that is absent leaves the default, without one it is required.
 
-    where: what the values are, e.g. the path of their file; begins each error.  Raises ValueError.
+    where: what the values are, e.g. the path of their file; begins each error.  lenient: texts that hold a number or a
+    truth value count, and 0 and 1 as false and true.  Raises ValueError.
     """
     _refuse(kind, values, where, "")
-    return _convert(values, kind, where)
+    return _convert(values, kind, where, strict=not lenient)
 
 
 def _refuse(hint, values, where, path):
@@ -96,12 +97,13 @@ def _refuse(hint, values, where, path):
             _refuse(known[key], value, where, "%s.%s" % (path, key))
 
 
-def _convert(value, hint, where, key=""):
+def _convert(value, hint, where, key="", strict=True):
     if typing.get_origin(hint) is dict and isinstance(value, Mapping):  # msgspec would not say which item it is
         kind = typing.get_args(hint)[1]
         return {name: _convert(item, kind, where, "%s.%s" % (key, name)) for name, item in value.items()}
     try:
-        return msgspec.convert(value.item() if isinstance(value, np.generic) else value, hint, from_attributes=True)
+        value = value.item() if isinstance(value, np.generic) else value
+        return msgspec.convert(value, hint, strict=strict, from_attributes=True)
     except msgspec.ValidationError as error:
         text, _, path = str(error).rpartition(" - at `$") if " - at `$" in str(error) else (str(error), "", "")
         path = path.rstrip("`")

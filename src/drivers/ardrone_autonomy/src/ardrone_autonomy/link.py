@@ -17,6 +17,7 @@ that has no effect is given up instead of being held for ever.  Silence does not
 may be lost while commands still arrive, so a reset is sent blind as well.
 """
 
+import itertools
 import struct
 from collections import deque
 from enum import Enum
@@ -97,10 +98,6 @@ class DroneLink:
         command_timeout_s=COMMAND_TIMEOUT_S,
         report=lambda level, text: None,
     ):
-        if settle_s < 0.0 or command_timeout_s < 0.0:
-            raise ValueError(
-                "settle_time and cmd_timeout must not be negative, got %r and %r" % (settle_s, command_timeout_s)
-            )
         self._send_command = send_command
         self._send_wake_up = send_wake_up
         self._setup_writes = list(setup_writes)
@@ -118,8 +115,8 @@ class DroneLink:
         self.connections = 0
         self.unanswered_writes = 0
 
-        self._sequence = at.SequenceCounter()
-        self._state = 0  # state bits of the newest packet
+        self.state_bits = 0  # of the newest packet, see navdata.State
+        self._numbers = itertools.count(1)  # of commands
         self._navdata_sequence = -1
         self._heard_s = float("-inf")
         self._next_wake_up_s = float("-inf")
@@ -158,19 +155,14 @@ class DroneLink:
     @property
     def emergency(self):
         """The vehicle has reported its emergency state."""
-        return bool(self._state & _EMERGENCY)
+        return bool(self.state_bits & _EMERGENCY)
 
     @property
     def in_flight(self):
         """A connected vehicle reports that it flies and is not landing yet."""
         if not self.connected or self.emergency or self._control_state in _NOT_IN_FLIGHT:
             return False
-        return bool(self._state & _FLYING) or self._control_state == ControlState.TAKING_OFF
-
-    @property
-    def state_bits(self):
-        """State bits of the newest packet (navdata.State)."""
-        return self._state
+        return bool(self.state_bits & _FLYING) or self._control_state == ControlState.TAKING_OFF
 
     # --- orders of the pilot ------------------------------------------------------------------------------------------
     def steer(self, sticks, now_s):
@@ -218,14 +210,14 @@ class DroneLink:
 
     def flat_trim(self, now_s):
         """Tell the vehicle that it lies flat now; refused in flight."""
-        if self._state & _FLYING:
+        if self.state_bits & _FLYING:
             self._report("warn", "flat trim refused: the vehicle flies")
             return
-        self._send_command(at.ftrim(self._sequence.next()))
+        self._send("FTRIM")
 
     def blink(self, animation, frequency_hz, duration_s, now_s):
-        """LED animation (at.LedAnimation)."""
-        self._send_command(at.led(self._sequence.next(), animation, frequency_hz, duration_s))
+        """LED animation."""
+        self._send("LED", animation, frequency_hz, duration_s)
 
     def write(self, key, text, now_s):
         """Write one configuration value as soon as those before it are acknowledged."""
@@ -245,10 +237,13 @@ class DroneLink:
         An emergency stop that is under way goes on.
         """
         if self.connections:
-            next_number = self._sequence.next
-            self._send_command(
-                at.pcmd_mag(next_number(), *HOVER) + at.ref(next_number(), select=self._select or self._reset_ordered)
-            )
+            self._pilot(HOVER, select=self._select or self._reset_ordered)
+
+    def _pilot(self, sticks, start=False, select=False):
+        self._send_command(at.pcmd_mag(next(self._numbers), *sticks) + at.ref(next(self._numbers), start, select))
+
+    def _send(self, name, *arguments):
+        self._send_command(at.encode(name, next(self._numbers), *arguments))
 
     # --- navdata --------------------------------------------------------------------------------------------------
     def on_navdata(self, data, now_s):
@@ -260,7 +255,7 @@ class DroneLink:
         try:
             header = peek(data)
             bits = header.state
-            changed = bits ^ self._state
+            changed = bits ^ self.state_bits
             if changed & _MOMENTOUS:
                 Navdata(data)
         except NavdataError:
@@ -275,7 +270,7 @@ class DroneLink:
         self._navdata_sequence = header.sequence
         self._heard_s = now_s
         self.accepted += 1
-        self._state = bits
+        self.state_bits = bits
         tag, _, word = _FIRST_OPTION.unpack_from(data, HEADER.size)
         if tag == _DEMO:
             self._control_state = word >> 16
@@ -286,12 +281,12 @@ class DroneLink:
         return True
 
     def _on_emergency_changed(self):
-        if self._select and self._state & _EMERGENCY != self._emergency_at_select:
+        if self._select and self.state_bits & _EMERGENCY != self._emergency_at_select:
             self._select = False
         if self.emergency:
             self._start = False  # so that it does not take off again when the emergency is cleared
             self._take_off_ordered = False
-            self._report("error", "EMERGENCY: the vehicle has stopped its motors (state 0x%08x)" % self._state)
+            self._report("error", "EMERGENCY: the vehicle has stopped its motors (state 0x%08x)" % self.state_bits)
         else:
             self._report("info", "the emergency is cleared")
 
@@ -307,7 +302,7 @@ class DroneLink:
                 self._report("info", "the vehicle answers; configuration follows in %.1f s" % self._settle_s)
                 self.phase = Phase.SETTLING
                 self._settled_s = now_s + self._settle_s
-        elif self._state & _BOOTSTRAP and (
+        elif self.state_bits & _BOOTSTRAP and (
             self.phase is Phase.READY
             or self.phase is Phase.CONFIGURING
             and len(self._writes) < len(self._setup_writes)
@@ -373,7 +368,7 @@ class DroneLink:
             self._reset_ordered = False
             self._select = True
             self._select_until_s = now_s + RESET_TIMEOUT_S
-            self._emergency_at_select = self._state & _EMERGENCY
+            self._emergency_at_select = self.state_bits & _EMERGENCY
         elif self._take_off_ordered:
             self._take_off_ordered = False
             self._start = True
@@ -390,12 +385,10 @@ class DroneLink:
                 if self.connected
                 else "the reset was sent for %.1f s without telemetry, nobody knows its effect" % RESET_TIMEOUT_S,
             )
-        next_number = self._sequence.next
-        datagram = at.pcmd_mag(next_number(), *self._sticks) + at.ref(next_number(), self._start, self._select)
+        self._pilot(self._sticks, self._start, self._select)
         if self._watchdog_reset:
             self._watchdog_reset = False
-            datagram += at.comwdg(next_number())
-        self._send_command(datagram)
+            self._send("COMWDG")
         self._last_tick_s = now_s
         # One order a tick: the next one follows at once
         waiting = self._take_off_ordered or self._land_ordered
@@ -412,7 +405,7 @@ class DroneLink:
     # --- configuration ----------------------------------------------------------------------------------------------
     def _advance_writes(self, now_s):
         """One step of: acknowledge bit clear -> write -> bit set -> ask to clear it -> bit clear -> next write."""
-        acknowledged = bool(self._state & _ACK)
+        acknowledged = bool(self.state_bits & _ACK)
         if self._write_state is _Write.AWAIT_CLEAR:
             if not acknowledged:
                 self._write_state = _Write.IDLE
@@ -435,7 +428,7 @@ class DroneLink:
                 else:
                     if self.phase is Phase.CONFIGURING:
                         # A vehicle that still counts from a client before us ignores all but number 1, which was lost
-                        self._sequence.reset()
+                        self._numbers = itertools.count(1)
                     self._send_write(now_s)
         if self._write_state is _Write.IDLE:
             self._write_tries = 0
@@ -460,15 +453,14 @@ class DroneLink:
 
     def _send_write(self, now_s):
         key, text = self._writes[0]
-        next_number = self._sequence.next
         self._send_command(
-            at.config_ids(next_number(), self._session_id, USER_ID, APPLICATION_ID)
-            + at.config(next_number(), key, text)
+            at.encode("CONFIG_IDS", next(self._numbers), self._session_id, USER_ID, APPLICATION_ID)
+            + at.encode("CONFIG", next(self._numbers), key, text)
         )
         self._write_tries += 1
         self._write_retry_s = now_s + ACK_TIMEOUT_S
 
     def _ask_to_clear(self, now_s):
-        self._send_command(at.ctrl(self._sequence.next(), CtrlMode.CLEAR_ACK))
+        self._send("CTRL", CtrlMode.CLEAR_ACK, 0)
         self._write_tries += 1
         self._write_retry_s = now_s + CLEAR_PERIOD_S

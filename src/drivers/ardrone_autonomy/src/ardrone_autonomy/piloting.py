@@ -13,12 +13,8 @@ from ardrone_autonomy.protocol.at import PcmdFlag
 HOVER_THRESHOLD = 1e-6
 
 
-class Sticks(namedtuple("Sticks", "flags roll pitch gaz yaw")):
-    """Arguments of PCMD_MAG; flags: PcmdFlag as a plain int, the four others in [-1, 1], signs of the aircraft."""
-
-    __slots__ = ()
-
-
+# Arguments of PCMD_MAG; flags: PcmdFlag as a plain int, the four others in [-1, 1], signs of the aircraft.
+Sticks = namedtuple("Sticks", "flags roll pitch gaz yaw")
 HOVER = Sticks(0, 0.0, 0.0, 0.0, 0.0)
 
 

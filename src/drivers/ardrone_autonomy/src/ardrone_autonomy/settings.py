@@ -10,76 +10,53 @@ old value of theirs survives.
 """
 
 from ardrone_autonomy.protocol import at, config
-from ardrone_autonomy.protocol.config import Category, ConfigError, Kind
+from ardrone_autonomy.protocol.config import Category, Kind
 from ardrone_autonomy.protocol.navdata import ALL_OPTIONS_MASK
 
 APPLICATION_NAME = "ardrone_driver"  # names both the application and the user profile
-APPLICATION_ID = config.application_id(APPLICATION_NAME)
-USER_ID = config.user_id(APPLICATION_NAME)
+APPLICATION_ID = config.crc_id("%s:%s" % (APPLICATION_NAME, config.SDK_VERSION))
+USER_ID = config.crc_id(APPLICATION_NAME)
 
 MAX_STRING_CHARS = 127
 
 VIDEO_CODEC_LIVE = 0x81  # H.264, 360p
 VIDEO_CODEC_RECORD = 0x82  # 360p to the client, 720p to the USB key
 
-# Values that the driver sets unless a parameter does; those that equal the SDK's default are not written.
-DRIVER_DEFAULTS = {
-    "max_bitrate": 4000,
-    "navdata_options": ALL_OPTIONS_MASK,
-    "video_channel": 0,
-    "video_codec": VIDEO_CODEC_LIVE,
-    "bitrate_ctrl_mode": 0,
-    "control_level": 0,
-    "flying_mode": 0,
-    "navdata_demo": False,
-}
+# Values that the driver writes unless a parameter has another; all else stays as the aircraft has it.
+DRIVER_DEFAULTS = {"max_bitrate": 4000, "navdata_options": ALL_OPTIONS_MASK, "navdata_demo": False}
 
 # Parameters of the driver that reach the aircraft, by bare name.
 WRITABLE_KEYS = {key.name: key for key in config.KEYS.values() if not key.read_only and key.section != "custom"}
-
-
-class SettingError(ValueError):
-    """A parameter value that cannot be written to the aircraft; the text names the parameter and the cure."""
 
 
 def wire_text(key, value):
     """Text of a parameter value for one ConfigKey.
 
     value: number, bool or string as a parameter server holds it.  Numbers are read as floats and converted to the
-    kind of the key; strings are cut at MAX_STRING_CHARS.  SettingError when that is not possible.
+    kind of the key; strings are cut at MAX_STRING_CHARS.  ValueError when that is not possible.
     """
     try:
         if key.kind is Kind.STRING:
             text = str(value)[:MAX_STRING_CHARS]
         else:
-            text = config.format_value(key.kind, _number(value))
-        at.config(1, key.key, text)  # refuses what no command can carry
-    except (ValueError, TypeError, OverflowError, ConfigError) as error:
-        raise SettingError(
+            text = config.format_value(key.kind, float(value))
+        at.encode("CONFIG", 1, key.key, text)  # refuses what no command can carry
+    except (ValueError, TypeError) as error:
+        raise ValueError(
             "parameter ~%s: %r cannot be written as %s (%s): correct it in the launch file"
             % (key.name, value, key.kind.value, error)
         ) from None
     return text
 
 
-def _number(value):
-    if isinstance(value, (list, dict)):
-        raise TypeError("a single number is needed")
-    return float(value)
-
-
 def wanted_texts(parameters):
     """{bare name: wire text} of every key that is to be written.
 
-    parameters: {bare name: value}, all written whatever their value; names that are no key are skipped.  Of
-    DRIVER_DEFAULTS what differs from the SDK's default, and `navdata_demo` always.  SettingError on a bad value.
+    parameters: {bare name: value}, all written whatever their value; names that are no key are skipped.  ValueError
+    on a bad value.
     """
-    texts = {name: wire_text(WRITABLE_KEYS[name], value) for name, value in parameters.items() if name in WRITABLE_KEYS}
-    for name, value in DRIVER_DEFAULTS.items():
-        key = WRITABLE_KEYS[name]
-        if name not in texts and (name == "navdata_demo" or value != key.default):
-            texts[name] = wire_text(key, value)
-    return texts
+    values = {**DRIVER_DEFAULTS, **parameters}
+    return {name: wire_text(WRITABLE_KEYS[name], value) for name, value in values.items() if name in WRITABLE_KEYS}
 
 
 def setup_writes(texts, session_id):

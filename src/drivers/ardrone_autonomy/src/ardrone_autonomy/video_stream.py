@@ -4,7 +4,7 @@ Connects only while somebody wants pictures.  Comes back by itself when the vehi
 reachable, or sends nothing that can be shown.
 """
 
-import errno
+import contextlib
 import os
 import select
 import socket
@@ -29,7 +29,6 @@ _MAX_ROUND_BYTES = 1 << 20  # read at once, before decoding
 _SO_TIMESTAMPNS = _SCM_TIMESTAMPNS = 35
 _TIMESPEC = struct.Struct("@qq")
 _STAMP_AGE_MAX_S = 1.0  # older: the clock was set in between
-_CONNECTING = (0, errno.EINPROGRESS, errno.EWOULDBLOCK)
 
 Picture = namedtuple(
     "Picture",
@@ -54,9 +53,9 @@ class VideoStream:
     """
 
     def __init__(self, address, on_picture, report, latency_s=0.0, port=VIDEO_PORT, clock=time.monotonic):
-        self.address = address
         self.connections = 0
         self.connected = False
+        self.wanted = False  # somebody wants pictures
         self.shown = 0  # pictures handed out
         self.skipped = 0  # pictures that were sound, but too many at once
         self.last_s = None  # when the last picture was received
@@ -72,18 +71,9 @@ class VideoStream:
         self._socket = None
         self._heard_s = 0.0  # when the connection was made, or its last packet came
         self._decoded_s = 0.0  # when the connection was made, or its last picture could be decoded
-        self._foreign_before = 0  # pictures of other codecs before this connection
-        self._wanted = False
         self._stopping = False
-        self._bell_in, self._bell_out = socket.socketpair()
-        self._bell_in.setblocking(False)
-        self._bell_out.setblocking(False)
+        self._changed = threading.Condition()  # of wanted or _stopping
         self._thread = threading.Thread(target=self._run, name="ardrone_video", daemon=True)
-
-    @property
-    def wanted(self):
-        """Somebody wants pictures."""
-        return self._wanted
 
     def start(self):
         """Start the thread; it connects as soon as pictures are wanted."""
@@ -91,134 +81,92 @@ class VideoStream:
 
     def want(self, wanted):
         """Whether pictures are wanted from now on; may be called from any thread, as often as one likes."""
-        if wanted != self._wanted:
-            self._wanted = wanted
-            self._ring()
+        if wanted != self.wanted:
+            self._change(wanted)
 
     def stop(self):
-        """End the thread and close the sockets."""
+        """End the thread and close the socket."""
         self._stopping = True
-        self._ring()
+        self._change(False)
         if self._thread.is_alive():
             self._thread.join()
-        self._close()
-        self._bell_in.close()
-        self._bell_out.close()
 
-    def _ring(self):
-        try:
-            self._bell_in.send(b"\0")
-        except BlockingIOError:
-            pass  # the bell already rings
-        except OSError:
-            return  # closed: stopped before
+    def _change(self, wanted):
+        with self._changed:
+            self.wanted = wanted
+            self._changed.notify()
+            if not wanted and self._socket is not None:
+                self.connected = False
+                with contextlib.suppress(OSError):  # it was not connected yet
+                    self._socket.shutdown(socket.SHUT_RDWR)  # wakes the thread that waits for it
 
     # --- the thread -------------------------------------------------------------------------------------------------
     def _run(self):
-        while not self._stopping:
-            if not self._wanted:
-                self._close()
-                self._wait(None)
-            elif not self._step():
-                self._close()
-                self._pause(RETRY_S)
-
-    def _step(self):
-        """One attempt to connect, or one round of reception. False when it did not succeed."""
-        try:
-            return self._connect() if self._socket is None else self._receive()
-        except Exception as error:  # whatever it is: the vehicle flies without pictures, and they may come back
-            self._say("error", "the video has failed and starts again: %r" % error)
-            return False
-
-    def _wait(self, timeout_s, readable=None, writable=None):
-        """Wait for a socket, the bell, or until the time is over (None: for ever). True when the socket is ready."""
-        read = [self._bell_out] + ([readable] if readable is not None else [])
-        write = [writable] if writable is not None else []
-        ready, ready_to_write, _ = select.select(read, write, (), timeout_s)
-        if self._bell_out in ready:
-            self._bell_out.recv(4096)
-        return readable in ready or bool(ready_to_write)
-
-    def _pause(self, duration_s):
-        """Wait in any case, unless pictures are no longer wanted."""
-        end_s = self._now_s() + duration_s
-        while self._active() and self._now_s() < end_s:
-            self._wait(max(0.0, end_s - self._now_s()))
-
-    def _active(self):
-        return self._wanted and not self._stopping
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self.wanted or self._stopping)
+            if self._stopping:
+                return
+            try:
+                problem = self._stream()
+            except Exception as error:  # whatever it is: the vehicle flies without pictures, and they may come back
+                problem = ""
+                self._say("error", "the video has failed and starts again: %r" % error)
+            with self._changed:
+                if problem and self.wanted:
+                    where = (*self._target, problem, RETRY_S)
+                    self._say("warn", "no video from %s:%d: %s; trying on every %g s" % where)
+                self._changed.wait_for(lambda: not self.wanted, RETRY_S)
 
     def _say(self, level, text):
         if text != self._said:
             self._said = text
             self._report(level, text)
 
-    def _complain(self, text):
-        self._say("warn", "no video from %s:%d: %s; trying on every %g s" % (*self._target, text, RETRY_S))
-
-    # --- connection ---------------------------------------------------------------------------------------------------
-    def _connect(self):
-        """True when the connection stands, or is no longer wanted."""
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        number = self._socket.connect_ex(self._target)
-        if number not in _CONNECTING:
-            self._complain(os.strerror(number))
-            return False
-        end_s = self._now_s() + CONNECT_TIMEOUT_S
-        while not self._wait(max(0.0, end_s - self._now_s()), writable=self._socket):
-            if not self._active():
-                return True
-            if self._now_s() >= end_s:
-                self._complain("it does not answer")
-                return False
-        number = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        if number:
-            self._complain(os.strerror(number))
-            return False
-        self.connections += 1
-        self.connected = True
-        self._heard_s = self._decoded_s = self._now_s()
-        self._foreign_before = self.decoder.foreign
-        self.parser.reset()
-        self.assembler = FrameAssembler()
-        self.decoder.waiting = True
-        return True
-
-    def _close(self):
-        self.connected = False
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+    def _stream(self):
+        """One connection, until pictures are no longer wanted (""), or it is of no use: returns why."""
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as sock:
+            with self._changed:
+                self._socket = sock
+            try:
+                sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+                sock.settimeout(CONNECT_TIMEOUT_S)
+                sock.connect(self._target)
+                sock.setblocking(False)
+                self.connections += 1
+                self.connected = True
+                self._heard_s = self._decoded_s = self._now_s()
+                self.parser.reset()
+                self.assembler = FrameAssembler()
+                self.decoder.waiting = True
+                return self._receive(self.decoder.foreign)
+            except TimeoutError:
+                return "it does not answer"
+            except OSError as error:
+                return os.strerror(error.errno)
+            finally:
+                self.connected = False
+                with self._changed:
+                    self._socket = None
 
     # --- reception ----------------------------------------------------------------------------------------------------
-    def _receive(self):
-        """One round: whatever has arrived. False when the connection is of no use any more."""
-        remaining_s = self._heard_s + SILENCE_S - self._now_s()
-        ready = self._wait(max(0.0, remaining_s), readable=self._socket)
-        if not self._active():
-            return True
-        if ready:
-            pictures, is_open = self._read()
-            self._show(pictures)
-            if not is_open:
-                self._complain("the vehicle has closed the connection")
-                return False
-        now_s = self._now_s()
-        if now_s - self._heard_s >= SILENCE_S:
-            self._complain("nothing comes")
-            return False
-        if now_s - self._decoded_s >= UNUSABLE_S:
-            is_foreign = self.decoder.foreign > self._foreign_before
-            self._complain(
-                "its pictures are neither H.264 nor MPEG-4 (set ~video_codec to 129)"
-                if is_foreign
-                else "no picture can be decoded"
-            )
-            return False
-        return True
+    def _receive(self, foreign_before):
+        """Show whatever arrives, see _stream. foreign_before: pictures of other codecs before this connection."""
+        while self.wanted:
+            remaining_s = self._heard_s + SILENCE_S - self._now_s()
+            if select.select([self._socket], (), (), max(0.0, remaining_s))[0]:
+                pictures, is_open = self._read()
+                self._show(pictures)
+                if not is_open:
+                    return "the vehicle has closed the connection"
+            now_s = self._now_s()
+            if now_s - self._heard_s >= SILENCE_S:
+                return "nothing comes"
+            if now_s - self._decoded_s >= UNUSABLE_S:
+                if self.decoder.foreign > foreign_before:
+                    return "its pictures are neither H.264 nor MPEG-4 (set ~video_codec to 129)"
+                return "no picture can be decoded"
+        return ""
 
     def _read(self):
         """([(Packet, time of reception)], whether the connection is still open)."""
@@ -262,16 +210,13 @@ class VideoStream:
             if rgb is None:
                 self.skipped += 1
                 continue
-            self._greet()
+            if self._said is not None or self.shown == 0:
+                self._report("info", "video from %s:%d" % self._target)
+                self._said = None
             self.shown += 1
             self._on_picture(
                 Picture(rgb, packet.header, is_key(packet.header), received_s, exposure_s, self.connections)
             )
-
-    def _greet(self):
-        if self._said is not None or self.shown == 0:
-            self._report("info", "video from %s:%d" % self._target)
-            self._said = None
 
 
 def _age_s(extras):

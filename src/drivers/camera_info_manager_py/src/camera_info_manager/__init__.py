@@ -1,6 +1,6 @@
 """Calibration of a camera for drivers written in Python, see CameraInfoManager.
 
-calibration_file and urls are pure; manager has the messages and the service.
+Files are read by risc_lab.lab.calibration; manager has the messages and the service.
 """
 
 from camera_info_manager.manager import CameraInfoError, CameraInfoManager, CameraInfoMissingError

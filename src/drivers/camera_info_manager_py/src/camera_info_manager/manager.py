@@ -8,12 +8,7 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo, SetCameraInfoResponse
 
 from camera_info_manager import urls
-from camera_info_manager.calibration_file import (
-    Calibration,
-    CalibrationFileError,
-    read_calibration,
-    write_calibration,
-)
+from risc_lab.lab.calibration import CameraCalibration, read_calibration, save_calibration
 
 
 class CameraInfoError(Exception):
@@ -78,13 +73,9 @@ class CameraInfoManager:
             self._info = CameraInfo()
             try:
                 path = urls.path_of(self._url, self._name)
-            except urls.UrlError as error:
-                rospy.logerr("camera %s is not calibrated: %s", self._name, error)
-                return
-            try:
                 calibration = read_calibration(path)
-            except CalibrationFileError as error:
-                if isinstance(error.__context__, FileNotFoundError):
+            except ValueError as error:
+                if isinstance(error.__cause__, FileNotFoundError):
                     log = rospy.logwarn if self._url.strip() else rospy.loginfo  # nobody has asked for the default
                     log("camera %s is not calibrated: there is no file %s", self._name, path)
                 else:
@@ -105,10 +96,11 @@ class CameraInfoManager:
             self._info = copy.deepcopy(request.camera_info)
             try:
                 path = urls.path_of(self._url, self._name)
-                write_calibration(_calibration(self._name, self._info), path)
-            except (urls.UrlError, CalibrationFileError) as error:
-                rospy.logerr("the new calibration of %s is used but not saved: %s", self._name, error)
-                return SetCameraInfoResponse(success=False, status_message="used but not saved: %s" % error)
+                save_calibration(CameraCalibration.from_info(self._info, self._name), path)
+            except (ValueError, OSError) as error:
+                problem = "used but not saved as %s: %s" % (self._url.strip() or urls.DEFAULT_URL, error)
+                rospy.logerr("the new calibration of %s is %s", self._name, problem)
+                return SetCameraInfoResponse(success=False, status_message=problem)
             rospy.loginfo("the new calibration of %s is saved in %s", self._name, path)
             return SetCameraInfoResponse(success=True, status_message="saved in %s" % path)
 
@@ -125,7 +117,7 @@ class CameraInfoManager:
         """Another URL; False (and no change) when it names no file. The calibration has to be loaded again."""
         try:
             urls.path_of(url, self._name)
-        except urls.UrlError:
+        except ValueError:
             return False
         with self._lock:
             self._url = url
@@ -143,7 +135,3 @@ def _message(calibration):
         R=list(calibration.R),
         P=list(calibration.P),
     )
-
-
-def _calibration(name, info):
-    return Calibration(name, info.width, info.height, info.distortion_model, info.D, info.K, info.R, info.P)

@@ -3,7 +3,6 @@
 Anything that yields the same 8-byte records can be read, e.g. a FIFO; it has no name and no rumble.
 """
 
-import ctypes
 import fcntl
 import glob
 import os
@@ -16,6 +15,10 @@ _EV_FF = 0x15
 _FF_RUMBLE = 0x50
 _FF_GAIN = 0x60
 _RUMBLE_LENGTH_MS = 1000
+# struct ff_effect of 64-bit kernels: type, id, direction, trigger (2), length and delay [ms], then of a rumble its
+# strong and its weak motor; other effects need the rest.
+_FF_EFFECT = struct.Struct("=HhHHHHH2xHH28x")
+_EVIOCSFF = 0x40004580 | _FF_EFFECT.size << 16  # _IOC(write, 'E', 0x80, size)
 _INPUT_EVENT = struct.Struct("@llHHi")  # struct input_event: time (ignored when written), type, code, value
 
 
@@ -54,45 +57,14 @@ def find_by_name(name, pattern="/dev/input/js*"):
     return None
 
 
-class _Periodic(ctypes.Structure):
-    """The largest effect; it only gives the union its size and alignment."""
-
-    _fields_ = [
-        ("waveform_to_phase", ctypes.c_uint16 * 5),
-        ("envelope", ctypes.c_uint16 * 4),
-        ("custom_len", ctypes.c_uint32),
-        ("custom_data", ctypes.c_void_p),
-    ]
-
-
-class _Effect(ctypes.Union):
-    _fields_ = [("rumble", ctypes.c_uint16 * 2), ("periodic", _Periodic)]
-
-
-class FfEffect(ctypes.Structure):
-    """struct ff_effect of linux/input.h, as far as rumble needs it."""
-
-    _fields_ = [
-        ("type", ctypes.c_uint16),
-        ("id", ctypes.c_int16),
-        ("direction", ctypes.c_uint16),
-        ("trigger", ctypes.c_uint16 * 2),
-        ("replay", ctypes.c_uint16 * 2),  # length, delay [ms]
-        ("effect", _Effect),
-    ]
-
-
-_EVIOCSFF = 0x40004580 | ctypes.sizeof(FfEffect) << 16  # _IOC(write, 'E', 0x80, size)
-
-
 class Rumble:
     """The two motors of a game pad. Raises OSError when the event device cannot be opened or used."""
 
     def __init__(self, path, ioctl=fcntl.ioctl):
         self._ioctl = ioctl
         self._fd = os.open(path, os.O_RDWR)
-        self._effect = FfEffect(type=_FF_RUMBLE, id=-1)
-        self._effect.replay[0] = _RUMBLE_LENGTH_MS
+        self._effect = -1  # the kernel's number of our effect: a new one
+        self._motors = [0, 0]
         try:
             self._write(_FF_GAIN, 0xFFFF)
         except OSError:
@@ -102,11 +74,11 @@ class Rumble:
     def set(self, intensities):
         """Intensity in [0, 1] by motor: {0: strong, 1: weak}; motors that are not named keep theirs."""
         for motor, intensity in intensities.items():
-            self._effect.effect.rumble[motor] = int(0xFFFF * intensity)
-        buffer = bytearray(bytes(self._effect))
+            self._motors[motor] = int(0xFFFF * intensity)
+        buffer = bytearray(_FF_EFFECT.pack(_FF_RUMBLE, self._effect, 0, 0, 0, _RUMBLE_LENGTH_MS, 0, *self._motors))
         self._ioctl(self._fd, _EVIOCSFF, buffer, True)
-        self._effect.id = FfEffect.from_buffer_copy(buffer).id  # the kernel's number, to change this effect later
-        self._write(self._effect.id, 1)
+        self._effect = _FF_EFFECT.unpack(buffer)[1]
+        self._write(self._effect, 1)
 
     def close(self):
         os.close(self._fd)

@@ -7,7 +7,10 @@ uint8 number. Type 1 is a button, 2 an axis; bit 0x80 marks the synthetic record
 import enum
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from risc_lab.settings import Settings
 
 _RECORD = struct.Struct("=IhBB")
 _BUTTON = 0x01
@@ -17,8 +20,7 @@ _FULL_SCALE = 32767.0
 _DEADZONE_MAX = 0.9
 
 
-@dataclass(frozen=True)
-class JoyEvent:
+class JoyEvent(NamedTuple):
     """One record of the joystick device."""
 
     value: int  # axis: -32767..32767, button: 0 or 1
@@ -50,7 +52,7 @@ class RecordReader:
         data = self._rest + data
         whole = len(data) - len(data) % _RECORD.size
         self._rest = data[whole:]
-        return [JoyEvent(value, kind, number) for _, value, kind, number in _RECORD.iter_unpack(data[:whole])]
+        return [JoyEvent(*record[1:]) for record in _RECORD.iter_unpack(data[:whole])]
 
 
 class Urgency(enum.IntEnum):
@@ -62,9 +64,12 @@ class Urgency(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class JoySettings:
-    """Parameters of joy_node that decide what is published, after `checked`."""
+class JoySettings(Settings):
+    """Parameters of joy_node, to be used after `checked`."""
 
+    dev: str = "/dev/input/js0"
+    dev_name: str = ""  # when given, the first joystick with this name
+    dev_ff: str = "/dev/input/event0"  # event device for rumble
     deadzone: float = 0.05  # [-] fraction of full scale that reads as 0
     autorepeat_rate: float = 0.0  # [Hz] 0: publish on change only
     coalesce_interval: float = 0.001  # [s] axis events within it make one message
@@ -72,42 +77,26 @@ class JoySettings:
     sticky_buttons: bool = False  # True: a press toggles the button, a release does nothing
 
     def checked(self):
-        """Settings inside their ranges, and one sentence for each value that had to be changed or looks wrong.
-
-        Raises ValueError for what is no finite number.
-        """
-        for name in ("deadzone", "autorepeat_rate", "coalesce_interval"):
-            if not math.isfinite(getattr(self, name)):
-                raise ValueError("joy: parameter ~%s must be a finite number" % name)
-        notes = []
-        deadzone = self.deadzone
-        if deadzone >= 1.0:
-            deadzone /= _FULL_SCALE
+        """Settings inside their ranges, and one sentence for each value that had to be changed or looks wrong."""
+        fraction = self.deadzone / _FULL_SCALE if self.deadzone >= 1.0 else self.deadzone
+        used = {
+            "deadzone": min(max(fraction, 0.0), _DEADZONE_MAX),
+            "autorepeat_rate": max(self.autorepeat_rate, 0.0),
+            "coalesce_interval": max(self.coalesce_interval, 0.0),
+        }
+        notes = [
+            "%s %g is not possible: using %g" % (name, getattr(self, name), value)
+            for name, value in used.items()
+            if value != getattr(self, name)
+        ]
+        if fraction != self.deadzone:
+            notes[0] += " (1 or more is read as raw units, of which full scale has 32767)"
+        if used["autorepeat_rate"] * used["coalesce_interval"] > 1.0:
             notes.append(
-                "deadzone %g is 1 or more: read as raw units and divided by 32767; give a fraction of full scale"
-                % self.deadzone
+                "autorepeat_rate %(autorepeat_rate)g Hz is faster than one message in coalesce_interval, "
+                "%(coalesce_interval)g s: messages come at the slower pace" % used
             )
-        if deadzone > _DEADZONE_MAX:
-            deadzone = _DEADZONE_MAX
-            notes.append("deadzone %g is above %g: using %g" % (self.deadzone, _DEADZONE_MAX, _DEADZONE_MAX))
-        if deadzone < 0.0:
-            deadzone = 0.0
-            notes.append("deadzone %g is negative: using 0" % self.deadzone)
-        autorepeat_rate = self.autorepeat_rate
-        if autorepeat_rate < 0.0:
-            autorepeat_rate = 0.0
-            notes.append("autorepeat_rate %g Hz is negative: using 0 (publish on change)" % self.autorepeat_rate)
-        coalesce_interval = self.coalesce_interval
-        if coalesce_interval < 0.0:
-            coalesce_interval = 0.0
-            notes.append("coalesce_interval %g s is negative: using 0" % self.coalesce_interval)
-        if autorepeat_rate * coalesce_interval > 1.0:
-            notes.append(
-                "autorepeat_rate %g Hz is faster than 1/coalesce_interval (%g Hz): messages come at the slower pace"
-                % (autorepeat_rate, 1.0 / coalesce_interval)
-            )
-        settings = JoySettings(deadzone, autorepeat_rate, coalesce_interval, self.default_trig_val, self.sticky_buttons)
-        return settings, notes
+        return replace(self, **used), notes
 
 
 class JoyState:

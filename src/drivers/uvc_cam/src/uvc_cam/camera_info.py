@@ -14,11 +14,3 @@ def info_for(calibration, width, height):
     if calibrated and fits:
         return calibration, True
     return CameraInfo(width=width, height=height), fits
-
-
-def resolved_frame(frame_id, tf_prefix):
-    """Frame id with the tf_prefix before it; one that begins with a slash is absolute. No leading slash comes out."""
-    prefix = tf_prefix.strip("/")
-    if frame_id.startswith("/") or not prefix:
-        return frame_id.lstrip("/")
-    return "%s/%s" % (prefix, frame_id)

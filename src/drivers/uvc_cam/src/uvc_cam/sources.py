@@ -13,7 +13,7 @@ import time
 
 import cv2
 
-from uvc_cam.settings import FORMATS, Settings, changed_controls
+from uvc_cam.settings import FORMATS, CameraSettings, changed_controls
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
@@ -73,11 +73,24 @@ class _Pace:
         self._due_s = max(self._due_s, now_s) + self._period_s
 
 
-class FolderSource:
+class Source:
+    """What they have in common: `wait` for the next picture, then take it; SourceError when none comes."""
+
+    def __init__(self):
+        self.notes = []  # sentences that are worth a warning
+
+    def set_controls(self, controls):
+        """Set controls of a camera, a dict of name -> value; files have none."""
+
+    def close(self):
+        """Let go of it."""
+
+
+class FolderSource(Source):
     """The pictures of a folder in the order of their names, at the frame rate."""
 
     def __init__(self, folder, settings):
-        self.notes = []  # sentences that are worth a warning
+        super().__init__()
         try:
             entries = sorted(folder.iterdir())
         except OSError as error:
@@ -90,7 +103,6 @@ class FolderSource:
         self._next, self._picture = 0, None
 
     def wait(self):
-        """Wait for the next picture."""
         self._pace.wait()
         while self._paths:
             if self._next == len(self._paths):
@@ -108,21 +120,14 @@ class FolderSource:
         raise SourceError("none of the pictures in %s can be read (any more)" % self._folder)
 
     def picture(self):
-        """The picture that was waited for."""
         return self._picture
 
-    def set_controls(self, controls):
-        """Pictures have none."""
 
-    def close(self):
-        """Nothing is open."""
-
-
-class VideoSource:
+class VideoSource(Source):
     """A video file at the frame rate, whatever rate it was taken at."""
 
     def __init__(self, path, settings):
-        self.notes = []
+        super().__init__()
         self._path, self._loop = path, settings.loop
         self._pace = _Pace(settings.frame_rate)
         self._capture = self._open()
@@ -135,7 +140,6 @@ class VideoSource:
         return capture
 
     def wait(self):
-        """Wait for the next picture."""
         self._pace.wait()
         if not self._capture.grab():
             if not self._read_any:
@@ -149,23 +153,18 @@ class VideoSource:
         self._read_any = True
 
     def picture(self):
-        """The picture that was waited for."""
         return _retrieved(self._capture, "%s holds a picture that cannot be decoded: the file is damaged" % self._path)
 
-    def set_controls(self, controls):
-        """A file has none."""
-
     def close(self):
-        """Close the file."""
         self._capture.release()
 
 
-class CameraSource:
-    """A camera by V4L2, at its own pace."""
+class CameraSource(Source):
+    """A camera by V4L2, at its own pace. Controls that the camera has not are noted."""
 
     def __init__(self, path, settings, capture_class=cv2.VideoCapture, ioctl=fcntl.ioctl):
         """capture_class, ioctl: replaced in tests."""
-        self.notes = []
+        super().__init__()
         self._path, self._ioctl = path, ioctl
         if not os.access(str(path), os.R_OK | os.W_OK):
             raise SourceError("%s may not be opened by this user: add the user to the group video, log in anew" % path)
@@ -189,21 +188,18 @@ class CameraSource:
                 "%s gives %d x %d instead of %d x %d: set width and height to a size that it has "
                 "(v4l2-ctl --list-formats-ext)" % ((path,) + given + (settings.width, settings.height))
             )
-        self.set_controls(changed_controls(Settings(), settings))
+        self.set_controls(changed_controls(CameraSettings(), settings))
 
     def wait(self):
-        """Wait for the next picture. Raises SourceError when the camera is gone."""
         if not self._capture.grab():
             raise SourceError("%s sends no more pictures: is it unplugged?" % self._path)
 
     def picture(self):
-        """The picture that was waited for."""
         return _retrieved(
             self._capture, "%s sent a picture that cannot be decoded: try another format_mode" % self._path
         )
 
     def set_controls(self, controls):
-        """Set controls, a dict of name -> value; those that the camera has not are noted."""
         for name in (*_PROPERTIES, "power_line_frequency"):
             if name in controls and not self._set_control(name, controls[name]):
                 self.notes.append("%s does not take %s = %r" % (self._path, name, controls[name]))
@@ -223,7 +219,6 @@ class CameraSource:
         return True
 
     def close(self):
-        """Let go of the camera."""
         self._capture.release()
 
 

@@ -18,7 +18,7 @@ from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.diagnostics import Rates, make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import (
@@ -63,8 +63,8 @@ class ControllerNode:
         self._buffers = {}  # names of a message -> (ReferenceBuffer, rows, columns of the message)
         self._lock = threading.Lock()
         self._stamps = ClockGuard()  # of the states
-        self._rates = Rates("states", "saturated", "without command", "late", "refused references")
-        self._counts = self._rates.counts
+        self._counts = dict.fromkeys(("states", "saturated", "without command", "late", "refused references"), 0)
+        self._growth = Growth()
         self._cycle_max_s = self._age_max_s = 0.0
         self._answered = None  # (reference, States, who has both) of the newest states
         self._attached = attached_bodies(load_templates(fleet=known_fleet()))
@@ -136,16 +136,18 @@ class ControllerNode:
             trajectories = self._trajectories.deserialize(message.buff)
             stamp_s = trajectories.header.stamp.to_sec()
             if stamp_s:
-                names = trajectories.names
-                entry = self._buffers.get(names)
-                if entry is None:
-                    entry = self._buffers[names] = self._new_buffer(names)
-                if not entry[0].push(stamp_s, trajectories.derivatives.swapaxes(0, 1)):
-                    self._counts["refused references"] += 1
+                self._take(trajectories.names, stamp_s, trajectories.derivatives.swapaxes(0, 1))
         if not stamp_s:
             rospy.logwarn_throttle(
                 10.0, "/trajectory comes without a stamp and is not flown: set header.stamp to the time it is meant for"
             )
+
+    def _take(self, names, stamp_s, sample):
+        entry = self._buffers.get(names)
+        if entry is None:
+            entry = self._buffers[names] = self._new_buffer(names)
+        if not entry[0].push(stamp_s, sample):
+            self._counts["refused references"] += 1
 
     def _new_buffer(self, names):
         columns = [k for k, name in enumerate(names) if name in self._index]
@@ -213,7 +215,7 @@ class ControllerNode:
     def _diagnose(self, status):
         """Diagnostics for people; what other programs use of it goes out as a ControllerReport."""
         with self._lock:
-            rates = self._rates.lately()
+            _, rates = self._growth(self._counts)
             cycle_s, age_s, answered = self._cycle_max_s, self._age_max_s, self._answered
             self._cycle_max_s = self._age_max_s = 0.0
         if rates["states"] == 0.0:

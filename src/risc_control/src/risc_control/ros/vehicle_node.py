@@ -28,7 +28,7 @@ from risc_control.vehicles import Controls, adapter_class
 from risc_lab.lab.vehicle_types import disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.diagnostics import Rates, make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import known_fleet, told_vehicle_type
@@ -273,8 +273,8 @@ class _Vehicle:
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()
-        self._rates = Rates("states", "states while not visible", "controls", "commands", "errors")
-        self._counts = self._rates.counts
+        self._counts = dict.fromkeys(("states", "states while not visible", "controls", "commands", "errors"), 0)
+        self._growth = Growth()
         self._error_land_s = 0.0  # when a landing was ordered because of an error
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
         self._link = adapter_class(vehicle_type).connect(prefix)
@@ -446,7 +446,7 @@ class _Vehicle:
     def diagnose(self, status):
         """A task of diagnostic_updater; what other programs use of it goes out as a VehicleNodeStatus."""
         with self._lock:
-            now_s, rates = time.monotonic(), self._rates.lately()
+            now_s, (_, rates) = time.monotonic(), self._growth(self._counts)
             answer_max_s, self._answer_max_s = self._answer_max_s, 0.0
             pilot = self._pilot
             verdict, reactions = pilot.ladder.verdict, list(pilot.ladder.reactions)

@@ -35,19 +35,13 @@ def run(experiment, root, out=None):
         print("this computer", file=out)
         print_findings(findings, out)
         print(file=out, flush=True)
-    with contextlib.ExitStack() as stack:
-        master = stack.enter_context(contextlib.closing(topics.Master())) if remote else None
-        pool = stack.enter_context(ThreadPoolExecutor(max(len(experiment.computers), 1)))
-        jobs = {
-            computer: pool.submit(_guarded, computer, number, root, description, master, here)
-            for number, computer in enumerate(experiment.computers)
-        }
+    with ThreadPoolExecutor(max(len(experiment.computers), 1)) as pool:
+        arguments = root, description, here
+        jobs = {computer: pool.submit(_guarded, computer, *arguments) for computer in experiment.computers}
         try:
             findings += visit_each(jobs, lambda computer: jobs[computer].result(), out)
         except KeyboardInterrupt:  # what runs on the other computers ends by its own limits
             print("\nmaap machines: interrupted", file=sys.stderr, flush=True)
-            if master is not None:
-                master.close()
             os._exit(1)
     print("%d machines: %s" % (len(experiment.computers), count_text(findings)), file=out)
     if exit_code(findings) == 0:
@@ -100,18 +94,17 @@ def _is_ours(name, here):
 
 
 def _guarded(computer, *arguments):
-    """check_computer; whatever breaks in it is a red finding: the others are worth having."""
+    """check_computer; an exception in it is a red finding: the other computers are still checked."""
     try:
         return check_computer(computer, *arguments)
     except Exception as error:
         return [broken("nodes", error)]
 
 
-def check_computer(computer, number, root, description, master, here):
+def check_computer(computer, root, description, here):
     """Findings about one computer, from the network up to its vehicle; stops at the first that hides the others.
 
-    root, description: folder and content of the workspace here; master: topics.Master; here: our address;
-    number: one of its own.
+    root, description: folder and content of the workspace here; here: our address.
     """
     found = []
     if computer.nodes == 0:
@@ -131,7 +124,7 @@ def check_computer(computer, number, root, description, master, here):
             found.append(keep_alive.check(session))
             found.append(_env_loader(session))
             found.append(_workspace(session, description, root))
-            found += topics.check(session, master, here or session.here, number)
+            found += topics.check(session, here or session.here)
             found.append(clock_offset.check(session))
             found += _doctor(session)
     except ssh.MachineError as problem:

@@ -7,7 +7,7 @@ from risc_doctor.findings import RED, YELLOW, finding
 
 _ROUND_TRIPS = 25
 _LIMIT_S = 5.0
-# one line in, one line out; ends by itself when nobody asks; on one line for csh
+# one line in, one line out; ends by itself when it is not asked; on one line for csh
 _TELLER = "timeout -k 1 10 python3 -uc 'import sys, time; [print(repr(time.time())) for _ in sys.stdin]'"
 
 

@@ -1,26 +1,23 @@
-"""One end of a conversation that shows whether topics flow: `python -m risc_doctor.machines.echo --help`.
+"""The far end of a look at topics: `python -m risc_doctor.machines.echo SECONDS` stands for a node on that computer.
 
-Runs on two computers at once. Each says how far it has come: 0 nothing heard, 1 the other one heard.
-Prints what became of it as one line of JSON.
+Prints one line of JSON: whether it reaches the master, and where others would find its topics; there it waits for one
+connection, for so many seconds.
 """
 
-import argparse
+import contextlib
 import json
 import os
-import shutil
-import signal
 import socket
 import sys
-import tempfile
-import threading
 from urllib.parse import urlsplit
 
-_PERIOD_S = 0.05
+from rosgraph.network import get_host_name
+
 _REACH_S = 2.0
 
 
 def trouble_with(uri):
-    """Why nobody answers at http://HOST:PORT/ as seen from this computer; "" when somebody does."""
+    """Why no program answers at http://HOST:PORT/ as seen from this computer; "" when one does."""
     parts = urlsplit(uri)
     try:
         socket.create_connection((parts.hostname, parts.port), _REACH_S).close()
@@ -33,65 +30,16 @@ def trouble_with(uri):
     return ""
 
 
-def converse(say, hear, limit_s):
-    """Publish on one topic, listen on the other. Returns the outcome as a dictionary."""
-    import rospy  # late: it reads ROS_LOG_DIR when it is imported
-    from std_msgs.msg import UInt8
-
-    heard, answered, stop = threading.Event(), threading.Event(), threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    rospy.init_node("echo", anonymous=True, disable_signals=True)
-
-    def listen(message):
-        heard.set()
-        if message.data:
-            answered.set()
-            stop.set()
-
-    publisher = rospy.Publisher(say, UInt8, queue_size=1)
-    rospy.Subscriber(hear, UInt8, listen, tcp_nodelay=True)
-    for _ in range(int(limit_s / _PERIOD_S)):
-        publisher.publish(UInt8(1 if heard.is_set() else 0))
-        if stop.wait(_PERIOD_S):
-            break
-    publisher.publish(UInt8(1 if heard.is_set() else 0))
-    outcome = {"heard": heard.is_set(), "answered": answered.is_set(), "uri": rospy.get_node_uri()}
-    if not heard.is_set():
-        outcome.update(_the_other(rospy, hear))
-    return outcome
-
-
-def _the_other(rospy, topic):
-    """Where the other one says that it is, and why we cannot reach it there."""
-    master = rospy.get_master()
-    _, _, (publishers, _, _) = master.getSystemState()
-    nodes = [node for name, names in publishers if name == topic for node in names]
-    if not nodes:
-        return {"other": "", "trouble": "it never came to the master"}
-    uri = master.lookupNode(nodes[0])[2]
-    return {"other": uri, "trouble": trouble_with(uri)}
-
-
-def main(argv=None):
-    """Hold the conversation."""
-    parser = argparse.ArgumentParser(prog="echo", description="One end of a conversation between two computers.")
-    parser.add_argument("say", help="topic to publish on")
-    parser.add_argument("hear", help="topic to listen on")
-    parser.add_argument("limit", type=float, help="[s] after which it ends, whatever was heard")
-    args = parser.parse_args(argv)
-    outcome = {"master_uri": os.environ["ROS_MASTER_URI"], "host": socket.gethostname()}
-    outcome["master_trouble"] = trouble_with(outcome["master_uri"])
-    if not outcome["master_trouble"]:
-        os.environ["ROS_LOG_DIR"] = folder = tempfile.mkdtemp(prefix="echo")
-        try:
-            outcome.update(converse(args.say, args.hear, args.limit))
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-    print(json.dumps(outcome))
-    sys.stdout.flush()
-    os._exit(0)  # rospy's threads wait for computers that cannot be reached
+def main(limit_s):
+    """Stand for a node."""
+    with socket.create_server(("", 0)) as server:
+        master_uri = os.environ["ROS_MASTER_URI"]
+        own_uri = "http://%s:%d" % (get_host_name(), server.getsockname()[1])  # as a node tells it to its master
+        print(json.dumps({"master_uri": master_uri, "trouble": trouble_with(master_uri), "uri": own_uri}), flush=True)
+        server.settimeout(limit_s)
+        with contextlib.suppress(TimeoutError):
+            server.accept()[0].close()
 
 
 if __name__ == "__main__":
-    main()
+    main(float(sys.argv[1]))

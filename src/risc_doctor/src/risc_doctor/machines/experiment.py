@@ -27,7 +27,7 @@ class Computer:
     name: str
     address: str
     port: int = 22
-    user: str = None  # None: the login of whoever launches, or what ~/.ssh/config says
+    user: str = None  # None: the login of the person who launches, or what ~/.ssh/config says
     password: str = None
     env_loader: str = None
     timeout_s: float = 10.0  # that roslaunch waits for it

@@ -29,13 +29,13 @@ while [ "$pid" -gt 1 ]; do
   esac;
 done;
 """
-# As root: what sshd makes of all its files for a login like this. Whether the listener has read them, nobody can ask.
+# As root: what sshd makes of all its files for a login like this. Whether the listener has read them cannot be asked.
 _READ = """
 set -- $SSH_CONNECTION;
 $sudo $sshd -T -C "user=$(id -un),host=$1,addr=$1,laddr=$3,lport=$4"
 """
 # As root: let the listener read its files (the HUP is what `systemctl reload ssh` sends). Sessions that are open stay
-# open. As that does, ask sshd first: with a mistake in its settings, the listener would end, and nobody could log in.
+# open. As that does, ask sshd first: with a mistake in its settings, the listener would end: no more logins.
 _RELOAD = """
 $sudo $sshd -t || { $undo; exit 1; };
 [ -z "$listener" ] || $sudo kill -HUP "$listener"
@@ -59,7 +59,7 @@ def write(session):
     """Write the settings when they are missing, and have them read, where the login may. Returns the Finding."""
     good, state = _look(session)
     content = TEXT.replace("\n", "\\n")
-    if good:  # by the files; whoever wrote them may have been cut off before sshd was told
+    if good:  # by the files; the setup that wrote them may have been cut off before it told sshd
         answer = _run(session, _READ_AGAIN)
         if answer.code in (0, _NOT_ROOT):
             return finding("keep-alive", "good", state=state)

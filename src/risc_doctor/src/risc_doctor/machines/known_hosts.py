@@ -61,7 +61,7 @@ def missing_lines(name, address, port, keys):
 
 
 def add(lines):
-    """Append lines in one step: whoever reads the file sees the old or the new one. Raises OSError."""
+    """Append lines in one step: a program that reads the file sees the old or the new one. Raises OSError."""
     target = path()
     target.parent.mkdir(mode=0o700, exist_ok=True)
     old = target.read_text(encoding="utf-8", errors="surrogateescape") if target.exists() else ""

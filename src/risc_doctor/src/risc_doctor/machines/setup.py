@@ -92,7 +92,7 @@ def _agreed(computer, out):
 
 
 def _log_in(computer):
-    """A Session; brings our key there when that is all that is missing and somebody can type the password."""
+    """A Session; brings our key there when that is all that is missing and a person is there to type the password."""
     try:
         return ssh.connect(computer)
     except ssh.MachineError as problem:

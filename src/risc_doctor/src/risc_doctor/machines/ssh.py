@@ -191,14 +191,18 @@ class Session:
         """Log out."""
         self._client.close()
 
-    def loaded(self, arguments, limit_s, master_uri=None):
-        """Run a command through the env-loader, in the words that roslaunch uses. Returns an Answer.
+    def loaded(self, arguments, limit_s):
+        """Run a command through the env-loader. Returns an Answer."""
+        return self.shell(self.loaded_line(arguments, limit_s), limit_s)
+
+    def loaded_line(self, arguments, limit_s, master_uri=None):
+        """A line of shell that runs a command through the env-loader, in the words that roslaunch uses.
 
         master_uri: None = where the master of a launch from here will be.
         """
         master_uri = master_uri or "http://%s:%d" % (self.here, MASTER_PORT)
         words = ["env", "ROS_MASTER_URI=%s" % master_uri, "timeout -k 1 %g" % limit_s, self.computer.env_loader]
-        return self.shell(" ".join(words + [shlex.quote(word) for word in arguments]), limit_s)
+        return " ".join([*words, shlex.join(arguments)])
 
     def limited(self, script, limit_s):
         """Run a shell script that its own limit ends there. Returns an Answer."""

@@ -48,7 +48,7 @@ class Watch:
         self.oldest_ms.append(1e3 * message.oldest_state_s)
         errors_m = {vehicle.name: vehicle.position_error_m for vehicle in message.vehicles}
         errors_mm = {name: 1e3 * error_m if math.isfinite(error_m) else None for name, error_m in errors_m.items()}
-        # a new dict: whoever goes through the last one is in another thread
+        # a new dict: another thread may be reading the last one
         self.errors_mm = {**self.errors_mm, **errors_mm}
 
     def _on_estimator(self, message):

@@ -1,17 +1,15 @@
-"""Camera calibration files (the YAML of ROS' camera_info) and where a camera sits on its vehicle. Needs no ROS.
-
-camera_info_manager.calibration_file reads and writes the same files for the drivers. The two stay apart: that
-package stands in for one of ROS and must do without ours, and this module without ROS.
-"""
+"""Camera calibration files (the YAML of ROS' camera_info) and where a camera sits on its vehicle. Needs no ROS."""
 
 import math
+import os
 import pathlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import yaml
 
-from risc_lab.lab.yaml_reader import Section, errors_of, load_yaml, package_file
+from risc_lab.lab.yaml_reader import errors_of, load_yaml, package_file
+from risc_lab.settings import Count, Settings, Vector, between, settings_from
 
 DISTORTION_MODEL = "plumb_bob"
 _FOLDER = "package://risc_lab/config/cameras/"  # what a bare file name means
@@ -19,25 +17,16 @@ _FOLDER = "package://risc_lab/config/cameras/"  # what a bare file name means
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """Intrinsics of one camera (thesis 4.4.3), as its calibration file holds them."""
+    """Calibration of one camera (thesis 4.4.3), as its file and a sensor_msgs/CameraInfo hold it."""
 
     name: str
     width_px: int
     height_px: int
     K: tuple[float, ...]  # 3 x 3 camera matrix, row by row [px]
-    D: tuple[float, ...]  # k1, k2, p1, p2, k3
+    D: tuple[float, ...]  # distortion coefficients; of plumb_bob k1, k2, p1, p2, k3
     R: tuple[float, ...]  # 3 x 3 rectification rotation
     P: tuple[float, ...]  # 3 x 4 projection of the rectified image [px]
-
-    def __post_init__(self):
-        if self.width_px < 1 or self.height_px < 1:
-            raise ValueError("camera %s: the image has no size (%d x %d)" % (self.name, self.width_px, self.height_px))
-        for what, length in (("K", 9), ("D", 5), ("R", 9), ("P", 12)):
-            values = getattr(self, what)
-            if len(values) != length or not np.all(np.isfinite(values)):
-                raise ValueError("camera %s: %s must be %d finite numbers" % (self.name, what, length))
-        if self.K[0] <= 0.0 or self.K[4] <= 0.0:
-            raise ValueError("camera %s: not calibrated (focal length 0)" % self.name)
+    distortion_model: str = DISTORTION_MODEL
 
     @classmethod
     def from_intrinsics(cls, name, size_px, focal_px, centre_px, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)):
@@ -51,7 +40,59 @@ class CameraCalibration:
             D=tuple(distortion),
             R=(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
             P=(fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0),
-        )
+        ).usable()
+
+    @classmethod
+    def from_info(cls, info, name):
+        """Calibration of a sensor_msgs/CameraInfo (of rospy or of the rosbags library)."""
+        matrices = [tuple(float(value) for value in matrix) for matrix in (info.K, info.D, info.R, info.P)]
+        return cls(name, int(info.width), int(info.height), *matrices, info.distortion_model or DISTORTION_MODEL)
+
+    def usable(self):
+        """The same with five coefficients, for `risc_lab.camera`. Raises ValueError when that cannot work with it."""
+        where = "camera %s: " % self.name
+        if self.distortion_model != DISTORTION_MODEL or len(self.D) > 5:
+            found = DISTORTION_MODEL, self.distortion_model, len(self.D)
+            raise ValueError(where + "distortion_model must be %s with 5 coefficients, found %s with %d" % found)
+        if self.width_px < 1 or self.height_px < 1:
+            raise ValueError(where + "the image has no size (%d x %d)" % (self.width_px, self.height_px))
+        if not np.all(np.isfinite(self.K + self.D + self.R + self.P)):
+            raise ValueError(where + "K, D, R and P must be finite")
+        if self.K[0] <= 0.0 or self.K[4] <= 0.0:
+            raise ValueError(where + "not calibrated (focal length 0)")
+        return replace(self, D=self.D + (0.0,) * (5 - len(self.D)))
+
+
+@dataclass(frozen=True)
+class _Matrix(Settings):
+    rows: Count
+    cols: Count
+    data: tuple[float, ...]  # row by row
+
+
+@dataclass(frozen=True)
+class _CalibrationFile(Settings):
+    image_width: Count
+    image_height: Count
+    camera_matrix: _Matrix
+    distortion_coefficients: _Matrix
+    rectification_matrix: _Matrix
+    projection_matrix: _Matrix
+    camera_name: str = "unknown"
+    distortion_model: str = DISTORTION_MODEL
+
+    def __post_init__(self):
+        super().__post_init__()
+        for key, shape in (("camera", (3, 3)), ("rectification", (3, 3)), ("projection", (3, 4))):
+            _check_shape(key + "_matrix", getattr(self, key + "_matrix"), [shape])
+        count = len(self.distortion_coefficients.data)
+        _check_shape("distortion_coefficients", self.distortion_coefficients, [(1, count), (count, 1)])
+
+
+def _check_shape(key, matrix, shapes):
+    if (matrix.rows, matrix.cols) not in shapes or len(matrix.data) != matrix.rows * matrix.cols:
+        found = key, *shapes[0], matrix.rows, matrix.cols, len(matrix.data)
+        raise ValueError("'%s' must be %d x %d, found %d rows, %d cols and %d numbers" % found)
 
 
 @dataclass(frozen=True)
@@ -71,6 +112,14 @@ FRONT_MOUNT = CameraMount()
 BOTTOM_MOUNT = CameraMount(position_m=(0.0, 0.02, 0.0), pitch_rad=-0.5 * math.pi)  # looks down, nose up in the picture
 
 
+@dataclass(frozen=True)
+class _MountFile(Settings):
+    position_m: Vector = FRONT_MOUNT.position_m
+    roll_deg: between(-180.0, 180.0) = 0.0
+    pitch_deg: between(-90.0, 90.0) = 0.0
+    yaw_deg: between(-180.0, 180.0) = 0.0
+
+
 def resolve_url(url):
     """Path of a calibration or mount: file://, package://PACKAGE/, a path, or a name in risc_lab/config/cameras.
 
@@ -87,55 +136,60 @@ def resolve_url(url):
     return package_file(package, "package.xml").parent / relative
 
 
+def read_calibration(path):
+    """CameraCalibration of a file as ROS' camera drivers take it: of any distortion model, with keys of others.
+
+    Raises ValueError that names the file, the key and what is wrong with it.
+    """
+    content = load_yaml(path)
+    known = {key: content[key] for key in _CalibrationFile.__dataclass_fields__ if key in content}
+    file = settings_from(_CalibrationFile, known, str(path), lenient=True)
+    matrices = (
+        file.camera_matrix.data,
+        file.distortion_coefficients.data,
+        file.rectification_matrix.data,
+        file.projection_matrix.data,
+    )
+    return CameraCalibration(file.camera_name, file.image_width, file.image_height, *matrices, file.distortion_model)
+
+
 def load_calibration(url):
-    """Read a calibration file. Raises ValueError that names the file, the key and what is wrong with it."""
+    """The calibration of a file, see `resolve_url`, that `risc_lab.camera` can use. Raises ValueError as above."""
     path = resolve_url(url)
-    root = Section(load_yaml(path), str(path))
-    model = root.text("distortion_model", DISTORTION_MODEL)
-    if model != DISTORTION_MODEL:
-        raise ValueError("%s: distortion_model must be %s, found %s" % (path, DISTORTION_MODEL, model))
     with errors_of(path):
-        calibration = CameraCalibration(
-            name=root.text("camera_name", path.stem),
-            width_px=root.whole("image_width", minimum=1),
-            height_px=root.whole("image_height", minimum=1),
-            K=_matrix(root, "camera_matrix", 3, 3),
-            D=_matrix(root, "distortion_coefficients", 1, 5),
-            R=_matrix(root, "rectification_matrix", 3, 3),
-            P=_matrix(root, "projection_matrix", 3, 4),
-        )
-    root.done()
-    return calibration
+        return read_calibration(path).usable()
 
 
 def save_calibration(calibration, path):
-    """Write a calibration file that camera_info_manager, image_proc and load_calibration read. Raises OSError."""
+    """Write a calibration file, and the folders above it where they are missing. Raises OSError.
+
+    The old file stays whole until the new one is complete.
+    """
     content = {
-        "image_width": calibration.width_px,
-        "image_height": calibration.height_px,
+        "image_width": int(calibration.width_px),
+        "image_height": int(calibration.height_px),
         "camera_name": calibration.name,
         "camera_matrix": _entry(3, 3, calibration.K),
-        "distortion_model": DISTORTION_MODEL,
-        "distortion_coefficients": _entry(1, 5, calibration.D),
+        "distortion_model": calibration.distortion_model,
+        "distortion_coefficients": _entry(1, len(calibration.D), calibration.D),
         "rectification_matrix": _entry(3, 3, calibration.R),
         "projection_matrix": _entry(3, 4, calibration.P),
     }
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    pathlib.Path(path).write_text(text, encoding="utf-8")
+    path = pathlib.Path(path).resolve()  # a link stays a link
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name("%s.%d" % (path.name, os.getpid()))
+    try:
+        temporary.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None), encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def load_mount(url):
     """Read a camera mount: position_m, roll_deg, pitch_deg, yaw_deg. Raises ValueError that names file and key."""
     path = resolve_url(url)
-    root = Section(load_yaml(path), str(path))
-    mount = CameraMount(
-        position_m=root.vector("position_m", 3, FRONT_MOUNT.position_m),
-        roll_rad=math.radians(root.number("roll_deg", 0.0, -180.0, 180.0)),
-        pitch_rad=math.radians(root.number("pitch_deg", 0.0, -90.0, 90.0)),
-        yaw_rad=math.radians(root.number("yaw_deg", 0.0, -180.0, 180.0)),
-    )
-    root.done()
-    return mount
+    file = settings_from(_MountFile, load_yaml(path), str(path))
+    return CameraMount(file.position_m, *map(math.radians, (file.roll_deg, file.pitch_deg, file.yaw_deg)))
 
 
 def save_mount(mount, path):
@@ -149,15 +203,6 @@ def save_mount(mount, path):
     text = "# Front camera in body axes (x nose, y right wing, z belly).\n"
     text += yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     pathlib.Path(path).write_text(text, encoding="utf-8")
-
-
-def _matrix(root, key, rows, columns):
-    section = root.section(key)
-    section.number("rows", rows, rows, rows)
-    section.number("cols", columns, columns, columns)
-    values = section.vector("data", rows * columns)
-    section.done()
-    return values
 
 
 def _entry(rows, columns, data):

@@ -138,7 +138,7 @@ class Fleet(Settings):
         for vehicle in self.vehicles:
             if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", vehicle.namespace):
                 raise ValueError("namespace %r is no ROS name (letter, then letters, digits, _)" % vehicle.namespace)
-        # one driver too many at an address would fly somebody else's vehicle
+        # a second driver at an address would fly another driver's vehicle
         for key in ("namespace", "template") + (() if self.own_networks else ("address",)):
             check_different(self.vehicles, key, "vehicles")
         attached = [vehicle.attached for vehicle in self.vehicles if vehicle.attached]
@@ -171,8 +171,9 @@ class Fleet(Settings):
     def to_dict(self):
         """The fleet as the plain dict that its YAML file would hold; without what is empty, as ROS knows no null."""
         content = msgspec.to_builtins(self)
-        content["vehicles"] = [{key: value for key, value in vehicle.items() if value is not None}
-                               for vehicle in content["vehicles"]]  # fmt: skip
+        for vehicle in content["vehicles"]:
+            if vehicle["attached"] is None:
+                del vehicle["attached"]
         if not self.templates.templates:
             del content["templates"]
         return content
@@ -189,7 +190,7 @@ def fleet_from_dict(content, where="fleet"):
 
 
 def _check_address(settings, key, whose=None):
-    """Raises ValueError. whose: the files for a real laboratory leave its address to whoever copies them."""
+    """Raises ValueError. whose: the files for a real laboratory leave this address for the user to fill in."""
     value = getattr(settings, key)
     if whose and not value:
         raise ValueError("'%s' is not written yet: write the address of %s there" % (key, whose))

@@ -1,6 +1,7 @@
 """Mocap templates: where the markers sit on each object that motion capture identifies by name."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -27,7 +28,7 @@ class Template:
 class Kind(Settings):
     """What an object is, and the name of its geometry."""
 
-    kind: str  # one of KINDS
+    kind: Literal[KINDS]
     geometry: Name
 
 
@@ -41,8 +42,6 @@ class TemplateSet(Settings):
     def __post_init__(self):
         super().__post_init__()
         for name, item in self.templates.items():
-            if item.kind not in KINDS:
-                raise ValueError("%s: 'kind' must be one of %s, found %r" % (name, ", ".join(KINDS), item.kind))
             if item.geometry not in self.geometries:
                 known = ", ".join(self.geometries)
                 raise ValueError("%s: unknown geometry %r; known are %s" % (name, item.geometry, known))
@@ -54,8 +53,8 @@ class TemplateSet(Settings):
 
     def by_name(self):
         """{name: Template}."""
-        return {name: _template(name, item.kind, self.geometries[item.geometry])
-                for name, item in self.templates.items()}  # fmt: skip
+        kinds = self.templates.items()
+        return {name: _template(name, item.kind, self.geometries[item.geometry]) for name, item in kinds}
 
 
 def load_templates(path=None, fleet=None):
@@ -73,8 +72,8 @@ def load_templates(path=None, fleet=None):
 
 
 def attached_bodies(templates):
-    """Names of the bodies that hang on vehicles, such as the tip of a pendulum: motion capture sees them, nobody flies
-    them.
+    """Names of the bodies that hang on vehicles, such as the tip of a pendulum: motion capture sees them, but they
+    are not flown.
     """
     return frozenset(name for name, template in templates.items() if template.kind == ATTACHED)
 

@@ -12,7 +12,7 @@ _PERIOD_S = 1.0
 def make_updater(hardware_id):
     """A diagnostic_updater.Updater for this node that leaves the master alone.
 
-    An Updater asks for its period again and again as long as nobody has set it, and asking is to the master as good
+    An Updater asks for its period again and again as long as it is not set, and asking is to the master as good
     as registering: a node that is just being replaced by one of the same name would throw that one out again.
     """
     if not rospy.has_param(_PERIOD):
@@ -22,16 +22,21 @@ def make_updater(hardware_id):
     return updater
 
 
-class Rates:
-    """Counts of what happens, and how often it has happened lately. Not locked."""
+class Growth:
+    """How much counters have grown since they were reported last."""
 
-    def __init__(self, *what):
-        self.counts = dict.fromkeys(what, 0)
-        self._before, self._before_s = dict(self.counts), time.monotonic()
+    def __init__(self):
+        self._counts, self._reported_s = {}, time.monotonic()
 
-    def lately(self):
-        """{what: times a second since the last call}."""
+    def __call__(self, counts):
+        """({name: growth}, {name: growth a second [Hz]}) of {name: count}."""
         now_s = time.monotonic()
-        elapsed_s, self._before_s = max(now_s - self._before_s, 1e-3), now_s
-        before, self._before = self._before, dict(self.counts)
-        return {what: (count - before.get(what, 0)) / elapsed_s for what, count in self.counts.items()}
+        elapsed_s = max(now_s - self._reported_s, 1e-3)
+        new = {name: count - self._counts.get(name, 0) for name, count in counts.items()}
+        self._counts, self._reported_s = dict(counts), now_s
+        return new, {name: count / elapsed_s for name, count in new.items()}
+
+
+def age_text(last_s):
+    """How long ago something came last [s], for a status. last_s: time of the monotonic clock, None: never."""
+    return "none yet" if last_s is None else "%.2f" % (time.monotonic() - last_s)

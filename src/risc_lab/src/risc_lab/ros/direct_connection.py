@@ -3,7 +3,7 @@
 rospy wakes a thread for each subscriber of each message. At 200 Hz with six subscribers that is most of what a node
 does, and it delays every hop by a change of threads. A `DirectConnection` sends at once when the subscriber's socket
 takes the whole message, and leaves it to rospy's thread otherwise: a subscriber that is slow, frozen or out of reach
-delays nobody, and loses the oldest messages beyond the publisher's queue_size, as always.
+delays no other, and loses the oldest messages beyond the publisher's queue_size, as always.
 """
 
 import socket
@@ -66,7 +66,7 @@ class DirectConnection(rospy.topics.QueuedConnection):
             try:
                 for data in work:
                     self._connection.write_data(data)
-            except Exception as error:  # whatever it is, the publisher is to hear of it
+            except Exception as error:  # of any kind: the publisher must hear of it
                 with self._lock:
                     self._error = error
 

@@ -13,7 +13,7 @@ byte at every message. A topic has one class in a process: rospy takes that of i
 Between two frames caches go cold: what takes 1 us in a loop takes 10 when it is done once in 5 ms, so it is the number
 of different things done that counts. Nodes that see every frame subscribe to `CortexArrays.Raw` (the bytes alone) and
 let one CortexArrays of their own `deserialize` them. It overwrites its arrays in place as long as the names stay the
-same, and makes new ones otherwise: whoever keeps views of them compares `data`.
+same, and makes new ones otherwise: code that keeps views of them compares `data`.
 """
 
 import io
@@ -34,12 +34,21 @@ _MOST_LAYOUTS = 64  # remembered for each kind of message; more sets of names th
 class Layout:
     """Where the numbers of a message stand on the wire, and where in the message's `data`."""
 
-    def __init__(self, entries, template, spans, size):
-        self.entries = entries  # names, or (name, number of markers) pairs
-        self.template = np.frombuffer(template, np.uint8)  # the body with all numbers zero
+    def __init__(self, entries, template, places):
+        """entries: names, or (name, number of markers) pairs.  template: the body with all numbers zero.
+
+        places: {place in the body: (number of bytes, 0 for the numbers or 1 for what stands after all of them)}.
+        """
+        self.entries = entries
+        self.template = np.frombuffer(template, np.uint8)
+        spans, self.size = [], 0  # [bytes] of data
+        for part in (0, 1):
+            self.end_of_numbers = self.size
+            for place in (place for place, (_, its_part) in places.items() if its_part == part):
+                spans.append((place, places[place][0], self.size))
+                self.size += places[place][0]
         # first byte in the body, number of bytes, first in data; the last one ends the body
-        self.spans = np.array([*spans, (len(template), 0, 0)], np.intp)
-        self.size = size  # [bytes] of data
+        self.spans = np.array([*sorted(spans), (len(template), 0, 0)], np.intp)
 
 
 @compiled
@@ -86,6 +95,9 @@ class FleetMessage(genpy.Message):
     _has_header = True
     _layouts = {}  # {key: Layout}; a key is the entries with their names as bytes. Each kind has its own
     _newest = None  # Layout of the newest message: nearly always that of the next one as well
+    _flags = 0  # 1: a bool stands before the numbers of an entry
+    _columns = 4  # float64 in a row
+    _rest_type = bool  # of what stands after the numbers
 
     def __init_subclass__(cls, of, **options):
         super().__init_subclass__(**options)
@@ -153,13 +165,57 @@ class FleetMessage(genpy.Message):
         if layout is None:
             while len(cls._layouts) >= _MOST_LAYOUTS:
                 del cls._layouts[next(iter(cls._layouts))]
-            layout = cls._layouts[key] = Layout(cls._coded(key, _decoded), *cls._make_layout(key))
+            body, places = _LENGTH.pack(len(key)), {}
+            for entry in key:
+                for constant, size, part in cls._parts(entry):
+                    body += constant
+                    places[len(body)] = size, part
+                    body += bytes(size)
+            layout = cls._layouts[key] = Layout(cls._coded(key, _decoded), body, places)
         return layout
+
+    @classmethod
+    def _key_of(cls, body):
+        (count,) = _LENGTH.unpack_from(body)
+        key, at = [], _LENGTH.size
+        for _ in range(count):
+            entry, at = cls._read(body, at)
+            key.append(entry)
+        if at > len(body):
+            raise struct.error("an entry is cut short")
+        return tuple(key)
 
     @staticmethod
     def _coded(entries, code):
         """The entries, or their key, with each name encoded or decoded."""
         return tuple([code(name) for name in entries])
+
+    @classmethod
+    def _parts(cls, entry):
+        """(bytes before it, number of bytes, part of `Layout`) of what an entry of a key holds."""
+        flag = [(_text(entry), 1, 1)] if cls._flags else []
+        return [*flag, (b"" if flag else _text(entry), 8 * cls._columns, 0)]
+
+    @classmethod
+    def _read(cls, body, at):
+        """(entry of a key, next place) at a place of a body."""
+        name, at = _read_text(body, at)
+        return name, at + cls._flags + 8 * cls._columns
+
+    def _numbers(self):
+        """(rows, columns) float64."""
+        return self._both()[0]
+
+    def _rest(self):
+        """What stands after the numbers: (entries,)."""
+        return self._both()[1]
+
+    def _both(self):
+        if self._views is None:
+            end = self.layout.end_of_numbers
+            numbers, rest = self.data[:end].view("<f8"), self.data[end:].view(self._rest_type)
+            self._views = numbers.reshape(-1, self._columns), rest
+        return self._views
 
 
 def _serialised(message):
@@ -190,86 +246,39 @@ def _read_text(body, at):
     return bytes(body[at + _LENGTH.size : end]), end
 
 
-class _Rows(FleetMessage, of=Controls):
-    """Entries of a name, perhaps a flag, and a fixed number of float64."""
-
-    __slots__ = ()
-    _flags = 0  # 1: a bool stands before the numbers
-    _numbers = 4
-
-    @classmethod
-    def _make_layout(cls, key):
-        """(template, spans, size) as `Layout` takes them."""
-        body, spans = _LENGTH.pack(len(key)), []
-        row = 8 * cls._numbers
-        for i, name in enumerate(key):
-            body += _text(name)
-            if cls._flags:
-                spans.append((len(body), 1, len(key) * row + i))
-            spans.append((len(body) + cls._flags, row, i * row))
-            body += bytes(cls._flags + row)
-        return body, spans, len(key) * (row + cls._flags)
-
-    @classmethod
-    def _key_of(cls, body):
-        (count,) = _LENGTH.unpack_from(body)
-        names, at = [], _LENGTH.size
-        for _ in range(count):
-            name, at = _read_text(body, at)
-            names.append(name)
-            at += cls._flags + 8 * cls._numbers
-        if at > len(body):
-            raise struct.error("an entry is cut short")
-        return tuple(names)
-
-    def _table(self):
-        """(n, numbers) float64."""
-        return self._both()[0]
-
-    def _both(self):
-        """Views of the numbers (n, numbers) float64 and of the flags (n,) bool."""
-        if self._views is None:
-            count, end = len(self.layout.entries), 8 * self._numbers * len(self.layout.entries)
-            self._views = self.data[:end].view("<f8").reshape(count, self._numbers), self.data[end:].view(bool)
-        return self._views
-
-
-class ControlsArrays(_Rows, of=Controls):
+class ControlsArrays(FleetMessage, of=Controls):
     """Controls. `controls` (n, 4): phi, theta, psi [-], T [N], as the message says."""
 
     __slots__ = ()
-    controls = property(_Rows._table)
+    controls = property(FleetMessage._numbers)
 
 
-class TrajectoriesArrays(_Rows, of=Trajectories):
+class TrajectoriesArrays(FleetMessage, of=Trajectories):
     """Trajectories. `derivatives` (n, 3, 4): position, velocity, acceleration of x, y, z [m], psi [rad]."""
 
     __slots__ = ()
-    _numbers = 12
+    _columns = 12
 
     @property
     def derivatives(self):
-        return self._table().reshape(-1, 3, 4)
+        return self._numbers().reshape(-1, 3, 4)
 
 
-class LandmarksArrays(_Rows, of=Landmarks):
+class LandmarksArrays(FleetMessage, of=Landmarks):
     """Landmarks. `positions_m` (n, 3) [m] cortex frame."""
 
     __slots__ = ()
-    _numbers = 3
-    positions_m = property(_Rows._table)
+    _columns = 3
+    positions_m = property(FleetMessage._numbers)
 
 
-class CortexArrays(_Rows, of=Cortex):
+class CortexArrays(FleetMessage, of=Cortex):
     """Cortex. `visible` (n,) bool; `states` (n, 12) in the units of the message: m, m/s, degrees, degrees/s."""
 
     __slots__ = ()
-    _flags, _numbers = 1, 12
-    states = property(_Rows._table)
-
-    @property
-    def visible(self):
-        return self._both()[1]
+    _flags, _columns = 1, 12
+    states = property(FleetMessage._numbers)
+    visible = property(FleetMessage._rest)
 
 
 class MocapArrays(FleetMessage, of=Mocap_data):
@@ -278,6 +287,9 @@ class MocapArrays(FleetMessage, of=Mocap_data):
     """
 
     __slots__ = ()
+    _columns, _rest_type = 3, "<f8"
+    markers_m = property(FleetMessage._numbers)
+    residuals = property(FleetMessage._rest)
 
     @property
     def names(self):
@@ -287,42 +299,13 @@ class MocapArrays(FleetMessage, of=Mocap_data):
     def _coded(entries, code):
         return tuple([(code(name), count) for name, count in entries])
 
-    @property
-    def markers_m(self):
-        return self._both()[0]
-
-    @property
-    def residuals(self):
-        return self._both()[1]
-
-    def _both(self):
-        if self._views is None:
-            end = self.data.size - 8 * len(self.layout.entries)
-            self._views = self.data[:end].view("<f8").reshape(-1, 3), self.data[end:].view("<f8")
-        return self._views
+    @classmethod
+    def _parts(cls, entry):
+        name, count = entry
+        return (_text(name), 8, 1), (_LENGTH.pack(count), 24 * count, 0)
 
     @classmethod
-    def _make_layout(cls, key):
-        markers = sum(count for _, count in key)
-        body, spans, before = _LENGTH.pack(len(key)), [], 0
-        for i, (name, count) in enumerate(key):
-            body += _text(name)
-            spans.append((len(body), 8, 24 * markers + 8 * i))
-            body += bytes(8) + _LENGTH.pack(count)
-            spans.append((len(body), 24 * count, 24 * before))
-            body += bytes(24 * count)
-            before += count
-        return body, spans, 24 * markers + 8 * len(key)
-
-    @classmethod
-    def _key_of(cls, body):
-        (bodies,) = _LENGTH.unpack_from(body)
-        key, at = [], _LENGTH.size
-        for _ in range(bodies):
-            name, at = _read_text(body, at)
-            (count,) = _LENGTH.unpack_from(body, at + 8)
-            key.append((name, count))
-            at += 8 + _LENGTH.size + 24 * count
-        if at > len(body):
-            raise struct.error("a body is cut short")
-        return tuple(key)
+    def _read(cls, body, at):
+        name, at = _read_text(body, at)
+        (count,) = _LENGTH.unpack_from(body, at + 8)
+        return (name, count), at + 8 + _LENGTH.size + 24 * count

@@ -4,6 +4,7 @@ import contextlib
 import os
 import pathlib
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -21,7 +22,7 @@ class PortReservation:
     """A part of the loopback network that belongs to one flight: 127.<n>.*.*, told apart by <n>.
 
     The reservation is a listening socket, so it ends with the process, and the roslaunch that it is handed on to
-    (`Launch`), whatever happens.
+    (`Launch`), also when it is killed.
     """
 
     PORT = 1510
@@ -32,7 +33,7 @@ class PortReservation:
             try:
                 guard.bind(("127.%d.0.254" % number, self.PORT))
                 guard.listen(1)
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # a lab that nobody looks after?
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # an orphaned lab?
                     probe.bind(("127.%d.0.1" % number, self.PORT))
             except OSError:
                 guard.close()
@@ -52,9 +53,9 @@ class PortReservation:
 
 
 def free_tcp_port(*preferred):
-    """A TCP port on 127.0.0.1 that nobody listens on: the preferred one, unless it is taken.
+    """A TCP port on 127.0.0.1 on which no program listens: the preferred one, unless it is taken.
 
-    It is none of those that Linux gives to whoever asks for any, so it is free still when its user comes.
+    It is not one of those that Linux hands out to programs that ask for any port, so it stays free until it is used.
     """
     for port in (*preferred, *random.sample(_PORTS, _ATTEMPTS)):
         with socket.socket() as probe, contextlib.suppress(OSError):
@@ -66,25 +67,23 @@ def free_tcp_port(*preferred):
 class Launch:
     """One roslaunch with its own master, in its own session, with its output in a file.
 
-    Whoever starts it and dies of whatever leaves nothing: roslaunch is interrupted then, and ends its nodes, of which
-    those of the vehicles land them. (By the kernel; for the thread that starts it, so let that be the main one.)
+    However the caller dies, nothing is left behind: the kernel interrupts roslaunch then, which ends its nodes, and the
+    vehicle nodes land their vehicles. (The kernel watches the thread that starts it: let that be the main one.)
     """
 
     def __init__(self, launch_file, arguments, folder, master_port, reservation=None):
         """Start it. arguments: {name: value}; folder: for its log and ROS home; reservation: that it keeps, too."""
         self.identity = uuid.uuid4().hex
         self.log_path = pathlib.Path(folder) / "roslaunch.log"
-        environment = dict(os.environ)
-        environment.update(
-            {
-                MARK: self.identity,
-                "ROS_MASTER_URI": "http://127.0.0.1:%d" % master_port,
-                "ROS_IP": "127.0.0.1",
-                "ROS_HOME": str(folder),
-                "ROS_LOG_DIR": str(pathlib.Path(folder) / "ros_log"),
-                "PYTHONUNBUFFERED": "1",
-            }
-        )
+        environment = {
+            **os.environ,
+            MARK: self.identity,
+            "ROS_MASTER_URI": "http://127.0.0.1:%d" % master_port,
+            "ROS_IP": "127.0.0.1",
+            "ROS_HOME": str(folder),
+            "ROS_LOG_DIR": str(pathlib.Path(folder) / "ros_log"),
+            "PYTHONUNBUFFERED": "1",
+        }
         environment.pop("ROS_HOSTNAME", None)
         command = ["setpriv", "--pdeathsig", "INT", "roslaunch", "--skip-log-check", "-p", str(master_port)]
         command += [str(launch_file)]
@@ -131,11 +130,9 @@ def all_marked_processes():
     """{identity: {process id: command}} of all flights, without the caller."""
     found = {}
     for process in psutil.process_iter():
-        if process.pid == os.getpid():
-            continue
         with contextlib.suppress(psutil.Error):  # it ended while we looked, or it belongs to another user
             identity = process.environ().get(MARK)
-            if identity:
+            if identity and process.pid != os.getpid():
                 found.setdefault(identity, {})[process.pid] = " ".join(process.cmdline())
     return found
 
@@ -165,18 +162,29 @@ def any_busy(pids):
     """Whether a thread of one of the processes runs or waits for a processor."""
     for pid in pids:
         for path in pathlib.Path("/proc/%d/task" % pid).glob("*/stat"):
-            try:
-                state = path.read_text(errors="replace").rpartition(")")[2].split()[0]  # its name may hold anything
-            except (FileNotFoundError, ProcessLookupError):
-                continue  # it ended while we looked
-            if state == "R":
-                return True
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it ended while we looked
+                if path.read_text(errors="replace").rpartition(")")[2].split()[0] == "R":  # its name may hold anything
+                    return True
     return False
 
 
 def send_signal(pid, number):
     """Signal a process, which may be gone."""
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.kill(pid, number)
-    except ProcessLookupError:
-        return  # already gone: what was wanted
+
+
+def program_of(words):
+    """What a person calls a command line: of ["/usr/bin/python3", "-u", "/x/roslaunch", "a.launch"] roslaunch."""
+    words = list(words)
+    if words and re.match("python|bash|sh$|nice$|env$", os.path.basename(words[0])):
+        if "-m" in words[:-1]:
+            return words[words.index("-m") + 1]
+        scripts = [word for word in words[1:] if not word.startswith("-")]
+        words = scripts[:1] if scripts and words[1] != "-c" else words
+    return os.path.basename(words[0]) if words else ""
+
+
+def argument_of(words, name):
+    """Value of a remapping argument NAME:=VALUE on a command line, or ""."""
+    return next((word[len(name) + 2 :] for word in words if word.startswith(name + ":=")), "")

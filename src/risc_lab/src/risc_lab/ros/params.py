@@ -35,29 +35,40 @@ def warn_of_unknown():
     _warn(sorted(set(rospy.get_param("~", {})) - _asked - _ELSEWHERE))
 
 
-def load_params(*classes, known=()):
+def load_params(*classes, known=(), lenient=False):
     """Private parameters of this node as instances of the dataclasses. Unknown ones are logged as warnings.
 
-    known: names of others, which somebody else reads.
+    known: names of others, which are read elsewhere.  lenient: see `params_from_dict`.
     """
-    instances, unknown = params_from_dict(classes, rospy.get_param("~", {}))
+    instances, unknown = params_from_dict(classes, rospy.get_param("~", {}), lenient)
     _warn([name for name in unknown if name not in known])
     for params in instances:
         rospy.loginfo("%s", params)
     return instances
 
 
-def params_from_dict(classes, values):
+def params_from_dict(classes, values, lenient=False):
     """Fill dataclasses from one flat dict: returns (list of instances, sorted names of unknown keys).
 
-    A key that is absent leaves the default. Raises ValueError naming the key, see `risc_lab.settings`.
+    A key that is absent leaves the default. lenient: as launch files of old have it, texts that hold a number or a
+    truth value, and 0 and 1 for false and true. Raises ValueError naming the key, see `risc_lab.settings`.
     """
     names = [{item.name for item in fields(kind)} for kind in classes]
     instances = [
-        settings_from(kind, {key: values[key] for key in known if key in values}, "parameters")
+        settings_from(kind, {key: values[key] for key in known if key in values}, "parameters", lenient)
         for kind, known in zip(classes, names, strict=True)
     ]
     return instances, sorted(set(values) - _ELSEWHERE.union(*names))
+
+
+def tf_frame(name):
+    """Name of a tf frame with the parameter tf_prefix before it, as tf 1 did: found upwards from the node's namespace.
+
+    A name that begins with a slash has none. No slash comes out at the beginning.
+    """
+    key = None if name.startswith("/") else rospy.search_param("tf_prefix")
+    prefix = str(rospy.get_param(key)) if key else ""
+    return "/".join(part for part in (prefix.strip("/"), name.lstrip("/")) if part)
 
 
 def known_fleet():
@@ -100,21 +111,13 @@ def number(name, default):
     return result
 
 
-def dataclass_from_params(kind, aliases=None, defaults=None, **given):
-    """An instance of a dataclass of numbers: private parameters by the names of its fields, its defaults else.
+def dataclass_from_params(kind, defaults=None):
+    """An instance of a dataclass of numbers: private parameters by the names of its fields.
 
-    aliases: dict field -> name of the parameter, where that differs.  defaults: another instance to take them from.
-    given: values of fields that are no parameters.
+    defaults: another instance to take the others from.
     """
-    aliases = aliases or {}
-    values = {
-        field.name: number(
-            "~" + aliases.get(field.name, field.name), getattr(defaults, field.name) if defaults else field.default
-        )
-        for field in fields(kind)
-        if field.name not in given
-    }
-    return kind(**values, **given)
+    values = {item.name: getattr(defaults, item.name) if defaults else item.default for item in fields(kind)}
+    return kind(**{name: number("~" + name, value) for name, value in values.items()})
 
 
 def told_vehicle_type(vehicle, private_values=None):

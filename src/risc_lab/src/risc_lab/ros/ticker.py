@@ -15,7 +15,7 @@ def guarded(work, name):
     def run():
         try:
             work()
-        except Exception as error:  # whatever it is, the next call must come
+        except Exception as error:  # of any kind: the next call must come
             if not rospy.core.is_shutdown_requested():  # topics are closed then
                 rospy.logerr_throttle(
                     _LOG_PERIOD_S,

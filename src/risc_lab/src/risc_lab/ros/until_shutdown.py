@@ -9,7 +9,7 @@ def until_shutdown(callback):
     """The callback, without the error it meets when rospy has closed its topics under it.
 
     rospy closes publishers before it ends the threads that publish: a message on its way at that moment raises, and
-    the node would end with a traceback that tells nobody anything.
+    the node would end with a useless traceback.
     """
 
     @functools.wraps(callback)

@@ -15,12 +15,12 @@ config/bodies/NAME.yaml. One from elsewhere is bodies/NAME.py and bodies/NAME.ya
 risc_lab.registry).
 """
 
+from dataclasses import astuple, make_dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from risc_lab.compiled import record
-from risc_lab.lab.yaml_reader import Section
 from risc_lab.registry import Registry
 
 REGISTRY = Registry("bodies", __name__)
@@ -40,10 +40,9 @@ class Body(NamedTuple):
 def load_body(name):
     """Body of this name. Raises ValueError for an unknown one, or when its module or YAML file is not complete."""
     module = REGISTRY.module(name)
-    section = Section(REGISTRY.settings(name), "body %s" % name)
     try:
-        values = tuple(section.number(field) for field in module.FIELDS)
-        section.done()
+        numbers = make_dataclass(name, [(field, float) for field in module.FIELDS])
+        values = astuple(REGISTRY.settings(name, numbers))
         fields = record(*[(field, float) for field in module.FIELDS])
         return Body(module.SIZE, fields, values, module.couple, module.rest, module.place)
     except AttributeError as error:

@@ -39,7 +39,7 @@ class StreamWriter:
         """Header and payload of one picture, in one bytes object.
 
         payload: one access unit, Annex B.  timestamp_ms: the aircraft's clock at exposure, any integer; it wraps at
-        2**32.  The type is found in the payload: IDR, headers only, else P.  ValueError for a payload too large.
+        2**32.  The type is found in the payload: IDR, headers only, else P.
         """
         units = nal_units(payload)
         kinds = {kind for kind, _, _ in units}

@@ -5,7 +5,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.ticker import Ticker
 
 _SILENCE_S = 3.0
@@ -25,7 +25,7 @@ class Health:
         self._refused = {}  # why -> how often
         self._drawn = dict.fromkeys(inputs, 0)
         self._last_s = dict.fromkeys(inputs)
-        self._reported, self._reported_s = dict(self._drawn), time.monotonic()
+        self._growth = Growth()
         self._updater = make_updater("none")
         self._updater.add(name, self._diagnose)
         Ticker(1.0, self._updater.update, "the diagnostics")
@@ -44,9 +44,7 @@ class Health:
     def _diagnose(self, status):
         with self._lock:
             now_s = time.monotonic()
-            elapsed_s = max(now_s - self._reported_s, 1e-3)
-            rates_hz = {what: (self._drawn[what] - self._reported[what]) / elapsed_s for what in self._drawn}
-            self._reported, self._reported_s = dict(self._drawn), now_s
+            _, rates_hz = self._growth(self._drawn)
             ages_s = {what: None if last_s is None else now_s - last_s for what, last_s in self._last_s.items()}
             refused = dict(self._refused)
         silent = [what for what, age_s in ages_s.items() if age_s is None or age_s > _SILENCE_S]

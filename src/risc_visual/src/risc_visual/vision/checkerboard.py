@@ -185,7 +185,7 @@ def calibrate(views, board, size_px, name="camera", params=None):
             D=tuple(float(value) for value in D),
             R=(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
             P=tuple(float(value) for value in np.column_stack((P, np.zeros(3))).ravel()),
-        )
+        ).usable()
     except ValueError as error:
         raise CalibrationError("the pictures do not determine the camera (%s): %s" % (error, _TILT_CURE)) from error
     return Calibrated(

@@ -61,65 +61,15 @@ class CtrlMode(IntEnum):
     SEND_CUSTOM_IDS = 6  # list of multi-configuration ids on TCP 5559
 
 
-class LedAnimation(IntEnum):
-    """Ids of AT*LED."""
-
-    BLINK_GREEN_RED = 0
-    BLINK_GREEN = 1
-    BLINK_RED = 2
-    BLINK_ORANGE = 3
-    SNAKE_GREEN_RED = 4
-    FIRE = 5
-    STANDARD = 6
-    RED = 7
-    GREEN = 8
-    RED_SNAKE = 9
-    BLANK = 10
-    RIGHT_MISSILE = 11
-    LEFT_MISSILE = 12
-    DOUBLE_MISSILE = 13
-    FRONT_LEFT_GREEN_OTHERS_RED = 14
-    FRONT_RIGHT_GREEN_OTHERS_RED = 15
-    REAR_RIGHT_GREEN_OTHERS_RED = 16
-    REAR_LEFT_GREEN_OTHERS_RED = 17
-    LEFT_GREEN_RIGHT_RED = 18
-    LEFT_RED_RIGHT_GREEN = 19
-    BLINK_STANDARD = 20
-
-
-# (name, default duration [ms]) by flight animation id.
-FLIGHT_ANIMATIONS = (
-    ("PHI_M30_DEG", 1000),
-    ("PHI_30_DEG", 1000),
-    ("THETA_M30_DEG", 1000),
-    ("THETA_30_DEG", 1000),
-    ("THETA_20DEG_YAW_200DEG", 1000),
-    ("THETA_20DEG_YAW_M200DEG", 1000),
-    ("TURNAROUND", 5000),
-    ("TURNAROUND_GODOWN", 5000),
-    ("YAW_SHAKE", 2000),
-    ("YAW_DANCE", 5000),
-    ("PHI_DANCE", 5000),
-    ("THETA_DANCE", 5000),
-    ("VZ_DANCE", 5000),
-    ("WAVE", 5000),
-    ("PHI_THETA_MIXED", 5000),
-    ("DOUBLE_PHI_THETA_MIXED", 5000),
-    ("FLIP_AHEAD", 15),
-    ("FLIP_BEHIND", 15),
-    ("FLIP_LEFT", 15),
-    ("FLIP_RIGHT", 15),
-)
+# Default duration [ms] by flight animation id: phi -30, phi 30, theta -30, theta 30, theta 20 yaw 200, theta 20 yaw
+# -200; turnaround, turnaround down; yaw shake; dances in yaw, phi, theta, vz, a wave, two mixed ones; four flips.
+FLIGHT_ANIMATIONS_MS = 6 * (1000,) + 2 * (5000,) + (2000,) + 7 * (5000,) + 4 * (15,)
 
 _INT32 = struct.Struct("<i")
 _UINT32 = struct.Struct("<I")
 _FLOAT32 = struct.Struct("<f")
+_PADDING, _START, _SELECT = map(int, (Ref.PADDING, Ref.START, Ref.SELECT))  # IntFlag's operators are slow
 _STICKS, _PATTERNS = struct.Struct("<6f"), struct.Struct("<6i")  # the same bytes as floats and as integers
-_REF = {
-    (start, select): int(Ref.PADDING | (Ref.START if start else 0) | (Ref.SELECT if select else 0))
-    for start in (False, True)
-    for select in (False, True)
-}
 
 
 def float_to_int(value):
@@ -146,18 +96,11 @@ def int_to_float(pattern):
 def encode(name, sequence, *arguments):
     """One command as bytes, carriage return included.
 
-    name: key of SIGNATURES.  sequence: >= 0, see SequenceCounter.  arguments: ints, floats and strings as the
-    signature says.  ValueError on a wrong name, count, kind or length.
+    name: key of SIGNATURES.  sequence: one count for all commands of a socket; 1 resets the aircraft's.  arguments:
+    ints, floats and strings as the signature says.  ValueError on a wrong count, kind or length.
     """
-    kinds = SIGNATURES.get(name)
-    if kinds is None:
-        raise ValueError("unknown AT command %r, known are %s" % (name, ", ".join(sorted(SIGNATURES))))
-    if len(arguments) != len(kinds):
-        raise ValueError("AT*%s takes %d arguments, got %d" % (name, len(kinds), len(arguments)))
-    if sequence < 0:
-        raise ValueError("the sequence number must be >= 0, got %d" % sequence)
     fields = ["%d" % sequence]
-    for kind, argument in zip(kinds, arguments):
+    for kind, argument in zip(SIGNATURES[name], arguments, strict=True):
         if kind == "s":
             if any(c in '"\r\n\0' for c in argument):
                 raise ValueError("a string argument may not hold quotes, line ends or zeros: %r" % (argument,))
@@ -177,7 +120,7 @@ def encode(name, sequence, *arguments):
 
 def ref(sequence, start=False, select=False):
     """Take off / keep flying (start), land (not start); a rising edge of select toggles the emergency state."""
-    return b"AT*REF=%d,%d\r" % (sequence, _REF[bool(start), bool(select)])
+    return b"AT*REF=%d,%d\r" % (sequence, _PADDING + _START * bool(start) + _SELECT * bool(select))
 
 
 def pcmd_mag(sequence, flags=0, roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, psi=0.0, psi_accuracy=0.0):
@@ -189,53 +132,7 @@ def pcmd_mag(sequence, flags=0, roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, psi=0.0, 
     return b"AT*PCMD_MAG=%d,%d,%d,%d,%d,%d,%d,%d\r" % (sequence, flags, *_PATTERNS.unpack(_STICKS.pack(*sticks)))
 
 
-def ftrim(sequence):
-    """The aircraft lies flat now (only on the ground)."""
-    return encode("FTRIM", sequence)
-
-
-def config(sequence, key, value):
-    """Write one configuration value; key "section:name", value already formatted (see config.format_value)."""
-    return encode("CONFIG", sequence, key, value)
-
-
-def config_ids(sequence, session, user, application):
-    """Must directly precede each CONFIG while multi-configuration is in use; ids of 8 hexadecimal digits."""
-    return encode("CONFIG_IDS", sequence, session, user, application)
-
-
-def comwdg(sequence):
-    """Reset the communication watchdog."""
-    return encode("COMWDG", sequence)
-
-
-def ctrl(sequence, mode):
-    """See CtrlMode."""
-    return encode("CTRL", sequence, mode, 0)
-
-
-def led(sequence, animation, frequency_hz, duration_s):
-    """LED animation, see LedAnimation."""
-    return encode("LED", sequence, animation, frequency_hz, duration_s)
-
-
 def _stick(value):
     if not math.isfinite(value):
         raise ValueError("a stick must be a finite number in [-1, 1], got %r" % (value,))
     return min(1.0, max(-1.0, value)) + 0.0  # which turns -0.0 into 0.0
-
-
-class SequenceCounter:
-    """Client side: one counter shared by all commands of a socket; the first number is 1, which resets the aircraft."""
-
-    def __init__(self):
-        self._last = 0
-
-    def next(self):
-        """The number of the next command."""
-        self._last += 1
-        return self._last
-
-    def reset(self):
-        """Start again at 1, as after a lost link."""
-        self._last = 0

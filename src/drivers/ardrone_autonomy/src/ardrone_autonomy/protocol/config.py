@@ -54,107 +54,64 @@ class ConfigKey(namedtuple("ConfigKey", "section name kind default category read
 
 
 def _keys():
-    common, appli, user, session = Category.COMMON, Category.APPLICATION, Category.USER, Category.SESSION
+    kinds = {bool: Kind.BOOL, int: Kind.INT, float: Kind.FLOAT, str: Kind.STRING, tuple: Kind.VECTOR}
     table = []
 
-    def add(section, name, default, category=common, read_only=False):
-        kinds = {bool: Kind.BOOL, int: Kind.INT, float: Kind.FLOAT, str: Kind.STRING, tuple: Kind.VECTOR}
-        table.append(ConfigKey(section, name, kinds[type(default)], default, category, read_only))
+    def add(section, category=Category.COMMON, read_only=False, **defaults):
+        for name, default in defaults.items():
+            table.append(ConfigKey(section, name, kinds[type(default)], default, category, read_only))
 
-    def fixed(section, name, default):
-        add(section, name, default, read_only=True)
-
+    common, appli, user, session = Category.COMMON, Category.APPLICATION, Category.USER, Category.SESSION
     # Units: angles rad, control_vz_max mm/s, control_yaw rad/s, altitudes mm, times s, bit rates kbit/s, vbat mV.
-    fixed("general", "num_version_config", 1)
-    fixed("general", "num_version_mb", 34)
-    fixed("general", "num_version_soft", "2.4.8")
-    fixed("general", "drone_serial", "PS721000000000000")
-    fixed("general", "soft_build_date", "2014-01-01 00:00")
+    add("general", common, True, num_version_config=1, num_version_mb=34, num_version_soft="2.4.8")
+    add("general", common, True, drone_serial="PS721000000000000", soft_build_date="2014-01-01 00:00")
     for motor in range(1, 5):
-        fixed("general", "motor%d_soft" % motor, "1.43")
-        fixed("general", "motor%d_hard" % motor, "6.0")
-        fixed("general", "motor%d_supplier" % motor, "1.1")
-    add("general", "ardrone_name", "My ARDrone")
-    fixed("general", "flying_time", 0)
-    add("general", "navdata_demo", False)
-    add("general", "navdata_options", 65537, appli)
-    add("general", "com_watchdog", 2)
-    add("general", "video_enable", True)
-    add("general", "vision_enable", True)
-    fixed("general", "vbat_min", 9000)
+        for what, version in (("soft", "1.43"), ("hard", "6.0"), ("supplier", "1.1")):
+            add("general", common, True, **{"motor%d_%s" % (motor, what): version})
+    add("general", ardrone_name="My ARDrone")
+    add("general", common, True, flying_time=0)
+    add("general", navdata_demo=False)
+    add("general", appli, navdata_options=65537)
+    add("general", com_watchdog=2, video_enable=True, vision_enable=True)
+    add("general", common, True, vbat_min=9000)
 
-    fixed("control", "accs_offset", (-2000.0, 2000.0, 2000.0))
-    fixed("control", "accs_gains", (1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0))
-    fixed("control", "gyros_offset", (0.0, 0.0, 0.0))
-    fixed("control", "gyros_gains", (0.001, -0.001, -0.001))
-    add("control", "control_level", 0, appli)
-    add("control", "euler_angle_max", 0.209440, user)
-    add("control", "control_iphone_tilt", 0.349066, user)
-    add("control", "control_vz_max", 700.0, user)
-    add("control", "control_yaw", 1.745329, user)
-    add("control", "outdoor", False)
-    add("control", "flight_without_shell", False)
-    add("control", "autonomous_flight", False)
-    add("control", "manual_trim", False, user)
-    add("control", "altitude_max", 3000)
-    add("control", "altitude_min", 50)
-    for mode, angle, climb, yaw in (("indoor", 0.209440, 700.0, 1.745329), ("outdoor", 0.349066, 1000.0, 3.490659)):
-        add("control", mode + "_euler_angle_max", angle, user)
-        add("control", mode + "_control_vz_max", climb, user)
-        add("control", mode + "_control_yaw", yaw, user)
-    add("control", "flying_mode", 0, session)
-    add("control", "hovering_range", 1000, session)
-    add("control", "flight_anim", "0,0")
-    add("control", "travelling_mode", "0,0,0,0,0,0,0,0,0,0")
-    add("control", "travelling_enable", False)
+    add("control", common, True, accs_offset=(-2000.0, 2000.0, 2000.0))
+    add("control", common, True, accs_gains=(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0))
+    add("control", common, True, gyros_offset=(0.0, 0.0, 0.0), gyros_gains=(0.001, -0.001, -0.001))
+    add("control", appli, control_level=0)
+    add("control", user, euler_angle_max=0.209440, control_iphone_tilt=0.349066)
+    add("control", user, control_vz_max=700.0, control_yaw=1.745329)
+    add("control", outdoor=False, flight_without_shell=False, autonomous_flight=False)
+    add("control", user, manual_trim=False)
+    add("control", altitude_max=3000, altitude_min=50)
+    add("control", user, indoor_euler_angle_max=0.209440, indoor_control_vz_max=700.0, indoor_control_yaw=1.745329)
+    add("control", user, outdoor_euler_angle_max=0.349066, outdoor_control_vz_max=1000.0, outdoor_control_yaw=3.490659)
+    add("control", session, flying_mode=0, hovering_range=1000)
+    add("control", flight_anim="0,0", travelling_mode="0,0,0,0,0,0,0,0,0,0", travelling_enable=False)
 
-    add("network", "ssid_single_player", "ardrone2_000000")
-    add("network", "ssid_multi_player", "ardrone2_000000")
-    add("network", "wifi_mode", 0)
-    add("network", "wifi_rate", 0)
-    add("network", "owner_mac", "00:00:00:00:00:00")
+    add("network", ssid_single_player="ardrone2_000000", ssid_multi_player="ardrone2_000000")
+    add("network", wifi_mode=0, wifi_rate=0, owner_mac="00:00:00:00:00:00")
+    add("pic", ultrasound_freq=8, ultrasound_watchdog=3)
+    add("pic", common, True, pic_version=184877090)
 
-    add("pic", "ultrasound_freq", 8)
-    add("pic", "ultrasound_watchdog", 3)
-    fixed("pic", "pic_version", 184877090)
+    add("video", session, codec_fps=30, video_codec=0x81)
+    add("video", video_slices=0, video_live_socket=0)
+    add("video", appli, bitrate=1000)
+    add("video", session, max_bitrate=1000)
+    add("video", appli, bitrate_ctrl_mode=0, bitrate_storage=4000)
+    add("video", session, video_channel=0)
+    add("video", video_on_usb=True, video_file_index=1)
+    add("leds", leds_anim="0,0,0")
+    add("detect", enemy_colors=1, groundstripe_colors=16, enemy_without_shell=0)
+    add("detect", session, detect_type=3, detections_select_h=0, detections_select_v_hsync=0, detections_select_v=0)
 
-    add("video", "codec_fps", 30, session)
-    add("video", "video_codec", 0x81, session)
-    add("video", "video_slices", 0)
-    add("video", "video_live_socket", 0)
-    add("video", "bitrate", 1000, appli)
-    add("video", "max_bitrate", 1000, session)
-    add("video", "bitrate_ctrl_mode", 0, appli)
-    add("video", "bitrate_storage", 4000, appli)
-    add("video", "video_channel", 0, session)
-    add("video", "video_on_usb", True)
-    add("video", "video_file_index", 1)
+    add("syslog", output=7, max_size=102400, nb_files=5)
+    add("userbox", userbox_cmd="0")
+    add("gps", latitude=500.0, longitude=500.0, altitude=0.0)
 
-    add("leds", "leds_anim", "0,0,0")
-
-    add("detect", "enemy_colors", 1)
-    add("detect", "groundstripe_colors", 16)
-    add("detect", "enemy_without_shell", 0)
-    add("detect", "detect_type", 3, session)
-    add("detect", "detections_select_h", 0, session)
-    add("detect", "detections_select_v_hsync", 0, session)
-    add("detect", "detections_select_v", 0, session)
-
-    add("syslog", "output", 7)
-    add("syslog", "max_size", 102400)
-    add("syslog", "nb_files", 5)
-
-    add("userbox", "userbox_cmd", "0")
-    add("gps", "latitude", 500.0)
-    add("gps", "longitude", 500.0)
-    add("gps", "altitude", 0.0)
-
-    add("custom", "application_id", DEFAULT_ID, appli)
-    add("custom", "application_desc", "Default application configuration", appli)
-    add("custom", "profile_id", DEFAULT_ID, user)
-    add("custom", "profile_desc", "Default profile configuration", user)
-    add("custom", "session_id", DEFAULT_ID, session)
-    add("custom", "session_desc", "Default session configuration", session)
+    add("custom", appli, application_id=DEFAULT_ID, application_desc="Default application configuration")
+    add("custom", user, profile_id=DEFAULT_ID, profile_desc="Default profile configuration")
+    add("custom", session, session_id=DEFAULT_ID, session_desc="Default session configuration")
     return tuple(table)
 
 
@@ -172,70 +129,49 @@ def format_value(kind, value):
             return "TRUE" if value else "FALSE"
         if kind is Kind.INT:
             return "%d" % value
-        if kind is Kind.FLOAT:
-            if not math.isfinite(value):
-                raise ConfigError("a configuration float must be finite, got %r" % (value,))
+        if kind is Kind.FLOAT and math.isfinite(value):
             return "%f" % value
         if kind is Kind.VECTOR:
             return "{ %s }" % " ".join("%.7e" % x for x in value)
-    except (TypeError, OverflowError):
-        raise ConfigError("%r is not of the kind %s" % (value, kind.value)) from None
-    except ConfigError:
-        raise
-    except ValueError:  # "%d" % nan
-        raise ConfigError("%r is not of the kind %s" % (value, kind.value)) from None
-    return str(value)
+        if kind is Kind.STRING:
+            return str(value)
+    except (TypeError, ValueError, OverflowError):  # as for what is not finite
+        pass
+    raise ConfigError("%r is not of the kind %s" % (value, kind.value))
 
 
 def parse_value(kind, text):
     """Typed value of a wire text, tolerant in spelling (TRUE/true/1, "3000.0" for an int). ConfigError otherwise."""
     text = text.strip()
     try:
-        if kind is Kind.BOOL:
-            lowered = text.lower()
-            if lowered in ("true", "false"):
-                return lowered == "true"
-            return float(text) != 0.0
-        if kind is Kind.INT:
-            try:
-                return int(text)
-            except ValueError:
-                return int(float(text))
-        if kind is Kind.FLOAT:
-            value = float(text)
-            if not math.isfinite(value):
-                raise ValueError(text)
-            return value
         if kind is Kind.VECTOR:
             return tuple(float(x) for x in text.strip("{} \t").split())
-    except (ValueError, OverflowError):
-        raise ConfigError("%r is not a configuration value of the kind %s" % (text, kind.value)) from None
-    if any(c in text for c in "\0\r\n"):
-        raise ConfigError("%r cannot stand in a line of the configuration text" % (text,))
-    return text
+        if kind is Kind.STRING:
+            if any(c in text for c in "\0\r\n"):
+                raise ValueError("it cannot stand in a line")
+            return text
+        if kind is Kind.BOOL and text.lower() in ("true", "false"):
+            return text.lower() == "true"
+        if kind is Kind.INT and text.lstrip("+-").isdecimal():
+            return int(text)  # of any size
+        number = float(text)
+        if not math.isfinite(number):
+            raise ValueError("it must be finite")
+        return {Kind.BOOL: bool, Kind.INT: int, Kind.FLOAT: float}[kind](number)
+    except ValueError as error:
+        raise ConfigError("%r is not a configuration value of the kind %s: %s" % (text, kind.value, error)) from None
 
 
 # --- text on TCP 5559 --------------------------------------------------------------------------------------------
 def encode_config_text(values):
     """Readback text: values maps "section:name" to wire text, in order. Bytes with the zero byte at the end."""
-    lines = ["%s = %s\n" % item for item in values.items()]
-    return "".join(lines).encode("ascii", "replace") + b"\0"
+    return "".join("%s = %s\n" % item for item in values.items()).encode("ascii", "replace") + b"\0"
 
 
 # --- multi-configuration ids -----------------------------------------------------------------------------------------
 def crc_id(name):
-    """8 hexadecimal digits: CRC-32 of the name."""
+    """Id of what has this name, see above: CRC-32 as 8 hexadecimal digits."""
     return "%08x" % (zlib.crc32(name.encode("utf-8")) & 0xFFFFFFFF)
-
-
-def user_id(user_name):
-    """Id of a user profile."""
-    return crc_id(user_name)
-
-
-def application_id(application_name, sdk_version=SDK_VERSION):
-    """Id of an application profile."""
-    return crc_id("%s:%s" % (application_name, sdk_version))
 
 
 def is_id(text):

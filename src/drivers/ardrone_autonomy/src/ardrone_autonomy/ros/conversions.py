@@ -12,7 +12,7 @@ from sensor_msgs.msg import Imu
 
 from ardrone_autonomy import msg as messages
 from ardrone_autonomy.attitude import quaternion_xyzw
-from ardrone_autonomy.protocol.navdata import TAG_BY_NAME, Tag, time_to_seconds
+from ardrone_autonomy.protocol.navdata import Tag, time_to_seconds
 
 STANDARD_GRAVITY_M_S2 = 9.8  # what the original driver multiplies with
 MIN_FIELD_NORM = 1e-9  # a magnetic field below has no direction
@@ -129,7 +129,7 @@ class OptionConverter:
 
     def __init__(self, name):
         """name: of the option, e.g. "demo"."""
-        self.tag = TAG_BY_NAME[name]
+        self.name, self.tag = name, int(Tag[name.upper()])
         self.message_type = getattr(messages, "navdata_" + name)
         self._copies = []  # (field, function of the option's value or None)
         for field, ros_type in itertools.islice(

@@ -11,7 +11,6 @@ import secrets
 import threading
 import time
 
-import diagnostic_updater
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, Vector3Stamped
@@ -26,13 +25,15 @@ from ardrone_autonomy import msg, srv
 from ardrone_autonomy.attitude import Odometry
 from ardrone_autonomy.link import DroneLink, Phase
 from ardrone_autonomy.piloting import HOVER, sticks_from_velocity
-from ardrone_autonomy.protocol.at import FLIGHT_ANIMATIONS, LedAnimation
-from ardrone_autonomy.protocol.navdata import Navdata, NavdataError, State, Tag
+from ardrone_autonomy.protocol.at import FLIGHT_ANIMATIONS_MS
+from ardrone_autonomy.protocol.navdata import ControlState, Navdata, NavdataError, State, Tag
 from ardrone_autonomy.ros import conversions
-from ardrone_autonomy.ros.params import frame_name, parse_params
+from ardrone_autonomy.ros.params import parse_params
 from ardrone_autonomy.ros.video import Video
 from ardrone_autonomy.settings import VIDEO_CODEC_LIVE, VIDEO_CODEC_RECORD, WRITABLE_KEYS, setup_writes
 from ardrone_autonomy.udp import UdpThread, resolve
+from risc_lab.ros.diagnostics import Growth, make_updater
+from risc_lab.ros.params import tf_frame
 from risc_lab.ros.ticker import Ticker
 
 QUEUE_SIZE = 200  # of the telemetry topics, as in the original
@@ -45,25 +46,8 @@ PUBLISH_PATIENCE_S = 5.0  # how long every packet may fail to be published befor
 CAMERA_FRAMES = ("_frontcam", "_bottomcam")  # by channel
 # The services count through these numbers.
 CHANNELS = 2
-LED_ANIMATIONS = (
-    *list(LedAnimation)[:11],
-    LedAnimation.LEFT_GREEN_RIGHT_RED,
-    LedAnimation.LEFT_RED_RIGHT_GREEN,
-    LedAnimation.BLINK_STANDARD,
-)
+LED_ANIMATIONS = (*range(11), 18, 19, 20)  # ids of AT*LED; the aircraft has more
 
-STATE_NAMES = (
-    "unknown",
-    "init",
-    "landed",
-    "flying",
-    "hovering",
-    "test",
-    "taking off",
-    "flying to a fixed point",
-    "landing",
-    "looping",
-)
 _LOG = {"info": rospy.loginfo, "warn": rospy.logwarn, "error": rospy.logerr}
 
 
@@ -112,24 +96,25 @@ class ArdroneDriver:
         """
         # Launch files of the laboratory set it for the group of the camera's nodes, not for the driver
         url = tree.get("camera_info_url") or rospy.get_param(prefix + "ardrone/camera_info_url", "")
-        self._params = params = parse_params(dict(tree, camera_info_url=url), arguments)
+        self._configuration = configuration = parse_params(dict(tree, camera_info_url=url), arguments)
+        self._params = params = configuration.params
         self._prefix, self._is_alone = prefix, is_alone
-        for text in params.warnings:
+        for text in configuration.warnings:
             rospy.logwarn("%s%s", self._who, text)
-        self._address = resolve(params.address)
-        self._period_s = 1.0 / params.looprate_hz
+        self._address = resolve(params.drone_ip)
+        self._period_s = 1.0 / params.looprate
         self._realtime = queue.Queue(REALTIME_BACKLOG) if params.realtime_navdata else None
         self._arrived = threading.Event()  # a packet that was not published yet
         self._replacing = threading.Lock()
-        self._udp = self._make_udp()
-        self._channel = params.video_channel
+        self.udp = self._make_udp()  # the UdpThread in service: another one after a failure
+        self._channel = configuration.video_channel
         self._channel_set_in = 0  # which configuration of the vehicle the channel was chosen in
         self._video = Video(
             self._address,
-            tuple(_frame(params, suffix) for suffix in CAMERA_FRAMES),
-            params.video_channel,
-            params.camera_info_urls,
-            params.video_latency_s,
+            [tf_frame(params.drone_frame_id + suffix) for suffix in CAMERA_FRAMES],
+            configuration.video_channel,
+            (params.camera_info_url, params.bottom_camera_info_url),
+            params.video_latency,
             params.realtime_video,
             self._report,
             prefix,
@@ -140,18 +125,13 @@ class ArdroneDriver:
         self._health = _Health(self, self._video)
         self._subscribe()
 
-    @property
-    def udp(self):
-        """The UdpThread in service: another one after a failure."""
-        return self._udp
-
     def label(self, what):
         """Name of a status on /diagnostics."""
         return what if self._is_alone else "%s %s" % (what, self._prefix.strip("/"))
 
     @property
     def _link(self):
-        return self._udp.link
+        return self.udp.link
 
     @property
     def _who(self):
@@ -163,10 +143,10 @@ class ArdroneDriver:
             self._address,
             functools.partial(
                 DroneLink,
-                setup_writes=setup_writes(params.setting_texts, session_id),
+                setup_writes=setup_writes(self._configuration.texts, session_id),
                 session_id=session_id,
-                settle_s=params.settle_time_s,
-                command_timeout_s=params.command_timeout_s,
+                settle_s=params.settle_time,
+                command_timeout_s=params.cmd_timeout,
                 report=self._report,
             ),
             self._report,
@@ -178,16 +158,16 @@ class ArdroneDriver:
         """Look for the vehicle."""
         rospy.loginfo("%slooking for the vehicle at %s", self._who, self._address)
         threading.Thread(target=self._publish_loop, name="ardrone_publish", daemon=True).start()
-        self._udp.start()
+        self.udp.start()
         self._video.start()
 
     def begin_to_stop(self):
         """Hover, and land if flying; `stop` waits for it."""
-        self._udp.begin_to_stop()
+        self.udp.begin_to_stop()
 
     def stop(self):
         """End what `start` has begun."""
-        self._udp.stop()
+        self.udp.stop()
         self._video.stop()
 
     # --- orders: handed over, nothing else ------------------------------------------------------------------------
@@ -210,11 +190,22 @@ class ArdroneDriver:
             ("flattrim", EmptySrv, self._on_flat_trim),
             ("setrecord", srv.RecordEnable, self._on_record),
         ):
-            rospy.Service(prefix + "ardrone/" + name, service_type, handler)
+            answer = functools.partial(self._answer, name, service_type is EmptySrv, handler)
+            rospy.Service(prefix + "ardrone/" + name, service_type, answer)
+
+    def _answer(self, name, is_empty, handler, request):
+        """Of a service: whether its order was given. handler: gives it, and returns a text when it refuses."""
+        phase = self._link.phase
+        why = handler(request) if phase is Phase.READY else "the vehicle is not ready (%s)" % phase.value
+        if why:
+            rospy.logwarn("%s refused: %s", name, why)
+            if is_empty:  # an answer that has no field that could say so
+                raise rospy.ServiceException("%s refused: %s" % (name, why))
+        return EmptyResponse() if is_empty else not why
 
     def _post(self, order, *arguments):
         """Hand an order (a method of DroneLink) to the UDP thread in service."""
-        udp = self._udp
+        udp = self.udp
         udp.post(order, udp.link, *arguments)
 
     def _on_cmd_vel(self, twist):
@@ -228,19 +219,14 @@ class ArdroneDriver:
         self._post(DroneLink.steer, sticks)
 
     def _on_toggle_camera(self, _request):
-        self._require_vehicle("togglecam")
         self._select_channel(self._current_channel() + 1)
-        return EmptyResponse()
 
     def _on_camera_channel(self, request):
-        if self._ready("setcamchannel"):
-            self._select_channel(request.channel)
-            return True
-        return False
+        self._select_channel(request.channel)
 
     def _current_channel(self):
         is_chosen = self._channel_set_in == self._link.configurations
-        return self._channel if is_chosen else self._params.video_channel
+        return self._channel if is_chosen else self._configuration.video_channel
 
     def _select_channel(self, channel):
         self._channel = channel % CHANNELS
@@ -249,50 +235,29 @@ class ArdroneDriver:
         self._write("video_channel", "%d" % self._channel)
 
     def _on_led_animation(self, request):
-        if not self._ready("setledanimation"):
-            return False
         if not math.isfinite(request.freq):
-            rospy.logwarn("setledanimation refused: the frequency %r is not a finite number", request.freq)
-            return False
+            return "the frequency %r is not a finite number" % request.freq
         animation = LED_ANIMATIONS[request.type % len(LED_ANIMATIONS)]
-        self._post(DroneLink.blink, int(animation), abs(request.freq), request.duration)
-        return True
+        self._post(DroneLink.blink, animation, abs(request.freq), request.duration)
+        return ""
 
     def _on_flight_animation(self, request):
-        if not self._ready("setflightanimation"):
-            return False
-        animation = request.type % len(FLIGHT_ANIMATIONS)
-        duration_ms = request.duration or FLIGHT_ANIMATIONS[animation][1]
-        self._write("flight_anim", "%d,%d" % (animation, duration_ms))
-        return True
+        animation = request.type % len(FLIGHT_ANIMATIONS_MS)
+        self._write("flight_anim", "%d,%d" % (animation, request.duration or FLIGHT_ANIMATIONS_MS[animation]))
 
     def _on_flat_trim(self, _request):
-        self._require_vehicle("flattrim")
         if self._link.state_bits & State.FLYING:
-            raise rospy.ServiceException("flattrim refused: the vehicle flies")
+            return "the vehicle flies"
         self._post(DroneLink.flat_trim)
-        return EmptyResponse()
+        return ""
 
     def _on_record(self, request):
-        if not self._ready("setrecord"):
-            return False
         self._write("video_codec", "%d" % (VIDEO_CODEC_RECORD if request.enable else VIDEO_CODEC_LIVE))
         stamp = time.strftime("%Y%m%d_%H%M%S", time.localtime(rospy.get_time()))
         self._write("userbox_cmd", "1," + stamp if request.enable else "0")
-        return True
 
     def _write(self, name, text):
         self._post(DroneLink.write, WRITABLE_KEYS[name].key, text)
-
-    def _ready(self, service):
-        if self._link.phase is Phase.READY:
-            return True
-        rospy.logwarn("%s refused: the vehicle is not ready (%s)", service, self._link.phase.value)
-        return False
-
-    def _require_vehicle(self, service):
-        if not self._ready(service):  # the answer has no field that could say so
-            raise rospy.ServiceException("%s refused: the vehicle is not ready" % service)
 
     # --- from the UDP thread ----------------------------------------------------------------------------------------
     def _report(self, level, text):
@@ -300,7 +265,7 @@ class ArdroneDriver:
 
     def _on_failure(self, error):
         if not self._ends_node(error):
-            threading.Thread(target=self._begin_again, args=(self._udp,), name="ardrone_restart", daemon=True).start()
+            threading.Thread(target=self._begin_again, args=(self.udp,), name="ardrone_restart", daemon=True).start()
 
     def _ends_node(self, error):
         """Report a failure. Alone the node ends, and is started again; beside others only this vehicle's part is."""
@@ -316,9 +281,9 @@ class ArdroneDriver:
         failed.stop()
         time.sleep(RESTART_S)
         with self._replacing:  # the UDP thread and the one that publishes may have failed together
-            if not rospy.is_shutdown() and self._udp is failed:
-                self._udp = self._make_udp()
-                self._udp.start()
+            if not rospy.is_shutdown() and self.udp is failed:
+                self.udp = self._make_udp()
+                self.udp.start()
 
     def _on_packet(self, packet):
         if self._telemetry is None:
@@ -335,14 +300,14 @@ class ArdroneDriver:
         while not rospy.is_shutdown():
             try:
                 self._wait_until_ready()
-                self._telemetry = self._telemetry or _Telemetry(self._params, self._prefix)
+                self._telemetry = self._telemetry or _Telemetry(self._configuration, self._prefix)
                 self._publish_until_shutdown()
             except Exception as error:  # noqa: PERF203  whatever it is: without telemetry nobody must fly on in silence
                 # while ROS shuts down topics close under our feet
                 if rospy.core.is_shutdown_requested() or self._ends_node(error):
                     return
                 self._failing_since_s = None
-                self._begin_again(self._udp)
+                self._begin_again(self.udp)
 
     def _wait_until_ready(self):
         while not rospy.is_shutdown() and self._link.phase is not Phase.READY:
@@ -373,7 +338,7 @@ class ArdroneDriver:
 
     def _waiting_packets(self):
         if self._realtime is None:
-            return [self._udp.newest]
+            return [self.udp.newest]
         packets = []
         while not self._realtime.empty():
             packets.append(self._realtime.get_nowait())
@@ -397,59 +362,42 @@ class ArdroneDriver:
             rospy.logwarn_throttle(REPEAT_WARNING_S, "packet dropped: %s" % error)
 
     def _tolerate(self, work, *arguments):
-        """Do it; what one packet brings must not end a flight, unless nothing but failures has come for a while."""
+        """Do it; what one packet brings must not end a flight, unless there were only failures for a while."""
         try:
             work(*arguments)
         except Exception as error:  # whatever it is
-            if not self._tolerable(error):
+            now_s = time.monotonic()
+            self._failing_since_s = self._failing_since_s or now_s
+            if rospy.core.is_shutdown_requested() or now_s - self._failing_since_s > PUBLISH_PATIENCE_S:
                 raise
-
-    def _tolerable(self, error):
-        """Count a failure to publish; False when nothing else has happened for PUBLISH_PATIENCE_S."""
-        now_s = time.monotonic()
-        if self._failing_since_s is None:
-            self._failing_since_s = now_s
-        if rospy.core.is_shutdown_requested() or now_s - self._failing_since_s > PUBLISH_PATIENCE_S:
-            return False
-        self._health.unpublished += 1
-        rospy.logerr_throttle(REPEAT_WARNING_S, "telemetry could not be published: %r" % error)
-        return True
-
-
-def _frame(params, suffix):
-    """tf name of one of the vehicle's frames."""
-    tf_prefix_key = rospy.search_param("tf_prefix")
-    return frame_name(rospy.get_param(tf_prefix_key) if tf_prefix_key else "", params.frame_prefix + suffix)
+            self._health.unpublished += 1
+            rospy.logerr_throttle(REPEAT_WARNING_S, "telemetry could not be published: %r" % error)
 
 
 class _Telemetry:
     """The topics and tf frames that come from navdata. What nobody listens to is not computed."""
 
-    def __init__(self, params, prefix):
-        self._params = params
-        base = _frame(params, "_link")
-        self._base_frame = base
+    def __init__(self, configuration, prefix):
+        def publisher(topic, message):
+            return rospy.Publisher(prefix + "ardrone/" + topic, message, queue_size=QUEUE_SIZE)
+
+        params = configuration.params
+        self._covariances = configuration.covariances
+        self._base_frame = base = tf_frame(params.drone_frame_id + "_link")
         self._odometry = Odometry()
-        self._navdata = self._imu = self._mag = None
-        if params.legacy_navdata:
-            self._navdata = rospy.Publisher(prefix + "ardrone/navdata", msg.Navdata, queue_size=QUEUE_SIZE)
-            self._imu = rospy.Publisher(prefix + "ardrone/imu", Imu, queue_size=QUEUE_SIZE)
-            self._mag = rospy.Publisher(prefix + "ardrone/mag", Vector3Stamped, queue_size=QUEUE_SIZE)
-        self._odometry_topic = rospy.Publisher(prefix + "ardrone/odometry", OdometryMsg, queue_size=QUEUE_SIZE)
+        self._legacy = ()  # publishers of navdata, imu, mag
+        if params.enable_legacy_navdata:
+            types = (("navdata", msg.Navdata), ("imu", Imu), ("mag", Vector3Stamped))
+            self._legacy = tuple(publisher(*item) for item in types)
+        self._odometry_topic = publisher("odometry", OdometryMsg)
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=QUEUE_SIZE)
-        self._selective = []
-        for name in params.options:
-            converter = conversions.OptionConverter(name)
-            self._selective.append(
-                (
-                    converter,
-                    rospy.Publisher(prefix + "ardrone/navdata_" + name, converter.message_type, queue_size=QUEUE_SIZE),
-                )
-            )
+        converters = [conversions.OptionConverter(name) for name in configuration.options]
+        self._selective = [(each, publisher("navdata_" + each.name, each.message_type)) for each in converters]
+        cameras = zip(CAMERA_FRAMES, (conversions.FRONT_CAMERA, conversions.BOTTOM_CAMERA))
         self._camera_frames = TFMessage(
             [
-                conversions.camera_transform(base, _frame(params, suffix), camera)
-                for suffix, camera in zip(CAMERA_FRAMES, (conversions.FRONT_CAMERA, conversions.BOTTOM_CAMERA))
+                conversions.camera_transform(base, tf_frame(params.drone_frame_id + suffix), camera)
+                for suffix, camera in cameras
             ]
         )
 
@@ -466,21 +414,16 @@ class _Telemetry:
                     publisher.publish(message)
 
     def _publish_legacy(self, packet, header):
-        if self._navdata is None or not (
-            self._navdata.get_num_connections() or self._imu.get_num_connections() or self._mag.get_num_connections()
-        ):
+        listeners = [publisher.get_num_connections() for publisher in self._legacy]
+        if not any(listeners):
             return
         navdata = conversions.navdata_message(packet, header)
-        self._navdata.publish(navdata)
-        if self._imu.get_num_connections():
-            params = self._params
-            self._imu.publish(
-                conversions.imu_message(packet, navdata, (params.cov_imu_la, params.cov_imu_av, params.cov_imu_or))
-            )
-        if self._mag.get_num_connections():
-            mag = conversions.mag_message(navdata)
-            if mag is not None:
-                self._mag.publish(mag)
+        self._legacy[0].publish(navdata)
+        if listeners[1]:
+            self._legacy[1].publish(conversions.imu_message(packet, navdata, self._covariances))
+        mag = conversions.mag_message(navdata) if listeners[2] else None
+        if mag is not None:
+            self._legacy[2].publish(mag)
 
     def _publish_odometry(self, packet, stamp, received_s):
         demo = packet.option(Tag.DEMO)
@@ -490,15 +433,8 @@ class _Telemetry:
         if self._odometry_topic.get_num_connections():
             self._odometry_topic.publish(conversions.odometry_message(state, stamp, self._base_frame))
         if self._tf.get_num_connections():
-            self._tf.publish(
-                TFMessage(
-                    [
-                        conversions.transform_message(
-                            "odom", self._base_frame, state.position_m, state.quaternion_xyzw, stamp
-                        )
-                    ]
-                )
-            )
+            pose = state.position_m, state.quaternion_xyzw
+            self._tf.publish(TFMessage([conversions.transform_message("odom", self._base_frame, *pose, stamp)]))
 
     def publish_camera_frames(self):
         """The fixed transforms to both cameras, stamped now."""
@@ -518,13 +454,9 @@ class _Health:
         self.bad_packets = 0  # header sound, content not
         self.unpublished = 0  # failures to convert or publish
         self._driver = driver
-        self._battery_pct = None
-        self._state = None
-        self._link_quality = None
-        self._accepted = 0
-        self._counted_s = time.monotonic()
-        self._updater = diagnostic_updater.Updater()
-        self._updater.setHardwareID("AR.Drone %s" % driver.udp.address)
+        self._battery_pct = self._state = self._link_quality = "unknown"
+        self._growth = Growth()
+        self._updater = make_updater("AR.Drone %s" % driver.udp.address)
         self._updater.add(driver.label("vehicle"), self._fill)
         self._updater.add(driver.label("video"), video.fill)
         Ticker(1.0, self._updater.force_update, "the diagnostics")
@@ -534,7 +466,8 @@ class _Health:
         demo = packet.option(Tag.DEMO)
         if demo is not None:
             self._battery_pct = demo.vbat_flying_percentage
-            self._state = demo.ctrl_state >> 16
+            state = demo.ctrl_state >> 16
+            self._state = ControlState(state).name.lower() if state < len(ControlState) else state
         wifi = packet.option(Tag.WIFI)
         if wifi is not None:
             self._link_quality = wifi.link_quality
@@ -542,32 +475,25 @@ class _Health:
     def _fill(self, status):
         udp = self._driver.udp
         link = udp.link
-        now_s = time.monotonic()
-        accepted = link.accepted
-        rate_hz = (accepted - self._accepted) / max(1e-3, now_s - self._counted_s)
-        self._accepted, self._counted_s = accepted, now_s
-        bits = link.state_bits
+        _, rates_hz = self._growth({"navdata": link.accepted})
         if not link.connected:
             status.summary(DiagnosticStatus.ERROR, "no vehicle at %s" % udp.address)
         elif link.emergency:
             status.summary(DiagnosticStatus.ERROR, "emergency: motors stopped")
-        elif bits & State.BATTERY_LOW:
+        elif link.state_bits & State.BATTERY_LOW:
             status.summary(DiagnosticStatus.WARN, "battery low")
         elif link.phase is not Phase.READY:
             status.summary(DiagnosticStatus.WARN, link.phase.value)
         else:
             status.summary(DiagnosticStatus.OK, "connected")
-        state = self._state
         status.add("connected", link.connected)
         status.add("phase", link.phase.value)
-        status.add("navdata rate [Hz]", "%.1f" % rate_hz)
-        status.add("battery [%]", "unknown" if self._battery_pct is None else self._battery_pct)
-        status.add(
-            "state", "unknown" if state is None else STATE_NAMES[state] if state < len(STATE_NAMES) else "%d" % state
-        )
-        status.add("state bits", "0x%08x" % bits)
+        status.add("navdata rate [Hz]", "%.1f" % rates_hz["navdata"])
+        status.add("battery [%]", self._battery_pct)
+        status.add("state", self._state)
+        status.add("state bits", "0x%08x" % link.state_bits)
         status.add("emergency", link.emergency)
-        status.add("link quality", "unknown" if self._link_quality is None else self._link_quality)
+        status.add("link quality", self._link_quality)
         status.add("reconnects", max(0, link.connections - 1))
         status.add("late packets", link.stale)
         status.add("foreign or bad packets", udp.foreign + link.refused + self.bad_packets)

@@ -11,6 +11,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from ardrone_autonomy.video_channel import CameraTracker
 from ardrone_autonomy.video_stream import VideoStream
 from camera_info_manager import CameraInfoManager
+from risc_lab.ros.diagnostics import Growth, age_text
 
 CAMERA_NAMES = ("front", "bottom")  # by channel
 QUEUE_SIZE = 10  # as in the original
@@ -61,8 +62,7 @@ class Video:
         self._unpublished = 0  # failures to publish
         self._superseded = 0  # a newer picture came before the loop did
         self._of_unknown_camera = 0
-        self._counted = 0
-        self._counted_s = time.monotonic()
+        self._growth = Growth()
         self._stream = VideoStream(address, self._on_picture, report, latency_s)
 
     def start(self):
@@ -157,24 +157,20 @@ class Video:
     def fill(self, status):
         """A task of diagnostic_updater."""
         stream, decoder = self._stream, self._stream.decoder
-        now_s = time.monotonic()
-        published = self._published
-        rate_hz = (published - self._counted) / max(1e-3, now_s - self._counted_s)
-        self._counted, self._counted_s = published, now_s
-        age_s = None if stream.last_s is None else now_s - stream.last_s
+        _, rates_hz = self._growth({"pictures": self._published})
         if not stream.wanted:
             status.summary(DiagnosticStatus.OK, "not received: nobody listens, or the vehicle is not ready")
         elif not stream.connected:
             status.summary(DiagnosticStatus.WARN, "no connection to the video of the vehicle")
-        elif age_s is None or age_s > STALE_S:
+        elif stream.last_s is None or time.monotonic() - stream.last_s > STALE_S:
             status.summary(DiagnosticStatus.WARN, "no pictures")
         else:
             status.summary(DiagnosticStatus.OK, "pictures")
         status.add("camera", CAMERA_NAMES[self._channel])
         for name, manager in zip(CAMERA_NAMES, self._managers):
             status.add(name + " calibrated", manager.isCalibrated())
-        status.add("rate [Hz]", "%.1f" % rate_hz)
-        status.add("age [s]", "unknown" if age_s is None else "%.3f" % age_s)
+        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
+        status.add("age [s]", age_text(stream.last_s))
         status.add("decode errors", decoder.errors)
         status.add("pictures of another codec", decoder.foreign)
         status.add("pictures missing in the stream", decoder.missing + stream.assembler.incomplete)

@@ -4,62 +4,36 @@ import os
 import select
 import time
 
-import diagnostic_updater
 import rospy
 from sensor_msgs.msg import Joy, JoyFeedback, JoyFeedbackArray
 
 from joy.device import Rumble, device_name, find_by_name, open_device
 from joy.events import JoySettings, JoyState, PublishClock, RecordReader
+from risc_lab.ros.diagnostics import Growth, make_updater
+from risc_lab.ros.params import load_params
 
 RETRY_S = 1.0
 READ_BYTES = 64 * 8
-
-
-def bool_param(name):
-    """A truth value; launch files of old set the texts "true" and "False" too. Raises ValueError."""
-    value = rospy.get_param(name, False)
-    if isinstance(value, str) and value.strip().lower() in ("true", "false", "1", "0"):
-        return value.strip().lower() in ("true", "1")
-    if not isinstance(value, (bool, int)):
-        raise ValueError("joy: parameter %s must be true or false, found %r" % (name, value))
-    return bool(value)
-
-
-def number_param(name, default):
-    """A number. Raises ValueError."""
-    value = rospy.get_param(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError("joy: parameter %s must be a number, found %r" % (name, value))
-    return float(value)
 
 
 class JoyNode:
     """Waits in select() for records of the device; everything that is decided is decided in joy.events."""
 
     def __init__(self):
-        self._settings, notes = JoySettings(
-            deadzone=number_param("~deadzone", 0.05),
-            autorepeat_rate=number_param("~autorepeat_rate", 0.0),
-            coalesce_interval=number_param("~coalesce_interval", 0.001),
-            default_trig_val=bool_param("~default_trig_val"),
-            sticky_buttons=bool_param("~sticky_buttons"),
-        ).checked()
+        (given,) = load_params(JoySettings, lenient=True)
+        self._settings, notes = given.checked()
         for note in notes:
             rospy.logwarn("joy: %s", note)
-        self._path = str(rospy.get_param("~dev", "/dev/input/js0"))
-        self._name = str(rospy.get_param("~dev_name", ""))
         self._is_open = False
-        self._counts = {"event": 0, "publication": 0}
-        self._reported = {"event": 0, "publication": 0}
-        self._reported_s = time.monotonic()
+        self._counts = {"joystick event": 0, "publication": 0}
+        self._growth = Growth()
         self._wake_read, self._wake_write = os.pipe()
         rospy.on_shutdown(self._wake)
         # Not 1, as the original has it: a press and its release that are read together must both arrive.
         self._pub = rospy.Publisher("joy", Joy, queue_size=10, tcp_nodelay=True)
-        self._diagnostics = diagnostic_updater.Updater()
-        self._diagnostics.setHardwareID("none")
+        self._diagnostics = make_updater("none")
         self._diagnostics.add("Joystick Driver Status", self._diagnose)
-        self._rumble = self._open_rumble(str(rospy.get_param("~dev_ff", "/dev/input/event0")))
+        self._rumble = self._open_rumble(self._settings.dev_ff)
         rospy.Subscriber("joy/set_feedback", JoyFeedbackArray, self._on_feedback, queue_size=10, tcp_nodelay=True)
 
     def run(self):
@@ -71,21 +45,14 @@ class JoyNode:
                 fd = open_device(path)
             except OSError as error:
                 if not complained:
-                    rospy.logerr(
-                        "joy: cannot open joystick %s (%s): plug it in, or set ~dev; trying again every second",
-                        path,
-                        error.strerror,
-                    )
+                    cure = "plug it in, or set ~dev; trying again every second"
+                    rospy.logerr("joy: cannot open joystick %s (%s): %s", path, error.strerror, cure)
                     complained = True
                 self._diagnostics.update()
                 select.select([self._wake_read], [], [], RETRY_S)
                 continue
-            rospy.loginfo(
-                "joy: opened joystick %s (%s), dead zone %g",
-                path,
-                device_name(fd) or "no name",
-                self._settings.deadzone,
-            )
+            name = device_name(fd) or "no name"
+            rospy.loginfo("joy: opened joystick %s (%s), dead zone %g", path, name, self._settings.deadzone)
             self._is_open = True
             self._diagnostics.force_update()
             try:
@@ -101,12 +68,13 @@ class JoyNode:
             select.select([self._wake_read], [], [], RETRY_S)
 
     def _choose_device(self):
-        if not self._name:
-            return self._path
-        found = find_by_name(self._name)
+        name, path = self._settings.dev_name, self._settings.dev
+        if not name:
+            return path
+        found = find_by_name(name)
         if found is None:
-            rospy.logwarn_once("joy: no joystick is called '%s': trying %s" % (self._name, self._path))
-        return found or self._path
+            rospy.logwarn_once("joy: no joystick is called '%s': trying %s" % (name, path))
+        return found or path
 
     def _read(self, fd, path):
         """Publish what comes from an open device; returns when it is gone or at shutdown."""
@@ -128,7 +96,7 @@ class JoyNode:
                 if not data:  # the other end of a FIFO has gone
                     return
                 for event in reader.feed(data):
-                    self._counts["event"] += 1
+                    self._counts["joystick event"] += 1
                     if not event.is_button and not event.is_axis:
                         rospy.logwarn_throttle(
                             10.0,
@@ -169,24 +137,20 @@ class JoyNode:
             rospy.logwarn_throttle(10.0, "joy: force feedback failed: %s" % error.strerror)
 
     def _diagnose(self, status):
-        now_s = time.monotonic()
-        elapsed_s = max(now_s - self._reported_s, 1e-3)
-        if self._is_open:
-            status.summary(0, "OK")
-        else:
-            status.summary(2, "Joystick not open.")
+        settings = self._settings
+        _, rates_hz = self._growth(self._counts)
+        status.summary(*((0, "OK") if self._is_open else (2, "Joystick not open.")))
         status.add("topic", self._pub.resolved_name)
-        status.add("device", self._path)
-        status.add("device name", self._name)
-        status.add("dead zone", self._settings.deadzone)
-        status.add("autorepeat rate (Hz)", self._settings.autorepeat_rate)
-        status.add("coalesce interval (s)", self._settings.coalesce_interval)
-        for what, label in (("event", "joystick event"), ("publication", "publication")):
-            status.add("recent %s rate (Hz)" % label, (self._counts[what] - self._reported[what]) / elapsed_s)
+        status.add("device", settings.dev)
+        status.add("device name", settings.dev_name)
+        status.add("dead zone", settings.deadzone)
+        status.add("autorepeat rate (Hz)", settings.autorepeat_rate)
+        status.add("coalesce interval (s)", settings.coalesce_interval)
+        for what, rate_hz in rates_hz.items():
+            status.add("recent %s rate (Hz)" % what, rate_hz)
         status.add("subscribers", self._pub.get_num_connections())
-        status.add("default trig val", self._settings.default_trig_val)
-        status.add("sticky buttons", self._settings.sticky_buttons)
-        self._reported, self._reported_s = dict(self._counts), now_s
+        status.add("default trig val", settings.default_trig_val)
+        status.add("sticky buttons", settings.sticky_buttons)
         return status
 
     def _wake(self):

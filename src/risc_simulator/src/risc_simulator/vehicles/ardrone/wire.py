@@ -146,7 +146,7 @@ class NavdataEncoder:
         self._layouts = {}
         offset = HEADER.size
         for tag in tags:
-            layout = GPS_LAYOUT if gps and tag == Tag.GPS else LAYOUTS.get(tag)
+            layout = GPS_LAYOUT if gps and tag == Tag.ZIMMU_3000 else LAYOUTS.get(tag)
             if layout is None:
                 raise ValueError("unknown navdata tag %r, known are 0..27" % (tag,))
             if tag in self._layouts:

@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from risc_estimation.bearings import calibration_from_info, fleet_calibration, make_camera
 from risc_lab.images import picture_from_msg
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, age_text, make_updater
 from risc_lab.ros.paced_subscriber import PICTURES_BYTES, PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, load_params
 from risc_lab.ros.ticker import Ticker
@@ -122,7 +122,7 @@ class Eye:
         self._calibration, self._camera, self._detector = None, None, lookout.make_detector(None)
         self._lock = threading.Lock()
         self._counts = {"pictures": 0, "refused": 0}
-        self._reported, self._reported_s = dict(self._counts), time.monotonic()
+        self._growth = Growth()
         self._last_s, self._age_s, self._work_s, self._longest_s = None, None, 0.0, 0.0
         self._bridge = CvBridge()
         self._period_s = 1.0 / params.rate_hz if params.rate_hz > 0.0 else 0.0
@@ -208,17 +208,15 @@ class Eye:
             counts, last_s, age_s = dict(self._counts), self._last_s, self._age_s
             work_s, longest_s, camera = self._work_s, self._longest_s, self._camera
             self._work_s, self._longest_s = 0.0, 0.0
-        elapsed_s = max(now_s - self._reported_s, 1e-3)
-        new = {key: count - self._reported[key] for key, count in counts.items()}
-        self._reported, self._reported_s = counts, now_s
+        new, rates_hz = self._growth(counts)
         if new["refused"]:
             status.summary(DiagnosticStatus.ERROR, "pictures are refused: the log says why")
         elif last_s is None or now_s - last_s > _SILENCE_S:
             status.summary(DiagnosticStatus.WARN, "no pictures on " + self._topic)
         else:
             status.summary(DiagnosticStatus.OK, "looking")
-        status.add("rate [Hz]", "%.1f" % (new["pictures"] / elapsed_s))
-        status.add("age of last picture [s]", "none yet" if last_s is None else "%.2f" % (now_s - last_s))
+        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
+        status.add("age of last picture [s]", age_text(last_s))
         status.add("stamp to result [s]", "none yet" if age_s is None else "%.3f" % age_s)
         status.add("work on a picture [ms]", "%.2f" % (1e3 * work_s / max(1, new["pictures"])))
         status.add("longest work on a picture [ms]", "%.2f" % (1e3 * longest_s))

@@ -16,7 +16,7 @@ from dynamic_reconfigure.server import Server
 from sensor_msgs.msg import Image
 
 from risc_lab.images import picture_from_msg
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, age_text, make_updater
 from risc_lab.ros.paced_subscriber import PICTURES_BYTES
 from risc_lab.ros.params import load_params
 from risc_lab.ros.ticker import Ticker
@@ -63,7 +63,7 @@ class PictureNode(abc.ABC):
         self.lock = threading.Lock()  # held while `process` runs: for what other callbacks share with it
         self._demand_lock = threading.Lock()  # another one: listeners may come before the node is ready
         self._counts = {"processed": 0, "refused": 0}
-        self._reported, self._reported_s = dict(self._counts), time.monotonic()
+        self._growth = Growth()
         self._last_s, self._longest_s = None, 0.0
         self._subscriber, self._publishers = None, {}
         self._encodings = {name: kind for name, kind in outputs.items() if isinstance(kind, str)}
@@ -156,22 +156,18 @@ class PictureNode(abc.ABC):
         return config
 
     def _diagnose(self, status):
-        now_s = time.monotonic()
-        elapsed_s = max(now_s - self._reported_s, 1e-3)
-        rates_hz = {what: (count - self._reported[what]) / elapsed_s for what, count in self._counts.items()}
-        self._reported, self._reported_s = dict(self._counts), now_s
-        age_s = None if self._last_s is None else now_s - self._last_s
+        _, rates_hz = self._growth(self._counts)
         if self._subscriber is None:
             status.summary(DiagnosticStatus.OK, "waiting: nobody listens to a result")
         elif rates_hz["refused"] > 0.0:
             status.summary(DiagnosticStatus.ERROR, "pictures are refused: the log says why")
-        elif age_s is None or age_s > _SILENCE_S:
+        elif self._last_s is None or time.monotonic() - self._last_s > _SILENCE_S:
             status.summary(DiagnosticStatus.WARN, "no pictures on %s" % self._topic)
         else:
             status.summary(DiagnosticStatus.OK, "working")
         for what, rate_hz in rates_hz.items():
             status.add("%s (Hz)" % what, "%.1f" % rate_hz)
-        status.add("age of the last (s)", "none yet" if age_s is None else "%.2f" % age_s)
+        status.add("age of the last (s)", age_text(self._last_s))
         status.add("longest work on one (ms)", "%.1f" % (1e3 * self._longest_s))
         self._longest_s = 0.0
         return status
