@@ -61,8 +61,8 @@ def flight():
     course = make_course("circles3", 3)
 
     def at(time_s):
-        derivatives, yaw = course.at(time_s)
-        return derivatives[0], yaw[0]
+        position = course.at(time_s)[0]
+        return position[:, :3], position[:, 3]
 
     return at
 

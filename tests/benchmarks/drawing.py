@@ -24,12 +24,11 @@ from risc_lab.lab.fleet import FleetVehicle, Start
 from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_angles, States
 from risc_visual.drawing.cast import Index
-from risc_visual.drawing.rays import RayParams, RayStyles
+from risc_visual.drawing.params import CortexParams, RayParams, TrajectoryParams
+from risc_visual.drawing.rays import RayStyles
 from risc_visual.drawing.ros import markers
 from risc_visual.drawing.ros.cortex_drawing import CortexDrawing
-from risc_visual.drawing.ros.params import AngleParams, CortexParams, TrajectoryParams
 from risc_visual.drawing.ros.paths import PathDrawing
-from risc_visual.drawing.trails import TrailParams
 from risc_visual.ros.conversions import poses_from_cortex
 from risc_visual.vision.landmark_config import load_landmarks
 
@@ -79,9 +78,8 @@ def programs(names):
     ]
     landmarks, paths_of = load_landmarks(), TrajectoryParams()
     scene = CortexDrawing(CortexParams(), fleet, load_templates(), landmarks)
-    trail_params = TrailParams(paths_of.actual_s, paths_of.step_m, paths_of.jump_m, paths_of.gap_s)
-    paths = PathDrawing("quad_line", markers.RED[:3], markers.FLOWN_M, trail_params, paths_of.rate_hz, Index(names))
-    rays_of, styles = AngleParams(), RayStyles(RayParams(), landmarks, [(name,) for name in names])
+    paths = PathDrawing("quad_line", markers.RED, markers.FLOWN_M, paths_of.actual_s, paths_of, Index(names))
+    rays_of, styles = RayParams(), RayStyles(RayParams(), landmarks, [(name,) for name in names])
     index = Index(kind.roi_name for kind in landmarks.landmarks)
 
     def vehicles(data):
@@ -100,9 +98,9 @@ def programs(names):
         msg = Observed_angles().deserialize(data)
         found = []
         for entry in msg.Obj:
-            head = markers.header(msg.header.stamp, "%s/camera" % entry.name)
+            pen = markers.Pen(rays_of.lifetime_s, markers.header(msg.header.stamp, "%s/camera" % entry.name))
             numbered = [(index[ray.name], ray) for ray in styles.rays(bearings_from_msg(entry.landmarks))]
-            found += markers.ray_markers(head, entry.name, numbered, rays_of.alpha, rays_of.lifetime_s)
+            found += markers.ray_markers(pen, entry.name, numbered, rays_of.alpha)
         return found
 
     seen = [kind.roi_name for kind in landmarks.landmarks]

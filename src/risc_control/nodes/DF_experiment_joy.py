@@ -27,6 +27,7 @@ class ExperimentNode(ControllerNode):
         self._reference_message = TrajectoriesMessage(self._wiring.manager.names)
         self._reference_publisher = rospy.Publisher("/trajectory", TrajectoriesArrays, queue_size=1, tcp_nodelay=True)
         super().__init__("differential_flatness", fleet_vehicles)
+        self._wiring.manager.ask(self._loop.controller.ORDER)
 
     def _subscribe(self):
         rospy.Subscriber("/cortex_raw", CortexArrays.Raw, self._on_states, queue_size=1, tcp_nodelay=True)

@@ -138,7 +138,6 @@ def test_a_vehicle_out_of_sight_has_no_place_its_point_runs_on():
         (lambda: guidance.Params(range_m=0.0), "range_m"),
         (lambda: guidance.Params(speed_gain_1_s=math.nan), "speed_gain_1_s"),
         (lambda: TargetParams(radius_m=-1.0), "radius_m"),
-        (lambda: TargetParams(psi_deg=math.inf), "psi_deg"),
     ],
 )
 def test_wrong_settings_say_why(make, message):

@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 
-from risc_control.reference_buffer import ORDERS, ReferenceBuffer
+from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.trajectories import make_course
 
 DT_S = 0.005
-
-
-def sample_of(course, time_s):
-    derivatives, yaw = course.at(time_s)
-    result = np.zeros((ORDERS, derivatives.shape[1], 4))
-    result[..., :3], result[:3, :, 3] = derivatives, yaw
-    return result
 
 
 def filled(course, count=60, start_s=0.0, jitter_s=0.0, seed=0):
@@ -21,7 +14,7 @@ def filled(course, count=60, start_s=0.0, jitter_s=0.0, seed=0):
     time_s = start_s
     for k in range(count):
         time_s = start_s + k * DT_S + jitter_s * rng.uniform(-1.0, 1.0)
-        assert buffer.push(time_s, sample_of(course, time_s)[:3])
+        assert buffer.push(time_s, course.at(time_s)[:3])
     return buffer, time_s
 
 
@@ -32,10 +25,10 @@ def test_ahead_by_a_command_delay_with_jerk_and_snap(name, jitter_s):
     buffer, now_s = filled(course, jitter_s=jitter_s, start_s=3.0)
     for ahead_s, tolerances in ((0.14, (2e-6, 3e-5, 1e-3, 0.015, 0.15)), (0.34, (5e-5, 5e-4, 5e-3, 0.05, 0.3))):
         value = buffer.at(np.array([now_s - 0.01, now_s + ahead_s]))
-        exact = sample_of(course, now_s + ahead_s)
+        exact = course.at(now_s + ahead_s)
         for order, tolerance in enumerate(tolerances):
             assert np.abs(value[1, order] - exact[order]).max() < tolerance, (ahead_s, order)
-        assert np.abs(value[0, :3] - sample_of(course, now_s - 0.01)[:3]).max() < 2e-6
+        assert np.abs(value[0, :3] - course.at(now_s - 0.01)[:3]).max() < 2e-6
 
 
 def test_stamps_that_are_a_little_beside_the_time_of_the_sample_do_not_matter():
@@ -43,9 +36,9 @@ def test_stamps_that_are_a_little_beside_the_time_of_the_sample_do_not_matter():
     course, rng = make_course("circle", 1), np.random.default_rng(2)
     buffer = ReferenceBuffer()
     for k in range(80):
-        buffer.push(1.7e9 + k * DT_S, sample_of(course, k * DT_S + 1e-6 * rng.uniform(-1.0, 1.0))[:3])
+        buffer.push(1.7e9 + k * DT_S, course.at(k * DT_S + 1e-6 * rng.uniform(-1.0, 1.0))[:3])
     value = buffer.at(np.array([1.7e9 + 79 * DT_S + 0.34]))[0]
-    exact = sample_of(course, 79 * DT_S + 0.34)
+    exact = course.at(79 * DT_S + 0.34)
     for order, tolerance in enumerate((5e-5, 1e-3, 1e-2, 0.05, 0.3)):
         assert np.abs(value[order] - exact[order]).max() < tolerance
 
@@ -53,7 +46,7 @@ def test_stamps_that_are_a_little_beside_the_time_of_the_sample_do_not_matter():
 def test_a_jump_forgets_what_was_before():
     course = make_course("circle", 1)
     buffer, now_s = filled(course)
-    moved = sample_of(course, now_s + DT_S)[:3] + [[[1.0, 0.0, 0.0, 0.0]], [[0.0] * 4], [[0.0] * 4]]
+    moved = course.at(now_s + DT_S)[:3] + [[[1.0, 0.0, 0.0, 0.0]], [[0.0] * 4], [[0.0] * 4]]
     buffer.push(now_s + DT_S, moved)
     value = buffer.at(np.array([now_s + DT_S]))[0]
     assert value[0] == pytest.approx(moved[0]) and np.all(value[3:] == 0.0)
@@ -64,7 +57,7 @@ def test_an_acceleration_that_is_not_the_velocitys_derivative_does_not_wiggle():
     course = make_course("circle", 1)
     buffer = ReferenceBuffer()
     for k in range(60):
-        sample = sample_of(course, k * DT_S)[:3]
+        sample = course.at(k * DT_S)[:3]
         sample[2] = 0.0
         buffer.push(k * DT_S, sample)
     value = buffer.at(np.array([59 * DT_S + 0.14]))[0]
@@ -85,7 +78,7 @@ def test_few_samples_are_enough_for_a_jerk():
     for count in (6, 10, 20, 22, 30):
         buffer, now_s = filled(course, count=count)
         value = buffer.at(np.array([now_s + 0.14]))[0]
-        exact = sample_of(course, now_s + 0.14)
+        exact = course.at(now_s + 0.14)
         assert np.abs(value[0] - exact[0]).max() < 5e-4
         assert np.abs(value[3] - exact[3]).max() < 0.1
 
@@ -105,8 +98,8 @@ def test_yaw_that_wraps_in_the_messages_is_one_turn():
 def test_what_is_old_or_not_finite_is_refused():
     course = make_course("circle", 1)
     buffer, now_s = filled(course)
-    assert not buffer.push(now_s, sample_of(course, now_s)[:3])
-    broken = sample_of(course, now_s + DT_S)[:3]
+    assert not buffer.push(now_s, course.at(now_s)[:3])
+    broken = course.at(now_s + DT_S)[:3]
     broken[1, 0, 2] = np.nan
     assert not buffer.push(now_s + DT_S, broken)
     assert buffer.newest_s == now_s
@@ -116,7 +109,7 @@ def test_a_clock_that_falls_back_starts_afresh():
     """A bag that is played again, or a computer whose clock was set."""
     course = make_course("circle", 1)
     buffer, now_s = filled(course)
-    sample = sample_of(course, now_s)[:3]
+    sample = course.at(now_s)[:3]
     set_back_s = now_s - 0.3
     assert [buffer.push(set_back_s + k * DT_S, sample) for k in range(4)] == [False, False, True, True]
     assert buffer.newest_s == set_back_s + 3 * DT_S

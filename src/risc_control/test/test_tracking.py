@@ -245,12 +245,7 @@ class NominalVehicles:
 def fly(controller, course, psi, duration_s=13.0, steps_late=26):
     """Errors (k, n) of a flight from rest at the course's start; commands act steps_late frames later."""
     n = len(course.paths)
-
-    def reference(time_s):
-        result = np.zeros((5, n, 4))
-        result[..., :3], result[:3, :, 3] = course.at(time_s)
-        return result
-
+    reference = course.at
     vehicles = NominalVehicles(n, reference(0.0)[0, :, :3], psi)
     pending, errors, everyone = [], [], np.ones(n, dtype=bool)
     for k in range(int(duration_s / DT_S)):
@@ -270,7 +265,7 @@ def fly(controller, course, psi, duration_s=13.0, steps_late=26):
 @pytest.mark.parametrize("psi_deg", [0, 100, -135])
 def test_follows_courses_at_any_yaw_to_millimetres_on_the_nominal_vehicle(name, psi_deg):
     psi = math.radians(psi_deg)
-    course = make_course(name, 2, YawProgram((psi,), 0.2 if psi_deg == 100 else 0.0))
+    course = make_course(name, 2, YawProgram(psi, 0.2 if psi_deg == 100 else 0.0))
     controller = flatness([ARDRONE] * 2)
     errors = fly(controller, course, psi, steps_late=round(controller.controller.delay_s[0] / DT_S))
     assert errors[-1000:].max() < 0.006

@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_control.motions import Blend, coasting, standing
+from risc_control.motions import blend, coasting, standing
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
-    Course,
     YawProgram,
     course_for_fleet,
     course_separation,
+    figure,
+    harmonics,
     make_course,
     minimum_separation,
     on_course,
@@ -27,8 +28,7 @@ MARGIN_M = 0.4
 
 
 def sampled(course, count=500):
-    times = np.linspace(0.0, course.period_s, count, endpoint=False)
-    return times, np.array([course.at(time_s)[0] for time_s in times])
+    return course.over_period(count, 4)[..., :3]
 
 
 @pytest.mark.parametrize("name", sorted(COURSES))
@@ -36,34 +36,36 @@ def sampled(course, count=500):
 def test_every_derivative_is_the_central_difference_of_the_one_before(name, vehicles):
     course, step_s = make_course(name, vehicles), 1e-4
     for time_s in np.linspace(0.013, course.period_s - 0.017, 41):
-        (before, yaw_before), (here, yaw), (after, yaw_after) = (course.at(time_s + d) for d in (-step_s, 0.0, step_s))
+        before, here, after = (course.at(time_s + d, 8) for d in (-step_s, 0.0, step_s))
         slopes = (after[:-1] - before[:-1]) / (2.0 * step_s)
-        assert slopes == pytest.approx(here[1:], abs=2e-5), time_s
-        assert (yaw_after[:-1] - yaw_before[:-1]) / (2.0 * step_s) == pytest.approx(yaw[1:], abs=1e-6)
+        assert slopes[:4] == pytest.approx(here[1:5], abs=2e-5), time_s
+        assert slopes[4:] == pytest.approx(here[5:], rel=1e-5, abs=1e-2), time_s
+        assert course.at(time_s, 2) == pytest.approx(here[:3], abs=1e-14), "the same with less"
 
 
 @pytest.mark.parametrize("name", ["circle", "flat8", "slanted8", "knot"])
 def test_yaw_along_the_path_is_exact_and_points_forward(name):
     course, step_s = make_course(name, 2, YawProgram(along_path=True)), 1e-5
     for time_s in np.linspace(0.1, course.period_s, 37):
-        derivatives, yaw = course.at(time_s)
+        derivatives = course.at(time_s, 6)
+        yaw = derivatives[..., 3]
         nose = np.stack([np.cos(yaw[0]), -np.sin(yaw[0])], axis=1)  # cortex x, y at a clockwise yaw
         speed = np.linalg.norm(derivatives[1, :, :2], axis=1)
         assert (nose * derivatives[1, :, :2]).sum(axis=1) == pytest.approx(speed)
-        before, after = course.at(time_s - step_s)[1], course.at(time_s + step_s)[1]
+        before, after = (course.at(time_s + d, 6)[..., 3] for d in (-step_s, step_s))
         turned = np.angle(np.exp(1j * (after[0] - before[0])))
         assert turned / (2.0 * step_s) == pytest.approx(yaw[1], abs=1e-5)
-        assert (after[1] - before[1]) / (2.0 * step_s) == pytest.approx(yaw[2], abs=1e-4)
+        assert (after[1:-1] - before[1:-1]) / (2.0 * step_s) == pytest.approx(yaw[2:], rel=1e-6, abs=1e-4)
 
 
 def test_circle_is_that_of_chapter_6():
     course = make_course("circle", 1)
-    _, path = sampled(course)
+    path = sampled(course)
     assert course.period_s == 8.0
     assert np.linalg.norm(path[:, 0, 0, :2], axis=1) == pytest.approx(0.8)
     assert np.all(path[:, 0, 0, 2] == 1.0)
-    assert course.at(0.0)[0][0, 0].tolist() == pytest.approx([0.8, 0.0, 1.0])
-    assert course.at(2.0)[0][0, 0].tolist() == pytest.approx([0.0, 0.8, 1.0])
+    assert course.at(0.0)[0, 0, :3].tolist() == pytest.approx([0.8, 0.0, 1.0])
+    assert course.at(2.0)[0, 0, :3].tolist() == pytest.approx([0.0, 0.8, 1.0])
 
 
 @pytest.mark.parametrize(("name", "height", "slant"), [("flat8", 0.75, 0.0), ("slanted8", 1.0, 0.5)])
@@ -72,7 +74,7 @@ def test_eights_are_those_of_chapter_6(name, height, slant):
     assert course.period_s == 20.0
     for t in (0.0, 1.3, 7.7, 14.0):
         expected = [1.5 * math.cos(w * t / 2), 0.75 * math.sin(w * t), height + slant * math.sin(w * t)]
-        assert course.at(t)[0][0, 0].tolist() == pytest.approx(expected)
+        assert course.at(t)[0, 0, :3].tolist() == pytest.approx(expected)
 
 
 def test_knot_is_the_torus_form_with_the_chain_rule():
@@ -82,17 +84,17 @@ def test_knot_is_the_torus_form_with_the_chain_rule():
         th = w * t
         r = 0.65 + 0.25 * math.cos(1.5 * th)
         expected = [r * math.cos(th), r * math.sin(th), 1.0 + 0.25 * math.sin(1.5 * th)]
-        assert course.at(t)[0][0, 0].tolist() == pytest.approx(expected)
+        assert course.at(t)[0, 0, :3].tolist() == pytest.approx(expected)
 
 
 def test_circles3_keep_a_constant_distance_and_turn_slowly_enough():
     course = make_course("circles3", 3)
-    _, path = sampled(course)
+    path = sampled(course)
     for i, j in ((0, 1), (1, 2), (0, 2)):
         assert np.linalg.norm(path[:, 0, i] - path[:, 0, j], axis=1) == pytest.approx(math.sqrt(3.0) * 0.5)
     assert path[:, 0].mean(axis=0)[0] == pytest.approx([0.5, 0.0, 1.0], abs=1e-9)
     assert peak_yaw_rate_rad_s(course) == pytest.approx(2.0 * math.pi / 24.0)
-    assert np.diff(course.at(0.0)[1][0]) == pytest.approx(2.0 * math.pi / 3.0)
+    assert np.diff(course.at(0.0)[0, :, 3]) == pytest.approx(2.0 * math.pi / 3.0)
 
 
 @pytest.mark.parametrize("vehicles", [1, 2, 3, 4, 5])
@@ -100,14 +102,14 @@ def test_circles3_keep_a_constant_distance_and_turn_slowly_enough():
 def test_vehicles_keep_apart_inside_the_net(name, vehicles):
     course = make_course(name, vehicles)
     assert course_separation(course) >= SAFE_SEPARATION_M
-    _, path = sampled(course)
+    path = sampled(course)
     furthest = np.abs(path[:, 0]).max(axis=(0, 1))
     assert furthest[0] < NET_HALF_X_M - MARGIN_M and furthest[1] < NET_HALF_Y_M - MARGIN_M
     assert path[:, 0, :, 2].min() > 0.4 and path[:, 0, :, 2].max() < 2.0
 
 
 def extent(course):
-    _, path = sampled(course, 200)
+    path = sampled(course, 200)
     return path[:, 0].min(axis=(0, 1)), path[:, 0].max(axis=(0, 1))
 
 
@@ -136,51 +138,44 @@ def test_copies_are_side_by_side_and_then_above_each_other():
     flat, high = (course_for_fleet("flat8", 10, arena) for arena in (Arena(4.0, 4.0), Arena(3.0, 2.0, 4.0)))
     assert np.ptp([corner[2] for corner in extent(flat)]) == 0.0
     assert extent(high)[1][0] == pytest.approx(1.5) and np.ptp([corner[2] for corner in extent(high)]) == 1.2
-    yaw = course_for_fleet("flat8", 10, Arena(4.0, 4.0), YawProgram((0.4,), along_path=True)).yaw
-    assert yaw == YawProgram((0.4,), along_path=True)
+    turned = course_for_fleet("flat8", 10, Arena(4.0, 4.0), YawProgram(0.4, along_path=True))
     for time_s in np.linspace(0.0, 20.0, 7):
-        path = flat.at(time_s)[0]
+        path = flat.at(time_s)
         assert path[1:, :5] == pytest.approx(path[1:, 5:]), "five and five, the same figure"
+        velocity = path[1]
+        assert np.exp(1j * (turned.at(time_s)[0, :, 3] - 0.4)) == pytest.approx(
+            (velocity[:, 0] - 1j * velocity[:, 1]) / np.hypot(velocity[:, 0], velocity[:, 1])
+        )
 
 
 def test_up_to_five_fly_one_figure_whatever_the_net():
     for vehicles in (1, 3, 5):
         mine, plain = course_for_fleet("knot", vehicles, Arena(1.0, 1.0)), make_course("knot", vehicles)
-        assert np.array_equal(mine.at(3.3)[0], plain.at(3.3)[0])
+        assert np.array_equal(mine.at(3.3), plain.at(3.3))
     with pytest.raises(ValueError, match="at most 4 vehicles"):
         course_for_fleet("quadrants", 5, Arena())
     with pytest.raises(ValueError, match="has no radius; it has"):
         course_for_fleet("circle", 8, Arena(), radius=1.0)
 
 
-def test_a_function_of_a_student_is_not_copied(monkeypatch):
-    """Nobody knows how to move it; it flies where it keeps its vehicles apart by itself."""
+def test_a_path_of_ones_own_is_a_function_of_the_phase(monkeypatch):
+    """Of any smooth shape: it is flown by any number, and all its derivatives are known."""
 
-    class Line:
-        period_s = 8.0
+    def clover(vehicles, size_m=1.2):
+        def path(a):
+            r = size_m * np.exp(0.3 * np.cos(4.0 * a) - 0.3)
+            return r * np.cos(a), r * np.sin(a), 1.0 + 0.1 * np.sin(a)
 
-        def __init__(self, places):
-            self._places = np.asarray(places, dtype=float)
+        return figure("clover", vehicles, 15.0, path)
 
-        def __len__(self):
-            return len(self._places)
-
-        def at(self, times_s):
-            path = np.zeros((5, max(np.size(times_s), len(self)), 3))
-            path[0] = self._places
-            return path
-
-        def reordered(self, order):
-            return Line(self._places[np.asarray(order)])
-
-    def line(vehicles, spacing_m=0.8):
-        places = [(spacing_m * (k - 0.5 * (vehicles - 1)), 0.0, 1.0) for k in range(vehicles)]
-        return Course("line", Line(places), np.zeros(vehicles), YawProgram())
-
-    monkeypatch.setitem(COURSES, "line", line)
-    assert len(course_for_fleet("line", 6, Arena(5.0, 2.0))) == 6
-    with pytest.raises(ValueError, match="'line'.* 20 .* 11"):
-        course_for_fleet("line", 20, Arena(5.0, 2.0))
+    monkeypatch.setitem(COURSES, "clover", clover)
+    course = make_course("clover", 3, size_m=1.0)
+    assert course_separation(course) > SAFE_SEPARATION_M and course.at(0.0)[0, 0, :3] == pytest.approx([1.0, 0.0, 1.0])
+    before, here, after = (course.at(4.0 + d, 7) for d in (-1e-5, 0.0, 1e-5))
+    assert (after[:-1] - before[:-1]) / 2e-5 == pytest.approx(here[1:], rel=1e-4, abs=1e-4)
+    assert len(course_for_fleet("clover", 12, Arena(5.0, 5.0))) == 12
+    with pytest.raises(ValueError, match="is not smooth"):
+        harmonics(lambda a: (np.abs(a - 3.0), 0.0, 1.0), 8.0)
 
 
 def test_separation_of_three_is_what_it_is():
@@ -201,20 +196,20 @@ def test_separation_of_three_is_what_it_is():
 def test_spin_stands_and_turns_once_in_30_s():
     course = make_course("spin", 1)
     for time_s in (0.0, 7.5, 21.0):
-        derivatives, yaw = course.at(time_s)
-        assert derivatives[:, 0].tolist() == [[0.0, 0.0, 1.0]] + 4 * [[0.0, 0.0, 0.0]]
-        assert yaw[:, 0] == pytest.approx([2.0 * math.pi * time_s / 30.0, 2.0 * math.pi / 30.0, 0.0])
+        derivatives = course.at(time_s)
+        assert derivatives[:, 0, :3].tolist() == [[0.0, 0.0, 1.0]] + 4 * [[0.0, 0.0, 0.0]]
+        assert derivatives[:3, 0, 3] == pytest.approx([2.0 * math.pi * time_s / 30.0, 2.0 * math.pi / 30.0, 0.0])
 
 
 def test_half_a_period_apart_two_vehicles_would_meet_on_an_eight():
     course = make_course("flat8", 2)
-    crossing = replace(course, shifts_s=np.array([0.0, 10.0]))
+    crossing = replace(course, paths=(on_course(course, 0, 0.0), on_course(course, 0, 10.0)))
     assert course_separation(crossing) < 0.01 < course_separation(course)
 
 
 def test_quadrants_in_turn_with_a_rest_in_each():
     course = make_course("quadrants", 1)
-    corners = [course.at(7.0 * k + 1.0)[0][:, 0] for k in range(5)]
+    corners = [course.at(7.0 * k + 1.0)[:, 0, :3] for k in range(5)]
     assert [corner[0].tolist() for corner in corners] == [
         [0.75, 0.75, 1.0],
         [-0.75, 0.75, 1.0],
@@ -223,7 +218,7 @@ def test_quadrants_in_turn_with_a_rest_in_each():
         [0.75, 0.75, 1.0],
     ]
     assert all(np.all(corner[1:] == 0.0) for corner in corners)
-    assert quadrant(3, 2).at(0.0)[0][0].tolist() == [[-0.75, -0.75, 1.0], [0.75, -0.75, 1.0]]
+    assert quadrant(3, 2).at(0.0)[0, :, :3].tolist() == [[-0.75, -0.75, 1.0], [0.75, -0.75, 1.0]]
 
 
 def test_minimum_separation():
@@ -238,8 +233,7 @@ def test_reordering_swaps_whole_vehicles():
     for name in ("circles3", "quadrants", "knot"):
         course = make_course(name, 3)
         other = course.reordered([2, 0, 1])
-        for plain, swapped in zip(course.at(3.3), other.at(3.3)):
-            assert np.array_equal(swapped, plain[:, [2, 0, 1]])
+        assert np.array_equal(other.at(3.3), course.at(3.3)[:, [2, 0, 1]])
 
 
 @pytest.mark.parametrize(
@@ -264,62 +258,67 @@ def course_motion(name="knot", vehicle=1, epoch_s=3.0):
 
 def test_motions_are_what_they_say():
     times = np.array([10.0, 11.5])
-    derivatives, yaw = standing(np.array([1.0, 2.0, 3.0]), 0.4)(times)
-    assert derivatives[0].tolist() == [[1.0, 2.0, 3.0]] * 2 and np.all(derivatives[1:] == 0.0)
-    assert yaw.tolist() == [[0.4, 0.4], [0.0, 0.0], [0.0, 0.0]]
-    derivatives, _ = coasting(np.zeros(3), np.array([0.3, 0.0, 0.0]), 0.0, 10.0)(np.array([10.0, 30.0]))
-    assert derivatives[1, 0].tolist() == [0.3, 0.0, 0.0]
+    derivatives = standing(np.array([1.0, 2.0, 3.0]), 0.4).at(times)
+    assert derivatives[0].tolist() == [[1.0, 2.0, 3.0, 0.4]] * 2 and np.all(derivatives[1:] == 0.0)
+    derivatives = coasting(np.zeros(3), np.array([0.3, 0.0, 0.0]), 0.0, 10.0).at(np.array([10.0, 30.0]))
+    assert derivatives[1, 0].tolist() == [0.3, 0.0, 0.0, 0.0]
     assert derivatives[:2, 1, 0] == pytest.approx([0.3, 0.0], abs=1e-6)
     course = make_course("knot", 3)
-    derivatives, yaw = course_motion()(times)
+    derivatives = course_motion().at(times)
     for k, time_s in enumerate(times):
-        expected, expected_yaw = course.at(time_s - 3.0)
-        assert derivatives[:, k] == pytest.approx(expected[:, 1]) and yaw[:, k] == pytest.approx(expected_yaw[:, 1])
+        assert derivatives[:, k] == pytest.approx(course.at(time_s - 3.0)[:, 1])
 
 
-def test_blend_meets_both_motions_to_snap():
+@pytest.mark.parametrize("smooth", [4, 6, 9])
+@pytest.mark.parametrize("rise_m", [0.0, 0.6])
+def test_blend_meets_both_motions_to_the_order_that_it_claims(smooth, rise_m):
     start, end = coasting(np.array([1.5, -1.0, 0.8]), np.array([0.2, 0.1, -0.1]), 0.3, 4.0), course_motion()
-    for duration_s in (0.7, 3.0, 12.0):
-        way = Blend(start, end, 5.0, duration_s)
-        for time_s, motion in ((5.0, start), (5.0 + duration_s, end)):
-            (derivatives, yaw), (expected, expected_yaw) = way(np.array([time_s])), motion(np.array([time_s]))
-            assert derivatives == pytest.approx(expected, abs=1e-7)
-            assert np.exp(1j * yaw[0]) == pytest.approx(np.exp(1j * expected_yaw[0]))
-            assert yaw[1:] == pytest.approx(expected_yaw[1:], abs=1e-9)
+    end = end.with_fields(smooth=smooth)
+    for duration_s in (6.0, 12.0):
+        way = blend(start, end, 5.0, duration_s, rise_m)
+        inside_s = 1e-12  # just after its beginning and before its end
+        for time_s, motion in ((5.0 + inside_s, start), (5.0 + duration_s - inside_s, end)):
+            found, expected = (m.at(np.array([time_s]), smooth + 1)[:, 0] for m in (way, motion))
+            assert found[: smooth + 1, :3] == pytest.approx(expected[: smooth + 1, :3], abs=1e-3)
+            assert found[:3, :3] == pytest.approx(expected[:3, :3], abs=1e-12)
+            assert np.abs(found[smooth + 1, :3] - expected[smooth + 1, :3]).max() > 0.01, "and no further"
+            assert np.exp(1j * found[0, 3]) == pytest.approx(np.exp(1j * expected[0, 3]))
+            assert found[1:3, 3] == pytest.approx(expected[1:3, 3], abs=1e-6)
 
 
 def test_blend_derivatives_are_central_differences():
-    way = Blend(course_motion("circle", 0), course_motion("slanted8", 2), 5.0, 3.0)
     step_s = 1e-5
-    for time_s in (4.0, 5.4, 6.5, 7.9, 9.0):
-        derivatives, yaw = way(np.array([time_s - step_s, time_s, time_s + step_s]))
-        slopes = (derivatives[:-1, 2] - derivatives[:-1, 0]) / (2.0 * step_s)
-        assert slopes == pytest.approx(derivatives[1:, 1], rel=1e-5, abs=1e-4)
-        assert (yaw[:-1, 2] - yaw[:-1, 0]) / (2.0 * step_s) == pytest.approx(yaw[1:, 1], abs=1e-5)
+    for smooth in (4, 7):
+        way = blend(course_motion("circle", 0), course_motion("slanted8", 2).with_fields(smooth=smooth), 5.0, 3.0)
+        for time_s in (4.0, 5.4, 6.5, 7.9, 9.0):
+            derivatives = way.at(np.array([time_s - step_s, time_s, time_s + step_s]), 2 * smooth + 1)
+            slopes = (derivatives[:-1, 2] - derivatives[:-1, 0]) / (2.0 * step_s)
+            assert slopes == pytest.approx(derivatives[1:, 1], rel=1e-5, abs=1e-4)
 
 
 def test_blend_stays_between_its_motions():
     """What a polynomial between two states of motion does not do: it may swing out of the net."""
     start, end = course_motion("flat8", 0), course_motion("slanted8", 1)
     times = np.linspace(5.0, 8.0, 200)
-    path, first, last = (motion(times)[0][0] for motion in (Blend(start, end, 5.0, 3.0), start, end))
+    path, first, last = (motion.at(times)[0, :, :3] for motion in (blend(start, end, 5.0, 3.0), start, end))
     assert np.all(path <= np.maximum(first, last) + 1e-12) and np.all(path >= np.minimum(first, last) - 1e-12)
 
 
 def test_blend_turns_the_short_way():
     place = np.zeros(3)
-    way = Blend(standing(place, 3.0), standing(place, -3.0), 0.0, 4.0)
-    assert way(np.array([1.0, 3.0, 3.9999]))[1][0] == pytest.approx([3.03, 3.25, 2.0 * math.pi - 3.0], abs=0.01)
-    assert way(np.array([4.0, 9.0]))[1][0] == pytest.approx([-3.0, -3.0]), "from its end on it is the end"
+    way = blend(standing(place, 3.0), standing(place, -3.0), 0.0, 4.0)
+    yaws = way.at(np.array([1.0, 3.0, 3.9999, 4.0, 9.0]))[0, :, 3]
+    assert yaws[:3] == pytest.approx([3.03, 3.25, 2.0 * math.pi - 3.0], abs=0.01)
+    assert yaws[3:] == pytest.approx([-3.0, -3.0]), "from its end on it is the end"
     with pytest.raises(ValueError, match="needs a time > 0"):
-        Blend(standing(place, 0.0), standing(place, 0.0), 0.0, 0.0)
+        blend(standing(place, 0.0), standing(place, 0.0), 0.0, 0.0)
 
 
 def test_a_blend_between_two_places_is_the_minimum_snap_way():
-    way = Blend(standing(np.zeros(3), 0.0), standing(np.ones(3), 0.0), 0.0, 1.0)
-    step = way(np.array([-1.0, 0.0, 0.5, 1.0, 2.0]))[0][:, :, 0]
+    way = blend(standing(np.zeros(3), 0.0), standing(np.ones(3), 0.0), 0.0, 1.0)
+    step = way.at(np.array([-1.0, 0.0, 0.5, 1.0, 2.0]))[:, :, 0]
     assert step[0] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
     assert step[1:, [0, 1, 3, 4]] == pytest.approx(np.zeros((4, 4)), abs=1e-9)
     s = 0.3  # 126 s^5 - 420 s^6 + 540 s^7 - 315 s^8 + 70 s^9
     expected = 126 * s**5 - 420 * s**6 + 540 * s**7 - 315 * s**8 + 70 * s**9
-    assert way(np.array([s]))[0][0, 0, 2] == pytest.approx(expected)
+    assert way.at(np.array([s]))[0, 0, 2] == pytest.approx(expected)

@@ -168,7 +168,7 @@ def test_limits_of_the_ways():
     acceleration = np.linalg.norm(derivatives[:, 2, :, :3], axis=2)
     assert speed.max() <= 0.3 + 1e-6 and acceleration.max() <= 0.3 + 1e-6
     assert np.abs(derivatives[:, 1, :, 3]).max() <= 0.2 + 1e-6
-    with pytest.raises(ValueError, match="speed_m_s must be > 0"):
+    with pytest.raises(ValueError, match="speed_m_s"):
         WayLimits(speed_m_s=0.0)
 
 
@@ -288,8 +288,8 @@ def test_until_their_ways_begin_they_go_on_as_before():
     assert not references[times < 10.3, 1].any() and phases[int(0.7 / 0.02)] == (Phase.HOLD,) * 3
     assert phases[int(0.9 / 0.02)] == (Phase.APPROACH,) * 3
     manager.go_home(40.0)
-    before = manager.course.at(40.4 - manager._epoch_s)[0]
-    assert manager.sample(40.4).derivatives[..., :3] == pytest.approx(before)
+    before = manager.course.at(40.4 - manager._epoch_s)
+    assert manager.sample(40.4).derivatives[..., :3] == pytest.approx(before[..., :3])
     assert manager.sample(70.0).phases == (Phase.COURSE,) * 3, "nobody has planned"
 
 

@@ -111,7 +111,7 @@ class TunerByMouseTest(unittest.TestCase):
         while not cls.over.wait(max(0.0, start_s + k / RATE_HZ - rospy.get_time())):
             t_s = k / RATE_HZ
             if t_s < FLIGHT_S:
-                place = course.at(t_s)[0][0][0]
+                place = course.at(t_s)[0, 0]
                 state = States(name="fluffy_II", visible=True, x=place[0], y=place[1], z=place[2] + 0.2)
                 state.psi = 90.0 * (1.0 - math.cos(2.0 * math.pi * t_s / FLIGHT_S)) + 15.0 * math.sin(t_s)
             else:

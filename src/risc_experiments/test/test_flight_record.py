@@ -43,8 +43,8 @@ def test_a_flight_is_written_down_and_read_again(tmp_path):
 
 def test_what_yaml_does_not_know_becomes_text():
     value = plain({1: (pathlib.Path("/a"), None, 2.5, True), "b": xmlrpc.client.Binary(b"x")})
-    assert value["1"] == ["/a", None, 2.5, True] and isinstance(value["b"], str)
-    assert yaml.safe_load(yaml.safe_dump(value)) == value
+    assert yaml.safe_load(yaml.safe_dump(value)) == {"1": ["/a", None, 2.5, True], "b": value["b"]}
+    assert isinstance(value["b"], str)
 
 
 def git(folder, *words):

@@ -1,15 +1,16 @@
 """A controller and a vehicle type from elsewhere, each one file and one YAML in the folder `members`, flown offline."""
 
+import math
 import pathlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from risc_control.controllers import ControlLoop
+from risc_control.controllers import REGISTRY, ControlLoop
 from risc_control.vehicle_pilot import OwnState
 from risc_control.vehicles import Command, ControlsConverter, adapter_class
-from risc_experiments.offline import Flight, fly
+from risc_experiments.offline import FRAME_S, Flight, fly
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import load_vehicle_type
 
@@ -24,6 +25,26 @@ def members(monkeypatch):
 def test_a_controller_of_a_student_flies():
     result = fly(Flight("circle", vehicles=1, seed=1, psi_deg=57.0, duration_s=6.0, controller="toy_pd"))
     assert result.rmse_m[0] < 0.15 and result.crashes == ()
+
+
+def test_a_controller_of_order_six_sees_exact_derivatives(monkeypatch):
+    """On a circle the fifth is w^4 times the velocity, the sixth w^4 times the acceleration."""
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", str(MEMBERS.parents[2] / "risc_control" / "test" / "members"))
+    result = fly(Flight("circle", vehicles=1, seed=1, duration_s=4.0, controller="sixth"))
+    assert result.rmse_m[0] < 0.02 and result.crashes == ()
+    seen = REGISTRY.module("sixth").SEEN[1:]  # the first loads what is compiled
+    w = 2.0 * math.pi / 8.0
+    for times, reference in seen[-int(4.0 / FRAME_S) :]:
+        present, ahead = reference.present[:, 0], reference.ahead[:, 0]
+        for found in (present, ahead):
+            assert len(found) == 7
+            assert found[5:, :2] == pytest.approx(w**4 * found[1:3, :2], abs=1e-6)
+            assert np.linalg.norm(found[5, :2]) == pytest.approx(0.8 * w**5, abs=1e-6)
+        turned = w * (times.now_s - times.stamp_s + 0.1 + 1.0 / 30.0)
+        turn = np.array([[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]])
+        assert ahead[:, :2] == pytest.approx(present[:, :2] @ turn, abs=1e-6)
+    jumps = np.abs(np.diff([reference.present[:, 0, :3] for _, reference in seen], axis=0)).max(axis=(0, 2))
+    assert (jumps < 0.2).all(), "continuous to the sixth, on the way as well"
 
 
 def test_one_controller_flies_a_fleet_of_two_types():

@@ -22,7 +22,7 @@ from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, load_params, number
 from risc_maap_msgs.msg import OperatorState, TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, Trajectories
-from risc_visual.ros.health import Health
+from risc_visual.ros.node import Health
 
 _LOOK_S = 1.0  # how often the main thread looks whether there is something to draw, or an end
 

@@ -8,32 +8,24 @@ import sys
 import cv2
 
 from risc_lab.lab.calibration import save_calibration
-from risc_visual.vision.checkerboard import (
-    CalibrationError,
-    CalibrationParams,
-    Checkerboard,
-    View,
-    calibrate,
-    find_board,
-    shown_board,
-)
+from risc_visual.vision.checkerboard import MIN_VIEWS, Checkerboard, View, calibrate, find_board, shown_board
 from risc_visual.vision.picture_source import open_pictures
 
 _HINT_PICTURES = 12  # in which some other board is looked for when the right one is nowhere
 
 
-def find_views(pictures, board, progress):
-    """Look for the board in all pictures. Returns (views, (width, height)). Raises CalibrationError."""
+def find_views(source, count, pictures, board):
+    """Look for the board in all pictures. Returns (views, (width, height)). Raises ValueError."""
     views, sample, size_px, size_of, unreadable = [], [], None, None, 0
     for number, (name, grey) in enumerate(pictures, 1):
-        progress("%d of %d pictures, board in %d" % (number, pictures.count, len(views)))
+        show_progress("%d of %d pictures, board in %d" % (number, count, len(views)))
         if grey is None:
             unreadable += 1
             continue
         if size_px is None:
             size_px, size_of = grey.shape[::-1], name
         if grey.shape[::-1] != size_px:
-            raise CalibrationError(
+            raise ValueError(
                 "%s is %d x %d, but %s is %d x %d: one calibration is for one camera in one mode"
                 % ((name,) + grey.shape[::-1] + (size_of,) + size_px)
             )
@@ -42,23 +34,22 @@ def find_views(pictures, board, progress):
             views.append(View(name, corners))
         elif len(sample) < _HINT_PICTURES:
             sample.append(grey)
-    progress("")
+    show_progress("")
     if unreadable:
-        print("calibrate.py: %d of %d pictures cannot be read" % (unreadable, pictures.count), file=sys.stderr)
+        print("calibrate.py: %d of %d pictures cannot be read" % (unreadable, count), file=sys.stderr)
     if size_px is None:
-        raise CalibrationError("none of the %d pictures of %s can be read" % (pictures.count, pictures.name))
-    if len(views) < CalibrationParams().min_views:
-        raise CalibrationError(_too_few(len(views), pictures.count, sample, board))
+        raise ValueError("none of the %d pictures of %s can be read" % (count, source))
+    if len(views) < MIN_VIEWS:
+        raise ValueError(_too_few(len(views), count, sample, board))
     return views, size_px
 
 
 def _too_few(found, count, sample, board):
     text = "the board (%dx%d inner corners) was found in %d of %d pictures, at least %d are needed: " % (
-        (board.columns, board.rows, found, count, CalibrationParams().min_views)
+        (board.columns, board.rows, found, count, MIN_VIEWS)
     )
-    for grey in sample:
-        other = shown_board(grey)
-        if other is not None and sorted(other) != sorted((board.columns, board.rows)):
+    for other in filter(None, map(shown_board, sample)):
+        if sorted(other) != sorted((board.columns, board.rows)):
             return text + "they show a board of %dx%d, try --size %dx%d" % (other + other)
     return text + (
         "--size counts the corners between squares, not the squares; the whole board with its white margin must be in "
@@ -66,12 +57,12 @@ def _too_few(found, count, sample, board):
     )
 
 
-def report(result, pictures, found, all_views):
+def report(result, source, found, count, all_views):
     """Print what came out."""
     calibration = result.calibration
     values = dict(zip(("fx", "fy", "cx", "cy"), (calibration.K[i] for i in (0, 4, 2, 5))))
     values.update(zip(("k1", "k2", "p1", "p2", "k3"), calibration.D))
-    print("%s: board found in %d of %d pictures" % (pictures.name, found, pictures.count))
+    print("%s: board found in %d of %d pictures" % (source, found, count))
     for key, value in values.items():
         deviation = result.sigma[key]
         print("  %-3s %12.6g  %s" % (key, value, "+- %.2g" % deviation if deviation > 0.0 else "(not sought)"))
@@ -87,7 +78,8 @@ def report(result, pictures, found, all_views):
         print("warning: %s" % warning)
 
 
-def _show_progress(text):
+def show_progress(text):
+    """A line that the next one overwrites."""
     if sys.stderr.isatty():
         print("\r\033[K%s" % text, end="", file=sys.stderr, flush=True)
 
@@ -111,25 +103,24 @@ def main():
     cv2.setNumThreads(1)
     try:
         if args.max_pictures < 1:
-            raise CalibrationError("--max-pictures must be 1 or more, found %d" % args.max_pictures)
+            raise ValueError("--max-pictures must be 1 or more, found %d" % args.max_pictures)
         board = Checkerboard.from_text(args.size, args.square)
         if not out.absolute().parent.is_dir():
-            raise CalibrationError("cannot write %s: there is no folder %s, make it" % (out, out.parent))
-        pictures = open_pictures(args.source, args.topic, args.max_pictures)
-        views, size_px = find_views(pictures, board, _show_progress)
-        _show_progress("calibrating with %d views ..." % len(views))
-        result = calibrate(views, board, size_px, args.name, CalibrationParams(radial_terms=args.radial))
-        _show_progress("")
-    except (ValueError, OSError) as error:
-        _show_progress("")
-        print("calibrate.py: %s" % error, file=sys.stderr)
-        return 1
-    try:
+            raise ValueError("cannot write %s: there is no folder %s, make it" % (out, out.parent))
+        source, count, pictures = open_pictures(args.source, args.topic, args.max_pictures)
+        views, size_px = find_views(source, count, pictures, board)
+        show_progress("calibrating with %d views ..." % len(views))
+        result = calibrate(views, board, size_px, args.name, args.radial)
         save_calibration(result.calibration, out)
     except OSError as error:
-        print("calibrate.py: cannot write %s: %s" % (out, error.strerror), file=sys.stderr)
+        print("calibrate.py: cannot read or write %s: %s" % (error.filename, error.strerror), file=sys.stderr)
         return 1
-    report(result, pictures, len(views), args.views)
+    except ValueError as error:
+        print("calibrate.py: %s" % error, file=sys.stderr)
+        return 1
+    finally:
+        show_progress("")
+    report(result, source, len(views), count, args.views)
     print("wrote %s" % out)
     print(
         "Put it where the driver reads it: what `calibration` of the fleet file names (a bare name is a file in\n"

@@ -16,11 +16,11 @@ import rosgraph
 import rospy
 import rostest
 import tf2_ros
-from geometry_msgs.msg import Point, TransformStamped
+from geometry_msgs.msg import TransformStamped
 from page_client import PageClient, wait_for
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from ardrone_autonomy.msg import Navdata
 from risc_maap_msgs.msg import (
@@ -69,7 +69,7 @@ def start(port, *arguments):
 
 
 def ball(head, ns, marker_id, position_m):
-    return markers.marker(head, ns, marker_id, Marker.SPHERE, position_m, (0.1, 0.1, 0.1), RED, LIFE_S)
+    return markers.Pen(LIFE_S, head).ball(ns, marker_id, position_m, 0.1, RED)
 
 
 class LiveViewTest(unittest.TestCase):
@@ -81,7 +81,7 @@ class LiveViewTest(unittest.TestCase):
             topic: rospy.Publisher(topic, kind, queue_size=10, latch=topic in LATCHED)
             for topic, kind in OUTPUTS.items()
         }
-        cls.topics["net"].publish(markers.net_markers(load_scenery().net, 0.0))
+        cls.topics["net"].publish(markers.net_markers(markers.Pen(0.0), load_scenery().net))
         phases = VehiclePhase("fluffy_II", VehiclePhase.COURSE), VehiclePhase("Raven", VehiclePhase.HOLD)
         cls.topics["/risc1/safety"].publish(Safety(level=Safety.HOLD, rule=Safety.STATE, reason="state 120 ms old"))
         cls.topics["/trajectory_phase"].publish(TrajectoryPhases(vehicles=phases))
@@ -141,8 +141,7 @@ class LiveViewTest(unittest.TestCase):
 
     def test_2_what_cannot_be_drawn_stops_neither_the_rest_nor_the_panel(self):
         page = self.open_page()
-        bad = markers.marker(markers.header(), "bad", 1, Marker.LINE_STRIP, (0.0,) * 3, (0.1,) * 3, NO_COLOUR, LIFE_S)
-        bad.points = [Point(0.0, 0.0, 0.0), Point(1.0, 0.0, 0.0)]
+        bad = markers.Pen(LIFE_S).line("bad", 1, ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), 0.1, NO_COLOUR)
         self.draw(page, bad, ball(markers.header(), "good", 1, (0.0, 0.0, 1.0)))
         self.assertNotIn("/Quad_Markers/bad/1", page.made)
         before = page.text()

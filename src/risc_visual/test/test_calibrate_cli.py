@@ -82,7 +82,7 @@ def test_damaged_pictures(tmp_path, pictures):
     ("arguments", "says"),
     [
         (("--size", "8by6"), "COLUMNSxROWS"),
-        (("--square", "0"), "side of a square"),
+        (("--square", "0"), "square_m"),
         (("--max-pictures", "0"), "--max-pictures"),
         (("--out", "gone/risc1.yaml"), "there is no folder gone"),
         (("--topic", "/camera/image_raw"), "a topic is for bags"),
@@ -144,25 +144,25 @@ def test_pictures_of_a_bag_are_grey_whatever_their_encoding(tmp_path):
         image(grey, "no_such_encoding"),
     ]
     bag = write_bag(tmp_path / "all.bag", [("/camera/image_raw", message) for message in messages])
-    names, read = zip(*open_pictures(bag))
+    names, read = zip(*open_pictures(bag)[2])
     assert names[:2] == ("100.000000005", "101.000000005")
     for picture in read[:3]:
         assert np.array_equal(picture, grey)
     assert abs(int(read[3][0, 0]) - 0.114 * 200) <= 1 and abs(int(read[4][0, 0]) - 0.299 * 200) <= 1
     assert read[5] is None
     compressed = write_bag(tmp_path / "compressed.bag", [("/camera/image_raw/compressed", png)])
-    assert np.array_equal(next(iter(open_pictures(compressed)))[1], grey)
+    assert np.array_equal(next(open_pictures(compressed)[2])[1], grey)
 
 
 def test_many_pictures_are_thinned_evenly(tmp_path, pictures):
     for k in range(20):
         cv2.imwrite(str(pictures / ("%02d.png" % k)), np.full((4, 4), 10 * k, np.uint8))
-    source = open_pictures(pictures, most=5)
-    assert source.count == 5
-    assert [name for name, _ in source] == ["00.png", "05.png", "10.png", "14.png", "19.png"]
+    _, count, found = open_pictures(pictures, most=5)
+    assert count == 5
+    assert [name for name, _ in found] == ["00.png", "05.png", "10.png", "14.png", "19.png"]
     grey = np.zeros((4, 4), np.uint8)
     bag = write_bag(tmp_path / "many.bag", [("/image_raw", image(grey, "mono8")) for _ in range(20)])
-    assert len(list(open_pictures(bag, most=7))) == 7
+    assert len(list(open_pictures(bag, most=7)[2])) == 7
 
 
 def test_a_topic_of_a_folder_is_refused(pictures):

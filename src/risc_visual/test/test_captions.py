@@ -4,11 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
+from drawn import everything
 
-from risc_visual.drawing.cast import Cast, Index, Pose
 from risc_visual.drawing.palette import on_white
 from risc_visual.drawing.ros import markers
-from risc_visual.drawing.scenery import load_scenery
 from risc_visual.pictures.captions import DARK, LIGHT, Box, Name, Row, lay_out, scene_size, write
 from risc_visual.pictures.rviz_pictures import VEHICLE_REACH_M, VIEWS, layout_of, outline_m, views_from
 
@@ -16,27 +15,12 @@ SIZES = ((1280, 900), (640, 480), (2400, 1600), (900, 1200))
 NAMES = ("fluffy_II", "albatross", "Raven", "Kahn", "Condor", "IRIS")
 
 
-def drawn(positions_m, levels=None):
+def drawn(positions_m, **more):
     """What draw_cortex, draw_risc_maap and draw_trajectories publish of vehicles at these positions."""
-    head = markers.header()
-    poses = [Pose(name, True, tuple(at_m), (0.0, 0.0, 0.5)) for name, at_m in zip(NAMES, positions_m)]
-    views = Cast(Index()).views(poses)
-    landmarks = [("Green_pink", (2.4, 0.9, 1.0)), ("Pink_blue", (2.4, -0.9, 1.0)), ("Blue_green", (-2.4, -0.9, 1.0))]
-    found = {
-        "/Quad_Labels": markers.vehicle_labels(head, views, 0.8, 1.0, levels),
-        "/Quad_Markers": markers.vehicle_markers(head, views, 1.0),
-        "/Land_Labels": markers.landmark_labels(head, landmarks, 0.8, 1.0),
-        "/Grid": markers.grid_markers(load_scenery().grid, 1.0),
-        "/desired_trajectory_name": [markers.title_marker(head, "circles3\ncourse", 1.0)],
-        "/Ctrl_Status": [markers.mode_marker(head, k, name, True, "", 1.0) for k, name in enumerate(NAMES)],
-        "/Battery_Status": [markers.battery_marker(head, k, name, 90.0, 1.0) for k, name in enumerate(NAMES)],
-        "/desired_trajectory": markers.reference_markers(head, 0, NAMES[0], (0.5, 0.5, 1.0), True, 1.0),
-        "/transform_tuner/text": [
-            markers.text_marker(
-                head, "risc1", 0, "risc1: 0.14 deg (1.4 px) RMS of 180 bearings", (0, 0, 0), 0.1, (1,) * 4, 1.0
-            )
-        ],
-    }
+    found = everything(dict(zip(NAMES, positions_m)), **{"tip": False, **more})
+    found = {"/" + topic: content for topic, content in found.items() if topic != "angle_lines"}
+    text = "risc1: 0.14 deg (1.4 px) RMS of 180 bearings"
+    found["/transform_tuner/text"] = [markers.Pen(1.0).text("risc1", 0, text, (0, 0, 0), 0.1, (1.0,) * 4)]
     return {(topic, marker.ns, marker.id): marker for topic, content in found.items() for marker in content}
 
 

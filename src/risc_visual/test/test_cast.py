@@ -98,19 +98,16 @@ def test_rod_stands_on_the_nearest_vehicle_within_reach():
 
 def test_references_are_marked_at_rest_or_when_their_vehicle_is_away():
     references = {
-        "at_rest": ((0.0, 0.0, 1.0), 0.0),
-        "followed": ((1.0, 0.0, 1.0), 0.6),
-        "left": ((2.0, 0.0, 1.0), 0.6),
-        "lost": ((0.0, 1.0, 1.0), 0.6),
-        "Circle": ((0.0, 0.0, 1.0), 0.6),
+        "at_rest": (0, 0, 1),
+        "followed": (1, 0, 1),
+        "left": (2, 0, 1),
+        "lost": (0, 1, 1),
+        "Circle": (0, 0, 1),
     }
+    speeds = dict(dict.fromkeys(references, 0.6), at_rest=0.0)
     positions = {"at_rest": (0.1, 0.0, 1.0), "followed": (1.0, 0.1, 1.0), "left": (2.0, 0.5, 1.0)}
-    vehicles = set(references) - {"Circle"}
-    assert reference_marks(references, positions, vehicles, 0.4) == [
-        ("at_rest", (0.0, 0.0, 1.0), False),
-        ("left", (2.0, 0.0, 1.0), True),
-        ("lost", (0.0, 1.0, 1.0), True),
-    ]
+    marks = reference_marks(references, speeds, positions, set(references) - {"Circle"}, 0.4)
+    assert marks == [("at_rest", False), ("left", True), ("lost", True)]
 
 
 def test_title_says_it_in_one_word_if_it_can():

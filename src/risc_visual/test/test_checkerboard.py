@@ -7,8 +7,6 @@ import pytest
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import load_calibration
 from risc_visual.vision.checkerboard import (
-    CalibrationError,
-    CalibrationParams,
     Checkerboard,
     View,
     calibrate,
@@ -117,7 +115,7 @@ def test_good_pictures_give_no_warnings():
 
 
 def test_too_few_views_are_refused():
-    with pytest.raises(CalibrationError, match=r"found in 3 picture.*at least 4"):
+    with pytest.raises(ValueError, match=r"found in 3 picture.*at least 4"):
         calibrate(views_of("risc2.yaml", 3, 8)[0], BOARD, SIZE_PX)
 
 
@@ -125,7 +123,7 @@ def test_the_same_view_again_and_again_is_no_calibration():
     view = views_of("risc2.yaml", 1, 9, max_tilt_deg=0.0)[0][0]
     try:
         warnings = calibrate([view] * 10, BOARD, SIZE_PX).warnings
-    except CalibrationError as error:
+    except ValueError as error:
         warnings = (str(error),)
     assert any("tilt the board" in warning for warning in warnings)
 
@@ -173,10 +171,3 @@ def test_a_bad_size_is_refused(size):
 def test_a_bad_square_is_refused(square_m):
     with pytest.raises(ValueError, match="square"):
         Checkerboard.from_text("8x6", square_m)
-
-
-def test_bad_params_are_refused():
-    with pytest.raises(ValueError, match="min_views"):
-        CalibrationParams(min_views=2)
-    with pytest.raises(ValueError, match="radial_terms"):
-        CalibrationParams(radial_terms=6)

@@ -13,11 +13,10 @@ from risc_lab.lab.fleet import FleetVehicle, Start
 from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
 from risc_visual.drawing.cast import Index
+from risc_visual.drawing.params import CortexParams, TrajectoryParams
 from risc_visual.drawing.ros import markers
 from risc_visual.drawing.ros.cortex_drawing import CortexDrawing
-from risc_visual.drawing.ros.params import CortexParams
 from risc_visual.drawing.ros.paths import PathDrawing
-from risc_visual.drawing.trails import TrailParams
 from risc_visual.vision.landmark_config import load_landmarks
 
 NOW_S = 100.0
@@ -72,7 +71,7 @@ def test_fifty_vehicles_keep_their_ids_whatever_the_order_and_whoever_is_lost():
 
 def test_paths_of_fifty_vehicles_have_ids_of_their_own_and_a_bounded_life():
     names = ["vehicle_%d" % k for k in range(50)]
-    paths = PathDrawing("quad_line", (1.0, 0.0, 0.0), 0.04, TrailParams(10.0), 25.0, Index(names))
+    paths = PathDrawing("quad_line", (1.0, 0.0, 0.0), 0.04, 10.0, TrajectoryParams(), Index(names))
     alive = {}
     for step in range(100):
         head = markers.header(genpy.Time.from_sec(100.0 + 0.04 * step))
@@ -87,7 +86,7 @@ def test_paths_of_fifty_vehicles_have_ids_of_their_own_and_a_bounded_life():
     assert {m.points[0].y for m in paths.draw(head, {})} == {0.0}
 
 
-def test_the_rung_of_the_ladder_stands_at_the_vehicle_and_in_its_line():
+def test_the_failsafe_level_stands_at_the_vehicle_and_in_its_line():
     scene = drawing([vehicle(1), vehicle(2)])
     scene.note_safety(0, Verdict(FailsafeLevel.LAND, "battery at 8 %"))
     scene.note_safety(1, Verdict(FailsafeLevel.OK, ""))
@@ -102,7 +101,7 @@ def test_the_rung_of_the_ladder_stands_at_the_vehicle_and_in_its_line():
 
 
 @pytest.mark.parametrize("later_s, text", [(1.4, "vehicle_1: HOLD"), (1.6, "vehicle_1"), (-60.0, "vehicle_1")])
-def test_the_rung_of_a_vehicle_that_says_nothing_more_is_no_news(later_s, text):
+def test_the_level_of_a_vehicle_that_says_nothing_more_is_no_news(later_s, text):
     """By the clock of ROS alone: a bag may be played slowly, or from the beginning."""
     scene = drawing([vehicle(1)], status_hz=2.0)
     scene.note_safety(0, Verdict(FailsafeLevel.HOLD, "state 120 ms old"))
@@ -111,7 +110,7 @@ def test_the_rung_of_a_vehicle_that_says_nothing_more_is_no_news(later_s, text):
     assert scene.vehicles(cortex(["vehicle_1"], stamp_s=now_s), now_s)[1][0].text == text
 
 
-def test_a_rung_lasts_while_a_bag_is_played_slowly():
+def test_a_level_lasts_while_a_bag_is_played_slowly():
     scene = drawing([vehicle(1)], status_hz=1e3)  # a text lives 3 ms
     scene.note_safety(0, Verdict(FailsafeLevel.HOLD, "state 120 ms old"))
     scene.mode(HEAD, 0, "vehicle_1", True)

@@ -1,27 +1,18 @@
-"""Settings of risc_landmarks and quad_tracker: the YAML file says what the code does by default, mistakes are named."""
+"""Settings of risc_landmarks and quad_tracker: mistakes are named; and what their messages hold."""
 
 from types import SimpleNamespace
 
 import genpy
 import pytest
-import yaml
 from std_msgs.msg import Header
 
-from risc_lab.lab.yaml_reader import package_file
 from risc_lab.ros.params import params_from_dict
 from risc_visual.ros.conversions import rois_of_picture
 from risc_visual.vision.ros.detector_node import LookoutParams
 
 
-def test_the_file_holds_every_parameter_with_its_default():
-    values = yaml.safe_load(package_file("risc_visual", "config/risc_landmarks.yaml").read_text(encoding="utf-8"))
-    (params,), unknown = params_from_dict([LookoutParams], values)
-    assert (params, unknown) == (LookoutParams(), [])
-    assert set(values) == set(LookoutParams.__dataclass_fields__)
-
-
 @pytest.mark.parametrize(
-    "wrong", [{"image": ""}, {"overlay": ""}, {"vehicles": "risc1"}, {"rectified": 1}, {"quads": "no"}]
+    "wrong", [{"image": ""}, {"rate_hz": -1.0}, {"vehicles": "risc1"}, {"rectified": 1}, {"quads": "no"}]
 )
 def test_a_wrong_value_is_named(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

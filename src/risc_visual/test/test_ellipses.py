@@ -10,7 +10,6 @@ from risc_visual.vision.ellipses import (
     circle_centres,
     distances,
     ellipse_of_moments,
-    ellipse_of_spread,
     fit_ellipse,
     fit_grown,
     harmonics,
@@ -93,8 +92,6 @@ def test_moments_of_a_drawn_ellipse(ellipse):
 
 def test_shapes_without_extent_have_no_ellipse():
     assert ellipse_of_moments(cv2.moments(np.zeros((5, 5), np.uint8), True)) is None
-    assert ellipse_of_spread(0.0, 0.0, 1.0, 1.0, 1.0) is None
-    assert ellipse_of_spread(0.0, 0.0, float("nan"), 0.0, 1.0) is None
 
 
 @pytest.mark.parametrize("angle_deg", [-170.0, -90.0, -30.0, 0.0, 10.0, 90.0, 100.0, 180.0, 200.0])

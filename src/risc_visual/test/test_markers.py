@@ -3,72 +3,21 @@
 import io
 import math
 
-import genpy
 import numpy as np
 import pytest
+from drawn import HEAD, NOW_S, STAMP, cortex, everything, landmarks, mocap, path, rays, scene, twist
 from visualization_msgs.msg import Marker, MarkerArray
 
-from risc_visual.drawing.cast import Cast, Index, Pose
-from risc_visual.drawing.rays import Ray
+from risc_control.failsafe import FailsafeLevel, Verdict
+from risc_lab.frames import rotation_body_to_cortex
+from risc_visual.drawing.airframes import AIRFRAMES
 from risc_visual.drawing.ros import markers
-from risc_visual.drawing.scenery import load_scenery
 from risc_visual.drawing.trails import MAX_PIECES
-from risc_visual.drawing.waypoints import Waypoint
-
-STAMP = genpy.Time(100, 5)
-HEAD = markers.header(STAMP)
-
-
-def views(*names, lost=()):
-    cast = Cast(Index())
-    cast.views([Pose(name, True, (float(k), 0.5, 1.0), (0.1, -0.2, 2.0)) for k, name in enumerate(names)])
-    return cast.views(
-        [Pose(name, name not in lost, (float(k), 0.5, 1.0), (0.1, -0.2, 2.0)) for k, name in enumerate(names)]
-    )
-
-
-def rays():
-    """Two rays with their numbers."""
-    return [
-        (0, Ray("green", False, (3.5, 1.0, -0.5), 0.04, (0.0, 1.0, 0.0))),
-        (4, Ray("risc2", True, (4.0, 0.0, 0.0), 0.04, (1.0, 0.8, 0.25))),
-    ]
-
-
-def everything():
-    scenery = load_scenery()
-    waypoints = [Waypoint("Raven", 1, (1.0, 2.0, 1.0), 0.5), Waypoint("", 1, (0.0, 0.0, 1.0), 0.0)]
-    numbers = Index()
-    return {
-        "angle_lines": markers.ray_markers(HEAD, "risc1", rays(), 0.4, 0.3)
-        + markers.ray_labels(HEAD, "risc1", rays(), 0.8, 0.3),
-        "Way_Markers": markers.waypoint_markers(HEAD, numbers, waypoints, 0.4, 1.0),
-        "Heading_Markers": markers.heading_markers(HEAD, numbers, waypoints, 0.4, 1.0),
-        "Way_Labels": markers.waypoint_labels(HEAD, numbers, waypoints[:1], 0.8, 1.0),
-        "net": markers.net_markers(scenery.net, 3.0),
-        "Grid": markers.grid_markers(scenery.grid, 3.0),
-        "Cameras": markers.camera_markers(scenery.cameras, 3.0),
-        "Cortex_Markers": markers.body_markers(HEAD, [("Raven", [(0, 0, 1), (0, 0.1, 1)])], 1.0),
-        "Quad_Markers": markers.vehicle_markers(HEAD, views("Raven", "Kahn", lost=("Kahn",)), 1.0)
-        + markers.pendulum_markers(HEAD, "Pendulum_tip", (0, 0, 2), (0, 0, 1), 1.0),
-        "Quad_Labels": markers.vehicle_labels(HEAD, views("Raven", "Kahn"), 0.8, 1.0)
-        + [markers.pendulum_label(HEAD, "Pendulum_tip", (0, 0, 2), 0.8, 1.0)],
-        "Land_Markers": markers.landmark_markers(HEAD, [("Pink_blue", (1, 2, 3))], 1.5, {}),
-        "Land_Labels": markers.landmark_labels(HEAD, [("Pink_blue", (1, 2, 3))], 0.8, 1.5),
-        "Ctrl_Status": [markers.mode_marker(HEAD, k, name, True, "", 1.5) for k, name in enumerate(("a", "b"))],
-        "Battery_Status": [markers.battery_marker(HEAD, k, name, 70.0, 1.5) for k, name in enumerate(("a", "b"))],
-        "Cov_Quad": [markers.covariance_marker(HEAD, (0, 0, 1), (1e-4, 4e-4, 9e-4), 1.0)],
-        "desired_trajectory": markers.trail_markers(
-            HEAD, "traj_line", 1, [(3, [(0, 0, 1), (0, 1, 1)], 0.5)], (0, 1, 0), 0.02, 3.0
-        )
-        + markers.reference_markers(HEAD, 0, "Raven", (0, 0, 1), True, 0.5),
-        "desired_trajectory_name": [markers.title_marker(HEAD, "Circle", 1.5)],
-    }
 
 
 @pytest.mark.parametrize("topic", sorted(everything()))
 def test_every_marker_is_one_that_rviz_accepts(topic):
-    found = everything()[topic]
+    found = everything(lost=("Kahn",))[topic]
     assert found
     assert len({(m.ns, m.id) for m in found}) == len(found)
     for m in found:
@@ -94,84 +43,87 @@ def test_namespaces_and_ids_of_the_original():
     ids = {topic: sorted((m.ns, m.id) for m in found) for topic, found in everything().items()}
     assert ids["net"] == [("Net", k) for k in range(5)]
     assert ids["Grid"] == [("grid", k) for k in range(20)]
-    assert ids["Cameras"][:16] == [("Camera", k) for k in range(16)]
+    assert ids["Cameras"] == [("Camera", k) for k in range(48)]
     assert {ns for ns, _ in ids["Quad_Markers"]} == {"Raven", "Kahn", "Pendulum_tip"}
     assert ids["Quad_Labels"] == [("Kahn", 2), ("Pendulum_tip", 1), ("Raven", 1)]
     assert ids["Ctrl_Status"] == [("controller_status", 0), ("controller_status", 1)]
     assert ids["angle_lines"] == [
         ("risc1", 0), ("risc1/names", 0), ("risc1/names", 4), ("risc1/vehicles", 4),
     ]  # fmt: skip
-    assert ids["desired_trajectory"][0] == ("traj_line", MAX_PIECES + 3)
 
 
 def test_markers_nobody_sees_are_left_out():
     nan = float("nan")
-    bodies = [("Raven", [(0, 0, 1), (nan, nan, nan), (9999.999, 9999.999, 9999.999)]), ("Kahn", [(nan, nan, nan)])]
-    (body,) = markers.body_markers(HEAD, bodies, 1.0)
+    bodies = {"Raven": [(0, 0, 1), (nan, nan, nan), (9999.999, 9999.999, 9999.999)], "Kahn": [(nan, nan, nan)]}
+    (body,) = scene().bodies(mocap(bodies))
     assert body.ns == "Raven" and [(p.x, p.y, p.z) for p in body.points] == [(0, 0, 1)]
     assert body.header.stamp == STAMP
 
 
 def test_parts_sit_where_the_body_carries_them():
-    (view,) = Cast(Index()).views([Pose("Raven", True, (1.0, 2.0, 3.0), (0.3, -0.4, 2.5))])
-    from risc_lab.frames import rotation_body_to_cortex
-
-    R = rotation_body_to_cortex(0.3, -0.4, 2.5)
-    found = markers.vehicle_markers(HEAD, [view], 1.0)
-    assert [m.id for m in found] == list(range(1, len(view.parts) + 1))
-    for part, m in zip(view.parts, found):
+    R = rotation_body_to_cortex(*np.radians((2.0, -3.0, 100.0)))
+    found, _ = scene().vehicles(cortex({"Raven": (1.0, 2.0, 3.0)}, psi_deg=100.0), NOW_S)
+    parts = AIRFRAMES["ardrone"]
+    assert [m.id for m in found] == list(range(1, len(parts) + 1))
+    for part, m in zip(parts, found):
         at_m = (m.pose.position.x, m.pose.position.y, m.pose.position.z)
         np.testing.assert_allclose(at_m, np.array([1.0, 2.0, 3.0]) + R @ part.centre_m, atol=1e-12)
 
 
 def test_lost_vehicle_keeps_its_ids_and_turns_grey():
-    seen = markers.vehicle_markers(HEAD, views("Raven"), 1.0)
-    lost = markers.vehicle_markers(HEAD, views("Raven", lost=("Raven",)), 1.0)
+    drawing, places_m = scene(), {"Raven": (0.0, 0.5, 1.0)}
+    seen, _ = drawing.vehicles(cortex(places_m), NOW_S)
+    lost, (label,) = drawing.vehicles(cortex(places_m, lost=("Raven",)), NOW_S)
     assert [(m.ns, m.id) for m in seen] == [(m.ns, m.id) for m in lost]
     assert {(m.color.r, m.color.g, m.color.b) for m in lost} == {(0.6, 0.6, 0.6)}
-    assert markers.vehicle_labels(HEAD, views("Raven", lost=("Raven",)), 0.8, 1.0)[0].text == "Raven (lost)"
+    assert label.text == "Raven (lost)"
 
 
 def test_landmark_colours():
-    named = [(name, (0, 0, 1)) for name in ("Orange_blue", "Pink_blue", "new")]
-    given = {"Orange_blue": (1, 0.6, 0, 0.4), "Pink_blue": (1, 0, 0.5, 0.3)}
-    found = markers.landmark_markers(HEAD, named, 1.0, given)
-    colours = [(m.color.r, m.color.g, m.color.b, m.color.a) for m in found]
-    assert colours == [(1, 0.6, 0, 0.4), (1, 0, 0.5, 0.3), (1, 1, 1, 0.4)]
+    spheres, _ = scene().landmarks(landmarks(dict.fromkeys(("Orange_blue", "Pink_blue", "new"), (0, 0, 1))))
+    colours = [(m.color.r, m.color.g, m.color.b, m.color.a) for m in spheres]
+    assert colours == [(1, 0.6, 0, 0.7), (1, 0, 0.5, 0.7), (1, 1, 1, 0.4)]
 
 
 def test_mode_text():
-    alone = markers.mode_marker(HEAD, 0, "", True, "", 1.0)
+    drawing = scene()
+    alone = drawing.mode(HEAD, 0, "", True)
     assert (alone.text, alone.color.g, alone.scale.z) == ("Autonomous", 1.0, 0.3)
-    assert (alone.pose.position.x, alone.pose.position.y, alone.pose.position.z) == (-3, -2, 0)
-    manual = markers.mode_marker(HEAD, 1, "Raven", False, "", 1.0)
+    manual = drawing.mode(HEAD, 1, "Raven", False)
     assert (manual.text, manual.color.r, manual.color.g) == ("Raven: Manual", 1.0, 0.4)
-    held = markers.mode_marker(HEAD, 1, "Raven", True, "hold: state 120 ms old", 1.0)
+    drawing.note_safety(1, Verdict(FailsafeLevel.HOLD, "state 120 ms old"))
+    held = drawing.mode(HEAD, 1, "Raven", True)
     assert (held.text, held.color.r, held.color.g) == ("Raven: hold: state 120 ms old", 1.0, 0.0)
 
 
 @pytest.mark.parametrize("percent, red, green", [(100, 0, 1), (50, 1, 1), (0, 1, 0), (130, 0, 1), (-1, 1, 0)])
 def test_battery_turns_from_green_to_red(percent, red, green):
-    m = markers.battery_marker(HEAD, 0, "", percent, 1.0)
+    m = scene().battery(HEAD, 0, "", percent)
     assert (m.color.r, m.color.g, m.color.b) == (red, green, 0)
     assert m.text == "Battery: %d%%" % percent
 
 
+def test_lines_of_the_lists_of_vehicles_are_apart():
+    for topic, step_m in (("Ctrl_Status", -0.26), ("Battery_Status", 0.26)):
+        first, second = (m.pose.position for m in everything()[topic])
+        assert (second.x - first.x, second.y - first.y, second.z - first.z) == pytest.approx((step_m, 0.0, step_m))
+
+
 def test_path_pales_with_age():
-    pieces = [(0, [(0, 0, 1), (0, 1, 1)], 1.0), (1, [(0, 1, 1), (0, 2, 1)], 0.0)]
-    old, new = markers.trail_markers(HEAD, "quad_line", 0, pieces, markers.RED[:3], 0.04, 3.0)
-    assert (new.color.r, new.color.g, new.color.b, new.color.a) == (1, 0, 0, 1)
-    assert old.color.a == 0.25 and old.scale.x == 0.04
+    found = path(seconds=35.0)
+    assert [m.color.a for m in found] == sorted(m.color.a for m in found)
+    assert 0.25 < found[0].color.a < 0.9 and found[-1].color.a == 1.0
+    assert {(m.ns, m.id // MAX_PIECES, m.scale.x) for m in found} == {("traj_line", 1, 0.02)}
 
 
 def test_covariance_is_three_sigma_wide():
-    m = markers.covariance_marker(HEAD, (0, 0, 1), (1e-4, 4e-4, 9e-4), 1.0)
+    m = scene().covariance(twist((0, 0, 1), (1e-4, 4e-4, 9e-4)), 0)
     np.testing.assert_allclose((m.scale.x, m.scale.y, m.scale.z), (0.03, 0.06, 0.09))
 
 
 def test_rays_begin_in_the_camera_at_the_time_of_the_picture():
-    head = markers.header(STAMP, "fluffy_II/camera")
-    found = markers.ray_markers(head, "risc1", rays(), 0.4, 0.3)
+    pen = markers.Pen(0.3, markers.header(STAMP, "fluffy_II/camera"))
+    found = markers.ray_markers(pen, "risc1", rays(), 0.4)
     assert {(m.header.frame_id, m.header.stamp) for m in found} == {("fluffy_II/camera", STAMP)}
     assert [[(p.x, p.y, p.z) for p in m.points] for m in found] == [
         [(0.0, 0.0, 0.0), (3.5, 1.0, -0.5)],

@@ -58,7 +58,7 @@ def test_straight_from_above_the_heading_is_that_of_the_yaw():
 
 @pytest.mark.parametrize("changes", [{"distance_m": 0.0}, {"field_rad": np.pi}, {"focal_point_m": (0.0, 1.0)}])
 def test_views_that_cannot_be_are_refused(changes):
-    with pytest.raises(ValueError, match="distance > 0"):
+    with pytest.raises(ValueError, match=next(iter(changes))):
         OrbitView(**dict({"distance_m": 1.0, "pitch_rad": 0.0, "yaw_rad": 0.0}, **changes))
 
 
@@ -99,5 +99,5 @@ def test_other_files_are_refused(tmp_path):
         load_config(path)
     with pytest.raises(ValueError, match="rviz/Orbit.*rviz/FPS"):
         orbit_view_from_dict({"Class": "rviz/FPS"}, "some.rviz")
-    with pytest.raises(ValueError, match=r"some.rviz: .*'Pitch'"):
+    with pytest.raises(ValueError, match="some.rviz: 'pitch_rad'"):
         orbit_view_from_dict({"Class": "rviz/Orbit", "Distance": 1.0}, "some.rviz")

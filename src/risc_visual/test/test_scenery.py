@@ -6,7 +6,8 @@ import yaml
 
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.yaml_reader import package_file
-from risc_visual.drawing.scenery import load_scenery, scenery_from_dict
+from risc_lab.settings import settings_from
+from risc_visual.drawing.scenery import Scenery, load_scenery
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def test_a_file_may_have_a_net_of_its_own():
     assert set(content()["net"]) == {"thickness_m"}, "the laboratory's is that of risc_lab.lab.arena"
     changed = content()
     changed["net"].update(half_x_m=4.0)
-    net = scenery_from_dict(changed).net
+    net = settings_from(Scenery, changed).net
     assert (net.half_x_m, net.half_y_m, net.thickness_m) == (4.0, Arena().half_y_m, 0.01)
 
 
@@ -38,10 +39,9 @@ def test_around_another_net_everything_is_further_out(scenery):
     assert scenery.around(Arena()) == scenery
     larger = scenery.around(Arena(5.0, 4.5, 4.0))
     assert (larger.net.half_x_m, larger.net.half_y_m, larger.net.height_m) == (5.0, 4.5, 4.0)
-    for camera, before in zip(larger.cameras, scenery.cameras):
+    for camera, before in zip(larger.cameras.poses, scenery.cameras.poses):
         assert np.abs(camera.position_m)[:2] - np.abs(before.position_m)[:2] == pytest.approx([2.507046, 2.44822])
-    assert (larger.grid.from_m, larger.grid.to_m, larger.grid.edge_m) == (-5.0, 5.0, 5.5)
-    assert larger.grid.labels()[0] == ("5.0", (5.0, 5.5, 0.0))
+    assert larger.grid.labels(larger.net)[0] == ("5.0", (5.0, 5.0, 0.0))
 
 
 def test_edges_join_the_eight_corners(scenery):
@@ -52,21 +52,20 @@ def test_edges_join_the_eight_corners(scenery):
     assert np.linalg.norm(steps, axis=1).sum() == pytest.approx(4 * (2 * 2.492954 + 2 * 2.05178 + 3.0))
 
 
-def test_grid_has_nine_numbers_a_side_and_two_captions(scenery):
-    labels = scenery.grid.labels()
-    assert len(labels) == 20
-    assert labels[0] == ("2.0", (2.0, 2.5, 0.0))
-    assert labels[8] == ("-2.0", (-2.0, 2.5, 0.0))
-    assert labels[9] == ("2.0", (2.5, 2.0, 0.0))
-    assert labels[4][0] == labels[13][0] == "0.0"
-    assert labels[18:] == [("X (m)", (0.0, 3.0, 0.0)), ("Y (m)", (3.0, 0.0, 0.0))]
+def test_numbers_stand_outside_of_the_net_from_metre_to_metre(scenery):
+    net = scenery.net
+    labels = scenery.grid.labels(net)
+    values = ["%.1f" % (2.0 - 0.5 * k) for k in range(9)]
+    assert [text for text, _ in labels] == [*values, *values, "X (m)", "Y (m)"]
+    assert all(float(text) == x and y > net.half_y_m for text, (x, y, _) in labels[:9])
+    assert all(float(text) == y and x < -net.half_x_m for text, (x, y, _) in labels[9:18])
 
 
 def test_sixteen_cameras_look_down_into_the_arena(scenery):
-    assert len(scenery.cameras) == 16
-    np.testing.assert_allclose(scenery.cameras[0].position_m, (-3.43574, 0.16033, 2.52688))
-    for camera in scenery.cameras:
-        R = camera.rotation_to_cortex()
+    assert len(scenery.cameras.poses) == 16
+    np.testing.assert_allclose(scenery.cameras.poses[0].position_m, (-3.43574, 0.16033, 2.52688))
+    for camera in scenery.cameras.poses:
+        R = camera.rotation_to_cortex(scenery.cameras.tilt_deg)
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) == pytest.approx(1.0)
         assert R[2, 0] == pytest.approx(-0.5)  # 30 degrees below the horizon
@@ -78,7 +77,7 @@ def test_sixteen_cameras_look_down_into_the_arena(scenery):
 
 
 def test_heading_is_a_compass_course_from_y(scenery):
-    along_y, along_x = (scenery.cameras[k].rotation_to_cortex()[:2, 0] for k in (4, 0))
+    along_y, along_x = (scenery.cameras.poses[k].rotation_to_cortex(30.0)[:2, 0] for k in (4, 0))
     np.testing.assert_allclose(along_y, (0.0, np.cos(np.radians(30))), atol=1e-12)
     np.testing.assert_allclose(along_x, (np.cos(np.radians(30)), 0.0), atol=1e-12)
 
@@ -96,4 +95,4 @@ def test_bad_file_is_refused_by_name(change, complaint):
     bad = content()
     change(bad)
     with pytest.raises(ValueError, match=complaint):
-        scenery_from_dict(bad)
+        settings_from(Scenery, bad)

@@ -1,14 +1,13 @@
 """Vehicles by their hulls: told apart by both paints, by one only when that is enough."""
 
-import copy
-
 import cv2
 import numpy as np
 import pytest
 import yaml
 
 from risc_lab.lab.yaml_reader import package_file
-from risc_visual.vision.vehicle_detector import VehicleDetector, VehicleParams, load_vehicles, vehicles_from_dict
+from risc_lab.settings import settings_from
+from risc_visual.vision.vehicle_detector import VehicleDetector, VehiclesConfig, load_vehicles
 
 CONFIG = load_vehicles()
 NAMES = ("risc1", "risc2", "risc3", "risc4")  # red_yellow, violet_lime, lime_red, yellow_violet
@@ -102,25 +101,20 @@ def test_more_vehicles_than_hulls():
         VehicleDetector(CONFIG, NAMES + ("risc5",))
 
 
-def test_the_file_says_the_defaults():
-    assert CONFIG.detector == VehicleParams()
-    assert set(content()["detector"]) == set(VehicleParams.__dataclass_fields__)
-
-
 @pytest.mark.parametrize(
     "change, told",
     [
-        (lambda c: c["colours"]["red"].update(hue=[170]), "red.*'hue'"),
+        (lambda c: c["colours"]["red"].update(hue=[170]), "red.*hue"),
         (lambda c: c["colours"].pop("lime"), "violet_lime.*'lime'"),
-        (lambda c: c["hulls"][0].pop("tail"), "'tail' is missing"),
+        (lambda c: c["hulls"][0].pop("tail"), "tail' is missing"),
         (lambda c: c["hulls"][2].update(nose="yellow"), "red_yellow.*same two colours"),
         (lambda c: c["hulls"].clear(), "'hulls' is empty"),
-        (lambda c: c["detector"].update(gap=-1), "'gap'"),
+        (lambda c: c["detector"].update(gap=-1), "gap'"),
         (lambda c: c["detector"].update(gaps=1), "unknown key.*gaps"),
     ],
 )
 def test_a_wrong_file_is_one_error_that_names_the_key(change, told):
-    wrong = copy.deepcopy(content())
+    wrong = dict(content(), detector={})
     change(wrong)
     with pytest.raises(ValueError, match="here.yaml.*" + told):
-        vehicles_from_dict(wrong, "here.yaml")
+        settings_from(VehiclesConfig, wrong, "here.yaml")

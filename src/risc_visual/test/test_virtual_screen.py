@@ -3,9 +3,11 @@
 import os
 import subprocess
 import sys
+import time
 
 import cv2
 import numpy as np
+import psutil
 import pytest
 
 from risc_visual.pictures.virtual_screen import (
@@ -76,6 +78,31 @@ def test_everything_ends_with_the_screen():
     # whoever still uses the display is told so
     late = subprocess.run(window("0", "0", "5", "5", "0"), env=screen.environment(), timeout=60, capture_output=True)
     assert late.returncode != 0
+
+
+@needs_screen
+def test_everything_ends_with_whoever_opened_the_screen(tmp_path):
+    """Killed at once, not even interrupted."""
+    script = """
+import time, psutil
+from risc_visual.pictures.virtual_screen import VirtualScreen
+screen = VirtualScreen(200, 100)
+program = psutil.Process(screen.start(["sleep", "1000"]).pid)
+while program.name() != "sleep":
+    time.sleep(0.01)
+print(program.pid, screen.display[1:], flush=True)
+time.sleep(1000)
+"""
+    opened = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    pid, number = opened.stdout.readline().split()
+    opened.kill()
+    opened.wait()
+    _, alive = psutil.wait_procs([psutil.Process(int(pid))] if psutil.pid_exists(int(pid)) else [], timeout=30.0)
+    assert not alive
+    deadline = time.monotonic() + 30.0
+    while os.path.exists("/tmp/.X11-unix/X" + number):
+        assert time.monotonic() < deadline, "Xvfb goes on"
+        time.sleep(0.05)
 
 
 @needs_screen

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from risc_control.controllers import ControlLoop
-from risc_control.reference_buffer import ORDERS, ReferenceBuffer
+from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.trajectories import make_course
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, FlightState, Status
@@ -39,8 +39,7 @@ def controller_row(count, delay_s, frames, seed=1):
     for k in range(WARM_UP + frames):
         stamp_s = k * FRAME_S
         now_s = stamp_s + AGE_S
-        reference, x = np.zeros((ORDERS, count, 4)), np.zeros((count, len(S)))
-        reference[..., :3], reference[:3, :, 3] = course.at(stamp_s)
+        reference, x = course.at(stamp_s), np.zeros((count, len(S)))
         x[:, S.X : S.U] = reference[0, :, :3] + POSITION_NOISE_M * rng.standard_normal((count, 3))
         x[:, S.U : S.PHI] = reference[1, :, :3] + VELOCITY_NOISE_M_S * rng.standard_normal((count, 3))
         times = [time.perf_counter()]

@@ -1,179 +1,147 @@
-"""Motions of vehicles over time, with exact derivatives up to snap, and smooth ways from one into another.
+"""Motions of vehicles over time, with exact derivatives to any order, and smooth ways from one into another.
 
-A motion is a chain of links. The first link is a simple motion: the vehicle stands, coasts to rest, or flies a path of
-a course. Each further link is another simple motion and the blend into it from the links before. Links are records, so
-that compiled code evaluates a whole fleet in one call. Where a path is a Python function, the caller evaluates that
-function and passes the result in (`given`).
+A motion is a chain of links. Each link is a simple motion: the vehicle stands, coasts to rest, flies a sum of harmonics
+or a tour of points; each but the first is also the blend into it from the links before. Links are records, so that
+compiled code evaluates a whole fleet in one call. It works with Taylor series about the time that is asked for: sums,
+products and quotients of series are exact, however many derivatives there are.
+
+The rows of a link are (k, 4) complex: a rate r [1/s] and amplitudes x, y, z [m] of terms Re(amplitude exp(r t)), or,
+without a rate, the stops of a tour.
 
 Frame: cortex (x forward, y left, z up), metres, seconds. Yaw psi is + clockwise seen from above (NED sense), radians.
-Arrays of derivatives have the order (0 = position ... 4 = snap) as their first axis.
+Arrays of derivatives have the order (0 = position ... 4 = snap) as their first axis, and x, y, z, psi as their last.
 """
 
 import math
+from functools import cached_property
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 
+from risc_control.reference_buffer import MOST_ORDER, Axis, Order
 from risc_lab.compiled import compiled, record
 
-ORDERS = 5  # position, velocity, acceleration, jerk, snap
-YAW_ORDERS = 3  # yaw, its rate, its acceleration
-
-COASTING, HARMONIC, TOUR, BY_FUNCTION = range(4)  # kinds of links
+RAMP = 0.4  # fraction of a rising blend that leads up; as much leads down again
 LINK = record(
-    ("kind", int),
-    ("first", int),  # row of the table, and how many: the terms of a sum of harmonics, or the stops of a tour
+    ("first", int),  # of its rows in the table, and how many
     ("rows", int),
-    ("epoch_s", float),  # the link's own time is time - epoch_s + ahead_s
-    ("ahead_s", float),
-    ("position_m", float, (3,)),  # of one that coasts, at its epoch; centre of harmonics
-    ("velocity_m_s", float, (3,)),  # of one that coasts, at its epoch
+    ("epoch_s", float),  # the link's own time counts from here
+    ("position_m", float, (3,)),  # added to what the rows say
     ("rest_s", float),  # of a tour: at each stop,
-    ("move_s", float),  # and from one to the next
-    ("yaw_rad", float),
+    ("move_s", float),  # and from one to the next; 0: the rows are terms
+    ("yaw_rad", float),  # at the epoch
     ("yaw_rate_rad_s", float),
-    ("along_path", int),  # the nose leads; the rest of the yaw is added
+    ("along_path", bool),  # the nose leads; the rest of the yaw is added
+    ("smooth", int),  # order to which the moves of a tour, and the blend into this link, are continuous
     ("begin_s", float),  # of the blend into this link; -inf: no blend
     ("end_s", float),  # of its path
     ("yaw_end_s", float),  # of its yaw, which may take longer
-    ("blend_yaw_rad", float, (6,)),  # polynomial over (time - begin_s) / (yaw_end_s - begin_s), lowest power first
+    ("turn_rad", float, (6,)),  # polynomial over (time - begin_s) / (yaw_end_s - begin_s), lowest power first
     ("rise_m", float),  # how much higher the blend leads than the line between the two motions
-    ("under_way", int),  # number that `sample_fleet` reports during the blend,
+    ("under_way", int),  # number that `Chains.calls` has during the blend,
     ("arrived", int),  # and after it
 )
-TABLE_WIDTH = 9  # harmonics: amplitude, frequency and phase of x, y, z; stops: x, y, z
-NO_TABLE = np.zeros((0, TABLE_WIDTH))
-NO_PATHS = np.zeros((1, 1, ORDERS, 3))  # for `given`, where no path is a Python function
-
-RAMP = 0.4  # fraction of a rising blend that leads up; as much leads down again
+_NO_ROWS = np.zeros((0, 4), dtype=complex)
 _STOP_S = 1.0  # time constant with which a vehicle that drifts is brought to rest
 _SLOWEST_ALONG_PATH_M_S = 0.05  # below this speed a path has no direction worth turning the nose to
+
+# [n]: coefficients, lowest power first, of the polynomial of degree 2n + 1 from 0 to 1 whose first n derivatives are 0
+# at both ends. Of all such ways the integral of the square of its derivative n is least: [4] is the least-snap step.
+_STEPS = np.zeros((MOST_ORDER + 1, 2 * MOST_ORDER + 2))
+for _n in range(MOST_ORDER + 1):
+    for _k in range(_n + 1):
+        _STEPS[_n, _n + 1 + _k] = (-1) ** _k * (2 * _n + 1) * math.comb(2 * _n, _n) * math.comb(_n, _k) / (_n + 1 + _k)
 
 
 # ------------------------------------------------------------------------------------------------ compiled code
 
 
 @compiled
-def least_snap_step(fraction, duration_s, step):
-    """The least-snap way from 0 (before 0) to 1 (after 1), by time: 126 f^5 - 420 f^6 + 540 f^7 - 315 f^8 + 70 f^9."""
-    f = min(max(fraction, 0.0), 1.0)
-    g, d = 1.0 - f, duration_s
-    step[0] = f**5 * (126.0 + f * (-420.0 + f * (540.0 + f * (-315.0 + 70.0 * f))))
-    step[1] = 630.0 * (f * g) ** 4 / d
-    step[2] = 2520.0 * (f * g) ** 3 * (g - f) / d**2
-    step[3] = 2520.0 * (f * g) ** 2 * (3.0 - 14.0 * f * g) / d**3
-    step[4] = 15120.0 * f * g * (g - f) * (1.0 - 7.0 * f * g) / d**4
+def _expand(polynomial, at, unit_s, series):
+    """Fill a Taylor series by time: that of a polynomial of time / unit_s, lowest power first, about at * unit_s."""
+    series[:] = 0.0
+    for power in range(len(polynomial) - 1, -1, -1):  # Horner's rule, with a series for the variable
+        for d in range(len(series) - 1, 0, -1):
+            series[d] = series[d] * at + series[d - 1]
+        series[0] = series[0] * at + polynomial[power]
+    scale = 1.0
+    for d in range(len(series)):
+        series[d] *= scale
+        scale /= unit_s
 
 
 @compiled
-def _path_of(link, table, given, time_s, step, path):
-    """Position to snap (5, 3) of a link on its own; given: the same from a Python function.
+def _step(fraction, duration_s, smooth, series):
+    """Fill the Taylor series by time of the smooth way from 0 (before fraction 0) to 1 (after 1)."""
+    series[:] = 0.0
+    if fraction >= 1.0:
+        series[0] = 1.0
+    elif fraction > 0.5:  # here the terms of the polynomial would cancel, so: 1 less the way back
+        _expand(_STEPS[smooth, : 2 * smooth + 2], 1.0 - fraction, -duration_s, series)
+        for d in range(len(series)):
+            series[d] = -series[d]
+        series[0] += 1.0
+    elif fraction > 0.0:
+        _expand(_STEPS[smooth, : 2 * smooth + 2], fraction, duration_s, series)
 
-    Returns the link's own time [s].
-    """
-    t = time_s - link.epoch_s + link.ahead_s
-    if link.kind == HARMONIC:
-        for axis in range(3):
-            path[0, axis] = link.position_m[axis]
-            path[1, axis] = path[2, axis] = path[3, axis] = path[4, axis] = 0.0
-            for row in range(link.first, link.first + link.rows):
-                amplitude, w = table[row, axis], table[row, 3 + axis]
-                if amplitude != 0.0:
-                    phase = w * t + table[row, 6 + axis]
-                    c, s = amplitude * math.cos(phase), amplitude * math.sin(phase)
-                    path[0, axis] += c
-                    path[1, axis] -= w * s
-                    path[2, axis] -= w * w * c
-                    path[3, axis] += w * w * w * s
-                    path[4, axis] += w * w * w * w * c
-    elif link.kind == TOUR:
+
+@compiled
+def _simple(link, table, time_s, step, series):
+    """Fill the Taylor series (orders, 4) of a link on its own; its yaw is not wrapped. step: to work in."""
+    t = time_s - link.epoch_s
+    series[:] = 0.0
+    for axis in range(3):
+        series[0, axis] = link.position_m[axis]
+    series[0, Axis.PSI] = link.yaw_rad + link.yaw_rate_rad_s * t
+    series[1, Axis.PSI] = link.yaw_rate_rad_s
+    if link.move_s > 0.0:
         leg = math.floor(t / (link.rest_s + link.move_s))
         within_s = t - leg * (link.rest_s + link.move_s)
-        here = link.first + int(leg) % link.rows
-        there = link.first + int(leg + 1) % link.rows
-        least_snap_step((within_s - link.rest_s) / link.move_s, link.move_s, step)
+        _step((within_s - link.rest_s) / link.move_s, link.move_s, link.smooth, step)
         for axis in range(3):
-            for order in range(ORDERS):
-                path[order, axis] = step[order] * (table[there, axis] - table[here, axis])
-            path[0, axis] += table[here, axis]
-    elif link.kind == COASTING:
-        decay = math.exp(-max(t, 0.0) / _STOP_S)
-        for axis in range(3):
-            velocity = link.velocity_m_s[axis]
-            path[0, axis] = link.position_m[axis] + velocity * _STOP_S * (1.0 - decay)
-            for order in range(1, ORDERS):
-                path[order, axis] = velocity * decay * (-1.0 / _STOP_S) ** (order - 1)
+            here = table[link.first + int(leg) % link.rows, 1 + axis].real
+            there = table[link.first + int(leg + 1) % link.rows, 1 + axis].real
+            series[0, axis] += here
+            for d in range(len(series)):
+                series[d, axis] += step[d] * (there - here)
     else:
-        for axis in range(3):
-            for order in range(ORDERS):
-                path[order, axis] = given[order, axis]
-    return t
-
-
-@compiled
-def _yaw_of(link, t, path, yaw):
-    """Yaw, rate, acceleration (3,) of a link on its own, at its own time and on its path (5, 3). Not wrapped."""
-    yaw[0] = link.yaw_rad + link.yaw_rate_rad_s * t
-    yaw[1] = link.yaw_rate_rad_s
-    yaw[2] = 0.0
+        for row in range(link.first, link.first + link.rows):
+            rate, now = table[row, 0], np.exp(table[row, 0] * t)
+            for axis in range(3):
+                term = table[row, 1 + axis] * now
+                for d in range(len(series)):
+                    series[d, axis] += term.real
+                    term *= rate / (d + 1)
     if link.along_path:
-        vx, vy, ax, ay, jx, jy = path[1, 0], path[1, 1], path[2, 0], path[2, 1], path[3, 0], path[3, 1]
-        square = max(vx * vx + vy * vy, _SLOWEST_ALONG_PATH_M_S**2)
-        cross, dot = vx * ay - vy * ax, vx * ax + vy * ay
-        yaw[0] -= math.atan2(vy, vx)
-        yaw[1] -= cross / square
-        yaw[2] -= (vx * jy - vy * jx) / square - 2.0 * cross * dot / square**2
+        _turn_along(series)
 
 
 @compiled
-def _blend(path, there, step):
-    """path becomes path + s (there - path), by Leibniz' rule: derivatives (5, 3); step: (5,) s and its derivatives."""
-    for axis in range(3):
-        d0, d1, d2 = there[0, axis] - path[0, axis], there[1, axis] - path[1, axis], there[2, axis] - path[2, axis]
-        d3, d4 = there[3, axis] - path[3, axis], there[4, axis] - path[4, axis]
-        path[4, axis] += step[0] * d4 + 4.0 * step[1] * d3 + 6.0 * step[2] * d2 + 4.0 * step[3] * d1 + step[4] * d0
-        path[3, axis] += step[0] * d3 + 3.0 * step[1] * d2 + 3.0 * step[2] * d1 + step[3] * d0
-        path[2, axis] += step[0] * d2 + 2.0 * step[1] * d1 + step[2] * d0
-        path[1, axis] += step[0] * d1 + step[1] * d0
-        path[0, axis] += step[0] * d0
+def _turn_along(series):
+    """Turn the yaw of a Taylor series with the direction of its horizontal velocity v: psi' = -(v x v') / (v v)."""
+    orders = len(series) - 1
+    x, y, rate = np.empty(orders), np.empty(orders), np.empty(orders)
+    for d in range(orders):
+        x[d], y[d] = (d + 1) * series[d + 1, Axis.X], (d + 1) * series[d + 1, Axis.Y]
+    square = max(x[0] * x[0] + y[0] * y[0], _SLOWEST_ALONG_PATH_M_S**2)
+    series[0, Axis.PSI] -= math.atan2(y[0], x[0])
+    for d in range(orders - 1):
+        total = 0.0
+        for k in range(d + 1):
+            total += (k + 1) * (x[d - k] * y[k + 1] - y[d - k] * x[k + 1])
+        for k in range(d):
+            for j in range(d - k + 1):
+                total -= rate[k] * (x[j] * x[d - k - j] + y[j] * y[d - k - j])
+        rate[d] = total / square
+        series[d + 1, Axis.PSI] -= rate[d] / (d + 1)
+    series[orders, Axis.PSI] = 0.0  # not known from so many derivatives of the path
 
 
 @compiled
-def lift(fraction, duration_s, step, other):
-    """How much of its rise a blend is up at a fraction of it, by time: up at its beginning, down at its end.
+def _motion(links, count, table, time_s, own, there, step):
+    """Fill `own` with the Taylor series (orders, 4) of a chain of `count` links. Returns its `under_way` or `arrived`.
 
-    step: (5,), filled.  other: (5,) to work in.
-    """
-    ramp_s = RAMP * duration_s
-    least_snap_step(fraction / RAMP, ramp_s, step)
-    least_snap_step((fraction - (1.0 - RAMP)) / RAMP, ramp_s, other)
-    for order in range(ORDERS):
-        step[order] -= other[order]
-
-
-@compiled
-def quintic(first, last, duration_s, revolutions):
-    """Coefficients (6,) over the fraction of a duration between two yaws (3,) with rates and accelerations.
-
-    The last is turned by whole revolutions to be nearest, and by so many more.
-    """
-    v0, v1 = first[1] * duration_s, last[1] * duration_s
-    a0, a1 = 0.5 * first[2] * duration_s**2, 0.5 * last[2] * duration_s**2
-    # the nose turns on meanwhile: what must be nearest is the last less that turn
-    turn = last[0] - first[0]
-    turn += 2.0 * math.pi * (revolutions - round((turn - 0.5 * (v0 + v1)) / (2.0 * math.pi)))
-    result = np.empty(6)
-    result[0], result[1], result[2] = first[0], v0, a0
-    result[3] = 10.0 * turn - 6.0 * v0 - 4.0 * v1 - 3.0 * a0 + a1
-    result[4] = -15.0 * turn + 8.0 * v0 + 7.0 * v1 + 3.0 * a0 - 2.0 * a1
-    result[5] = 6.0 * turn - 3.0 * (v0 + v1) - a0 + a1
-    return result
-
-
-@compiled
-def _motion(links, count, table, given, time_s, scratch, path, yaw):
-    """State of a chain of `count` links at a time: path (5, 3), yaw (3,). Returns its `under_way` or `arrived`.
-
-    given: (links, 5, 3), paths that a Python function knows.  scratch: (6, 5) to work in.
+    The last order of the yaw is not right. there: (orders, 4) and step: (orders,), to work in.
     """
     newest = count - 1
     while newest > 0 and time_s < links[newest].begin_s:
@@ -181,186 +149,199 @@ def _motion(links, count, table, given, time_s, scratch, path, yaw):
     first = newest
     while first > 0 and time_s < links[first].end_s:
         first -= 1
-    step, there = scratch[5], scratch[:5, :3]
-    own_s = 0.0
-    for k in range(first, newest + 1):
-        link, target = links[k], path if k == first else there
-        own_s = _path_of(link, table, given[k if len(given) > 1 else 0], time_s, step, target)
-        if k > first:
-            duration_s = link.end_s - link.begin_s
-            least_snap_step((time_s - link.begin_s) / duration_s, duration_s, step)
-            _blend(path, there, step)
-            if link.rise_m != 0.0:
-                lift((time_s - link.begin_s) / duration_s, duration_s, step, scratch[0])
-                for order in range(ORDERS):
-                    path[order, 2] += link.rise_m * step[order]
+    _simple(links[first], table, time_s, step, own)
+    for k in range(first + 1, newest + 1):
+        link = links[k]
+        duration_s = link.end_s - link.begin_s
+        fraction = (time_s - link.begin_s) / duration_s
+        _simple(link, table, time_s, step, there)
+        _step(fraction, duration_s, link.smooth, step)
+        for axis in range(3):  # own += step (there - own), the highest order first: it needs the lower ones as they are
+            for d in range(len(step) - 1, -1, -1):
+                for j in range(d, -1, -1):
+                    own[d, axis] += step[d - j] * (there[j, axis] - own[j, axis])
+        if link.rise_m != 0.0:
+            for sign, begin in ((1.0, 0.0), (-1.0, 1.0 - RAMP)):
+                _step((fraction - begin) / RAMP, RAMP * duration_s, link.smooth, step)
+                for d in range(len(step)):
+                    own[d, Axis.Z] += sign * link.rise_m * step[d]
     link = links[newest]
     if first == newest and time_s >= link.yaw_end_s:
-        _yaw_of(link, own_s, path, yaw)
         return link.arrived
     duration_s = link.yaw_end_s - link.begin_s
-    f, c = (time_s - link.begin_s) / duration_s, link.blend_yaw_rad
-    yaw[0] = c[0] + f * (c[1] + f * (c[2] + f * (c[3] + f * (c[4] + f * c[5]))))
-    yaw[1] = (c[1] + f * (2.0 * c[2] + f * (3.0 * c[3] + f * (4.0 * c[4] + f * 5.0 * c[5])))) / duration_s
-    yaw[2] = (2.0 * c[2] + f * (6.0 * c[3] + f * (12.0 * c[4] + f * 20.0 * c[5]))) / duration_s**2
+    _expand(link.turn_rad, (time_s - link.begin_s) / duration_s, duration_s, own[:, Axis.PSI])
     return link.under_way
 
 
 @compiled
-def _keep(own_path, own_yaw, k, path, yaw):
-    """One path (5, 3) and yaw (3,) become the k-th of path (5, k, 3) and yaw (3, k)."""
-    for order in range(ORDERS):
-        for axis in range(3):
-            path[order, k, axis] = own_path[order, axis]
-    for order in range(YAW_ORDERS):
-        yaw[order, k] = own_yaw[order]
+def _sample(links, counts, table, times_s, derivatives, calls):
+    """Chains of n vehicles at one time, or of one at k times: fill derivatives (orders, n or k, 4) and calls (n,).
 
-
-@compiled
-def _sample_motion(links, table, given, times_s, path, yaw):
-    """One chain at times (k,): path (5, k, 3), yaw (3, k); given: (k, links, 5, 3) or NO_PATHS."""
-    scratch, own_path, own_yaw = np.empty((6, 5)), np.empty((ORDERS, 3)), np.empty(YAW_ORDERS)
-    for k in range(len(times_s)):
-        _motion(links, len(links), table, given[k if len(given) > 1 else 0], times_s[k], scratch, own_path, own_yaw)
-        _keep(own_path, own_yaw, k, path, yaw)
-
-
-@compiled
-def sample_fleet(links, counts, table, given, time_s, derivatives, calls):
-    """Every vehicle's chain at one time, in one call.
-
-    links: (n, most).  counts: (n,).  given: (n, most, 5, 3) or NO_PATHS.
-    derivatives: (5, n, 4) x, y, z, psi, filled.  calls: (n,) `under_way` or `arrived` of each, filled. Returns whether
-    one of these numbers has changed.
+    links: (n, most).  counts: (n,).  Returns whether one of the calls has changed.
     """
-    scratch, path, yaw = np.empty((6, 5)), np.empty((ORDERS, 3)), np.empty(YAW_ORDERS)
-    is_new = False
-    for i in range(len(counts)):
-        call = _motion(links[i], counts[i], table, given[i if len(given) > 1 else 0], time_s, scratch, path, yaw)
-        is_new = is_new or call != calls[i]
-        calls[i] = call
-        for order in range(ORDERS):
-            for axis in range(3):
-                derivatives[order, i, axis] = path[order, axis]
-            derivatives[order, i, 3] = yaw[order] if order < YAW_ORDERS else 0.0
+    orders, is_new = len(derivatives), False
+    own, there, step = np.empty((orders + 1, 4)), np.empty((orders + 1, 4)), np.empty(orders + 1)
+    for i in range(derivatives.shape[1]):
+        k, time_s = (i, times_s[0]) if len(times_s) == 1 else (0, times_s[i])
+        call = _motion(links[k], counts[k], table, time_s, own, there, step)
+        is_new |= call != calls[k]
+        calls[k] = call
+        factorial = 1.0
+        for order in range(orders):
+            factorial *= max(order, 1)
+            for axis in range(4):
+                derivatives[order, i, axis] = factorial * own[order, axis]
     return is_new
-
-
-@compiled
-def sample_paths(links, table, given, times_s, path, yaw):
-    """Links of their own, each at a time of its own, or a single one at many times: path (5, k, 3), yaw (3, k).
-
-    times_s: (k,).  given: (k, 1, 5, 3) or NO_PATHS.
-    """
-    step, own_path, own_yaw = np.empty(ORDERS), np.empty((ORDERS, 3)), np.empty(YAW_ORDERS)
-    for k in range(len(times_s)):
-        link = links[k if len(links) > 1 else 0]
-        own_s = _path_of(link, table, given[k if len(given) > 1 else 0, 0], times_s[k], step, own_path)
-        _yaw_of(link, own_s, own_path, own_yaw)
-        _keep(own_path, own_yaw, k, path, yaw)
 
 
 # ------------------------------------------------------------------------------------------------------ motions
 
 
-def new_links(count, kind, **fields):
-    """(count,) links without a blend; fields: of LINK, one value for all or one each."""
-    links = np.zeros(count, LINK)
-    links["kind"], links["begin_s"], links["end_s"], links["yaw_end_s"] = kind, -math.inf, -math.inf, -math.inf
-    for name, value in fields.items():
-        links[name] = value
-    return links
+def step_values(fractions, smooth, derivative=0):
+    """The smooth way from 0 to 1 at fractions of it, or its derivative by the fraction."""
+    return polyval(np.clip(fractions, 0.0, 1.0), polyder(_STEPS[smooth, : 2 * smooth + 2], derivative))
+
+
+def rise_values(fractions, smooth, derivative=0):
+    """How much of its rise a blend is up at fractions of it, or its derivative by the fraction."""
+    up, down = (step_values((fractions - begin) / RAMP, smooth, derivative) for begin in (0.0, 1.0 - RAMP))
+    return (up - down) / RAMP**derivative
 
 
 class Motion:
     """Where a vehicle is at any time: a chain of links (see the module). Never changes."""
 
-    def __init__(self, links, table=NO_TABLE, functions=None):
-        """links: (k,) LINK.  functions: {link: function of times (t,) that gives (5, t, 3)} of those BY_FUNCTION."""
-        self.links, self.table, self.functions = links, table, functions or {}
+    def __init__(self, links, rows):
+        """links: (k,) LINK.  rows: those of each."""
+        self.links, self.rows = links, rows
 
-    def __call__(self, times_s):
-        """((5, t, 3) position to snap, (3, t) yaw to its acceleration) at times (t,)."""
-        path, yaw = np.empty((ORDERS, len(times_s), 3)), np.empty((YAW_ORDERS, len(times_s)))
-        given = NO_PATHS
-        if self.functions:
-            given = np.empty((len(times_s), len(self.links), ORDERS, 3))
-            for k, function in self.functions.items():
-                given[:, k] = function(times_s).transpose(1, 0, 2)
-        _sample_motion(self.links, self.table, given, times_s, path, yaw)
-        return path, yaw
+    @cached_property
+    def _chain(self):
+        return Chains([self])
+
+    def at(self, times_s, order=Order.SNAP):
+        """(order + 1, t, 4) at times (t,)."""
+        return self._chain.at(times_s, order)
 
     def since(self, time_s):
         """The same motion for times from time_s on: what is over is forgotten."""
-        return self._part(max([k for k, end_s in enumerate(self.links["end_s"]) if end_s <= time_s], default=0), None)
+        first = max([k for k, end_s in enumerate(self.links["end_s"]) if end_s <= time_s], default=0)
+        return Motion(self.links[first:], self.rows[first:])
 
     def until(self, time_s):
         """The same motion without the blends that begin after time_s."""
-        return self._part(0, max(1, int((self.links["begin_s"] <= time_s).sum())))
+        end = max(1, int((self.links["begin_s"] <= time_s).sum()))
+        return Motion(self.links[:end], self.rows[:end])
 
     def blends_after(self, time_s):
         """How many of its blends have not ended by then."""
         return int((self.links["end_s"] > time_s).sum())
 
     def followed_by(self, other, **fields):
-        """This chain and the link of another motion after it; fields: of that link."""
-        links = np.concatenate([self.links, other.links[-1:]])
+        """This chain and the last link of another motion after it; fields: of that link."""
+        chain = Motion(np.concatenate([self.links, other.links[-1:]]), [*self.rows, other.rows[-1]])
+        return chain.with_fields(**fields)
+
+    def with_fields(self, **fields):
+        """The same motion with other values in its last link."""
+        links = self.links.copy()
         for name, value in fields.items():
             links[name][-1] = value
-        if len(other.table):
-            links["first"][-1] += len(self.table)
-        functions = dict(self.functions)
-        if other.functions:
-            functions[len(links) - 1] = other.functions[len(other.links) - 1]
-        return Motion(links, np.concatenate([self.table, other.table]), functions)
+        return Motion(links, self.rows)
 
-    def _part(self, first, end):
-        if first == 0 and end in (None, len(self.links)):
-            return self
-        functions = {k - first: f for k, f in self.functions.items() if first <= k and (end is None or k < end)}
-        return Motion(self.links[first:end], self.table, functions)
+
+class Chains:
+    """Motions of n vehicles as compiled code takes them."""
+
+    def __init__(self, motions):
+        self._counts = np.array([len(motion.links) for motion in motions])
+        self.links = np.zeros((len(motions), self._counts.max()), LINK)  # (n, most)
+        tables, end = [_NO_ROWS], 0
+        for chain, motion in zip(self.links, motions):
+            chain[: len(motion.links)] = motion.links
+            for link, rows in zip(chain, motion.rows):
+                link["first"], link["rows"] = end, len(rows)
+                tables.append(rows)
+                end += len(rows)
+        self._table = np.concatenate(tables)
+        self.calls = np.full(len(motions), -1)  # (n,) `under_way` or `arrived` of each, at the newest sample,
+        self.is_new = False  # and whether one of them was another one before
+
+    def at(self, times_s, order=Order.SNAP):
+        """(order + 1, n, 4) at one time (1,), or (order + 1, t, 4) of a single vehicle at times (t,)."""
+        derivatives = np.empty((order + 1, max(len(self.links), len(times_s)), 4))
+        self.is_new = _sample(self.links, self._counts, self._table, times_s, derivatives, self.calls)
+        return derivatives
+
+
+def simple_motion(rows=_NO_ROWS, **fields):
+    """Motion of one link.  rows: see the module.  fields: of LINK."""
+    links = np.zeros(1, LINK)
+    links["smooth"], links["begin_s"], links["end_s"], links["yaw_end_s"] = Order.SNAP, *3 * [-math.inf]
+    return Motion(links, [rows]).with_fields(**fields)
 
 
 def standing(position_m, yaw_rad):
     """Motion of a vehicle that stands still at a position (3,)."""
-    return coasting(position_m, np.zeros(3), yaw_rad, 0.0)
+    return simple_motion(position_m=position_m, yaw_rad=yaw_rad)
 
 
 def coasting(position_m, velocity_m_s, yaw_rad, begin_s):
     """Motion of a vehicle that is at a position (3,) with a velocity (3,) at begin_s, and comes to rest."""
-    link = new_links(1, COASTING, epoch_s=begin_s, yaw_rad=yaw_rad)
-    link["position_m"], link["velocity_m_s"] = position_m, velocity_m_s
-    return Motion(link)
+    way_m = _STOP_S * np.asarray(velocity_m_s)
+    rows = np.array([[-1.0 / _STOP_S, *-way_m]], dtype=complex)
+    return simple_motion(rows, epoch_s=begin_s, position_m=position_m + way_m, yaw_rad=yaw_rad)
 
 
-class Blend(Motion):
-    """Motion from one motion into another: start + s (end - start), s the least-snap step from 0 to 1.
+def blend(start, end, begin_s, duration_s, rise_m=0.0, yaw_duration_s=None, revolutions=0, calls=(0, 0)):
+    """Motion from one motion into another: start + s (end - start), s the smooth step from 0 to 1.
 
-    It has the derivatives of `start` up to snap at the beginning and those of `end` at the end, and every position in
-    between lies on the line between the two (or above it, when it rises): where both are inside the (convex) arena, so
-    is the way. A polynomial between two states of motion has no such bound; for the yaw, which needs none, it is the
-    better way, because a vehicle need not follow a nose that turns.
+    It has the derivatives of `start` at the beginning and those of `end` at the end, to the order `smooth` of the last
+    link of `end` (snap, if nothing else is said); those of the yaw to its acceleration. Every position in between lies
+    on the line between the two (or above it, when it rises): where both are inside the (convex) arena, so is the way.
+    A polynomial between two states of motion has no such bound; for the yaw, which needs none, it is the better way,
+    because a vehicle need not follow a nose that turns.
+
+    end: its yaw is turned by whole revolutions to be nearest.  rise_m: how much higher it leads, over vehicles in
+    between.  yaw_duration_s: of the yaw [s], at least duration_s; None = duration_s.  revolutions: further turns of the
+    yaw.  calls: numbers (under_way, arrived).
     """
+    if not duration_s > 0.0:
+        raise ValueError("a blend needs a time > 0, got %r" % (duration_s,))
+    begin_s, yaw_duration_s = float(begin_s), float(max(duration_s, yaw_duration_s or 0.0))
+    first, last = (
+        motion.at(np.array([time_s]), Order.ACCELERATION)[:, 0, Axis.PSI]
+        for motion, time_s in ((start, begin_s), (end, begin_s + yaw_duration_s))
+    )
+    return start.followed_by(
+        end,
+        begin_s=begin_s,
+        end_s=begin_s + duration_s,
+        yaw_end_s=begin_s + yaw_duration_s,
+        turn_rad=turn(first, last, yaw_duration_s, revolutions),
+        rise_m=rise_m,
+        under_way=calls[0],
+        arrived=calls[1],
+    )
 
-    def __init__(self, start, end, begin_s, duration_s, rise_m=0.0, yaw_duration_s=None, revolutions=0, calls=(0, 0)):
-        """start: a motion.  end: a motion of one link, whose yaw is turned by whole revolutions to be nearest.
 
-        rise_m: how much higher it leads, over vehicles in between.
-        yaw_duration_s: of the yaw [s], at least duration_s; None = duration_s.  revolutions: further turns of the yaw.
-        calls: the link's numbers (under_way, arrived).
-        """
-        if not duration_s > 0.0:
-            raise ValueError("a blend needs a time > 0, got %r" % (duration_s,))
-        begin_s, yaw_duration_s = float(begin_s), float(max(duration_s, yaw_duration_s or 0.0))
-        first, last = start(np.array([begin_s]))[1][:, 0], end(np.array([begin_s + yaw_duration_s]))[1][:, 0]
-        chain = start.followed_by(
-            end,
-            begin_s=begin_s,
-            end_s=begin_s + duration_s,
-            yaw_end_s=begin_s + yaw_duration_s,
-            blend_yaw_rad=quintic(first, last, yaw_duration_s, revolutions),
-            rise_m=rise_m,
-            under_way=calls[0],
-            arrived=calls[1],
-        )
-        super().__init__(chain.links, chain.table, chain.functions)
+def turn(first, last, duration_s, revolutions):
+    """Coefficients (6,) over the fraction of a duration between two yaws (3,) with rates and accelerations.
+
+    The last is turned by whole revolutions to be nearest, and by so many more.
+    """
+    v0, v1 = first[1] * duration_s, last[1] * duration_s
+    a0, a1 = 0.5 * first[2] * duration_s**2, 0.5 * last[2] * duration_s**2
+    # the nose turns on meanwhile: what must be nearest is the last less that turn
+    way = last[0] - first[0]
+    way += 2.0 * math.pi * (revolutions - round((way - 0.5 * (v0 + v1)) / (2.0 * math.pi)))
+    return np.array(
+        [
+            first[0],
+            v0,
+            a0,
+            10.0 * way - 6.0 * v0 - 4.0 * v1 - 3.0 * a0 + a1,
+            -15.0 * way + 8.0 * v0 + 7.0 * v1 + 3.0 * a0 - 2.0 * a1,
+            6.0 * way - 3.0 * (v0 + v1) - a0 + a1,
+        ]
+    )

@@ -6,13 +6,15 @@ from there begins where the vehicle is seen, not at the reference.
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from risc_control.motions import coasting
-from risc_control.trajectories import YawProgram, make_course, points
+from risc_control.reference_buffer import Axis, Order
+from risc_control.trajectories import YawProgram, make_course, on_course, points
 from risc_control.trajectory_manager import Phase, TrajectoryManager
+from risc_lab.settings import Positive, Settings
 
 # The target's speed is told so long before it runs, and after it has stopped: it has a topic of its own, and no order
 # with the references. Meanwhile the vehicle pursues the place where it is; otherwise it would fly to a target.
@@ -20,23 +22,16 @@ _LEAD_S = 0.1
 
 
 @dataclass(frozen=True)
-class TargetParams:
+class TargetParams(Settings):
     """Where the vehicle waits and where its target runs, a circle around the origin. Numbers of the original."""
 
     start_x_m: float = 0.5643  # cortex frame
     start_y_m: float = 1.2213
-    height_m: float = 1.0
+    height_m: Positive = 1.0
     psi_deg: float = -90.0  # of the nose, all the time
-    radius_m: float = 0.8
-    target_speed_m_s: float = 0.2  # of the target, counter-clockwise from above
+    radius_m: Positive = 0.8
+    target_speed_m_s: Positive = 0.2  # of the target, counter-clockwise from above
     phase_deg: float = 90.0  # where on the circle it begins; 0 = on the x axis, + towards y
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            positive = field.name in ("height_m", "radius_m", "target_speed_m_s")
-            if not math.isfinite(value) or (positive and value <= 0.0):
-                raise ValueError("%s must be a number%s, got %r" % (field.name, " > 0" if positive else "", value))
 
     def waiting_place(self):
         """Course that stands where the vehicle waits."""
@@ -49,10 +44,10 @@ class TargetParams:
         course = make_course(
             "circle", 1, self._yaw(), radius_m=self.radius_m, period_s=period_s, height_m=self.height_m
         )
-        return replace(course, name="NGC", shifts_s=np.array([self.phase_deg / 360.0 * period_s]))
+        return replace(course, name="NGC", paths=(on_course(course, 0, -self.phase_deg / 360.0 * period_s),))
 
     def _yaw(self):
-        return YawProgram((math.radians(self.psi_deg),))
+        return YawProgram(math.radians(self.psi_deg))
 
 
 class VirtualTarget(TrajectoryManager):
@@ -76,7 +71,7 @@ class VirtualTarget(TrajectoryManager):
     def target_speed_m_s(self, now_s):
         """Speed of the target as its topic tells it, 0 while it rests."""
         told = self.pursuing or now_s < self._told_until_s
-        return float(np.linalg.norm(self.target.at(0.0)[0][1, 0])) if told else 0.0
+        return float(np.linalg.norm(self.target.at(0.0)[Order.VELOCITY, 0, : Axis.PSI])) if told else 0.0
 
     def let_go(self, now_s):
         """Let the target run, as soon as the vehicle is where it waits. Returns whether it will.
@@ -96,8 +91,8 @@ class VirtualTarget(TrajectoryManager):
         if self._wanted:
             self._wanted, self._epoch_of_target_s = False, now_s + _LEAD_S
         if self.pursuing and now_s >= self._epoch_of_target_s:
-            path, yaw = self.target.at(now_s - self._epoch_of_target_s)
-            reference.derivatives[..., :3], reference.derivatives[: len(yaw), :, 3] = path, yaw
+            derivatives = self.target.at(now_s - self._epoch_of_target_s, len(reference.derivatives) - 1)
+            reference = reference._replace(derivatives=derivatives)
         return reference
 
     def set_autonomous(self, name, autonomous, now_s):

@@ -2,8 +2,8 @@
 
 The reference of a vehicle in manual mode is the place where it is seen. When its vehicle node reports autonomous mode
 it flies smoothly to its place on the course, meeting it in position to snap, and stays on the course until it is sent
-home. Ways are planned together (`ways.py`), so that vehicles keep apart on them too. Times are seconds of any one
-clock.
+home. Ways are planned together (`transitions.py`), so that vehicles keep apart on them too. Times are seconds of any
+one clock.
 
 Planning takes up to some tenths of a second. Offline the manager plans at once. A node that publishes references says
 how long after the order ways begin (`lead_s`), takes the `task`, plans it in another thread with `plan_ways`, and gives
@@ -16,37 +16,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.motions import LINK, NO_PATHS, NO_TABLE, ORDERS, coasting, sample_fleet, standing
-from risc_control.trajectories import Course, on_course
+from risc_control.motions import Chains, coasting, standing
+from risc_control.reference_buffer import Axis, Order, sample_orders
+from risc_control.trajectories import on_course
 from risc_control.transitions import Home, Task, WayLimits, load, plan_ways
 from risc_lab.phases import TrajectoryPhase as Phase
 from risc_lab.states import AIRBORNE_M
 
+_FLIES = (Phase.APPROACH, Phase.COURSE)
 _GATHER_S = 0.3  # vehicles that become autonomous within this time start together
 _DEEPEST = 4  # blends of blends; with more orders in so short a time the next way begins at a coasting vehicle
-
-
-_PHASES = tuple(Phase)
-_CALL = {phase: k for k, phase in enumerate(_PHASES)}  # what links call it
 
 
 class Reference(NamedTuple):
     """References of all vehicles at one time."""
 
-    derivatives: np.ndarray  # (5, n, 4) x, y, z, psi: value to snap; those of psi beyond its acceleration are 0
+    derivatives: np.ndarray  # (orders, n, 4) x, y, z, psi: value to snap, or as far as is asked for
     phases: tuple  # of Phase
 
 
 class TrajectoryManager:
     """References of n vehicles. Not thread-safe."""
 
-    def __init__(self, names, homes, course, limits=None, smooth=True, wait_for_all=True, lead_s=None):
+    def __init__(
+        self, names, homes, course, limits=None, smooth=True, wait_for_all=True, lead_s=None, order=Order.SNAP
+    ):
         """names: of the vehicles.  homes: a Home each.  course: Course for so many vehicles.
 
         smooth=False: on the course from the first moment on, in every mode (simulations, teaching).
         wait_for_all: nobody starts while another vehicle hovers there that is not flown automatically: courses lead
         through the places where the others wait.
         lead_s: ways begin this long after the order [s], and another thread plans them; None: they are planned at once.
+        order: as `ask` takes it.
         """
         if not len(names) == len(homes) == len(course.paths):
             raise ValueError("%d vehicles, %d homes and a course for %d" % (len(names), len(homes), len(course.paths)))
@@ -55,7 +56,7 @@ class TrajectoryManager:
         self.limits = limits or WayLimits()
         self.closest_m = math.inf  # smallest planned distance of the last plan
         self.task = None  # what is to be planned now; None = nothing
-        self._orders = []  # [home, {vehicles}] that are not planned yet, in turn; the first is the task
+        self._orders = {}  # {home: {vehicles}} that are not planned yet, in turn; the first is the task
         self._lead_s, self._inline = lead_s or 0.0, lead_s is None
         self._homes = tuple(homes)
         self._unordered = course
@@ -70,10 +71,21 @@ class TrajectoryManager:
         self._joining_s = None  # when the vehicles that became autonomous start
         self._joining = set()
         self._motions = [None] * len(names)  # None = it stands where it is seen
-        self._phases, self._calls = (Phase.HOLD,) * len(names), np.zeros(len(names), dtype=int)
-        self._packed = None  # the motions as compiled code takes them; None = they have changed
+        self._phases = (Phase.HOLD,) * len(names)
+        self._chains = None  # the motions as compiled code takes them; None = they have changed
+        self._smooth_to = self._highest = int(Order.SNAP)  # of the ways; derivative of the references
+        self.ask(order)
         self._evaluate(0.0)
         load()
+
+    def ask(self, order):
+        """A controller reads derivatives to this order: from now on references have `sample_orders` of them, and ways
+        are continuous to the order. It is never less than the snap, nor than what was asked before.
+
+        Raises ValueError as `sample_orders`.
+        """
+        self._highest = max(self._highest, sample_orders(order) - 1)
+        self._smooth_to = max(self._smooth_to, int(order))
 
     # ---------------------------------------------------------------------------------------------- what happens
 
@@ -84,9 +96,9 @@ class TrajectoryManager:
             return
         self._seen_m[i], self._seen_yaw_rad[i], self._velocity[i] = position_m, yaw_rad, velocity_m_s
         self._airborne[i] = position_m[2] > AIRBORNE_M  # and in the way of the others
-        if self._motions[i] is None and self._packed is not None:
-            self._packed.links["position_m"][i, 0] = position_m
-            self._packed.links["yaw_rad"][i, 0] = yaw_rad
+        if self._motions[i] is None and self._chains is not None:
+            self._chains.links["position_m"][i, 0] = position_m
+            self._chains.links["yaw_rad"][i, 0] = yaw_rad
 
     @property
     def watching(self):
@@ -107,7 +119,7 @@ class TrajectoryManager:
             return False
         if self._smooth and not autonomous:
             # until it is seen again it is where it was to be
-            place = self.sample(now_s).derivatives[0, i]
+            place = self.sample(now_s).derivatives[Order.POSITION, i]
             self._seen_m[i], self._seen_yaw_rad[i], self._velocity[i] = place[:3], place[3], 0.0
         self._autonomous[i] = autonomous
         if not self._smooth:
@@ -124,8 +136,7 @@ class TrajectoryManager:
                 self._epoch_s = None
             stay = [i]
             if self._epoch_s is None:  # those who were about to be the first may have to wait for this one
-                about = {k for home, waiting in self._orders if not home for k in waiting - {i}}
-                about = {k for k in about if self._phases[k] is Phase.HOLD}
+                about = {k for k in self._orders.get(False, set()) - {i} if self._phases[k] is Phase.HOLD}
                 self._joining |= about
                 stay += about
         self._drop(stay, now_s)
@@ -135,11 +146,11 @@ class TrajectoryManager:
         """Leave what is flown for another course (for as many vehicles), smoothly."""
         if len(course.paths) != len(self.names):
             raise ValueError("the course is for %d vehicles, there are %d" % (len(course.paths), len(self.names)))
-        movers = [i for i, phase in enumerate(self.sample(now_s).phases) if phase in (Phase.APPROACH, Phase.COURSE)]
+        movers = [i for i, phase in enumerate(self.sample(now_s).phases) if phase in _FLIES]
         self.course = self._unordered = course
         self._epoch_s = None
         if self._smooth:
-            self._order([i for i in movers if not self._is_sent_home(i)], False, now_s)
+            self._order([i for i in movers if i not in self._orders.get(True, ())], False, now_s)
 
     def start(self, now_s):
         """Vehicles that are home and autonomous fly to the course again. Returns their names."""
@@ -148,7 +159,7 @@ class TrajectoryManager:
         phases = self.sample(now_s).phases
         movers = [i for i, phase in enumerate(phases) if phase is Phase.HOMED and self._autonomous[i]]
         if movers:
-            if not any(phase in (Phase.APPROACH, Phase.COURSE) for phase in phases):
+            if not any(phase in _FLIES for phase in phases):
                 self._epoch_s = None
             self._order(movers, False, now_s)
         return [self.names[i] for i in movers]
@@ -159,12 +170,8 @@ class TrajectoryManager:
             return []
         self._begin_joining(now_s)
         phases = self.sample(now_s).phases
-        movers = [
-            i
-            for i, phase in enumerate(phases)
-            if phase in (Phase.APPROACH, Phase.COURSE) or (phase is Phase.HOLD and self._autonomous[i])
-        ]
-        stay = [i for home, waiting in self._orders if not home for i in waiting if phases[i] is Phase.HOMED]
+        movers = [i for i, phase in enumerate(phases) if phase in _FLIES or phase is Phase.HOLD and self._autonomous[i]]
+        stay = [i for i in self._orders.get(False, ()) if phases[i] is Phase.HOMED]
         self._joining -= set(movers)
         self._drop(stay, now_s)
         self._order(movers, True, now_s)
@@ -188,31 +195,23 @@ class TrajectoryManager:
         for i, way in plan.ways.items():
             self._hold(i, way)
         self.closest_m = plan.closest_m
-        del self._orders[0]
+        del self._orders[task.homes is not None]
         self.task = None
         self._plan_next(now_s)
         return True
 
     def _order(self, movers, home, now_s):
         """Vehicles are to fly home or to the course, whatever they were to do before."""
-        for _, waiting in self._orders:
+        for waiting in self._orders.values():
             waiting.difference_update(movers)
-        same = next((waiting for is_home, waiting in self._orders if is_home == home), None)
-        if same is None:
-            self._orders.append([home, set(movers)])
-        else:
-            same.update(movers)
+        self._orders.setdefault(home, set()).update(movers)
         self._drop([], now_s)
 
     def _drop(self, stay, now_s):
         """These are not to fly anywhere; what is left is planned anew."""
-        for _, waiting in self._orders:
-            waiting.difference_update(stay)
-        self._orders = [order for order in self._orders if order[1]]
+        self._orders = {home: waiting.difference(stay) for home, waiting in self._orders.items()}
+        self._orders = {home: waiting for home, waiting in self._orders.items() if waiting}
         self._plan_next(now_s)
-
-    def _is_sent_home(self, i):
-        return any(home and i in waiting for home, waiting in self._orders)
 
     def _plan_next(self, now_s):
         self.task = self._next_task(now_s) if self._orders else None
@@ -220,7 +219,7 @@ class TrajectoryManager:
             self.accept(self.task, plan_ways(self.task), now_s)  # and then what comes after it
 
     def _next_task(self, now_s):
-        home, movers = self._orders[0]
+        home, movers = next(iter(self._orders.items()))
         begin_s = now_s + self._lead_s
         # on the way to a course vehicles in manual mode are left out: nobody knows where their pilots will fly them
         others = [i for i in range(len(self.names)) if i not in movers and (home or self._autonomous[i])]
@@ -233,15 +232,16 @@ class TrajectoryManager:
             self._epoch_s,
             self._homes if home else None,
             self.limits,
-            (_CALL[Phase.HOME], _CALL[Phase.HOMED]) if home else (_CALL[Phase.APPROACH], _CALL[Phase.COURSE]),
+            (Phase.HOME, Phase.HOMED) if home else (Phase.APPROACH, Phase.COURSE),
+            self._smooth_to,
         )
 
     def _start(self, i, now_s, begin_s):
         """The motion that a vehicle is in, to blend from."""
         motion = self._motion(i).since(now_s).until(begin_s)
         if motion.blends_after(begin_s) >= _DEEPEST:
-            path, yaw = motion(np.array([begin_s]))
-            drifting = coasting(path[0, 0], path[1, 0], yaw[0, 0], begin_s)
+            position, velocity = motion.at(np.array([begin_s]), Order.VELOCITY)[:, 0]
+            drifting = coasting(position[: Axis.PSI], velocity[: Axis.PSI], position[Axis.PSI], begin_s)
             motion = motion.followed_by(drifting, begin_s=begin_s, end_s=begin_s, yaw_end_s=begin_s)
         return motion
 
@@ -263,51 +263,23 @@ class TrajectoryManager:
             self._epoch_s = now_s
             for i in range(len(self.names)):
                 motion = on_course(self.course, i, now_s)
-                motion.links["arrived"] = _CALL[Phase.COURSE]
-                self._hold(i, motion)
+                self._hold(i, motion.with_fields(arrived=Phase.COURSE, smooth=self._smooth_to))
         return self._evaluate(now_s)
 
     def _evaluate(self, now_s):
-        if self._packed is None:
-            self._packed = _pack([self._motion(i) for i in range(len(self.names))])
-        links, counts, table, given, functions = self._packed
-        for i, k, path_at in functions:
-            given[i, k] = path_at(now_s)
-        derivatives = np.empty((ORDERS, len(counts), 4))
-        if sample_fleet(links, counts, table, given, now_s, derivatives, self._calls):
-            self._phases = tuple(_PHASES[call] for call in self._calls)
+        if self._chains is None:
+            self._chains = Chains([self._motion(i) for i in range(len(self.names))])
+        derivatives = self._chains.at(np.array([now_s]), self._highest)
+        if self._chains.is_new:
+            self._phases = tuple(Phase(call) for call in self._chains.calls)
         return Reference(derivatives, self._phases)
 
     def _hold(self, i, motion):
         """A vehicle flies this motion; None: it stands where it is seen."""
-        self._motions[i], self._packed = motion, None
+        self._motions[i], self._chains = motion, None
 
     def _motion(self, i):
         return self._motions[i] or standing(self._seen_m[i], self._seen_yaw_rad[i])
-
-
-class _Packed(NamedTuple):
-    """Motions of a fleet as `sample_fleet` takes them."""
-
-    links: np.ndarray  # (n, most)
-    counts: np.ndarray  # (n,)
-    table: np.ndarray
-    given: np.ndarray
-    functions: list  # (vehicle, link, function of a time) for `given`
-
-
-def _pack(motions):
-    counts = np.array([len(motion.links) for motion in motions])
-    links = np.zeros((len(motions), counts.max()), LINK)
-    row, functions = 0, []
-    for i, motion in enumerate(motions):
-        links[i, : counts[i]] = motion.links
-        links["first"][i] += row
-        row += len(motion.table)
-        functions += [(i, k, function.at) for k, function in motion.functions.items()]
-    table = np.concatenate([NO_TABLE] + [motion.table for motion in motions])
-    given = np.zeros((*links.shape, ORDERS, 3)) if functions else NO_PATHS
-    return _Packed(links, counts, table, given, functions)
 
 
 def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=TrajectoryManager, **options):
@@ -315,7 +287,5 @@ def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=Trajecto
 
     kind: it, or a subclass.  options: of TrajectoryManager.
     """
-    if not isinstance(course, Course):
-        raise TypeError("course must be a Course, got %r" % (course,))
     homes = [Home((v.start.position_m[0], v.start.position_m[1], home_height_m), v.start.yaw_rad) for v in vehicles]
     return kind([v.template for v in vehicles], homes, course, limits, **options)

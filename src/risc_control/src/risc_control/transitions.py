@@ -5,20 +5,26 @@ duration. An assignment decides which vehicle flies which path. The first attemp
 together: that is soonest and, on the nearest paths, mostly keeps them apart. Where it does not, single vehicles leave
 later, take longer, or fly over the others, until every pair is far enough apart. The yaw may take longer than the path.
 
-The cost grows with the square of the number of vehicles. The same task gives the same plan: nothing here knows a clock.
+Ways are smooth to the order of their task: continuous with so many derivatives, also where they begin and end (the yaw:
+to its acceleration). The cost grows with the square of the number of vehicles. The same task gives the same plan:
+nothing here knows a clock.
 """
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from risc_control.motions import RAMP, Blend, least_snap_step, lift, quintic, standing
+from risc_control.motions import RAMP, blend, rise_values, standing, step_values, turn
+from risc_control.reference_buffer import Axis, Order
 from risc_control.trajectories import SAFE_SEPARATION_M, Course, minimum_separation, on_course
 from risc_lab.compiled import compiled
+from risc_lab.settings import Positive, Settings
 
 _STEP_S = 0.25  # distances are those of ways that are straight for this long; the true ones are up to 0.01 m smaller
 _ENOUGH_M = SAFE_SEPARATION_M + 0.01
@@ -36,29 +42,28 @@ _DURATION_STEP = 1.15  # ratio of the durations that are tried
 
 _COURSE_STARTS = 12  # candidate moments of the course at which the vehicles set out for it
 _COURSE_GRID_S = 0.05  # resolution of the course for that choice
-_ROUGH_SAMPLES = 40  # of each
+_ROUGH_FRACTIONS = np.linspace(0.0, 1.0, 41)  # of each way, where distances are looked at
 _GENTLE = 1.35  # ways to a course take so much longer than from rest to rest at the limits
 _SPARE_M = 0.1  # of separation beyond what is needed: more room for tracking errors,
 _SPARE_S_M = 20.0  # and each metre of it is worth so many seconds; what is needed is worth any detour,
 _NEEDED_S_M = 1000.0
+_PEAK_SPEED, _PEAK_ACCELERATION = 2.46, 7.52  # about, of a least-snap step of 1 m in 1 s [m/s, m/s^2]
 
 
 @dataclass(frozen=True)
-class WayLimits:
+class WayLimits(Settings):
     """What the ways to the course and home may ask of a vehicle."""
 
-    speed_m_s: float = 0.6
-    acceleration_m_s2: float = 0.5
-    yaw_rate_rad_s: float = 0.32
-    shortest_s: float = 2.5
-    longest_s: float = 40.0
-    highest_m: float = 2.4  # a way that leads over others goes no higher
+    speed_m_s: Positive = 0.6
+    acceleration_m_s2: Positive = 0.5
+    yaw_rate_rad_s: Positive = 0.32
+    shortest_s: Positive = 2.5
+    longest_s: Positive = 40.0
+    highest_m: Positive = 2.4  # a way that leads over others goes no higher
 
     def __post_init__(self):
-        for name in ("speed_m_s", "acceleration_m_s2", "yaw_rate_rad_s", "shortest_s", "highest_m"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError("%s must be > 0, got %r" % (name, getattr(self, name)))
-        if not self.longest_s >= self.shortest_s:
+        super().__post_init__()
+        if self.longest_s < self.shortest_s:
             raise ValueError("longest_s must not be below shortest_s, got %r" % (self,))
 
 
@@ -81,12 +86,13 @@ class Task(NamedTuple):
     homes: tuple | None  # Home of each vehicle; None: they fly to the course
     limits: WayLimits
     calls: tuple  # what their motions call the way, and what comes after it
+    smooth: int  # order to which the ways are continuous
 
 
 class Plan(NamedTuple):
     """How they fly."""
 
-    ways: dict  # {vehicle: Blend}
+    ways: dict  # {vehicle: Motion}
     course: Course  # reordered, when who flies which path was free
     epoch_s: float | None
     closest_m: float  # smallest distance between two vehicles
@@ -96,42 +102,32 @@ def plan_ways(task):
     """The Plan of a Task."""
     course, epoch_s, shortest_s, together_s = task.course, task.epoch_s, None, None
     if task.homes is not None:
-        ends = {i: standing(task.homes[i].position_m, task.homes[i].yaw_rad) for i in task.starts}
+        ends = {i: standing(*task.homes[i]) for i in task.starts}
     else:
         if epoch_s is None:
             course, epoch_s, shortest_s, together_s = _begin_course(task)
         ends = {i: on_course(course, i, epoch_s) for i in task.starts}
-    pairs = [(start, ends[i]) for i, start in task.starts.items()]
+    pairs = [_Pair(start, ends[i].with_fields(smooth=task.smooth)) for i, start in task.starts.items()]
     if shortest_s is None:
         shortest_s = _shortest_s(pairs, task.begin_s, task.limits)
-    timetable = _Timetable(pairs, task.others, task.begin_s, shortest_s, together_s or shortest_s, task.limits)
-    choice, closest_m = timetable.best()
-    ways = {
-        i: Blend(
-            *pair,
-            task.begin_s + option.delay_s,
-            option.duration_s,
-            option.rise_m,
-            *_turn(*pair, task.begin_s + option.delay_s, option.duration_s, task.limits),
-            task.calls,
-        )
-        for i, pair, option in zip(ends, pairs, choice)
-    }
+    timetable = _Timetable(pairs, task, shortest_s, together_s or shortest_s)
+    closest_m, choice = timetable.best()
+    ways = {}
+    for i, pair, option in zip(ends, pairs, choice):
+        rise_m, _, delay_s, duration_s = timetable.options[option]
+        turning = pair.turning(task.begin_s + delay_s, duration_s, task.limits)
+        ways[i] = blend(*pair, task.begin_s + delay_s, duration_s, rise_m, *turning, task.calls)
     return Plan(ways, course, epoch_s, closest_m)
 
 
 def load():
     """Call each compiled function once, so that none is loaded while vehicles fly."""
     tracks_m, steps = np.zeros((2, 2, 3)), np.zeros((1, 2, 2))
-    _step_tables(np.zeros(1), np.ones(1), np.zeros(1), np.zeros(2), steps)
     _fly(tracks_m[0], tracks_m[1], steps[0], tracks_m[0])
     _update_distances(tracks_m, 0, np.zeros((2, 2)))
-    _lacking(tracks_m[0], tracks_m[1], steps, tracks_m, 0, 0.0, np.ones((2, 2)), np.empty(1))
-    _rough_distance(tracks_m, tracks_m, 1.0, np.arange(2), 0.0, 1.0)
+    _lacking(tracks_m[0], tracks_m[1], steps, tracks_m, 0.0, np.ones(2), np.empty(1))
     minimum_separation(tracks_m)
-    path, yaw = standing(np.zeros(3), 0.0)(np.zeros(2))
-    _is_gentle(path, path, 1.0, 0.0, 1.0, 1.0)
-    quintic(yaw[:, 0].copy(), yaw[:, 0].copy(), 1.0, 0)
+    standing(np.zeros(3), 0.0).at(np.zeros(2))
 
 
 # ------------------------------------------------------------------------------------------- when each one leaves
@@ -152,8 +148,8 @@ def _options(delays, shortest_s, together_s, limits):
     choices = {(delay_s, min(shortest_s * stretch, longest_s)) for delay_s in delays_s for stretch in _STRETCHES}
     options = [_Option(0.0, sum(choice), *choice) for choice in choices | {(0.0, together_s)}]
     for rise_m in _RISES_M:
-        # a least-snap step of 1 m in 1 s reaches 2.46 m/s and 7.52 m/s^2
-        ramp_s = max(2.46 * rise_m / limits.speed_m_s, math.sqrt(7.52 * rise_m / limits.acceleration_m_s2))
+        by_acceleration_s = math.sqrt(_PEAK_ACCELERATION * rise_m / limits.acceleration_m_s2)
+        ramp_s = max(_PEAK_SPEED * rise_m / limits.speed_m_s, by_acceleration_s)
         for stretch in _RISE_STRETCHES:
             duration_s = stretch * max(shortest_s, ramp_s / RAMP)
             if duration_s <= longest_s:
@@ -164,89 +160,83 @@ def _options(delays, shortest_s, together_s, limits):
 class _Timetable:
     """Delays, durations and rises of given ways."""
 
-    def __init__(self, pairs, others, begin_s, shortest_s, together_s, limits):
-        """pairs: (start, end) motions of those who leave.  shortest_s: in which all their ways keep the limits.
+    def __init__(self, pairs, task, shortest_s, together_s):
+        """shortest_s: in which all the ways of these pairs keep the limits.
 
         together_s: the same, if all leave at once, of a choice that is worth to be tried first.
         """
-        self._pairs, self._begin_s, self._limits = pairs, begin_s, limits
+        self._pairs, self._begin_s, self._limits = pairs, task.begin_s, task.limits
         delays = _DELAYS if len(pairs) <= _MANY else _DELAYS[::2]
-        self.options = _options(delays, shortest_s, together_s, limits)  # the best first: level, then soon
+        self.options = _options(delays, shortest_s, together_s, task.limits)  # the best first: level, then soon
         self._level = sum(option.rise_m == 0.0 for option in self.options)
         self._first = self.options.index(_Option(0.0, together_s, 0.0, together_s))
         self._fitting = {}  # (vehicle, option): whether the way keeps the limits
         times = np.arange(0.0, max(option.arrival_s for option in self.options) + 2.0 * _STEP_S, _STEP_S)
-        rises_m, _, delays_s, durations_s = np.array(self.options).T.copy()
-        self._steps = np.empty((len(self.options), 2, len(times)))
-        _step_tables(delays_s, durations_s, rises_m, times, self._steps)
-        self._starts = _positions([start for start, _ in pairs], begin_s + times)  # (movers, t, 3)
-        self._ends = _positions([end for _, end in pairs], begin_s + times)
+        rises_m, _, delays_s, durations_s = np.array(self.options).T[..., None]
+        fractions = (times - delays_s) / durations_s
+        # (options, 2, t): how far a way is, 0 to 1, and how much higher [m]
+        how_high_m = rises_m * rise_values(fractions, task.smooth)
+        self._steps = np.stack([step_values(fractions, task.smooth), how_high_m], axis=1)
+        self._starts = _positions([pair.start for pair in pairs], task.begin_s + times)  # (movers, t, 3)
+        self._ends = _positions([pair.end for pair in pairs], task.begin_s + times)
         # tracks of all with the present choice: those who leave, then the others
-        self._tracks = np.concatenate([self._starts, _positions(others, begin_s + times)])
+        self._tracks = np.concatenate([self._starts, _positions(task.others, task.begin_s + times)])
         self._near_m = np.full((len(self._tracks), len(self._tracks)), math.inf)  # smallest distance of two
-        apart_m = minimum_separation(self._ends.transpose(1, 0, 2))
+        apart_m = minimum_separation(np.ascontiguousarray(self._ends.transpose(1, 0, 2)))
         self._enough_m = min(_ENOUGH_M, apart_m - 0.003)  # more cannot be had on a course that has less itself
 
     def best(self):
-        """([_Option] of those who leave, smallest distance [m]): apart if that can be, then soon."""
-        best = self._jointly(self._first)
+        """(smallest distance, choice: an option for each of those who leave): apart if that can be, then soon."""
+        best = self._all_choose([self._first] * len(self._pairs))
         if best[0] < self._enough_m:
             staggered = self._staggered(best[1])
             best = self._better_of(best, staggered)
             for option in range(self._level):
-                soonest_s = max(self.options[k].arrival_s for k in best[1])
-                if best[0] >= self._enough_m and self.options[option].arrival_s >= soonest_s:
+                if best[0] >= self._enough_m and self.options[option].arrival_s >= self._arrival_s(best[1]):
                     break
-                found = self._jointly(option)
-                if self._better_of(best, found) is found and all(
-                    self._fits(i, option) for i in range(len(self._pairs))
-                ):
+                found = self._all_choose([option] * len(self._pairs))
+                if self._better_of(best, found) is found and all(self._fits(*way) for way in enumerate(found[1])):
                     best = found
             if best[0] < self._enough_m and best is not staggered:
                 best = self._better_of(best, self._staggered(best[1]))
-        return [self.options[option] for option in best[1]], best[0]
+        return best
+
+    def _arrival_s(self, choice):
+        """When the last one arrives."""
+        return max(self.options[option].arrival_s for option in choice)
 
     def _better_of(self, known, found):
         """Of two (smallest distance, choice) the first, unless the second is better by far, or enough and sooner."""
         if known[0] >= self._enough_m:
-            arrivals_s = [max(self.options[option].arrival_s for option in choice) for _, choice in (known, found)]
-            return found if found[0] >= self._enough_m and arrivals_s[1] < arrivals_s[0] else known
-        return found if found[0] >= self._enough_m or found[0] > known[0] + _WORTH_M else known
+            is_better = found[0] >= self._enough_m and self._arrival_s(found[1]) < self._arrival_s(known[1])
+        else:
+            is_better = found[0] >= self._enough_m or found[0] > known[0] + _WORTH_M
+        return found if is_better else known
 
     def _fits(self, i, option):
+        """Whether a way keeps the limits."""
         if (i, option) not in self._fitting:
             rise_m, _, delay_s, duration_s = self.options[option]
-            self._fitting[i, option] = self._is_low(i, option) and _fits(
-                [self._pairs[i]], self._begin_s + delay_s, duration_s, self._limits, rise_m
-            )
+            track_m = np.empty(self._starts[i].shape)
+            _fly(self._starts[i], self._ends[i], self._steps[option], track_m)
+            is_low = rise_m == 0.0 or track_m[:, Axis.Z].max() <= self._limits.highest_m
+            begin_s = self._begin_s + delay_s
+            self._fitting[i, option] = is_low and self._pairs[i].fits(begin_s, duration_s, self._limits, rise_m)
         return self._fitting[i, option]
-
-    def _is_low(self, i, option):
-        if option < self._level:
-            return True
-        track_m = np.empty(self._starts[i].shape)
-        _fly(self._starts[i], self._ends[i], self._steps[option], track_m)
-        return track_m[:, 2].max() <= self._limits.highest_m
 
     def _choose(self, i, option):
         _fly(self._starts[i], self._ends[i], self._steps[option], self._tracks[i])
+        _update_distances(self._tracks, i, self._near_m)
 
     def _all_choose(self, choice):
+        """(smallest distance, choice)"""
         for i, option in enumerate(choice):
             self._choose(i, option)
-        for i in range(len(choice)):
-            _update_distances(self._tracks, i, self._near_m)
-
-    def _jointly(self, option):
-        """(smallest distance, choice) with the same option for all."""
-        self._all_choose([option] * len(self._pairs))
-        return float(self._near_m.min()), [option] * len(self._pairs)
+        return float(self._near_m.min()), list(choice)
 
     def _staggered(self, choice):
         """(smallest distance, choice): some options changed, one after the other, so that all come less near."""
-        choice, movers = list(choice), len(choice)
-        self._all_choose(choice)
-        best = float(self._near_m.min()), list(choice)
+        best, choice, movers = self._all_choose(choice), list(choice), len(choice)
         weights = np.ones(self._near_m.shape)  # who gets stuck with whom counts more from then on
         tries = _TRIES * movers + _MORE_TRIES
         while tries > 0 and best[0] < self._enough_m:
@@ -258,7 +248,6 @@ class _Timetable:
                     if option is not None:
                         choice[i], changed = option, True
                         self._choose(i, option)
-                        _update_distances(self._tracks, i, self._near_m)
             if self._near_m.min() > best[0]:
                 best = float(self._near_m.min()), list(choice)
             if not changed:
@@ -267,51 +256,41 @@ class _Timetable:
 
     def _hastened(self, choice):
         """(smallest distance, choice): who arrives last comes sooner, if that is apart as well."""
-        self._all_choose(choice)
-        choice, weights = list(choice), np.ones(self._near_m.shape)
+        _, choice = self._all_choose(choice)
+        weights = np.ones(self._near_m.shape)
         for i in sorted(range(len(choice)), key=lambda i: -self.options[choice[i]].arrival_s):
-            lacking_m, present = self._lacking(i, weights), self.options[choice[i]]
-            for k, option in enumerate(self.options):
+            present = self.options[choice[i]]
+            for k in np.flatnonzero(self._lacking(i, weights) == 0.0):
+                option = self.options[k]
                 sooner = option.rise_m <= present.rise_m and option.arrival_s < present.arrival_s - 1e-6
-                if sooner and lacking_m[k] == 0.0 and self._fits(i, k):
+                if sooner and self._fits(i, k):
                     choice[i] = k
                     self._choose(i, k)
                     break
-        self._all_choose(choice)
-        return float(self._near_m.min()), choice
+        return self._all_choose(choice)
 
     def _lacking(self, i, weights):
-        lacking_m = np.empty(len(self.options))
-        _lacking(self._starts[i], self._ends[i], self._steps, self._tracks, i, self._enough_m, weights, lacking_m)
+        """(options,) how much distance to all others vehicle i lacks; weights (n, n): how much each pair counts."""
+        own_m, lacking_m = np.concatenate([self._starts[i], self._ends[i]]), np.empty(len(self.options))
+        low_m, high_m = own_m.min(axis=0) - self._enough_m, own_m.max(axis=0) + self._enough_m
+        high_m[Axis.Z] += self._steps[:, 1].max()
+        can_meet = ((self._tracks.max(axis=1) >= low_m) & (self._tracks.min(axis=1) <= high_m)).all(axis=1)
+        can_meet[i] = False
+        counts = weights[i] * can_meet
+        _lacking(self._starts[i], self._ends[i], self._steps, self._tracks, self._enough_m, counts, lacking_m)
         return lacking_m
 
     def _better(self, i, present, weights):
         """An option of a vehicle with which it comes less near to the others than now; None = there is none."""
         lacking_m = self._lacking(i, weights)
-        for option in np.argsort(lacking_m, kind="stable"):
-            if lacking_m[option] > lacking_m[present] - 1e-6:
-                return None
-            if self._fits(i, option):
-                return option
-        return None
+        better = [k for k in np.argsort(lacking_m, kind="stable") if lacking_m[k] <= lacking_m[present] - 1e-6]
+        return next((option for option in better if self._fits(i, option)), None)
 
 
 def _positions(motions, times_s):
     """(motions, t, 3)"""
-    return np.array([motion(times_s)[0][0] for motion in motions]).reshape(-1, len(times_s), 3)
-
-
-@compiled
-def _step_tables(delays_s, durations_s, rises_m, times_s, steps):
-    """steps (options, 2, t): how far a way is, 0 to 1, and how much higher [m]."""
-    step, other = np.empty(5), np.empty(5)
-    for option in range(len(delays_s)):
-        for k in range(len(times_s)):
-            f = (times_s[k] - delays_s[option]) / durations_s[option]
-            least_snap_step(f, 1.0, step)
-            steps[option, 0, k] = step[0]
-            lift(f, 1.0, step, other)
-            steps[option, 1, k] = rises_m[option] * step[0]
+    tracks_m = [motion.at(times_s, Order.POSITION)[0, :, : Axis.PSI] for motion in motions]
+    return np.array(tracks_m).reshape(-1, len(times_s), 3)
 
 
 @compiled
@@ -349,43 +328,18 @@ def _update_distances(tracks_m, i, near_m):
 
 
 @compiled
-def _extent(track_m, axis):
-    """(least, largest) coordinate of a track (t, 3)."""
-    low_m = high_m = track_m[0, axis]
-    for k in range(1, len(track_m)):
-        low_m, high_m = min(low_m, track_m[k, axis]), max(high_m, track_m[k, axis])
-    return low_m, high_m
+def _lacking(start_m, end_m, steps, tracks_m, enough_m, weights, lacking_m):
+    """lacking_m (options,): how much distance to all tracks (n, t, 3) together a vehicle lacks with each option.
 
-
-@compiled
-def _lacking(start_m, end_m, steps, tracks_m, i, enough_m, weights, lacking_m):
-    """lacking_m (options,): how much distance to all others together vehicle i lacks with each option.
-
-    steps: (options, 2, t) as of `_fly`.  weights: (n, n) how much each pair counts.
+    steps: (options, 2, t) as of `_fly`.  weights: (n,) how much each track counts.
     """
     track_m = np.empty(start_m.shape)
-    highest_m = 0.0  # of the rises
-    for option in range(len(steps)):
-        for k in range(len(track_m)):
-            highest_m = max(highest_m, steps[option, 1, k])
-    around = np.ones(len(tracks_m), np.bool_)  # vehicles that can be met at all
-    around[i] = False
-    for axis in range(3):
-        low_m, high_m = _extent(start_m, axis)
-        end_low_m, end_high_m = _extent(end_m, axis)
-        low_m, high_m = min(low_m, end_low_m) - enough_m, max(high_m, end_high_m) + enough_m
-        if axis == 2:
-            high_m += highest_m
-        for j in range(len(tracks_m)):
-            other_low_m, other_high_m = _extent(tracks_m[j], axis)
-            if other_high_m < low_m or other_low_m > high_m:
-                around[j] = False
     for option in range(len(steps)):
         _fly(start_m, end_m, steps[option], track_m)
         lacking_m[option] = 0.0
         for j in range(len(tracks_m)):
-            if around[j]:
-                lacking_m[option] += weights[i, j] * max(0.0, enough_m - _nearest(track_m, tracks_m[j]))
+            if weights[j] > 0.0:
+                lacking_m[option] += weights[j] * max(0.0, enough_m - _nearest(track_m, tracks_m[j]))
 
 
 # ------------------------------------------------------------------------------------------- who flies which path
@@ -397,185 +351,141 @@ def _begin_course(task):
     Returns (course reordered, its epoch, least time of the ways [s], time of the ways when all leave together [s]).
     """
     course, limits, begin_s = task.course, task.limits, task.begin_s
-    grid_s = course.period_s / math.ceil(course.period_s / _COURSE_GRID_S)
-    paths_m = np.array([course.path_at(k * grid_s)[0] for k in range(int(round(course.period_s / grid_s)) + 1)])
+    paths_m = course.over_period(math.ceil(course.period_s / _COURSE_GRID_S))[:, 0, :, : Axis.PSI]
+    grid_s = course.period_s / len(paths_m)
 
     def slots(course_s):
-        return paths_m[int(round(course_s / grid_s)) % (len(paths_m) - 1)]
+        return paths_m[int(round(course_s / grid_s)) % len(paths_m)]
 
     times = begin_s + np.arange(0.0, limits.longest_s + _STEP_S, _STEP_S)
-    here_m = np.repeat(task.places_m[:, None], len(times), axis=1)  # (n, t, 3)
-    for i, start in task.starts.items():
-        here_m[i] = start(times)[0][0]
+    here_m = np.repeat(task.places_m[None], len(times), axis=0)  # (t, n, 3)
+    here_m[:, list(task.starts)] = _positions(task.starts.values(), times).transpose(1, 0, 2)
     choices = {}  # {(when on the course, order): (longest way [m], how long it takes at least [s])}
     for course_s in course.period_s * np.arange(_COURSE_STARTS) / _COURSE_STARTS:
-        _, far_m = _assignment(here_m[:, 0], slots(course_s))
-        about_s = _gentle_s(far_m, limits)
+        _, far_m = _assignment(here_m[0], slots(course_s))
+        about_s = _GENTLE * max(limits.shortest_s, _PEAK_SPEED * far_m / limits.speed_m_s)
         # two that fly on the lines of the shortest squares come no closer than their starts and ends are apart
         for part in (0.0, 0.5, 1.0, 2.0):
             then = min(int(part * about_s / _STEP_S), len(times) - 1)
-            order, far_m = _assignment(here_m[:, then], slots(course_s + part * about_s))
+            order, far_m = _assignment(here_m[then], slots(course_s + part * about_s))
             choices[float(course_s), tuple(order)] = far_m, min(about_s, float(limits.longest_s))
+    steps = int(math.log(limits.longest_s / limits.shortest_s) / math.log(_DURATION_STEP)) + 1
     best_s, best = math.inf, None
     for course_s, order in sorted(choices, key=choices.get):
-        ways_m = np.linalg.norm(here_m[:, 0] - slots(course_s)[list(order)], axis=1)
+        ways_m = np.linalg.norm(here_m[0] - slots(course_s)[list(order)], axis=1)
         far_first = sorted(task.starts, key=lambda i: -ways_m[i])  # the farthest is the most likely to be too fast
-        pairs = _Pairs(task.starts, course, order, begin_s - course_s, far_first)
-        found, duration_s = [], choices[course_s, order][1]
-        while duration_s <= limits.longest_s and duration_s < best_s:
-            apart_m = _rough_distance(here_m, paths_m, grid_s, np.array(order), course_s, duration_s)
-            found.append((duration_s + _worth_s(apart_m), duration_s))
-            duration_s *= _DURATION_STEP
-        for cost_s, duration_s in sorted(found):
+        pairs = [_Pair(task.starts[i], on_course(course, order[i], begin_s - course_s)) for i in far_first]
+        durations_s = choices[course_s, order][1] * _DURATION_STEP ** np.arange(steps)
+        durations_s = durations_s[(durations_s <= limits.longest_s) & (durations_s < best_s)]
+        rows = (course_s + _ROUGH_FRACTIONS * durations_s[:, None]) / grid_s
+        apart_m = _rough_distances(here_m, paths_m[:, order], rows, durations_s, task.smooth)
+        for cost_s, duration_s in sorted(zip(durations_s + _worth_s(apart_m), durations_s)):
             if cost_s >= best_s:
                 break
-            if _fits(pairs, begin_s, duration_s, limits):
-                best_s, best = cost_s, (order, course_s, pairs, duration_s)
+            if all(pair.fits(begin_s, duration_s, limits) for pair in pairs):
+                best_s, best = cost_s, (order, course_s, pairs, float(duration_s))
         if best is None:  # perhaps nothing keeps the limits
             best = order, course_s, pairs, float(limits.longest_s)
     order, course_s, pairs, together_s = best
     shortest_s = min(together_s, max(_shortest_s(pairs, begin_s, limits), choices[course_s, order][1]))
 
     def turning_s(epoch_s):
-        pairs = _Pairs(task.starts, course, order, epoch_s, task.starts)
-        return max(_turn(*pair, begin_s, together_s, limits)[0] for pair in pairs)
+        pairs = [_Pair(start, on_course(course, order[i], epoch_s)) for i, start in task.starts.items()]
+        return max(pair.turning(begin_s, together_s, limits)[0] for pair in pairs)
 
     # paths repeat sooner than the yaw: any round will do
     epochs_s = begin_s - course_s - np.arange(0.0, course.repeat_s - 1e-6, course.period_s)
     return course.reordered(order), float(min(epochs_s, key=turning_s)), shortest_s, together_s
 
 
-def _gentle_s(far_m, limits):
-    """How long a way takes that does not reach the limits, from rest to rest [s]."""
-    return _GENTLE * max(limits.shortest_s, 2.46 * far_m / limits.speed_m_s)
-
-
-class _Pairs:
-    """(start, end) motions of vehicles that fly path order[i] of a course, each made when it is asked for."""
-
-    def __init__(self, starts, course, order, epoch_s, vehicles):
-        self._starts, self._course, self._order, self._epoch_s = starts, course, order, epoch_s
-        self._vehicles, self._made = list(vehicles), []
-
-    def __iter__(self):
-        for k, i in enumerate(self._vehicles):
-            if k == len(self._made):
-                self._made.append((self._starts[i], on_course(self._course, int(self._order[i]), self._epoch_s)))
-            yield self._made[k]
-
-
 def _worth_s(apart_m):
-    """What a detour is worth that keeps vehicles apart that come so near [s]."""
+    """What detours are worth that keep vehicles apart that come so near [s]."""
     spare_m, needed_m = SAFE_SEPARATION_M + _SPARE_M - apart_m, SAFE_SEPARATION_M - apart_m
-    return _SPARE_S_M * max(0.0, spare_m) + _NEEDED_S_M * max(0.0, needed_m)
+    return _SPARE_S_M * np.maximum(0.0, spare_m) + _NEEDED_S_M * np.maximum(0.0, needed_m)
 
 
 def _assignment(here_m, there_m):
     """(order, longest way [m]): vehicle i flies to place order[i], with the least sum of squares."""
     cost = cdist(here_m, there_m, "sqeuclidean")
     rows, order = linear_sum_assignment(cost)
-    return order, math.sqrt(cost[rows, order].max())
+    return order.tolist(), math.sqrt(cost[rows, order].max())
 
 
-@compiled
-def _rough_distance(here_m, paths_m, grid_s, order, course_s, duration_s):
-    """Smallest distance [m] between two vehicles on ways that all take as long.
+def _rough_distances(here_m, paths_m, rows, durations_s, smooth):
+    """(d,) smallest distance [m] between two vehicles on ways that all take as long, for each of the durations (d,).
 
-    here_m: (n, t, 3) where each is, every _STEP_S.  paths_m: (k, n, 3) the course, every grid_s; the last is the first.
+    here_m: (t, n, 3) where each is, every _STEP_S.  paths_m: (k, n, 3) where it is to be; rows: (d, _ROUGH_FRACTIONS)
+    of these, and fractions of a row.
     """
-    n = len(here_m)
-    at_m, step = np.empty((n, 3)), np.empty(5)
-    least = np.inf
-    for sample in range(_ROUGH_SAMPLES + 1):
-        f = sample / _ROUGH_SAMPLES
-        least_snap_step(f, 1.0, step)
-        now = min(int(f * duration_s / _STEP_S), here_m.shape[1] - 1)
-        row = (course_s + f * duration_s) / grid_s % (len(paths_m) - 1)
-        low = int(row)
-        for i in range(n):
-            for axis in range(3):
-                there = paths_m[low, order[i], axis]
-                there += (row - low) * (paths_m[low + 1, order[i], axis] - there)
-                at_m[i, axis] = here_m[i, now, axis] + step[0] * (there - here_m[i, now, axis])
-        for i in range(1, n):
-            for j in range(i):
-                dx, dy, dz = at_m[i, 0] - at_m[j, 0], at_m[i, 1] - at_m[j, 1], at_m[i, 2] - at_m[j, 2]
-                least = min(least, dx * dx + dy * dy + dz * dz)
-    return math.sqrt(least)
+    now = np.minimum((_ROUGH_FRACTIONS * durations_s[:, None] / _STEP_S).astype(int), len(here_m) - 1)
+    low = rows.astype(int)
+    before_m, after_m = paths_m[low % len(paths_m)], paths_m[(low + 1) % len(paths_m)]
+    there_m = before_m + (rows - low)[..., None, None] * (after_m - before_m)
+    step, tracks_m = step_values(_ROUGH_FRACTIONS, smooth)[:, None, None], here_m[now]
+    tracks_m += step * (there_m - tracks_m)
+    return np.array([minimum_separation(track_m) for track_m in tracks_m])
 
 
 # ------------------------------------------------------------------------------------------------------- limits
+
+
+class _Pair(NamedTuple):
+    """Two motions, from one to the other of which a vehicle flies."""
+
+    start: object
+    end: object
+
+    def fits(self, begin_s, duration_s, limits, rise_m=0.0):
+        """Whether a blend keeps speed and acceleration.
+
+        A motion may ask for more than is allowed by itself (a fast course): then its own peaks are the limits.
+        """
+        first, last = (motion.at(begin_s + duration_s * _FRACTIONS, Order.ACCELERATION)[..., :3] for motion in self)
+        smooth = int(self.end.links["smooth"][0])
+        step, rise = _unit_blend(smooth)
+        scale = duration_s ** -np.arange(3.0)[:, None, None]
+        s, d = scale * step, last - first
+        velocity = first[1] + s[0] * d[1] + s[1] * d[0] + rise_m * scale[1] * rise[1]
+        acceleration = first[2] + s[0] * d[2] + 2.0 * s[1] * d[1] + s[2] * d[0] + rise_m * scale[2] * rise[2]
+        own = np.sqrt((np.stack([first[1:], last[1:]]) ** 2).sum(axis=-1)).max(axis=(0, 2))
+        peaks = np.sqrt((np.stack([velocity, acceleration]) ** 2).sum(axis=-1)).max(axis=1)
+        allowed = np.maximum([limits.speed_m_s, limits.acceleration_m_s2], own * (1.2, 1.5))
+        return bool((peaks <= allowed).all())
+
+    def turning(self, begin_s, duration_s, limits):
+        """(how long the nose takes [s], revolutions beyond the nearest): the soonest that keeps the yaw rate."""
+        best_rad_s, best = math.inf, None
+        while True:
+            times = begin_s + duration_s * _FRACTIONS
+            first, last = (motion.at(times, Order.ACCELERATION)[..., Axis.PSI] for motion in self)
+            # a motion may turn faster by itself
+            allowed_rad_s = max(limits.yaw_rate_rad_s, 1.2 * np.abs([first[1], last[1]]).max())
+            for revolutions in (0, -1, 1):
+                polynomial = turn(first[:, 0], last[:, -1], duration_s, revolutions)
+                rates_rad_s = np.polyval(np.arange(5, 0, -1) * polynomial[:0:-1], _FRACTIONS) / duration_s
+                rate_rad_s = np.abs(rates_rad_s).max()
+                if rate_rad_s < best_rad_s:
+                    best_rad_s, best = rate_rad_s, (duration_s, revolutions)
+                if rate_rad_s <= allowed_rad_s:
+                    return duration_s, revolutions
+            duration_s *= _DURATION_STEP
+            if duration_s > limits.longest_s:
+                return best
+
+
+@cache
+def _unit_blend(smooth):
+    """Step (3, f, 1) and rise along z (3, f, 3) of a blend that takes 1 s, with two derivatives, at _FRACTIONS."""
+    step, rise = (np.array([values(_FRACTIONS, smooth, d) for d in range(3)]) for values in (step_values, rise_values))
+    return step[..., None], rise[..., None] * (0.0, 0.0, 1.0)
 
 
 def _shortest_s(pairs, begin_s, limits):
     """Least time [s] in which the blends of all these pairs of motions stay within the limits."""
     count = int(math.ceil(math.log(limits.longest_s / limits.shortest_s) / math.log(_DURATION_STEP)))
     durations_s = [min(limits.shortest_s * _DURATION_STEP**k, float(limits.longest_s)) for k in range(count + 1)]
-    low, high = 0, count  # longer ways are gentler: bisection finds where they begin to fit
-    while low < high:
-        middle = (low + high) // 2
-        if _fits(pairs, begin_s, durations_s[middle], limits):
-            high = middle
-        else:
-            low = middle + 1
-    return durations_s[low]
 
+    def fits(duration_s):
+        return all(pair.fits(begin_s, duration_s, limits) for pair in pairs)
 
-def _fits(pairs, begin_s, duration_s, limits, rise_m=0.0):
-    """Whether blends of this duration stay within the limits."""
-    times, most = begin_s + duration_s * _FRACTIONS, (float(limits.speed_m_s), float(limits.acceleration_m_s2))
-    return all(_is_gentle(start(times)[0], end(times)[0], duration_s, rise_m, *most) for start, end in pairs)
-
-
-@compiled
-def _is_gentle(start_path, end_path, duration_s, rise_m, speed_m_s, acceleration_m_s2):
-    """Whether a blend over a duration, of paths (5, k, 3) sampled evenly all along, keeps speed and acceleration.
-
-    A motion may ask for more than is allowed by itself (a fast course): then its own peaks are the limits.
-    """
-    count = start_path.shape[1]
-    step, ramps, other = np.empty(5), np.empty(5), np.empty(5)
-    peaks = np.zeros((2, 2))  # of the motions themselves, of the blend
-    for k in range(count):
-        f = k / (count - 1.0)
-        least_snap_step(f, duration_s, step)
-        lift(f, duration_s, ramps, other)
-        squares = np.zeros((3, 2))  # of start, end and blend: speed, acceleration
-        for axis in range(3):
-            d0 = end_path[0, k, axis] - start_path[0, k, axis]
-            d1 = end_path[1, k, axis] - start_path[1, k, axis]
-            d2 = end_path[2, k, axis] - start_path[2, k, axis]
-            speed = start_path[1, k, axis] + step[0] * d1 + step[1] * d0
-            acceleration = start_path[2, k, axis] + step[0] * d2 + 2.0 * step[1] * d1 + step[2] * d0
-            if axis == 2:
-                speed += rise_m * ramps[1]
-                acceleration += rise_m * ramps[2]
-            for order in range(2):
-                squares[0, order] += start_path[1 + order, k, axis] ** 2
-                squares[1, order] += end_path[1 + order, k, axis] ** 2
-            squares[2, 0] += speed**2
-            squares[2, 1] += acceleration**2
-        for order in range(2):
-            peaks[0, order] = max(peaks[0, order], math.sqrt(max(squares[0, order], squares[1, order])))
-            peaks[1, order] = max(peaks[1, order], math.sqrt(squares[2, order]))
-    return peaks[1, 0] <= max(speed_m_s, 1.2 * peaks[0, 0]) and peaks[1, 1] <= max(acceleration_m_s2, 1.5 * peaks[0, 1])
-
-
-def _turn(start, end, begin_s, duration_s, limits):
-    """(how long the nose takes [s], revolutions beyond the nearest): the soonest that keeps the yaw rate."""
-    best_rad_s, best = math.inf, None
-    while True:
-        times = begin_s + duration_s * _FRACTIONS
-        first, last = start(times)[1], end(times)[1]
-        # a motion may turn faster by itself
-        allowed_rad_s = max(limits.yaw_rate_rad_s, 1.2 * np.abs([first[1], last[1]]).max())
-        for revolutions in (0, -1, 1):
-            turn = quintic(first[:, 0].copy(), last[:, -1].copy(), duration_s, revolutions)
-            rate_rad_s = np.abs(np.polyval(np.arange(5, 0, -1) * turn[:0:-1], _FRACTIONS)).max() / duration_s
-            if rate_rad_s < best_rad_s:
-                best_rad_s, best = rate_rad_s, (duration_s, revolutions)
-            if rate_rad_s <= allowed_rad_s:
-                return duration_s, revolutions
-        duration_s *= _DURATION_STEP
-        if duration_s > limits.longest_s:
-            return best
+    return durations_s[bisect_left(durations_s, True, hi=count, key=fits)]  # longer ways are gentler

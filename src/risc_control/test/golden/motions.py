@@ -6,15 +6,11 @@ import sys
 
 import numpy as np
 
+from risc_control.motions import blend, coasting, standing
 from risc_control.trajectories import COURSES, YawProgram, make_course, on_course
 
-try:
-    from risc_control.motions import Blend, coasting, standing
-except ImportError:  # where they were when the file was made
-    from risc_control.trajectories import Blend, coasting, standing
-
 PATH = pathlib.Path(__file__).with_suffix(".npz")
-YAWS = {"own": None, "along": YawProgram((0.3,), 0.1, along_path=True)}
+YAWS = {"own": None, "along": YawProgram(0.3, 0.1, along_path=True)}
 
 
 def sampled():
@@ -24,29 +20,29 @@ def sampled():
         for kind, yaw in YAWS.items():
             course = make_course(name, 3, yaw)
             times = np.array([-1.7, 0.0, 3.3, 7.001, 100.0])
-            result["%s %s" % (name, kind)] = np.concatenate([_rows(*course.at(time_s)) for time_s in times])
+            result["%s %s" % (name, kind)] = np.concatenate([_rows(course.at(time_s)) for time_s in times])
     eight = on_course(make_course("flat8", 3, YAWS["along"]), 1, 4.0)
     tour = on_course(make_course("quadrants", 3), 2, 4.5)
     circle = on_course(make_course("circles3", 3), 0, 6.0)
     drifting = coasting([1.5, -1.0, 0.8], [0.2, 0.1, -0.1], 3.0, 4.0)
-    onto = Blend(drifting, eight, 5.0, 3.0)
+    onto = blend(drifting, eight, 5.0, 3.0)
     blends = {
         "onto a course": onto,
-        "from course to course": Blend(eight, tour, 5.0, 4.2),
-        "of a blend": Blend(onto, circle, 6.5, 5.0),
-        "of a blend of a blend": Blend(Blend(onto, circle, 6.5, 5.0), standing([0.9, 0.0, 1.0], -2.5), 7.5, 6.1),
+        "from course to course": blend(eight, tour, 5.0, 4.2),
+        "of a blend": blend(onto, circle, 6.5, 5.0),
+        "of a blend of a blend": blend(blend(onto, circle, 6.5, 5.0), standing([0.9, 0.0, 1.0], -2.5), 7.5, 6.1),
     }
-    for name, blend in blends.items():
+    for name, way in blends.items():
         # after its end a blend was turned by whole revolutions: angles are compared as such
-        result[name] = _rows(*blend(np.linspace(4.0, 16.0, 25)))
+        result[name] = _rows(way.at(np.linspace(4.0, 16.0, 25)))
     return result
 
 
-def _rows(path, yaw):
+def _rows(derivatives):
     """(n, 18); the yaw within a revolution."""
-    turned = yaw.copy()
-    turned[0] = np.mod(yaw[0], 2.0 * math.pi)
-    return np.concatenate([path.transpose(1, 0, 2).reshape(-1, 15), turned.T], axis=1)
+    yaw = derivatives[:3, :, 3].T.copy()
+    yaw[:, 0] = np.mod(yaw[:, 0], 2.0 * math.pi)
+    return np.concatenate([derivatives[..., :3].transpose(1, 0, 2).reshape(-1, 15), yaw], axis=1)
 
 
 if __name__ == "__main__":

@@ -4,13 +4,14 @@ The sentences stand in config/findings.yaml, by check and code.
 """
 
 import functools
-import math
 import pathlib
 import shutil
 import sys
 import textwrap
 import traceback
 from dataclasses import dataclass, field
+
+import msgspec
 
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Settings, settings_from
@@ -42,7 +43,7 @@ class Finding(Settings):
 
     def to_dict(self):
         """Plain values, as for JSON. Numbers that JSON has not (NaN, infinite) become None."""
-        return _plain(vars(self))
+        return msgspec.json.decode(msgspec.json.encode(self, enc_hook=str))
 
     @classmethod
     def from_dict(cls, content):
@@ -103,21 +104,17 @@ def count_text(findings):
 
 def table(findings, width=_WIDTH, coloured=False):
     """Lines of an aligned table, one finding after the other, the cure below each that is not green."""
-    name_width = max((len(finding.check) for finding in findings), default=0)
-    level_width = max(map(len, LEVELS))
-    indent = level_width + name_width + 4
-    text_width = max(_NARROWEST, width - indent)
+    names, levels = max((len(found.check) for found in findings), default=0), max(map(len, LEVELS))
+    space = " " * (levels + names + 4)
+    width = max(_NARROWEST + len(space), width)
     lines = []
-    for finding in findings:
-        word = finding.level.ljust(level_width)
+    for found in findings:
+        first, *others = _wrapped(found.text, "%-*s  %-*s  " % (levels, found.level, names, found.check), space, width)
         if coloured:
-            word = _COLOURS[finding.level] + word + _PLAIN
-        text = _wrapped(finding.text, text_width)
-        lines.append("%s  %s  %s" % (word, finding.check.ljust(name_width), text[0]))
-        lines += [" " * indent + line for line in text[1:]]
-        if finding.level != GREEN:
-            cure = _wrapped(finding.cure, text_width - 2)
-            lines += [" " * indent + ("> " if number == 0 else "  ") + line for number, line in enumerate(cure)]
+            first = _COLOURS[found.level] + found.level + _PLAIN + first[len(found.level) :]
+        lines += [first, *others]
+        if found.level != GREEN:
+            lines += _wrapped(found.cure, space + "> ", space + "  ", width)
     return lines
 
 
@@ -129,20 +126,11 @@ def print_findings(findings, out=None):
         print(line, file=out)
 
 
-def _wrapped(text, width):
-    """Lines of a text; commands and addresses are not broken. At least one line."""
+def _wrapped(text, first, others, width):
+    """Lines of a text, with what they begin with; commands and addresses are not broken. At least one line."""
     lines = []
     for part in text.splitlines():
-        lines += textwrap.wrap(part, width, break_long_words=False, break_on_hyphens=False)
-    return lines or [""]
-
-
-def _plain(value):
-    """What JSON can hold of it."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+        begin = others if lines else first
+        options = {"break_long_words": False, "break_on_hyphens": False}
+        lines += textwrap.wrap(part, width, initial_indent=begin, subsequent_indent=others, **options)
+    return lines or [first]

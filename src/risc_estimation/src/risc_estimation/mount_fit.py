@@ -49,7 +49,7 @@ _TINY = 1e-9
 
 @dataclass(frozen=True)
 class FitParams:
-    """Settings of the fit; config/transform_tuner.yaml of risc_visual explains and holds the same values."""
+    """Settings of the fit."""
 
     noise_deg: float = 0.1  # least standard deviation of a bearing, along each of its two axes
     gate: float = 4.0  # [standard deviations] bearings farther from the fit than this are wrong

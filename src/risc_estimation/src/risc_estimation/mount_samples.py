@@ -17,7 +17,7 @@ from risc_lab.clock import Step
 
 @dataclass(frozen=True)
 class WindowParams:
-    """Settings of the window; config/transform_tuner.yaml of risc_visual explains and holds the same values."""
+    """Settings of the window."""
 
     window_s: float = 60.0  # how far back it reaches
     held_out_every: int = 3  # [s] of so many seconds one is kept for checking

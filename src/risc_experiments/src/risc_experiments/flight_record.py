@@ -3,6 +3,7 @@
 import datetime
 import platform
 
+import msgspec
 import yaml
 
 from data_extraction.report.origin import FLIGHT, PARAMETERS
@@ -42,13 +43,7 @@ def write_parameters(parameters, folder):
 
 def plain(value):
     """A value as YAML can hold it: what it does not know becomes text."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    return str(value)
+    return msgspec.to_builtins(value, str_keys=True, enc_hook=str)
 
 
 def _write(path, content, sort):

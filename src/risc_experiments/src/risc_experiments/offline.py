@@ -140,10 +140,10 @@ def fly(flight):
         vehicles=names,
         velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
     )
-    yaw = None if flight.psi_deg is None else YawProgram((math.radians(flight.psi_deg),))
+    yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
     course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
-    manager = make_manager(fleet.vehicles, course)
     loop = ControlLoop(flight.controller, vehicle_types, flight.params)
+    manager = make_manager(fleet.vehicles, course, order=loop.controller.ORDER)
     buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
     params, _ = node_params({"joystick_timeout": 0.0, **flight.node}, fleet.arena)
@@ -191,8 +191,7 @@ def fly(flight):
                     chain.press_autonomous(now_s)
                     manager.set_autonomous(name, chain.pilot.autonomous, now_s)
         reference = manager.sample(time_s)
-        # what /trajectory carries: no jerk, no snap
-        buffer.push(time_s, reference.derivatives[:3])
+        buffer.push(time_s, reference.derivatives[: buffer.sample_orders])  # as on the topics
         flying = time_s >= WARM_UP_S
         present, ahead = loop.pick(buffer.at(loop.times_s(stamp_s, now_s)))
         if hears:

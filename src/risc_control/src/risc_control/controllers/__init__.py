@@ -66,7 +66,7 @@ class Controller:
     """Flies n vehicles. Steps come in the order of time."""
 
     PARAMS = NoParams  # dataclass of numbers: the keys of its YAML file
-    ORDER = Order.ACCELERATION  # highest derivative of the reference that it reads
+    ORDER = Order.ACCELERATION  # highest derivative of the reference that it reads, at most MOST_ORDER
     RECONFIGURE = ""  # what dynamic_reconfigure changes of its parameters: a file cfg/NAME.cfg
 
     def __init__(self, vehicle_types, params):

@@ -8,10 +8,11 @@ from dataclasses import fields, replace
 import numpy as np
 import rospy
 from dynamic_reconfigure.server import Server
-from std_msgs.msg import Bool
+from rospy.numpy_msg import numpy_msg
+from std_msgs.msg import Bool, UInt8
 
 from risc_control.controllers import REGISTRY, ControlLoop, default_params
-from risc_control.reference_buffer import ReferenceBuffer
+from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
 from risc_control.ros.conversions import ControlsMessage, StatesReader, settles_at
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.templates import attached_bodies, load_templates
@@ -32,7 +33,7 @@ from risc_lab.ros.params import (
 )
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError
+from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 
@@ -96,9 +97,14 @@ class ControllerNode:
         )
 
     def _subscribe(self):
-        self._references_in = PacedSubscriber(
-            "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory, _REFERENCES_HZ
-        )
+        order = self._loop.controller.ORDER
+        if order > Order.SNAP:
+            self._ask = rospy.Publisher("/reference_order", UInt8, queue_size=1, latch=True)
+            self._ask.publish(order)
+            topic, kind, callback = "/trajectory_derivatives", numpy_msg(TrajectoryDerivatives), self._on_derivatives
+        else:
+            topic, kind, callback = "/trajectory", TrajectoriesArrays.Raw, self._on_trajectory
+        self._references_in = PacedSubscriber(topic, kind, callback, _REFERENCES_HZ)
         rospy.Subscriber(  # of what has come meanwhile the newest is answered
             "/cortex_raw",
             CortexArrays.Raw,
@@ -141,6 +147,11 @@ class ControllerNode:
             rospy.logwarn_throttle(
                 10.0, "/trajectory comes without a stamp and is not flown: set header.stamp to the time it is meant for"
             )
+
+    def _on_derivatives(self, message):
+        names = tuple(message.names)
+        with self._lock:
+            self._take(names, message.header.stamp.to_sec(), message.derivatives.reshape(-1, len(names), len(Axis)))
 
     def _take(self, names, stamp_s, sample):
         entry = self._buffers.get(names)

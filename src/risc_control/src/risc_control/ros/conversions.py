@@ -7,7 +7,7 @@ import numpy as np
 from risc_lab.compiled import compiled
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.states import S, States
-from risc_maap_msgs.msg import CommandSent
+from risc_maap_msgs.msg import CommandSent, TrajectoryDerivatives
 
 _RAD_PER_DEG = math.pi / 180.0
 
@@ -109,6 +109,13 @@ class TrajectoriesMessage:
         self._message.header.stamp = stamp
         self._derivatives[:] = derivatives[:3].transpose(1, 0, 2)
         return self._message
+
+
+def derivatives_message(stamp, names, derivatives):
+    """A TrajectoryDerivatives message of derivatives (orders, n, 4) of these vehicles."""
+    message = TrajectoryDerivatives(names=names, derivatives=derivatives.ravel())
+    message.header.stamp, message.header.frame_id = stamp, "cortex"
+    return message
 
 
 def command_sent(name, sent, answers, command):

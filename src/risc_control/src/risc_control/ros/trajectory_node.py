@@ -1,6 +1,5 @@
 """Wiring of the trajectory nodes: references of all vehicles at 200 Hz. The work is in `trajectory_manager`."""
 
-import inspect
 import math
 import threading
 import time
@@ -8,18 +7,20 @@ import traceback
 
 import numpy as np
 import rospy
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, UInt8
 from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
 from risc_control.joystick import parse_bool
-from risc_control.ros.conversions import StatesReader, TrajectoriesMessage
+from risc_control.reference_buffer import Order
+from risc_control.ros.conversions import StatesReader, TrajectoriesMessage, derivatives_message
 from risc_control.ros.joystick_buttons import ButtonSubscriber
 from risc_control.trajectories import (
     COURSES,
     SAFE_SEPARATION_M,
     YawProgram,
     course_for_fleet,
+    course_options,
     course_separation,
     peak_yaw_rate_rad_s,
 )
@@ -31,7 +32,7 @@ from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import dataclass_from_params, has_private, known_arena, number, private, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase
+from risc_maap_msgs.msg import TrajectoryDerivatives, TrajectoryPhases, VehiclePhase
 
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 
@@ -71,13 +72,12 @@ class ManagerWiring:
         self.announce(course)
         self._watcher = None
         self._watch_lock = threading.Lock()  # its own: the master is asked meanwhile, and references must not wait
-        self._services = [
-            rospy.Service("~go_home", Trigger, self._on_go_home),
-            rospy.Service("~start", Trigger, self._on_start),
-        ]
+        self._serve("~go_home", self.manager.go_home, "going home", "nobody is flying")
+        self._serve("~start", self.manager.start, "starting", "nobody is home and flown automatically")
         for vehicle in fleet_vehicles:
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, vehicle.template, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber("reference_order", UInt8, self._on_reference_order, queue_size=10, tcp_nodelay=True)
         self._listens = smooth and listens
         self._watch()
 
@@ -88,14 +88,14 @@ class ManagerWiring:
             self._to_plan.set()
         waiting_for = self.manager.waiting_for(time_s)
         if waiting_for:
-            rospy.logwarn_throttle(
-                5.0,
-                "nobody starts while %s hovers there and is not flown automatically (~wait_for_all)",
-                ", ".join(waiting_for),
-            )
+            text = "nobody starts while %s hovers there and is not flown automatically (~wait_for_all)"
+            rospy.logwarn_throttle(5.0, text, ", ".join(waiting_for))
         if reference.phases != self._phases:
             self._phases = reference.phases
-            self._publish_phases()
+            message = TrajectoryPhases(course=self._course)
+            message.header.stamp = rospy.Time.now()
+            message.vehicles = [VehiclePhase(*item) for item in zip(self.manager.names, self._phases)]
+            self._publisher.publish(message)
         return reference
 
     def set_course(self, course):
@@ -108,12 +108,6 @@ class ManagerWiring:
     def announce(self, course):
         """This is the course that is flown; the next sample tells it. The caller holds the lock."""
         self._course, self._phases = course.name, None
-
-    def _publish_phases(self):
-        message = TrajectoryPhases(course=self._course)
-        message.header.stamp = rospy.Time.now()
-        message.vehicles = [VehiclePhase(*item) for item in zip(self.manager.names, self._phases)]
-        self._publisher.publish(message)
 
     def _watch(self):
         """Look where the vehicles are as long as that matters, and no longer: states come 200 times a second."""
@@ -142,16 +136,19 @@ class ManagerWiring:
             self._watch()
             rospy.loginfo("%s: %s", name, "flown automatically" if message.data else "no longer flown automatically")
 
-    def _on_go_home(self, _request):
+    def _on_reference_order(self, message):
         with self.lock:
-            names = self.manager.go_home(self.clock.now_s())
-        return TriggerResponse(bool(names), "going home: %s" % ", ".join(names) if names else "nobody is flying")
+            self.manager.ask(message.data)
 
-    def _on_start(self, _request):
-        with self.lock:
-            names = self.manager.start(self.clock.now_s())
-        message = "starting: %s" % ", ".join(names) if names else "nobody is home and flown automatically"
-        return TriggerResponse(bool(names), message)
+    def _serve(self, name, order, done, refused):
+        """Service ~name that gives an order (a method of the manager) and answers with the vehicles that obey."""
+
+        def answer(_request):
+            with self.lock:
+                names = order(self.clock.now_s())
+            return TriggerResponse(bool(names), "%s: %s" % (done, ", ".join(names)) if names else refused)
+
+        rospy.Service(name, Trigger, answer)
 
     def _plan(self):
         while True:
@@ -159,13 +156,8 @@ class ManagerWiring:
             self._to_plan.clear()
             try:
                 self._plan_tasks()
-            except Exception as error:  # whatever it is, the next task must be planned; meanwhile all fly on as they do
-                rospy.logerr(
-                    "ways cannot be planned, please report it (%s: %s)\n%s",
-                    type(error).__name__,
-                    error,
-                    traceback.format_exc(),
-                )
+            except Exception:  # whatever it is, the next task must be planned; meanwhile all fly on as they do
+                rospy.logerr("ways cannot be planned, please report it\n%s", traceback.format_exc())
                 time.sleep(_REST_S)
 
     def _plan_tasks(self):
@@ -176,13 +168,8 @@ class ManagerWiring:
             with self.lock:
                 accepted = self.manager.accept(task, plan, self.clock.now_s())
                 task = self.manager.task
-            if accepted:
-                self._report(plan.closest_m)
-
-    @staticmethod
-    def _report(closest_m):
-        if closest_m < SAFE_SEPARATION_M:
-            rospy.logwarn("on their ways vehicles come within %.2f m of each other", closest_m)
+            if accepted and plan.closest_m < SAFE_SEPARATION_M:
+                rospy.logwarn("on their ways vehicles come within %.2f m of each other", plan.closest_m)
 
 
 class ReferenceNode:
@@ -192,6 +179,9 @@ class ReferenceNode:
         self.wiring = wiring
         self._message = TrajectoriesMessage(wiring.manager.names)
         self._publisher = rospy.Publisher("trajectory", TrajectoriesArrays, queue_size=1, tcp_nodelay=True)
+        self._derivatives = rospy.Publisher(
+            "trajectory_derivatives", TrajectoryDerivatives, queue_size=1, tcp_nodelay=True
+        )
         rate_hz = number("~rate", 200.0)
         if not 1.0 <= rate_hz <= 1000.0:
             raise ValueError("parameter ~rate must be from 1 to 1000 Hz, got %r" % rate_hz)
@@ -203,7 +193,11 @@ class ReferenceNode:
             time_s, stamp_s = self.wiring.clock.now()
             reference = self.wiring.sample(time_s)
             self._sampled(time_s)
-        self._publisher.publish(self._message.fill(rospy.Time.from_sec(stamp_s), reference.derivatives))
+        stamp = rospy.Time.from_sec(stamp_s)
+        self._publisher.publish(self._message.fill(stamp, reference.derivatives))
+        if len(reference.derivatives) > Order.SNAP + 1:  # a controller has asked for more than /trajectory carries
+            names = self.wiring.manager.names
+            self._derivatives.publish(derivatives_message(stamp, names, reference.derivatives))
 
     def _sampled(self, time_s):
         """For subclasses: called after every sample, with the lock held."""
@@ -225,12 +219,10 @@ class CourseSelector:
     def __init__(self, wiring, courses):
         """courses: list of Course; the first is flown at the start."""
         self._wiring, self._courses = wiring, courses
-        following, previous = (
-            int(number("~next_button", NEXT_BUTTON)),
-            int(number("~previous_button", PREVIOUS_BUTTON)),
-        )
-        self._bumpers = BumperSelector(len(courses), following, previous)
-        ButtonSubscriber({"next_button": following, "previous_button": previous}, self._on_press)
+        defaults = {"next_button": NEXT_BUTTON, "previous_button": PREVIOUS_BUTTON}
+        buttons = {name: int(number("~" + name, default)) for name, default in defaults.items()}
+        self._bumpers = BumperSelector(len(courses), *buttons.values())
+        ButtonSubscriber(buttons, self._on_press)
 
     def _on_press(self, buttons):
         if self._bumpers.press(buttons):
@@ -245,17 +237,15 @@ def yaw_from_params():
     along = parse_bool(private("yaw_along_path", False), "~yaw_along_path")
     if psi_deg == "":
         return YawProgram(along_path=True) if along else None
-    return YawProgram((math.radians(number("~psi_deg", 0.0)),), along_path=along)
+    return YawProgram(math.radians(number("~psi_deg", 0.0)), along_path=along)
 
 
 def course_from_params(fleet_vehicles, default_course, default_options):
     """The course of ~course with the options among the private parameters, checked against the vehicles."""
     name = private("course", default_course)
     options = dict(default_options) if name == default_course else {}
-    if name in COURSES:
-        for option in list(inspect.signature(COURSES[name]).parameters)[1:]:
-            if has_private(option):
-                options[option] = number("~" + option, None)
+    known = course_options(name) if name in COURSES else ()
+    options.update({option: number("~" + option, None) for option in known if has_private(option)})
     course = course_for_fleet(name, len(fleet_vehicles), known_arena(), yaw_from_params(), **options)
     check_course(course, fleet_vehicles)
     return course
@@ -265,15 +255,9 @@ def check_course(course, fleet_vehicles):
     """Warn of a course that the vehicles cannot fly as it is."""
     closest_m = course_separation(course, 400)
     if closest_m < SAFE_SEPARATION_M:
-        rospy.logwarn(
-            "on '%s' %d vehicles come within %.2f m of each other", course.name, len(fleet_vehicles), closest_m
-        )
+        rospy.logwarn("on '%s' %d vehicles come within %.2f m of each other", course.name, len(course), closest_m)
     limit_rad_s = min(vehicle.vehicle_type.yaw_rate_max_rad_s for vehicle in fleet_vehicles)
     rate_rad_s = peak_yaw_rate_rad_s(course)
     if rate_rad_s > limit_rad_s:
-        rospy.logwarn(
-            "'%s' turns the nose at %.2f rad/s, the vehicles at most at %.2f: they will lag in yaw",
-            course.name,
-            rate_rad_s,
-            limit_rad_s,
-        )
+        text = "'%s' turns the nose at %.2f rad/s, the vehicles at most at %.2f: they will lag in yaw"
+        rospy.logwarn(text, course.name, rate_rad_s, limit_rad_s)

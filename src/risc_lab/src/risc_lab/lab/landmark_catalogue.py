@@ -1,6 +1,6 @@
 """The landmarks: what they are called where, how they are painted, and how large they are. Needs no ROS."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Name, Positive, Settings, Vector, check_different, settings_from
@@ -87,9 +87,3 @@ def load_landmark_catalogue(path=None):
     """LandmarkCatalogue of a landmarks' file, None = the laboratory's. Raises ValueError that names file and key."""
     path = path or landmarks_file()
     return settings_from(LandmarkCatalogue, load_yaml(path), str(path))
-
-
-def catalogue_from_section(root):
-    """LandmarkCatalogue of a Section, which may hold more. Raises ValueError."""
-    found = {item.name: root.content(item.name) for item in fields(LandmarkCatalogue) if item.name in root.keys()}
-    return settings_from(LandmarkCatalogue, found, root.where)

@@ -40,6 +40,22 @@ Mocap = namedtuple("Mocap", "rate_hz visible vehicles")  # visible: how many of 
 _Answer = namedtuple("_Answer", "done text")
 
 
+class BrowserPanel:
+    """The panel of the page: the button that lands all, those that land one, and the status."""
+
+    def __init__(self, server, names, land_all, land_one):
+        """names: of the vehicles; land_all(), land_one(name): called in a thread of its own for a button pressed."""
+        gui = server.gui
+        gui.set_panel_label("RISC MAAP")
+        gui.main_panel.dock_right()
+        gui.add_html(PAGE_STYLE)
+        button = gui.add_button("LAND ALL", color="red", hint="Every vehicle lands where it is, whoever flies it")
+        button.on_click(lambda _event: land_all())
+        self.status = gui.add_html("")
+        for name in names:  # a button each: one for several may say another vehicle by the time it is asked
+            gui.add_button("land %s" % name).on_click(lambda _event, name=name: land_one(name))
+
+
 class LiveStatus:
     """The newest of everything the panel shows. Values are noted in several threads, each replaced as a whole."""
 

@@ -1,263 +1,211 @@
-"""What rviz would show: markers kept as its displays keep them, and what has changed since it was asked last. No ROS.
+"""What rviz would show, in the scene of a page by viser that loads nothing from elsewhere. Needs no ROS master.
 
 The scene is a tree: `/topic/ns` is a group that has a pose in the fixed frame, `/topic/ns/id` a marker that has a pose
 in its group. A group's pose is that of its first marker, so that of a vehicle that flies only the group moves, not
 every part of it. Times are seconds of a clock that never steps; frames are named as in tf.
 """
 
-import enum
 import threading
 from dataclasses import dataclass
 from urllib.parse import quote
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+from visualization_msgs.msg import Marker
+
+from risc_visual.browser.shapes import SHAPES, add_marker, change_marker, turn_of
+
 FIXED_FRAME = "cortex"
 _SAME_M = 1e-5  # positions nearer than this are the same
 _SAME_TURN = 1e-9  # and so are quaternions whose product differs from 1 by less: 0.005 degrees
+_MOST = 1e9
 _WAITS_S = 1.0  # for the pose of a marker's frame; later it would be drawn where it was, not where it is
+_EYE_M, _LOOKS_AT_M, _FIELD_RAD = (-6.3, 3.6, 4.2), (0.0, -0.1, 0.9), 0.75  # where the view begins
+_TILE_M = 0.5
+_AMBIENT = 1.0  # beside viser's own two lights
 
 
-class Shape(enum.IntEnum):
-    """`type` of visualization_msgs/Marker."""
-
-    ARROW = 0
-    CUBE = 1
-    SPHERE = 2
-    CYLINDER = 3
-    LINE_STRIP = 4
-    LINE_LIST = 5
-    CUBE_LIST = 6
-    SPHERE_LIST = 7
-    POINTS = 8
-    TEXT = 9
-    MESH = 10
-    TRIANGLES = 11
-
-
-class Action(enum.IntEnum):
-    """`action` of visualization_msgs/Marker."""
-
-    ADD = 0
-    DELETE = 2
-    DELETE_ALL = 3
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Position [m] and orientation of something in the frame above it."""
-
-    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)  # x, y, z, w; turns its axes into those above
-
-    def of(self, inner):
-        """Placement of something (`inner`, placed in this frame) in the frame above this one."""
-        x, y, z = _turned(self.quaternion, inner.position_m)
-        a, b, c = self.position_m
-        return Placement((a + x, b + y, c + z), _product(self.quaternion, inner.quaternion))
-
-    def seen_from(self, base):
-        """This placement in the frame that `base` is, both being given in the same frame."""
-        x, y, z, w = base.quaternion
-        back = (-x, -y, -z, w)
-        apart = tuple(mine - other for mine, other in zip(self.position_m, base.position_m))
-        return Placement(_turned(back, apart), _product(back, self.quaternion))
-
-    def is_near(self, other):
-        """True when nobody could see the difference."""
-        if any(abs(a - b) > _SAME_M for a, b in zip(self.position_m, other.position_m)):
-            return False
-        return abs(sum(a * b for a, b in zip(self.quaternion, other.quaternion))) > 1.0 - _SAME_TURN
-
-
-HERE = Placement()
-
-
-@dataclass(frozen=True)
-class Look:
-    """Everything about a marker but where it is. Sizes as visualization_msgs/Marker.scale means them for the shape."""
-
-    shape: Shape
-    size_m: tuple[float, float, float]
-    rgba: tuple[float, float, float, float]
-    points_m: tuple[tuple[float, float, float], ...] = ()
-    colours: tuple[tuple[float, float, float, float], ...] = ()  # of the points; none = rgba
-    text: str = ""
-
-
-@dataclass(frozen=True)
-class MarkerValue:
-    """One marker of a message."""
-
-    ns: str
-    marker_id: int
-    action: Action
-    look: Look
-    placement: Placement  # in `frame`
-    frame: str = FIXED_FRAME
-    stamp_s: float = 0.0  # ROS time that the placement holds at; 0 = the newest known
-    lifetime_s: float = 0.0  # 0 = for ever
-
-
-@dataclass(frozen=True)
-class Draw:
-    """A marker is new, or looks different now."""
-
-    path: str
-    look: Look
-    placement: Placement  # in its group
-
-
-@dataclass(frozen=True)
-class Move:
-    """A group (in the fixed frame) or a marker (in its group) is elsewhere. A group's first move is its beginning."""
-
-    path: str
-    placement: Placement
-
-
-@dataclass(frozen=True)
-class Erase:
-    """A marker or a group is gone; a group after all its markers."""
-
-    path: str
-
-
-class MarkerScene:
-    """Markers by topic, ns and id. Topics may be noted in several threads."""
-
-    def __init__(self, fixed_frame=FIXED_FRAME):
-        self._fixed_frame = fixed_frame
-        self._lock = threading.Lock()
-        self._groups = {}  # (topic, ns) -> _Group
-
-    def note(self, topic, markers, now_s):
-        """A message came in: its `MarkerValue`s, in their order."""
-        with self._lock:
-            for marker in markers:
-                if marker.action == Action.DELETE_ALL:
-                    for key, group in self._groups.items():
-                        if key[0] == topic:
-                            group.end_all()
-                    continue
-                key = (topic, marker.ns)
-                if marker.action == Action.DELETE:
-                    if key in self._groups:
-                        self._groups[key].end(marker.marker_id)
-                    continue
-                if key not in self._groups:
-                    self._groups[key] = _Group("/%s/%s" % (_name(topic.strip("/")), _name(marker.ns)))
-                self._groups[key].put(marker, now_s)
-
-    def changes(self, now_s, lookup):
-        """What is to be done to what was drawn: `Draw`, `Move` and `Erase` in the order to do them.
-
-        lookup(frame, stamp_s): `Placement` of a frame in the fixed frame, None if that is not known (yet). A marker
-        that waits for its frame is not drawn, and after a second it is forgotten.
-        """
-        with self._lock:
-            found = []
-            for key, group in list(self._groups.items()):
-                group.expire(now_s)
-                if group.touched:
-                    found += group.changes(now_s, lambda marker: self._in_fixed_frame(marker, lookup))
-                if group.is_empty():
-                    del self._groups[key]
-            return found
-
-    def forget(self):
-        """Begin anew: nothing is kept, nothing counts as drawn."""
-        with self._lock:
-            self._groups.clear()
-
-    def _in_fixed_frame(self, marker, lookup):
-        if marker.frame == self._fixed_frame:
-            return marker.placement
-        frame = lookup(marker.frame, marker.stamp_s)
-        return None if frame is None else frame.of(marker.placement)
-
-
+@dataclass
 class _Member:
     """One marker: what was said of it last, and what was drawn of it."""
 
-    def __init__(self):
-        self.marker = None
-        self.waits_since_s = None  # [s] for the pose of its frame; None = it is placed
-        self.ends_s = None  # [s] end of its life; None = none
-        self.placement = None  # in the fixed frame
-        self.look = None  # that it has there
-        self.drawn = None  # (Look, Placement in the group)
+    marker: Marker = None
+    waits_since_s: float | None = None  # for the pose of its frame; None = it is placed
+    ends_s: float = np.inf
+    pose: np.ndarray | None = None  # (7,) position and quaternion x, y, z, w in the fixed frame, and
+    look: Marker | None = None  # what it looks like there
+    handle: object = None  # viser's of what is drawn,
+    drawn: Marker | None = None  # that marker,
+    drawn_pose: np.ndarray | None = None  # and its pose in the group
+
+
+class MarkerScene:
+    """Markers by topic, ns and id, as rviz' displays keep them. Topics may be noted in several threads."""
+
+    def __init__(self, server, half_x_m, half_y_m):
+        """server: viser.ViserServer. half_x_m, half_y_m: half the floor's size."""
+        self._server = server
+        self._lock = threading.Lock()
+        self._groups = {}  # path -> _Group
+        server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        view = server.initial_camera
+        view.position, view.look_at, view.fov = _EYE_M, _LOOKS_AT_M, _FIELD_RAD
+        # Light that is cheap: the page must do on computers whose browser draws by software.
+        server.scene.configure_environment_map(None)
+        server.scene.configure_default_lights(enabled=True, cast_shadow=False)
+        server.scene.add_light_ambient("/light", intensity=_AMBIENT)
+        server.scene.add_grid(
+            "/floor",
+            width=2.0 * half_x_m,
+            height=2.0 * half_y_m,
+            cell_size=_TILE_M,
+            section_size=2.0 * _TILE_M,
+            cell_color=(60, 60, 60),
+            section_color=(90, 90, 90),
+            shadow_opacity=0.0,
+        )
+
+    def note(self, topic, markers, now_s):
+        """A message came in. Returns the types among its markers that cannot be shown."""
+        strange = set()
+        topic = "/%s/" % _name(topic.strip("/"))
+        with self._lock:
+            for marker in markers:
+                path = topic + _name(marker.ns)
+                if marker.action == Marker.DELETEALL:
+                    for other, group in self._groups.items():
+                        if other.startswith(topic):
+                            group.end(list(group.members))
+                elif marker.action == Marker.DELETE:
+                    if path in self._groups:
+                        self._groups[path].end([marker.id])
+                elif marker.type not in SHAPES:
+                    strange.add(marker.type)
+                elif marker.action == Marker.ADD and _is_sound(marker):
+                    self._groups.setdefault(path, _Group(path)).put(marker, now_s)
+        return strange
+
+    def draw(self, now_s, lookup):
+        """Show what has changed since the last time. Returns how much that was.
+
+        lookup(frame, stamp): geometry_msgs/Transform from a frame to the fixed one, None if that is not known (yet). A
+        marker that waits for its frame is not drawn, and after a second it is forgotten. Raises the first error,
+        afterwards: what cannot be drawn keeps nothing else from being drawn.
+        """
+        problems, count = [], 0
+        with self._lock, self._server.atomic():
+            for path, group in list(self._groups.items()):
+                group.end([number for number, member in group.members.items() if now_s >= member.ends_s])
+                if group.touched:
+                    count += group.draw(self._server.scene, now_s, lookup, problems)
+                if not group.members:
+                    del self._groups[path]
+        if problems:
+            raise problems[0]
+        return count
+
+    def clear(self):
+        """Begin anew: nothing is kept, and nothing is drawn any more but the floor."""
+        with self._lock, self._server.atomic():
+            for group in self._groups.values():
+                group.end(list(group.members))
+                group.draw(self._server.scene, 0.0, None, [])
+            self._groups.clear()
 
 
 class _Group:
     """The markers of a topic and a namespace."""
 
     def __init__(self, path):
+        self.members = {}
         self.touched = False
         self._path = path
-        self._members = {}
-        self._erased = []
-        self._placement = None  # as drawn
+        self._gone = []  # handles of what is to be erased
+        self._handle, self._pose = None, None  # as drawn
 
     def put(self, marker, now_s):
         self.touched = True
-        member = self._members.setdefault(marker.marker_id, _Member())
+        member = self.members.setdefault(marker.id, _Member())
         member.marker = marker
         if member.waits_since_s is None:
             member.waits_since_s = now_s
-        member.ends_s = now_s + marker.lifetime_s if marker.lifetime_s > 0.0 else None
+        lifetime_s = marker.lifetime.to_sec()
+        member.ends_s = now_s + lifetime_s if lifetime_s > 0.0 else np.inf
 
-    def end(self, marker_id):
-        member = self._members.pop(marker_id, None)
-        if member is not None:
-            self.touched = True
-            if member.drawn is not None:
-                self._erased.append(Erase("%s/%d" % (self._path, marker_id)))
+    def end(self, numbers):
+        for number in numbers:
+            member = self.members.pop(number, None)
+            if member is not None:
+                self.touched = True
+                if member.handle is not None:
+                    self._gone.append(member.handle)
 
-    def end_all(self):
-        for marker_id in list(self._members):
-            self.end(marker_id)
-
-    def expire(self, now_s):
-        for marker_id, member in list(self._members.items()):
-            if member.ends_s is not None and now_s >= member.ends_s:
-                self.end(marker_id)
-
-    def is_empty(self):
-        return not self._members
-
-    def changes(self, now_s, in_fixed_frame):
-        """What is to be done; in_fixed_frame: `MarkerValue` -> Placement or None."""
+    def draw(self, scene, now_s, lookup, problems):
+        """Returns the number of changes; errors are added to `problems`."""
         self.touched = False
-        for marker_id, member in list(self._members.items()):
+        self._place(now_s, lookup)
+        count = len(self._gone)
+        for handle in self._gone:
+            handle.remove()
+        self._gone = []
+        placed = sorted((number, member) for number, member in self.members.items() if member.pose is not None)
+        if not placed:
+            if self._handle is not None and not self.members:
+                self._handle.remove()
+                self._handle, self._pose = None, None
+            return count
+        poses = np.array([member.pose for _, member in placed])
+        if self._handle is None:
+            self._handle = scene.add_frame(self._path, show_axes=False)
+        if self._pose is None or not _is_near(poses[0], self._pose):
+            count, self._pose = count + 1, poses[0]
+            self._handle.position, self._handle.wxyz = poses[0][:3], np.roll(poses[0][3:], 1)
+        back = Rotation.from_quat(self._pose[3:]).inv()
+        turns = (back * Rotation.from_quat(poses[:, 3:])).as_quat()
+        own = np.column_stack((back.apply(poses[:, :3] - self._pose[:3]), turns))
+        for (number, member), pose in zip(placed, own):
+            try:
+                count += self._show(scene, number, member, pose)
+            except Exception as error:  # whatever it is, the others are drawn
+                problems.append(error)
+        return count
+
+    def _place(self, now_s, lookup):
+        for number, member in list(self.members.items()):
             if member.waits_since_s is None:
                 continue
-            placement = in_fixed_frame(member.marker)
-            if placement is not None:
-                member.placement, member.look, member.waits_since_s = placement, member.marker.look, None
+            pose, header = _pose(member.marker), member.marker.header
+            frame = header.frame_id.lstrip("/") or FIXED_FRAME
+            if frame != FIXED_FRAME:
+                transform = lookup(frame, header.stamp)
+                pose = None if transform is None else _carried(transform, pose)
+            if pose is not None:
+                member.pose, member.look, member.waits_since_s = pose, member.marker, None
             elif now_s - member.waits_since_s > _WAITS_S:
-                self.end(marker_id)
+                self.end([number])
             else:
                 self.touched = True
-        found, self._erased = self._erased, []
-        placed = sorted((marker_id, m) for marker_id, m in self._members.items() if m.placement is not None)
-        if not placed:
-            if self._placement is not None and not self._members:
-                found.append(Erase(self._path))
-            return found
-        anchor = placed[0][1].placement
-        if self._placement is None or not anchor.is_near(self._placement):
-            self._placement = anchor
-            found.append(Move(self._path, anchor))
-        for marker_id, member in placed:
-            own = member.placement.seen_from(self._placement)
-            path = "%s/%d" % (self._path, marker_id)
-            if member.drawn is None or member.drawn[0] != member.look:
-                found.append(Draw(path, member.look, own))
-            elif not own.is_near(member.drawn[1]):
-                found.append(Move(path, own))
-            else:
-                continue
-            member.drawn = (member.look, own)
-        return found
+
+    def _show(self, scene, number, member, pose):
+        """1 when there was something to do."""
+        look, before = member.look, member.drawn
+        same = before is not None and all(getattr(before, name) == getattr(look, name) for name in _LOOKS)
+        moved = before is None or not _is_near(pose, member.drawn_pose)
+        if same and not moved:
+            return 0
+        turn = turn_of(look, pose[3:])
+        if not same:
+            member.drawn = None  # if it cannot be shown
+            if before is None or not change_marker(member.handle, before, look):
+                member.handle = add_marker(scene, "%s/%d" % (self._path, number), look, turn)
+                moved = True
+        if moved:
+            member.handle.position, member.handle.wxyz = pose[:3], np.roll(turn, 1)
+        member.drawn, member.drawn_pose = look, pose
+        return 1
+
+
+_LOOKS = ("type", "scale", "color", "points", "colors", "text")  # fields of a marker
 
 
 def _name(text):
@@ -265,21 +213,31 @@ def _name(text):
     return quote(text, safe=" ") or "-"
 
 
-def _turned(quaternion, vector):
-    """The vector turned by the quaternion; plain floats: numpy costs more for a single one."""
-    x, y, z, w = quaternion
-    a, b, c = vector
-    s, t, u = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    return a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s
+def _pose(marker):
+    """(7,) position and unit quaternion; all zeros is what nobody has set: no turn."""
+    at, turn = marker.pose.position, marker.pose.orientation
+    quaternion = np.array((turn.x, turn.y, turn.z, turn.w))
+    length = np.linalg.norm(quaternion)
+    return np.array((at.x, at.y, at.z, *(quaternion / length if length > 0.0 else (0.0, 0.0, 0.0, 1.0))))
 
 
-def _product(first, second):
-    """Quaternion that turns as `second`, then as `first`."""
-    a, b, c, d = first
-    x, y, z, w = second
-    return (
-        d * x + a * w + b * z - c * y,
-        d * y - a * z + b * w + c * x,
-        d * z + a * y - b * x + c * w,
-        d * w - a * x - b * y - c * z,
-    )
+def _carried(transform, pose):
+    """A pose (7,) in the frame to which a geometry_msgs/Transform leads."""
+    at, turn = transform.translation, transform.rotation
+    rotation = Rotation.from_quat((turn.x, turn.y, turn.z, turn.w))
+    position = rotation.apply(pose[:3]) + (at.x, at.y, at.z)
+    return np.append(position, (rotation * Rotation.from_quat(pose[3:])).as_quat())
+
+
+def _is_near(pose, other):
+    """True when nobody could see the difference of two poses (7,)."""
+    return np.abs(pose[:3] - other[:3]).max() < _SAME_M and abs(pose[3:] @ other[3:]) > 1.0 - _SAME_TURN
+
+
+def _is_sound(marker):
+    """False for numbers that are not finite, or that no picture can hold."""
+    at, turn, size, colour = marker.pose.position, marker.pose.orientation, marker.scale, marker.color
+    numbers = [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w, size.x, size.y, size.z]
+    numbers += [value for item in (colour, *marker.colors) for value in (item.r, item.g, item.b, item.a)]
+    numbers += [value for point in marker.points for value in (point.x, point.y, point.z)]
+    return bool((np.abs(numbers) < _MOST).all())

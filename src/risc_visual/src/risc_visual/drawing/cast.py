@@ -1,5 +1,6 @@
 """Who is in the picture: names, colours, shapes, and what to show of a vehicle that is lost. Needs no ROS."""
 
+import math
 import threading
 from dataclasses import dataclass
 
@@ -31,6 +32,7 @@ class View:
     index: int
     position_m: tuple[float, float, float]
     quaternion: tuple[float, float, float, float]  # x, y, z, w; body axes (x nose, y right, z belly) to cortex
+    places_m: list[list[float]]  # of the parts' centres
     parts: tuple  # of airframes.Part
     colour: tuple[float, float, float]
     lost: bool  # where it was last seen
@@ -66,16 +68,20 @@ class Cast:
         """
         seen = [pose for pose in poses if pose.visible and np.isfinite(pose.position_m + pose.euler_rad).all()]
         if seen:
-            angles_rad = np.array([pose.euler_rad for pose in seen])
-            quaternions = Rotation.from_matrix(rotation_body_to_cortex(*angles_rad.T)).as_quat().tolist()
-            self._last.update({pose.name: (pose.position_m, tuple(q)) for pose, q in zip(seen, quaternions)})
+            rotations = rotation_body_to_cortex(*np.array([pose.euler_rad for pose in seen]).T)
+            quaternions = Rotation.from_matrix(rotations).as_quat().tolist()
+            for pose, rotation, quaternion in zip(seen, rotations, quaternions):
+                places_m = [part.centre_m for part in self._parts(pose.name)] @ rotation.T + pose.position_m
+                self._last[pose.name] = pose.position_m, tuple(quaternion), places_m.tolist()
         now = {pose.name for pose in seen}
         return [self._view(pose.name, pose.name not in now) for pose in poses if pose.name in self._last]
 
+    def _parts(self, name):
+        return AIRFRAMES.get(self._airframe_of.get(name), AIRFRAMES[DEFAULT_AIRFRAME])
+
     def _view(self, name, lost):
         index = self._index[name]
-        parts = AIRFRAMES.get(self._airframe_of.get(name), AIRFRAMES[DEFAULT_AIRFRAME])
-        return View(name, index, *self._last[name], parts, vehicle_colour(index), lost)
+        return View(name, index, *self._last[name], self._parts(name), vehicle_colour(index), lost)
 
 
 def rod_foot(tip_m, views):
@@ -94,21 +100,20 @@ def is_news(said_s, now_s, lifetime_s):
     return abs(now_s - said_s) < lifetime_s
 
 
-def reference_marks(references, positions_m, vehicles, away_m):
+def reference_marks(references_m, speeds_m_s, positions_m, vehicles, away_m):
     """Which references deserve a mark of their own: those that stand still, and those their vehicle is not at.
 
-    references: dict name -> (position (3,) [m], speed [m/s]); positions_m: dict name -> position (3,) [m] of the
-    vehicles that are seen; vehicles: names of all vehicles. Returns a list of (name, position, named): named when
-    the vehicle is farther than away_m, or not seen.
+    references_m, positions_m: dicts name -> position (3,) [m] of references and of the vehicles that are seen;
+    speeds_m_s: dict name -> speed of the reference; vehicles: names of all vehicles. Returns a list of (name, away):
+    away when the vehicle is farther than away_m, or not seen.
     """
     marks = []
-    for name, (reference_m, speed_m_s) in references.items():
+    for name, reference_m in references_m.items():
         away = False
         if name in vehicles:  # the original release puts a title there, which is nowhere
-            actual_m = positions_m.get(name)
-            away = actual_m is None or bool(np.linalg.norm(np.subtract(actual_m, reference_m)) > away_m)
-        if away or speed_m_s < REST_M_S:
-            marks.append((name, reference_m, away))
+            away = name not in positions_m or math.dist(positions_m[name], reference_m) > away_m
+        if away or speeds_m_s[name] < REST_M_S:
+            marks.append((name, away))
     return marks
 
 

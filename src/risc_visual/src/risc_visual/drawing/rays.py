@@ -5,7 +5,6 @@ Axes are those of the camera: x along the optical axis, y right, z down.
 
 import math
 import threading
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,22 +14,6 @@ from risc_visual.drawing.airframes import vehicle_colour
 from risc_visual.drawing.palette import WHITE_RGB, ray_colours
 
 _AHEAD_S = 0.5  # [s] a picture so much newer than the last sight of its vehicle may still get a place
-
-
-@dataclass(frozen=True)
-class RayParams:
-    """What is drawn of a bearing, and how far; config/draw_angles.yaml explains and holds the same values."""
-
-    length_m: float = 4.0
-    width_m: float = 0.04
-    template_width_m: float = 0.01
-    azimuth_max_deg: float = 40.0
-    elevation_max_deg: float = 30.0
-
-    def __post_init__(self):
-        for key, value in vars(self).items():
-            if not 0.0 < value < math.inf:
-                raise ValueError("parameter '%s' must be positive, got %r" % (key, value))
 
 
 class Ray(NamedTuple):
@@ -47,45 +30,38 @@ class RayStyles:
     """How the ray towards everything looks that can be seen, and whether it is drawn at all."""
 
     def __init__(self, params, landmarks, vehicles):
-        """params: RayParams. landmarks: landmark_config.LandmarksConfig.
+        """params: params.RayParams. landmarks: landmark_config.LandmarksConfig.
 
         vehicles: of each vehicle all its names, in the order in which they have their colours.
         """
         self._params = params
-        self._templates = {kind.name for kind in landmarks.landmarks} - {kind.roi_name for kind in landmarks.landmarks}
-        self._landmark_rgb = ray_colours(landmarks)
-        self._vehicle_rgb = {name: vehicle_colour(index) for index, names in enumerate(vehicles) for name in names}
+        # Thin under a template's name: in the original release such bearings were no measurements.
+        thin = {kind.name for kind in landmarks.landmarks} - {kind.roi_name for kind in landmarks.landmarks}
+        self._landmarks = {
+            name: (params.template_width_m if name in thin else params.width_m, rgb)
+            for name, rgb in ray_colours(landmarks).items()
+        }
+        self._vehicles = {
+            name: (params.width_m, vehicle_colour(index)) for index, names in enumerate(vehicles) for name in names
+        }
 
     def rays(self, bearings, to_vehicles=False):
         """Rays of the bearings that are seen and within the limits; of several with one name, of the first.
 
         bearings: risc_estimation.bearings.Bearings, of landmarks or of vehicles. Returns a list of Ray.
         """
-        params = self._params
-        limits_rad = np.radians((params.azimuth_max_deg, params.elevation_max_deg))
+        looks, other = self._vehicles if to_vehicles else self._landmarks, (self._params.width_m, WHITE_RGB)
+        limits_rad = np.radians((self._params.azimuth_max_deg, self._params.elevation_max_deg))
         drawn = {}
         for item in bearings:
             # not a number is not within, either
             within = abs(item.azimuth_rad) < limits_rad[0] and abs(item.elevation_rad) < limits_rad[1]
             if item.visible and within:
-                drawn.setdefault(item.name, item)
-        if not drawn:
-            return []
-        directions = rays_of_bearings(
-            [item.azimuth_rad for item in drawn.values()], [item.elevation_rad for item in drawn.values()]
-        )
-        ends_m = (params.length_m * directions).tolist()
+                drawn.setdefault(item.name, (item.azimuth_rad, item.elevation_rad))
+        ends_m = self._params.length_m * rays_of_bearings(*np.reshape(list(drawn.values()), (-1, 2)).T)
         return [
-            Ray(name, to_vehicles, tuple(end_m), *self._style(name, to_vehicles)) for name, end_m in zip(drawn, ends_m)
+            Ray(name, to_vehicles, tuple(end_m), *looks.get(name, other)) for name, end_m in zip(drawn, ends_m.tolist())
         ]
-
-    def _style(self, name, is_vehicle):
-        """(width [m], (r, g, b))."""
-        if is_vehicle:
-            return self._params.width_m, self._vehicle_rgb.get(name, WHITE_RGB)
-        # Thin under a template's name: in the original release such bearings were no measurements.
-        width_m = self._params.template_width_m if name in self._templates else self._params.width_m
-        return width_m, self._landmark_rgb.get(name, WHITE_RGB)
 
 
 class Whereabouts:

@@ -1,19 +1,19 @@
 """What is drawn around the vehicles: net, floor numbers, motion capture cameras. Frame: cortex. Needs no ROS."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from risc_lab.lab.arena import Arena
-from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import Positive, Settings, between, settings_from
 
 
 @dataclass(frozen=True)
 class Net(Arena):
     """The net of an Arena, as it is drawn."""
 
-    thickness_m: float = 0.01  # of its panels
+    thickness_m: Positive = 0.01  # of its panels: as thick as the cords look
 
     def walls(self):
         """The four panels: list of (centre (3,) [m], size (3,) [m])."""
@@ -37,95 +37,67 @@ class Net(Arena):
 
 
 @dataclass(frozen=True)
-class Grid:
-    """Numbers along two edges of the floor."""
+class Grid(Settings):
+    """Numbers along two edges of the floor, outside of the net: those on which the saved views look from outside."""
 
-    from_m: float
-    to_m: float
-    step_m: float
-    edge_m: float
-    caption_m: float
-    text_height_m: float
+    step_m: Positive = 0.5
+    outside_m: Positive = 0.5  # of the net
+    text_height_m: Positive = 0.2
 
-    def labels(self):
+    def labels(self, net):
         """List of (text, position (3,) [m]): the numbers of x, those of y, then the names of the axes."""
-        count = int(round((self.to_m - self.from_m) / self.step_m)) + 1
-        values = [self.to_m - k * self.step_m for k in range(count)]
-        along_x = [("%.1f" % value, (value, self.edge_m, 0.0)) for value in values]
-        along_y = [("%.1f" % value, (self.edge_m, value, 0.0)) for value in values]
-        return along_x + along_y + [("X (m)", (0.0, self.caption_m, 0.0)), ("Y (m)", (self.caption_m, 0.0, 0.0))]
+        y, x = net.half_y_m + self.outside_m, -net.half_x_m - self.outside_m
+        along_x = [("%.1f" % value, (value, y, 0.0)) for value in self._values(net.half_x_m)]
+        along_y = [("%.1f" % value, (x, value, 0.0)) for value in self._values(net.half_y_m)]
+        return along_x + along_y + [("X (m)", (net.half_x_m + 0.1, y, 0.0)), ("Y (m)", (x - 0.5, 0.0, 0.0))]
+
+    def _values(self, half_m):
+        count = int(half_m / self.step_m + 1e-9)
+        return [k * self.step_m for k in range(count, -count - 1, -1)]
 
 
 @dataclass(frozen=True)
-class Camera:
-    """A motion capture camera and where it looks."""
+class CameraPose(Settings):
+    """Where a motion capture camera is, and where it looks."""
 
     position_m: tuple[float, float, float]
-    heading_rad: float  # of the optical axis in plan: 0 = along +y, + clockwise from above
-    tilt_rad: float  # of the optical axis below the horizon
+    heading_deg: float  # of the optical axis in plan: 0 = along +y, + clockwise from above
 
-    def rotation_to_cortex(self):
+    def rotation_to_cortex(self, tilt_deg):
         """(3, 3) rotation from camera axes (x along the optical axis, y left, z up) to cortex axes."""
-        sin_h, cos_h, sin_t, cos_t = (
-            np.sin(self.heading_rad),
-            np.cos(self.heading_rad),
-            np.sin(self.tilt_rad),
-            np.cos(self.tilt_rad),
-        )
+        (sin_h, sin_t), (cos_h, cos_t) = (f(np.radians((self.heading_deg, tilt_deg))) for f in (np.sin, np.cos))
         ahead = (cos_t * sin_h, cos_t * cos_h, -sin_t)
         left = (-cos_h, sin_h, 0.0)
         return np.column_stack([ahead, left, np.cross(ahead, left)])
 
 
 @dataclass(frozen=True)
-class Scenery:
+class Cameras(Settings):
+    """All motion capture cameras."""
+
+    tilt_deg: between(-90.0, 90.0)  # of the optical axes below the horizon
+    poses: tuple[CameraPose, ...] = ()
+
+
+@dataclass(frozen=True)
+class Scenery(Settings):
     """Everything about the laboratory that never moves."""
 
     net: Net
     grid: Grid
-    cameras: tuple[Camera, ...]
+    cameras: Cameras
 
     def around(self, arena):
-        """The same laboratory as far around another Arena."""
-        further = np.array([arena.half_x_m - self.net.half_x_m, arena.half_y_m - self.net.half_y_m, 0.0])
-        out_m = self.grid.step_m * math.ceil(max(further) / self.grid.step_m - 1e-9)
-        cameras = [
-            replace(camera, position_m=tuple((camera.position_m + np.sign(camera.position_m) * further).tolist()))
-            for camera in self.cameras
-        ]
-        grid = {key: getattr(self.grid, key) + out_m for key in ("to_m", "edge_m", "caption_m")}
-        return Scenery(
-            replace(self.net, **vars(arena)),
-            replace(self.grid, from_m=self.grid.from_m - out_m, **grid),
-            tuple(cameras),
+        """The same laboratory around another Arena: the cameras are as far from its net."""
+        out_m = np.array([arena.half_x_m - self.net.half_x_m, arena.half_y_m - self.net.half_y_m, 0.0])
+        poses = tuple(
+            replace(pose, position_m=tuple((pose.position_m + np.sign(pose.position_m) * out_m).tolist()))
+            for pose in self.cameras.poses
         )
+        return replace(self, net=replace(self.net, **vars(arena)), cameras=replace(self.cameras, poses=poses))
 
 
 def load_scenery(path=None):
     """Scenery from `path` or from this package's config/arena.yaml. Raises ValueError naming file and key."""
-    if path is None:
-        path = package_file("risc_visual", "config/arena.yaml")
-    return scenery_from_dict(load_yaml(path), str(path))
-
-
-def scenery_from_dict(content, where="arena file"):
-    """Scenery from the content of its YAML file. Raises ValueError naming the key."""
-    root = Section(content, where)
-    net, grid, cameras = root.section("net"), root.section("grid"), root.section("cameras")
-    tilt_rad = np.radians(cameras.number("tilt_deg", minimum=-90.0, maximum=90.0))
-    scenery = Scenery(
-        net=net.settings(Net),
-        grid=Grid(**{key: grid.number(key) for key in Grid.__dataclass_fields__}),
-        cameras=tuple(_camera(section, tilt_rad) for section in cameras.sections("poses", ())),
-    )
-    for section in (grid, cameras, root):
-        section.done()
-    if scenery.grid.step_m <= 0.0 or scenery.grid.to_m < scenery.grid.from_m or scenery.grid.text_height_m <= 0.0:
-        raise ValueError("%s, grid: needs step_m > 0, text_height_m > 0 and to_m >= from_m" % where)
-    return scenery
-
-
-def _camera(section, tilt_rad):
-    camera = Camera(section.vector("position_m", 3), np.radians(section.number("heading_deg")), tilt_rad)
-    section.done()
-    return camera
+    path = path or package_file("risc_visual", "config/arena.yaml")
+    return settings_from(Scenery, load_yaml(path), str(path))

@@ -8,20 +8,6 @@ PIECE_POINTS = 25
 MAX_PIECES = 64  # of one path; with the pieces' points this bounds what a path costs
 
 
-@dataclass(frozen=True)
-class TrailParams:
-    """How a path is kept."""
-
-    duration_s: float  # [s] what is older is forgotten
-    step_m: float = 0.02  # [m] between two points; nearer ones only move the end
-    jump_m: float = 0.5  # [m] a longer step breaks the path
-    gap_s: float = 0.5  # [s] so does a longer time without a position
-
-    def __post_init__(self):
-        if self.duration_s <= 0.0 or self.gap_s <= 0.0 or not 0.0 < self.step_m < self.jump_m:
-            raise ValueError("a path needs a duration and gap_s > 0 s and 0 < step_m < jump_m, got %r" % (self,))
-
-
 @dataclass
 class Piece:
     """A stretch of a path without a break."""
@@ -35,15 +21,15 @@ class Piece:
 class Trail:
     """The path of one thing. Frame and clock are the caller's."""
 
-    def __init__(self, params):
-        self._params = params
+    def __init__(self, duration_s, params):
+        """duration_s: what is older is forgotten. params: params.PathParams."""
+        self._duration_s, self._params = duration_s, params
         self._pieces = deque()
         self._count = 0
         self._end = None  # (stamp [s], position (3,) [m]) newest position
 
     def add(self, stamp_s, position_m):
-        """Go to a position. A stamp before the last one (a bag that starts again) forgets the path."""
-        position_m = tuple(position_m)
+        """Go to a position (3,) [m]. A stamp before the last one (a bag that starts again) forgets the path."""
         joined = False
         if self._end is not None:
             last_s, last_m = self._end
@@ -53,20 +39,20 @@ class Trail:
                 joined = bool(self._pieces)
         self._end = (stamp_s, position_m)
         if not joined:
-            self._new_piece([position_m])
+            self._new_piece(position_m)
         else:
             points_m = self._pieces[-1].points_m
             if dist(position_m, points_m[-1]) >= self._params.step_m:
                 points_m.append(position_m)
                 if len(points_m) >= PIECE_POINTS:
                     self._pieces[-1].newest_s = stamp_s
-                    self._new_piece([position_m])  # starts where the last one ends: no gap to be seen
+                    self._new_piece(position_m)  # starts where the last one ends: no gap to be seen
         self._pieces[-1].newest_s = stamp_s
 
-    def _new_piece(self, points_m):
+    def _new_piece(self, start_m):
         if len(self._pieces) == MAX_PIECES:
             self._pieces.popleft()
-        self._pieces.append(Piece(self._count % MAX_PIECES, points_m))
+        self._pieces.append(Piece(self._count % MAX_PIECES, [start_m]))
         self._count += 1
 
     def to_send(self, now_s, turn, turns):
@@ -76,7 +62,7 @@ class Trail:
         now_s: time on the clock of the stamps [s]. Returns a list of (slot, points [m], age), age being that of the
         newest point as a fraction of the path's duration; what is older than the duration is forgotten.
         """
-        while self._pieces and self._pieces[0].newest_s < now_s - self._params.duration_s:
+        while self._pieces and self._pieces[0].newest_s < now_s - self._duration_s:
             self._pieces.popleft()
         chosen = []
         for piece in self._pieces:
@@ -86,6 +72,6 @@ class Trail:
             piece.sent = not growing
             points_m = piece.points_m + [self._end[1]] if growing else piece.points_m
             if len(points_m) > 1:
-                age = (now_s - piece.newest_s) / self._params.duration_s
+                age = (now_s - piece.newest_s) / self._duration_s
                 chosen.append((piece.slot, points_m, max(0.0, age)))
         return chosen

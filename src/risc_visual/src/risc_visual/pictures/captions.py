@@ -75,9 +75,9 @@ class Box(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A text and where it stands."""
+    """A text, or a mark before one, and where it stands."""
 
-    text: str
+    text: str  # of a mark "dot" or "line"
     box: Box
     rgb: tuple[int, int, int]
     em_px: int
@@ -93,7 +93,7 @@ class Layout:
     scene_px: int  # width of the scene; the panel is right of it
     texts: list = field(default_factory=list)  # of Placed
     vehicles: list = field(default_factory=list)  # of Box, around each
-    marks: list = field(default_factory=list)  # (Row.mark, Box, rgb)
+    marks: list = field(default_factory=list)  # of Placed
 
 
 def scene_size(size_px):
@@ -102,50 +102,41 @@ def scene_size(size_px):
     return round((1.0 - PANEL) * width / _EVEN_PX) * _EVEN_PX, height
 
 
-def em_px(size_px):
-    """Height of letters [px] in a picture of this size."""
-    return max(_EM_MIN_PX, round(_EM * min(size_px[1], 0.75 * size_px[0])))
-
-
 def lay_out(names, rows, size_px, scheme):
     """Layout of names in the scene and rows in the panel; a name for which there is no room is left out."""
     scene = scene_size(size_px)
-    em = em_px(size_px)
+    em = max(_EM_MIN_PX, round(_EM * min(size_px[1], 0.75 * size_px[0])))
     found = Layout(size_px, scene[0])
     found.vehicles = [_around(name.anchor_px, name.reach_px) for name in names if name.vehicle]
-    _place_names(found, names, em, Box(0, 0, *scene), scheme)
+    _place_names(found, names, em, Box(0, 0, *scene))
     _place_rows(found, rows, em, scheme)
     return found
 
 
-def _place_names(found, names, em, scene, scheme):
+def _place_names(found, names, em, scene):
     """What stands still goes first, then vehicles, then the rest."""
     for name in sorted(names, key=lambda name: (name.movable, not name.vehicle)):
         size = em if name.movable else round(_SMALL * em)
-        wide, high = _extent(name.text, size)
         taken = found.vehicles + [item.box for item in found.texts]
-        for box in _candidates(name, wide, high):
+        for box in _candidates(name, *_extent(name.text, size)):
             inside = box.left >= 0 and box.top >= 0 and box.right <= scene.right and box.bottom <= scene.bottom
             if inside and not any(box.overlaps(other) for other in taken):
-                rgb = _ink(name.rgb)
                 anchor = name.anchor_px if name.movable else None
-                found.texts.append(Placed(name.text, box, rgb, size, anchor_px=anchor))
+                found.texts.append(Placed(name.text, box, _ink(name.rgb), size, anchor_px=anchor))
                 break
 
 
 def _candidates(name, wide, high):
     """Boxes for a name, the best first."""
-    x, y = name.anchor_px
-    if not np.isfinite((x, y)).all():
+    if not np.isfinite(name.anchor_px).all():
         return
     if not name.movable:
-        yield Box(x - 0.5 * wide, y - 0.5 * high, x + 0.5 * wide, y + 0.5 * high)
+        yield _around(name.anchor_px, (0.5 * wide, 0.5 * high))
         return
     for ring in range(_RINGS):
         away = np.array(name.reach_px) + 1 + 0.6 * high * ring + (0.5 * wide, 0.5 * high)
         for direction in _DIRECTIONS:
-            middle = (x, y) + direction * away
-            yield Box(middle[0] - 0.5 * wide, middle[1] - 0.5 * high, middle[0] + 0.5 * wide, middle[1] + 0.5 * high)
+            yield _around(name.anchor_px + direction * away, (0.5 * wide, 0.5 * high))
 
 
 def _place_rows(found, rows, em, scheme):
@@ -162,9 +153,8 @@ def _place_rows(found, rows, em, scheme):
             if box.bottom > height:
                 return
             if row.mark and number == 0:
-                middle = 0.5 * (box.top + box.bottom)
-                found.marks.append((row.mark, Box(left, middle - 0.4 * size, left + 0.8 * size, middle + 0.4 * size),
-                                    _ink(row.mark_rgb)))  # fmt: skip
+                mark = _around((left + 0.4 * size, 0.5 * (box.top + box.bottom)), (0.4 * size, 0.4 * size))
+                found.marks.append(Placed(row.mark, mark, _ink(row.mark_rgb), size))
             rgb = scheme.ink if row.rgb is None else _ink(row.rgb)
             found.texts.append(Placed(line, box, rgb, size, row.bold))
             y = box.bottom + 0.15 * size
@@ -186,33 +176,25 @@ def write(picture, layout, scheme):
     canvas.paste(Image.fromarray(picture), (0, 0))
     draw = ImageDraw.Draw(canvas)
     for item in layout.texts:
-        if item.anchor_px is not None:
-            _lead(draw, item)
-    for shape, box, rgb in layout.marks:
-        middle = 0.5 * (box.top + box.bottom)
-        if shape == "dot":
-            font, centre = _font(round(1.3 * (box.bottom - box.top))), (0.5 * (box.left + box.right), middle)
-            draw.text(centre, "\N{BLACK CIRCLE}", fill=rgb, font=font, anchor="mm")
+        if item.anchor_px is not None:  # a thin line from a name to what it names, when it is not beside it
+            (x, y), box = item.anchor_px, item.box
+            near = min(max(x, box.left), box.right), min(max(y, box.top), box.bottom)
+            if np.hypot(near[0] - x, near[1] - y) > 4.0 * item.em_px:
+                draw.line((*near, x, y), fill=item.rgb, width=1)
+    for item in layout.marks:
+        box, side = item.box, item.box.bottom - item.box.top
+        middle = 0.5 * (box.left + box.right), 0.5 * (box.top + box.bottom)
+        if item.text == "dot":
+            draw.text(middle, "\N{BLACK CIRCLE}", fill=item.rgb, font=_font(round(1.3 * side)), anchor="mm")
         else:
-            draw.line(
-                (box.left, middle, box.right, middle), fill=rgb, width=max(2, round(_LINE * (box.bottom - box.top)))
-            )
+            ends = (box.left, middle[1], box.right, middle[1])
+            draw.line(ends, fill=item.rgb, width=max(2, round(_LINE * side)))
     for item in layout.texts:
-        halo = {"stroke_width": max(1, item.em_px // 8), "stroke_fill": scheme.ground}
-        in_panel = item.box.left >= layout.scene_px
-        place = item.box.left + _halo(item.em_px), item.box.top + _halo(item.em_px)
-        draw.text(place, item.text, fill=item.rgb, font=_font(item.em_px, item.bold), anchor="la",
-                  **({} if in_panel else halo))  # fmt: skip
+        halo = _halo(item.em_px)
+        around = {} if item.box.left >= layout.scene_px else {"stroke_width": halo, "stroke_fill": scheme.ground}
+        place, font = (item.box.left + halo, item.box.top + halo), _font(item.em_px, item.bold)
+        draw.text(place, item.text, fill=item.rgb, font=font, anchor="la", **around)
     return np.asarray(canvas)
-
-
-def _lead(draw, item):
-    """A thin line from a name to what it names, when the name is not beside it."""
-    x, y = item.anchor_px
-    box = item.box
-    near = min(max(x, box.left), box.right), min(max(y, box.top), box.bottom)
-    if np.hypot(near[0] - x, near[1] - y) > 4.0 * item.em_px:
-        draw.line((*near, x, y), fill=item.rgb, width=1)
 
 
 def _around(centre, reach):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from risc_lab.lab.yaml_reader import load_yaml
+from risc_lab.settings import Positive, Settings, between, settings_from
 
 ORBIT = "rviz/Orbit"
 _STEEPEST_RAD = np.pi / 2.0 - 0.001  # rviz keeps the camera off the vertical, where its heading is lost
@@ -18,18 +19,14 @@ _FIT_STEPS = 40
 
 
 @dataclass(frozen=True)
-class OrbitView:
+class OrbitView(Settings):
     """A view of rviz: the camera looks at the focal point from a distance."""
 
-    distance_m: float
+    distance_m: Positive
     pitch_rad: float  # of the camera above the focal point
     yaw_rad: float  # where it stands around the focal point, from +x, + counter-clockwise from above
     focal_point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    field_rad: float = _DEFAULT_FIELD_RAD  # of view, from the top to the bottom of the picture
-
-    def __post_init__(self):
-        if not self.distance_m > 0.0 or not 0.0 < self.field_rad < np.pi or len(self.focal_point_m) != 3:
-            raise ValueError("a view needs a distance > 0, a field of view < 180 deg, a 3-D focal point: %r" % (self,))
+    field_rad: between(0.01, 3.1) = _DEFAULT_FIELD_RAD  # of view, from the top to the bottom of the picture
 
     @property
     def eye_m(self):
@@ -39,47 +36,37 @@ class OrbitView:
         away = np.array([level * np.cos(self.yaw_rad), level * np.sin(self.yaw_rad), np.sin(pitch)])
         return np.asarray(self.focal_point_m, dtype=float) + self.distance_m * away
 
-    def matrix(self, width_px, height_px):
-        """Pinhole matrix (3, 4): P @ (x, y, z, 1) = depth * (x_px, y_px, 1), depth along the optical axis [m]."""
-        eye = self.eye_m
-        ahead = (self.focal_point_m - eye) / self.distance_m
+    def _axes(self):
+        """(3, 3) rows: right, down, ahead."""
+        ahead = (self.focal_point_m - self.eye_m) / self.distance_m
         right = np.cross(ahead, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
-        R = np.array([right, np.cross(ahead, right), ahead])  # rows: right, down, ahead
-        focal_px = 0.5 * height_px / np.tan(0.5 * self.field_rad)
-        K = np.array([[focal_px, 0.0, 0.5 * (width_px - 1)], [0.0, focal_px, 0.5 * (height_px - 1)], [0.0, 0.0, 1.0]])
-        return K @ np.column_stack((R, -R @ eye))
+        return np.array([right, np.cross(ahead, right), ahead])
 
     def project(self, points_m, width_px, height_px):
         """Pixels (..., 2) of points (..., 3) in a picture of this size; NaN behind the camera."""
-        points = np.asarray(points_m, dtype=float)
-        P = self.matrix(width_px, height_px)
-        pixels = points @ P[:, :3].T + P[:, 3]
-        depth = np.where(pixels[..., 2:] > 0.0, pixels[..., 2:], np.nan)
-        return pixels[..., :2] / depth
+        seen = (np.asarray(points_m, dtype=float) - self.eye_m) @ self._axes().T
+        depth = np.where(seen[..., 2:] > 0.0, seen[..., 2:], np.nan)
+        focal_px = 0.5 * height_px / np.tan(0.5 * self.field_rad)
+        return focal_px * seen[..., :2] / depth + (0.5 * (width_px - 1), 0.5 * (height_px - 1))
 
     def fitted(self, points_m, width_px, height_px, margin=0.03):
         """The view from the same side that is filled by the points (n, 3) in a picture of this size.
 
         margin: left free on every side, a fraction of the picture's width and height.
         """
-        size = np.array([width_px, height_px])
-        view = self
+        size, view = np.array([width_px, height_px]), self
         for _ in range(_FIT_STEPS):
             pixels = view.project(points_m, *size)
             if np.isnan(pixels).any():
                 view = replace(view, distance_m=2.0 * view.distance_m)
                 continue
             low, high = pixels.min(axis=0), pixels.max(axis=0)
-            P = view.matrix(*size)
             m_per_px = view.distance_m / (0.5 * height_px / np.tan(0.5 * view.field_rad))
-            right = np.cross(P[2, :3], (0.0, 0.0, 1.0))
-            right /= np.linalg.norm(right)
-            down = np.cross(P[2, :3], right)
-            aside, below = (0.5 * (low + high) - 0.5 * (size - 1)) * m_per_px
+            off_m = (0.5 * (low + high) - 0.5 * (size - 1)) * m_per_px
             view = replace(
                 view,
-                focal_point_m=tuple((view.focal_point_m + aside * right + below * down).tolist()),
+                focal_point_m=tuple((view.focal_point_m + off_m @ view._axes()[:2]).tolist()),
                 distance_m=view.distance_m * float(((high - low) / (size * (1.0 - 2.0 * margin))).max()),
             )
         return view
@@ -94,17 +81,15 @@ def orbit_view_from_dict(content, where="view"):
     """OrbitView from a view of an rviz configuration. Raises ValueError naming what is wrong with it."""
     if content.get("Class") != ORBIT:
         raise ValueError("%s: needs a view of class %s, found %r" % (where, ORBIT, content.get("Class")))
-    try:
-        focal = content.get("Focal Point", {})
-        return OrbitView(
-            distance_m=float(content["Distance"]),
-            pitch_rad=float(content["Pitch"]),
-            yaw_rad=float(content["Yaw"]),
-            focal_point_m=tuple(float(focal.get(axis, 0.0)) for axis in "XYZ"),
-            field_rad=float(content.get("Field of View", _DEFAULT_FIELD_RAD)),
-        )
-    except (KeyError, TypeError) as error:
-        raise ValueError("%s: Distance, Pitch, Yaw and Focal Point must be numbers (%s)" % (where, error)) from None
+    focal = content.get("Focal Point", {})
+    values = {
+        "distance_m": content.get("Distance"),
+        "pitch_rad": content.get("Pitch"),
+        "yaw_rad": content.get("Yaw"),
+        "focal_point_m": [focal.get(axis, 0.0) for axis in "XYZ"],
+        "field_rad": content.get("Field of View", _DEFAULT_FIELD_RAD),
+    }
+    return settings_from(OrbitView, values, where)
 
 
 def load_config(path):
@@ -131,15 +116,17 @@ def saved_view(config, name=""):
 
 def marker_topics(config):
     """Topics of the enabled marker displays of an rviz configuration, as the master knows them."""
-    displays = config["Visualization Manager"].get("Displays") or ()
-    topics = [item["Marker Topic"] for item in displays if item.get("Marker Topic") and item.get("Enabled", True)]
-    return ["/" + topic.lstrip("/") for topic in topics]
+    return ["/" + item["Marker Topic"].lstrip("/") for item in _enabled(config) if item.get("Marker Topic")]
 
 
 def has_display(config, display_class):
     """Whether an rviz configuration has an enabled display of this class, e.g. rviz/InteractiveMarkers."""
+    return any(item.get("Class") == display_class for item in _enabled(config))
+
+
+def _enabled(config):
     displays = config["Visualization Manager"].get("Displays") or ()
-    return any(item.get("Class") == display_class and item.get("Enabled", True) for item in displays)
+    return [item for item in displays if item.get("Enabled", True)]
 
 
 def picture_config(config, view, size_px, frame_rate_hz, scheme, without=(), silent=()):

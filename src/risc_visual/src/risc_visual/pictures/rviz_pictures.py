@@ -25,7 +25,7 @@ from data_extraction.report.topics import fits
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes
-from risc_visual.drawing.ros.markers import LABEL_ABOVE_M
+from risc_visual.drawing.ros.markers import LABEL_M
 from risc_visual.drawing.scenery import load_scenery
 from risc_visual.pictures import captions
 from risc_visual.pictures.captions import DARK, LIGHT, Name, Row
@@ -42,21 +42,12 @@ from risc_visual.pictures.orbit_view import (
 from risc_visual.pictures.virtual_screen import VirtualScreen, save_picture
 
 NAME = "/maap_screenshot"  # under which the master is asked
-CAMERAS, GRID, TITLE, VEHICLES, VEHICLE_NAMES = (
-    "/Cameras",
-    "/Grid",
-    "/desired_trajectory_name",
-    "/Quad_Markers",
-    "/Quad_Labels",
-)
-REFERENCES, MODE, BATTERY, TUNER = "/desired_trajectory", "/Ctrl_Status", "/Battery_Status", "/transform_tuner/text"
+CAMERAS, GRID, TITLE, TUNER = "/Cameras", "/Grid", "/desired_trajectory_name", "/transform_tuner/text"
+VEHICLES, VEHICLE_NAMES, MODE, BATTERY = "/Quad_Markers", "/Quad_Labels", "/Ctrl_Status", "/Battery_Status"
+REFERENCES, REFERENCE_NAMES = "/desired_trajectory", "traj_name"  # topic, and namespace of its texts
 NAMES = (VEHICLE_NAMES, "/Land_Labels", "/Way_Labels")
 TEXTS = (GRID, TITLE, MODE, BATTERY, TUNER, *NAMES)  # topics of nothing but texts, which captions writes
-REFERENCE_NAMES = "traj_name"  # namespace of texts on REFERENCES
-KEY = (
-    ("desired path", REFERENCES, "traj_line"),
-    ("path flown", "/Quad_trajectory", "quad_line"),
-)  # topic and namespace
+KEY = (("desired path", REFERENCES, "traj_line"), ("path flown", "/Quad_trajectory", "quad_line"))  # topic, namespace
 RECORDED = (*TEXTS, VEHICLES, REFERENCES, "/Quad_trajectory")
 VEHICLE_REACH_M = (0.36, 0.12)  # across and up and down: of nose and rotors from its centre, and a little more
 HANDLES_REACH_M = (0.45, 0.45)  # with what turns and moves its camera
@@ -159,7 +150,8 @@ def standard_views(bag, fleet):
 def views_from(names, size_px, light=False, arena=None):
     """List of View. Standard views are filled by the arena. Raises ValueError for unknown names and configurations."""
     scenery = load_scenery()
-    net = scenery.around(arena).net if arena else scenery.net
+    scenery = scenery.around(arena) if arena else scenery
+    around = np.vstack([scenery.net.edges(), [at_m for _, at_m in scenery.grid.labels(scenery.net)]])
     scheme = LIGHT if light else DARK
     found = []
     for name in names:
@@ -177,7 +169,7 @@ def views_from(names, size_px, light=False, arena=None):
             camera = _camera(content, config)
             size = captions.scene_size(size_px) if camera else size_px
             if name in VIEWS:
-                camera = camera.fitted(np.minimum(net.edges(), (np.inf, np.inf, height_m)), *size)
+                camera = camera.fitted(np.minimum(around, (np.inf, np.inf, height_m)), *size)
                 content = camera.as_dict(content)
             without, silent = (without + TEXTS, (REFERENCE_NAMES,)) if camera else (without, ())
             config = picture_config(config, content, size, FRAME_RATE_HZ, scheme, without, silent)
@@ -278,19 +270,19 @@ def layout_of(view, drawn, time_text=""):
     for (topic, ns, _), marker in drawn.items():
         below = topic == REFERENCES and ns == REFERENCE_NAMES and topic in shown
         if topic in NAMES or topic == GRID or below:
-            offset_m = 0.0 if topic == GRID else -LABEL_ABOVE_M if below else LABEL_ABOVE_M
+            offset_m = np.multiply(0.0 if topic == GRID else -1.0 if below else 1.0, LABEL_M)
             reach_m = THING_REACH_M
             if topic == VEHICLE_NAMES:
                 reach_m = HANDLES_REACH_M if tuner else VEHICLE_REACH_M
             at = marker.pose.position
-            names.append(_name(view, marker, (at.x, at.y, at.z - offset_m), reach_m, topic))
+            names.append(_name(view, marker, (at.x, at.y, at.z) - offset_m, reach_m, topic))
     return captions.lay_out(names, _rows(drawn, shown, tuner, time_text), view.size_px, view.scheme)
 
 
 def _name(view, marker, at_m, reach_m, topic):
     """Name of a text marker whose thing is at at_m and reaches so far around it."""
     anchor = view.camera.project(at_m, *view.scene_px)
-    around = view.camera.project(np.array(at_m) + outline_m(*reach_m), *view.scene_px)
+    around = view.camera.project(at_m + outline_m(*reach_m), *view.scene_px)
     reach_px = tuple(np.abs(around - anchor).max(axis=0).tolist())
     rgb = _faded(marker, view.scheme)
     return Name(marker.text, tuple(anchor.tolist()), reach_px, rgb, topic != GRID, topic == VEHICLE_NAMES)
@@ -316,25 +308,23 @@ def _rgb(marker):
 
 def _rows(drawn, shown, tuner, time_text):
     """The lines of the panel: what is flown and when, every vehicle and how it is, the key, the tuner's text."""
-    of = {topic: {} for topic in (TITLE, VEHICLE_NAMES, MODE, BATTERY, TUNER)}
-    for (topic, _, marker_id), marker in drawn.items():
-        of.get(topic, {})[marker_id if topic != TUNER else marker.ns] = marker
-    rows = [Row(line, bold=True) for marker in of[TITLE].values() for line in marker.text.split("\n")]
+    of = {}  # topic -> its markers by namespace and id
+    for (topic, *_), marker in sorted(drawn.items()):
+        of.setdefault(topic, []).append(marker)
+    rows = [Row(line, bold=True) for marker in of.get(TITLE, ()) for line in marker.text.split("\n")]
     rows.append(Row(time_text, small=True))
-    for number, marker in sorted(of[VEHICLE_NAMES].items()):
+    states = of.get(MODE, []) + of.get(BATTERY, [])
+    for marker in sorted(of.get(VEHICLE_NAMES, ()), key=lambda marker: marker.id):
         hull = drawn.get((VEHICLES, marker.ns, 1), marker)
         rows.append(Row(marker.text, mark="dot", mark_rgb=_rgb(hull), space=True))
-        states = filter(None, (of[MODE].get(number - 1), of[BATTERY].get(number - 1)))
-        rows += [Row(state.text.removeprefix(marker.ns + ": "), _rgb(state), small=True) for state in states]
-    key = [(text, _rgb(marker)) for text, topic, ns in KEY for marker in _first(drawn, topic, ns) if topic in shown]
+        mine = [state for state in states if state.text.startswith(marker.ns + ": ")]
+        rows += [Row(state.text.removeprefix(marker.ns + ": "), _rgb(state), small=True) for state in mine]
+    first = {(topic, marker.ns): _rgb(marker) for topic in shown for marker in reversed(of.get(topic, ()))}
+    key = [(text, first[topic, ns]) for text, topic, ns in KEY if (topic, ns) in first]
     rows += [Row(text, mark="line", mark_rgb=rgb, small=True, space=k == 0) for k, (text, rgb) in enumerate(key)]
     if tuner:
-        rows += [Row(marker.text, _rgb(marker), small=True, space=True) for _, marker in sorted(of[TUNER].items())]
+        rows += [Row(marker.text, _rgb(marker), small=True, space=True) for marker in of.get(TUNER, ())]
     return rows
-
-
-def _first(drawn, topic, ns):
-    return [marker for key, marker in drawn.items() if key[:2] == (topic, ns)][:1]
 
 
 def _node(view):
@@ -361,30 +351,19 @@ def _unprepared(master):
     return [] if simulated is True else ["/use_sim_time is not set"]
 
 
-def _listeners(master):
-    """{topic: names of the nodes that subscribe it}."""
-    _, _, (_, subscribers, _) = master.getSystemState(NAME)
-    return {topic: set(nodes) for topic, nodes in subscribers}
-
-
 def _deaf(master, topics, pairs):
     """What is still missing, as a list of texts: topics without any listener, and of every (topic, node) that node."""
-    listeners = _listeners(master)
+    _, _, (_, subscribers, _) = master.getSystemState(NAME)
+    listeners = dict(subscribers)
     missing = ["%s has no listener" % topic for topic in sorted(topics) if not listeners.get(topic)]
-    return missing + [
-        "%s does not listen to %s" % (node, topic)
-        for topic, node in sorted(pairs)
-        if node not in listeners.get(topic, ())
-    ]
+    deaf = [(topic, node) for topic, node in sorted(pairs) if node not in listeners.get(topic, ())]
+    return missing + ["%s does not listen to %s" % (node, topic) for topic, node in deaf]
 
 
 def _wait(missing, launch, screens=()):
     """Until missing() is empty. Raises RuntimeError with what is in it when that does not come true."""
     deadline = time.monotonic() + START_PATIENCE_S
-    while True:
-        reasons = missing()
-        if not reasons:
-            return
+    while reasons := missing():
         for screen in screens:
             screen.check_programs()
         if not launch.running() or time.monotonic() > deadline:
@@ -408,25 +387,21 @@ def _wait_for_rest(launch):
 
 def _play(bag_path, topics, start_s, stop_s, rate, folder, network):
     """Play a part of a bag; the clock that it publishes stands still from then on."""
-    command = ["rosbag", "play", "--quiet", "--clock", "--rate=%g" % rate]
+    command = ["setpriv", "--pdeathsig", "TERM", "rosbag", "play", "--quiet", "--clock", "--rate=%g" % rate]
     command += ["--start=%.3f" % start_s, "--duration=%.3f" % (stop_s - start_s)]
     command += ["--topics", *topics, "--bags", str(bag_path), "__name:=player"]
     log = folder / "player.log"
-    with log.open("wb") as output:
-        player = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=dict(os.environ, **network),
-            start_new_session=True,
-        )
     try:
-        if player.wait((stop_s - start_s) / rate + PLAY_MARGIN_S) != 0:
-            raise RuntimeError("rosbag play failed:\n" + log.read_text(errors="replace"))
-    except subprocess.TimeoutExpired:
-        raise RuntimeError("rosbag play does not end:\n" + log.read_text(errors="replace")) from None
-    finally:
-        if player.poll() is None:
-            player.terminate()
-            player.wait()
+        with log.open("wb") as output:
+            subprocess.run(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(os.environ, **network),
+                start_new_session=True,  # a Ctrl-C at the terminal is for us
+                timeout=(stop_s - start_s) / rate + PLAY_MARGIN_S,
+                check=True,
+            )
+    except subprocess.SubprocessError as error:
+        raise RuntimeError("%s:\n%s" % (error, log.read_text(errors="replace"))) from None

@@ -8,12 +8,12 @@ For pictures without a desktop (`./maap screenshot`) and for tests that use a mo
         save_picture(folder / "view.png", picture)
         subprocess.run(["xdotool", "mousemove", "640", "450", "click", "1"], env=screen.environment(), check=True)
 
-What was started ends with the screen. There is no window manager: windows stand where their programs put them, and none
-has a frame. Drawing is in software and takes a core, so do not measure a flight beside it.
+What was started ends with the screen, and when whoever started it dies of whatever. There is no window manager: windows
+stand where their programs put them, and none has a frame. Drawing is in software and takes a core, so do not measure a
+flight beside it.
 """
 
 import contextlib
-import importlib.util
 import os
 import pathlib
 import shutil
@@ -29,7 +29,6 @@ from PIL import ImageGrab
 _END_PATIENCE_S = 10.0
 _POLL_S = 0.2
 _LOG_LINES = 15
-_OPTIONS = ["-noreset", "-nocursor", "+extension", "GLX"]
 _COLOURS = 16  # fewer: an empty window and its frame
 
 
@@ -39,8 +38,7 @@ class ScreenError(RuntimeError):
 
 def missing_programs(*programs):
     """Those of the programs, and of what a virtual screen itself needs, that are not installed."""
-    missing = [name for name in ("Xvfb", *programs) if shutil.which(name) is None]
-    return missing + ([] if importlib.util.find_spec("pyvirtualdisplay") else ["python3-pyvirtualdisplay"])
+    return [name for name in ("Xvfb", *programs) if shutil.which(name) is None]
 
 
 def shows_something(picture):
@@ -56,29 +54,32 @@ def save_picture(path, picture):
 
 
 class VirtualScreen:
-    """Xvfb on a display of its own, and the programs that run on it. Use as a context manager."""
+    """Xvfb on a display of its own, and the programs that run on it. Use as a context manager, in the main thread."""
 
     def __init__(self, width_px=1280, height_px=900):
         """Raises ScreenError when Xvfb is missing or does not start."""
-        if missing_programs():
-            packages = "'apt-get install xvfb python3-pyvirtualdisplay' (as root)"
-            raise ScreenError("Xvfb is not installed, so there is no virtual screen: " + packages)
-        # Debian's, and there only where pictures are wanted, as Xvfb is
-        from pyvirtualdisplay import Display
-        from pyvirtualdisplay.abstractdisplay import XStartError, XStartTimeoutError
-
-        self.width_px, self.height_px = width_px, height_px
         self._stack = contextlib.ExitStack()
         self._programs = []  # (command, process, log)
+        self._folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="screen-")))
+        self.display = None
+        number_from, number_to = os.pipe()
+        command = ["Xvfb", "-displayfd", str(number_to), "-screen", "0", "%dx%dx24" % (width_px, height_px)]
+        command += ["-noreset", "-nocursor", "-nolisten", "tcp", "+extension", "GLX"]
         try:
-            self._folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="screen-")))
-            server = Display(size=(width_px, height_px), manage_global_env=False, extra_args=_OPTIONS)
-            server.start()
-            self._stack.callback(_stop, server)
-            self.display = server.new_display_var
-        except (XStartError, XStartTimeoutError) as error:
-            self._stack.close()
-            raise ScreenError("Xvfb did not start: %s" % error) from None
+            self.start(command, pass_fds=[number_to])
+        except ScreenError:
+            self.close()
+            raise
+        finally:
+            os.close(number_to)
+        with open(number_from, encoding="ascii") as pipe:
+            number = pipe.readline().strip()  # comes when the server is ready; nothing when it has ended
+        if not number:
+            log = self._programs[0][2]
+            text = "Xvfb did not start: %s" % _tail(log)
+            self.close()
+            raise ScreenError(text)
+        self.display = ":" + number
 
     def __enter__(self):
         return self
@@ -93,7 +94,7 @@ class VirtualScreen:
     def environment(self, **more):
         """Environment for a program that is to use this screen; `more` goes on top."""
         ours = {
-            "DISPLAY": self.display,
+            "DISPLAY": self.display or "",
             "LIBGL_ALWAYS_SOFTWARE": "1",
             "QT_QPA_PLATFORM": "xcb",
             "QT_X11_NO_MITSHM": "1",
@@ -102,7 +103,7 @@ class VirtualScreen:
         }
         return dict(os.environ, **ours, **more)
 
-    def start(self, command, log=None, **environment):
+    def start(self, command, log=None, pass_fds=(), **environment):
         """Start a program on this screen; returns its Popen. log: file for what it prints; environment: more variables.
 
         Raises ScreenError when it is not installed.
@@ -112,11 +113,12 @@ class VirtualScreen:
         log = pathlib.Path(log or self._folder / ("%d.log" % len(self._programs)))
         with log.open("wb") as output:
             process = subprocess.Popen(
-                command,
+                ["setpriv", "--pdeathsig", "TERM", *command],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=self.environment(**environment),
+                pass_fds=pass_fds,
                 start_new_session=True,  # a Ctrl-C at the terminal is for us
             )
         self._stack.callback(_end, process)
@@ -160,18 +162,8 @@ class VirtualScreen:
                 raise ScreenError("%s has ended (exit code %d):\n%s" % (command[0], process.returncode, _tail(log)))
 
 
-def _stop(server):
-    """End an X server kindly, so that it removes its socket; pyvirtualdisplay would kill it."""
-    if server.is_alive():
-        os.kill(server.pid, signal.SIGTERM)
-    deadline = time.monotonic() + _END_PATIENCE_S
-    while server.is_alive() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    server.stop()
-
-
 def _end(process):
-    """End a program and what it started, first kindly."""
+    """End a program and what it started, first kindly: Xvfb removes its socket then."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, number)

@@ -8,7 +8,6 @@ from risc_control.failsafe import FailsafeLevel, Rule, Verdict
 from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
 from risc_visual.drawing.cast import Pose
-from risc_visual.drawing.waypoints import Waypoint
 
 FRAME_ID = "cortex"
 _UNKNOWN = (-1.0, 0.0, -1.0)  # covariance: xx, xy, yy
@@ -27,38 +26,9 @@ def poses_from_cortex(msg):
     ]
 
 
-def bodies_from_mocap(msg):
-    """Mocap_data -> list of (template, list of marker positions (3,) [m])."""
-    return [(body.name, [(marker.x, marker.y, marker.z) for marker in body.marker]) for body in msg.Obj]
-
-
-def landmarks_from_msg(msg):
-    """Landmarks -> list of (name, position (3,) [m])."""
-    return [(entry.name, (entry.x, entry.y, entry.z)) for entry in msg.Obj]
-
-
-def references_from_trajectories(msg):
-    """Trajectories -> dict name -> (position (3,) [m], speed [m/s])."""
-    return {
-        entry.name: ((entry.x, entry.y, entry.z), math.sqrt(entry.xdot**2 + entry.ydot**2 + entry.zdot**2))
-        for entry in msg.Obj
-    }
-
-
 def verdict_from_msg(msg):
     """Safety -> Verdict, without ages."""
     return Verdict(FailsafeLevel(msg.level), msg.reason, msg.operator, Rule(msg.rule))
-
-
-def waypoints_from_msg(msg):
-    """Waypoints -> list of Waypoint; those whose numbers are none are left out."""
-    found, count = [], {}
-    for entry in msg.Obj:
-        count[entry.name] = count.get(entry.name, 0) + 1
-        values = (entry.x, entry.y, entry.z, math.radians(entry.heading))
-        if all(map(math.isfinite, values)):
-            found.append(Waypoint(entry.name, count[entry.name], values[:3], values[3]))
-    return found
 
 
 def rois_of_picture(header, observer, names, landmarks, others, vehicles):

@@ -24,6 +24,7 @@ from risc_estimation.mount_fit import (
 )
 from risc_estimation.mount_samples import BearingWindow
 from risc_lab.lab.calibration import FRONT_MOUNT, CameraMount, load_mount, resolve_url, save_mount
+from risc_lab.settings import Positive, Settings
 
 NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
 LIMITS = (1.0, 1.0, 1.0, 180.0, 90.0, 180.0)  # [m, deg] of the numbers, either side of 0
@@ -31,21 +32,16 @@ _STEP = 1e-6  # [m, deg] numbers that differ by less are the same
 
 
 @dataclass(frozen=True)
-class TunerParams:
-    """Settings of transform_tuner; config/transform_tuner.yaml explains and holds the same values."""
+class TunerParams(Settings):
+    """Settings of transform_tuner, beside those of the window and of the fit (risc_estimation)."""
 
     nominal: bool = False  # begin where a camera nominally sits instead of where the fleet's file says
-    rate_hz: float = 50.0  # of the frames, at most
-    text_hz: float = 2.0
-    live_s: float = 3.0  # what the text in the view tells about
-    rms_good_deg: float = 0.6  # rays that miss by less on the average pass the check
+    rate_hz: Positive = 50.0  # of the frames, at most
+    text_hz: Positive = 2.0
+    live_s: Positive = 3.0  # what the first line of the text in the view tells about
+    rms_good_deg: Positive = 0.6  # rays that miss by less on the average pass the check
     rectified: bool = True  # which pictures the bearings are from, for errors in pixels
     camera: str = "ardrone"  # namespace of the pictures below the vehicle's
-
-    def __post_init__(self):
-        for key in ("rate_hz", "text_hz", "live_s", "rms_good_deg"):
-            if not getattr(self, key) > 0.0:
-                raise ValueError("parameter '%s' must be positive, got %r" % (key, getattr(self, key)))
 
 
 class Misses(NamedTuple):

@@ -5,11 +5,21 @@ left pixel, as in risc_lab.camera.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from risc_lab.lab.calibration import CameraCalibration
+from risc_lab.settings import Settings, between
+
+MIN_VIEWS = 4  # fewer are refused
+GOOD_VIEWS = 15  # fewer are reported
+MAX_VIEWS = 60  # that are used of all that were found: more take longer and tell little
+OUTLIER_RATIO, OUTLIER_FLOOR_PX = 3.0, 0.3  # a view is dropped when its error is so many times the median, and more
+CORNER_REACH = 0.12  # of the picture's diagonal: a corner of the picture without the board nearer is reported
+GOOD_TILT_DEG = 20.0  # views tilted less do not tell focal length from distance
+SIGMA_LIMIT = 0.01  # of the focal length: a greater standard deviation of fx, fy, cx or cy is reported
 
 _CORNER_NAMES = ("top left", "top right", "bottom left", "bottom right")
 _INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")  # order of OpenCV's standard deviations
@@ -20,23 +30,13 @@ _MAX_STARTS = 8
 _REFINE_RADIUS_PX = 9  # half window of the sub-pixel search; less where squares are small
 
 
-class CalibrationError(ValueError):
-    """Pictures that give no calibration, with cause and cure."""
-
-
 @dataclass(frozen=True)
-class Checkerboard:
+class Checkerboard(Settings):
     """The board: numbers of *inner* corners, and the side of a square."""
 
-    columns: int = 8
-    rows: int = 6
-    square_m: float = 0.025
-
-    def __post_init__(self):
-        if self.columns < 3 or self.rows < 3:
-            raise ValueError("a board needs at least 3x3 inner corners, found %dx%d" % (self.columns, self.rows))
-        if not self.square_m > 0.0 or not np.isfinite(self.square_m):
-            raise ValueError("the side of a square must be > 0 m, found %r" % (self.square_m,))
+    columns: between(3, 100) = 8
+    rows: between(3, 100) = 6
+    square_m: between(1e-4, 10.0) = 0.025
 
     @classmethod
     def from_text(cls, size, square_m):
@@ -52,39 +52,14 @@ class Checkerboard:
         return np.column_stack((grid, np.zeros(len(grid)))).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class CalibrationParams:
-    """Settings of `calibrate`."""
-
-    max_views: int = 60  # views that are used of all that were found: more take longer and tell little
-    good_views: int = 15  # fewer are reported
-    min_views: int = 4  # fewer are refused
-    radial_terms: int = 2  # 2: k3 = 0, as camera_calibration does by default; 3: k3 too, for very wide lenses
-    outlier_ratio: float = 3.0  # a view is dropped when its error is that many times the median, ...
-    outlier_floor_px: float = 0.3  # ... but never when it is below this
-    corner_reach: float = (
-        0.12  # of the picture's diagonal: a corner of the picture without the board nearer is reported
-    )
-    good_tilt_deg: float = 20.0  # views tilted less do not tell focal length from distance
-    sigma_limit: float = 0.01  # of the focal length: a greater standard deviation of fx, fy, cx or cy is reported
-
-    def __post_init__(self):
-        if not 4 <= self.min_views <= self.good_views <= self.max_views:
-            raise ValueError("4 <= min_views <= good_views <= max_views is needed, found %r" % (self,))
-        if self.radial_terms not in (2, 3):
-            raise ValueError("radial_terms must be 2 or 3, found %r" % (self.radial_terms,))
-
-
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """The board as one picture shows it."""
 
     name: str
     corners_px: np.ndarray  # (rows * columns, 2)
 
 
-@dataclass(frozen=True)
-class ViewError:
+class ViewError(NamedTuple):
     """How well one view fits."""
 
     name: str
@@ -92,8 +67,7 @@ class ViewError:
     tilt_deg: float  # between the board's normal and the optical axis
 
 
-@dataclass(frozen=True)
-class Calibrated:
+class Calibrated(NamedTuple):
     """What `calibrate` found."""
 
     calibration: CameraCalibration
@@ -150,55 +124,44 @@ def choose_views(views, board, size_px, count):
     return [views[i] for i in chosen]
 
 
-def calibrate(views, board, size_px, name="camera", params=None):
+def calibrate(views, board, size_px, name="camera", radial_terms=2):
     """Calibrate a camera. Returns a Calibrated; its P is that of camera_calibration's default (alpha 0: no black rims).
 
     views: sequence of View.   size_px: (width, height) of all pictures.   name: that of the camera, for the file.
-    Raises CalibrationError when there are too few views or when they do not determine the camera.
+    radial_terms: 2: k3 = 0, as camera_calibration does by default; 3: k3 too, for very wide lenses.
+    Raises ValueError with cause and cure when there are too few views or when they do not determine the camera.
     """
-    params = params or CalibrationParams()
-    if len(views) < params.min_views:
-        raise CalibrationError(
+    if len(views) < MIN_VIEWS:
+        raise ValueError(
             "the board was found in %d picture(s), at least %d are needed and %d are good: take more, with the whole "
-            "board in view" % (len(views), params.min_views, params.good_views)
+            "board in view" % (len(views), MIN_VIEWS, GOOD_VIEWS)
         )
-    kept = choose_views(views, board, size_px, params.max_views)
-    dropped = []
-    guess = None
+    kept = choose_views(views, board, size_px, MAX_VIEWS)
+    dropped, guess = [], None
     while True:
-        guess, sigma, errors = _solve(kept, board, size_px, params.radial_terms, guess)
+        guess, sigma, errors = _solve(kept, board, size_px, radial_terms, guess)
         rms = np.array([error.rms_px for error in errors])
-        limit = max(params.outlier_ratio * np.median(rms), params.outlier_floor_px)
-        outliers = rms > limit
-        if not outliers.any() or np.count_nonzero(~outliers) < params.min_views:
+        outliers = rms > max(OUTLIER_RATIO * np.median(rms), OUTLIER_FLOOR_PX)
+        if not outliers.any() or np.count_nonzero(~outliers) < MIN_VIEWS:
             break
         dropped += [error for error, out in zip(errors, outliers) if out]
         kept = [view for view, out in zip(kept, outliers) if not out]
     K, D = guess
     P, _ = cv2.getOptimalNewCameraMatrix(K, D, size_px, 0.0)
+    P = tuple(np.column_stack((P, np.zeros(3))).ravel().tolist())
     try:
         calibration = CameraCalibration(
-            name=name,
-            width_px=size_px[0],
-            height_px=size_px[1],
-            K=tuple(float(value) for value in K.ravel()),
-            D=tuple(float(value) for value in D),
-            R=(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-            P=tuple(float(value) for value in np.column_stack((P, np.zeros(3))).ravel()),
+            name, *size_px, tuple(K.ravel().tolist()), tuple(D.tolist()), tuple(np.eye(3).ravel().tolist()), P
         ).usable()
     except ValueError as error:
-        raise CalibrationError("the pictures do not determine the camera (%s): %s" % (error, _TILT_CURE)) from error
-    return Calibrated(
-        calibration=calibration,
-        rms_px=float(np.sqrt(np.mean(rms**2))),
-        sigma=sigma,
-        used=tuple(errors),
-        dropped=tuple(dropped),
-        warnings=tuple(_warnings(kept, errors, dropped, K, sigma, size_px, params)),
-    )
+        raise ValueError("%s (%s)" % (_UNDETERMINED, error)) from error
+    warnings = tuple(_warnings(kept, errors, dropped, K, sigma, size_px))
+    rms_px = float(np.sqrt(np.mean(rms**2)))
+    return Calibrated(calibration, rms_px, sigma, tuple(errors), tuple(dropped), warnings)
 
 
 _TILT_CURE = "tilt the board to both sides and forward and back, by 30 to 50 degrees, near enough to fill the picture"
+_UNDETERMINED = "the pictures do not determine the camera: " + _TILT_CURE
 
 
 def _features(corners_px, board, size_px):
@@ -235,9 +198,9 @@ def _solve(views, board, size_px, radial_terms, guess=None):
                 points, corners, size_px, K.copy(), D.copy(), flags=flags, criteria=_CONVERGED
             )
         except cv2.error as error:
-            raise CalibrationError("the pictures do not determine the camera: %s" % _TILT_CURE) from error
+            raise ValueError(_UNDETERMINED) from error
         if not (np.isfinite(solution[1]).all() and np.isfinite(solution[2]).all()):
-            raise CalibrationError("the pictures do not determine the camera: %s" % _TILT_CURE)
+            raise ValueError(_UNDETERMINED)
         return solution
 
     if guess is None:
@@ -261,37 +224,25 @@ def _solve(views, board, size_px, radial_terms, guess=None):
     return guess, dict(zip(_INTRINSICS, deviations.ravel().tolist())), errors
 
 
-def _warnings(views, errors, dropped, K, sigma, size_px, params):
+def _warnings(views, errors, dropped, K, sigma, size_px):
     """Yield what is weak about the pictures, each with its cure."""
-    if len(views) < params.good_views:
-        yield "only %d views: take at least %d that differ in place, distance and tilt" % (
-            len(views),
-            params.good_views,
-        )
-    if len(dropped) > len(views) // 4:
-        yield "%d of %d views did not fit: keep board and camera still, and check that the board is flat" % (
-            len(dropped),
-            len(views) + len(dropped),
-        )
-    tilted = sum(error.tilt_deg >= params.good_tilt_deg for error in errors)
-    if tilted < max(3, len(errors) // 4):
-        yield "only %d of %d views are tilted by %g degrees or more: %s" % (
-            tilted,
-            len(errors),
-            params.good_tilt_deg,
-            _TILT_CURE,
-        )
+    count = len(views)
+    if count < GOOD_VIEWS:
+        yield "only %d views: take at least %d that differ in place, distance and tilt" % (count, GOOD_VIEWS)
+    if len(dropped) > count // 4:
+        text = "%d of %d views did not fit: keep board and camera still, and check that the board is flat"
+        yield text % (len(dropped), count + len(dropped))
+    tilted = sum(error.tilt_deg >= GOOD_TILT_DEG for error in errors)
+    if tilted < max(3, count // 4):
+        yield "only %d of %d views are tilted by %g degrees or more: %s" % (tilted, count, GOOD_TILT_DEG, _TILT_CURE)
     corners_px = np.concatenate([view.corners_px for view in views])
-    reach_px = params.corner_reach * np.hypot(*size_px)
+    reach_px = CORNER_REACH * np.hypot(*size_px)
     ends = [(x, y) for y in (0, size_px[1] - 1) for x in (0, size_px[0] - 1)]
     bare = [name for name, end in zip(_CORNER_NAMES, ends) if np.linalg.norm(corners_px - end, axis=1).min() > reach_px]
     if bare:
-        yield "the board was never near the picture's corner(s) %s, where the lens distorts most: show it there" % (
-            ", ".join(bare)
-        )
-    focal_px = float(np.sqrt(K[0, 0] * K[1, 1]))
-    vague = [
-        "%s +- %.1f px" % (key, sigma[key]) for key in _INTRINSICS[:4] if sigma[key] > params.sigma_limit * focal_px
-    ]
+        text = "the board was never near the picture's corner(s) %s, where the lens distorts most: show it there"
+        yield text % ", ".join(bare)
+    limit_px = SIGMA_LIMIT * np.sqrt(K[0, 0] * K[1, 1])
+    vague = ["%s +- %.1f px" % (key, sigma[key]) for key in _INTRINSICS[:4] if sigma[key] > limit_px]
     if vague:
         yield "uncertain: %s: %s" % (", ".join(vague), _TILT_CURE)

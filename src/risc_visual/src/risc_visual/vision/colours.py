@@ -8,25 +8,22 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from risc_lab.lab.yaml_reader import errors_of
+from risc_lab.settings import Settings, between
 
 HUES = 180  # of an 8-bit picture
 SIDE_MIN_PX = 8  # a smaller picture holds nothing
 
 
 @dataclass(frozen=True)
-class HsvRange:
+class HsvRange(Settings):
     """All colours that count as one paint. Limits are inclusive; a hue range with first > last wraps through red."""
 
-    hue: tuple[int, int]
-    saturation: tuple[int, int] = (0, 255)
-    value: tuple[int, int] = (0, 255)
+    hue: tuple[between(0, HUES - 1), between(0, HUES - 1)]
+    saturation: tuple[between(0, 255), between(0, 255)] = (0, 255)
+    value: tuple[between(0, 255), between(0, 255)] = (0, 255)
 
     def __post_init__(self):
-        for name, limit in (("hue", HUES - 1), ("saturation", 255), ("value", 255)):
-            low, high = getattr(self, name)
-            if not (0 <= low <= limit and 0 <= high <= limit):
-                raise ValueError("'%s' must be two numbers in 0..%d, found %r" % (name, limit, [low, high]))
+        super().__post_init__()
         for name in ("saturation", "value"):
             low, high = getattr(self, name)
             if low > high:
@@ -86,23 +83,6 @@ def shrunk(bgr, factor):
         return bgr
     height, width = (side // factor for side in bgr.shape[:2])
     return cv2.resize(bgr[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
-
-
-def colours_from_section(section):
-    """dict name -> HsvRange of a yaml_reader.Section. Raises ValueError that names the key."""
-    return {name: _colour(section.section(name)) for name in section.keys()}
-
-
-def _colour(section):
-    limits = {}
-    with errors_of(section.where):
-        for key, default in (("hue", None), ("saturation", (0, 255)), ("value", (0, 255))):
-            numbers = section.vector(key, 2, default)
-            limits[key] = tuple(map(int, numbers))
-            if limits[key] != numbers:
-                raise ValueError("'%s' must be whole numbers, found %r" % (key, list(numbers)))
-        section.done()
-        return HsvRange(**limits)
 
 
 def check_paints(colours, item, keys):

@@ -57,15 +57,6 @@ class Ellipse(NamedTuple):
         return np.array([[xx, xy, -x], [xy, yy, -y], [-x, -y, x * self.x + y * self.y - 1.0]])
 
 
-def ellipse_of_spread(x, y, qxx, qxy, qyy):
-    """Ellipse (p - centre)' Q^-1 (p - centre) = 1, or None if Q is not positive definite."""
-    mean, half = 0.5 * (qxx + qyy), 0.5 * (qxx - qyy)
-    reach = math.hypot(half, qxy)
-    if not mean - reach > 0.0:  # also NaN
-        return None
-    return Ellipse(x, y, math.sqrt(mean + reach), math.sqrt(mean - reach), 0.5 * math.atan2(qxy, half))
-
-
 def ellipse_of_moments(moments):
     """The ellipse with the centroid and second moments (thesis eq. 4.3) of a shape; None for one without extent.
 
@@ -74,14 +65,15 @@ def ellipse_of_moments(moments):
     area = moments["m00"]
     if area <= 0.0:
         return None
-    factor = 4.0 / area  # the variance of a filled ellipse along an axis is a quarter of the semi-axis squared
-    return ellipse_of_spread(
-        moments["m10"] / area,
-        moments["m01"] / area,
-        factor * moments["mu20"],
-        factor * moments["mu11"],
-        factor * moments["mu02"],
-    )
+    # the variance of a filled ellipse along an axis is a quarter of the semi-axis squared
+    xx, xy, yy = (4.0 / area * moments[key] for key in ("mu20", "mu11", "mu02"))
+    mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+    reach = math.hypot(half, xy)
+    if not mean - reach > 0.0:  # also NaN
+        return None
+    semi_major, semi_minor = math.sqrt(mean + reach), math.sqrt(mean - reach)
+    x, y = moments["m10"] / area, moments["m01"] / area
+    return Ellipse(x, y, semi_major, semi_minor, 0.5 * math.atan2(xy, half))
 
 
 def unit_circle(count):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import yaml
 
-from risc_lab.lab.ranges import check_ranges
+from risc_lab.settings import Settings, between
 from risc_visual.vision.colours import HUES, HsvRange, Planes
 from risc_visual.vision.landmark_config import detector_file, landmarks_from_dict
 
@@ -17,7 +17,7 @@ _SIGMA_PX = 2.0  # of the blur, as in the original release
 
 
 @dataclass(frozen=True)
-class MaskSettings:
+class MaskSettings(Settings):
     """Thresholds of one paint, inclusive; the defaults are those of the original release's green."""
 
     hue_high: int = 78
@@ -26,13 +26,13 @@ class MaskSettings:
     saturation_low: int = 26
     value_high: int = 255
     value_low: int = 84
-    kernel: int = 1  # [px] radius of the kernel that closes holes in the mask
-    blur: int = 1  # [px] radius of the blur of the mask
+    kernel: between(0, 20) = 1  # [px] radius of the kernel that closes holes in the mask
+    blur: between(0, 100) = 1  # [px] radius of the blur of the mask
     colour: str = "green"  # whose thresholds `save` writes
     file: str = ""  # landmarks file that `save` writes
 
     def __post_init__(self):
-        check_ranges(self, kernel=(0, 20), blur=(0, 100))
+        super().__post_init__()
         self.paint()
 
     def paint(self):

@@ -1,61 +1,50 @@
 """Finds other vehicles in pictures by the two paints of their hulls. Needs no ROS."""
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from risc_lab.lab.ranges import check_ranges
-from risc_lab.lab.yaml_reader import Section, errors_of, load_yaml, package_file
-from risc_visual.vision.colours import HsvRange, Planes, as_bgr, check_paints, colours_from_section, shrunk
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import Name, Settings, between, settings_from
+from risc_visual.vision.colours import HsvRange, Planes, as_bgr, check_paints, shrunk
 
-CONFIG = "config/vehicles.yaml"  # of package risc_visual
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 
 @dataclass(frozen=True)
-class Hull:
+class Hull(Settings):
     """Paints of one kind of hull."""
 
-    name: str
-    nose: str
-    tail: str
+    name: Name
+    nose: Name
+    tail: Name
 
 
 @dataclass(frozen=True)
-class VehicleParams:
-    """Thresholds of the detector; config/vehicles.yaml explains and holds the same values."""
+class VehicleParams(Settings):
+    """Thresholds of the detector."""
 
-    shrink: int = 2
-    area_min_px: float = 80.0
-    gap: float = 0.4
-    second_min: float = 0.03
-    alone_area_min_px: float = 300.0
-    alone_aspect: float = 1.8
-
-    def __post_init__(self):
-        check_ranges(
-            self,
-            shrink=(1, 8),
-            area_min_px=(1, np.inf),
-            gap=(0, 5),
-            second_min=(0, 0.5),
-            alone_area_min_px=(1, np.inf),
-            alone_aspect=(0, 100),
-        )
+    shrink: between(1, 8) = 2  # vehicles are searched in a picture that is this much smaller
+    area_min_px: between(1.0, 1e6) = 80.0  # of both paints together, in the whole picture
+    gap: between(0.0, 5.0) = 0.4  # pieces of paint belong together that are closer than this x the larger's longer side
+    second_min: between(0.0, 0.5) = 0.03  # share of the weaker paint for a hull that shows both
+    alone_area_min_px: between(1.0, 1e6) = 300.0  # a hull that shows only one paint is believed from this area on ...
+    alone_aspect: between(0.0, 100.0) = 1.8  # ... and if it is this many times as wide as high
 
 
 @dataclass(frozen=True)
-class VehiclesConfig:
+class VehiclesConfig(Settings):
     """What hulls look like."""
 
     colours: dict[str, HsvRange]
     hulls: tuple[Hull, ...]
-    detector: VehicleParams = field(default_factory=VehicleParams)
+    detector: VehicleParams = VehicleParams()
 
     def __post_init__(self):
+        super().__post_init__()
         if not self.hulls:
             raise ValueError("'hulls' is empty: list at least one")
         pairs = [frozenset((hull.nose, hull.tail)) for hull in self.hulls]
@@ -80,22 +69,8 @@ class VehicleDetection(NamedTuple):
 
 def load_vehicles(path=None):
     """VehiclesConfig of a file, or of risc_visual/config/vehicles.yaml. Raises ValueError naming file and key."""
-    path = package_file("risc_visual", CONFIG) if path is None else path
-    return vehicles_from_dict(load_yaml(path), str(path))
-
-
-def vehicles_from_dict(content, where="vehicles"):
-    """VehiclesConfig from the content of its YAML file. Raises ValueError that names the key."""
-    root = Section(content, where)
-    colours = colours_from_section(root.section("colours"))
-    hulls = []
-    for section in root.sections("hulls"):
-        hulls.append(Hull(*[section.text(item.name) for item in fields(Hull)]))
-        section.done()
-    detector = root.section("detector", {}).settings(VehicleParams)
-    root.done()
-    with errors_of(where):
-        return VehiclesConfig(colours, tuple(hulls), detector)
+    path = path or package_file("risc_visual", "config/vehicles.yaml")
+    return settings_from(VehiclesConfig, load_yaml(path), str(path))
 
 
 class _Blob(NamedTuple):

@@ -1,10 +1,10 @@
 """The browser view as a node: marker topics -> scene, the vehicles' own topics -> panel, buttons -> land services.
 
-While nobody looks it subscribes to nothing and costs nothing. Wiring only; see marker_scene, live_status, browser.
+While nobody looks it subscribes to nothing and costs nothing. Wiring only; see marker_scene, live_status, page_server.
 """
 
-import math
 import time
+from dataclasses import dataclass
 
 import rospy
 import tf2_ros
@@ -16,14 +16,14 @@ from ardrone_autonomy.msg import Navdata
 from risc_lab.phases import OperatorPhase, phase_words
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.paced_subscriber import PacedSubscriber
-from risc_lab.ros.params import fleet_vehicles, known_arena, number, private, vehicles, warn_of_unknown
+from risc_lab.ros.params import fleet_vehicles, known_arena, load_params, vehicles
 from risc_lab.ros.ticker import Ticker
+from risc_lab.settings import Name, Port, Positive, Settings
 from risc_maap_msgs.msg import ControllerReport, EstimatorStatus, OperatorState, Safety, TrajectoryPhases
 from risc_msgs.msg import Trajectories
 from risc_visual.browser.landing import ask_all
-from risc_visual.browser.live_status import LiveStatus, Mocap, Report, Vehicle
-from risc_visual.browser.marker_scene import FIXED_FRAME, Action, Look, MarkerScene, MarkerValue, Placement, Shape
-from risc_visual.browser.page import SHAPES, BrowserPanel, BrowserScene
+from risc_visual.browser.live_status import BrowserPanel, LiveStatus, Mocap, Report, Vehicle
+from risc_visual.browser.marker_scene import FIXED_FRAME, MarkerScene
 from risc_visual.browser.page_server import open_server
 from risc_visual.drawing.scenery import load_scenery
 from risc_visual.ros.conversions import verdict_from_msg
@@ -47,48 +47,47 @@ _OPERATOR_LAND = "/operator/land"
 _QUEUE = 100  # messages of a burst, e.g. one a vehicle
 
 
+@dataclass(frozen=True)
+class LiveViewParams(Settings):
+    """Settings of live_view, beside ~vehicles: those that have a place in the panel and a land button."""
+
+    host: Name = "127.0.0.1"  # this computer only; 0.0.0.0 = the whole network, which can then land the vehicles
+    port: Port = 8080  # of the page
+    rate_hz: Positive = 15.0  # of the picture, at most; while nobody looks nothing is done
+    arena_file: str = ""  # net, which sets the size of the floor; "" = that of /fleet
+
+
 class LiveView:
     """Shows what is drawn for rviz to whoever opens the page."""
 
     def __init__(self):
-        host, port = private("host", "127.0.0.1"), number("~port", 8080)
-        self._rate_hz = number("~rate_hz", 15.0)
-        arena_file = private("arena_file", "")
-        if port != int(port) or not 1 <= port <= 65535:
-            raise ValueError("parameter ~port must be a whole number from 1 to 65535, found %g" % port)
-        if self._rate_hz <= 0.0:
-            raise ValueError("parameter ~rate_hz must be positive, found %g" % self._rate_hz)
+        params = self._params = load_params(LiveViewParams, known=("vehicles",))[0]
         colours = {vehicle.template: index for index, vehicle in enumerate(fleet_vehicles() or vehicles())}
         self._vehicles = [Vehicle(v.namespace, v.template, colours[v.template]) for v in vehicles()]
-        warn_of_unknown()
-        net = load_scenery(arena_file).net if arena_file else known_arena()
-        self._markers = MarkerScene()
-        self._frames = Frames()
+        net = load_scenery(params.arena_file).net if params.arena_file else known_arena()
+        self._tf = self._tf_listener = None
         self._status = LiveStatus(self._vehicles)
         self._subscribers = []
         self._turns = {"due_s": 0.0, "panel_due_s": 0.0, "changes": 0, "took_max_s": 0.0}
         self._not_shown = set()
-        self._server = open_server(host, int(port))
-        self._scene = BrowserScene(self._server, net.half_x_m, net.half_y_m)
+        self._server = open_server(params.host, params.port)
+        self._scene = MarkerScene(self._server, net.half_x_m, net.half_y_m)
         names = [vehicle.namespace for vehicle in self._vehicles]
-        self._panel = BrowserPanel(self._server, names, self.land_all, self.land_one)
+        self._panel = BrowserPanel(self._server, names, self.land_all, lambda name: self._land([name], {}))
         self._updater = make_updater("none")
         self._updater.add("live view", self._diagnose)
-        Ticker(1.0 / self._rate_hz, self._turn, "the browser view")
+        Ticker(1.0 / params.rate_hz, self._turn, "the browser view")
         rospy.on_shutdown(self._server.stop)  # hooks run in their order: no turn begins any more
-        rospy.loginfo("the flight in a browser: http://%s:%d", "localhost" if host == "0.0.0.0" else host, port)
-        if host in ("127.0.0.1", "localhost"):
+        shown_host = "localhost" if params.host == "0.0.0.0" else params.host
+        rospy.loginfo("the flight in a browser: http://%s:%d", shown_host, params.port)
+        if params.host in ("127.0.0.1", "localhost"):
             rospy.loginfo("for this computer only; host:=0.0.0.0 opens it, and its land buttons, to the network")
         else:
-            rospy.logwarn("whoever reaches port %d of this computer can land the vehicles", port)
+            rospy.logwarn("whoever reaches port %d of this computer can land the vehicles", params.port)
 
     def land_all(self):
         """Land every vehicle, and have the virtual operator, where there is one, let them stand."""
         self._land([vehicle.namespace for vehicle in self._vehicles], {_OPERATOR: _call_operator})
-
-    def land_one(self, name):
-        """Land this vehicle."""
-        self._land([name], {})
 
     def _land(self, names, others):
         """Ask the nodes of these vehicles to land them, and others too; the panel shows what each answers."""
@@ -113,170 +112,107 @@ class LiveView:
             return
         if start_s >= self._turns["panel_due_s"]:  # before the scene, which may fail
             self._turns["panel_due_s"] = start_s + 1.0 / _PANEL_HZ
-            self._panel.show(self._status.html(start_s, _time_of_day()))
+            self._panel.status.content = self._status.html(start_s, _time_of_day())
         try:
-            changes = self._markers.changes(start_s, self._frames.lookup)
-            self._turns["changes"] += len(changes)
-            self._scene.apply(changes)
+            self._turns["changes"] += self._scene.draw(start_s, self._lookup)
         finally:
-            self._note_turn(start_s)
+            took_s = time.monotonic() - start_s
+            self._turns["due_s"] = start_s + took_s / _MOST_LOAD
+            self._turns["took_max_s"] = max(self._turns["took_max_s"], took_s)
 
-    def _note_turn(self, start_s):
-        took_s = time.monotonic() - start_s
-        self._turns["due_s"] = start_s + took_s / _MOST_LOAD
-        self._turns["took_max_s"] = max(self._turns["took_max_s"], took_s)
+    def _lookup(self, frame, stamp):
+        """geometry_msgs/Transform by tf2, which is only listened to when a marker needs it; None if it has none."""
+        if self._tf is None:
+            self._tf = tf2_ros.Buffer(rospy.Duration(_FRAMES_S), debug=False)
+            self._tf_listener = tf2_ros.TransformListener(self._tf)
+        try:
+            return self._tf.lookup_transform(FIXED_FRAME, frame, stamp).transform
+        except tf2_ros.TransformException:
+            return None
 
     def _begin(self):
         """Somebody looks."""
         self._turns.update(due_s=0.0, panel_due_s=0.0)
 
-        def every(topic, kind, callback, *args):
-            self._subscribers.append(rospy.Subscriber(topic, kind, callback, args, queue_size=_QUEUE, tcp_nodelay=True))
+        note = self._note
 
-        def newest(topic, kind, callback, rate_hz, *args):
-            self._subscribers.append(PacedSubscriber(topic, kind, callback, rate_hz, (args,)))
+        def every(topic, kind, callback):
+            self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=_QUEUE, tcp_nodelay=True))
+
+        def newest(topic, kind, callback, rate_hz=_PANEL_HZ):
+            self._subscribers.append(PacedSubscriber(topic, kind, callback, rate_hz))
 
         for topic in WHOLE:
-            newest(topic, MarkerArray, self._on_array, self._rate_hz, topic)
-        for topic in ARRAYS:
-            every(topic, MarkerArray, self._on_array, topic)
-        for topic in SINGLE:
-            every(topic, Marker, self._on_marker, topic)
+            newest(topic, MarkerArray, self._to_scene(topic), self._params.rate_hz)
+        for topic, kind in [(topic, MarkerArray) for topic in ARRAYS] + [(topic, Marker) for topic in SINGLE]:
+            every(topic, kind, self._to_scene(topic))
         for vehicle in self._vehicles:
-            group, name = "/%s/" % vehicle.namespace, vehicle.namespace
-            newest(group + "controller_status", Bool, self._on_value, _PANEL_HZ, "mode", name)
-            newest(group + "ardrone/navdata", Navdata, self._on_navdata, _PANEL_HZ, name)
-            every(group + "safety", Safety, self._on_safety, name)
-        newest("/trajectory", Trajectories, self._on_references, _PANEL_HZ)
+            name = vehicle.namespace
+            newest("/%s/controller_status" % name, Bool, lambda msg, name=name: note("mode", name, msg.data))
+            newest("/%s/ardrone/navdata" % name, Navdata, lambda msg, name=name: note("navdata", name, _report(msg)))
+            every("/%s/safety" % name, Safety, lambda msg, name=name: note("safety", name, verdict_from_msg(msg)))
+        newest("/trajectory", Trajectories, lambda _msg: note("references", "", True))
         every("/trajectory_phase", TrajectoryPhases, self._on_phases)
-        every("/operator/phase", OperatorState, self._on_operator)
+        every("/operator/phase", OperatorState, lambda msg: note("operator", "", _operator_text(msg)))
         every("/controller_report", ControllerReport, self._on_controller)
-        every("/estimator_status", EstimatorStatus, self._on_estimator)
+        every(
+            "/estimator_status",
+            EstimatorStatus,
+            lambda msg: note("mocap", "", Mocap(msg.rate_hz, msg.visible, msg.vehicles)),
+        )
 
     def _rest(self):
         """The last one has gone."""
         for subscriber in self._subscribers:
             subscriber.unregister()
         self._subscribers = []
-        self._frames.rest()
-        self._markers.forget()
+        if self._tf_listener is not None:
+            self._tf_listener.unregister()
+        self._tf = self._tf_listener = None
         self._status.forget()
         self._scene.clear()
-        self._panel.show("")  # nobody is to meet old news
+        self._panel.status.content = ""  # nobody is to meet old news
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
-    def _on_array(self, message, args):
-        self._note(args[0], message.markers)
+    def _to_scene(self, topic):
+        """Callback for the markers on a topic."""
 
-    def _on_marker(self, message, args):
-        self._note(args[0], [message])
+        def note(message):
+            markers = getattr(message, "markers", [message])
+            self._not_shown |= self._scene.note(topic, markers, time.monotonic())
 
-    def _note(self, topic, messages):
-        found = [marker for marker in map(marker_from_msg, messages) if marker is not None]
-        strange = {marker.look.shape for marker in found if marker.action == Action.ADD} - SHAPES
-        self._not_shown |= {shape.name for shape in strange}
-        self._markers.note(topic, [marker for marker in found if marker.look.shape not in strange], time.monotonic())
+        return note
 
-    def _on_value(self, message, args):
-        self._status.note(*args, message.data, time.monotonic())
+    def _note(self, what, whose, value):
+        self._status.note(what, whose, value, time.monotonic())
 
-    def _on_navdata(self, message, args):
-        self._status.note("navdata", args[0], Report(message.state, message.batteryPercent), time.monotonic())
-
-    def _on_references(self, _message, _args):
-        self._status.note("references", "", True, time.monotonic())
-
-    def _on_safety(self, message, args):
-        self._status.note("safety", args[0], verdict_from_msg(message), time.monotonic())
-
-    def _on_phases(self, message, _args):
+    def _on_phases(self, message):
         for template, phase in phase_words(message.vehicles).items():
-            self._status.note("course", template, phase, time.monotonic())
+            self._note("course", template, phase)
 
-    def _on_operator(self, message, _args):
-        words = OperatorPhase(message.phase).name.lower(), message.text
-        self._status.note("operator", "", ": ".join(filter(None, words)), time.monotonic())
-
-    def _on_controller(self, message, _args):
+    def _on_controller(self, message):
         namespaces = {vehicle.template: vehicle.namespace for vehicle in self._vehicles}
         for vehicle in message.vehicles:
             if vehicle.name in namespaces:
-                self._status.note("error_m", namespaces[vehicle.name], vehicle.position_error_m, time.monotonic())
-
-    def _on_estimator(self, message, _args):
-        mocap = Mocap(message.rate_hz, message.visible, message.vehicles)
-        self._status.note("mocap", "", mocap, time.monotonic())
+                self._note("error_m", namespaces[vehicle.name], vehicle.position_error_m)
 
     def _diagnose(self, status):
-        turns, viewers = self._turns, len(self._server.get_clients())
-        status.summary(0, "%d watching" % viewers)
+        turns = self._turns
+        status.summary(0, "%d watching" % len(self._server.get_clients()))
         status.add("changes since the last report", str(turns["changes"]))
         status.add("longest turn (ms)", "%.1f" % (1e3 * turns["took_max_s"]))
-        status.add("kinds of markers that are not shown", ", ".join(sorted(self._not_shown)) or "none")
+        status.add("types of markers that are not shown", ", ".join(map(str, sorted(self._not_shown))) or "none")
         turns["changes"], turns["took_max_s"] = 0, 0.0
         return status
 
 
-class Frames:
-    """Poses of frames by tf2, which is only listened to when a marker needs it."""
-
-    def __init__(self):
-        self._buffer = self._listener = None
-
-    def lookup(self, frame, stamp_s):
-        """`Placement` of a frame in the fixed one, None if it is not known for that time; 0 = the newest."""
-        if self._buffer is None:
-            self._buffer = tf2_ros.Buffer(rospy.Duration(_FRAMES_S), debug=False)
-            self._listener = tf2_ros.TransformListener(self._buffer)
-        try:
-            found = self._buffer.lookup_transform(FIXED_FRAME, frame, rospy.Time.from_sec(stamp_s)).transform
-        except tf2_ros.TransformException:
-            return None
-        place, turn = found.translation, found.rotation
-        return Placement((place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w))
-
-    def rest(self):
-        """Listen no more."""
-        if self._listener is not None:
-            self._listener.unregister()
-        self._buffer = self._listener = None
+def _report(navdata):
+    return Report(navdata.state, navdata.batteryPercent)
 
 
-def marker_from_msg(message):
-    """visualization_msgs/Marker -> MarkerValue; None for numbers that are not finite or of no known meaning."""
-    place, turn, size, ink = message.pose.position, message.pose.orientation, message.scale, message.color
-    quaternion = (turn.x, turn.y, turn.z, turn.w)
-    length = math.sqrt(sum(part * part for part in quaternion))
-    # all zeros is what nobody has set: no turn
-    quaternion = tuple(part / length for part in quaternion) if length > 0.0 else (0.0, 0.0, 0.0, 1.0)
-    points_m = tuple((point.x, point.y, point.z) for point in message.points)
-    rgba = (ink.r, ink.g, ink.b, ink.a)
-    colours = tuple((colour.r, colour.g, colour.b, colour.a) for colour in message.colors)
-    numbers = ((place.x, place.y, place.z, size.x, size.y, size.z, length), rgba, *points_m, *colours)
-    if not all(math.isfinite(value) for part in numbers for value in part):
-        return None
-    try:
-        shape, action = Shape(message.type), Action(message.action)
-    except ValueError:
-        return None
-    return MarkerValue(
-        message.ns,
-        message.id,
-        action,
-        Look(
-            shape,
-            (size.x, size.y, size.z),
-            rgba,
-            points_m,
-            colours,
-            message.text,
-        ),
-        Placement((place.x, place.y, place.z), quaternion),
-        message.header.frame_id.lstrip("/") or FIXED_FRAME,
-        message.header.stamp.to_sec(),
-        message.lifetime.to_sec(),
-    )
+def _operator_text(message):
+    return ": ".join(filter(None, (OperatorPhase(message.phase).name.lower(), message.text)))
 
 
 def _call_land(name):

@@ -3,15 +3,26 @@
 import math
 import threading
 
+from geometry_msgs.msg import Quaternion
+from visualization_msgs.msg import Marker
+
 from risc_control.failsafe import FailsafeLevel
+from risc_lab.lab.arena import Arena
 from risc_lab.lab.templates import attached_bodies
+from risc_visual.drawing.airframes import PAINT
 from risc_visual.drawing.cast import Cast, Index, is_news, rod_foot
 from risc_visual.drawing.palette import sphere_colours
-from risc_visual.drawing.ros import markers
-from risc_visual.ros.conversions import bodies_from_mocap, landmarks_from_msg, poses_from_cortex
+from risc_visual.drawing.ros.markers import GREEN, LINE_M, ORANGE, ORIGIN, RED, TEXT_M, WHITE, Pen, header, is_known
+from risc_visual.ros.conversions import poses_from_cortex
 
-TEXT_PERIODS = 3.0  # without news after which a text vanishes
-_SPHERE_ALPHA = 0.7  # of landmarks
+_TEXT_PERIODS = 3.0  # without news after which a text vanishes
+_SPHERE_ALPHA, _OTHER_ALPHA = 0.7, 0.4  # of landmarks, and of those that nobody knows
+_PENDULUM = (1.0, 0.6, 0.0)
+_BARE = (0.75, 0.75, 0.75)
+_LOST_RGBA = (0.6, 0.6, 0.6, 0.4)
+_TYPES = {"ellipsoid": Marker.SPHERE, "cylinder": Marker.CYLINDER, "lines": Marker.LINE_LIST, "arrow": Marker.ARROW}
+_LEAST_M = 1e-3  # diameter of what rviz could not draw, were it smaller
+_MODES_M, _BATTERIES_M = (-0.5, -1.2, 0.0), (0.5, 1.15, 0.4)  # from two corners of the net to the lists of texts
 
 
 class CortexDrawing:
@@ -20,56 +31,77 @@ class CortexDrawing:
     What has no stamp has the ROS time that the caller gives.
     """
 
-    def __init__(self, params, fleet, templates, landmarks):
+    def __init__(self, params, fleet, templates, landmarks, arena=Arena()):
         """params: CortexParams. fleet: FleetVehicles. templates: of lab.templates. landmarks: LandmarksConfig."""
         index = Index(params.vehicles or [vehicle.template for vehicle in fleet])
         self._cast = Cast(index, {vehicle.template: vehicle.type for vehicle in fleet})
         self._tips = attached_bodies(templates)
         self._colours = {name: rgb + (_SPHERE_ALPHA,) for name, rgb in sphere_colours(landmarks).items()}
-        self._lifetime_s, self._label_alpha = params.lifetime_s, params.label_alpha
-        self._text_lifetime_s = TEXT_PERIODS / params.status_hz
+        self._lifetime_s, self._label_rgba = params.lifetime_s, WHITE + (params.label_alpha,)
+        self._text_lifetime_s = _TEXT_PERIODS / params.status_hz
+        self._half_m = arena.half_x_m, arena.half_y_m, 0.0
         self._lock = threading.Lock()
         self._safety = {}  # line -> Verdict of the vehicle's safety when it is not content
         self._levels = {}  # name -> (level of the safety ladder, when it was said [s])
 
     def vehicles(self, msg, now_s):
-        """Cortex -> (vehicles and pendulums, their names). now_s: ROS time, that of the header of `mode`."""
-        head = markers.header(msg.header.stamp)
+        """Cortex -> (vehicles and pendulums, their names): ns = name. now_s: ROS time, that given to `mode`.
+
+        A lost vehicle is a grey ghost where it was last seen; one that its safety has stopped says so.
+        """
+        pen, levels = Pen(self._lifetime_s, header(msg.header.stamp)), self._levels_at(now_s)
         poses = poses_from_cortex(msg)
         views = self._cast.views([pose for pose in poses if pose.name not in self._tips])
-        found = markers.vehicle_markers(head, views, self._lifetime_s)
-        labels = markers.vehicle_labels(head, views, self._label_alpha, self._lifetime_s, self._levels_at(now_s))
+        found, labels = [], []
+        for view in views:
+            found += _vehicle(pen, view)
+            text, rgba = view.name + (" (lost)" if view.lost else ""), self._label_rgba
+            if view.name in levels:
+                text, rgba = "%s: %s" % (text, levels[view.name]), RED + rgba[3:]
+            labels.append(pen.label(view.name, view.index + 1, text, view.position_m, rgba))
         for tip in poses:
             if tip.name in self._tips and tip.visible:
+                found.append(pen.ball(tip.name, 1, tip.position_m, 0.076, _PENDULUM + (1.0,)))
                 foot_m = rod_foot(tip.position_m, [view for view in views if not view.lost])
-                found += markers.pendulum_markers(head, tip.name, tip.position_m, foot_m, self._lifetime_s)
-                labels.append(
-                    markers.pendulum_label(head, tip.name, tip.position_m, self._label_alpha, self._lifetime_s)
-                )
+                if foot_m is not None:
+                    found.append(pen.line(tip.name, 2, (foot_m, tip.position_m), 0.02, _PENDULUM + (0.7,)))
+                labels.append(pen.label(tip.name, 1, tip.name, tip.position_m, self._label_rgba))
         return found, labels
 
     def bodies(self, msg):
-        """Mocap_data -> the markers on the bodies."""
-        return markers.body_markers(markers.header(msg.header.stamp), bodies_from_mocap(msg), self._lifetime_s)
+        """Mocap_data -> the markers of every body that are seen, as one list of spheres: ns = template."""
+        pen, found = Pen(self._lifetime_s, header(msg.header.stamp)), []
+        for body in msg.Obj:
+            seen = [(marker.x, marker.y, marker.z) for marker in body.marker]
+            seen = [point for point in seen if is_known(point)]
+            if seen:
+                size_m, rgba = (0.03, 0.03, 0.03), WHITE + (1.0,)
+                found.append(pen.marker(body.name, 1, Marker.SPHERE_LIST, ORIGIN, size_m, rgba, points_m=seen))
+        return found
 
     def landmarks(self, msg):
-        """Landmarks -> (spheres, their names)."""
-        head, found = markers.header(msg.header.stamp), landmarks_from_msg(msg)
-        spheres = markers.landmark_markers(head, found, self._text_lifetime_s, self._colours)
-        return spheres, markers.landmark_labels(head, found, self._label_alpha, self._text_lifetime_s)
+        """Landmarks -> (spheres, their names): ns = name."""
+        pen = Pen(self._text_lifetime_s, header(msg.header.stamp))
+        places_m = {entry.name: (entry.x, entry.y, entry.z) for entry in msg.Obj}
+        seen = {name: at_m for name, at_m in places_m.items() if is_known(at_m)}
+        other = WHITE + (_OTHER_ALPHA,)
+        spheres = [pen.ball(name, 1, at_m, 0.17, self._colours.get(name, other)) for name, at_m in seen.items()]
+        return spheres, [pen.label(name, 1, name, at_m, self._label_rgba) for name, at_m in seen.items()]
 
     def covariance(self, msg, number):
-        """`position_cov` of the original's filter -> ellipsoid, None if it holds none.
+        """`position_cov` of the original's filter -> ellipsoid with a diameter of three standard deviations along each
+        axis; None if it holds none.
 
-        msg: TwistStamped with the position [m] in `linear`, its variances [m^2] in `angular`. number: 0, or of the
-        vehicle from 1.
+        msg: TwistStamped with the position [m] in `linear`, its variances [m^2] in `angular`. number: of the vehicle
+        from 1; 0 for a laboratory with one vehicle.
         """
         at, variance = msg.twist.linear, msg.twist.angular
-        position_m, variances_m2 = (at.x, at.y, at.z), (variance.x, variance.y, variance.z)
-        if not all(map(math.isfinite, position_m + variances_m2)) or min(variances_m2) < 0.0:
+        at_m, variances_m2 = (at.x, at.y, at.z), (variance.x, variance.y, variance.z)
+        if not all(map(math.isfinite, at_m + variances_m2)) or min(variances_m2) < 0.0:
             return None
-        head = markers.header(msg.header.stamp)
-        return markers.covariance_marker(head, position_m, variances_m2, self._lifetime_s, number)
+        size_m = tuple(max(_LEAST_M, 3.0 * math.sqrt(value)) for value in variances_m2)
+        pen = Pen(self._lifetime_s, header(msg.header.stamp))
+        return pen.marker("covariance", number, Marker.SPHERE, at_m, size_m, RED + (0.2,))
 
     def note_safety(self, line, verdict):
         """What the safety of the vehicle on a line of the list says: its Verdict."""
@@ -77,21 +109,52 @@ class CortexDrawing:
             self._safety[line] = None if verdict.level == FailsafeLevel.OK else verdict
 
     def mode(self, head, line, name, autonomous):
-        """Line of text: who flies the vehicle, or what its safety does about it."""
+        """Line of text: who flies the vehicle, or what its safety does about it.
+
+        line: of the list of vehicles, from 0. name: "" for a laboratory with one vehicle.
+        """
         with self._lock:
             safety = self._safety.get(line)
             if safety:
                 self._levels[name] = (safety.level.name, head.stamp.to_sec())
             else:
                 self._levels.pop(name, None)
-        return markers.mode_marker(head, line, name, autonomous, safety.text if safety else "", self._text_lifetime_s)
+        text = safety.text if safety else "Autonomous" if autonomous else "Manual"
+        rgb = RED if safety else GREEN if autonomous else ORANGE
+        return self._status(head, "controller_status", _MODES_M, line, name, text, rgb)
 
     def battery(self, head, line, name, percent):
-        """Line of text: charge of a vehicle's battery."""
-        return markers.battery_marker(head, line, name, percent, self._text_lifetime_s)
+        """Line of text: charge of a vehicle's battery, from red (empty) to green (full)."""
+        full = min(1.0, max(0.0, percent / 100.0))
+        rgb = (min(1.0, 2.0 - 2.0 * full), min(1.0, 2.0 * full), 0.0)
+        text = "%.0f%%" % percent if name else "Battery: %.0f%%" % percent
+        return self._status(head, "battery_status", _BATTERIES_M, line, name, text, rgb)
+
+    def _status(self, head, ns, offset_m, line, name, text, rgb):
+        """One line of a list outside of the net, at a corner where no vehicle is behind it in the saved views.
+
+        Lines follow each other outwards along x, and along z: so they are apart in a view from above and in one from
+        the side, and do not cancel in one from behind (-x), where the saved view is.
+        """
+        height_m, side = LINE_M if name else TEXT_M, math.copysign(1.0, offset_m[0])
+        apart_m = 1.3 * height_m * line
+        x, y, z = (side * half_m + more_m for half_m, more_m in zip(self._half_m, offset_m))
+        text = "%s: %s" % (name, text) if name else text
+        at_m = (x + side * apart_m, y, z + side * apart_m)
+        return Pen(self._text_lifetime_s, head).text(ns, line, text, at_m, height_m, rgb + (1.0,))
 
     def _levels_at(self, now_s):
         """dict name -> level of the vehicles that still speak: what a vehicle said last is not true for ever."""
         with self._lock:
             said = dict(self._levels)
         return {name: level for name, (level, said_s) in said.items() if is_news(said_s, now_s, self._text_lifetime_s)}
+
+
+def _vehicle(pen, view):
+    """The parts of a vehicle: ids from 1."""
+    turn = Quaternion(*view.quaternion)
+    found = []
+    for number, (part, at_m) in enumerate(zip(view.parts, view.places_m), start=1):
+        rgba = _LOST_RGBA if view.lost else (view.colour if part.colour == PAINT else _BARE) + (part.alpha,)
+        found.append(pen.marker(view.name, number, _TYPES[part.shape], at_m, part.size_m, rgba, turn, part.points_m))
+    return found

@@ -1,10 +1,18 @@
 """Waypoints, and the states of vehicles -> the markers of draw_waypoints. Needs no ROS master."""
 
+import math
+from collections import Counter
+
+from geometry_msgs.msg import Quaternion
+from visualization_msgs.msg import Marker
+
 from risc_visual.drawing.cast import Index, is_news
-from risc_visual.drawing.ros import markers
+from risc_visual.drawing.ros.markers import FLOWN_M, RED, WHITE, Pen, header
 from risc_visual.drawing.ros.paths import PathDrawing
-from risc_visual.drawing.trails import TrailParams
-from risc_visual.ros.conversions import poses_from_cortex, waypoints_from_msg
+from risc_visual.ros.conversions import poses_from_cortex
+
+_NAMELESS = "waypoint"  # namespace of those that name no vehicle, as in bags of the original release
+_ARROW_M = (0.255, 0.07, 0.07)
 
 
 class WaypointDrawing:
@@ -13,32 +21,33 @@ class WaypointDrawing:
     def __init__(self, params, names):
         """params: WaypointParams. names: of the vehicles, which get the first ids."""
         self._params = params
-        self._numbers = Index((name, 1) for name in names)  # of waypoints
-        trail_params = TrailParams(params.trail_s, params.step_m, params.jump_m, params.gap_s)
-        self._paths = PathDrawing(
-            "way_trail", markers.RED[:3], markers.FLOWN_M, trail_params, params.rate_hz, Index(names)
-        )
+        self._numbers = Index((name, 1) for name in names)  # of waypoints: (name, which of those with this name)
+        self._paths = PathDrawing("way_trail", RED, FLOWN_M, params.trail_s, params, Index(names))
         self._sent = (frozenset(), 0.0)  # vehicles that have a waypoint, and when it was said; replaced as a whole
 
     def waypoints(self, msg, now_s):
-        """Waypoints -> (balls, headings, labels)."""
-        params, head = self._params, markers.header()  # the frame cortex needs no time: waypoints are where they are
-        waypoints = waypoints_from_msg(msg)
-        self._sent = frozenset(item.name for item in waypoints), now_s
-        return tuple(
-            draw(head, self._numbers, waypoints, alpha, params.lifetime_s)
-            for draw, alpha in (
-                (markers.waypoint_markers, params.alpha),
-                (markers.heading_markers, params.alpha),
-                (markers.waypoint_labels, params.label_alpha),
-            )
-        )
+        """Waypoints -> (balls, arrows of the headings, names): ns = name, id from the index."""
+        params, pen = self._params, Pen(self._params.lifetime_s)  # waypoints are where they are: no stamp
+        rgba, count = WHITE + (params.alpha,), Counter()
+        balls, arrows, labels = [], [], []
+        for entry in msg.Obj:
+            count[entry.name] += 1
+            at_m = (entry.x, entry.y, entry.z)
+            half_rad = -0.5 * math.radians(entry.heading)  # headings are + clockwise, turns about z the other way
+            if not all(map(math.isfinite, (*at_m, half_rad))):
+                continue
+            what = entry.name or _NAMELESS, self._numbers[entry.name, count[entry.name]]
+            balls.append(pen.ball(*what, at_m, 0.17, rgba))
+            turn = Quaternion(0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
+            arrows.append(pen.marker(*what, Marker.ARROW, at_m, _ARROW_M, rgba, turn))
+            labels.append(pen.label(*what, entry.name, at_m, WHITE + (params.label_alpha,)))
+        self._sent = frozenset(label.text for label in labels), now_s
+        return balls, arrows, labels
 
     def paths(self, msg, now_s):
         """Cortex -> what to send of the paths of the vehicles that have a waypoint."""
         names, said_s = self._sent
         names = names if is_news(said_s, now_s, self._params.lifetime_s) else ()
         self._paths.keep_only(names)
-        positions_m = {pose.name: pose.position_m for pose in poses_from_cortex(msg) if pose.visible}
-        wanted_m = {name: position_m for name, position_m in positions_m.items() if name in names}
-        return self._paths.draw(markers.header(msg.header.stamp), wanted_m)
+        poses = [pose for pose in poses_from_cortex(msg) if pose.visible and pose.name in names]
+        return self._paths.draw(header(msg.header.stamp), {pose.name: pose.position_m for pose in poses})

@@ -11,7 +11,6 @@ import xmlrpc.client
 import rospy
 from dynamic_reconfigure.server import Server
 from interactive_markers.interactive_marker_server import InteractiveMarkerServer
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import InteractiveMarkerFeedback, MarkerArray
 
@@ -28,10 +27,9 @@ from risc_lab.ros.until_shutdown import until_shutdown
 from risc_lab.vehicle_frames import body_frame
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
 from risc_visual.cfg import TransformTunerConfig
-from risc_visual.drawing.ros import markers
 from risc_visual.drawing.ros.marker_publisher import MarkerPublisher
-from risc_visual.ros.conversions import landmarks_from_msg
-from risc_visual.ros.health import Health
+from risc_visual.drawing.ros.markers import Pen, header
+from risc_visual.ros.node import Health
 from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, TunerParams
 from risc_visual.tuner.ros.mount_marker import mount_marker, numbers_from_pose, pose_of
 
@@ -172,7 +170,7 @@ class TransformTunerNode:
     def _on_landmarks(self, msg):
         with self._lock:
             for item in self._tuned:
-                item.tuner.window.see_landmarks(dict(landmarks_from_msg(msg)))
+                item.tuner.window.see_landmarks({entry.name: (entry.x, entry.y, entry.z) for entry in msg.Obj})
         self._health.drawn("/states3")
 
     def _on_angles(self, msg):
@@ -249,9 +247,9 @@ class TransformTunerNode:
             lines = item.tuner.lines(latest, *windows, camera=camera, seen=now_s - item.seen_s < _SEEN_S)
             if now_s - item.answered_s < _ANSWER_S:
                 lines += textwrap.wrap(item.answer, _TEXT_COLUMNS)
-            head = Header(frame_id=body_frame(item.template))  # no stamp: where the vehicle is now
-            lifetime_s = 3.0 / self._params.text_hz
+            pen = Pen(
+                3.0 / self._params.text_hz, header(frame_id=body_frame(item.template))
+            )  # where the vehicle is now
             at_m = (0.0, 0.0, -_TEXT_ABOVE_M - 0.5 * _LINE * _TEXT_M * len(lines))  # body axes
-            text = "\n".join(lines)
-            found.append(markers.text_marker(head, item.name, 0, text, at_m, _TEXT_M, _TEXT_RGBA, lifetime_s))
+            found.append(pen.text(item.name, 0, "\n".join(lines), at_m, _TEXT_M, _TEXT_RGBA))
         self._text.publish(found)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from risc_visual.vision.templates.checks import within
+from risc_lab.settings import Fraction, Settings, between
 from risc_visual.vision.templates.drawing import Region
 
 _BINS = 36
@@ -13,20 +13,14 @@ _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 1.0)
 
 
 @dataclass(frozen=True)
-class CamshiftSettings:
+class CamshiftSettings(Settings):
     """Settings of `CamshiftTracker`. Colours are hue only, so pale and dark pixels say nothing."""
 
-    saturation_low: int = 60  # 0..255: of pixels that count
-    value_low: int = 32
-    value_high: int = 255
-    likeness: float = 0.25  # mean likeness to the target's colours in the window, 0 to 1, below which it is lost
-    least_px: int = 25  # [px^2] area below which it is lost
-
-    def __post_init__(self):
-        for key in ("saturation_low", "value_low", "value_high"):
-            within(self, key, 0, 255)
-        within(self, "likeness", 0.0, 1.0)
-        within(self, "least_px", 1, 10**8)
+    saturation_low: between(0, 255) = 60  # 0..255: of pixels that count
+    value_low: between(0, 255) = 32
+    value_high: between(0, 255) = 255
+    likeness: Fraction = 0.25  # mean likeness to the target's colours in the window, below which it is lost
+    least_px: between(1, 10**8) = 25  # [px^2] area below which it is lost
 
 
 class CamshiftTracker:

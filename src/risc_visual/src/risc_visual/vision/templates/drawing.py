@@ -10,6 +10,8 @@ BLACK = (0, 0, 0)
 WHITE = (255, 255, 255)
 RED = (0, 0, 255)
 YELLOW = (0, 255, 255)
+SHIFT = 4  # binary digits of a pixel that OpenCV's drawing functions get
+_FONT = cv2.FONT_HERSHEY_SIMPLEX, 0.5
 
 
 class Region(NamedTuple):
@@ -49,18 +51,35 @@ def draw_crosshair(picture, rings=12, gap=(0.1, 0.2), arc_deg=10.0):
 
 def draw_region(picture, region, colour=YELLOW):
     """A `Region` and its name."""
-    corners = cv2.boxPoints(((region.x, region.y), (region.width, region.height), region.angle_deg))
-    cv2.polylines(picture, [np.round(corners).astype(np.int32)], True, colour, 2, cv2.LINE_AA)
+    corners = outline_rectangle(picture, region.x, region.y, region.width, region.height, region.angle_deg, colour)
     if region.name:
         highest = corners[corners[:, 1].argmin()]
         draw_text(picture, region.name, (highest[0], highest[1] - 5.0), colour)
+
+
+def outline_rectangle(picture, x, y, width, height, angle_deg, colour):
+    """A rotated rectangle; returns its corners (4, 2)."""
+    corners = cv2.boxPoints(((x, y), (width, height), angle_deg))
+    rounded = np.round(corners * (1 << SHIFT)).astype(np.int32)
+    cv2.polylines(picture, [rounded], True, colour, 2, cv2.LINE_AA, SHIFT)
+    return corners
 
 
 def draw_text(picture, text, position_px, colour=WHITE):
     """A line of text from a position on its base line; dark around it, so that it can be read on anything."""
     position = tuple(math.floor(value) for value in position_px)
     for thickness, paint in ((3, BLACK), (1, colour)):
-        cv2.putText(picture, text, position, cv2.FONT_HERSHEY_SIMPLEX, 0.5, paint, thickness, cv2.LINE_AA)
+        cv2.putText(picture, text, position, *_FONT, paint, thickness, cv2.LINE_AA)
+
+
+def text_size(text):
+    """(width, height) [px] of a line of text."""
+    return cv2.getTextSize(text, *_FONT, 1)[0]
+
+
+def fixed(x, y):
+    """A point as OpenCV's drawing functions take it with SHIFT binary digits behind the point."""
+    return int(round(x * (1 << SHIFT))), int(round(y * (1 << SHIFT)))
 
 
 def draw_overlay(picture, regions=(), lines=()):

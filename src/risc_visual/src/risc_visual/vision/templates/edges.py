@@ -1,27 +1,23 @@
 """Edge detection: grey, blurred, then Canny's detector."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 
-from risc_visual.vision.templates.checks import within
+from risc_lab.settings import Settings, between
 
 
 @dataclass(frozen=True)
-class EdgeSettings:
+class EdgeSettings(Settings):
     """Settings of `find_edges`; the defaults are those of the original release."""
 
-    blur: int = 2  # [px] radius of the box blur; 0: none
-    threshold: int = 800  # gradient above which an edge is followed; the sums of a 7 x 7 kernel are large numbers
-    ratio: float = 3.0  # an edge begins where the gradient is above threshold * ratio
-    aperture: int = 7  # [px] width of the gradient's kernel: 3, 5 or 7
-
-    def __post_init__(self):
-        within(self, "blur", 0, 100)
-        within(self, "threshold", 0, 100000)
-        within(self, "ratio", 1.0, 100.0)
-        if self.aperture not in (3, 5, 7):
-            raise ValueError("parameter 'aperture' must be 3, 5 or 7, got %r" % self.aperture)
+    blur: between(0, 100) = 2  # [px] radius of the box blur; 0: none
+    threshold: between(0, 100000) = (
+        800  # gradient above which an edge is followed; the sums of a 7 x 7 kernel are large numbers
+    )
+    ratio: between(1.0, 100.0) = 3.0  # an edge begins where the gradient is above threshold * ratio
+    aperture: Literal[3, 5, 7] = 7  # [px] width of the gradient's kernel
 
 
 def find_edges(picture, settings):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from risc_visual.vision.templates.checks import within
+from risc_lab.settings import Settings, between
 from risc_visual.vision.templates.edges import EdgeSettings, find_edges
 
 _PYRAMID_SCALE = 0.5
@@ -14,28 +14,19 @@ _SPARSE_LEVELS = 3
 
 
 @dataclass(frozen=True)
-class DenseSettings:
+class DenseSettings(Settings):
     """Settings of `DenseFlow`; the defaults are those of the original release."""
 
-    on_edges: bool = (
-        True  # flow of the edges, as the original has it; False: of the grey picture, which measures better
+    on_edges: bool = True  # flow of the edges, as the original; False: of the grey picture, which measures better
+    blur: between(0, 100) = 2  # [px] and threshold: of the edges
+    threshold: between(0, 100000) = 8000
+    levels: between(1, 10) = 1  # of the pyramid; one more for every doubling of the motion that must be followed
+    window: between(3, 200) = 15  # [px] over which the motion is taken as equal
+    iterations: between(1, 50) = 3
+    poly_n: between(3, 15) = 5  # [px] neighbourhood that is approximated by a polynomial: 5 or 7
+    full_scale_px: between(0.0, 1e4) = (
+        0.0  # [px/picture] motion that is drawn brightest; 0: the greatest one in the picture
     )
-    blur: int = 2  # [px] and threshold: of the edges
-    threshold: int = 8000
-    levels: int = 1  # of the pyramid; one more for every doubling of the motion that must be followed
-    window: int = 15  # [px] over which the motion is taken as equal
-    iterations: int = 3
-    poly_n: int = 5  # [px] neighbourhood that is approximated by a polynomial: 5 or 7
-    full_scale_px: float = 0.0  # [px/picture] motion that is drawn brightest; 0: the greatest one in the picture
-
-    def __post_init__(self):
-        within(self, "blur", 0, 100)
-        within(self, "threshold", 0, 100000)
-        within(self, "levels", 1, 10)
-        within(self, "window", 3, 200)
-        within(self, "iterations", 1, 50)
-        within(self, "poly_n", 3, 15)
-        within(self, "full_scale_px", 0.0, 1e4)
 
 
 class DenseFlow:
@@ -81,21 +72,14 @@ def flow_picture(flow, full_scale_px=0.0):
 
 
 @dataclass(frozen=True)
-class SparseSettings:
+class SparseSettings(Settings):
     """Settings of `SparseFlow`."""
 
-    points: int = 200  # that are followed; new corners are sought when half of them are lost
-    quality: float = 0.01  # of a corner, as a fraction of the best one's
-    distance: int = 10  # [px] least one between two corners
-    window: int = 21  # [px] compared around a point
-    round_trip_px: float = 0.5  # a point that does not come back to within this is dropped
-
-    def __post_init__(self):
-        within(self, "points", 1, 10000)
-        within(self, "quality", 1e-6, 1.0)
-        within(self, "distance", 1, 1000)
-        within(self, "window", 3, 101)
-        within(self, "round_trip_px", 1e-3, 100.0)
+    points: between(1, 10000) = 200  # that are followed; new corners are sought when half of them are lost
+    quality: between(1e-6, 1.0) = 0.01  # of a corner, as a fraction of the best one's
+    distance: between(1, 1000) = 10  # [px] least one between two corners
+    window: between(3, 101) = 21  # [px] compared around a point
+    round_trip_px: between(1e-3, 100.0) = 0.5  # a point that does not come back to within this is dropped
 
 
 class SparseFlow:

@@ -8,30 +8,23 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from risc_visual.vision.templates.checks import within
+from risc_lab.settings import Settings, between
 
 BINS = 24
 BLACK, WHITE = 0, 255  # values of `hue_bins` beside 1..24
 
 
 @dataclass(frozen=True)
-class SegmentationSettings:
+class SegmentationSettings(Settings):
     """Settings of the segmentation; the defaults are those of the original release."""
 
-    saturation_high: int = 255  # of what counts as coloured, 0..255
-    saturation_low: int = 0
-    value_high: int = 255
-    value_low: int = 0
-    blur: int = 0  # [px] radius of a box blur before everything else
-    first_bin: int = 24  # of the mask; a range may go over the end: 24 to 2 is pink, red and orange
-    last_bin: int = 24
-
-    def __post_init__(self):
-        for key in ("saturation_high", "saturation_low", "value_high", "value_low"):
-            within(self, key, 0, 255)
-        within(self, "blur", 0, 100)
-        within(self, "first_bin", 1, BINS)
-        within(self, "last_bin", 1, BINS)
+    saturation_high: between(0, 255) = 255  # of what counts as coloured
+    saturation_low: between(0, 255) = 0
+    value_high: between(0, 255) = 255
+    value_low: between(0, 255) = 0
+    blur: between(0, 100) = 0  # [px] radius of a box blur before everything else
+    first_bin: between(1, BINS) = 24  # of the mask; a range may go over the end: 24 to 2 is pink, red and orange
+    last_bin: between(1, BINS) = 24
 
 
 def hue_bins(picture, settings):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from risc_visual.vision.templates.checks import within
+from risc_lab.settings import Settings, between
 from risc_visual.vision.templates.drawing import Region, draw_text
 
 _POLYGONS = {3: "triangle", 4: "rectangle", 5: "pentagon", 6: "hexagon"}
@@ -15,23 +15,17 @@ _CLOSE = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True)
-class ShapeSettings:
+class ShapeSettings(Settings):
     """Settings of `find_shapes`."""
 
-    blur: int = 2  # [px] radius of the Gaussian blur
-    threshold: int = 40  # gradient above which an outline is followed (0..1000)
-    least_px: int = 200  # [px^2] smaller areas are noise
-    tolerance: float = 0.03  # of the straight sides, as a fraction of the outline's length
-    roundness: float = 0.88  # 4 pi area / length^2 above which an outline with many corners is a circle
-    solidity: float = 0.9  # area over that of its convex hull, below which it is nothing that has a name here
-
-    def __post_init__(self):
-        within(self, "blur", 0, 50)
-        within(self, "threshold", 1, 1000)
-        within(self, "least_px", 1, 10**8)
-        within(self, "tolerance", 0.001, 0.2)
-        within(self, "roundness", 0.1, 1.0)
-        within(self, "solidity", 0.1, 1.0)
+    blur: between(0, 50) = 2  # [px] radius of the Gaussian blur
+    threshold: between(1, 1000) = 40  # gradient above which an outline is followed
+    least_px: between(1, 10**8) = 200  # [px^2] smaller areas are noise
+    tolerance: between(0.001, 0.2) = 0.03  # of the straight sides, as a fraction of the outline's length
+    roundness: between(0.1, 1.0) = 0.88  # 4 pi area / length^2 above which an outline with many corners is a circle
+    solidity: between(0.1, 1.0) = (
+        0.9  # area over that of its convex hull, below which it is nothing that has a name here
+    )
 
 
 class Shape(NamedTuple):

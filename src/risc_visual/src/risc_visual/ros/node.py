@@ -1,14 +1,40 @@
-"""What a node that draws, or works on pictures, says of itself on /diagnostics."""
+"""What all nodes of risc_visual share: how they run, and what they say of themselves on /diagnostics."""
 
+import sys
 import threading
 import time
 
+import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_lab.ros.diagnostics import Growth, make_updater
+from risc_lab.ros.diagnostics import Growth, age_text, make_updater
 from risc_lab.ros.ticker import Ticker
 
-_SILENCE_S = 3.0
+_SILENCE_S = 3.0  # without news after which an input is silent
+
+
+def run(name, make):
+    """Make a node, and run it until shutdown; wrong parameters (ValueError) end it with one line."""
+    rospy.init_node(name)
+    try:
+        node = make()
+    except ValueError as error:
+        rospy.logfatal("%s: %s", name, error)
+        sys.exit(1)
+    rospy.spin()
+    del node
+
+
+def ticking_updater():
+    """A diagnostic_updater.Updater that reports once a second."""
+    updater = make_updater("none")
+    Ticker(1.0, updater.update, "the diagnostics")
+    return updater
+
+
+def is_silent(last_s):
+    """Whether an input is. last_s: when it was heard last, monotonic clock; None: never."""
+    return last_s is None or time.monotonic() - last_s > _SILENCE_S
 
 
 class Health:
@@ -26,9 +52,7 @@ class Health:
         self._drawn = dict.fromkeys(inputs, 0)
         self._last_s = dict.fromkeys(inputs)
         self._growth = Growth()
-        self._updater = make_updater("none")
-        self._updater.add(name, self._diagnose)
-        Ticker(1.0, self._updater.update, "the diagnostics")
+        ticking_updater().add(name, self._diagnose)
 
     def drawn(self, what):
         """One message of an input has been drawn."""
@@ -43,19 +67,14 @@ class Health:
 
     def _diagnose(self, status):
         with self._lock:
-            now_s = time.monotonic()
             _, rates_hz = self._growth(self._drawn)
-            ages_s = {what: None if last_s is None else now_s - last_s for what, last_s in self._last_s.items()}
-            refused = dict(self._refused)
-        silent = [what for what, age_s in ages_s.items() if age_s is None or age_s > _SILENCE_S]
-        if silent:
-            level = DiagnosticStatus.OK if self._optional else DiagnosticStatus.WARN
-            status.summary(level, "nothing on " + ", ".join(silent))
-        else:
-            status.summary(DiagnosticStatus.OK, "working")
-        for what, age_s in ages_s.items():
+            last_s, refused = dict(self._last_s), dict(self._refused)
+        silent = [what for what, at_s in last_s.items() if is_silent(at_s)]
+        level = DiagnosticStatus.WARN if silent and not self._optional else DiagnosticStatus.OK
+        status.summary(level, "nothing on " + ", ".join(silent) if silent else "working")
+        for what, at_s in last_s.items():
             status.add("%s from %s [Hz]" % (self._done, what), "%.1f" % rates_hz[what])
-            status.add("age of last %s [s]" % what, "none yet" if age_s is None else "%.2f" % age_s)
+            status.add("age of last %s [s]" % what, age_text(at_s))
         for why, count in refused.items():
             status.add("not %s: %s" % (self._done, why), str(count))
         return status

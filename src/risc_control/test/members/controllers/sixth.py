@@ -1,0 +1,32 @@
+"""A controller that reads six derivatives of its reference: `differential_flatness`, which may tell the last two."""
+
+from dataclasses import dataclass
+
+from risc_control.controllers import differential_flatness
+from risc_control.vehicles import Command
+
+SEEN = []  # (Times, Reference) of each step, as the controller gets them
+TOLD = 0.1  # rad of roll and pitch for a derivative of 1
+
+
+@dataclass(frozen=True)
+class Params(differential_flatness.Params):
+    """Of the controller, and of the test."""
+
+    purpose: float = 1.0  # 1: to fly; 2: to tell, roll is the fifth derivative of x ahead, pitch the sixth
+
+
+class Controller(differential_flatness.Controller):
+    """See the module."""
+
+    PARAMS = Params
+    ORDER = 6
+
+    def step(self, t, states, reference, params):
+        """As `controllers.Controller`."""
+        SEEN.append((t, reference))
+        command = super().step(t, states, reference, params)
+        if params.purpose == 1.0:
+            return command
+        fifth, sixth = TOLD * reference.ahead[5, :, 0], TOLD * reference.ahead[6, :, 0]
+        return Command(fifth, sixth, command.yaw_rate_rad_s, command.thrust_n)

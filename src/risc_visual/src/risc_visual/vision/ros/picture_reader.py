@@ -1,0 +1,96 @@
+"""Pictures of a topic, one after the other, and what is to be said of that on /diagnostics."""
+
+import threading
+import time
+
+import cv2
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import Image
+
+from risc_lab.images import picture_from_msg
+from risc_lab.ros.diagnostics import Growth, age_text
+from risc_lab.ros.paced_subscriber import PICTURES_BYTES
+from risc_lab.ros.until_shutdown import until_shutdown
+from risc_visual.ros.node import is_silent
+
+_TOLD_S = 10.0  # between two reports of the same trouble
+
+
+class PictureReader:
+    """Hands the newest picture of a topic to whoever works on it, while it is open."""
+
+    def __init__(self, topic, work, updater, name, rate_hz=0.0, more=dict):
+        """work(picture, header): picture is (h, w, 3), blue green red, and may be drawn on; ValueError refuses it.
+
+        updater, name: of diagnostics; more(): {key: text} to be told there, too. rate_hz: greatest; 0 = every picture.
+        """
+        self.topic = rospy.resolve_name(topic)
+        self._work, self._more = work, more
+        self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else 0.0
+        self._next_s = 0.0  # when the next picture is taken; monotonic clock
+        self._subscriber = None
+        self._lock = threading.Lock()
+        self._counts, self._growth = {"pictures": 0, "refused": 0}, Growth()
+        self._took_s = []  # of the pictures since the last report
+        self._last_s = self._age_s = None
+        updater.add(name, self._diagnose)
+
+    @property
+    def is_open(self):
+        """Whether pictures are taken."""
+        return self._subscriber is not None
+
+    def open(self):
+        """Begin to take pictures."""
+        self._last_s = None
+        self._subscriber = rospy.Subscriber(
+            self.topic, Image, self._on_image, queue_size=1, buff_size=PICTURES_BYTES, tcp_nodelay=True
+        )
+
+    def close(self):
+        """Take none any more."""
+        self._subscriber.unregister()
+        self._subscriber = None
+
+    @until_shutdown
+    def _on_image(self, message):
+        start_s = time.monotonic()
+        if start_s < self._next_s:  # not waited for: unread pictures would grow old in the socket
+            return
+        self._next_s = max(self._next_s, start_s - self._period_s) + self._period_s
+        try:
+            self._work(picture_from_msg(message), message.header)
+        except (ValueError, cv2.error) as error:
+            with self._lock:
+                self._counts["refused"] += 1
+            rospy.logerr_throttle_identical(_TOLD_S, "a picture on %s is refused: %s" % (self.topic, error))
+            return
+        with self._lock:
+            self._last_s = time.monotonic()
+            self._age_s = (rospy.Time.now() - message.header.stamp).to_sec()
+            self._counts["pictures"] += 1
+            self._took_s.append(self._last_s - start_s)
+
+    def _diagnose(self, status):
+        with self._lock:
+            new, rates_hz = self._growth(self._counts)
+            took_s, self._took_s = self._took_s, []
+        if not self.is_open:
+            status.summary(DiagnosticStatus.OK, "waiting: nobody listens to a result")
+        elif new["refused"]:
+            status.summary(DiagnosticStatus.ERROR, "pictures are refused: the log says why")
+        elif is_silent(self._last_s):
+            status.summary(DiagnosticStatus.WARN, "no pictures on " + self.topic)
+        else:
+            status.summary(DiagnosticStatus.OK, "working")
+        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
+        status.add("age of last picture [s]", age_text(self._last_s))
+        status.add("stamp to result [s]", "none yet" if self._age_s is None else "%.3f" % self._age_s)
+        status.add("work on a picture [ms]", "%.2f" % (1e3 * sum(took_s) / max(1, len(took_s))))
+        status.add("longest work on a picture [ms]", "%.2f" % (1e3 * max(took_s, default=0.0)))
+        for key, count in self._counts.items():
+            status.add(key, str(count))
+        for key, text in self._more().items():
+            status.add(key, text)
+        return status
