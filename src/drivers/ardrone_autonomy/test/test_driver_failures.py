@@ -1,7 +1,7 @@
 """What ardrone_driver does when something in it fails, without ROS around it and without an aircraft."""
 
-import queue
 import threading
+from collections import deque
 from types import SimpleNamespace
 
 import pytest
@@ -16,7 +16,7 @@ class Udp:
     """A UdpThread that is noted: what happens to it."""
 
     def __init__(self, log):
-        self.link, self.newest, self._log = SimpleNamespace(phase=Phase.READY, configurations=0), None, log
+        self.link, self._log = SimpleNamespace(phase=Phase.READY, configurations=0), log
 
     def start(self):
         self._log.append("start")
@@ -45,8 +45,8 @@ def make_driver(log, monkeypatch):
     def make(is_alone):
         driver = node.ArdroneDriver.__new__(node.ArdroneDriver)
         driver._is_alone, driver._prefix, driver._period_s = is_alone, "/risc2/", 0.02
-        driver._params = SimpleNamespace(realtime_video=True)
-        driver._realtime, driver._arrived, driver._replacing = None, threading.Event(), threading.Lock()
+        driver._params = SimpleNamespace(realtime_video=True, realtime_navdata=False)
+        driver._waiting, driver._arrived, driver._replacing = deque(maxlen=1), threading.Event(), threading.Lock()
         driver._health = SimpleNamespace(unpublished=0, skipped_packets=0)
         driver._failing_since_s, driver._telemetry = None, SimpleNamespace()
         driver.udp = Udp(log)
@@ -94,10 +94,12 @@ def test_camera_frames_that_cannot_be_published_do_not_end_a_flight(make_driver,
 def test_a_packet_is_there_when_its_arrival_is_told(make_driver):
     """Else the one who publishes would find nothing, and wait for the next."""
     driver = make_driver(is_alone=True)
-    driver._realtime = queue.Queue(2)
+    driver._params.realtime_navdata = True
+    driver._waiting = deque(maxlen=node.REALTIME_BACKLOG)
     found = []
-    driver._arrived = SimpleNamespace(set=lambda: found.append(driver._realtime.qsize()))
-    for packet in "abc":
+    driver._arrived = SimpleNamespace(set=lambda: found.append(driver._waiting[-1]))
+    packets = list(range(node.REALTIME_BACKLOG + 1))
+    for packet in packets:
         driver._on_packet(packet)
-    assert found == [1, 2, 2]
+    assert found == packets
     assert driver._health.skipped_packets == 1

@@ -26,16 +26,16 @@ def wait_for(condition, limit_s=15.0):
 
 
 def make_thread(address, **arguments):
-    reports = []
+    reports, packets = [], []
     thread = UdpThread(
         address,
         functools.partial(
             DroneLink, setup_writes=setup_writes(wanted_texts({}), SESSION), session_id=SESSION, settle_s=0.0
         ),
         lambda *item: reports.append(item),
-        **arguments,
+        **{"on_packet": packets.append, **arguments},
     )
-    thread.reports = reports
+    thread.reports, thread.packets = reports, packets
     return thread
 
 
@@ -67,9 +67,9 @@ def test_flight(drone, thread):
     wait_for(lambda: thread.link.in_flight)
     thread.post(thread.link.land)
     wait_for(lambda: drone.phase is ControlState.LANDED)
-    packet = thread.newest
-    wait_for(lambda: thread.newest is not packet)
-    assert 0.0 <= time.monotonic() - thread.newest.received_s < 15.0
+    count = len(thread.packets)
+    wait_for(lambda: len(thread.packets) > count)
+    assert 0.0 <= time.monotonic() - thread.packets[-1].received_s < 15.0
 
 
 def test_stop_hovers_lands_and_frees_the_sockets(drone):

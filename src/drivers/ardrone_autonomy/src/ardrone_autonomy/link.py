@@ -25,16 +25,7 @@ from enum import Enum
 from ardrone_autonomy.piloting import HOVER
 from ardrone_autonomy.protocol import at
 from ardrone_autonomy.protocol.at import CtrlMode
-from ardrone_autonomy.protocol.navdata import (
-    HEADER,
-    WAKE_UP,
-    ControlState,
-    Navdata,
-    NavdataError,
-    State,
-    Tag,
-    peek,
-)
+from ardrone_autonomy.protocol.navdata import HEADER, WAKE_UP, ControlState, Navdata, NavdataError, State, peek
 from ardrone_autonomy.settings import APPLICATION_ID, USER_ID
 
 TICK_S = 0.025  # 40 Hz, as the original; the aircraft starts to worry after 50 ms of silence
@@ -50,12 +41,9 @@ RESET_TIMEOUT_S = 1.0  # a reset without effect is given up after this time
 BOOTSTRAP_PATIENCE_S = 1.0  # bootstrap packets may still come this long after the write that ends that state
 
 # Plain ints: the operators of IntFlag are too slow for every packet.
-_ACK = int(State.COMMAND_ACK)
-_BOOTSTRAP = int(State.BOOTSTRAP)
-_COM_WATCHDOG = int(State.COM_WATCHDOG)
-_EMERGENCY = int(State.EMERGENCY)
-_FLYING = int(State.FLYING)
-_DEMO = int(Tag.DEMO)
+_ACK, _BOOTSTRAP, _COM_WATCHDOG, _EMERGENCY, _FLYING = map(
+    int, (State.COMMAND_ACK, State.BOOTSTRAP, State.COM_WATCHDOG, State.EMERGENCY, State.FLYING)
+)
 _MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # a packet in which one of these changes must be sound to its last byte
 
 _FIRST_OPTION = struct.Struct("<HHI")  # tag, size, first word of the payload; every packet has at least these
@@ -272,7 +260,7 @@ class DroneLink:
         self.accepted += 1
         self.state_bits = bits
         tag, _, word = _FIRST_OPTION.unpack_from(data, HEADER.size)
-        if tag == _DEMO:
+        if tag == 0:  # Tag.DEMO
             self._control_state = word >> 16
         if changed & _EMERGENCY:
             self._on_emergency_changed()

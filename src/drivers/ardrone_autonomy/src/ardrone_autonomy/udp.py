@@ -3,6 +3,7 @@
 Other threads never touch the sockets or the DroneLink: they `post` orders into a mailbox and wake the thread.
 """
 
+import contextlib
 import functools
 import select
 import socket
@@ -43,7 +44,6 @@ class UdpThread:
 
     def __init__(self, address, make_link, report, on_packet=None, on_failure=None, clock=time.monotonic):
         self.address = address
-        self.newest = None  # Packet, replaced as a whole: safe to read from any thread
         self.send_errors = 0
         self.foreign = 0  # datagrams from elsewhere than the vehicle's navdata port
         self._report = report
@@ -52,11 +52,11 @@ class UdpThread:
         self._clock = clock
         self._last_send_error = None
         self._mailbox = deque()
-        self._navdata = self._udp_socket()
-        self._command = self._udp_socket()
+        self._navdata, self._command = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._bell_in, self._bell_out = socket.socketpair()
-        self._bell_in.setblocking(False)
-        self._bell_out.setblocking(False)
+        self._sockets = self._navdata, self._command, self._bell_in, self._bell_out
+        for sock in self._sockets:
+            sock.setblocking(False)
         self._closing_since_s = None
         self._navdata_source = (address, NAVDATA_PORT)
         self.link = make_link(
@@ -65,12 +65,6 @@ class UdpThread:
         )
         self._thread = threading.Thread(target=self._run, name="ardrone_udp", daemon=True)
 
-    @staticmethod
-    def _udp_socket():
-        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        sock.setblocking(False)
-        return sock
-
     def start(self):
         """Start looking for the vehicle."""
         self._thread.start()
@@ -78,12 +72,8 @@ class UdpThread:
     def post(self, order, *arguments):
         """Hand an order to the thread: a method of `link`; it is called with the arguments and the time."""
         self._mailbox.append((order, arguments))
-        try:
+        with contextlib.suppress(OSError):  # the bell already rings, or is closed: the node is shutting down
             self._bell_in.send(b"\0")
-        except BlockingIOError:
-            pass  # the bell already rings
-        except OSError:
-            return  # closed: the node is shutting down
 
     def begin_to_stop(self):
         """Hover, land if flying; obey nothing from now on."""
@@ -95,7 +85,7 @@ class UdpThread:
         self.begin_to_stop()
         if self._thread.is_alive():
             self._thread.join(LANDING_CONFIRMATION_S + 1.0)
-        for sock in (self._navdata, self._command, self._bell_in, self._bell_out):
+        for sock in self._sockets:
             sock.close()
 
     def _close(self, now_s):
@@ -166,7 +156,5 @@ class UdpThread:
             return  # spurious wake-up, or an ICMP error of an earlier datagram
         if source != self._navdata_source:
             self.foreign += 1
-        elif self.link.on_navdata(data, now_s):
-            self.newest = packet = Packet(data, now_s)
-            if self._on_packet is not None:
-                self._on_packet(packet)
+        elif self.link.on_navdata(data, now_s) and self._on_packet is not None:
+            self._on_packet(Packet(data, now_s))

@@ -55,12 +55,8 @@ class RecordReader:
         return [JoyEvent(*record[1:]) for record in _RECORD.iter_unpack(data[:whole])]
 
 
-class Urgency(enum.IntEnum):
-    """How soon an event wants to be published."""
-
-    NEVER = 0  # of no known type
-    SOON = 1  # within coalesce_interval, together with what else moves
-    NOW = 2
+# How soon an event wants to be published: of no known type; within coalesce_interval, with what else moves; at once.
+Urgency = enum.Enum("Urgency", "NEVER SOON NOW")
 
 
 @dataclass(frozen=True)
@@ -133,8 +129,7 @@ class JoyState:
 
     @staticmethod
     def _grow(values, number, zero):
-        if number >= len(values):
-            values.extend([zero] * (number + 1 - len(values)))
+        values.extend([zero] * (number + 1 - len(values)))
 
 
 class PublishClock:

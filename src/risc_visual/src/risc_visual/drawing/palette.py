@@ -38,17 +38,15 @@ def sphere_colours(landmarks):
 
 def ray_colours(landmarks):
     """dict name -> (r, g, b), under both names of every landmark: that on /land_rois and its mocap template's."""
-    rgb = {kind: _rgb(RAY_RGB, kind.centre, landmarks.colours) for kind in landmarks.landmarks}
-    colours = {kind.name: rgb[kind] for kind in landmarks.landmarks}
-    colours.update({kind.roi_name: rgb[kind] for kind in landmarks.landmarks})
-    return colours
+    kinds = landmarks.landmarks
+    named = [(kind.name, kind) for kind in kinds] + [(kind.roi_name, kind) for kind in kinds]
+    return {name: _rgb(RAY_RGB, kind.centre, landmarks.colours) for name, kind in named}
 
 
 def _rgb(known, paint, ranges):
-    return known[paint] if paint in known else _of_hue(*ranges[paint].hue)
-
-
-def _of_hue(first, last):
-    """(r, g, b) of the middle of a range of OpenCV's hues; one that wraps has first > last."""
+    """(r, g, b) of a paint; of one that is not known that of the middle of its hues, which may wrap through red."""
+    if paint in known:
+        return known[paint]
+    first, last = ranges[paint].hue
     middle = (first + 0.5 * ((last - first) % HUES)) % HUES
     return colorsys.hsv_to_rgb(middle / HUES, 1.0, 1.0)

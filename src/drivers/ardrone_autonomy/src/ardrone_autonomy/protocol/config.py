@@ -16,7 +16,6 @@ from enum import Enum
 
 DEFAULT_ID = "00000000"
 SDK_VERSION = "2.0"
-_ID = re.compile(r"[0-9a-f]{8}\Z")
 
 
 class ConfigError(ValueError):
@@ -176,16 +175,13 @@ def crc_id(name):
 
 def is_id(text):
     """True for 8 lower-case hexadecimal digits."""
-    return _ID.match(text) is not None
-
-
-ID_SECTIONS = ("applis", "profiles", "sessions")
+    return re.fullmatch("[0-9a-f]{8}", text) is not None
 
 
 def encode_custom_ids(applications, profiles, sessions):
     """Answer to CTRL 6: each argument maps id to description. Bytes with the zero byte at the end."""
     parts = ["[common]\r"]
-    for section, ids in zip(ID_SECTIONS, (applications, profiles, sessions)):
+    for section, ids in (("applis", applications), ("profiles", profiles), ("sessions", sessions)):
         parts.append("[%s]\r" % section)
         parts.extend("%s,%s\r" % item for item in ids.items())
     return "".join(parts).encode("ascii", "replace") + b"\0"

@@ -11,6 +11,7 @@ Writing: `pack_header`.
 Nothing that arrives raises, except in parse_header: the parser drops and counts what it cannot use.
 """
 
+import contextlib
 import struct
 from collections import namedtuple
 from enum import IntEnum, IntFlag
@@ -136,19 +137,17 @@ class StreamParser:
         """List of the Packets that these bytes complete, in order."""
         self._buffer += data
         packets = []
-        while True:
-            if self._header is None and not self._find_header():
-                return packets
-            if not self._check_payload():
-                return packets
-            if self._header is not None:
-                end = self._header.header_bytes + self._header.following_bytes
-                if len(self._buffer) < end:
-                    return packets
-                packets.append(Packet(self._header, bytes(self._buffer[self._header.header_bytes : end])))
-                self.packets += 1
-                self._header = None
-                del self._buffer[:end]
+        while (self._header is not None or self._find_header()) and self._check_payload():
+            if self._header is None:
+                continue
+            begin, end = self._header.header_bytes, self._header.header_bytes + self._header.following_bytes
+            if len(self._buffer) < end:
+                break
+            packets.append(Packet(self._header, bytes(self._buffer[begin:end])))
+            self.packets += 1
+            self._header = None
+            del self._buffer[:end]
+        return packets
 
     def _find_header(self):
         """Bring the next sound header to the beginning of the buffer. False: more bytes are needed."""
@@ -184,16 +183,14 @@ class StreamParser:
             if len(buffer) < begin + MIN_HEADER_BYTES:
                 self._searched = begin
                 return False
-            try:
-                inner = parse_header(buffer, begin)
-            except PaveError:
-                inner = None
-            if inner is not None and (inner.version, inner.codec) == (header.version, header.codec):
-                self.broken_payloads += 1
-                self._header = None
-                self._skip(begin)
-                return True
             self._searched = begin + len(MAGIC)
+            with contextlib.suppress(PaveError):
+                inner = parse_header(buffer, begin)
+                if (inner.version, inner.codec) == (header.version, header.codec):
+                    self.broken_payloads += 1
+                    self._header = None
+                    self._skip(begin)
+                    return True
 
     def _skip(self, count):
         self.skipped_bytes += count

@@ -6,9 +6,11 @@
 import itertools
 import math
 
-from geometry_msgs.msg import Quaternion, TransformStamped, Vector3, Vector3Stamped
+import rospy
+from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3, Vector3Stamped
 from nav_msgs.msg import Odometry as OdometryMsg
 from sensor_msgs.msg import Imu
+from std_msgs.msg import Header
 
 from ardrone_autonomy import msg as messages
 from ardrone_autonomy.attitude import quaternion_xyzw
@@ -95,27 +97,18 @@ def mag_message(navdata):
 
 def odometry_message(state, stamp, base_frame):
     """nav_msgs/Odometry of an attitude.OdometryState; its frame is the literal `odom`, as in the original."""
-    message = OdometryMsg()
-    message.header.stamp = stamp
-    message.header.frame_id = "odom"
-    message.child_frame_id = base_frame
-    pose, twist = message.pose.pose, message.twist.twist
-    pose.position.x, pose.position.y, pose.position.z = state.position_m
-    pose.orientation = Quaternion(*state.quaternion_xyzw)
-    twist.linear.x, twist.linear.y, twist.linear.z = state.velocity_m_s
+    message = OdometryMsg(child_frame_id=base_frame)
+    message.header.stamp, message.header.frame_id = stamp, "odom"
+    message.pose.pose.position = Point(*state.position_m)
+    message.pose.pose.orientation = Quaternion(*state.quaternion_xyzw)
+    message.twist.twist.linear = Vector3(*state.velocity_m_s)
     return message
 
 
 def transform_message(parent, child, translation_m, quaternion, stamp=None):
     """geometry_msgs/TransformStamped; quaternion as x, y, z, w."""
-    message = TransformStamped()
-    if stamp is not None:
-        message.header.stamp = stamp
-    message.header.frame_id = parent
-    message.child_frame_id = child
-    message.transform.translation = Vector3(*translation_m)
-    message.transform.rotation = Quaternion(*quaternion)
-    return message
+    transform = Transform(Vector3(*translation_m), Quaternion(*quaternion))
+    return TransformStamped(Header(stamp=stamp or rospy.Time(), frame_id=parent), child, transform)
 
 
 def camera_transform(parent, child, camera):

@@ -6,10 +6,10 @@ that publishes; and one that receives and decodes pictures. A vehicle's trouble 
 
 import functools
 import math
-import queue
 import secrets
 import threading
 import time
+from collections import deque
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -39,7 +39,7 @@ from risc_lab.ros.ticker import Ticker
 QUEUE_SIZE = 200  # of the telemetry topics, as in the original
 LOOPS_PER_CAMERA_FRAME = 5
 RESTART_S = 1.0  # until a driver that failed beside others begins again
-REALTIME_BACKLOG = 20  # packets that may wait for the publishing thread with realtime_navdata
+REALTIME_BACKLOG = 20  # packets that may wait to be published with realtime_navdata
 REPEAT_WARNING_S = 5.0
 PUBLISH_PATIENCE_S = 5.0  # how long every packet may fail to be published before the driver gives up and lands
 
@@ -103,8 +103,8 @@ class ArdroneDriver:
             rospy.logwarn("%s%s", self._who, text)
         self._address = resolve(params.drone_ip)
         self._period_s = 1.0 / params.looprate
-        self._realtime = queue.Queue(REALTIME_BACKLOG) if params.realtime_navdata else None
-        self._arrived = threading.Event()  # a packet that was not published yet
+        self._waiting = deque(maxlen=REALTIME_BACKLOG if params.realtime_navdata else 1)  # newest packets to publish
+        self._arrived = threading.Event()
         self._replacing = threading.Lock()
         self.udp = self._make_udp()  # the UdpThread in service: another one after a failure
         self._channel = configuration.video_channel
@@ -288,11 +288,9 @@ class ArdroneDriver:
     def _on_packet(self, packet):
         if self._telemetry is None:
             return
-        if self._realtime is not None:
-            try:
-                self._realtime.put_nowait(packet)
-            except queue.Full:
-                self._health.skipped_packets += 1
+        if self._params.realtime_navdata and len(self._waiting) == REALTIME_BACKLOG:
+            self._health.skipped_packets += 1
+        self._waiting.append(packet)
         self._arrived.set()
 
     # --- publishing -------------------------------------------------------------------------------------------------
@@ -314,20 +312,16 @@ class ArdroneDriver:
             time.sleep(LOOPS_PER_CAMERA_FRAME * self._period_s)
 
     def _publish_until_shutdown(self):
-        last = None
         loop_s = camera_s = time.monotonic()
         # pictures that are not published at once wait for the loop
         patience_s = self._period_s * (LOOPS_PER_CAMERA_FRAME if self._params.realtime_video else 1)
         while not rospy.is_shutdown():
-            if self._arrived.wait(patience_s) and self._realtime is None:
+            if self._arrived.wait(patience_s) and not self._params.realtime_navdata:
                 time.sleep(max(0.0, loop_s - time.monotonic()))  # the newest packet of a loop
                 loop_s = time.monotonic() + self._period_s
             self._arrived.clear()
-            for packet in self._waiting_packets():
-                if packet is last or packet is None:
-                    continue
-                last = packet
-                self._tolerate(self._publish, packet)
+            while self._waiting:
+                self._tolerate(self._publish, self._waiting.popleft())
             now_s = time.monotonic()
             if now_s >= camera_s:
                 camera_s = max(camera_s + LOOPS_PER_CAMERA_FRAME * self._period_s, now_s)
@@ -335,14 +329,6 @@ class ArdroneDriver:
                 self._tick_video()
             elif not self._params.realtime_video:
                 self._tick_video()
-
-    def _waiting_packets(self):
-        if self._realtime is None:
-            return [self.udp.newest]
-        packets = []
-        while not self._realtime.empty():
-            packets.append(self._realtime.get_nowait())
-        return packets
 
     def _tick_video(self):
         is_ready = self._link.phase is Phase.READY

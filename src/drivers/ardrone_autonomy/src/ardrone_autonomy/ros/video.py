@@ -1,8 +1,7 @@
 """The camera topics of the driver: wires a video_stream.VideoStream to images, camera_info and set_camera_info."""
 
-import threading
 import time
-from collections import namedtuple
+from collections import deque, namedtuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -45,8 +44,7 @@ class Video:
     def __init__(self, address, frames, channel, camera_info_urls, latency_s, realtime, report, prefix=""):
         self._frames = frames
         self._realtime = realtime
-        self._lock = threading.Lock()
-        self._newest = None  # (Picture, channel) that is not published yet
+        self._waiting = deque(maxlen=1)  # (Picture, channel) that is not published yet
         self._tracker = CameraTracker(channel)
         self._selected = _advertise(prefix + "ardrone")
         self._cameras = tuple(_advertise(prefix + "ardrone/" + name) for name in CAMERA_NAMES)
@@ -87,10 +85,8 @@ class Video:
         is_ready: the vehicle is configured; before, nobody knows which camera it would send.
         """
         self._stream.want(is_ready and any(topic.get_num_connections() for topics in self._all() for topic in topics))
-        with self._lock:
-            newest, self._newest = self._newest, None
-        if newest is not None:
-            self._publish(*newest)
+        while self._waiting:
+            self._publish(*self._waiting.popleft())
 
     def _all(self):
         return (self._selected, *self._cameras)
@@ -104,9 +100,8 @@ class Video:
         elif self._realtime:
             self._publish(picture, channel)
         else:
-            with self._lock:
-                self._superseded += self._newest is not None
-                self._newest = picture, channel
+            self._superseded += len(self._waiting)
+            self._waiting.append((picture, channel))
 
     def _publish(self, picture, channel):
         try:
@@ -128,15 +123,13 @@ class Video:
             image.header.frame_id = self._frames[channel]
             image.data = picture.rgb.tobytes()
             for topics in outputs:
-                if topics.image.get_num_connections():
-                    topics.image.publish(image)
+                topics.image.publish(image)
         if any(topics.info.get_num_connections() for topics in outputs):
             info = self._camera_info(channel, width, height)
             info.header.stamp = stamp
             info.header.frame_id = self._frames[channel]
             for topics in outputs:
-                if topics.info.get_num_connections():
-                    topics.info.publish(info)
+                topics.info.publish(info)
 
     def _camera_info(self, channel, width, height):
         info = self._managers[channel].getCameraInfo()

@@ -5,14 +5,15 @@ Frame: the vehicle's body; the marker's own axes are the camera's: x along the o
 
 import math
 
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion
 from scipy.spatial.transform import Rotation
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import Header
 from visualization_msgs.msg import InteractiveMarker, InteractiveMarkerControl, Marker, MenuEntry
 
 from risc_lab.camera import rotation_camera_to_body
 from risc_lab.frames import euler_from_body_to_ned
 from risc_lab.vehicle_frames import body_frame
+from risc_visual.drawing.ros.markers import ORIGIN, Pen
 from risc_visual.tuner.mount_tuner import NUMBERS
 
 _SCALE_M = 0.45  # radius of the rings
@@ -83,17 +84,12 @@ def numbers_from_pose(pose):
 def _camera_parts():
     """Housing, the edges of what it sees, and a pane across them: easily hit with a mouse, in front of the vehicle."""
     far, wide, high = VIEW_M
-    corners = [Point(far, y, z) for y, z in ((-wide, -high), (wide, -high), (wide, high), (-wide, high))]
-    lines = [end for corner in corners for end in (Point(), corner)]
+    corners = [(far, y, z) for y, z in ((-wide, -high), (wide, -high), (wide, high), (-wide, high))]
+    lines = [end for corner in corners for end in (ORIGIN, corner)]
     lines += [end for pair in zip(corners, corners[1:] + corners[:1]) for end in pair]
-    colour, here = ColorRGBA(*_BODY_RGBA), Pose(orientation=Quaternion(0.0, 0.0, 0.0, 1.0))
+    pen = Pen(0.0, Header())  # without a frame: in that of the control
     return [
-        Marker(type=Marker.CUBE, pose=here, scale=Vector3(*_BODY_M), color=colour),
-        Marker(type=Marker.LINE_LIST, pose=here, scale=Vector3(_LINE_M, 0.0, 0.0), color=colour, points=lines),
-        Marker(
-            type=Marker.CUBE,
-            pose=Pose(Point(far, 0.0, 0.0), here.orientation),
-            scale=Vector3(_PANE_M, 2.0 * wide, 2.0 * high),
-            color=ColorRGBA(*_PANE_RGBA),
-        ),
+        pen.marker("", 0, Marker.CUBE, ORIGIN, _BODY_M, _BODY_RGBA),
+        pen.line("", 0, lines, _LINE_M, _BODY_RGBA, Marker.LINE_LIST),
+        pen.marker("", 0, Marker.CUBE, (far, 0.0, 0.0), (_PANE_M, 2.0 * wide, 2.0 * high), _PANE_RGBA),
     ]
