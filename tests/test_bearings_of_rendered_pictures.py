@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from labelled_pictures import landmark_set
+from picture_truth import LabelledRenderer
 from std_msgs.msg import Header
 
 from risc_estimation.bearings import bearings_of_regions, make_camera
@@ -14,7 +15,6 @@ from risc_estimation.ros.bearing_conversions import regions_from_msg
 from risc_lab.camera import Camera, rotation_camera_to_body
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import FRONT_MOUNT, load_calibration
-from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import CameraPose, Scene, VehiclePose, load_style
 from risc_visual.ros.conversions import detections_of_picture
 from risc_visual.vision.landmark_config import load_landmarks
@@ -47,8 +47,7 @@ class Scenery:
         self.calibration = load_calibration(name)
         self.camera = Camera(self.calibration)
         discs = tuple(style.disc(template, *place) for template, place in PLACES.items())
-        scene = Scene(**dict(vars(style.scene), discs=discs))
-        self.renderer = Renderer(self.camera, scene, style.imaging, 1)
+        self.renderer = LabelledRenderer(self.camera, Scene(style, discs), 1)
         self.targets = [Disc(template, *place) for template, place in PLACES.items()]
 
     def poses(self, seed):

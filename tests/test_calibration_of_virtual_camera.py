@@ -13,11 +13,10 @@ import rosbag
 import rospy
 from camera_calibration.calibrator import ChessboardInfo, MonoCalibrator
 from cv_bridge import CvBridge
+from labelled_pictures import calibration_pictures
 
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import load_calibration
-from risc_simulator.video.checkerboard_motion import calibration_pictures
-from risc_simulator.video.scene import load_style
 from risc_visual.vision.checkerboard import Checkerboard, View
 from risc_visual.vision.checkerboard import calibrate as calibration_of_views
 
@@ -44,10 +43,9 @@ def show(tmp_path_factory):
     @functools.cache
     def of(name):
         camera = Camera(load_calibration("%s.yaml" % name))
-        style = load_style()
         folder = tmp_path_factory.mktemp(name)
         images = []
-        for k, picture in enumerate(calibration_pictures(camera, style.scene, style.imaging, SEED, PICTURES)):
+        for k, picture in enumerate(calibration_pictures(camera, SEED, PICTURES)):
             cv2.imwrite(str(folder / ("%03d.png" % k)), picture.image)
             images.append(picture.image)
         return camera, folder, images

@@ -54,7 +54,7 @@ class RunningLab:
 
     def __init__(self, fleet):
         self.fleet = fleet
-        self._lab = VirtualLab(fleet, live_on_start=True)
+        self._lab = VirtualLab(fleet, live=True)
         self._orders = queue.Queue()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

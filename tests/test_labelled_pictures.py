@@ -6,8 +6,10 @@ import math
 import labelled_pictures as dataset
 import numpy as np
 import pytest
-from labelled_pictures import landmark_set
+from labelled_pictures import calibration_pictures, landmark_set
 
+from risc_lab.camera import Camera
+from risc_lab.lab.calibration import load_calibration
 from risc_simulator.video.scene import load_style
 
 COUNT = 60
@@ -99,3 +101,23 @@ def test_no_ball_hangs_where_it_would_be_a_landmark():
 
 def test_it_is_an_iterator_that_works_as_it_goes():
     assert len(list(itertools.islice(landmark_set(1, 10**9), 2))) == 2
+
+
+def test_calibration_pictures_come_with_their_truth_and_reproduce():
+    camera = Camera(load_calibration("ardrone_front.yaml"))
+    pictures = list(calibration_pictures(camera, 7, count=3))
+    again = list(calibration_pictures(camera, 7, count=3))
+    assert len(pictures) == 3
+    for picture, same in zip(pictures, again):
+        assert picture.image.shape == (360, 640, 3) and picture.image.dtype == np.uint8
+        assert np.array_equal(picture.image, same.image) and np.array_equal(picture.corners_px, same.corners_px)
+        # the four squares that meet at a corner: two are dark, two are bright, opposite ones are alike
+        grid = picture.corners_px.reshape(6, 8, 2)
+        for row in range(1, 5):
+            across, down = 0.35 * (grid[row, 4] - grid[row, 3]), 0.35 * (grid[row + 1, 3] - grid[row, 3])
+            shades = [
+                picture.image[tuple(np.round(grid[row, 3] + a * across + b * down).astype(int)[::-1])].mean()
+                for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))
+            ]
+            assert abs(shades[0] - shades[1]) < 40.0 and abs(shades[2] - shades[3]) < 40.0
+            assert abs(shades[0] - shades[2]) > 80.0

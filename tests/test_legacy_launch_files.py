@@ -109,9 +109,7 @@ def file(base, *nodes, **params):
 NOTHING = ({}, {})
 WAYPOINTS = trajectory("generic_trajectory.py")
 CIRCLE = {"trajectory__course": "circle", "trajectory__radius_m": 0.8, "trajectory__period_s": 10.0}
-TARGET = {"trajectory__start_x_m": 0.5643, "trajectory__start_y_m": 1.2213, "trajectory__height_m": 1.0,
-          "trajectory__psi_deg": -90.0, "trajectory__radius_m": 0.8, "trajectory__target_speed_m_s": 0.2,
-          "trajectory__chase_button": 1, "controller__range_m": 0.48, "controller__speed_gain_1_s": 0.9}  # fmt: skip
+TARGET = {"controller__range_m": 0.48, "controller__speed_gain_1_s": 0.9}
 HOWS = [trajectory("virtual_target.py"), {"/controller": "risc_control/Hows_controller.py"}]
 EXPERIMENT = {"/controller": "risc_control/DF_experiment_joy.py"}
 FINDER = {"/quad_finder": "risc_visual/quad_tracker"}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from picture_truth import LabelledRenderer
 
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.camera import Camera, rotation_camera_to_body
@@ -10,7 +11,6 @@ from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab import landmark_catalogue, load_templates
 from risc_lab.lab.calibration import FRONT_MOUNT, load_calibration
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
-from risc_simulator.video.renderer import Renderer
 from risc_simulator.video.scene import CameraPose, Scene, load_style
 from risc_visual.drawing.palette import ray_colours, sphere_colours
 from risc_visual.vision.landmark_config import load_landmarks
@@ -44,7 +44,7 @@ def test_motion_capture_and_estimation_know_it():
 def test_the_virtual_lab_shows_it_and_vision_finds_it():
     style, camera = load_style(), Camera(load_calibration("ardrone_front.yaml"))
     disc = style.disc("Blue_pink", PLACE_M, (-1.0, 0.0, 0.0))
-    renderer = Renderer(camera, Scene(**dict(vars(style.scene), discs=(disc,))), style.imaging, 1)
+    renderer = LabelledRenderer(camera, Scene(style, (disc,)), 1)
     eye = CameraPose(np.array([0.0, 0.0, 1.0]), rotation_body_to_cortex(0, 0, 0) @ rotation_camera_to_body(FRONT_MOUNT))
     (found,) = LandmarkDetector(load_landmarks(), camera).detect(renderer.render(eye))
     (truth,) = [item for item in renderer.truth(eye) if item.kind == "landmark"]

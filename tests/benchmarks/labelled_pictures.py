@@ -9,12 +9,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from picture_truth import LabelledRenderer, Truth, corners_px, held_s
 
 from risc_lab.camera import Camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraCalibration
-from risc_simulator.video.renderer import NoiseTile, Renderer, Truth, to_camera
-from risc_simulator.video.scene import CameraPose, Prop, VehiclePose, bgr_of_hsv, load_style, plane_axes
+from risc_simulator.video.checkerboard_motion import Waving
+from risc_simulator.video.renderer import NoiseTile, to_camera
+from risc_simulator.video.scene import CameraPose, Prop, Scene, VehiclePose, bgr_of_hsv, load_style, plane_axes
 
 SIZE_PX = (640, 360)
 CALIBRATIONS = {  # focal lengths, centre [px], k1, k2, p1, p2, k3; the first four are those of the original laboratory
@@ -85,9 +87,9 @@ def _sample(sequence, index, style, cameras, noise):
     pose = _camera_pose(rng, camera, imaging.exposure_s)
     discs = _discs(rng, style, camera, pose)
     props, counts, forbidden = _props(rng, style, discs, pose)
-    vehicles = _vehicles(rng, discs, pose, len(style.scene.hull_colours))
-    scene = replace(style.scene, discs=tuple(discs), props=tuple(props), room=_hall(rng, style.scene.room, forbidden))
-    renderer = Renderer(camera, scene, imaging, sequence.spawn(1)[0], noise)
+    vehicles = _vehicles(rng, discs, pose, len(style.hulls.colours))
+    style = replace(style, imaging=imaging, room=_hall(rng, style.room, forbidden))
+    renderer = LabelledRenderer(camera, Scene(style, tuple(discs), props=tuple(props)), sequence.spawn(1)[0], noise)
     conditions = {
         "index": index,
         "calibration": name,
@@ -247,14 +249,12 @@ def _hsv(rng, forbidden):
 
 def _hall(rng, room, forbidden):
     """The room, larger and in other shades, without things on the walls when a ball could stand before them."""
-    shade = rng.uniform(0.7, 1.1)
     return replace(
         room,
         half_x_m=_HALL_HALF_M,
         half_y_m=_HALL_HALF_M,
         tile_m=1.0,
-        wall_bgr={key: tuple(min(255.0, shade * x) for x in bgr) for key, bgr in room.wall_bgr.items()},
-        floor_bgr=tuple(min(255.0, shade * x) for x in room.floor_bgr),
+        shade=rng.uniform(0.7, 1.1),
         panels=() if forbidden else room.panels,
     )
 
@@ -269,3 +269,24 @@ def _blur_px(renderer, pose, discs):
     first, last = (renderer.camera.project(to_camera(pose, points, time_s)) for time_s in (-half_s, half_s))
     motion = np.linalg.norm(last - first, axis=1)
     return float(np.nanmax(motion)) if np.isfinite(motion).any() else 0.0
+
+
+@dataclass(frozen=True)
+class CalibrationPicture:
+    """One picture of the waved board, with its truth."""
+
+    image: np.ndarray  # (height, width, 3) uint8, BGR
+    corners_px: np.ndarray  # (rows * columns, 2)
+
+
+def calibration_pictures(camera, seed, count=60):
+    """Yield `count` CalibrationPicture of a board in front of a camera that stands in the room, one of each posture.
+
+    camera: risc_lab.camera.Camera. seed: of the pictures' noise.
+    """
+    waving, renderer = Waving(camera), LabelledRenderer(camera, Scene(load_style()), seed)
+    level = rotation_body_to_cortex(0.0, 0.0, 0.0)
+    pose = CameraPose(np.array([0.0, 0.0, 1.0]), level, np.zeros(3), np.zeros(3))
+    for time_s in np.resize(held_s(), count):
+        image = renderer.render(pose, boards=(waving.board(time_s, pose),))
+        yield CalibrationPicture(image, corners_px(waving, camera, time_s))

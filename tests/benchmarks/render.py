@@ -4,17 +4,16 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import replace
 
 import cv2
 import numpy as np
 from labelled_pictures import CALIBRATIONS, SIZE_PX
+from picture_truth import LabelledRenderer
 
 from risc_lab.camera import Camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraCalibration
-from risc_simulator.video.renderer import Renderer
-from risc_simulator.video.scene import Board, CameraPose, VehiclePose, load_style
+from risc_simulator.video.scene import Board, CameraPose, Scene, VehiclePose, load_style
 
 REPEATS = 200
 STAGES = {"room": "_draw_room", "things": "_draw_things", "sensor": "_expose"}
@@ -52,9 +51,9 @@ def cases():
 def make_renderer():
     """Renderer of the scene that is measured."""
     style = load_style()
-    scene = replace(style.scene, discs=tuple(style.disc(*landmark) for landmark in _LANDMARKS))
+    scene = Scene(style, tuple(style.disc(*landmark) for landmark in _LANDMARKS))
     camera = Camera(CameraCalibration.from_intrinsics("bench", SIZE_PX, *CALIBRATIONS["albatross"]))
-    return Renderer(camera, scene, style.imaging)
+    return LabelledRenderer(camera, scene)
 
 
 def measure(name, repeats=REPEATS):

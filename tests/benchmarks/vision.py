@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 from labelled_pictures import landmark_set
+from picture_truth import LabelledRenderer
 
 from risc_lab.frames import rotation_body_to_cortex
-from risc_simulator.video.renderer import Renderer
-from risc_simulator.video.scene import CameraPose, VehiclePose, load_style
+from risc_simulator.video.scene import CameraPose, Scene, VehiclePose, load_style
 from risc_visual.vision.landmark_config import load_landmarks
 from risc_visual.vision.landmark_detector import LandmarkDetector
 from risc_visual.vision.overlay import draw_landmarks
@@ -80,7 +80,7 @@ class Judge:
 
     def __init__(self, config):
         self._roi = {kind.name: kind.roi_name for kind in config.landmarks}
-        self._scale, self._centre_m = config.ring_scale, config.centre_diameter_m
+        self._scale, self._centre_m = config.ring_scale, config.discs.centre_diameter_m
         self.total = Count()
         self.bins = {title: [Count() for _ in limits[:-1]] for title, (_, limits) in BINS.items()}
         self.ms = []
@@ -234,7 +234,7 @@ def measure_vehicles(seed, count):
                 ray = turn @ (1.0, rng.uniform(-0.5, 0.5), rng.uniform(-0.25, 0.25))
                 attitude = rotation_body_to_cortex(*(rng.uniform(-1.0, 1.0, 3) * (0.15, 0.15, math.pi)))
                 vehicles.append(VehiclePose(name, position + rng.uniform(1.0, 3.5) * ray, attitude, number))
-        renderer = Renderer(cameras[index % len(cameras)], style.scene, style.imaging, (seed, index))
+        renderer = LabelledRenderer(cameras[index % len(cameras)], Scene(style), (seed, index))
         pose = CameraPose(position, turn)
         picture = renderer.render(pose, vehicles, gain=float(np.exp(rng.uniform(math.log(0.4), math.log(1.8)))))
         taken_s = []

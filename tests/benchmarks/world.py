@@ -20,9 +20,10 @@ from dataclasses import replace
 from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
 from risc_lab.lab import generated_fleet, load_templates, load_vehicle_type
+from risc_simulator.models.flight import FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import MocapCameras
 from risc_simulator.virtual_lab import VirtualLab
-from risc_simulator.world import FlightPhase, Setpoint, World
+from risc_simulator.world import World
 
 COUNTS = (1, 3, 10, 50)
 REPEATS = 5
@@ -110,7 +111,7 @@ def measure_lab(count, take_off_s=LAB_TAKE_OFF_S, measured_s=LAB_MEASURED_S):
     """{"lab_cores", "lab_late_ms", "lab_flying"}: what the lab takes, the 99th percentile of its lateness, and how many
     vehicles fly at the end."""
     fleet = make_fleet(count)
-    lab = VirtualLab(fleet, live_on_start=True)
+    lab = VirtualLab(fleet, live=True)
     pilots = multiprocessing.get_context("fork").Process(target=_pilot, args=(fleet,), daemon=True)
     pilots.start()
     try:

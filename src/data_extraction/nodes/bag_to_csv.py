@@ -16,13 +16,13 @@ def main():
     args = parser.parse_args()
 
     def work(_progress):
-        if args.list:
-            with Bag(args.bag) as bag:
+        with Bag(args.bag) as bag:
+            if args.list:
                 for topic, count in sorted(bag.topics.items()):
                     print("%8d  %s" % (count, topic))
-            return
-        for path, rows in export(args.bag, args.out or folder_beside(args.bag, "csv"), args.topics).values():
-            print("%8d rows  %s" % (rows, path))
+                return
+            for path, rows in export(bag, args.out or folder_beside(args.bag, "csv"), args.topics).values():
+                print("%8d rows  %s" % (rows, path))
 
     return run("bag_to_csv", work)
 

@@ -199,7 +199,8 @@ def test_the_discs_plane_is_that_of_its_markers(tmp_path):
 
 
 def test_nested_arrays_are_columns_by_name(bag_file, tmp_path):
-    path, rows = export(bag_file, tmp_path, ["/angles"])["/angles"]
+    with Bag(bag_file) as bag:
+        path, rows = export(bag, tmp_path, ["/angles"])["/angles"]
     header = path.read_text().splitlines()[0].split(",")
     assert rows == 587
     for column in ("risc1.green.azim", "risc1.green.elev", "risc1.green.visible", "risc1.Orange.azim"):
@@ -212,7 +213,8 @@ def test_a_name_in_two_arrays_keeps_both_columns(tmp_path):
     entry = Angles("risc1", [Angle("Raven", True, 1.0, 2.0)], [Angle("Raven", True, 3.0, 4.0)])
     with rosbag.Bag(str(path), "w") as bag:
         bag.write("/angles", stamped(Observed_angles(Obj=[entry]), T0_S), rospy.Time.from_sec(T0_S))
-    file, _ = export(path, tmp_path / "csv")["/angles"]
+    with Bag(path) as bag:
+        file, _ = export(bag, tmp_path / "csv")["/angles"]
     with file.open() as stream:
         row = next(csv.DictReader(stream))
     assert (row["risc1.Raven.azim"], row["risc1.quads.Raven.azim"]) == ("1.0", "3.0")

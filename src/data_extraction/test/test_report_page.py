@@ -17,9 +17,11 @@ from sensor_msgs.msg import CameraInfo, TimeReference
 from std_msgs.msg import Bool, String
 
 from ardrone_autonomy.msg import Navdata
-from data_extraction.report import pdf
-from data_extraction.report.__main__ import main, make
+from data_extraction.report.__main__ import INSTALL, main, make, write_pdf
+from data_extraction.report.gates import GATES
 from data_extraction.report.origin import parameter_hash
+from risc_control.failsafe import Rule
+from risc_lab.lab.yaml_reader import package_file
 from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
 from risc_maap_msgs.msg import Counter, EstimatorStatus, OperatorState, Safety, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import (
@@ -241,6 +243,12 @@ def test_its_figures_are_those_of_the_bag(page):
     assert rows["fluffy_II: Green_pink"][1] != "0"
 
 
+def test_the_page_has_words_for_every_decision_and_rule():
+    text = package_file("data_extraction", "templates/sections.html").read_text(encoding="utf-8")
+    words = [*(name for names in GATES.values() for name in names), *(rule.name for rule in Rule)]
+    assert [word for word in words if '"%s": ' % word not in text] == []
+
+
 def test_pictures_are_in_the_page_and_small(full, page):
     kinds = [image["src"].partition(";")[0] for image in page.images]
     assert kinds.count("data:image/jpeg") == 3
@@ -403,12 +411,12 @@ def test_wrong_use_is_one_clear_line(full, tmp_path, capsys, arguments, message)
 def test_a_pdf_without_its_program_is_one_clear_line(full, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "weasyprint", None)  # what Python does for a module that is not there
     assert main([str(full / "flight.bag"), "--out", str(tmp_path), "--pdf"]) == 1
-    assert pdf.INSTALL in capsys.readouterr().err
+    assert INSTALL in capsys.readouterr().err
     assert (tmp_path / "report.html").exists()
 
 
 def test_a_pdf_is_the_page_on_paper(full, tmp_path):
-    pytest.importorskip("weasyprint", reason=pdf.INSTALL, exc_type=ImportError)
-    path = pdf.write_pdf(full / "report.html", tmp_path / "report.pdf")
+    pytest.importorskip("weasyprint", reason=INSTALL, exc_type=ImportError)
+    path = write_pdf(full / "report.html", tmp_path / "report.pdf")
     data = path.read_bytes()
     assert data.startswith(b"%PDF") and len(data) > 50000

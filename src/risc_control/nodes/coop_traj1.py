@@ -1,10 +1,7 @@
 #!/usr/bin/env python3
 """Above the origin, turning: every camera sees every landmark once in 30 s."""
 
-import sys
-
-from risc_control.ros.controller_node import main
-from risc_control.ros.trajectory_node import TrajectoryNode
+from risc_control.ros.trajectory_node import main
 
 if __name__ == "__main__":
-    sys.exit(main("topology_trajectory", lambda: TrajectoryNode("spin")))
+    raise SystemExit(main("topology_trajectory", "spin"))

@@ -1,10 +1,7 @@
 #!/usr/bin/env python3
 """Any course by its name (~course)."""
 
-import sys
-
-from risc_control.ros.controller_node import main
-from risc_control.ros.trajectory_node import TrajectoryNode
+from risc_control.ros.trajectory_node import main
 
 if __name__ == "__main__":
-    sys.exit(main("generic_trajectory", lambda: TrajectoryNode("circle")))
+    raise SystemExit(main("generic_trajectory", "circle"))

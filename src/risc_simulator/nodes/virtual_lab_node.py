@@ -2,7 +2,6 @@
 """The virtual lab as a ROS node: adds /ground_truth, diagnostics and fault injection. Wiring only."""
 
 import logging
-import os
 import signal
 import sys
 import threading
@@ -12,8 +11,8 @@ import rospy
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_lab.ros import low_latency
 from risc_simulator.ros.node import VirtualLabNode
-from risc_simulator.ros.params import load_params, make_lab
-from risc_simulator.virtual_lab import summary, write_statistics
+from risc_simulator.ros.params import load_options, make_lab
+from risc_simulator.virtual_lab import report
 
 
 def handle_signals(handler):
@@ -35,8 +34,8 @@ def main():
     rospy.on_shutdown(stop_event.set)
     handle_signals(lambda *_: stop_event.set())
     try:
-        params = load_params()
-        lab = make_lab(params)
+        options = load_options()
+        lab = make_lab(options)
     except (ValueError, OSError) as error:
         rospy.logfatal("virtual lab: %s", error)
         rospy.signal_shutdown("the lab could not start")
@@ -50,14 +49,7 @@ def main():
     finally:
         lab.close()
         rospy.signal_shutdown("the lab has closed")
-    print(summary(statistics), flush=True)
-    if params["stats"]:
-        try:
-            write_statistics(statistics, os.path.expanduser(params["stats"]))
-        except OSError as error:
-            print("virtual lab: cannot write the statistics: %s" % error, file=sys.stderr)
-            return 1
-    return 0
+    return report(statistics, options.stats)
 
 
 if __name__ == "__main__":

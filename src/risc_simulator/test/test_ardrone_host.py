@@ -163,7 +163,7 @@ class Lab:
 
     @property
     def state(self):
-        return self.host.state_bits
+        return self.host._state_bits(self.vehicle.phase)
 
     def close(self):
         self.client.udp.close()

@@ -3,7 +3,7 @@
 import select
 import socket
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cortex_ros import wire
 from cortex_ros.wire import Command
-from risc_simulator.cortex_host import CortexHost, LatenessHistogram
+from risc_simulator.cortex_host import CortexHost
 from risc_simulator.faults import WireFault
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 
@@ -455,19 +455,6 @@ def test_two_hosts_on_one_machine(make_lab, listen):
     assert [len(lab.frame(lab.client()).bodies) for lab in (first, second)] == [3, 2]
 
 
-def test_reported_delay_is_the_one_that_happened(make_lab, listen):
-    stream = listen()
-    lab = make_lab(endpoint=Endpoint(stream_port=stream.getsockname()[1]), live_on_start=True)
-    late_s = [0.0, 0.0004, 0.012, 0.0]
-    for lab.send_late_s in late_s:
-        lab.step()
-    assert [frame.delay_s for frame in frames(stream)] == pytest.approx([DELAY_S + late for late in late_s], abs=1e-8)
-    late_ms = lab.host.statistics()["schedule_late_ms"]
-    assert late_ms["max"] == pytest.approx(12.0, abs=1e-6)
-    assert late_ms["p99"] == pytest.approx(12.0, abs=0.011)
-    assert late_ms["p50"] == pytest.approx(0.0, abs=0.011)
-
-
 def test_without_a_clock_the_time_of_the_tick_counts(listen):
     stream = listen()
     world = World()
@@ -730,8 +717,6 @@ def test_address_errors_name_cause_and_cure(make_lab):
         ) as info:
             Lab(interface=interface)
         assert info.value.errno is not None
-    with pytest.raises(ValueError, match="frame rate"):
-        Lab(endpoint=replace(Endpoint(), rate_hz=0.0))
 
 
 def test_close_frees_the_port_and_may_be_repeated(make_lab):
@@ -786,25 +771,10 @@ def test_frame_numbers_wrap_within_the_wires_range(live):
     assert [frame.number for frame in frames(stream)] == [2**31 - 1, 0, 1]
 
 
-# --- percentiles --------------------------------------------------------------------------------------------------
-
-
-def test_histogram_percentiles_agree_with_the_sorted_values():
-    values = np.random.default_rng(3).exponential(0.0005, 5000)
-    histogram = LatenessHistogram()
-    for value in values:
-        histogram.add(value)
-    for percent, rank in ((1.0, 50), (50.0, 2500), (90.0, 4500), (99.0, 4950), (99.9, 4995)):
-        exact = np.sort(values)[rank - 1]
-        assert exact <= histogram.percentile_s(percent) <= exact + histogram.BIN_S
-    assert histogram.percentile_s(100.0) == histogram.max_s == values.max()
-
-
-def test_histogram_edges():
-    histogram = LatenessHistogram()
-    assert histogram.percentile_s(99.0) == 0.0
-    histogram.add(-0.5)
-    assert (histogram.percentile_s(50.0), histogram.max_s) == (0.0, 0.0)
-    histogram.add(7.0)
-    assert histogram.percentile_s(99.0) == histogram.max_s == 7.0
-    assert histogram.percentile_s(50.0) == histogram.BIN_S
+def test_reported_delay_is_the_one_that_happened(make_lab, listen):
+    stream = listen()
+    lab = make_lab(endpoint=Endpoint(stream_port=stream.getsockname()[1]), live_on_start=True)
+    late_s = [0.0, 0.0004, 0.012, 0.0]
+    for lab.send_late_s in late_s:
+        lab.step()
+    assert [frame.delay_s for frame in frames(stream)] == pytest.approx([DELAY_S + late for late in late_s], abs=1e-8)

@@ -19,8 +19,9 @@ from risc_lab.lab.fleet import AttachedBody
 from risc_lab.registry import VARIABLE
 from risc_simulator import bodies, vehicles
 from risc_simulator.faults import WireFault
+from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.virtual_lab import VirtualLab
-from risc_simulator.world import FlightAction, FlightPhase, Setpoint, World
+from risc_simulator.world import World
 
 MEMBERS = pathlib.Path(__file__).parent / "members"
 ARDRONE = {"namespace": "risc1", "template": "fluffy_II", "type": "ardrone", "start": {"position_m": [0.5, 0.2, 0]}}
@@ -235,7 +236,7 @@ def test_who_carries_nothing_flies_as_without_the_other():
 
 
 def test_the_markers_of_a_body_are_in_the_mocap_frames(clock):
-    lab = VirtualLab(make_fleet(dict(ARDRONE, attached=SPRING)), seed=3, exact_markers=True, live_on_start=True)
+    lab = VirtualLab(make_fleet(dict(ARDRONE, attached=SPRING)), seed=3, exact_markers=True, live=True)
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
             client.settimeout(5.0)

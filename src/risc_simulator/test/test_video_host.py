@@ -237,7 +237,7 @@ def test_faults_on_the_wire_act_on_the_stream(lab, client):
     again.picture()
     again.close()
     counts = lab.statistics()["wires"]["risc1/video"]
-    assert counts["cut"] == 1 and counts["later"] > 10 and counts["sent"] == counts["delivered"] + 1
+    assert counts["cut"] == 1 and counts["later"] > 0 and counts["sent"] == counts["delivered"] + 1
 
 
 def test_faults_of_the_wire_reach_a_camera_process_that_starts_later(make_lab):

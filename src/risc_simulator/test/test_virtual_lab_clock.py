@@ -3,13 +3,14 @@
 import random
 import socket
 
+import numpy as np
 import pytest
 
 from risc_lab.lab import FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
-from risc_simulator.virtual_lab import VirtualLab, configure_fleet
-from risc_simulator.world import FlightPhase
+from risc_simulator.models.flight import FlightPhase
+from risc_simulator.virtual_lab import LabOptions, LatenessHistogram, VirtualLab
 
 TAKE_OFF = 290718208
 
@@ -75,7 +76,7 @@ def test_commands_that_waited_through_a_stall_do_not_lie_in_the_future(clock, st
 def test_a_short_stall_is_made_up_for_frame_by_frame(clock):
     """100 ms: the frames that are late follow at once, each of its own time, and the next one is on time again."""
     fleet = make_fleet()
-    lab, pilot = VirtualLab(fleet, live_on_start=True), Pilot(fleet)
+    lab, pilot = VirtualLab(fleet, live=True), Pilot(fleet)
     host, exposed_s, told_s, late_s = lab.vehicle_hosts["risc1"], [], [], []
     observe, tick, on_readable = lab.cameras.observe, host.tick, host.on_readable
     lab.cameras.observe = lambda time_s, *rest: (exposed_s.append(time_s), observe(time_s, *rest))[1]
@@ -114,7 +115,7 @@ class Load:
 def test_a_lab_that_is_too_slow_leaves_frames_out_and_stays_near_real_time(clock, monkeypatch, rate_hz):
     """20 s of a load under which the lab can do two cycles of three: it was a second late as long as that lasted."""
     fleet = make_fleet(rate_hz)
-    lab, pilot = VirtualLab(fleet, live_on_start=True), Pilot(fleet)
+    lab, pilot = VirtualLab(fleet, live=True), Pilot(fleet)
     load = Load(lab, clock, monkeypatch)
     late_s, told_s = [], []
     tick = lab.vehicle_hosts["risc1"].tick
@@ -163,7 +164,7 @@ def test_stalls_are_counted_not_the_cycles_after_them(clock, monkeypatch):
 @pytest.mark.parametrize("rate_hz, frames", [(10.0, 5), (60.0, 30), (200.0, 100), (400.0, 200)])
 def test_vehicles_are_served_at_200_hz_whatever_the_cameras_do(clock, rate_hz, frames):
     fleet = make_fleet(rate_hz)
-    lab, pilot = VirtualLab(fleet, live_on_start=True), Pilot(fleet)
+    lab, pilot = VirtualLab(fleet, live=True), Pilot(fleet)
     ticks = []
     tick = lab.vehicle_hosts["risc1"].tick
     lab.vehicle_hosts["risc1"].tick = lambda now_s: (ticks.append(now_s), tick(now_s))
@@ -181,14 +182,34 @@ def test_vehicles_are_served_at_200_hz_whatever_the_cameras_do(clock, rate_hz, f
 
 @pytest.mark.parametrize(
     "options, key",
-    [({"rate_hz": 0.0}, "rate_hz"), ({"cortex_port": 70000}, "command_port"), ({"stream_port": -1}, "stream_port")],
+    [({"rate": 0.0}, "rate_hz"), ({"cortex_port": 70000}, "command_port"), ({"stream_port": 0}, "stream_port")],
 )
 def test_options_are_checked_like_the_fleet_file(options, key):
     with pytest.raises(ValueError, match=key):
-        configure_fleet(make_fleet(), **options)
+        LabOptions(**options).configure(make_fleet())
 
 
-@pytest.mark.parametrize("delay_s", [-1.0, float("nan"), float("inf")])
-def test_impossible_delay_is_refused(delay_s):
-    with pytest.raises(ValueError, match="command.delay"):
-        VirtualLab(make_fleet(), command_delay_s=delay_s)
+def test_impossible_delay_is_refused():
+    with pytest.raises(ValueError, match="command.delay|finite"):
+        VirtualLab(make_fleet(), delay=float("inf"))
+
+
+def test_histogram_percentiles_agree_with_the_sorted_values():
+    values = np.random.default_rng(3).exponential(0.0005, 5000)
+    histogram = LatenessHistogram()
+    for value in values:
+        histogram.add(value)
+    for percent, rank in ((1.0, 50), (50.0, 2500), (90.0, 4500), (99.0, 4950), (99.9, 4995)):
+        exact = np.sort(values)[rank - 1]
+        assert exact <= histogram.percentile_s(percent) <= exact + histogram.BIN_S
+    assert histogram.percentile_s(100.0) == histogram.max_s == values.max()
+
+
+def test_histogram_edges():
+    histogram = LatenessHistogram()
+    assert histogram.percentile_s(99.0) == 0.0
+    histogram.add(-0.5)
+    assert (histogram.percentile_s(50.0), histogram.max_s) == (0.0, 0.0)
+    histogram.add(7.0)
+    assert histogram.percentile_s(99.0) == histogram.max_s == 7.0
+    assert histogram.percentile_s(50.0) == histogram.BIN_S

@@ -15,11 +15,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from risc_lab.lab import FleetLandmark, FleetVehicle, Start, load_templates
+from risc_lab.lab import FleetLandmark, FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
 from risc_simulator import virtual_lab
-from risc_simulator.virtual_lab import VirtualLab, configure_fleet, summary
-from risc_simulator.world import FlightPhase
+from risc_simulator.models.flight import FlightPhase
+from risc_simulator.virtual_lab import LabOptions, VirtualLab, summary
 
 GROUP = "225.1.1.1"
 LIVE_MODE = struct.pack("<HH", 14, 9) + b"LiveMode\0"
@@ -150,7 +150,7 @@ def test_polling_client_and_a_flight_over_at_commands(running, net):
 
 
 def test_world_time_follows_lab_time_and_catches_up_without_losing_frames(net, clock):
-    lab = VirtualLab(make_fleet(net, 1), live_on_start=True)
+    lab = VirtualLab(make_fleet(net, 1), live=True)
     try:
         with stream_client(net["port"]) as stream:
             lab.run(duration_s=0.1)
@@ -180,7 +180,7 @@ def test_a_long_stall_stops_the_clock(net, clock, monkeypatch):
 
 
 def test_faults_by_name(net, clock):
-    lab = VirtualLab(make_fleet(net, 1), live_on_start=True)
+    lab = VirtualLab(make_fleet(net, 1), live=True)
     try:
         with stream_client(net["port"]) as stream:
             lab.run(duration_s=0.05)
@@ -215,11 +215,11 @@ def test_faults_by_name(net, clock):
 
 
 def test_options_reach_the_lab(net):
-    fleet = configure_fleet(make_fleet(net), vehicles=1, subnet="127.99", rate_hz=120.0, stream_port=5000)
+    fleet = LabOptions(vehicles=1, subnet="127.99", rate=120.0, stream_port=5000).configure(make_fleet(net))
     assert (fleet.mocap.host, fleet.vehicles[0].address, len(fleet.vehicles)) == ("127.99.0.1", "127.99.1.1", 1)
     assert (fleet.mocap.rate_hz, fleet.mocap.stream_port, fleet.mocap.interface) == (120.0, 5000, "127.0.0.1")
-    fleet = configure_fleet(make_fleet(net), rate_hz=120.0)
-    lab = VirtualLab(fleet, perturbed=False, command_delay_s=0.3, exact_markers=True)
+    fleet = LabOptions(rate=120.0).configure(make_fleet(net))
+    lab = VirtualLab(fleet, ideal=True, delay=0.3, exact_markers=True)
     try:
         lab.run(duration_s=0.1)
         assert lab.world.vehicles["risc2"].plant.command_delay_s == 0.3
@@ -236,7 +236,7 @@ def test_stream_needs_no_card_of_the_client(net):
     fleet = make_fleet(net)
     fleet = replace(fleet, mocap=replace(fleet.mocap, interface="192.0.2.254"))
     for interface in ("", "127.0.0.1"):
-        lab = VirtualLab(fleet, live_on_start=True, interface=interface)
+        lab = VirtualLab(fleet, live=True, interface=interface)
         try:
             with stream_client(net["port"]) as stream:
                 lab.run(duration_s=0.05)
@@ -268,7 +268,7 @@ def test_radio_loss_reaches_every_vehicle(net, clock):
 
 
 def test_least_separation_and_collisions_are_told(net):
-    lab = VirtualLab(make_fleet(net), perturbed=False)
+    lab = VirtualLab(make_fleet(net), ideal=True)
     try:
         first, second = lab.world.vehicles.values()
         first.fly_at((0.0, 0.4, 1.0))
@@ -283,7 +283,7 @@ def test_least_separation_and_collisions_are_told(net):
         assert "0.40 m" in summary(statistics) and "risc1 collided with risc2 at" in summary(statistics)
     finally:
         lab.close()
-    lab = VirtualLab(make_fleet(net, 1), perturbed=False)
+    lab = VirtualLab(make_fleet(net, 1), ideal=True)
     try:
         lab.world.vehicles["risc1"].fly_at((0.0, 0.0, 1.0))
         lab.run(duration_s=0.05)
@@ -380,7 +380,7 @@ def test_errors_are_one_line_with_cause_and_cure(tmp_path, net):
     program = start_program(tmp_path, net, "--vehicles", "5")
     _, err = program.communicate(timeout=60)
     assert program.returncode == 1 and "2 vehicles" in err and len(err.strip().splitlines()) == 1
-    for option, value, expected in (("--radio-loss", "1.5", "probability"), ("--interface", "eth9", "eth9")):
+    for option, value, expected in (("--radio-loss", "1.5", "radio_loss"), ("--interface", "eth9", "eth9")):
         program = start_program(tmp_path, net, option, value)
         _, err = program.communicate(timeout=60)
         assert program.returncode == 1 and expected in err and len(err.strip().splitlines()) == 1
@@ -391,6 +391,6 @@ def test_sockets_are_closed_when_a_later_host_fails(net):
         occupied.bind((net["net"] + ".1.2", 5556))
         with pytest.raises(OSError, match="in use"):
             VirtualLab(make_fleet(net))
-    lab = VirtualLab(make_fleet(net), templates=load_templates())  # everything is free again
+    lab = VirtualLab(make_fleet(net))  # everything is free again
     lab.close()
     lab.close()

@@ -10,9 +10,10 @@ import pytest
 from risc_lab.frames import GRAVITY_M_S2, euler_rates_from_body_rates
 from risc_lab.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Start, Template, load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
-from risc_simulator import world as world_module
+from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
+from risc_simulator.models.integrator import COLLISION_DISTANCE_M
 from risc_simulator.vehicles.ardrone import firmware
-from risc_simulator.world import REST_HEIGHT_M, FlightAction, FlightPhase, Setpoint, World
+from risc_simulator.world import REST_HEIGHT_M, World
 
 GOLDEN = pathlib.Path(__file__).parent / "golden"
 TYPES = {"ardrone": load_vehicle_type("ardrone")}
@@ -337,7 +338,7 @@ def test_vehicles_in_the_air_do_not_pass_through_each_other():
         ("risc1", "collided with risc2"),
         ("risc2", "collided with risc1"),
     ]
-    assert gaps_m[-2] >= world_module.COLLISION_DISTANCE_M > gaps_m[-1]
+    assert gaps_m[-2] >= COLLISION_DISTANCE_M > gaps_m[-1]
     assert world.least_separation_m == pytest.approx(gaps_m[-1], abs=1e-12)
     np.testing.assert_allclose(world.crashes[0].position_m, first.state.position_m)
     world.step_to(world.time_s + 3.0)

@@ -14,13 +14,13 @@ from sensor_msgs.msg import Joy
 from std_srvs.srv import Trigger, TriggerResponse
 
 from data_extraction import course_plots
-from data_extraction.recording import REFERENCES, STATES
-from data_extraction.segments import COMMANDS, OPERATOR, PHASES, PLOT_BUTTON, PlotParams, Recorder
+from data_extraction.recording import COMMANDS, REFERENCES, STATES
+from data_extraction.segments import OPERATOR, PHASES, PLOT_BUTTON, SENT, PlotParams, Recorder
 from risc_control.joystick import ButtonPresses
 from risc_control.ros.joystick_buttons import origin
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, load_params, number
-from risc_maap_msgs.msg import OperatorState, TrajectoryPhases
+from risc_maap_msgs.msg import CommandsSent, OperatorState, TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, Trajectories
 from risc_visual.ros.node import Health
 
@@ -56,6 +56,7 @@ class DFPlots:
             rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10, tcp_nodelay=True)
         for topic, kind in ((PHASES, TrajectoryPhases), (OPERATOR, OperatorState)):
             rospy.Subscriber(topic, kind, self._on_message, topic, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber(SENT, CommandsSent, self._on_sent, queue_size=10, tcp_nodelay=True)
         for topic, kind in ((REFERENCES, Trajectories), (COMMANDS, Controls), (STATES, Cortex)):
             PacedSubscriber(topic, kind, self._on_message, params.rate_hz, (topic,))
         rospy.loginfo("plots go to %s: those of the course under way on button %d", self._folder, params.plot_button)
@@ -84,6 +85,11 @@ class DFPlots:
             self._recorder.add(topic, rospy.get_time(), message, None if is_phase else message.header.stamp.to_sec())
         if not is_phase:
             self._health.drawn(topic)
+
+    def _on_sent(self, message):
+        with self._lock:
+            for command in message.commands:
+                self._recorder.add(SENT, rospy.get_time(), command, command.sent.to_sec())
 
     def _on_joy(self, message, presses):
         if presses.update(message.buttons, sender=origin(message)[1]).in_time:

@@ -15,21 +15,21 @@ from programs import run_program
 from data_extraction.bags import BagError
 from data_extraction.course_plots import PageWriter, file_stem, plot_bag
 from data_extraction.plots import course_limits_m, course_page
-from data_extraction.recording import REFERENCES, STATES
+from data_extraction.recording import COMMANDS, REFERENCES, STATES
 from data_extraction.segments import (
     COLUMNS,
-    COMMANDS,
     DESIRED_POSITION,
     OPERATOR,
     PHASES,
     POSITION,
+    SENT,
     PlotParams,
     Recorder,
     full_scales_deg,
 )
 from risc_lab.lab import load_fleet
 from risc_lab.phases import OperatorPhase, TrajectoryPhase
-from risc_maap_msgs.msg import OperatorState, TrajectoryPhases, VehiclePhase
+from risc_maap_msgs.msg import CommandSent, OperatorState, TrajectoryPhases, VehiclePhase
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes" / "DF_Plots.py"
@@ -95,6 +95,19 @@ def test_the_sixteen_columns_are_those_of_the_flight():
     }  # fmt: skip
     for name, value in expected.items():
         assert column(segment, name) == pytest.approx(value, abs=1e-4), name
+
+
+def test_what_was_really_sent_counts_before_the_controllers_wish():
+    recorder = Recorder(PlotParams())
+    for k in range(120):
+        stamp_s = T0_S + k / 30.0
+        command = CommandSent("fluffy_II", rospy.Time(), rospy.Time(), 0.1, -0.05, 0.0, 0.0)
+        recorder.add(SENT, stamp_s + 0.01, command, stamp_s)
+    fly(recorder, 0.0, 3.0)
+    recorder.finish()
+    (segment,) = recorder.segments()
+    assert column(segment, "phi_desired_deg") == pytest.approx(math.degrees(0.1))
+    assert column(segment, "theta_desired_deg") == pytest.approx(math.degrees(-0.05))
 
 
 def test_full_scale_of_the_commands():
@@ -290,7 +303,7 @@ def test_the_page_shows_what_is_in_the_table(segment):
 
 
 def test_limits_give_way_to_a_flight_that_leaves_them():
-    assert course_limits_m(np.zeros((2, 3))) == ((-2.0, 2.0), (-2.0, 2.0), (0.0, 2.0))
+    assert course_limits_m(np.zeros((2, 3))).tolist() == [[-2.0, 2.0], [-2.0, 2.0], [0.0, 2.0]]
     wide = course_limits_m(np.array([[-3.0, 0.0, 0.5], [1.0, 2.5, 2.4]]))
     assert np.ravel(wide) == pytest.approx([-3.1, 2.0, -2.0, 2.6, 0.0, 2.5])
 

@@ -4,7 +4,7 @@ import contextlib
 import heapq
 import io
 import pathlib
-from itertools import count
+from itertools import accumulate, count
 
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag1 import Reader, ReaderError
@@ -70,11 +70,15 @@ class Bag:
                 return
         try:
             for connection, timestamp_ns, raw in self._reader.messages(connections=connections):
-                yield connection.topic, 1e-9 * timestamp_ns, self._message(connection, raw)
-        except BagError:
-            raise
+                yield connection.topic, 1e-9 * timestamp_ns, self._reader.deserialize(raw, connection.msgtype)
+        except (AnyReaderError, SerdeError) as error:
+            raise BagError("%s: a message on %s is damaged (%s)" % (self.path, connection.topic, error)) from error
         except (ReaderError, OSError, RuntimeError, ValueError, EOFError) as error:  # all but the first: decompression
             raise BagError("%s is damaged (%s): run `rosbag reindex` on it" % (self.path, error)) from error
+
+    def fraction(self, receipt_s):
+        """How much of the bag [0, 1] is before a time of receipt."""
+        return (receipt_s - self.start_s) / max(self.duration_s, 1e-3)
 
     def require(self, topics):
         """Raises BagError for topics that the bag does not have."""
@@ -86,12 +90,6 @@ class Bag:
     def contents(self):
         """What the bag has, for messages to people."""
         return "it has " + (", ".join(sorted(self.topics)) or "no message")
-
-    def _message(self, connection, raw):
-        try:
-            return self._reader.deserialize(raw, connection.msgtype)
-        except (AnyReaderError, SerdeError) as error:
-            raise BagError("%s: a message on %s is damaged (%s)" % (self.path, connection.topic, error)) from error
 
 
 class _ChunkReader(Reader):
@@ -105,32 +103,27 @@ class _ChunkReader(Reader):
 
     def most_overlapping(self):
         """How many chunks have to be held together to give the messages in order of time."""
-        most = held = 0
-        edges = [(chunk.start_time, 1) for chunk in self.chunk_infos]
-        edges += [(chunk.end_time, -1) for chunk in self.chunk_infos]
-        for _, step in sorted(edges):
-            held += step
-            most = max(most, held)
-        return most
+        edges = [edge for chunk in self.chunk_infos for edge in ((chunk.start_time, 1), (chunk.end_time, -1))]
+        return max(accumulate(step for _, step in sorted(edges)), default=0)
 
     def messages(self, connections=(), start=None, stop=None):
         """As Reader.messages: (connection, time [ns], raw message) in the order of time."""
         wanted = {connection.id: connection for connection in connections or self.connections}
         chunks = [info for info in self.chunk_infos if not wanted.keys().isdisjoint(info.connection_counts)]
         held, number = [], count()  # the number keeps the order in the file where times are equal
+
+        def popped():
+            time_ns, _, connection, raw = heapq.heappop(held)
+            return connection, time_ns, raw
+
         for info in sorted(chunks, key=lambda info: info.start_time):
             while held and held[0][0] < info.start_time:
-                yield self._popped(held)
+                yield popped()
             for time_ns, identity, raw in self._records(info):
                 if identity in wanted and (start is None or time_ns >= start) and (stop is None or time_ns < stop):
                     heapq.heappush(held, (time_ns, next(number), wanted[identity], raw))
         while held:
-            yield self._popped(held)
-
-    @staticmethod
-    def _popped(held):
-        time_ns, _, connection, raw = heapq.heappop(held)
-        return connection, time_ns, raw
+            yield popped()
 
     def _records(self, info):
         """(time [ns], connection's id, raw message) of one chunk, as they lie there."""

@@ -14,7 +14,7 @@ from data_extraction.flatten import seconds
 from data_extraction.progress import Progress, bar
 from data_extraction.recording import REFERENCES, STATES
 from data_extraction.report.topics import fits
-from data_extraction.segments import COLUMNS, TOPICS, PlotParams, Recorder
+from data_extraction.segments import COLUMNS, SENT, TOPICS, PlotParams, Recorder
 
 _SHOW_EVERY = 2000  # messages
 _COLLECT_EVERY = 100_000  # messages, so that memory does not grow with the bag
@@ -75,7 +75,7 @@ def record(bag, recorder, rate_hz, progress):
     topics = [topic for topic in TOPICS if topic in bag.topics and fits(topic, bag.types[topic])]
     for count, (topic, receipt_s, message) in enumerate(bag.messages(topics)):
         if count % _SHOW_EVERY == 0:
-            progress.show("reading", bar((receipt_s - bag.start_s) / max(bag.duration_s, 1e-3)))
+            progress.show("reading", bar(bag.fraction(receipt_s)))
         if count % _COLLECT_EVERY == _COLLECT_EVERY - 1:
             recorder.ended()
         due_s = receipt_s if due_s is None else due_s
@@ -83,8 +83,12 @@ def record(bag, recorder, rate_hz, progress):
             if receipt_s < due_s:
                 continue
             due_s = max(due_s + 1.0 / rate_hz, receipt_s - 1.0 / rate_hz)
-        stamp_s = seconds(message.header.stamp) if hasattr(message, "Obj") else None
-        recorder.add(topic, receipt_s, message, stamp_s)
+        if topic == SENT:
+            for command in message.commands:
+                recorder.add(topic, receipt_s, command, seconds(command.sent))
+        else:
+            stamp_s = seconds(message.header.stamp) if hasattr(message, "Obj") else None
+            recorder.add(topic, receipt_s, message, stamp_s)
     recorder.finish()
 
 
@@ -114,22 +118,20 @@ def main(arguments):
         "The course's plots of a flight from its bag: a page (PNG, PDF) and a table (CSV) for each segment."
         " Without a bag it is a ROS node that logs the flight under way.",
     )
-    parser.add_argument("--vehicle", help="only this one, by its name on /cortex_raw or its namespace (default: all)")
+    parser.add_argument("--vehicle", dest="vehicles", action="append", default=[],
+                        help="only this one, by its name on /cortex_raw or its namespace (default: all)")  # fmt: skip
     parser.add_argument("--euler-angle-max", type=float, default=PlotParams.euler_angle_max, metavar="RAD",
                         help="tilt at a fraction of 1 on /controls (default: that of the vehicle's type)")  # fmt: skip
-    parser.add_argument("--type", default="",
+    parser.add_argument("--type", dest="vehicle_type", default="",
                         help="of the vehicles: ardrone or iris (default: the fleet's, else ardrone)")  # fmt: skip
-    parser.add_argument("--all", action="store_true", help="also the phase hold, in which nothing is to be flown")
+    parser.add_argument("--all", dest="skip_phases", action="store_const", const=(), default=PlotParams.skip_phases,
+                        help="also the phase hold, in which nothing is to be flown")  # fmt: skip
     args = parser.parse_args(arguments)
     folder = args.out or folder_beside(args.bag, "plots")
 
     def work(progress):
-        params = PlotParams(
-            euler_angle_max=args.euler_angle_max,
-            vehicle_type=args.type,
-            vehicles=(args.vehicle,) if args.vehicle else (),
-            skip_phases=() if args.all else PlotParams.skip_phases,
-        )
+        settings = ("euler_angle_max", "vehicle_type", "vehicles", "skip_phases")
+        params = PlotParams(**{name: getattr(args, name) for name in settings})
         segments, files = plot_bag(args.bag, folder, params, fleet_of(args.bag, args.fleet), progress)
         progress.clear()
         for segment in segments:

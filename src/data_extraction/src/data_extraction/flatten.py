@@ -1,6 +1,7 @@
 """One message becomes one row: nested fields become columns with readable names. Pure; no bag, no ROS."""
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -36,29 +37,24 @@ def stamp_or_receipt_s(message, receipt_s):
 
 
 def _add_fields(row, prefix, message):
-    for field in dataclasses.fields(message):
-        if not _is_constant(field):
-            _add(row, prefix, field.name, getattr(message, field.name))
+    for name in _names(type(message)):
+        _add(row, prefix, name, getattr(message, name))
 
 
 def _add(row, prefix, name, value):
-    if name == "header" and dataclasses.is_dataclass(value):
-        row[prefix + "stamp"] = seconds(value.stamp)
-        row[prefix + "seq"] = getattr(value, "seq", 0)
-        row[prefix + "frame_id"] = value.frame_id
-    elif dataclasses.is_dataclass(value):
-        if _is_time(value):
+    if dataclasses.is_dataclass(value):
+        if name == "header":
+            row[prefix + "stamp"] = seconds(value.stamp)
+            row[prefix + "seq"] = getattr(value, "seq", 0)
+            row[prefix + "frame_id"] = value.frame_id
+        elif _names(type(value)) == ("sec", "nanosec"):
             row[prefix + name] = seconds(value)
         else:
             _add_fields(row, prefix + name + ".", value)
-    elif isinstance(value, np.ndarray):
-        if value.dtype == np.uint8 and len(value) > 64:
-            row[prefix + name + ".bytes"] = len(value)
-        else:
-            for index, item in enumerate(value.tolist()):
-                row["%s%s[%d]" % (prefix, name, index)] = item
-    elif isinstance(value, (list, tuple)):
-        _add_array(row, prefix, name, value)
+    elif isinstance(value, np.ndarray) and value.dtype == np.uint8 and len(value) > 64:
+        row[prefix + name + ".bytes"] = len(value)
+    elif isinstance(value, (list, tuple, np.ndarray)):
+        _add_array(row, prefix, name, value.tolist() if isinstance(value, np.ndarray) else value)
     else:
         row[prefix + name] = value
 
@@ -74,24 +70,16 @@ def _add_array(row, prefix, name, items):
         if label in seen:
             label = "%s[%d]" % (label, index)
         seen.add(label)
-        inner = _inner_fields(prefix + label, item, own_name)
-        if not row.keys().isdisjoint(inner):
-            inner = _inner_fields("%s%s.%s" % (prefix, name, label), item, own_name)
-        row.update(inner)
+        inner = {}
+        _add_fields(inner, "", item)
+        if own_name:
+            del inner["name"]
+        taken = any("%s%s.%s" % (prefix, label, column) in row for column in inner)
+        begin = "%s%s.%s" % (prefix, name, label) if taken else prefix + label
+        row.update({"%s.%s" % (begin, column): number for column, number in inner.items()})
 
 
-def _inner_fields(label, item, own_name):
-    inner = {}
-    _add_fields(inner, label + ".", item)
-    if own_name:
-        inner.pop(label + ".name")
-    return inner
-
-
-def _is_time(value):
-    return {field.name for field in dataclasses.fields(value) if not _is_constant(field)} == {"sec", "nanosec"}
-
-
-def _is_constant(field):
-    """Whether a field belongs to the class: rosbags gives the constants of a message so, and its type."""
-    return str(field.type).startswith("ClassVar")
+@functools.cache
+def _names(kind):
+    """Names of a message's fields without its constants, which rosbags gives as fields that belong to the class."""
+    return tuple(field.name for field in dataclasses.fields(kind) if not str(field.type).startswith("ClassVar"))

@@ -4,11 +4,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from data_extraction.bearing_errors import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
-from data_extraction.recording import REFERENCES, STATES, TRUTH, Recording, Series
+from data_extraction.recording import REFERENCES, STATES, TRUTH, Recording, Series, best_shift
 from data_extraction.samples import Arrivals
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles
@@ -147,15 +146,11 @@ class FlightCollector:
             or self._bearings.wants(topic)
         )
 
-    def flight(self):
-        """Evaluate what was collected. Raises ValueError when the bag holds no flight."""
-        return self._evaluated(strict=True)
+    def flight(self, strict=True):
+        """Evaluate what was collected. Raises ValueError when the bag holds no flight.
 
-    def overview(self):
-        """As `flight`, but of any bag: what cannot be evaluated is left out and named in the notes."""
-        return self._evaluated(strict=False)
-
-    def _evaluated(self, strict):
+        strict: False: of any bag; what cannot be evaluated is left out and named in the notes.
+        """
         recording, notes = self._recording, []
         source = TRUTH if recording.parts(TRUTH) else STATES
         states = recording.parts(source)
@@ -271,10 +266,7 @@ def best_fit_lag(t_s, desired, actual, limit_s=0.5):
         difference = reference.at(t_s - lag_s) - actual
         return float(np.nanmean(difference**2))
 
-    lags_s = np.linspace(-limit_s, limit_s, 41)
-    start = lags_s[int(np.argmin([mean_square(lag_s) for lag_s in lags_s]))]
-    step = lags_s[1] - lags_s[0]
-    return float(minimize_scalar(mean_square, bounds=(start - step, start + step), method="bounded").x)
+    return best_shift(mean_square, np.linspace(-limit_s, limit_s, 41))[0]
 
 
 def settling_time(t_s, error, limit=SETTLED_ERROR_M, hold_s=SETTLED_HOLD_S):

@@ -9,16 +9,8 @@ import cv2
 import numpy as np
 from msgspec import Meta
 
+from data_extraction import camera_topics
 from data_extraction.bags import Bag, BagError
-from data_extraction.camera_topics import (
-    GREEN,
-    PICTURES,
-    YELLOW,
-    draw_outline,
-    is_bottom,
-    namespace_of,
-    picture_topics,
-)
 from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
 from data_extraction.surroundings import LANDMARKS, Surroundings
@@ -47,18 +39,9 @@ class LabelParams(Settings):
             raise ValueError("'delay_s' must be finite, found %r" % self.delay_s)
 
 
-@dataclass
-class LabelResult:
-    """What `label` wrote."""
-
-    path: pathlib.Path  # of the JSON file
-    pictures: int = 0
-    labels: int = 0
-    without_pose: int = 0  # pictures left out: motion capture did not see their vehicle just then
-
-
 def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None):
-    """Write the pictures of a bag and one labels.json into a folder. Returns LabelResult.
+    """Write the pictures of a bag and one labels.json into a folder. Returns (path of that file, number of pictures, of
+    labels, of pictures left out because motion capture did not see their vehicle just then).
 
     fleet: risc_lab.lab.Fleet, see Surroundings. topics: of the pictures; None = all that there are.
     Raises BagError for a bag that lacks something, ValueError for calibrations that are not usable, OSError when the
@@ -84,15 +67,14 @@ def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None)
                     data_set.add(topic, message)
                 except ValueError as error:
                     raise BagError("%s, %s: %s" % (bag.path, topic, error)) from error
-                progress.show("labelling", "%d pictures" % data_set.result.pictures)
-    if not data_set.result.pictures:
+                progress.show("labelling", "%d pictures" % len(data_set.images))
+    if not data_set.images:
         raise BagError(
             "%s: no picture could be labelled: %s does not say where the vehicle was at any picture's time. Are the "
             "stamps of the two of one clock, and is the delay (%g s) right?"
             % (bag_path, params.states_topic, params.delay_s)
         )
-    data_set.write(bag_path)
-    return data_set.result
+    return data_set.write(bag_path), len(data_set.images), len(data_set.annotations), data_set.without_pose
 
 
 class _DataSet:
@@ -102,27 +84,26 @@ class _DataSet:
         self._folder, self._surroundings, self._params = folder, surroundings, params
         self._discs = surroundings.discs()
         self._observers = {}
-        self._images, self._annotations = [], []
+        self.images, self.annotations, self.without_pose = [], [], 0
         names = [(disc.name, LANDMARK) for disc in self._discs]
         names += [(name, "vehicle") for name in sorted(surroundings.tracks[params.states_topic])]
         self._categories = {name: (k, kind) for k, (name, kind) in enumerate(names, start=1)}
         (folder / "images").mkdir(parents=True, exist_ok=True)
         if params.overlay:
             (folder / "overlays").mkdir(exist_ok=True)
-        self.result = LabelResult(folder / "labels.json")
 
     def add(self, topic, message):
         """Label and write one picture."""
         params, surroundings = self._params, self._surroundings
         picture = picture_from_msg(message)
-        vehicle = surroundings.vehicle(namespace_of(topic))
+        vehicle = surroundings.vehicle(camera_topics.namespace_of(topic))
         stamp_s = seconds(message.header.stamp)
         exposure_s = stamp_s - params.delay_s
         pose = surroundings.tracks[params.states_topic][vehicle].at(exposure_s)
         if not pose.known[0]:
-            self.result.without_pose += 1
+            self.without_pose += 1
             return
-        observer = self._observer(topic, vehicle, is_bottom(message), picture.shape)
+        observer = self._observer(topic, vehicle, camera_topics.is_bottom(message), picture.shape)
         targets = self._discs + surroundings.hulls(params.states_topic, exposure_s, without=vehicle)
         sightings = filter(self._is_labelled, look(observer, pose.positions_m[0], pose.R_body_to_cortex[0], targets))
         sightings = list(sightings)
@@ -131,9 +112,9 @@ class _DataSet:
         self._save(self._folder / "images" / name, picture)
         if params.overlay:
             self._save(self._folder / "overlays" / name, draw(picture, sightings))
-        self._images.append(
+        self.images.append(
             {
-                "id": len(self._images) + 1,
+                "id": len(self.images) + 1,
                 "file_name": "images/" + name,
                 "width": picture.shape[1],
                 "height": picture.shape[0],
@@ -143,14 +124,13 @@ class _DataSet:
                 "exposure": round(exposure_s, 9),
             }
         )
-        self._annotations += [
+        self.annotations += [
             self._annotation(number, sighting)
-            for number, sighting in enumerate(sightings, start=len(self._annotations) + 1)
+            for number, sighting in enumerate(sightings, start=len(self.annotations) + 1)
         ]
-        self.result.pictures, self.result.labels = len(self._images), len(self._annotations)
 
     def write(self, bag_path):
-        """Write labels.json."""
+        """Write labels.json. Returns its path."""
         content = {
             "info": {
                 "description": "labelled from motion capture (%s, %s) by label_images.py"
@@ -160,13 +140,15 @@ class _DataSet:
                 "coordinates": "pixels from the top left corner of the picture; the middle of its first pixel is at "
                 "(0.5, 0.5)",
             },
-            "images": self._images,
-            "annotations": self._annotations,
+            "images": self.images,
+            "annotations": self.annotations,
             "categories": [
                 {"id": number, "name": name, "supercategory": kind} for name, (number, kind) in self._categories.items()
             ],
         }
-        self.result.path.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+        path = self._folder / "labels.json"
+        path.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+        return path
 
     def _observer(self, topic, vehicle, bottom, shape):
         key = (topic, bottom)
@@ -200,7 +182,7 @@ class _DataSet:
         centre = sighting.centre_px + 0.5
         return {
             "id": number,
-            "image_id": len(self._images),
+            "image_id": len(self.images),
             "category_id": self._categories[sighting.name][0],
             "bbox": _rounded((x0, y0, width, height)),
             "segmentation": [_rounded(outline.ravel())],
@@ -222,9 +204,9 @@ def draw(picture, sightings):
     """A copy of the picture with the outlines, centres and names of what is to be seen."""
     drawn = picture.copy()
     for sighting in sightings:
-        colour = GREEN if sighting.kind == LANDMARK else YELLOW
+        colour = camera_topics.GREEN if sighting.kind == LANDMARK else camera_topics.YELLOW
         text = "%s %.1f m" % (sighting.name, sighting.distance_m)
-        draw_outline(drawn, sighting.outline_px, text, colour)
+        camera_topics.draw_outline(drawn, sighting.outline_px, text, colour)
         if np.isfinite(sighting.centre_px).all():
             cv2.drawMarker(drawn, np.rint(sighting.centre_px).astype(int).tolist(), colour, cv2.MARKER_CROSS, 7)
     return drawn
@@ -236,11 +218,11 @@ def _picture_topics(bag, wanted):
     for topic in wanted or ():
         if bag.types[topic] not in MESSAGES:
             raise BagError("%s, %s: this is no topic of pictures but of %s" % (bag.path, topic, bag.types[topic]))
-    found = list(wanted or picture_topics(bag.types))
+    found = list(wanted or camera_topics.picture_topics(bag.types))
     if not found:
         raise BagError(
             "%s has no pictures (no topic ends in %s): record with the cameras, or name the topics with --topics; %s"
-            % (bag.path, " or ".join(PICTURES), bag.contents)
+            % (bag.path, " or ".join(camera_topics.PICTURES), bag.contents)
         )
     return found
 

@@ -1,6 +1,7 @@
 """Plots of a flight that a person would put into a report. Writes PNG files or SVG texts; needs no display."""
 
 import io
+import itertools
 import math
 import pathlib
 import time
@@ -87,7 +88,7 @@ def paths(flight, title):
     figure.suptitle(title)
     space = figure.add_axes((0.0, 0.0, 0.58, 0.95), projection="3d")
     plan = figure.add_axes((0.65, 0.17, 0.33, 0.72))
-    for colour, (name, vehicle) in zip(_colours(), flight.vehicles.items()):
+    for colour, (name, vehicle) in zip(itertools.cycle(COLOURS), flight.vehicles.items()):
         for axes, columns in ((space, 3), (plan, 2)):
             _draw_path(axes, vehicle, columns, colour, name)
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
@@ -150,14 +151,11 @@ def errors(flight, title):
     if len(vehicles) > _FEW:
         _draw_spread(axes, vehicles)
         vehicles = dict(sorted(vehicles.items(), key=lambda item: -(item[1].position_rmse_m or 0.0))[:_WORST])
-    for colour, (name, vehicle) in zip(_colours(), vehicles.items()):
+    for colour, (name, vehicle) in zip(itertools.cycle(COLOURS), vehicles.items()):
+        figures = (vehicle.position_rmse_m, vehicle.position_max_m)
         label = name
-        if vehicle.position_rmse_m is not None:
-            label = "%s: RMSE %.1f mm, max %.1f mm" % (
-                name,
-                1e3 * vehicle.position_rmse_m,
-                1e3 * vehicle.position_max_m,
-            )
+        if None not in figures:
+            label += ": RMSE %.1f mm, max %.1f mm" % tuple(1e3 * figure_m for figure_m in figures)
         t_s, error_m = _peaks(vehicle.t_s, vehicle.error_m)
         axes.plot(t_s, 1e3 * error_m, color=colour, lw=1.0, label=label)
     judged = np.concatenate([v.error_m[v.judged] for v in flight.vehicles.values()])
@@ -197,9 +195,8 @@ def latency(flight, title):
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set_yticks([])
-        axes.set_title(
-            "%s:  p50 %.2f ms,  p99 %.2f ms,  max %.1f ms" % (hop.replace("_", " "), p50, p99, values.max()), loc="left"
-        )
+        figures = "p50 %.2f ms,  p99 %.2f ms,  max %.1f ms" % (p50, p99, values.max())
+        axes.set_title("%s:  %s" % (hop.replace("_", " "), figures), loc="left")
     np.atleast_1d(rows)[-1].set_xlabel("time [ms]    (line: p50, dashed: p99)")
     figure.suptitle(_joined(title, "latency"))
     return figure
@@ -218,7 +215,7 @@ def bearings(statistics, title):
     )
     earlier = ", stamps less %.0f ms" % (1e3 * statistics.delay_s) if statistics.delay_s else ""
     figure.suptitle(_joined(title, "bearings against %s (fully seen%s)" % (statistics.truth, earlier)))
-    colours = dict(zip(sorted(statistics.vehicles), _colours()))
+    colours = dict(zip(sorted(statistics.vehicles), itertools.cycle(COLOURS)))
     errors_deg = np.vstack([target.judged_deg for _, target, _ in rows])
     reach_deg = max(0.15, 1.3 * np.percentile(np.abs(errors_deg), 98.0))
     for vehicle in colours:
@@ -260,7 +257,7 @@ def arena_map(flight):
         towards = -1.0 if place_m[0] > 0.0 else 1.0
         plan.annotate(name, (place_m[1], place_m[0]), (0, 11.0 * towards), textcoords="offset points", fontsize=8,
                       color="#555555", ha="center", va="center")  # fmt: skip
-    for colour, (name, series) in zip(_colours(), sorted(flight.paths.items())):
+    for colour, (name, series) in zip(itertools.cycle(COLOURS), sorted(flight.paths.items())):
         places_m = series.values[_some(len(series.t_s))]
         if name in flight.vehicles:
             _draw_path(plan, flight.vehicles[name], 2, colour, name)
@@ -299,10 +296,10 @@ def ladder(spans, zero_s):
     figure, axes = plt.subplots(figsize=(9.0, 1.2 + 0.4 * len(spans)), layout="constrained")
     for row, vehicle in enumerate(spans):
         for span in spans[vehicle]:
-            # what is shorter than a pixel must still be seen
-            width_s = max(span.end_s - span.begin_s, 0.0)
-            axes.broken_barh([(span.begin_s - zero_s, width_s)], (row - 0.3, 0.6), facecolors=LEVEL_COLOURS[span.level],
-                             edgecolors=LEVEL_COLOURS[span.level], lw=0.0 if span.level == 0 else 1.5)  # fmt: skip
+            colour, width_s = LEVEL_COLOURS[span.level], max(span.end_s - span.begin_s, 0.0)
+            edge = 0.0 if span.level == FailsafeLevel.OK else 1.5  # what is shorter than a pixel must still be seen
+            times_s = [(span.begin_s - zero_s, width_s)]
+            axes.broken_barh(times_s, (row - 0.3, 0.6), facecolors=colour, edgecolors=colour, lw=edge)
     for level, colour in LEVEL_COLOURS.items():
         axes.plot([], [], "s", color=colour, label=level.name.lower())
     axes.set_yticks(range(len(spans)), list(spans))
@@ -315,7 +312,7 @@ def ladder(spans, zero_s):
 def battery(batteries, zero_s):
     """Charge of every vehicle over time. batteries: {vehicle: report.battery.Battery}; zero_s: time 0."""
     figure, axes = plt.subplots(figsize=(9.0, 2.8), layout="constrained")
-    for colour, (name, item) in zip(_colours(), batteries.items()):
+    for colour, (name, item) in zip(itertools.cycle(COLOURS), batteries.items()):
         t_s, charge_pct = item.samples.table().T
         axes.plot(t_s - zero_s, charge_pct, color=colour, lw=1.2, label=name, drawstyle="steps-post")
     lowest = min(item.samples.table()[:, 1].min() for item in batteries.values())
@@ -328,7 +325,7 @@ def fence_margin(margins, zero_s):
     """Distance of every vehicle from the net over time. margins: {vehicle: report.fence.FenceMargin}."""
     figure, axes = plt.subplots(figsize=(9.0, 3.2), layout="constrained")
     lowest_m = 0.05
-    for colour, (name, item) in zip(_colours(), margins.items()):
+    for colour, (name, item) in zip(itertools.cycle(COLOURS), margins.items()):
         times_s, now_m, ahead_m = item.table.T
         lowest_m = min(lowest_m, float(ahead_m.min()))
         for values_m, style in ((ahead_m, {"lw": 0.7, "alpha": 0.5}), (now_m, {"lw": 1.2, "label": name})):
@@ -345,16 +342,9 @@ def fence_margin(margins, zero_s):
 def course_page(segment):
     """Figure with the path in space, roll and pitch, position and velocity errors of a segment."""
     figure = plt.figure(figsize=(11.0, 6.6))
-    figure.suptitle(
-        "%s: %s\n%s, %.0f s, position RMSE %.0f mm"
-        % (
-            segment.vehicle,
-            segment.label,
-            time.strftime("%Y-%m-%d %H:%M:%S", segment.clock),
-            segment.duration_s,
-            1e3 * segment.position_rmse_m,
-        )
-    )
+    when = time.strftime("%Y-%m-%d %H:%M:%S", segment.clock)
+    figures = "%.0f s, position RMSE %.0f mm" % (segment.duration_s, 1e3 * segment.position_rmse_m)
+    figure.suptitle("%s: %s\n%s, %s" % (segment.vehicle, segment.label, when, figures))
     _draw_course(figure.add_axes((0.005, 0.04, 0.455, 0.84), projection="3d"), segment)
     grid = figure.add_gridspec(4, 1, left=0.575, right=0.985, bottom=0.075, top=0.88, hspace=0.24)
     rows = [figure.add_subplot(grid[0])]
@@ -379,21 +369,19 @@ def _draw_course(axes, segment):
     axes.plot(*broken.T[:3], color=DESIRED, lw=0.9, ls="--", label="desired")
     axes.plot(*actual_m[:1].T, "o", color=ACTUAL, ms=4, label="start")
     axes.plot(*broken.T[3:5], 0.0, color="#bbbbbb", lw=0.8, label="on the floor")  # without it depth cannot be told
-    limits_m = course_limits_m(np.vstack((desired_m, actual_m)))
-    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", xlim=limits_m[0], ylim=limits_m[1], zlim=limits_m[2])
-    axes.set_box_aspect([high - low for low, high in limits_m], zoom=0.95)
+    x, y, z = course_limits_m(np.vstack((desired_m, actual_m)))
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", xlim=x, ylim=y, zlim=z)
+    axes.set_box_aspect([high - low for low, high in (x, y, z)], zoom=0.95)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_major_locator(MultipleLocator(0.5))
     axes.legend(loc="upper center", ncol=4)
 
 
 def course_limits_m(points_m):
-    """Limits ((low, high) of x, y, z) of the original's plot, wider where the points (n, 3) leave them."""
-    lowest, highest = points_m.min(axis=0), points_m.max(axis=0)
-    return tuple(
-        (low if least >= low else least - _ROOM_M, high if most <= high else most + _ROOM_M)
-        for (low, high), least, most in zip(COURSE_LIMITS_M, lowest, highest)
-    )
+    """(3, 2) limits of x, y, z of the original's plot, wider where the points (n, 3) leave them."""
+    low, high = np.transpose(COURSE_LIMITS_M)
+    least, most = points_m.min(axis=0), points_m.max(axis=0)
+    return np.column_stack((np.where(least < low, least - _ROOM_M, low), np.where(most > high, most + _ROOM_M, high)))
 
 
 def _draw_angle(axes, segment, index, label):
@@ -421,11 +409,6 @@ def _with_gaps(t_s, values):
     """Times (n,) and values (n, k) with a NaN wherever nothing is known for a while, so that lines break there."""
     after = np.flatnonzero(np.diff(t_s) > _GAP_S) + 1
     return np.insert(t_s, after, np.nan), np.insert(values, after, np.nan, axis=0)
-
-
-def _colours():
-    while True:
-        yield from COLOURS
 
 
 def _joined(title, text):

@@ -5,11 +5,12 @@ import operator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from data_extraction.samples import Samples
 from risc_lab.phases import phase_words
 
-STATES, TRUTH, REFERENCES = "/cortex_raw", "/ground_truth", "/trajectory"
+STATES, TRUTH, REFERENCES, COMMANDS = "/cortex_raw", "/ground_truth", "/trajectory", "/controls"
 _ALONE = -1  # place of an entry that is the only one of its message
 
 
@@ -116,12 +117,12 @@ class Recording:
     def by_place(self, topic, states):
         """Whether the names on a topic are not those of its vehicles, which are named by `states`."""
         names = {name for _, name in self._samples[topic]}
-        return bool(names) and (topic in self._repeated or names.isdisjoint(states))
+        return topic in (REFERENCES, COMMANDS) and bool(names) and (topic in self._repeated or names.isdisjoint(states))
 
     def parts(self, topic, states=()):
         """{vehicle: [(label, Samples), ...]} of a topic. states: names of the known vehicles."""
         parts = {}
-        by_place = topic not in (STATES, TRUTH) and self.by_place(topic, states)
+        by_place = self.by_place(topic, states)
         for (place, name), samples in self._samples[topic].items():
             places = list(self._only if self._only and place == _ALONE else self.order)
             place = 0 if place == _ALONE else place
@@ -149,3 +150,11 @@ class Recording:
         labels = np.repeat([label for label, _ in parts], [len(samples) for _, samples in parts])
         t_s, first = np.unique(table[:, self.clock], return_index=True)
         return Series(t_s, table[first, 2:], table[first, 1], labels[first])
+
+
+def best_shift(cost, shifts_s):
+    """(time shift [s] of the least cost, that cost, the largest on the grid). shifts_s: (n,) even grid to begin."""
+    costs = [cost(shift_s) for shift_s in shifts_s]
+    best_s, step_s = shifts_s[int(np.argmin(costs))], shifts_s[1] - shifts_s[0]
+    found = minimize_scalar(cost, bounds=(best_s - step_s, best_s + step_s), method="bounded")
+    return float(found.x), float(found.fun), max(costs)

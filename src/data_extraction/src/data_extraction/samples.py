@@ -14,8 +14,6 @@ class Samples:
         When there are more, every second row is dropped, and from then on only every second is taken: the rows stay
         evenly spread over everything that came.
         """
-        if width < 1 or (limit is not None and limit < 2):
-            raise ValueError("width must be at least 1 and limit at least 2, got %r and %r" % (width, limit))
         self._width = width
         self._limit = limit
         self._numbers = array("d")
@@ -56,9 +54,6 @@ class Arrivals:
     def __init__(self):
         self._stamps_ns = array("q")
         self._receipts_s = array("d")
-
-    def __len__(self):
-        return len(self._stamps_ns)
 
     def append(self, stamp_ns, receipt_s):
         """Take one message: its stamp [ns] and when it was received [s]."""

@@ -12,15 +12,15 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from data_extraction.recording import REFERENCES, STATES, Recording
+from data_extraction.recording import COMMANDS, REFERENCES, STATES, Recording
 from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.phases import OperatorPhase
 from risc_lab.settings import Positive, Settings
 
-COMMANDS, PHASES, OPERATOR = "/controls", "/trajectory_phase", "/operator/phase"
-TOPICS = (STATES, REFERENCES, COMMANDS, PHASES, OPERATOR)
+SENT, PHASES, OPERATOR = "/commands_sent", "/trajectory_phase", "/operator/phase"
+TOPICS = (STATES, REFERENCES, COMMANDS, SENT, PHASES, OPERATOR)
 POSITION = ("x_m", "y_m", "z_m")  # cortex frame, as all positions and velocities here
 DESIRED_POSITION = ("x_desired_m", "y_desired_m", "z_desired_m")
 DESIRED_ANGLES = ("phi_desired_deg", "theta_desired_deg", "psi_desired_deg")
@@ -31,6 +31,7 @@ _FIELDS = {
     STATES: ("x", "y", "z", "u", "v", "w", "phi", "theta", "psi"),
     REFERENCES: ("x", "y", "z", "xdot", "ydot", "zdot", "psi"),
     COMMANDS: ("phi", "theta"),
+    SENT: ("roll_rad", "pitch_rad"),
 }
 
 PLOT_BUTTON = 3  # of the original release
@@ -167,7 +168,10 @@ class Recorder:
         return tuple(name for name in self._wanted if name not in self._recording.order)
 
     def add(self, topic, receipt_s, message, stamp_s=None):
-        """Take a message of any topic in TOPICS. stamp_s: of its header, when it has one; 0 = nobody stamped it."""
+        """Take a message of any topic in TOPICS; of SENT each command by itself, and when it was sent as its stamp.
+
+        stamp_s: of its header, when it has one; 0 = nobody stamped it.
+        """
         recording = self._recording
         if topic == PHASES:
             recording.phases(receipt_s, message)
@@ -175,7 +179,7 @@ class Recorder:
             recording.others_phase(receipt_s, OperatorPhase(message.phase).name.lower())
         elif topic != STATES or self._advances(receipt_s if recording.unstamped else stamp_s):
             was_stamped = not recording.unstamped
-            recording.add(topic, receipt_s, stamp_s, message.Obj)
+            recording.add(topic, receipt_s, stamp_s, [message] if topic == SENT else message.Obj)
             if was_stamped and recording.unstamped:
                 self._clock.forget()  # times are those of receipt from now on
 
@@ -220,13 +224,15 @@ class Recorder:
         """Pair what came up to a time, and forget what belongs to segments that have ended."""
         recording = self._recording
         references = recording.parts(REFERENCES, recording.order)
-        commands = recording.parts(COMMANDS, recording.order)
+        commands, sent = (recording.parts(topic, recording.order) for topic in (COMMANDS, SENT))
         for name, parts in recording.parts(STATES).items():
             if name not in references or (self._wanted and name not in self._wanted):
                 continue
-            told = commands.get(name, [])
-            found = list(self._paired(name, recording.series(parts), recording.series(references[name]),
-                                 recording.series(told) if told else None, until_s))  # fmt: skip
+            told = sent.get(name) or commands.get(name, [])
+            scale_deg = math.degrees(1.0) if name in sent else self._scales_deg.get(name, self._other_scale_deg)
+            series = recording.series(told) if told else None
+            states, wanted = recording.series(parts), recording.series(references[name])
+            found = list(self._paired(name, states, wanted, series, scale_deg, until_s))
             if not found:
                 continue
             for segment in found[:-1]:
@@ -235,8 +241,11 @@ class Recorder:
             recording.forget(parts, found[-1].start_s)
             recording.forget(references[name] + told, found[-1].start_s - _GAP_S)
 
-    def _paired(self, name, states, references, commands, until_s):
-        """Segments of a vehicle, of its states up to a time that have a reference before and after them."""
+    def _paired(self, name, states, references, commands, scale_deg, until_s):
+        """Segments of a vehicle, of its states up to a time that have a reference before and after them.
+
+        scale_deg: what the commands' roll and pitch [deg] are multiples of.
+        """
         near, labels = references.near(states.t_s, _GAP_S)
         near &= states.t_s <= until_s
         t_s, have, labels = states.t_s[near], states.values[near], labels[near]
@@ -244,7 +253,7 @@ class Recorder:
         want = references.at(t_s)
         told = np.full((len(t_s), 2), np.nan)
         if commands is not None:
-            told = commands.at(t_s) * self._scales_deg.get(name, self._other_scale_deg)
+            told = commands.at(t_s) * scale_deg
             told[~commands.near(t_s, _GAP_S)[0]] = np.nan
         psi_deg = (np.degrees(want[:, 6:]) + 180.0) % 360.0 - 180.0
         errors = want[:, 3:6] - have[:, 3:6]

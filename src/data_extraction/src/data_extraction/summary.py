@@ -33,9 +33,7 @@ def summarise(flight, experiment, simulated, artefacts, origin=None):
         },
         "latency_ms": {hop: percentiles_ms(flight.latency_s.get(hop, np.array([]))) for hop in HOPS},
         "mocap": {
-            "frames_sent": mocap.frames_sent,
-            "frames_received": mocap.frames_received,
-            "frames_estimated": mocap.frames_estimated,
+            **vars(mocap),
             "frames_passed_over": mocap.frames_received - mocap.frames_estimated,
             "rate_hz": round(mocap.rate_hz, 3),
             "wanted_hz": None,
@@ -67,11 +65,8 @@ def table(summary):
         cells = (_unit(figures[key], 1.0, "ms", 2) for key in ("p50", "p99", "max"))
         lines.append(hop_row % (hop.replace("_", " "), *cells))
     mocap = summary["mocap"]
-    lines.append("")
-    lines.append(
-        "mocap: %d frames sent, %d received, %d of them passed over, %.2f Hz"
-        % (mocap["frames_sent"], mocap["frames_received"], mocap["frames_passed_over"], mocap["rate_hz"])
-    )
+    counts = (mocap["frames_sent"], mocap["frames_received"], mocap["frames_passed_over"], mocap["rate_hz"])
+    lines += ["", "mocap: %d frames sent, %d received, %d of them passed over, %.2f Hz" % counts]
     cores = summary["cpu_cores"]
     if cores:
         largest = ", ".join("%s %.2f" % item for item in list(cores.items())[:_MOST_PROGRAMS])
@@ -87,21 +82,17 @@ def _bearing_lines(bearings):
     yield "%-26s %7s %11s %11s %10s %10s %8s %8s %6s" % heading
     for vehicle, targets in bearings["vehicles"].items():
         for name, figures in targets.items():
+            keys = ("azimuth_bias_deg", "elevation_bias_deg", "azimuth_rms_deg", "elevation_rms_deg")
             yield "%-26s %7d %11s %11s %10s %10s %8s %8s %6d" % (
                 "%s: %s" % (vehicle, name),
                 figures["count"],
-                *(
-                    _unit(figures[key + "_deg"], 1.0, "deg", 3)
-                    for key in ("azimuth_bias", "elevation_bias", "azimuth_rms", "elevation_rms")
-                ),
+                *(_unit(figures[key], 1.0, "deg", 3) for key in keys),
                 _unit(figures["normalised_rms"], 1.0, "", 2).strip(),
                 _unit(figures["seen_percent"], 1.0, "%", 0),
                 figures["false_alarms"],
             )
-    yield "bearings of what is fully seen, against %s, landmarks from %s" % (
-        bearings["truth"],
-        bearings["landmarks_from"],
-    )
+    sources = bearings["truth"], bearings["landmarks_from"]
+    yield "bearings of what is fully seen, against %s, landmarks from %s" % sources
     yield from bearings["notes"]
 
 

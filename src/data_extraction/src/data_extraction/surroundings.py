@@ -12,7 +12,7 @@ from risc_estimation.bearings import calibration_from_info, fleet_calibration, f
 from risc_estimation.expected_bearings import Hull
 from risc_estimation.pose_track import PoseTrack
 from risc_lab.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT
-from risc_lab.lab.fleet import LEGACY_VEHICLES
+from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.lab.templates import load_templates
 
@@ -31,9 +31,10 @@ class Surroundings:
         states_topics: which topics say where vehicles are. Raises ValueError for calibrations, mounts, templates or a
         landmarks file that are not usable.
         """
-        vehicles = fleet.vehicles if fleet else ()
+        vehicles = fleet.vehicles if fleet else laboratory_vehicles()
         self._fleet = fleet
-        self._template = {vehicle.namespace: vehicle.template for vehicle in vehicles} or dict(LEGACY_VEHICLES)
+        self._template = {vehicle.namespace: vehicle.template for vehicle in vehicles}
+        self._namespace = {vehicle.template: vehicle.namespace for vehicle in vehicles}
         self._fleet_calibrations = {vehicle.namespace: fleet_calibration(vehicle) for vehicle in vehicles}
         self._mounts = {vehicle.namespace: fleet_mount(vehicle) for vehicle in vehicles}
         self._templates = load_templates(fleet=fleet)
@@ -71,7 +72,7 @@ class Surroundings:
         """
         if not name and len(self._template) == 1:
             return next(iter(self._template.values()))
-        if name in self._template.values():
+        if name in self._namespace:
             return name
         if name not in self._template:
             raise ValueError(
@@ -85,7 +86,7 @@ class Surroundings:
 
         Raises ValueError for a camera_info that is not usable.
         """
-        namespace = self._namespace(name)
+        namespace = self._namespace.get(name, name)
         info = self._infos.get((namespace, bottom))
         calibration = None if info is None else calibration_from_info(info, namespace)
         if calibration is None and not bottom:
@@ -94,7 +95,7 @@ class Surroundings:
 
     def mount(self, name, bottom=False):
         """CameraMount of a vehicle's camera (namespace or template)."""
-        return BOTTOM_MOUNT if bottom else self._mounts.get(self._namespace(name), FRONT_MOUNT)
+        return BOTTOM_MOUNT if bottom else self._mounts.get(self._namespace.get(name, name), FRONT_MOUNT)
 
     def landmarks(self, from_fleet=False):
         """{name: place (3,) [m], cortex frame} of the landmarks.
@@ -122,10 +123,6 @@ class Surroundings:
             if poses.known[0]:
                 hulls.append(Hull(name, poses.positions_m[0], poses.R_body_to_cortex[0]))
         return hulls
-
-    def _namespace(self, name):
-        of_template = {template: namespace for namespace, template in self._template.items()}
-        return of_template.get(name, name)
 
     def _keep_rims(self, message):
         for body in message.Obj:

@@ -4,7 +4,7 @@ import json
 
 from data_extraction import plots, summary
 from data_extraction.bags import Bag
-from data_extraction.csv_export import export_open
+from data_extraction.csv_export import export
 from data_extraction.progress import bar
 from data_extraction.report import page
 from data_extraction.report.collector import ReportCollector
@@ -34,7 +34,7 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
     try:
         flight, reasons = collector.flight.flight(), None
     except ValueError as error:  # no whole flight: summary and report say what there is
-        flight, reasons = collector.flight.overview(), [failure, str(error)]
+        flight, reasons = collector.flight.flight(strict=False), [failure, str(error)]
     material = collector.material(flight)
     model = simulation_model(args, folder)
     result = summary.summarise(flight, args.experiment, model, artefacts, material.origin)
@@ -96,9 +96,9 @@ def _extract(folder, progress, interrupted):
             if interrupted.is_set():
                 raise ValueError("interrupted while extracting; the bag is complete: %s" % path)
             collector(topic, receipt_s, message)
-            progress.show("extracting", bar(collector.fraction(receipt_s)))
+            progress.show("extracting", bar(bag.fraction(receipt_s)))
 
-        return collector, export_open(bag, folder / "csv", on_message=collect)
+        return collector, export(bag, folder / "csv", on_message=collect)
 
 
 def simulation_model(args, folder):

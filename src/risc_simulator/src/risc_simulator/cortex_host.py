@@ -29,7 +29,6 @@ UP_AXIS_Z = 2
 MM_PER_M = 1000.0
 MULTICAST_TTL = 2  # as the SDK's own sockets
 COMMAND_RECEIVE_BUFFER_BYTES = 1 << 20  # as the SDK's own sockets
-DATAGRAMS_PER_CALL = 64  # a flood of requests must not hold up the stream
 CLIENTS_REMEMBERED = 64
 TAKE_FRAMES = 12000  # a recording keeps its last minute at 200 Hz for playback
 ANALOG_RATE_HZ = 0.0  # no analog board
@@ -37,38 +36,6 @@ ANALOG_BIT_DEPTH = 16
 FRAME_NUMBER_MASK = 0x7FFFFFFF  # the wire's frame number is signed
 
 _LOG = logging.getLogger(__name__)
-
-
-class LatenessHistogram:
-    """Streaming percentiles of delays: 10 us bins up to 100 ms, what is later falls into one last bin."""
-
-    BIN_S = 1e-5
-    BINS = 10000
-
-    def __init__(self):
-        self._counts = [0] * (self.BINS + 1)
-        self.max_s = 0.0
-
-    def add(self, lateness_s):
-        """Count one delay [s]; what is early counts as on time."""
-        lateness_s = max(lateness_s, 0.0)
-        self.max_s = max(self.max_s, lateness_s)
-        self._counts[min(int(lateness_s / self.BIN_S), self.BINS)] += 1
-
-    def percentile_s(self, percent):
-        """Upper edge [s] of the bin that holds the percentile (never above the maximum); 0 without data."""
-        seen = np.cumsum(self._counts)
-        wanted = max(math.ceil(seen[-1] * percent / 100.0 - 1e-6), 1)  # not one too many by rounding
-        index = int(np.searchsorted(seen, wanted))
-        return self.max_s if index >= self.BINS else min((index + 1) * self.BIN_S, self.max_s)
-
-    def statistics_ms(self):
-        """{"p50", "p99", "max"} [ms]."""
-        return {
-            "p50": 1e3 * self.percentile_s(50.0),
-            "p99": 1e3 * self.percentile_s(99.0),
-            "max": 1e3 * self.max_s,
-        }
 
 
 class _EncodedFrame(NamedTuple):
@@ -104,23 +71,10 @@ class CortexHost(SocketHost):
     """
 
     def __init__(
-        self,
-        world,
-        endpoint,
-        cameras,
-        clock=None,
-        templates=None,
-        live_on_start=False,
-        interface="",
-        wires=None,
+        self, world, endpoint, cameras, clock=None, templates=None, live_on_start=False, interface="", wires=None
     ):
         super().__init__("cortex", wires)
-        if not 0.0 < endpoint.rate_hz < math.inf:
-            raise ValueError("frame rate is %r Hz: give a positive one" % (endpoint.rate_hz,))
-        self._world = world
-        self._endpoint = endpoint
-        self._cameras = cameras
-        self._clock = clock
+        self._world, self._endpoint, self._cameras, self._clock = world, endpoint, cameras, clock
         self._last_now_s = world.time_s
 
         self._number = 0  # of the newest frame
@@ -134,9 +88,7 @@ class CortexHost(SocketHost):
 
         self._requests, self._replies, self._stream = map(self.wire, ("requests", "replies", "stream"))
 
-        self._counts = Counter()
         self._request_counts = Counter()
-        self._lateness = LatenessHistogram()
         self._clients = {}  # (address, port) of those who asked something: an ordered set
         self._notices = Notices(_LOG, "Cortex host")
         self._asking = None  # (address, port) of the client whose request is served
@@ -171,7 +123,6 @@ class CortexHost(SocketHost):
         }
         self._requests_with_argument = {"GetFrameOfData", "SetOutputName", "ResetIDs"}
 
-        self._buffer = bytearray(65536)
         self._stream_socket = None
         self._broadcast_addresses = []
         try:
@@ -186,15 +137,8 @@ class CortexHost(SocketHost):
     def on_readable(self, sock, now_s):
         """Answer what has come in on one of sockets() at lab time now_s."""
         self._last_now_s = now_s
-        for _ in range(DATAGRAMS_PER_CALL):
-            try:
-                size, sender = sock.recvfrom_into(self._buffer)
-            except BlockingIOError:
-                break
-            except OSError:
-                self._counts["receive_errors"] += 1
-                break
-            self._requests.carry(bytes(self._buffer[:size]), sender, now_s, self._on_datagram)
+        for datagram, sender in self.receive(sock):
+            self._requests.carry(datagram, sender, now_s, self._on_datagram)
 
     def tick(self, now_s):
         """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
@@ -236,14 +180,12 @@ class CortexHost(SocketHost):
         self.live = live
 
     def statistics(self):
-        """Counts since the start, requests by kind, and how late frames left against the absolute schedule [ms]."""
-        return {
-            **{name: self._counts[name] for name in _COUNTS},
-            "requests": dict(sorted(self._request_counts.items())),
-            "clients": len(self._clients),
-            "notices": self._notices.statistics(),
-            "schedule_late_ms": self._lateness.statistics_ms(),
-        }
+        """Counts since the start, what has never happened is not in it and counts 0; and requests by kind."""
+        result = self._counts.copy()
+        result["requests"] = dict(sorted(self._request_counts.items()))
+        result["clients"] = len(self._clients)
+        result["notices"] = self._notices.statistics()
+        return result
 
     # --- sockets --------------------------------------------------------------------------------------------------
 
@@ -362,7 +304,6 @@ class CortexHost(SocketHost):
         packet = frame.dated(now_s)
         if self._recording is not None and self._recording.active:
             self._take.append(frame)
-        self._lateness.add(now_s - (frame.exposure_s + self._endpoint.reported_delay_s))
         if self._stream_target:
             self._counts["frames_sent"] += self._stream.carry(packet, self._stream_target, now_s, self._send_stream)
 
@@ -500,19 +441,6 @@ _HOST_COMMANDS = {
     Command.UNRECOGNIZED_REQUEST,
     Command.UNRECOGNIZED_COMMAND,
 }
-_COUNTS = [
-    "frames_exposed",
-    "frames_sent",
-    "exposures_skipped",
-    "oversize_frames",
-    "malformed",
-    "unexpected",
-    "unknown_commands",
-    "unrecognized_requests",
-    "replies",
-    "send_errors",
-    "receive_errors",
-]
 
 
 def _reply(payload=b""):

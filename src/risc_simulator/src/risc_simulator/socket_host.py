@@ -5,9 +5,11 @@ import math
 import select
 import socket
 import struct
+from collections import Counter
 
 from risc_simulator.faults import Wires
 
+DATAGRAMS_PER_CALL = 64
 _CURES = {
     errno.EADDRINUSE: "in use. Stop the other virtual lab, or use another address in the fleet file",
     errno.EADDRNOTAVAIL: "this computer has no such address. Use one of its own, or of 127.0.0.0/8, in the fleet file",
@@ -38,6 +40,87 @@ def open_socket(kind, address, port, whose, share=False):
 def reset(sock):
     """Let the close of a TCP connection be no ordinary end for the client, but an error."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+class TcpClients:
+    """Clients of a TCP listener to whom is only written: what they say is of no interest, that they hang up is."""
+
+    def __init__(self, listener, stream, notices, asks, most, arrive, waiting=None):
+        """stream: faults.Stream that all passes.  notices: Notices.  asks: what it means that one comes.
+
+        most: at a time.  arrive: called with (data, socket) when something written has come through, to be added to
+        its backlog.  waiting: SocketSet that the clients are to join.
+        """
+        self._listener, self._stream, self._notices, self._asks, self._most = listener, stream, notices, asks, most
+        self._arrive, self._waiting = arrive, waiting
+        self.backlogs = {}  # socket -> what it has still to get
+        self.refused = 0
+
+    def accept(self):
+        """Somebody has come."""
+        try:
+            client, sender = self._listener.accept()
+        except OSError:  # gone again
+            return
+        if len(self.backlogs) >= self._most:
+            self.refused += 1
+            self._notices.complaint("is turned away: too many clients", sender)
+            client.close()
+            return
+        self._notices.event(self._asks, sender)
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.backlogs[client] = bytearray()
+        if self._waiting is not None:
+            self._waiting.add(client)
+
+    def drain(self, sock):
+        """Somebody says something, or has gone."""
+        try:
+            gone = not sock.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            gone = True
+        if gone:
+            self.hang_up(sock)
+
+    def write(self, data, now_s):
+        """Let data pass the stream to everybody, at lab time now_s."""
+        for sock in list(self.backlogs):
+            self._stream.carry(data, sock, now_s, self._come_through, self._cut)
+
+    def flush(self):
+        """Send what can be sent now."""
+        for sock, backlog in list(self.backlogs.items()):
+            if backlog:
+                try:
+                    del backlog[: sock.send(backlog)]
+                except BlockingIOError:
+                    pass
+                except OSError:
+                    self.hang_up(sock)
+
+    def hang_up(self, sock):
+        """Close a connection."""
+        if self.backlogs.pop(sock, None) is not None:
+            if self._waiting is not None:
+                self._waiting.discard(sock)
+            sock.close()
+
+    def close(self):
+        """Hang up on everybody."""
+        for sock in list(self.backlogs):
+            self.hang_up(sock)
+
+    def _come_through(self, data, sock, _now_s):
+        if sock in self.backlogs:
+            self._arrive(data, sock)
+
+    def _cut(self, sock):
+        if sock in self.backlogs:
+            reset(sock)
+            self.hang_up(sock)
 
 
 class SocketSet:
@@ -90,6 +173,7 @@ class SocketHost:
     def __init__(self, name, wires=None):
         """name: the first part of its channels' names. wires: faults.Wires of the lab; None = its own."""
         self._waiting = SocketSet()
+        self._counts = Counter()
         self._name, self.wires = name, Wires() if wires is None else wires
 
     def wire(self, what):
@@ -107,6 +191,17 @@ class SocketHost:
     def sockets(self):
         """Sockets that are waited for. Empty after close()."""
         return list(self._waiting)
+
+    def receive(self, sock):
+        """Yield (datagram, sender) of what waits, but not more than so many: a flood must not hold up the lab."""
+        for _ in range(DATAGRAMS_PER_CALL):
+            try:
+                yield sock.recvfrom(65536)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._counts["receive_errors"] += 1
+                return
 
     def serve(self, now_s):
         """Take all that has come in, at lab time now_s."""

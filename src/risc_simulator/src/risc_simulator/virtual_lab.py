@@ -19,18 +19,20 @@ import gc
 import json
 import logging
 import math
+import pathlib
 import select
 import signal
 import sys
 import threading
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from risc_lab.lab import fleet_from_dict, load_fleet, load_templates, load_vehicle_type
+from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
-from risc_simulator.cortex_host import CortexHost, LatenessHistogram
+from risc_lab.settings import Fraction, Settings, settings_from
+from risc_simulator.cortex_host import CortexHost
 from risc_simulator.faults import WireFault, Wires, load_wire_faults
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.socket_host import SocketSet
@@ -46,67 +48,110 @@ _LOG = logging.getLogger(__name__)
 _CAMERA_STREAM = (1000000,)  # random stream of the cameras beside the vehicles' (index, purpose)
 
 
+class LatenessHistogram:
+    """Streaming percentiles of delays: 10 us bins up to 100 ms, what is later falls into one last bin."""
+
+    BIN_S = 1e-5
+    BINS = 10000
+
+    def __init__(self):
+        self._counts = [0] * (self.BINS + 1)
+        self.max_s = 0.0
+
+    def add(self, lateness_s):
+        """Count one delay [s]; what is early counts as on time."""
+        lateness_s = max(lateness_s, 0.0)
+        self.max_s = max(self.max_s, lateness_s)
+        self._counts[min(int(lateness_s / self.BIN_S), self.BINS)] += 1
+
+    def percentile_s(self, percent):
+        """Upper edge [s] of the bin that holds the percentile (never above the maximum); 0 without data."""
+        seen = np.cumsum(self._counts)
+        wanted = max(math.ceil(seen[-1] * percent / 100.0 - 1e-6), 1)  # not one too many by rounding
+        index = int(np.searchsorted(seen, wanted))
+        return self.max_s if index >= self.BINS else min((index + 1) * self.BIN_S, self.max_s)
+
+
+def _told(default, text, metavar=None):
+    return field(default=default, metadata={"help": text, "metavar": metavar})
+
+
+@dataclass(frozen=True)
+class LabOptions(Settings):
+    """Options by name. An empty text or a negative number leaves what the fleet file and the vehicle types say."""
+
+    fleet: str = _told("", "what flies, and at which addresses", "FLEET.yaml")
+    seed: int = _told(0, "same seed, same vehicles and noise", "N")
+    ideal: bool = _told(False, "every vehicle is exactly what its type says")
+    exact_markers: bool = _told(False, "cameras without noise, loss and ghosts")
+    gusts: bool = _told(False, "moving air")
+    delay: float = _told(-1.0, "nominal command delay of every vehicle", "S")
+    radio_loss: Fraction = _told(0.0, "probability that the radio loses a command or navdata, 0 to 1", "P")
+    faults: str = _told("", "what happens to datagrams and streams, and when", "FILE.yaml")
+    live: bool = _told(False, "stream at once, without waiting for a client's LiveMode")
+    vehicles: int = _told(-1, "only the first N vehicles", "N")
+    subnet: str = _told("", "Cortex host at A.B.0.1, vehicle k at A.B.1.k, e.g. 127.78", "A.B")
+    cortex_host: str = _told("", "its address", "ADDRESS")
+    cortex_port: int = _told(-1, "its port for commands", "PORT")
+    stream_group: str = _told("", "multicast group of the stream", "ADDRESS")
+    stream_port: int = _told(-1, "port of the stream", "PORT")
+    interface: str = _told(
+        "", "of this computer's network card that the stream goes out by (default: that of the Cortex host)", "ADDRESS"
+    )
+    rate: float = _told(-1.0, "frame rate of motion capture", "HZ")
+    cameras_on_demand: bool = _told(
+        False, "start the program that makes pictures only when the first client asks for video, who then waits for it"
+    )
+    stats: str = _told("", "write the statistics there at the end", "FILE.json")
+
+    def configure(self, fleet):
+        """The fleet with the addresses that these options give. Raises ValueError."""
+        if self.vehicles >= 0:
+            fleet = fleet.with_vehicles(self.vehicles)
+        if self.subnet:
+            fleet = fleet.in_subnet(self.subnet)
+        texts = {"host": self.cortex_host, "stream_group": self.stream_group}
+        numbers = {"command_port": self.cortex_port, "stream_port": self.stream_port, "rate_hz": self.rate}
+        changes = {name: text for name, text in texts.items() if text}
+        changes.update({name: number for name, number in numbers.items() if number >= 0})
+        # the lab is one computer: there, vehicles with networks of their own need addresses of their own
+        return replace(fleet, own_networks=False, mocap=replace(fleet.mocap, **changes))
+
+    def make_lab(self, fleet):
+        """VirtualLab of a fleet. Raises ValueError and OSError."""
+        wire_faults = load_wire_faults(self.faults) if self.faults else ()
+        return VirtualLab(fleet, not self.cameras_on_demand, wire_faults, **vars(self))
+
+
 class VirtualLab:
     """World and hosts on one schedule. Use it from one thread; only `stop` may come from elsewhere.
 
     Raises ValueError when the fleet does not fit (unknown type, template, ...) and OSError when an address is in use.
     """
 
-    def __init__(
-        self,
-        fleet,
-        seed=0,
-        perturbed=True,
-        gusts=False,
-        command_delay_s=None,
-        exact_markers=False,
-        live_on_start=False,
-        templates=None,
-        vehicle_types=None,
-        radio_loss=0.0,
-        interface="",
-        cameras_ahead=False,
-        wire_faults=(),
-    ):
-        """fleet: Fleet. perturbed: vehicles differ from their nominal type. gusts: moving air.
-        command_delay_s: nominal delay of every vehicle's link instead of its own. exact_markers: perfect cameras.
-        live_on_start: stream without waiting for a client. templates, vehicle_types: dicts; None reads the workspace's.
-        radio_loss: probability in [0, 1) that a slot of a vehicle's command link, or a datagram of navdata, is lost.
-        interface: address of the network card that the stream goes out by; "" = the card of the Cortex host's address.
-        (The fleet's mocap.interface is the client's card, which may be one of another computer.)
-        cameras_ahead: start the camera process now, so that the first client of a vehicle's video is served at once as
-        by the aircraft, and not only when that client has come.
-        wire_faults: faults.WireFaults, what acts on the hosts' datagrams.
+    def __init__(self, fleet, /, cameras_ahead=False, wire_faults=(), **options):
+        """fleet: Fleet. cameras_ahead: start the camera process now, and not when somebody wants video.
+
+        wire_faults: faults.WireFaults. options: fields of LabOptions.
         """
-        self.fleet = fleet = fleet.with_overrides(command_delay_s=command_delay_s)
-        self.radio_loss = radio_loss
-        self.seed, self.perturbed, self.gusts = seed, perturbed, gusts
+        told = self.options = LabOptions(**options)
+        fleet = told.configure(fleet).with_overrides(command_delay_s=told.delay if told.delay >= 0.0 else None)
+        self.fleet, seed = fleet, told.seed
         self._period_s = 1.0 / fleet.mocap.rate_hz
         self._send_after_s = fleet.mocap.reported_delay_s
         self._frames_per_second = max(1, int(fleet.mocap.rate_hz))
-        if command_delay_s is not None and not (math.isfinite(command_delay_s) and command_delay_s >= 0.0):
-            raise ValueError("the command delay must be 0 s or more, got %r" % (command_delay_s,))
-        if templates is None:
-            templates = load_templates(fleet=fleet)
-        if vehicle_types is None:
-            vehicle_types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
+        templates = load_templates(fleet=fleet)
+        types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
         self._cycles_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
-        self.world = World(
-            fleet,
-            vehicle_types,
-            templates,
-            seed=seed,
-            perturbed=perturbed,
-            gusts=gusts,
-            step_s=self._period_s / self._cycles_per_frame,
-        )
+        step_s = self._period_s / self._cycles_per_frame
+        self.world = World(fleet, types, templates, seed, not told.ideal, told.gusts, step_s)
         self.frame = 0  # of the newest exposure
         self.stalls = 0  # times that the computer slept longer than MAX_CATCH_UP_S
         self.frames_skipped = 0  # that a computer was too slow for
         self._late_since_s = None  # lab time; None: the last frame was not late
         self.lateness = LatenessHistogram()  # of frames against the absolute schedule
         self.cameras = MocapCameras(
-            CameraParams.ideal() if exact_markers else CameraParams.of_arena(fleet.arena),
+            CameraParams.ideal() if told.exact_markers else CameraParams.of_arena(fleet.arena),
             seed=np.random.SeedSequence(seed, spawn_key=_CAMERA_STREAM),
         )
         self._start_s = time.monotonic()
@@ -115,23 +160,15 @@ class VirtualLab:
         self.wires = Wires(seed)
         self._waiting = SocketSet()
         self._video = None
-        self._board_until_s = {}  # {namespace: lab time} of the checkerboards that are waved
         try:
             self.cortex_host = CortexHost(
-                self.world,
-                fleet.mocap,
-                self.cameras,
-                clock=self.now_s,
-                templates=templates,
-                live_on_start=live_on_start,
-                interface=interface,
-                wires=self.wires,
+                self.world, fleet.mocap, self.cameras, self.now_s, templates, told.live, told.interface, self.wires
             )
             self._hosts.append(self.cortex_host)
             self.vehicle_hosts = {}
             for vehicle in fleet.vehicles:
                 body = self.world.vehicles[vehicle.namespace]
-                host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=radio_loss, wires=self.wires)
+                host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=told.radio_loss, wires=self.wires)
                 self.vehicle_hosts[vehicle.namespace] = host
                 self._hosts.append(host)
             listeners = [
@@ -154,10 +191,11 @@ class VirtualLab:
 
     def describe(self):
         """Lines for people: what listens where, and what flies."""
-        mode = "perturbed plant, seed %d" % self.seed if self.perturbed else "ideal plants, seed %d" % self.seed
-        lines = ["virtual lab '%s': %s%s" % (self.fleet.name, mode, ", gusts" if self.gusts else "")]
-        if self.radio_loss:
-            lines[0] += ", radio loses %g %% of the commands' slots and of navdata" % (100.0 * self.radio_loss)
+        told = self.options
+        mode = "%s, seed %d" % ("ideal plants" if told.ideal else "perturbed plant", told.seed)
+        lines = ["virtual lab '%s': %s%s" % (self.fleet.name, mode, ", gusts" if told.gusts else "")]
+        if told.radio_loss:
+            lines[0] += ", radio loses %g %% of the commands' slots and of navdata" % (100.0 * told.radio_loss)
         return "\n".join(lines + [host.describe() for host in self._hosts])
 
     @property
@@ -190,21 +228,17 @@ class VirtualLab:
                 self.lateness.add(now_s - due_s)
                 self.cortex_host.tick(now_s)
                 if self._video.running:
-                    self._tend_video(now_s)
+                    self._tend_video()
                 if self.frame % WATCH_VIDEO_EVERY == 0:
                     self._watch_video_clients()
             for host in self.vehicle_hosts.values():
                 host.tick(now_s)
 
-    def _tend_video(self, now_s):
-        if self._video.watched:
-            self._video.publish(self._start_s + self.exposure_s, self.exposure_s, self.world.truth())
+    def _tend_video(self):
+        if self._video.board.watchers.any():
+            self._video.board.publish(self._start_s + self.exposure_s, self.exposure_s, self.world.truth())
         if self.frame % self._frames_per_second == 0:
             self._video.check()
-        for namespace, until_s in list(self._board_until_s.items()):
-            if now_s > until_s:
-                self._video.put_board_away(namespace)
-                del self._board_until_s[namespace]
 
     def _watch_video_clients(self):
         """Wait for clients of the video exactly while nobody else does."""
@@ -303,29 +337,27 @@ class VirtualLab:
 
     def lose_link(self, namespace, duration_s):
         """Take a vehicle's link off the air. Raises ValueError for an unknown vehicle."""
-        self._check_namespace(namespace)
-        self.vehicle_hosts[namespace].lose_link(duration_s)
+        self._look_up(self.vehicle_hosts, namespace).lose_link(duration_s)
 
     def set_battery_pct(self, namespace, pct):
         """Give a vehicle a battery with this charge. Raises ValueError for an unknown vehicle."""
-        self._check_namespace(namespace)
-        self.world.vehicles[namespace].set_battery_pct(pct)
+        self._look_up(self.world.vehicles, namespace).set_battery_pct(pct)
 
     def set_light(self, brightness):
         """Light of the room for the vehicles' cameras: 1 = normal. Raises ValueError unless it is from 0 to 10."""
         if not 0.0 <= brightness <= 10.0:
             raise ValueError("the light must be from 0 to 10 times the normal one, got %r" % (brightness,))
-        self._video.set_light(brightness)
+        self._video.board.light[...] = brightness
 
     def wave_board(self, namespace, duration_s):
         """Wave a checkerboard in front of a vehicle's camera, from now on. Raises ValueError for an unknown vehicle."""
-        self._check_namespace(namespace)
-        self._video.wave_board(namespace)
-        self._board_until_s[namespace] = self._served_s + duration_s
+        self._look_up(self.vehicle_hosts, namespace)
+        self._video.wave_board(namespace, duration_s)
 
-    def _check_namespace(self, namespace):
-        if namespace not in self.vehicle_hosts:
-            raise ValueError("no vehicle '%s'; known are: %s" % (namespace, ", ".join(self.vehicle_hosts)))
+    def _look_up(self, of_vehicles, namespace):
+        if namespace not in of_vehicles:
+            raise ValueError("no vehicle '%s'; known are: %s" % (namespace, ", ".join(of_vehicles)))
+        return of_vehicles[namespace]
 
     def statistics(self):
         """Everything worth keeping of the run, as plain numbers and texts (for JSON)."""
@@ -350,10 +382,10 @@ class VirtualLab:
         return {
             "simulated": True,
             "fleet": self.fleet.name,
-            "seed": self.seed,
-            "perturbed": self.perturbed,
-            "gusts": self.gusts,
-            "radio_loss": self.radio_loss,
+            "seed": self.options.seed,
+            "perturbed": not self.options.ideal,
+            "gusts": self.options.gusts,
+            "radio_loss": self.options.radio_loss,
             "frames": self.frame - self.frames_skipped,
             "rate_hz": self.fleet.mocap.rate_hz,
             "duration_s": self.exposure_s,
@@ -391,25 +423,17 @@ class VirtualLab:
 
 def summary(statistics):
     """The statistics in a few lines for people."""
-    late = statistics["late_ms"]
-    lines = [
-        "%d frames in %.1f s (%g Hz); late against the schedule: p50 %.2f, p99 %.2f, max %.2f ms%s%s"
-        % (
-            statistics["frames"],
-            statistics["duration_s"],
-            statistics["rate_hz"],
-            late["p50"],
-            late["p99"],
-            late["max"],
-            "; the computer stalled %d times" % statistics["stalls"] if statistics["stalls"] else "",
-            "; %d frames left out" % statistics["frames_skipped"] if statistics["frames_skipped"] else "",
-        )
-    ]
+    lines = ["%(frames)d frames in %(duration_s).1f s (%(rate_hz)g Hz); late against the schedule: " % statistics]
+    lines[0] += "p50 %(p50).2f, p99 %(p99).2f, max %(max).2f ms" % statistics["late_ms"]
+    if statistics["stalls"]:
+        lines[0] += "; the computer stalled %d times" % statistics["stalls"]
+    if statistics["frames_skipped"]:
+        lines[0] += "; %d frames left out" % statistics["frames_skipped"]
     if statistics["least_separation_m"] is not None:
         lines.append("least separation of vehicles in the air: %.2f m" % statistics["least_separation_m"])
     lines += [
         "crash at %.2f s: %s %s at (%.2f, %.2f, %.2f) m"
-        % ((crash["time_s"], crash["vehicle"], crash["reason"]) + tuple(crash["position_m"]))
+        % (crash["time_s"], crash["vehicle"], crash["reason"], *crash["position_m"])
         for crash in statistics["crashes"]
     ]
     hosts = {"Cortex host": statistics["cortex"]}
@@ -424,132 +448,57 @@ def summary(statistics):
     return "\n".join(lines)
 
 
-def write_statistics(statistics, path):
-    """Statistics to a JSON file. Raises OSError."""
-    with open(path, "w", encoding="utf-8") as stream:
-        json.dump(statistics, stream, indent=2)
-        stream.write("\n")
-
-
-def configure_fleet(
-    fleet,
-    vehicles=None,
-    subnet=None,
-    cortex_host=None,
-    cortex_port=None,
-    stream_group=None,
-    stream_port=None,
-    rate_hz=None,
-):
-    """The fleet with other addresses; None leaves what the file says. Raises ValueError."""
-    if vehicles is not None:
-        fleet = fleet.with_vehicles(vehicles)
-    if subnet:
-        fleet = fleet.in_subnet(subnet)
-    changes = {
-        "host": cortex_host,
-        "command_port": cortex_port,
-        "stream_group": stream_group,
-        "stream_port": stream_port,
-        "rate_hz": rate_hz,
-    }
-    changes = {name: value for name, value in changes.items() if value is not None}
-    # the lab is one computer: there, vehicles with networks of their own need addresses of their own
-    changed = replace(fleet, own_networks=False, mocap=replace(fleet.mocap, **changes))
-    return fleet_from_dict(changed.to_dict(), "fleet with these options")  # what a file must not say, options must not
+def report(statistics, path=""):
+    """Print the summary, and write the statistics to a JSON file if one is named. Returns the exit code."""
+    print(summary(statistics), flush=True)
+    if path:
+        try:
+            pathlib.Path(path).expanduser().write_text(json.dumps(statistics, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            print("virtual_lab: cannot write the statistics: %s" % error, file=sys.stderr)
+            return 1
+    return 0
 
 
 def _parse_arguments(arguments):
+    """(LabOptions, how long to run [s] or None) of a command line. Raises ValueError."""
     parser = argparse.ArgumentParser(
         prog="virtual_lab", description="The virtual lab: motion capture and vehicles on the wire, without ROS."
     )
-    parser.add_argument("fleet", metavar="FLEET.yaml", help="what flies, and at which addresses")
-    parser.add_argument("--seed", type=int, default=0, help="same seed, same vehicles and noise (default 0)")
-    parser.add_argument("--ideal", action="store_true", help="every vehicle is exactly what its type says")
-    parser.add_argument("--exact-markers", action="store_true", help="cameras without noise, loss and ghosts")
-    parser.add_argument("--gusts", action="store_true", help="moving air")
-    parser.add_argument("--delay", type=float, metavar="S", help="nominal command delay of every vehicle")
-    parser.add_argument(
-        "--radio-loss",
-        type=float,
-        default=0.0,
-        metavar="P",
-        help="what the radio loses of commands and navdata, 0 to 1",
-    )
-    parser.add_argument("--faults", metavar="FILE.yaml", help="what happens to datagrams, and when")
+    for option in fields(LabOptions):
+        kind, told = type(option.default), dict(option.metadata)
+        if option.name == "fleet":
+            parser.add_argument("fleet", **told)
+        elif kind is bool:
+            parser.add_argument("--" + option.name.replace("_", "-"), action="store_true", help=told["help"])
+        else:
+            parser.add_argument("--" + option.name.replace("_", "-"), type=kind, default=option.default, **told)
     parser.add_argument("--duration", type=float, metavar="S", help="stop after this time (default: Ctrl-C)")
-    parser.add_argument("--stats", metavar="FILE.json", help="write the statistics there at the end")
-    parser.add_argument("--live", action="store_true", help="stream at once, without waiting for a client's LiveMode")
-    parser.add_argument("--vehicles", type=int, metavar="N", help="only the first N vehicles")
-    parser.add_argument("--subnet", metavar="A.B", help="Cortex host at A.B.0.1, vehicle k at A.B.1.k, e.g. 127.78")
-    parser.add_argument("--cortex-host", metavar="ADDRESS")
-    parser.add_argument("--cortex-port", type=int, metavar="PORT")
-    parser.add_argument("--stream-group", metavar="ADDRESS")
-    parser.add_argument("--stream-port", type=int, metavar="PORT")
-    parser.add_argument(
-        "--interface",
-        default="",
-        metavar="ADDRESS",
-        help="of this computer's network card that the stream goes out by (default: that of the Cortex host)",
-    )
-    parser.add_argument("--rate", type=float, metavar="HZ", help="frame rate of motion capture")
-    parser.add_argument(
-        "--cameras-on-demand",
-        action="store_true",
-        help="start the program that makes pictures only when the first client asks for video, who then waits for it",
-    )
-    return parser.parse_args(arguments)
+    values = vars(parser.parse_args(arguments))
+    duration_s = values.pop("duration")
+    return settings_from(LabOptions, values), duration_s
 
 
 def main(arguments=None):
     """Command line. Returns the exit code."""
-    options = _parse_arguments(arguments)
     logging.basicConfig(stream=sys.stdout, format="%(asctime)s %(message)s", datefmt="%H:%M:%S", level=logging.INFO)
     stop_event = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop_event.set())
     try:
-        fleet = configure_fleet(
-            load_fleet(options.fleet),
-            options.vehicles,
-            options.subnet,
-            options.cortex_host,
-            options.cortex_port,
-            options.stream_group,
-            options.stream_port,
-            options.rate,
-        )
-        lab = VirtualLab(
-            fleet,
-            seed=options.seed,
-            perturbed=not options.ideal,
-            gusts=options.gusts,
-            command_delay_s=options.delay,
-            exact_markers=options.exact_markers,
-            live_on_start=options.live,
-            radio_loss=options.radio_loss,
-            interface=options.interface,
-            cameras_ahead=not options.cameras_on_demand,
-            wire_faults=load_wire_faults(options.faults) if options.faults else (),
-        )
+        options, duration_s = _parse_arguments(arguments)
+        lab = options.make_lab(load_fleet(options.fleet))
     except (ValueError, OSError) as error:
         print("virtual_lab: %s" % error, file=sys.stderr)
         return 1
     try:
         print(lab.describe(), flush=True)
         raise_priority(VIRTUAL_LAB)
-        lab.run(stop_event, options.duration)
+        lab.run(stop_event, duration_s)
         statistics = lab.statistics()
     finally:
         lab.close()
-    print(summary(statistics), flush=True)
-    if options.stats:
-        try:
-            write_statistics(statistics, options.stats)
-        except OSError as error:
-            print("virtual_lab: cannot write the statistics: %s" % error, file=sys.stderr)
-            return 1
-    return 0
+    return report(statistics, options.stats)
 
 
 if __name__ == "__main__":

@@ -21,30 +21,11 @@ import numpy as np
 from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_cortex
 from risc_simulator.bodies import load_body
-from risc_simulator.models.flight import Crash, FlightAction, FlightPhase, Setpoint, VehicleState
-from risc_simulator.models.integrator import (
-    COLLISION_DISTANCE_M,
-    COLLISION_M2,
-    GUST_TIME_CONSTANT_S,
-    REST_HEIGHT_M,
-    closest,
-    integrator,
-)
+from risc_simulator.models.flight import Crash, FlightPhase, VehicleState
+from risc_simulator.models.integrator import COLLISION_M2, GUST_TIME_CONSTANT_S, REST_HEIGHT_M, closest, integrator
 from risc_simulator.models.perturbed_plant import draw_plant, fill_records
 from risc_simulator.models.quadrotor import U, X, level_motion
 from risc_simulator.vehicles import virtual_type
-
-__all__ = [
-    "COLLISION_DISTANCE_M",
-    "Crash",
-    "FlightAction",
-    "FlightPhase",
-    "REST_HEIGHT_M",
-    "Setpoint",
-    "Vehicle",
-    "VehicleState",
-    "World",
-]
 
 NET_REBOUND_M_S = 0.5
 GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehicles' downwash
@@ -289,18 +270,10 @@ class World:
     def _advance(self, steps):
         """Advance by so many steps, or fewer if something happens."""
         anyone_touches = False
+        x, block, at = self._x, self._gust_block, self._steps % _GUST_BLOCK
         for kind in self._kinds:
             made, least_m2, touching = kind.advance(
-                self._x,
-                self._u,
-                self._flags,
-                kind.columns,
-                kind.records,
-                self.step_s,
-                steps,
-                self._gust_block,
-                self._steps % _GUST_BLOCK,
-                self._net_m,
+                x, self._u, self._flags, kind.columns, kind.records, self.step_s, steps, block, at, self._net_m
             )
             anyone_touches |= touching
         self._steps += made
@@ -493,15 +466,11 @@ class World:
             velocity = np.array([slope[X.P_N], -slope[X.P_E], slope[X.H]])
         else:
             force, velocity = -felt_g, np.zeros(3)
+        psi = math.pi - (math.pi - psi) % (2.0 * math.pi)  # in (-pi, pi]
         return VehicleState(
-            position_m=np.array([p_n, -p_e, h]),
-            velocity_m_s=velocity,
-            phi=phi,
-            theta=theta,
-            psi=math.pi - (math.pi - psi) % (2.0 * math.pi),  # in (-pi, pi]
-            p=p,
-            q=q,
-            r=r,
+            np.array([p_n, -p_e, h]),
+            velocity,
+            *(phi, theta, psi, p, q, r),
             specific_force_m_s2=force,
             motor_pwm=_motor_pwm(firmware, self._thrust_n.item(i) / plant.thrust_max_n),
             battery_pct=firmware.battery_pct(self.time_s),

@@ -10,9 +10,9 @@ from data_extraction.progress import Progress, bar
 from data_extraction.report import page
 from data_extraction.report.collector import ReportCollector
 from data_extraction.report.origin import read_beside
-from data_extraction.report.pdf import write_pdf
 
 _SHOW_EVERY = 200  # messages
+INSTALL = "install it: sudo apt-get install weasyprint (or print report.html from a browser)"
 
 
 def make(bag_path, folder=None, fleet_path=None, pdf=False, progress=None):
@@ -31,7 +31,7 @@ def make(bag_path, folder=None, fleet_path=None, pdf=False, progress=None):
         for number, (topic, receipt_s, message) in enumerate(bag.messages(collector.wanted)):
             collector(topic, receipt_s, message)
             if number % _SHOW_EVERY == 0:
-                progress.show("reading", "%s of %.2f GB" % (bar(collector.fraction(receipt_s)), size_gb))
+                progress.show("reading", "%s of %.2f GB" % (bar(bag.fraction(receipt_s)), size_gb))
         progress.show("evaluating")
         material = collector.material()
     progress.show("drawing")
@@ -43,6 +43,16 @@ def make(bag_path, folder=None, fleet_path=None, pdf=False, progress=None):
         progress.show("printing")
         files.append(write_pdf(files[0], folder / "report.pdf"))
     return files
+
+
+def write_pdf(html_path, pdf_path):
+    """Print a page to PDF. Returns the PDF's path. Raises ValueError when that is not possible here."""
+    try:
+        import weasyprint
+    except (ImportError, OSError) as error:  # OSError: its libraries are missing
+        raise ValueError("a PDF needs WeasyPrint, which cannot be used here (%s): %s" % (error, INSTALL)) from error
+    weasyprint.HTML(filename=str(html_path)).write_pdf(str(pdf_path))
+    return pdf_path
 
 
 def main(argv=None):

@@ -1,53 +1,20 @@
 """One pass over a bag for everything that the report shows."""
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 
-from data_extraction.bags import Bag
 from data_extraction.bearing_errors import ANGLES
-from data_extraction.flight_metrics import Flight, FlightCollector
-from data_extraction.report.battery import Battery, BatteryCollector
-from data_extraction.report.computers import Computer, ComputerCollector
-from data_extraction.report.drops import DropCollector, Drops
-from data_extraction.report.events import Event, EventCollector
-from data_extraction.report.fence import FenceCollector, FenceMargin
-from data_extraction.report.gates import GateCollector, GateCounts
-from data_extraction.report.ladder import LadderCollector, Span
-from data_extraction.report.origin import Origin
-from data_extraction.report.snapshots import Snapshot, SnapshotCollector
+from data_extraction.flight_metrics import FlightCollector
+from data_extraction.report.battery import BatteryCollector
+from data_extraction.report.computers import ComputerCollector
+from data_extraction.report.drops import DropCollector
+from data_extraction.report.events import EventCollector
+from data_extraction.report.fence import FenceCollector
+from data_extraction.report.gates import GateCollector
+from data_extraction.report.ladder import LadderCollector
+from data_extraction.report.snapshots import SnapshotCollector
 from data_extraction.report.topics import fits
 from risc_control.failsafe import SafetyLimits, fence_of
 from risc_lab.lab.arena import Arena
-
-
-@dataclass
-class Material:
-    """Everything a report is made of."""
-
-    bag: Bag  # closed
-    foreign: list[str]  # topics that were not read: their names are the lab's, their types are not
-    origin: Origin
-    flight: Flight
-    drops: Drops | None
-    gates: dict[str, GateCounts]
-    computers: dict[str, Computer]
-    ladder: dict[str, list[Span]]
-    ladder_left_out: int
-    batteries: dict[str, Battery]
-    margins: dict[str, FenceMargin]
-    snapshots: list[Snapshot]
-    snapshot_notes: list[str]
-    events: list[Event]
-    events_left_out: int
-
-    @property
-    def zero_s(self):
-        """ROS time that the report calls 0: of the first reference, else of the bag."""
-        return self.bag.start_s if self.flight.start_s is None else self.flight.start_s
-
-    @property
-    def is_simulated(self):
-        """Whether the bag is of the virtual lab: nothing else knows a ground truth."""
-        return bool(self.origin.lab or self.bag.topics.get("/ground_truth"))
 
 
 class ReportCollector:
@@ -81,19 +48,22 @@ class ReportCollector:
         for part in self._takers.get(topic, ()):
             part(topic, receipt_s, message)
 
-    def fraction(self, receipt_s):
-        """How much of the bag is done [0, 1] when a message of that time comes."""
-        return (receipt_s - self._bag.start_s) / max(self._bag.duration_s, 1e-3)
-
     def material(self, flight=None):
-        """Material of what was collected. flight: when it has been evaluated already."""
+        """All that a report is made of, by name. flight: when it has been evaluated already.
+
+        zero_s: ROS time that the report calls 0: of the first reference, else of the bag.  is_simulated: the bag is of
+        the virtual lab: nothing else knows a ground truth.  foreign: topics with the lab's names and other types.
+        """
+        bag, flight = self._bag, flight or self.flight.flight(strict=False)
         snapshots, snapshot_notes = self._snapshots.snapshots()
-        end_s = self._bag.start_s + self._bag.duration_s
-        return Material(
-            bag=self._bag,
-            foreign=self._foreign,
+        end_s = bag.start_s + bag.duration_s
+        return SimpleNamespace(
+            bag=bag,
             origin=self._origin,
-            flight=flight or self.flight.overview(),
+            foreign=self._foreign,
+            zero_s=bag.start_s if flight.start_s is None else flight.start_s,
+            is_simulated=bool(self._origin.lab or bag.topics.get("/ground_truth")),
+            flight=flight,
             drops=self._drops.drops(end_s),
             gates=self._gates.counts(),
             computers=self._computers.computers(),

@@ -7,29 +7,13 @@ from data_extraction.report.topics import Collector
 
 _FRAMES = "frames"
 
-# How the topic of a node's status ends -> {its counter: what was refused}; its other counters are no decisions.
+# How the topic of a node's status ends -> those of its counters that are decisions (words: templates/sections.html).
 GATES = {
-    "estimator_status": {
-        "duplicate_stamps": "frame refused: its stamp is that of the one before",
-        "backward_stamps": "frame refused: its stamp is older than the one before",
-        "clock_resets": "all windows emptied: the clock of the stamps was set, or no frame came for ten seconds",
-        "markers_left_out": "marker left out: the body fits its template without it",
-        "misfits": "body refused: its markers do not fit the template",
-        "collinear": "body refused: the markers seen lie on one line",
-        "tilted": "body refused: upside down, which is taken for swapped markers",
-        "outside": "body invisible: outside the arena",
-    },
-    "mocap_status": {
-        "lost": "frame missing in the stream",
-        "duplicates": "frame refused: came twice",
-        "late": "frame refused: came after its successor",
-        "malformed": "datagram refused: malformed",
-        "faulty optional parts": "optional part of a frame refused",
-        "foreign datagrams": "datagram refused: of another host",
-        "stale answers": "answer refused: to an older question",
-    },
-}
-TITLES = {"estimator_status": "states estimation", "mocap_status": "mocap stream"}
+    "estimator_status": ("duplicate_stamps", "backward_stamps", "clock_resets", "markers_left_out", "misfits",
+                         "collinear", "tilted", "outside"),
+    "mocap_status": ("lost", "duplicates", "late", "malformed", "faulty optional parts", "foreign datagrams",
+                     "stale answers"),
+}  # fmt: skip
 
 
 @dataclass

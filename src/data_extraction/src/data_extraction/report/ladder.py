@@ -5,17 +5,6 @@ from dataclasses import dataclass, replace
 from data_extraction.report.topics import Collector, vehicle_of
 from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule
 
-RULES = {
-    Rule.NONE: "",
-    Rule.JOYSTICK: "joystick silent",
-    Rule.STATE: "state too old",
-    Rule.CONTROLS: "controls too old",
-    Rule.NAVDATA: "navdata too old",
-    Rule.FENCE: "leaving the fence",
-    Rule.BATTERY: "battery low",
-    Rule.SEPARATION: "too near to another vehicle",
-    Rule.REQUEST: "landing requested",
-}
 _MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
 
 
@@ -73,10 +62,9 @@ def raised(spans_of):
     return sorted(found, key=lambda span: (-span.level, span.begin_s))
 
 
-def by_reason(spans):
-    """[((vehicle, word of the level, reason), [how long each lasted [s]]), ...] in this order."""
+def by_rule(spans):
+    """[((vehicle, level, Rule), [how long each of its Spans lasted [s]]), ...] in this order."""
     lengths_s = {}
     for span in sorted(spans, key=lambda span: span.begin_s):
         lengths_s.setdefault((span.vehicle, span.level, span.rule), []).append(span.end_s - span.begin_s)
-    return [((name, level.name.lower(), RULES[rule]), lengths_s[name, level, rule])
-            for name, level, rule in sorted(lengths_s)]  # fmt: skip
+    return sorted(lengths_s.items())

@@ -10,9 +10,9 @@ import rospy
 from std_msgs.msg import Bool, UInt8
 from std_srvs.srv import Trigger, TriggerResponse
 
-from risc_control.bumpers import NEXT_BUTTON, PREVIOUS_BUTTON, BumperSelector
 from risc_control.joystick import parse_bool
 from risc_control.reference_buffer import Order
+from risc_control.ros import controller_node
 from risc_control.ros.conversions import StatesReader, TrajectoriesMessage, derivatives_message
 from risc_control.ros.joystick_buttons import ButtonSubscriber
 from risc_control.trajectories import (
@@ -34,6 +34,7 @@ from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import TrajectoryDerivatives, TrajectoryPhases, VehiclePhase
 
+BUMPERS = {"next_button": 5, "previous_button": 4}
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 
 # Ways begin this long after the order: planning takes 10 ms for three vehicles, some 300 ms for fifty, and the
@@ -213,22 +214,29 @@ class TrajectoryNode(ReferenceNode):
         super().__init__(ManagerWiring(fleet_vehicles, course))
 
 
+def main(name, course, **options):
+    """Run a TrajectoryNode until shutdown. Returns the exit code."""
+    return controller_node.main(name, lambda: TrajectoryNode(course, **options))
+
+
 class CourseSelector:
-    """Steps a ManagerWiring through courses by the joystick's bumpers."""
+    """Steps a ManagerWiring through courses, round and round, by two joystick buttons: the original's bumpers."""
 
     def __init__(self, wiring, courses):
         """courses: list of Course; the first is flown at the start."""
-        self._wiring, self._courses = wiring, courses
-        defaults = {"next_button": NEXT_BUTTON, "previous_button": PREVIOUS_BUTTON}
-        buttons = {name: int(number("~" + name, default)) for name, default in defaults.items()}
-        self._bumpers = BumperSelector(len(courses), *buttons.values())
+        self._wiring, self._courses, self._index = wiring, courses, 0
+        buttons = {name: int(number("~" + name, index)) for name, index in BUMPERS.items()}
+        self._steps = {buttons["next_button"]: 1, buttons["previous_button"]: -1}
+        if len(self._steps) < 2 or min(self._steps) < 0:
+            raise ValueError("~next_button and ~previous_button must be two buttons, counted from 0, got %r" % buttons)
         ButtonSubscriber(buttons, self._on_press)
 
-    def _on_press(self, buttons):
-        if self._bumpers.press(buttons):
-            course = self._courses[self._bumpers.index]
-            rospy.loginfo("course %d of %d: %s", self._bumpers.index + 1, len(self._courses), course.name)
-            self._wiring.set_course(course)
+    def _on_press(self, pressed):
+        before, count = self._index, len(self._courses)
+        self._index = (self._index + sum(self._steps.get(button, 0) for button in pressed)) % count
+        if self._index != before:
+            rospy.loginfo("course %d of %d: %s", self._index + 1, count, self._courses[self._index].name)
+            self._wiring.set_course(self._courses[self._index])
 
 
 def yaw_from_params():

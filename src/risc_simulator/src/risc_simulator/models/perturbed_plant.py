@@ -4,7 +4,7 @@ Controllers know only the nominal type. A virtual lab flies vehicles whose mass,
 and link delay differ from it, as every real airframe does.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -46,20 +46,14 @@ class PlantParams:
 def nominal_plant(vehicle_type):
     """PlantParams of a vehicle that is exactly what its type says."""
     weight_n = vehicle_type.mass_kg * GRAVITY_M_S2
-    return PlantParams(
-        mass_kg=vehicle_type.mass_kg,
-        nominal_mass_kg=vehicle_type.mass_kg,
-        inertia_kg_m2=tuple(vehicle_type.inertia_kg_m2),
-        thrust_scale=1.0,
-        roll=vehicle_type.roll,
-        pitch=vehicle_type.pitch,
-        yaw_rate_time_constant_s=vehicle_type.yaw_rate_time_constant_s,
-        climb_time_constant_s=vehicle_type.climb_time_constant_s,
-        command_delay_s=vehicle_type.command_delay_s,
-        drag_n_s_m=vehicle_type.drag_n_s_m,
-        thrust_min_n=IDLE_THRUST_TO_WEIGHT * weight_n,
-        thrust_max_n=MAX_THRUST_TO_WEIGHT * weight_n,
-    )
+    own = {
+        "nominal_mass_kg": vehicle_type.mass_kg,
+        "thrust_scale": 1.0,
+        "thrust_min_n": IDLE_THRUST_TO_WEIGHT * weight_n,
+        "thrust_max_n": MAX_THRUST_TO_WEIGHT * weight_n,
+    }
+    names = [item.name for item in fields(PlantParams) if item.name not in own]
+    return PlantParams(**own, **{name: getattr(vehicle_type, name) for name in names})
 
 
 def draw_plant(vehicle_type, rng, perturbed=True):
@@ -87,36 +81,14 @@ def _scaled(loop, bandwidth_scale):
     return replace(loop, natural_frequency_rad_s=loop.natural_frequency_rad_s * bandwidth_scale)
 
 
-_POSITIVE = (
-    "mass_kg",
-    "nominal_mass_kg",
-    "inertia_x_kg_m2",
-    "inertia_y_kg_m2",
-    "inertia_z_kg_m2",
-    "yaw_rate_time_constant_s",
-    "climb_time_constant_s",
-)
-
-
 def fill_records(bodies, plants):
-    """Write a sequence of PlantParams into records with QUADROTOR_FIELDS, in this order. Raises ValueError."""
+    """Write a sequence of PlantParams into records with QUADROTOR_FIELDS, in this order."""
     for body, plant in zip(bodies, plants):
-        body.mass_kg = plant.mass_kg
-        body.nominal_mass_kg = plant.nominal_mass_kg
-        body.thrust_scale = plant.thrust_scale
         body.inertia_x_kg_m2, body.inertia_y_kg_m2, body.inertia_z_kg_m2 = plant.inertia_kg_m2
-        body.roll_natural_frequency_rad_s = plant.roll.natural_frequency_rad_s
-        body.roll_damping_ratio = plant.roll.damping_ratio
-        body.roll_gain = plant.roll.gain
-        body.pitch_natural_frequency_rad_s = plant.pitch.natural_frequency_rad_s
-        body.pitch_damping_ratio = plant.pitch.damping_ratio
-        body.pitch_gain = plant.pitch.gain
-        body.yaw_rate_time_constant_s = plant.yaw_rate_time_constant_s
-        body.climb_time_constant_s = plant.climb_time_constant_s
-        body.drag_n_s_m = plant.drag_n_s_m
-        body.thrust_min_n = plant.thrust_min_n
-        body.thrust_max_n = plant.thrust_max_n
         body.tumble_damping_1_s = TUMBLE_DAMPING_1_S
-    for name in _POSITIVE:
-        if not np.all(bodies[name] > 0.0):
-            raise ValueError("%s must be positive, got %r" % (name, bodies[name].tolist()))
+        for name, value in vars(plant).items():
+            if isinstance(value, AttitudeLoop):
+                for what, number in vars(value).items():
+                    body["%s_%s" % (name, what)] = number
+            elif name in body.dtype.names:
+                body[name] = value

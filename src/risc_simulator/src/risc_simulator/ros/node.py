@@ -37,16 +37,16 @@ class VirtualLabNode:
         self._updater.add("virtual lab", self._diagnose)
         Ticker(1.0, self._updater.force_update, "the diagnostics")
 
-        rospy.Subscriber("~mocap_silence", Float64, self._on_mocap_silence, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber("~light", Float64, self._on_light, queue_size=10, tcp_nodelay=True)
-        for topic, order in (
-            ("~hide", lab.hide),
-            ("~link_loss", lab.lose_link),
-            ("~battery", lab.set_battery_pct),
-            ("~board", lab.wave_board),
+        for topic, kind, take, order in (
+            ("~mocap_silence", Float64, self._on_number, lab.silence_mocap),
+            ("~light", Float64, self._on_number, lab.set_light),
+            ("~hide", Fault, self._on_fault, lab.hide),
+            ("~link_loss", Fault, self._on_fault, lab.lose_link),
+            ("~battery", Fault, self._on_fault, lab.set_battery_pct),
+            ("~board", Fault, self._on_fault, lab.wave_board),
+            ("~wire_fault", WireFault, self._on_wire_fault, lab.inject),
         ):
-            rospy.Subscriber(topic, Fault, self._on_fault, order, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber("~wire_fault", WireFault, self._on_wire_fault, queue_size=10, tcp_nodelay=True)
+            rospy.Subscriber(topic, kind, take, order, queue_size=10, tcp_nodelay=True)
 
     def after_frame(self):
         """Carry out orders, then tell the truth about the frame that has just gone out."""
@@ -78,23 +78,20 @@ class VirtualLabNode:
             if not rospy.core.is_shutdown_requested():
                 raise
 
-    def _on_mocap_silence(self, msg):
-        if not (math.isfinite(msg.data) and msg.data >= 0.0):
-            rospy.logerr("fault injection: a duration in seconds is needed, got %r", msg.data)
-            return
-        self._orders.put((self._lab.silence_mocap, (msg.data,)))
-
-    def _on_wire_fault(self, msg):
-        self._orders.put((self._lab.inject, (msg.fault, msg.channel, msg.severity, msg.duration_s or math.inf)))
-
-    def _on_light(self, msg):
-        self._orders.put((self._lab.set_light, (msg.data,)))
+    def _on_number(self, msg, order):
+        self._give(order, msg.data)
 
     def _on_fault(self, msg, order):
-        if not msg.name or not (math.isfinite(msg.value) and msg.value >= 0.0):
-            rospy.logerr("fault injection: a name and a value >= 0 are needed, got '%s', %r", msg.name, msg.value)
-            return
-        self._orders.put((order, (msg.name, msg.value)))
+        self._give(order, msg.name, msg.value)
+
+    def _give(self, order, *arguments):
+        if not (math.isfinite(arguments[-1]) and arguments[-1] >= 0.0):
+            rospy.logerr("fault injection: a number that is not negative is needed, got %r", arguments[-1])
+        else:
+            self._orders.put((order, arguments))
+
+    def _on_wire_fault(self, msg, order):
+        self._orders.put((order, (msg.fault, msg.channel, msg.severity, msg.duration_s or math.inf)))
 
     def _diagnose(self, status):
         lab = self._lab

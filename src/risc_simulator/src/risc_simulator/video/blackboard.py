@@ -39,7 +39,8 @@ class Blackboard:
             ("bitrate_kbit_s", np.float64, (n,)),  # of video:max_bitrate, within BITRATES_KBIT_S
             ("enabled", np.int32, (n,)),  # general:video_enable
             ("link_up", np.int32, (n,)),  # 0: nothing passes
-            ("board_since_s", np.float64, (n,)),  # monotonic time since when a checkerboard is waved; NaN = none
+            ("board_since_s", np.float64, (n,)),  # monotonic time since when a checkerboard is waved,
+            ("board_until_s", np.float64, (n,)),  # and until when
             ("ready", np.int32, ()),  # 1: a client is served at once; written by the camera process, cleared by the lab
             ("watchers", np.int32, (n,)),  # written by the camera process
             ("newest_picture", np.uint64, (n,)),  # number << 32 | bytes, written by the camera process
@@ -48,23 +49,20 @@ class Blackboard:
             ("skipped", np.int64, (n,)),  # pictures that the computer was too slow for, written by the camera process
             ("faults", np.int64, (n, len(COUNTS))),  # what they did to the video, written by the camera process
         )
-        offset, places = 0, []
-        for name, kind, shape in fields:
-            places.append((name, kind, shape, offset))
-            offset += -(-int(np.dtype(kind).itemsize * np.prod(shape)) // 8) * 8
+        kind = np.dtype(list(fields), align=True)
         is_new = fd is None
         self.fd = os.memfd_create("risc_simulator_video") if is_new else fd
         if is_new:
-            os.ftruncate(self.fd, offset)
-        self._memory = mmap.mmap(self.fd, offset)
-        for name, kind, shape, start in places:
-            setattr(self, name, np.frombuffer(self._memory, kind, int(np.prod(shape)), start).reshape(shape))
+            os.ftruncate(self.fd, kind.itemsize)
+        self._memory = mmap.mmap(self.fd, kind.itemsize)
+        (record,) = np.split(np.frombuffer(self._memory, kind), 1)
+        for name, _, shape in fields:
+            setattr(self, name, record[name].reshape(shape))
         if is_new:
             self.light[...] = 1.0
             self.link_up[:] = self.enabled[:] = 1
             self.rate_hz[:] = 30.0
             self.bitrate_kbit_s[:] = 4000.0
-            self.board_since_s[:] = np.nan
 
     def publish(self, time_s, lab_s, rows):
         """The lab's: where the vehicles are now."""

@@ -5,14 +5,11 @@ along a row of inner corners, y along a column, z away from who looks at the boa
 """
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from risc_lab.frames import rotation_body_to_cortex
-from risc_simulator.video.renderer import Renderer
-from risc_simulator.video.scene import Board, CameraPose
+from risc_simulator.video.scene import Board
 
 # The postures: everywhere in the picture, turned to every side, near and far. Near and strongly tilted boards tell the
 # principal point from a turn of the camera, upright ones in the corners tell the distortion.
@@ -30,24 +27,15 @@ _PULLS = np.linspace(1.0, 0.0, 26)  # and nearer to the middle
 _FACING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # board to camera axes, squarely in front
 
 
-@dataclass(frozen=True)
-class WavingParams:
-    """How a board is moved."""
-
-    hold_s: float = 0.6  # a posture is held
-    move_s: float = 0.8  # from one to the next
-
-    def __post_init__(self):
-        if self.hold_s < 0.0 or self.move_s <= 0.0:
-            raise ValueError("hold_s >= 0 and move_s > 0 are needed, found %r" % (self,))
+HOLD_S = 0.6  # a posture is held
+MOVE_S = 0.8  # from one to the next
 
 
 class Waving:
     """The motion of one board in front of one camera; it repeats after `period_s`. Held, it is whole in the picture."""
 
-    def __init__(self, camera, columns=8, rows=6, square_m=0.025, params=None):
+    def __init__(self, camera, columns=8, rows=6, square_m=0.025):
         """camera: risc_lab.camera.Camera. columns, rows: inner corners. ValueError when a posture does not fit."""
-        self.params = params or WavingParams()
         self._camera = camera
         self._shape = (columns, rows, square_m)
         centres, turns = zip(*self._postures())
@@ -58,17 +46,12 @@ class Waving:
     @property
     def period_s(self):
         """Time of one round [s]."""
-        return self._count * (self.params.hold_s + self.params.move_s)
-
-    @property
-    def held_s(self):
-        """Times (postures,) [s] within the first round in the middle of each hold."""
-        return np.arange(self._count) * (self.params.hold_s + self.params.move_s) + 0.5 * self.params.hold_s
+        return self._count * (HOLD_S + MOVE_S)
 
     def posture(self, time_s):
         """Centre (3,) [m] and rotation (3, 3) from board to camera axes at a time [s] since the start."""
-        step, within_s = divmod(time_s % self.period_s, self.params.hold_s + self.params.move_s)
-        part = max(0.0, (within_s - self.params.hold_s) / self.params.move_s)
+        step, within_s = divmod(time_s % self.period_s, HOLD_S + MOVE_S)
+        part = max(0.0, (within_s - HOLD_S) / MOVE_S)
         part = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)  # no jerk at either end
         index = int(step)
         centre = self._centres[index] + part * (self._centres[index + 1] - self._centres[index])
@@ -85,18 +68,6 @@ class Waving:
             centre_m=pose.position_m + pose.R_camera_to_cortex @ centre,
             R_board_to_cortex=pose.R_camera_to_cortex @ turn,
         )
-
-    def corners_px(self, time_s):
-        """Truth: pixels (rows * columns, 2) of the inner corners, row by row."""
-        centre, turn = self.posture(time_s)
-        return self._camera.project(self._corners() @ turn.T + centre)
-
-    def _corners(self):
-        """Inner corners (n, 3) [m], board axes."""
-        columns, rows, square_m = self._shape
-        grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
-        middle = [0.5 * (columns - 1), 0.5 * (rows - 1)]
-        return np.column_stack(((grid - middle) * square_m, np.zeros(len(grid))))
 
     def _outline(self):
         """Points (n, 3) [m] around the squares, board axes."""
@@ -129,25 +100,3 @@ class Waving:
             if camera.in_picture(camera.project(outline + centre)).all():
                 return centre
         raise ValueError("the board cannot be shown to camera %s: make it smaller" % camera.calibration.name)
-
-
-@dataclass(frozen=True)
-class CalibrationPicture:
-    """One picture of the waved board, with its truth."""
-
-    image: np.ndarray  # (height, width, 3) uint8, BGR
-    corners_px: np.ndarray  # (rows * columns, 2)
-
-
-def calibration_pictures(camera, scene, imaging, seed, count=60):
-    """Yield `count` CalibrationPicture of a board in front of a camera that stands in the scene, one of each posture.
-
-    camera: risc_lab.camera.Camera. scene, imaging: as of scene.load_scene. seed: of the pictures' noise.
-    """
-    waving = Waving(camera)
-    renderer = Renderer(camera, scene, imaging, seed)
-    level = rotation_body_to_cortex(0.0, 0.0, 0.0)
-    pose = CameraPose(np.array([0.0, 0.0, 1.0]), level, np.zeros(3), np.zeros(3))
-    for time_s in np.resize(waving.held_s, count):
-        image = renderer.render(pose, boards=(waving.board(time_s, pose),))
-        yield CalibrationPicture(image, waving.corners_px(time_s))

@@ -8,7 +8,6 @@ lab.  While nobody watches it sleeps.
 
 import contextlib
 import logging
-import math
 import select
 import socket
 import sys
@@ -55,14 +54,14 @@ class VideoHost:
         self._board = board
         self._wires = Wires(seed)
         self._last_unwatched = 0  # number of the newest pose when nobody watched: the lab shows no others then
-        scene, imaging = load_scene(fleet)
+        scene = load_scene(fleet)
         self._names = [vehicle.namespace for vehicle in fleet.vehicles]
         self._stations = {}  # by the vehicle's place in the fleet
         for index, (vehicle, listener) in enumerate(zip(fleet.vehicles, listeners)):
             if listener is None:
                 continue
             eyes = [
-                Eye(camera, vehicle, scene, imaging, seed_of(seed, index, channel))
+                Eye(camera, vehicle, scene, seed_of(seed, index, channel))
                 for channel, camera in enumerate(virtual_type(vehicle.type).cameras)
             ]
             latency_s = load_vehicle_type(vehicle.type).video_latency_s
@@ -148,7 +147,7 @@ class VideoHost:
 
     def _expose(self, index, station, snapshot):
         board = self._board
-        waved_s = snapshot.time_s - float(board.board_since_s[index])
+        is_waved = snapshot.time_s < board.board_until_s[index]
         station.expose(
             snapshot,
             index,
@@ -159,7 +158,7 @@ class VideoHost:
                 vehicle_pose(row, name) for k, (row, name) in enumerate(zip(snapshot.rows, self._names)) if k != index
             ],
             light=float(board.light),
-            waved_s=None if math.isnan(waved_s) else max(0.0, waved_s),
+            waved_s=max(0.0, snapshot.time_s - float(board.board_since_s[index])) if is_waved else None,
         )
 
 

@@ -36,11 +36,6 @@ class VideoLauncher:
         return self.running and bool(self.board.ready)
 
     @property
-    def watched(self):
-        """Whether anybody watches."""
-        return bool(self.board.watchers.any())
-
-    @property
     def running(self):
         """Whether the camera process serves the listeners."""
         return self._process is not None
@@ -111,21 +106,10 @@ class VideoLauncher:
         self._rest_until_s = time.monotonic() + rest_s
         self.board.watchers[:] = 0
 
-    def publish(self, time_s, lab_s, rows):
-        """Where the vehicles are, see Blackboard.publish."""
-        self.board.publish(time_s, lab_s, rows)
-
-    def set_light(self, brightness):
-        """Brightness of the room, 1 = normal."""
-        self.board.light[...] = brightness
-
-    def wave_board(self, namespace):
-        """Wave a checkerboard in front of a vehicle's camera."""
-        self.board.board_since_s[self._index[namespace]] = time.monotonic()
-
-    def put_board_away(self, namespace):
-        """No checkerboard any more."""
-        self.board.board_since_s[self._index[namespace]] = math.nan
+    def wave_board(self, namespace, duration_s):
+        """Wave a checkerboard in front of a vehicle's camera from now on."""
+        index, now_s = self._index[namespace], time.monotonic()
+        self.board.board_since_s[index], self.board.board_until_s[index] = now_s, now_s + duration_s
 
     def statistics(self, namespace):
         """What a vehicle's camera has done, as plain numbers."""

@@ -1,4 +1,4 @@
-"""Pictures of the scene as a moving camera takes them, and what is really where in them.
+"""Pictures of the scene as a moving camera takes them.
 
 A picture is made in three steps: the room, drawn straight into the distorted picture; the things in it (landmarks,
 vehicles, boards), from far to near, each blended in by the exact share of every pixel that it covers; the sensor
@@ -11,17 +11,14 @@ own motion does not blur.
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from risc_lab.camera import bearings_of_rays
 from risc_simulator.video.clipping import clip_polygons, clip_segments
 from risc_simulator.video.coverage import coverage
-from risc_simulator.video.scene import ImagingParams, Scene, board_layers, room_geometry
-
-__all__ = ["NoiseTile", "Renderer", "Truth", "to_camera"]
+from risc_simulator.video.scene import bgr_of_hsv, board_layers, room_geometry
 
 NEAR_M = 0.05  # nothing is drawn nearer to the focal plane than this
 _MARGIN = 0.1  # of the picture's size in normalised coordinates: how far things are drawn beyond its border
@@ -33,26 +30,9 @@ _ROOM_STEP_PX = 1.5  # the same for the room, for that part of the motion that d
 _MAX_ROOM_MOMENTS = 4
 _MAX_SHIFT_LEVELS = 5
 _STRIP_ROWS = 60  # of the picture that the sensor works on at once: they stay in the processor's cache
-_TRUTH_RASTER = 128  # cells along the longer side of an outline in which its visible share is counted
 _PLANCK_K = 0.014388  # second radiation constant [m K]
 _WAVELENGTHS_M = np.array([460e-9, 540e-9, 610e-9])  # of a sensor's blue, green and red
 _DAYLIGHT_K = 6500.0
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What is really to be seen of one object. Pixels as in risc_lab.camera, at the middle of the exposure."""
-
-    name: str
-    kind: str  # "landmark" or "vehicle"
-    centre_px: tuple[float, float]  # image of the object's centre point: not the middle of its outline
-    box_px: tuple[float, float, float, float]  # x0, y0, x1, y1 of the whole outline, also beyond the border
-    diameter_px: float  # least diameter: of a landmark's centre disc, of a vehicle's outline
-    seen_fraction: float  # of the outline: in the picture and not hidden by something nearer
-    azimuth_rad: float  # bearing of the centre in the camera's axes, + right
-    elevation_rad: float  # + up
-    distance_m: float  # focal point to centre
-    obliqueness_rad: float  # landmark: normal to line of sight, 0 = seen from the front. Vehicle: always 0
 
 
 class NoiseTile:
@@ -66,14 +46,13 @@ class NoiseTile:
 class Renderer:
     """One camera in one scene. The same arguments and the same calls give the same pictures, bit for bit."""
 
-    def __init__(self, camera, scene=None, imaging=None, seed=0, noise=None):
-        """camera: risc_lab.camera.Camera. scene: Scene. imaging: ImagingParams. seed: int or SeedSequence.
+    def __init__(self, camera, scene, seed=0, noise=None):
+        """camera: risc_lab.camera.Camera. scene: Scene. seed: int or SeedSequence.
 
         noise: NoiseTile that several renderers share; None makes one. Raises ValueError for a tile that is too small.
         """
         self.camera = camera
-        self.scene = Scene() if scene is None else scene
-        self.imaging = ImagingParams() if imaging is None else imaging
+        self.scene, self.imaging = scene, scene.style.imaging
         self._rng = np.random.default_rng(seed)
         size = camera.width_px, camera.height_px
         if noise is None:
@@ -88,7 +67,7 @@ class Renderer:
         self._exposed, self._grain = (np.zeros((_STRIP_ROWS, size[0], 3), np.float32) for _ in range(2))
         self._hull_parts = {}
         self._prop_things = [_prop_thing(prop) for prop in self.scene.props]
-        self._disc_things = [_disc_things(disc, self.scene.disc_back_bgr) for disc in self.scene.discs]
+        self._disc_things = [_disc_things(disc, bgr_of_hsv(scene.style.discs.back)) for disc in scene.discs]
 
         border = camera.undistort(_border(size))
         low, high = border.min(axis=0), border.max(axis=0)
@@ -111,62 +90,25 @@ class Renderer:
         grid = np.stack(np.meshgrid(np.linspace(0, size[0] - 1, 4), np.linspace(0, size[1] - 1, 3)), axis=-1)
         self._probe_rays = camera.rays(grid.reshape(-1, 2))
 
-        geometry = room_geometry(self.scene.room)
-        groups = [(bgr, group) for bgr, group in geometry.polygons + geometry.posts if group]
+        polygons, self._cords, self._cord_bgr, posts = room_geometry(scene.style.room, scene.arena)
+        self._behind_all = scene.style.room.shaded(scene.style.room.walls.front)
+        groups = [(bgr, group) for bgr, group in polygons + posts if group]
         outlines = [outline for _, group in groups for outline in group]
         self._room_points = np.concatenate(outlines)
         self._room_counts = np.array([len(outline) for outline in outlines])
         self._room_group = np.repeat(np.arange(len(groups)), [len(group) for _, group in groups])
         self._room_bgr = [bgr for bgr, _ in groups]
-        self._first_post = len(groups) - len(geometry.posts)
-        self._cords, self._cord_bgr = geometry.cords, geometry.cord_bgr
+        self._first_post = len(groups) - len(posts)
 
     def render(self, pose, vehicles=(), boards=(), gain=1.0):
         """Picture (h, w, 3) uint8 BGR.
 
         pose: CameraPose in the middle of the exposure (and of the middle row's). vehicles: of VehiclePose.
-        boards: of Board. gain: brightness, 1 = the room's normal light. Raises ValueError for an unknown hull, for a
-        gain that is no brightness and for a pose that is not finite.
+        boards: of Board. gain: brightness, 1 = the room's normal light.
         """
-        if not 0.0 <= gain < np.inf:
-            raise ValueError("the gain must be a number that is not negative, found %r" % (gain,))
-        if not (np.isfinite(pose.position_m).all() and np.isfinite(pose.R_camera_to_cortex).all()):
-            raise ValueError("the camera's pose is not finite: position %r" % (pose.position_m,))
         picture = self._draw_room(pose)
         self._draw_things(picture, pose, self._things(pose, vehicles, boards))
         return self._expose(picture, gain)
-
-    def truth(self, pose, vehicles=(), boards=()):
-        """List of Truth, nearest last: landmarks that face the camera and vehicles whose outline meets the picture.
-
-        Arguments as in `render`. An object that something nearer hides completely is listed with seen_fraction 0.
-        A vehicle's outline is convex: what is seen between its rotors counts as vehicle.
-        """
-        truths, nearer = [], []
-        for thing in reversed(self._things(pose, vehicles, boards)):
-            if thing.kind in ("landmark", "vehicle"):
-                outline, share = self._outline(thing.outline_m, thing.is_solid, pose)
-                if self._meets_picture(outline):
-                    truth = self._truth_of(thing, outline, share * self._seen_fraction(outline, nearer), pose)
-                    truths += [truth] if truth is not None else []
-            shapes = [
-                self._outline(shape, layer.is_solid, pose)[0] for layer in thing.layers for shape in layer.outlines
-            ]
-            nearer += [shape for shape in shapes if len(shape) > 2]
-        return truths[::-1]
-
-    def project(self, points_m, pose):
-        """Pixels (n, 2) at which points (n, 3) [m], cortex frame, are drawn; NaN where they cannot be seen.
-
-        With a rolling exposure the row decides when a point is seen: this is where `Truth.centre_px` comes from.
-        """
-        points = to_camera(pose, np.asarray(points_m, dtype=float))
-        good = points[:, 0] > NEAR_M
-        normalised = points[good, 1:] / points[good, :1]
-        good[good] = np.hypot(normalised[:, 0], normalised[:, 1]) <= self._radius_limit
-        pixels = np.full((len(points), 2), np.nan)
-        pixels[good] = self._pixels(points[good], pose)
-        return pixels
 
     # the room
 
@@ -187,7 +129,7 @@ class Renderer:
         return _smear(picture, mean / moments)
 
     def _draw_room_at(self, picture, pose, time_s):
-        _fill(picture, self.scene.room.wall_bgr["front"])  # nothing of it stays uncovered
+        _fill(picture, self._behind_all)  # nothing of it stays uncovered
         points, counts = self._clipped(to_camera(pose, self._room_points, time_s), self._room_counts)
         pixels = _fixed_point(self._pixels(points, pose))
         stops = np.cumsum(counts).tolist()
@@ -238,7 +180,7 @@ class Renderer:
         if not self._is_moving(pose):
             return np.zeros((1, 2))
         rays = self._probe_rays @ np.asarray(pose.R_camera_to_cortex).T
-        room = self.scene.room
+        room = self.scene.style.room
         low = np.array([-room.half_x_m, -room.half_y_m, 0.0])
         high = np.array([room.half_x_m, room.half_y_m, room.height_m])
         position = np.asarray(pose.position_m, dtype=float)
@@ -258,13 +200,18 @@ class Renderer:
         ]
         candidates += [(thing.centre_m, reach, _itself, (thing,)) for thing, reach in self._prop_things]
         candidates += [
-            (vehicle.position_m, scene.hull.radius_m, _vehicle_thing, (vehicle, self._parts_of(vehicle), position))
+            (
+                vehicle.position_m,
+                scene.style.hulls.radius_m,
+                _vehicle_thing,
+                (vehicle, self._parts_of(vehicle), position),
+            )
             for vehicle in vehicles
         ]
         for board in boards:
-            margin = 1.0 + 2.0 * scene.board_margin_squares
+            margin = 1.0 + 2.0 * scene.style.boards.margin_squares
             reach = 0.5 * board.square_m * math.hypot(board.columns + margin, board.rows + margin)
-            candidates.append((board.centre_m, reach, _board_thing, (board, position, scene)))
+            candidates.append((board.centre_m, reach, _board_thing, (board, position, scene.style.boards)))
         if not candidates:
             return []
         centres = to_camera(pose, np.array([candidate[0] for candidate in candidates], dtype=float))
@@ -276,7 +223,7 @@ class Renderer:
     def _parts_of(self, vehicle):
         colour = self.scene.hull_colour(vehicle)
         if colour not in self._hull_parts:
-            self._hull_parts[colour] = [(part, part.middle) for part in self.scene.hull.parts(colour)]
+            self._hull_parts[colour] = [(part, part.middle) for part in self.scene.style.hulls.parts(colour)]
         return self._hull_parts[colour]
 
     def _draw_things(self, picture, pose, things):
@@ -412,92 +359,6 @@ class Renderer:
         pixels[:, 1] = K[1, 1] * (y * radial + p2 * product + p1 * (square + 2.0 * y * y)) + K[1, 2]
         return pixels
 
-    # truth
-
-    def _outline(self, outline_m, is_solid, pose):
-        """(pixels (n, 2) of that part of an outline (k, 3) that is in front of the camera, share of points in it)."""
-        points = to_camera(pose, outline_m)
-        in_front = points[:, 0] >= NEAR_M
-        if not in_front.all():
-            return self._cut_outline(points, is_solid, pose), float(in_front.mean())
-        pixels = self._pixels(points, pose)
-        return (_convex_hull(pixels) if is_solid else pixels), 1.0
-
-    def _meets_picture(self, outline):
-        if len(outline) < 3:
-            return False
-        low, high = outline.min(axis=0), outline.max(axis=0)
-        size = self.camera.width_px, self.camera.height_px
-        return bool((low < np.array(size) - 0.5).all() and (high > -0.5).all())
-
-    def _truth_of(self, thing, outline, seen_fraction, pose):
-        """Truth; None when the centre is where the camera model does not reach."""
-        centre = self.project(thing.centre_m[None], pose)[0]
-        if not np.isfinite(centre).all():
-            return None
-        low, high = outline.min(axis=0), outline.max(axis=0)
-        relative = to_camera(pose, thing.centre_m[None])[0]
-        azimuth, elevation = bearings_of_rays(relative)
-        obliqueness = 0.0
-        if thing.kind == "landmark":
-            least = self._disc_diameter(thing, pose)
-            sight = np.asarray(pose.position_m) - thing.centre_m
-            obliqueness = float(np.arccos(np.clip(sight @ thing.normal / np.linalg.norm(sight), -1.0, 1.0)))
-        else:
-            least = float(min(cv2.minAreaRect(outline.astype(np.float32))[1]))
-        return Truth(
-            name=thing.name,
-            kind=thing.kind,
-            centre_px=(float(centre[0]), float(centre[1])),
-            box_px=(float(low[0]), float(low[1]), float(high[0]), float(high[1])),
-            diameter_px=least,
-            seen_fraction=seen_fraction,
-            azimuth_rad=float(azimuth),
-            elevation_rad=float(elevation),
-            distance_m=float(np.linalg.norm(relative)),
-            obliqueness_rad=obliqueness,
-        )
-
-    def _disc_diameter(self, thing, pose):
-        """Least diameter [px] of the ellipse that a landmark's centre disc is seen as."""
-        pixels = self.project(thing.centre_outline_m, pose)
-        scale = 1.0
-        if not np.isfinite(pixels).all():  # a part is nowhere: go by the middle of it
-            scale = 0.1
-            pixels = self.project(thing.centre_m + scale * (thing.centre_outline_m - thing.centre_m), pose)
-        if not np.isfinite(pixels).all():
-            return 0.0
-        # points spread evenly on a circle have half the squared radius as variance, along each axis of the ellipse
-        variance = np.linalg.eigvalsh(np.cov(pixels.T, bias=True))[0]
-        return float(2.0 * np.sqrt(2.0 * max(variance, 0.0)) / scale)
-
-    def _seen_fraction(self, pixels, nearer):
-        """Share of an outline's area that is in the picture and not covered by outlines nearer to the camera."""
-        low, high = pixels.min(axis=0), pixels.max(axis=0)
-        scale = _TRUTH_RASTER / max(float((high - low).max()), 1e-6)
-        width, height = (np.ceil((high - low) * scale).astype(int) + 1).tolist()
-        corners = np.array([(-0.5, -0.5), (self.camera.width_px - 0.5, self.camera.height_px - 0.5)])
-        corners = (corners - low) * scale
-        frame = np.array([corners[0], (corners[1, 0], corners[0, 1]), corners[1], (corners[0, 0], corners[1, 1])])
-        outlines = [(pixels - low) * scale, frame]
-        outlines += [
-            (other - low) * scale
-            for other in nearer
-            if (other.min(axis=0) < high).all() and (other.max(axis=0) > low).all()
-        ]
-        masks = coverage(
-            np.concatenate(outlines),
-            [len(outline) for outline in outlines],
-            range(len(outlines)),
-            np.ones(len(outlines)),
-            [(0, 0, width, height)] * len(outlines),
-        )
-        whole = float(masks[0].sum())
-        seen = masks[0] * masks[1]
-        for mask in masks[2:]:
-            seen *= 1.0 - mask
-        return min(1.0, float(seen.sum()) / whole) if whole > 0.0 else 0.0
-
 
 def to_camera(pose, points_m, time_s=0.0):
     """Points (n, 3) [m] from the cortex frame into camera axes, time_s [s] after the middle of the exposure."""
@@ -509,24 +370,28 @@ def to_camera(pose, points_m, time_s=0.0):
     return (points_m - position) @ R
 
 
-class _Layer:
+class _Layer(NamedTuple):
     """Outlines of one colour. A solid's outline is the convex hull of its points in the picture.
 
     ground_bgr: colour of the layer before, when this one is painted on it: it never reaches beyond. None: on its own.
     """
 
-    def __init__(self, outlines, bgr, is_solid=False, ground_bgr=None):
-        self.outlines, self.bgr, self.is_solid, self.ground_bgr = outlines, bgr, is_solid, ground_bgr
+    outlines: list
+    bgr: tuple
+    is_solid: bool = False
+    ground_bgr: tuple | None = None
 
 
-class _Thing:
+class _Thing(NamedTuple):
     """Something with a distance: its layers are drawn together."""
 
-    def __init__(self, name, kind, centre_m, layers, outline_m=None, normal=None, centre_outline_m=None):
-        self.name, self.kind, self.centre_m, self.layers = name, kind, centre_m, layers
-        self.outline_m = layers[0].outlines[0] if outline_m is None else outline_m
-        self.is_solid = kind == "vehicle"
-        self.normal, self.centre_outline_m = normal, centre_outline_m
+    name: str
+    kind: str  # landmark, back, vehicle, board, prop
+    centre_m: np.ndarray
+    layers: list
+    outline_m: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    centre_outline_m: np.ndarray | None = None
 
 
 class _Batch:
@@ -615,9 +480,9 @@ def _vehicle_thing(vehicle, parts, position):
     return _Thing(vehicle.name, "vehicle", centre, layers, outline)
 
 
-def _board_thing(board, position, scene):
+def _board_thing(board, position, params):
     centre = np.asarray(board.centre_m, dtype=float)
-    (white, sheet), (black, squares) = board_layers(board, scene)
+    (white, sheet), (black, squares) = board_layers(board, params)
     layers = [_Layer(sheet, white), _Layer(squares, black, ground_bgr=white)]
     if (centre - position) @ np.asarray(board.R_board_to_cortex)[:, 2] <= 0.0:  # its z points away from the viewer
         layers = layers[:1]

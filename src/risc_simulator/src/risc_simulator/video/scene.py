@@ -1,26 +1,29 @@
 """What the virtual cameras look at: landmark discs, vehicles' hulls, checkerboards and the room around the arena.
 
 Everything is flat polygons in the cortex frame [m] (x forward, y left, z up), or convex solids given by their points.
-Colours are BGR 0..255, written as OpenCV HSV in config/scene.yaml.
+Colours are BGR 0..255; in settings, and so in config/scene.yaml, they are OpenCV's HSV.
 """
 
+import functools
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import cv2
 import numpy as np
 
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
-from risc_lab.lab.landmark_catalogue import LandmarkCatalogue, load_landmark_catalogue
-from risc_lab.lab.yaml_reader import Section, load_yaml, package_file
+from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import Fraction, Meta, Positive, Settings, between, settings_from
 
 CIRCLE_POINTS = 64  # corners of a disc's outline: area and diameter 0.16 % and 0.08 % small, which is mended below
 _CIRCLE_GAIN = math.sqrt(2.0 * math.pi / CIRCLE_POINTS / math.sin(2.0 * math.pi / CIRCLE_POINTS))  # for the true area
 _MAX_EDGE_M = 0.5  # long edges of the room are cut: a straight line is not straight in a distorted picture
-_SURFACES = ("front", "back", "left", "right", "floor")
+_WALLS = ("front", "back", "left", "right")
 
 Bgr = tuple[float, float, float]
+Hsv = tuple[Annotated[float, Meta(ge=0.0, lt=180.0)], between(0.0, 255.0), between(0.0, 255.0)]
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,6 @@ class Disc:
     ring_bgr: Bgr
     centre_diameter_m: float = 0.20
     ring_diameter_m: float = 0.30  # outer
-
-    def __post_init__(self):
-        if abs(np.linalg.norm(self.normal) - 1.0) > 1e-6:
-            raise ValueError("landmark %s: the normal %r must have length 1" % (self.name, tuple(self.normal)))
-        if not 0.0 < self.centre_diameter_m < self.ring_diameter_m:
-            raise ValueError("landmark %s: needs 0 < centre_diameter_m < ring_diameter_m" % self.name)
 
     def outline(self, diameter_m):
         """Corners (CIRCLE_POINTS, 3) [m], cortex frame, of a circle around the centre, with a circle's area."""
@@ -64,18 +61,6 @@ class Board:
     square_m: float
     centre_m: tuple[float, float, float]  # cortex frame
     R_board_to_cortex: np.ndarray  # (3, 3)
-
-    def __post_init__(self):
-        if self.columns < 2 or self.rows < 2 or not self.square_m > 0.0:
-            raise ValueError(
-                "board: needs 2 x 2 inner corners at least and squares of some size, found %d x %d of %r m"
-                % (self.columns, self.rows, self.square_m)
-            )
-
-    def corners(self):
-        """Inner corners (rows * columns, 3) [m], cortex frame, row by row: the order of findChessboardCorners."""
-        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        return self.to_cortex(column.ravel() - 0.5 * (self.columns - 1), row.ravel() - 0.5 * (self.rows - 1))
 
     def to_cortex(self, x_squares, y_squares):
         """Points (n, 3) [m], cortex frame, of coordinates on the board in squares from its middle."""
@@ -108,16 +93,7 @@ class VehiclePose:
     name: str
     position_m: np.ndarray  # (3,) centre, cortex frame
     R_body_to_cortex: np.ndarray  # (3, 3); body axes: x nose, y right wing, z belly
-    colour: int | str | None = None  # number or name of the hull; None: as the scene says, else the first
-
-
-@dataclass(frozen=True)
-class HullColour:
-    """Colours of a vehicle's hull."""
-
-    name: str
-    nose_bgr: Bgr
-    tail_bgr: Bgr
+    colour: int | None = None  # number of the hull; None: as the scene says, else the first
 
 
 class Part(NamedTuple):
@@ -137,14 +113,28 @@ class Part(NamedTuple):
 
 
 @dataclass(frozen=True)
-class HullParams:
-    """Shape of a vehicle's hull: four rotor shrouds around a body."""
+class HullColour(Settings):
+    """Colours of a vehicle's hull."""
 
-    diameter_m: float = 0.23  # of a shroud
-    offset_m: float = 0.135  # of a shroud's centre from the vehicle's, along nose and wing
-    height_m: float = 0.07
-    body_bgr: Bgr = (45.0, 45.0, 45.0)
-    rotor_bgr: Bgr = (70.0, 70.0, 70.0)
+    nose: Hsv
+    tail: Hsv
+
+
+@dataclass(frozen=True)
+class HullParams(Settings):
+    """Shape of a vehicle's hull, four rotor shrouds around a body, and the colours that there are."""
+
+    diameter_m: between(0.01, 2.0)  # of a shroud
+    offset_m: between(0.01, 2.0)  # of a shroud's centre from the vehicle's, along nose and wing
+    height_m: between(0.005, 1.0)
+    body: Hsv  # battery and electronics in the middle
+    rotors: Hsv  # turning blades inside a shroud
+    colours: dict[str, HullColour]
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.colours:
+            raise ValueError("'colours' needs one hull at least")
 
     @property
     def radius_m(self):
@@ -152,153 +142,123 @@ class HullParams:
         return math.sqrt(2.0) * self.offset_m + 0.5 * self.diameter_m + self.height_m
 
     def parts(self, colour):
-        """List of Part in body axes. colour: HullColour."""
+        """List of Part in body axes. colour: name."""
         angles = np.arange(24) * (2.0 * math.pi / 24)
         circle = np.stack((np.cos(angles), np.sin(angles), np.zeros(24)), axis=1)
         half_m, radius_m = 0.5 * self.height_m, 0.5 * self.diameter_m
-        parts = []
-        for x, bgr in ((self.offset_m, colour.nose_bgr), (-self.offset_m, colour.tail_bgr)):
+        paint, parts = self.colours[colour], []
+        for x, hsv in ((self.offset_m, paint.nose), (-self.offset_m, paint.tail)):
             for y in (-self.offset_m, self.offset_m):
                 rim = circle * radius_m + (x, y, 0.0)
-                parts.append(Part(np.concatenate((rim + (0.0, 0.0, -half_m), rim + (0.0, 0.0, half_m))), bgr))
+                shroud = np.concatenate((rim + (0.0, 0.0, -half_m), rim + (0.0, 0.0, half_m)))
+                parts.append(Part(shroud, bgr_of_hsv(hsv)))
                 for side in (-1.0, 1.0):  # above and below
                     blades = circle * (0.8 * radius_m) + (x, y, side * half_m)
-                    parts.append(Part(blades, self.rotor_bgr, np.array([0.0, 0.0, side])))
+                    parts.append(Part(blades, bgr_of_hsv(self.rotors), np.array([0.0, 0.0, side])))
         # the body: three slices of a flat boat
         length_m = self.offset_m + 0.3 * self.diameter_m
         slices = [(0.8, -0.9 * half_m), (1.0, 0.0), (0.8, 1.1 * half_m)]
         body = [circle * (size * length_m * np.array([1.0, 0.42, 1.0])) + (0.0, 0.0, z) for size, z in slices]
-        parts.append(Part(np.concatenate(body), self.body_bgr))
+        parts.append(Part(np.concatenate(body), bgr_of_hsv(self.body)))
         return parts
 
 
 @dataclass(frozen=True)
-class Panel:
+class BackParams(Settings):
+    """Landmarks from behind."""
+
+    back: Hsv
+
+
+@dataclass(frozen=True)
+class BoardParams(Settings):
+    """Paints of checkerboards."""
+
+    white: Hsv
+    black: Hsv
+    margin_squares: between(0.0, 10.0)  # white margin around the squares
+
+
+@dataclass(frozen=True)
+class Walls(Settings):
+    """Front is +x, left is +y."""
+
+    front: Hsv
+    back: Hsv
+    left: Hsv
+    right: Hsv
+
+
+@dataclass(frozen=True)
+class Panel(Settings):
     """A rectangle on a wall or on the floor."""
 
-    surface: str  # front, back, left, right, floor
+    surface: Literal["front", "back", "left", "right", "floor"]
     centre_m: tuple[float, float]  # along the wall and up; on the floor x and y
-    size_m: tuple[float, float]
-    bgr: Bgr
+    size_m: tuple[Positive, Positive]
+    hsv: Hsv
 
 
 @dataclass(frozen=True)
-class RoomParams:
+class RoomParams(Settings):
     """The room around the arena: four walls, a floor of tiles, a ceiling with lamps, the net, things on the walls."""
 
-    half_x_m: float = 4.3
-    half_y_m: float = 4.1
-    height_m: float = 3.6
-    tile_m: float = 0.6
-    floor_bgr: Bgr = (118.0, 112.0, 108.0)
-    tile_bgr: Bgr = (108.0, 103.0, 100.0)
-    marks: int = 0  # wear marks on the arena's floor
-    mark_m: float = 0.05  # length of the largest
-    dark_mark_bgr: Bgr = (84.0, 80.0, 76.0)
-    light_mark_bgr: Bgr = (136.0, 132.0, 128.0)
-    ceiling_bgr: Bgr = (195.0, 203.0, 205.0)
-    lamp_bgr: Bgr = (246.0, 251.0, 252.0)
-    lamp_size_m: tuple[float, float] = (1.2, 0.3)
-    wall_bgr: dict[str, Bgr] = field(default_factory=lambda: dict.fromkeys(_SURFACES[:4], (180.0, 186.0, 190.0)))
-    skirting_bgr: Bgr = (76.0, 86.0, 90.0)
-    skirting_m: float = 0.12
-    net_bgr: Bgr = (89.0, 96.0, 89.0)
-    net_mesh_m: float = 0.25
-    post_bgr: Bgr = (62.0, 62.0, 62.0)
-    post_m: float = 0.05
+    half_x_m: between(NET_HALF_X_M, 100.0)
+    half_y_m: between(NET_HALF_Y_M, 100.0)
+    height_m: between(1.0, 100.0)
+    tile_m: between(0.1, 100.0)
+    floor: Hsv
+    floor_tiles: Hsv  # every second tile
+    marks: between(0, 2000)  # wear marks on the arena's floor, half of them dark: what a camera sees move
+    mark_m: between(0.001, 1.0)  # length of the largest
+    dark_marks: Hsv
+    light_marks: Hsv
+    ceiling: Hsv
+    lamps: Hsv
+    lamp_size_m: tuple[Positive, Positive]
+    walls: Walls
+    skirting: Hsv
+    skirting_m: Fraction
+    net: Hsv
+    net_mesh_m: between(0.05, 10.0)
+    posts: Hsv
+    post_m: between(0.005, 1.0)
     panels: tuple[Panel, ...] = ()
-    net: Arena = Arena()
+    shade: Positive = 1.0  # brightness of walls and floor
 
-    def around(self, net):
-        """The same room as far around another net."""
-        return replace(
-            self,
-            net=net,
-            half_x_m=self.half_x_m + (net.half_x_m - self.net.half_x_m),
-            half_y_m=self.half_y_m + (net.half_y_m - self.net.half_y_m),
-            height_m=self.height_m + (net.height_m - self.net.height_m),
-        )
-
-
-class Room(NamedTuple):
-    """The room as drawn.
-
-    polygons: list of (bgr, list of (n, 3) outlines [m]) in painter's order. cords: (k, 2, 3) ends of the net's cords.
-    """
-
-    polygons: list
-    cords: np.ndarray
-    cord_bgr: Bgr
-    posts: list  # as polygons; in front of the cords
+    def shaded(self, hsv):
+        """BGR of the paint of a wall or of the floor."""
+        return tuple(min(255.0, self.shade * value) for value in bgr_of_hsv(hsv))
 
 
 @dataclass(frozen=True)
-class ImagingParams:
+class ImagingParams(Settings):
     """How a camera takes its picture."""
 
-    exposure_s: float = 0.012
-    rolling_s: float = 0.0  # first row's exposure to the last row's; 0: all rows at once
-    defocus_px: float = 0.45  # standard deviation of the lens' blur
-    vignette: float = 0.18  # how much darker the corners are than the middle
-    temperature_k: float = 6500.0  # of the light that the sensor does not correct; 6500: colours as painted
-    read_noise: float = 1.2  # standard deviation without light [levels]
-    shot_noise: float = 0.16  # deviation = shot_noise * sqrt(level)
-
-    def __post_init__(self):
-        for name, (low, high) in _IMAGING_LIMITS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError("imaging: %s must be in [%g, %g], found %r" % (name, low, high, value))
-
-
-_IMAGING_LIMITS = {
-    "exposure_s": (0.0, 0.1),
-    "rolling_s": (0.0, 0.1),
-    "defocus_px": (0.0, 5.0),
-    "vignette": (0.0, 0.9),
-    "temperature_k": (2000.0, 20000.0),
-    "read_noise": (0.0, 30.0),
-    "shot_noise": (0.0, 2.0),
-}
+    exposure_s: between(0.0, 0.1)
+    rolling_s: between(0.0, 0.1)  # first row's exposure to the last row's; 0: all rows at once
+    defocus_px: between(0.0, 5.0)  # standard deviation of the lens' blur
+    vignette: between(0.0, 0.9)  # how much darker the corners are than the middle
+    temperature_k: between(2000.0, 20000.0)  # of the light that the sensor does not correct; 6500: colours as painted
+    read_noise: between(0.0, 30.0)  # standard deviation without light [levels]
+    shot_noise: between(0.0, 2.0)  # deviation = shot_noise * sqrt(level)
 
 
 @dataclass(frozen=True)
-class Scene:
-    """Everything that the cameras see apart from what moves."""
+class Style(Settings):
+    """Content of config/scene.yaml: what the cameras see, apart from what is where."""
 
-    discs: tuple[Disc, ...] = ()
-    room: RoomParams = field(default_factory=RoomParams)
-    hull: HullParams = field(default_factory=HullParams)
-    hull_colours: tuple[HullColour, ...] = (HullColour("plain", (40.0, 40.0, 200.0), (40.0, 200.0, 210.0)),)
-    colour_of_vehicle: dict[str, int] = field(default_factory=dict)  # hull by the vehicle's name
-    props: tuple[Prop, ...] = ()
-    disc_back_bgr: Bgr = (120.0, 120.0, 120.0)
-    board_white_bgr: Bgr = (225.0, 225.0, 225.0)
-    board_black_bgr: Bgr = (25.0, 25.0, 25.0)
-    board_margin_squares: float = 1.0
-
-    def hull_colour(self, vehicle):
-        """HullColour of a VehiclePose. Raises ValueError for a name that no hull has."""
-        colour = vehicle.colour
-        if colour is None:
-            colour = self.colour_of_vehicle.get(vehicle.name, 0)
-        if isinstance(colour, str):
-            for hull in self.hull_colours:
-                if hull.name == colour:
-                    return hull
-            names = ", ".join(hull.name for hull in self.hull_colours)
-            raise ValueError("vehicle %s: no hull is called '%s'; known are %s" % (vehicle.name, colour, names))
-        return self.hull_colours[colour % len(self.hull_colours)]
-
-
-@dataclass(frozen=True)
-class SceneStyle:
-    """Content of config/scene.yaml: a scene without landmarks, how paints look, and the imaging; and the landmarks."""
-
-    scene: Scene
+    paints: dict[str, Hsv]  # of landmarks
+    discs: BackParams
+    hulls: HullParams
+    boards: BoardParams
+    room: RoomParams
     imaging: ImagingParams
-    paints: dict[str, Bgr]
-    catalogue: LandmarkCatalogue
+
+    @functools.cached_property
+    def catalogue(self):
+        """The laboratory's LandmarkCatalogue."""
+        return load_landmark_catalogue()
 
     def disc(self, template, position_m, normal):
         """Disc of a landmark. Raises ValueError for one that is not known, and for a paint that is not."""
@@ -308,22 +268,35 @@ class SceneStyle:
                 "landmark %s is not known: add it to risc_lab/config/landmarks.yaml (known: %s)"
                 % (template, ", ".join(sorted(kinds)))
             )
-        kind = kinds[template]
+        kind, paints = kinds[template], []
         for key in ("centre", "ring"):
-            if getattr(kind, key) not in self.paints:
+            name = getattr(kind, key)
+            if name not in self.paints:
                 raise ValueError(
                     "landmark %s: '%s' is '%s', which is not among the paints of risc_simulator/config/scene.yaml: %s"
-                    % (template, key, getattr(kind, key), ", ".join(sorted(self.paints)))
+                    % (template, key, name, ", ".join(sorted(self.paints)))
                 )
-        return Disc(
-            template,
-            tuple(position_m),
-            tuple(normal),
-            self.paints[kind.centre],
-            self.paints[kind.ring],
-            self.catalogue.discs.centre_diameter_m,
-            self.catalogue.discs.ring_diameter_m,
-        )
+            paints.append(bgr_of_hsv(self.paints[name]))
+        discs = self.catalogue.discs
+        sizes_m = discs.centre_diameter_m, discs.ring_diameter_m
+        return Disc(template, tuple(position_m), tuple(normal), *paints, *sizes_m)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that the cameras see apart from what moves."""
+
+    style: Style
+    discs: tuple[Disc, ...] = ()
+    arena: Arena = Arena()
+    colour_of_vehicle: dict[str, int] = field(default_factory=dict)  # number of the hull, by the vehicle's name
+    props: tuple[Prop, ...] = ()
+
+    def hull_colour(self, vehicle):
+        """Name of the hull of a VehiclePose."""
+        number = self.colour_of_vehicle.get(vehicle.name, 0) if vehicle.colour is None else vehicle.colour
+        names = list(self.style.hulls.colours)
+        return names[number % len(names)]
 
 
 def normal_of_facing(facing_rad):
@@ -348,64 +321,40 @@ def bgr_of_hsv(hsv):
     return tuple(float(x) for x in cv2.cvtColor(np.uint8([[hsv]]), cv2.COLOR_HSV2BGR)[0, 0])
 
 
-def load_scene(fleet, path=None):
-    """(Scene, ImagingParams) of a fleet: its landmarks, and a hull for each vehicle in the fleet's order.
+def load_scene(fleet):
+    """Scene of a fleet: its landmarks, and a hull for each vehicle in the fleet's order, in a room around its arena.
 
-    fleet: lab.fleet.Fleet. path: of a scene file, None = config/scene.yaml. Raises ValueError naming file and key.
+    fleet: lab.fleet.Fleet. Raises ValueError naming file and key.
     """
-    style = load_style(path)
+    style, usual = load_style(), Arena()
+    room = replace(
+        style.room,
+        half_x_m=style.room.half_x_m + (fleet.arena.half_x_m - usual.half_x_m),
+        half_y_m=style.room.half_y_m + (fleet.arena.half_y_m - usual.half_y_m),
+        height_m=style.room.height_m + (fleet.arena.height_m - usual.height_m),
+    )
     discs = tuple(style.disc(m.name, m.position_m, normal_of_facing(m.facing_rad)) for m in fleet.landmarks)
     colours = {}
     for index, vehicle in enumerate(fleet.vehicles):  # whichever of its names the caller uses
         colours[vehicle.namespace] = colours[vehicle.template] = index
-    room = style.scene.room.around(fleet.arena)
-    return replace(style.scene, discs=discs, colour_of_vehicle=colours, room=room), style.imaging
+    return Scene(replace(style, room=room), discs, fleet.arena, colours)
 
 
 def load_style(path=None):
-    """SceneStyle from a scene file, None = config/scene.yaml. Raises ValueError naming file and key."""
-    if path is None:
-        path = package_file("risc_simulator", "config/scene.yaml")
-    return style_from_dict(load_yaml(path), str(path))
+    """Style from a scene file, None = config/scene.yaml. Raises ValueError naming file and key."""
+    path = package_file("risc_simulator", "config/scene.yaml") if path is None else path
+    return settings_from(Style, load_yaml(path), str(path))
 
 
-def style_from_dict(content, where="scene"):
-    """SceneStyle from the content of a scene file. Raises ValueError naming the key."""
-    root = Section(content, where)
-    paints_section = root.section("paints")
-    paints = {name: _colour(paints_section, name, where) for name in paints_section.keys()}
-    discs = root.section("discs")
-    hulls, boards = root.section("hulls"), root.section("boards")
-    style = SceneStyle(
-        scene=Scene(
-            room=_room(root.section("room"), where),
-            hull=HullParams(
-                diameter_m=hulls.number("diameter_m", minimum=0.01, maximum=2.0),
-                offset_m=hulls.number("offset_m", minimum=0.01, maximum=2.0),
-                height_m=hulls.number("height_m", minimum=0.005, maximum=1.0),
-                body_bgr=_colour(hulls, "body", where),
-                rotor_bgr=_colour(hulls, "rotors", where),
-            ),
-            hull_colours=_hull_colours(hulls.section("colours"), where),
-            disc_back_bgr=_colour(discs, "back", where),
-            board_white_bgr=_colour(boards, "white", where),
-            board_black_bgr=_colour(boards, "black", where),
-            board_margin_squares=boards.number("margin_squares", minimum=0.0, maximum=10.0),
-        ),
-        imaging=_imaging(root.section("imaging"), where),
-        paints=paints,
-        catalogue=load_landmark_catalogue(),
-    )
-    for section in (discs, hulls, boards, root):
-        section.done()
-    return style
+def room_geometry(room, arena):
+    """What never moves: polygons, the net's cords, their colour, and posts, of RoomParams around an Arena.
 
-
-def room_geometry(room):
-    """Room of RoomParams: all that never moves, as polygons and lines."""
+    Polygons and posts are lists of (bgr, list of (n, 3) outlines [m]) in painter's order, posts in front of the cords;
+    cords: (k, 2, 3) their ends.
+    """
     x, y, z = room.half_x_m, room.half_y_m, room.height_m
     floor = _rectangle("floor", (0.0, 0.0), (2.0 * x, 2.0 * y), room)
-    polygons = [(room.floor_bgr, [floor])]
+    polygons = [(room.shaded(room.floor), [floor])]
     counts = [int(math.ceil(2.0 * half_m / room.tile_m)) for half_m in (x, y)]
     tiles = []
     for i in range(counts[0]):
@@ -413,10 +362,10 @@ def room_geometry(room):
             x0, y0 = i * room.tile_m - x, j * room.tile_m - y
             x1, y1 = min(x0 + room.tile_m, x), min(y0 + room.tile_m, y)
             tiles.append(np.array([(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)]))
-    polygons.append((room.tile_bgr, tiles))
-    marks = _marks(room)
-    polygons += [(room.dark_mark_bgr, marks[::2]), (room.light_mark_bgr, marks[1::2])]
-    polygons.append((room.ceiling_bgr, [floor + (0.0, 0.0, z)]))
+    polygons.append((bgr_of_hsv(room.floor_tiles), tiles))
+    marks = _marks(room, arena)
+    polygons += [(bgr_of_hsv(room.dark_marks), marks[::2]), (bgr_of_hsv(room.light_marks), marks[1::2])]
+    polygons.append((bgr_of_hsv(room.ceiling), [floor + (0.0, 0.0, z)]))
     width_m, depth_m = room.lamp_size_m
     lamps = [
         floor_rectangle + (0.0, 0.0, z)
@@ -424,23 +373,25 @@ def room_geometry(room):
         for v in (-0.5 * y, 0.5 * y)
         for floor_rectangle in [_rectangle("floor", (u, v), (depth_m, width_m), room)]
     ]
-    polygons.append((room.lamp_bgr, lamps))
+    polygons.append((bgr_of_hsv(room.lamps), lamps))
     skirting = []
-    for on in _SURFACES[:4]:
+    for on in _WALLS:
         length_m = 2.0 * (y if on in ("front", "back") else x)
-        polygons.append((room.wall_bgr[on], [_rectangle(on, (0.0, 0.5 * z), (length_m, z), room)]))
+        polygons.append((room.shaded(getattr(room.walls, on)), [_rectangle(on, (0.0, 0.5 * z), (length_m, z), room)]))
         skirting.append(_rectangle(on, (0.0, 0.5 * room.skirting_m), (length_m, room.skirting_m), room))
-    polygons.append((room.skirting_bgr, skirting))
-    polygons += [(panel.bgr, [_rectangle(panel.surface, panel.centre_m, panel.size_m, room)]) for panel in room.panels]
-    cords, posts = _net(room)
-    return Room(polygons, cords, room.net_bgr, [(room.post_bgr, posts)])
+    polygons.append((bgr_of_hsv(room.skirting), skirting))
+    polygons += [
+        (bgr_of_hsv(panel.hsv), [_rectangle(panel.surface, panel.centre_m, panel.size_m, room)])
+        for panel in room.panels
+    ]
+    cords, posts = _net(room, arena)
+    return polygons, cords, bgr_of_hsv(room.net), [(bgr_of_hsv(room.posts), posts)]
 
 
-def board_layers(board, scene):
-    """[(bgr, outlines)] of a Board's front in painter's order; outlines: list of (n, 3) [m], cortex frame."""
+def board_layers(board, params):
+    """[(bgr, outlines)] of a Board's front in painter's order; outlines: list of (n, 3) [m]. params: BoardParams."""
     half_x, half_y = 0.5 * (board.columns + 1), 0.5 * (board.rows + 1)
-    margin = scene.board_margin_squares
-    sheet = _unit_square(2.0 * (half_x + margin), 2.0 * (half_y + margin), 12)
+    sheet = _unit_square(2.0 * (half_x + params.margin_squares), 2.0 * (half_y + params.margin_squares), 12)
     white = board.to_cortex(sheet[:, 0], sheet[:, 1])
     square = _unit_square(1.0, 1.0, 2)
     column, row = np.meshgrid(np.arange(board.columns + 1), np.arange(board.rows + 1))
@@ -448,13 +399,13 @@ def board_layers(board, scene):
     middles = np.stack((column[is_black] + 0.5 - half_x, row[is_black] + 0.5 - half_y), axis=1)
     corners = (middles[:, None] + square).reshape(-1, 2)
     black = np.split(board.to_cortex(corners[:, 0], corners[:, 1]), len(middles))
-    return [(scene.board_white_bgr, [white]), (scene.board_black_bgr, black)]
+    return [(bgr_of_hsv(params.white), [white]), (bgr_of_hsv(params.black), black)]
 
 
-def _marks(room):
+def _marks(room, arena):
     """Outlines of the wear marks: always the same, at random places of the arena."""
     rng = np.random.default_rng(0)
-    half_m = (room.net.half_x_m, room.net.half_y_m)
+    half_m = (arena.half_x_m, arena.half_y_m)
     marks = []
     for _ in range(room.marks):
         (x, y), length_m, angle = (
@@ -469,9 +420,9 @@ def _marks(room):
     return marks
 
 
-def _net(room):
+def _net(room, arena):
     """Cords (k, 2, 3) [m] of the net, cut into pieces, and its corner posts as outlines."""
-    half_x, half_y, top = room.net.half_x_m, room.net.half_y_m, min(room.net.height_m, room.height_m)
+    half_x, half_y, top = arena.half_x_m, arena.half_y_m, min(arena.height_m, room.height_m)
     ends = []
     for half, side, axis in ((half_y, half_x, 0), (half_x, half_y, 1)):
         across = np.linspace(-half, half, max(2, int(round(2.0 * half / room.net_mesh_m)) + 1))
@@ -526,79 +477,3 @@ def _unit_square(width, height, cuts):
     ends = np.roll(corners, -1, axis=0)
     share = np.arange(cuts)[:, None] / cuts
     return np.concatenate([a + share * (b - a) for a, b in zip(corners, ends)])
-
-
-def _colour(section, key, where):
-    hsv = section.vector(key, 3)
-    if not (0.0 <= hsv[0] < 180.0 and 0.0 <= hsv[1] <= 255.0 and 0.0 <= hsv[2] <= 255.0):
-        raise ValueError(
-            "%s: colour '%s' must be OpenCV HSV (hue 0..179, saturation and value 0..255), found %r"
-            % (where, key, list(hsv))
-        )
-    return bgr_of_hsv(hsv)
-
-
-def _hull_colours(section, where):
-    hulls = []
-    for name in section.keys():
-        colours = section.section(name)
-        hulls.append(HullColour(name, _colour(colours, "nose", where), _colour(colours, "tail", where)))
-        colours.done()
-    if not hulls:
-        raise ValueError("%s, hulls: 'colours' needs one hull at least" % where)
-    return tuple(hulls)
-
-
-def _room(section, where):
-    walls = section.section("walls")
-    room = RoomParams(
-        half_x_m=section.number("half_x_m", minimum=NET_HALF_X_M, maximum=100.0),
-        half_y_m=section.number("half_y_m", minimum=NET_HALF_Y_M, maximum=100.0),
-        height_m=section.number("height_m", minimum=1.0, maximum=100.0),
-        tile_m=section.number("tile_m", minimum=0.1, maximum=100.0),
-        floor_bgr=_colour(section, "floor", where),
-        tile_bgr=_colour(section, "floor_tiles", where),
-        marks=_whole(section, "marks", where, 2000),
-        mark_m=section.number("mark_m", minimum=0.001, maximum=1.0),
-        dark_mark_bgr=_colour(section, "dark_marks", where),
-        light_mark_bgr=_colour(section, "light_marks", where),
-        ceiling_bgr=_colour(section, "ceiling", where),
-        lamp_bgr=_colour(section, "lamps", where),
-        lamp_size_m=section.vector("lamp_size_m", 2),
-        wall_bgr={on: _colour(walls, on, where) for on in _SURFACES[:4]},
-        skirting_bgr=_colour(section, "skirting", where),
-        skirting_m=section.number("skirting_m", minimum=0.0, maximum=1.0),
-        net_bgr=_colour(section, "net", where),
-        net_mesh_m=section.number("net_mesh_m", minimum=0.05, maximum=10.0),
-        post_bgr=_colour(section, "posts", where),
-        post_m=section.number("post_m", minimum=0.005, maximum=1.0),
-        panels=tuple(_panel(panel, where) for panel in section.sections("panels", ())),
-    )
-    walls.done()
-    section.done()
-    return room
-
-
-def _whole(section, key, where, maximum):
-    value = section.number(key, minimum=0, maximum=maximum)
-    if value != int(value):
-        raise ValueError("%s: '%s' must be a whole number, found %r" % (where, key, value))
-    return int(value)
-
-
-def _panel(section, where):
-    surface = section.text("surface")
-    if surface not in _SURFACES:
-        known = ", ".join(_SURFACES)
-        raise ValueError("%s, panels: 'surface' must be one of %s, found '%s'" % (where, known, surface))
-    panel = Panel(surface, section.vector("centre_m", 2), section.vector("size_m", 2), _colour(section, "hsv", where))
-    section.done()
-    if min(panel.size_m) <= 0.0:
-        raise ValueError("%s, panels: 'size_m' must be positive, found %r" % (where, list(panel.size_m)))
-    return panel
-
-
-def _imaging(section, where):
-    values = {name: section.number(name, minimum=low, maximum=high) for name, (low, high) in _IMAGING_LIMITS.items()}
-    section.done()
-    return ImagingParams(**values)

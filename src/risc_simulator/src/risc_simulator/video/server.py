@@ -1,7 +1,7 @@
 """One aircraft's video: its cameras, its encoder, and the clients of its TCP port 5555."""
 
 import functools
-import socket
+import weakref
 from collections import deque
 
 import cv2
@@ -10,7 +10,7 @@ import numpy as np
 from ardrone_autonomy.protocol.video import FrameType, parse_header
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import load_calibration, load_mount
-from risc_simulator.socket_host import reset
+from risc_simulator.socket_host import TcpClients
 from risc_simulator.video.camera_pose import camera_pose
 from risc_simulator.video.checkerboard_motion import Waving
 from risc_simulator.video.encoder import H264Encoder
@@ -26,14 +26,14 @@ MAX_BACKLOG_BYTES = 512 * 1024  # a client that reads slower than this loses pic
 class Eye:
     """One camera of one vehicle."""
 
-    def __init__(self, camera, fleet_vehicle, scene, imaging, seed):
+    def __init__(self, camera, fleet_vehicle, scene, seed):
         """camera: vehicles.VirtualCamera. ValueError for a bad calibration or mount, of the type or the fleet file."""
         calibration, self.mount, self._sensor_px = camera.calibration, camera.mount, camera.sensor_px
         if camera.by_fleet:
             calibration = fleet_vehicle.calibration or calibration
             self.mount = load_mount(fleet_vehicle.camera_mount) if fleet_vehicle.camera_mount else self.mount
         self.camera = Camera(load_calibration(calibration))
-        self._make_renderer = functools.partial(Renderer, self.camera, scene, imaging, seed)
+        self._make_renderer = functools.partial(Renderer, self.camera, scene, seed)
         self._waving = None  # made when it is needed
 
     @functools.cached_property
@@ -72,8 +72,10 @@ class Station:
         """
         self.listener = listener
         listener.setblocking(False)
-        self._eyes, self._latency_s, self._notices, self.stream = eyes, latency_s, notices, stream
-        self._clients = {}  # socket -> _Client
+        self._eyes, self._latency_s, self.stream = eyes, latency_s, stream
+        self._clients = TcpClients(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive)
+        # who has missed something; a new client gets what comes, as from the aircraft: from the middle of the stream
+        self._waiting_for_keyframe = weakref.WeakSet()
         self._encoder, self._encoder_settings = None, None
         self._writer = StreamWriter()
         self._on_the_way = deque()  # (time to send, bytes)
@@ -96,36 +98,29 @@ class Station:
     @property
     def watchers(self):
         """How many clients are connected."""
-        return len(self._clients)
+        return len(self._clients.backlogs)
 
     def sockets(self):
         """Sockets to wait on."""
-        return [self.listener] + list(self._clients)
+        return [self.listener, *self._clients.backlogs]
 
     def blocked(self):
         """Sockets of clients that have not taken everything yet: wait until they can be written."""
-        return [sock for sock, client in self._clients.items() if client.backlog]
+        return [sock for sock, backlog in self._clients.backlogs.items() if backlog]
 
     def on_readable(self, sock):
-        """A client comes, or says something (which is of no interest) or goes."""
+        """A client comes, or says something, or goes."""
         if sock is self.listener:
-            self._accept()
-            return
-        try:
-            gone = not sock.recv(4096)
-        except BlockingIOError:
-            return
-        except OSError:
-            gone = True
-        if gone:
-            self._hang_up(sock)
+            self._clients.accept()
+        else:
+            self._clients.drain(sock)
 
     def due_s(self, rate_hz, now_s, is_on=True):
         """When the next picture is to be exposed; None while nobody watches, or the camera is off."""
-        if not self._clients:
+        if not self.watchers:
             self._encoder = None  # the next watcher starts with an IDR frame
             self._on_the_way.clear()
-        if not self._clients or not is_on:
+        if not self.watchers or not is_on:
             self.next_s = None
             return None
         if self.next_s is None:
@@ -173,73 +168,25 @@ class Station:
             self._late_s = None
             is_keyframe = parse_header(data).frame_type == FrameType.IDR
             self.pictures += link_up
-            for sock, client in list(self._clients.items()):
-                if link_up:
-                    self.stream.carry((data, is_keyframe), sock, lab_s, self._offer, self._cut)
-                else:
-                    client.waits_for_keyframe = True
+            if link_up:
+                self._clients.write((data, is_keyframe), lab_s)
+            else:
+                self._waiting_for_keyframe.update(self._clients.backlogs)
         if link_up:
-            for sock, client in list(self._clients.items()):
-                if not client.flush(sock):
-                    self._hang_up(sock)
-
-    def _offer(self, picture, sock, _lab_s):
-        if sock in self._clients:
-            self._clients[sock].offer(*picture)
-
-    def _cut(self, sock):
-        if sock in self._clients:
-            reset(sock)
-            self._hang_up(sock)
+            self._clients.flush()
 
     def close(self):
         """Hang up on everybody."""
-        for sock in list(self._clients):
-            self._hang_up(sock)
+        self._clients.close()
         self.listener.close()
 
-    def _accept(self):
-        try:
-            client, sender = self.listener.accept()
-        except OSError:  # gone again
-            return
-        self._notices.event("asks for video", sender)
-        if len(self._clients) >= MAX_CLIENTS:
-            client.close()
-            return
-        client.setblocking(False)
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._clients[client] = _Client()
-
-    def _hang_up(self, sock):
-        sock.close()
-        del self._clients[sock]
-
-
-class _Client:
-    """What one client has still to get."""
-
-    def __init__(self):
-        self.backlog = bytearray()
-        self.waits_for_keyframe = False  # as the aircraft: a new client gets what comes, from the middle of the stream
-
-    def offer(self, data, is_keyframe):
-        if len(self.backlog) + len(data) > MAX_BACKLOG_BYTES:
-            self.waits_for_keyframe = True
-        elif is_keyframe or not self.waits_for_keyframe:
-            self.waits_for_keyframe = False
-            self.backlog += data
-
-    def flush(self, sock):
-        """False when the client is gone."""
-        if self.backlog:
-            try:
-                del self.backlog[: sock.send(self.backlog)]
-            except BlockingIOError:
-                pass
-            except OSError:
-                return False
-        return True
+    def _arrive(self, picture, sock):
+        (data, is_keyframe), backlog = picture, self._clients.backlogs[sock]
+        if len(backlog) + len(data) > MAX_BACKLOG_BYTES:
+            self._waiting_for_keyframe.add(sock)
+        elif is_keyframe or sock not in self._waiting_for_keyframe:
+            self._waiting_for_keyframe.discard(sock)
+            backlog += data
 
 
 def seed_of(seed, index, channel):

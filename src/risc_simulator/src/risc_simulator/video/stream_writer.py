@@ -1,20 +1,17 @@
 """Pictures into the framing of an AR.Drone 2.0, PaVE; the other direction is ardrone_autonomy.protocol.video."""
 
+import re
+
 from ardrone_autonomy.protocol.video import VERSION, Codec, FrameType, PaveHeader, pack_header
 
 _UINT32 = 0xFFFFFFFF
 _NAL_IDR, _NAL_SPS, _NAL_PPS = 5, 7, 8
-_START = b"\0\0\1"
+_START = re.compile(b"\0?\0\0\1(?=.)", re.DOTALL)
 
 
 def nal_units(payload):
     """(type, first byte, end) of every NAL unit of an Annex B payload; its start code (3 or 4 bytes) counts to it."""
-    starts = []
-    position = payload.find(_START)
-    while 0 <= position < len(payload) - 3:
-        begin = position - 1 if position > 0 and payload[position - 1] == 0 else position
-        starts.append((payload[position + 3] & 0x1F, begin))
-        position = payload.find(_START, position + 3)
+    starts = [(payload[found.end()] & 0x1F, found.start()) for found in _START.finditer(payload)]
     ends = [begin for _, begin in starts[1:]] + [len(payload)]
     return [(kind, begin, end) for (kind, begin), end in zip(starts, ends)]
 

@@ -270,22 +270,14 @@ def layout_of(view, drawn, time_text=""):
     for (topic, ns, _), marker in drawn.items():
         below = topic == REFERENCES and ns == REFERENCE_NAMES and topic in shown
         if topic in NAMES or topic == GRID or below:
-            offset_m = np.multiply(0.0 if topic == GRID else -1.0 if below else 1.0, LABEL_M)
-            reach_m = THING_REACH_M
-            if topic == VEHICLE_NAMES:
-                reach_m = HANDLES_REACH_M if tuner else VEHICLE_REACH_M
-            at = marker.pose.position
-            names.append(_name(view, marker, (at.x, at.y, at.z) - offset_m, reach_m, topic))
+            is_vehicle, at = topic == VEHICLE_NAMES, marker.pose.position
+            reach_m = (HANDLES_REACH_M if tuner else VEHICLE_REACH_M) if is_vehicle else THING_REACH_M
+            at_m = (at.x, at.y, at.z) - np.multiply(0.0 if topic == GRID else -1.0 if below else 1.0, LABEL_M)
+            anchor, *around = view.camera.project(np.vstack((at_m, at_m + outline_m(*reach_m))), *view.scene_px)
+            reach_px = np.abs(np.subtract(around, anchor)).max(axis=0)
+            rgb, places = _faded(marker, view.scheme), (tuple(anchor.tolist()), tuple(reach_px.tolist()))
+            names.append(Name(marker.text, *places, rgb, topic != GRID, is_vehicle))
     return captions.lay_out(names, _rows(drawn, shown, tuner, time_text), view.size_px, view.scheme)
-
-
-def _name(view, marker, at_m, reach_m, topic):
-    """Name of a text marker whose thing is at at_m and reaches so far around it."""
-    anchor = view.camera.project(at_m, *view.scene_px)
-    around = view.camera.project(at_m + outline_m(*reach_m), *view.scene_px)
-    reach_px = tuple(np.abs(around - anchor).max(axis=0).tolist())
-    rgb = _faded(marker, view.scheme)
-    return Name(marker.text, tuple(anchor.tolist()), reach_px, rgb, topic != GRID, topic == VEHICLE_NAMES)
 
 
 def outline_m(across, up):

@@ -20,7 +20,7 @@ Where the public documents leave a choice, this aircraft does:
 import logging
 import math
 import socket
-from collections import Counter, deque, namedtuple
+from collections import deque, namedtuple
 from dataclasses import replace
 from types import SimpleNamespace
 from zlib import crc32
@@ -33,7 +33,7 @@ from ardrone_autonomy.protocol.navdata import ControlState, State
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.notices import Notices
-from risc_simulator.socket_host import VehicleHost, open_socket, reset
+from risc_simulator.socket_host import TcpClients, VehicleHost, open_socket
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S, LOW_BATTERY_PCT
 from risc_simulator.vehicles.ardrone.ftp import FtpServer
 from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
@@ -54,7 +54,6 @@ CLIMB_STEP_M_S = 0.005  # smaller changes by the altitude limit are not worth a 
 FOREVER_S = 1e9  # upper limit of the client's own time-out
 EARLY_S = 1e-6  # what rounding may make of the time at which something is due
 
-DATAGRAMS_PER_CALL = 64
 MAX_CONTROL_CLIENTS = 16
 MAX_TCP_BACKLOG_BYTES = 256 * 1024
 
@@ -91,31 +90,6 @@ STANDARD_PORTS = Ports(
 Sticks = namedtuple("Sticks", "flags roll pitch gaz yaw psi psi_accuracy sequence time_s")
 _NO_STICKS = Sticks(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0)
 
-_COUNTS = (
-    "at_datagrams",
-    "at_commands",
-    "at_malformed",
-    "at_stale",
-    "at_unknown",
-    "wake_ups",
-    "not_wake_ups",
-    "navdata_sent",
-    "send_errors",
-    "receive_errors",
-    "config_writes",
-    "config_ignored",
-    "config_readbacks",
-    "com_watchdogs",
-    "com_losses",
-    "take_offs",
-    "take_offs_refused",
-    "landings",
-    "emergencies",
-    "datagrams_lost_in",
-    "datagrams_lost_out",
-    "tcp_clients_refused",
-)
-
 
 class ArdroneHost(VehicleHost):
     """One aircraft.
@@ -132,19 +106,10 @@ class ArdroneHost(VehicleHost):
     address or port cannot be used; nothing that arrives later raises.
     """
 
-    def __init__(
-        self,
-        vehicle,
-        address,
-        ports=STANDARD_PORTS,
-        seed=0,
-        sensor_noise=1.0,
-        radio_loss=0.0,
-        wires=None,
-    ):
+    def __init__(self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, wires=None):
         super().__init__(vehicle, wires)
         self._commands, self._wake_ups, self._navdata = map(self.wire, ("commands", "wake_ups", "navdata"))
-        self._control, ftp, _ = map(self.stream, ("control", "ftp", "video"))
+        control, ftp, _ = map(self.stream, ("control", "ftp", "video"))
         self.address = address
         rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
         rate_hz = vehicle.type.command_rate_hz
@@ -154,11 +119,8 @@ class ArdroneHost(VehicleHost):
         self._rest_height_m = vehicle.height_m if vehicle.phase is FlightPhase.LANDED else 0.0
         self.sensors = ArdroneSensors(rng, sensor_noise, self._rest_height_m)
         serial = "PS721%09d" % (crc32(address.encode("ascii")) % 10**9)
-        self.configuration = ConfigurationStore(
-            {"general:drone_serial": serial, "general:ardrone_name": vehicle.namespace}
-        )
+        self.configuration = ConfigurationStore(serial, vehicle.namespace)
         self.notes = {}  # last LED, animation, ... that was acknowledged but not performed
-        self._counts = Counter()
         self._notices = Notices(_LOG, vehicle.namespace)
 
         # link
@@ -201,7 +163,7 @@ class ArdroneHost(VehicleHost):
         self._next_packet_s = -math.inf
         self._writer = None
 
-        self._control_clients = {}  # socket -> bytes waiting
+        self._readers = None  # TcpClients of the configuration
         self._video = None  # video.launcher.VehicleVideo
         self._sockets = {}  # name -> socket
         self._ftp = None
@@ -209,6 +171,10 @@ class ArdroneHost(VehicleHost):
             for name in Ports._fields:
                 kind = socket.SOCK_DGRAM if name in ("navdata", "at") else socket.SOCK_STREAM
                 self._sockets[name] = open_socket(kind, address, getattr(ports, name), vehicle.namespace)
+            asks, most = "reads the configuration", MAX_CONTROL_CLIENTS
+            self._readers = TcpClients(
+                self._sockets["control"], control, self._notices, asks, most, self._write, self._waiting
+            )
             self._ftp = FtpServer(self._sockets["ftp"], self._notices, ftp)
         except OSError:
             self.close()
@@ -235,7 +201,7 @@ class ArdroneHost(VehicleHost):
         """Wait for those listeners and streams that are to be served now."""
         served = []
         if self._sockets and not self.link_lost:  # stalled streams would be readable for ever
-            served = [self._sockets["control"], *self._control_clients, self._ftp]
+            served = [self._sockets["control"], *self._readers.backlogs, self._ftp]
             if self._video is not None and self._video.wants_clients:  # else the camera process accepts
                 served.append(self.video_listener)
         datagrams = [self._sockets.get("at"), self._sockets.get("navdata")]
@@ -249,22 +215,22 @@ class ArdroneHost(VehicleHost):
         """Take what has come in on one of sockets() at lab time now_s."""
         self._now_s = now_s
         if sock is self._sockets.get("at"):
-            for data, sender in self._receive(sock):
+            for data, sender in self.receive(sock):
                 self._commands.carry(data, sender, now_s, self._on_at_datagram)
         elif sock is self._sockets.get("navdata"):
-            for data, sender in self._receive(sock):
+            for data, sender in self.receive(sock):
                 self._wake_ups.carry(data, sender, now_s, self._on_wake_up)
         elif self.link_lost:
             self.watch_streams()  # a loss that has just begun: streams stall
         elif sock is self._ftp:
             self._ftp.serve(now_s)
         elif sock is self._sockets.get("control"):
-            self._accept(sock)
+            self._readers.accept()
         elif sock is self._sockets.get("video"):
             self._video.start()  # accepts as soon as it is up
             self.watch_streams()
-        elif sock in self._control_clients:
-            self._drain(sock)
+        else:
+            self._readers.drain(sock)
         self._find_due(self._vehicle.phase)
 
     def tick(self, now_s):
@@ -283,8 +249,8 @@ class ArdroneHost(VehicleHost):
         self._watch_phase(phase)
         self._watch_link(now_s, phase)
         self._pilot(now_s, phase)
-        if self._control_clients and link_up:
-            self._flush_control_clients()
+        if link_up:
+            self._readers.flush()
         if self._client is not None and now_s >= self._next_packet_s - 0.1 * FULL_PERIOD_S:
             self._send_navdata(now_s, phase)
         self._find_due(phase)
@@ -304,19 +270,17 @@ class ArdroneHost(VehicleHost):
         if self._start is not None:
             if (phase is FlightPhase.LANDED and self._armed) if self._start else phase in _CAN_LAND:
                 due_s = min(due_s, self._rest_until_s)
-        if self._link_up and any(self._control_clients.values()):
+        if self._link_up and any(self._readers.backlogs.values()):
             due_s = -math.inf
         self._due_s = due_s - EARLY_S
 
     def close(self):
         """Close all sockets. May be called twice."""
-        for sock in (*self._sockets.values(), *self._control_clients):
-            sock.close()
+        for server in (self._readers, self._ftp, *self._sockets.values()):
+            if server is not None:
+                server.close()
         self._waiting.close()
-        if self._ftp is not None:
-            self._ftp.close()
-        self._ftp = None
-        self._sockets, self._control_clients = {}, {}
+        self._ftp, self._sockets = None, {}
 
     def describe(self):
         """One line for people: what listens where."""
@@ -333,96 +297,36 @@ class ArdroneHost(VehicleHost):
         if self._video is not None:
             self._video.set_link(self._link_up)
 
-    @property
-    def state_bits(self):
-        """State bits as the next packet would carry them, an int of navdata.State."""
-        return self._state_bits(self._vehicle.phase)
-
     def get(self, key):
         """Typed value of a configuration key in force."""
         return self.configuration.get(key)
 
     def statistics(self):
-        """Counts since the start."""
-        result = {name: self._counts[name] for name in _COUNTS}
+        """Counts since the start; what has never happened is not in it and counts 0."""
+        result = self._counts.copy()
         result["radio_slots_lost"] = self._radio.slots_lost
         result["sticks_superseded"] = self._radio.items_superseded
+        result["tcp_clients_refused"] = self._readers.refused
         result["notices"] = self._notices.statistics()
         return result
 
     # --- sockets --------------------------------------------------------------------------------------------------
 
-    def _receive(self, sock):
-        for _ in range(DATAGRAMS_PER_CALL):
-            try:
-                data, sender = sock.recvfrom(65536)
-            except BlockingIOError:
-                return
-            except OSError:
-                self._counts["receive_errors"] += 1
-                return
+    def receive(self, sock):
+        for datagram in super().receive(sock):
             if self.link_lost:
                 self._counts["datagrams_lost_in"] += 1
             else:
-                yield data, sender
+                yield datagram
 
-    def _accept(self, listener):
-        try:
-            client, sender = listener.accept()
-        except OSError:  # gone again
-            return
-        client.setblocking(False)
-        if len(self._control_clients) >= MAX_CONTROL_CLIENTS:
-            self._counts["tcp_clients_refused"] += 1
-            self._notices.complaint("is turned away: too many clients", sender)
-            client.close()
-            return
-        self._notices.event("reads the configuration", sender)
-        self._waiting.add(client)
-        self._control_clients[client] = b""
-
-    def _drain(self, sock):
-        """What clients say on the streams is of no interest; that they hang up is."""
-        try:
-            data = sock.recv(4096)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._hang_up(sock)
-
-    def _hang_up(self, sock):
-        if sock in self._control_clients:
-            self._waiting.discard(sock)
-            sock.close()
-            del self._control_clients[sock]
-
-    def _cut(self, sock):
-        reset(sock)
-        self._hang_up(sock)
-
-    def _write(self, text, sock, _now_s):
+    def _write(self, text, sock):
         """Text for a client that reads the configuration."""
-        waiting = self._control_clients.get(sock)
-        if waiting is not None and len(waiting) + len(text) > MAX_TCP_BACKLOG_BYTES:
-            self._hang_up(sock)  # asks and never reads
-        elif waiting is not None:
-            self._control_clients[sock] = waiting + text
+        backlog = self._readers.backlogs[sock]
+        if len(backlog) + len(text) > MAX_TCP_BACKLOG_BYTES:
+            self._readers.hang_up(sock)  # asks and never reads
+        else:
+            backlog += text
             self._due_s = -math.inf
-
-    def _flush_control_clients(self):
-        for sock, waiting in list(self._control_clients.items()):
-            if not waiting:
-                continue
-            try:
-                sent = sock.send(waiting)
-            except BlockingIOError:
-                continue
-            except OSError:
-                self._hang_up(sock)
-                continue
-            self._control_clients[sock] = waiting[sent:]
 
     # --- commands ---------------------------------------------------------------------------------------------------
 
@@ -509,15 +413,14 @@ class ArdroneHost(VehicleHost):
         mode = command.arguments[0]
         if mode == at.CtrlMode.CLEAR_ACK:
             self._ack = False
-        elif mode in (at.CtrlMode.SEND_CONFIG, at.CtrlMode.SEND_CUSTOM_IDS) and self._control_clients:
+        elif mode in (at.CtrlMode.SEND_CONFIG, at.CtrlMode.SEND_CUSTOM_IDS) and self._readers.backlogs:
             # without a listener nothing is acknowledged, so the client asks again
             self._ack = True
             self._counts["config_readbacks"] += 1
             text = (
                 self.configuration.text() if mode == at.CtrlMode.SEND_CONFIG else self.configuration.custom_ids_text()
             )
-            for sock in list(self._control_clients):
-                self._control.carry(text, sock, now_s, self._write, self._cut)
+            self._readers.write(text, now_s)
 
     def _on_comwdg(self, _command, _now_s):
         self._com_watchdog = False
@@ -762,18 +665,19 @@ class ArdroneHost(VehicleHost):
         else:
             major = _MAJOR[phase]
         minor = _HOVERING_LOST_COM if phase is FlightPhase.HOVERING and self._com_lost_s is not None else 0
-        frame = Frame()
-        frame.reading = self.sensors.read(state, airborne, now_s)
-        frame.time_s = max(0.0, now_s)
-        frame.ctrl_state = major << 16 | minor
-        frame.sticks = self._sticks
         s = self._scheduled
-        frame.command = (s.roll_rad, s.pitch_rad, s.climb_m_s, s.yaw_rate_rad_s)
-        frame.ref_sequence = self._ref_sequence
-        frame.ref_gap_ms = self._ref_gap_ms
-        frame.cycles = self._cycles
-        frame.picture = (0, 0) if self._video is None else self._video.newest_picture
-        return frame
+        return Frame(
+            reading=self.sensors.read(state, airborne, now_s),
+            time_s=max(0.0, now_s),
+            ctrl_state=major << 16 | minor,
+            sticks=self._sticks,
+            command=(s.roll_rad, s.pitch_rad, s.climb_m_s, s.yaw_rate_rad_s),
+            ref_sequence=self._ref_sequence,
+            ref_gap_ms=self._ref_gap_ms,
+            cycles=self._cycles,
+            picture=(0, 0) if self._video is None else self._video.newest_picture,
+            trim_deg=self.sensors.trim_deg,
+        )
 
     def _state_bits(self, phase):
         bits = _BASE_STATE

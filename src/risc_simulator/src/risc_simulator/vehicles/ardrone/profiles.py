@@ -26,11 +26,10 @@ _ID_KEYS = {
     "custom:session_id": Category.SESSION,
 }
 _DESCRIPTION_KEYS = {
-    "custom:application_desc": Category.APPLICATION,
-    "custom:profile_desc": Category.USER,
-    "custom:session_desc": Category.SESSION,
+    Category.APPLICATION: "custom:application_desc",
+    Category.USER: "custom:profile_desc",
+    Category.SESSION: "custom:session_desc",
 }
-_DEFAULT_DESCRIPTIONS = {_DESCRIPTION_KEYS[k]: config.KEYS[k].default for k in _DESCRIPTION_KEYS}
 
 NO_LIMIT_MM = 100000  # altitude_max of "no limit"
 
@@ -43,16 +42,12 @@ class ConfigurationStore:
     leading minus deletes, "-all" deletes all).  Write with the ids of the preceding CONFIG_IDS, or None without one.
     """
 
-    def __init__(self, fixed=None):
-        """fixed: {"section:name": typed value} for what differs from the SDK defaults of this aircraft."""
+    def __init__(self, serial="PS721000000000000", name="My ARDrone"):
+        """serial, name: of this aircraft; all else begins with the SDK defaults."""
         self._common = {key: spec.default for key, spec in config.KEYS.items() if spec.category is Category.COMMON}
-        for key, value in (fixed or {}).items():
-            if key not in self._common:
-                raise ValueError("%r is not a common configuration key" % (key,))
-            self._common[key] = value
-        self._profiles = {category: {config.DEFAULT_ID: {}} for category in _DEFAULT_DESCRIPTIONS}
-        self._descriptions = {category: {config.DEFAULT_ID: text} for category, text in _DEFAULT_DESCRIPTIONS.items()}
-        self._current = dict.fromkeys(_DEFAULT_DESCRIPTIONS, config.DEFAULT_ID)
+        self._common.update({"general:drone_serial": serial, "general:ardrone_name": name})
+        self._profiles = {category: {config.DEFAULT_ID: {}} for category in _DESCRIPTION_KEYS}  # values by key, by id
+        self._current = dict.fromkeys(_DESCRIPTION_KEYS, config.DEFAULT_ID)
 
     @property
     def current_ids(self):
@@ -66,10 +61,7 @@ class ConfigurationStore:
             return self._common[key]
         if key in _ID_KEYS:
             return self._current[_ID_KEYS[key]]
-        current = self._current[spec.category]
-        if key in _DESCRIPTION_KEYS:
-            return self._descriptions[spec.category][current]
-        return self._profiles[spec.category][current].get(key, spec.default)
+        return self._profiles[spec.category][self._current[spec.category]].get(key, spec.default)
 
     def write(self, key, text, ids=None):
         """Obey one CONFIG command.
@@ -104,11 +96,8 @@ class ConfigurationStore:
     def _set(self, spec, value, to_default_profile=False):
         if spec.category is Category.COMMON:
             self._common[spec.key] = value
-            return
-        identity = config.DEFAULT_ID if to_default_profile else self._current[spec.category]
-        if spec.key in _DESCRIPTION_KEYS:
-            self._descriptions[spec.category][identity] = value
         else:
+            identity = config.DEFAULT_ID if to_default_profile else self._current[spec.category]
             self._profiles[spec.category][identity][spec.key] = value
 
     def _side_effects(self, spec, value, to_default_profile):
@@ -121,20 +110,19 @@ class ConfigurationStore:
             self._set(config.KEYS["control:%s_%s" % (mode, spec.name)], value, to_default_profile)
 
     def _select(self, category, text):
-        profiles, descriptions = self._profiles[category], self._descriptions[category]
+        profiles = self._profiles[category]
         if text.startswith("-"):
             doomed = [i for i in profiles if i != config.DEFAULT_ID] if text == "-all" else [text[1:]]
             for identity in doomed:
                 if identity == config.DEFAULT_ID or identity not in profiles:
                     return False
-                del profiles[identity], descriptions[identity]
+                del profiles[identity]
                 if self._current[category] == identity:
                     self._current[category] = config.DEFAULT_ID
             return True
         if not config.is_id(text):
             return False
-        profiles.setdefault(text, {})
-        descriptions.setdefault(text, "")
+        profiles.setdefault(text, {_DESCRIPTION_KEYS[category]: ""})
         self._current[category] = text
         return True
 
@@ -147,5 +135,11 @@ class ConfigurationStore:
     def custom_ids_text(self):
         """Readback for CTRL 6, bytes."""
         return config.encode_custom_ids(
-            *[self._descriptions[c] for c in (Category.APPLICATION, Category.USER, Category.SESSION)]
+            *[
+                {
+                    identity: profile.get(key, config.KEYS[key].default)
+                    for identity, profile in self._profiles[c].items()
+                }
+                for c, key in _DESCRIPTION_KEYS.items()
+            ]
         )

@@ -4,6 +4,7 @@ Axes are the aircraft's: x nose, y right, z down; pitch + nose up, roll + right 
 """
 
 import math
+from typing import NamedTuple
 
 from risc_lab.frames import GRAVITY_M_S2
 
@@ -46,27 +47,27 @@ class _Noise:
         return std * next(self._iterator)
 
 
-class Reading:
-    """One set of readings; see ArdroneSensors.read for units."""
+class Reading(NamedTuple):
+    """One set of readings. Axes are levelled where that is said."""
 
-    __slots__ = (
-        "roll_deg",
-        "pitch_deg",
-        "yaw_deg",
-        "heading_unwrapped_deg",
-        "acceleration_mg",
-        "rates_deg_s",
-        "altitude_m",
-        "altitude_raw_m",
-        "velocity_m_s",
-        "turned_deg",
-        "way_m",
-        "magnetic_mg",
-        "pressure_pa",
-        "battery_pct",
-        "battery_mv",
-        "motor_pwm",
-    )
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float  # in (-180, 180]
+    heading_unwrapped_deg: float  # the same without jumps
+    acceleration_mg: tuple[float, float, float]  # milli-g; at rest z is -1000
+    rates_deg_s: tuple[float, float, float]
+    altitude_m: float  # above standing
+    altitude_raw_m: float  # the same by ultrasound
+    velocity_m_s: tuple[float, float, float]  # forward, right, down, levelled
+    turned_deg: float  # since the first reading
+    way_m: tuple[
+        float, float
+    ]  # flown since then, forward and right as it stood then: velocities added up, so it drifts
+    magnetic_mg: tuple[float, float, float]  # milligauss
+    pressure_pa: float
+    battery_pct: float
+    battery_mv: float
+    motor_pwm: tuple[int, int, int, int]
 
 
 class ArdroneSensors:
@@ -95,16 +96,10 @@ class ArdroneSensors:
         """Reading of a VehicleState at time_s.
 
         airborne: False on the ground, where velocities read 0 and the altitude has no noise.
-        Angles in degrees (yaw in (-180, 180], heading without jumps), accelerations in milli-g (rest: z = -1000),
-        rates in deg/s, altitude in metres above standing (raw: by ultrasound), velocity (3,) in m/s forward, right,
-        down, levelled, magnetic field in body axes in milligauss, pressure in Pa, battery in percent and millivolt.
-        Since the first reading: degrees turned, and the way flown (2,) in metres forward and right as it stood then,
-        which adds up the velocities seen and so drifts.
         """
         n = self._noise
-        reading = Reading()
-        reading.roll_deg = state.phi * _DEG + self._bias_deg[0] - self.trim_deg[0] + n(ATTITUDE_NOISE_DEG)
-        reading.pitch_deg = state.theta * _DEG + self._bias_deg[1] - self.trim_deg[1] + n(ATTITUDE_NOISE_DEG)
+        roll_deg = state.phi * _DEG + self._bias_deg[0] - self.trim_deg[0] + n(ATTITUDE_NOISE_DEG)
+        pitch_deg = state.theta * _DEG + self._bias_deg[1] - self.trim_deg[1] + n(ATTITUDE_NOISE_DEG)
         psi = state.psi
         if self._last_psi is None:
             self._unwrapped = psi
@@ -113,33 +108,30 @@ class ArdroneSensors:
             self._unwrapped += math.remainder(psi - self._last_psi, 2.0 * math.pi)
         self._last_psi = psi
         yaw_noise_deg = n(ATTITUDE_NOISE_DEG)
-        reading.heading_unwrapped_deg = self._unwrapped * _DEG + yaw_noise_deg
+        heading_deg = self._unwrapped * _DEG + yaw_noise_deg
         yaw_deg = math.remainder(psi * _DEG + yaw_noise_deg, 360.0)
-        reading.yaw_deg = 180.0 if yaw_deg == -180.0 else yaw_deg
 
         fx, fy, fz = (1000.0 / GRAVITY_M_S2 * value for value in state.specific_force_m_s2.tolist())
         a = ACCELERATION_NOISE_MG
-        reading.acceleration_mg = (fx + n(a), fy + n(a), fz + n(a))
+        acceleration_mg = (fx + n(a), fy + n(a), fz + n(a))
         g = GYRO_NOISE_DEG_S
-        reading.rates_deg_s = (state.p * _DEG + n(g), state.q * _DEG + n(g), state.r * _DEG + n(g))
+        rates_deg_s = (state.p * _DEG + n(g), state.q * _DEG + n(g), state.r * _DEG + n(g))
 
         x, y, z = state.position_m.tolist()
         height_m = max(0.0, z - self._rest_height_m)
-        reading.altitude_m = max(0.0, height_m + n(ALTITUDE_NOISE_M)) if airborne else height_m
-        reading.altitude_raw_m = max(ULTRASOUND_LEAST_M, height_m + n(ULTRASOUND_NOISE_M) if airborne else height_m)
+        altitude_m = max(0.0, height_m + n(ALTITUDE_NOISE_M)) if airborne else height_m
+        altitude_raw_m = max(ULTRASOUND_LEAST_M, height_m + n(ULTRASOUND_NOISE_M) if airborne else height_m)
         sin_psi, cos_psi = math.sin(psi), math.cos(psi)
+        velocity_m_s = (0.0, 0.0, 0.0)
         if airborne:
             north, west, up = state.velocity_m_s.tolist()
             v = VELOCITY_NOISE_M_S
-            reading.velocity_m_s = (
+            velocity_m_s = (
                 cos_psi * north - sin_psi * west + n(v),
                 -sin_psi * north - cos_psi * west + n(v),
                 -up + n(v),
             )
-        else:
-            reading.velocity_m_s = (0.0, 0.0, 0.0)
-        reading.turned_deg = reading.heading_unwrapped_deg - self._first_heading_deg
-        reading.way_m = self._add_to_the_way(reading, time_s)
+        turned_deg = heading_deg - self._first_heading_deg
 
         # R(phi, theta, psi) takes NED to body: the field is (north, 0, down)
         sin_phi, cos_phi = math.sin(state.phi), math.cos(state.phi)
@@ -147,22 +139,35 @@ class ArdroneSensors:
         north1, east1 = FIELD_NORTH_MG * cos_psi, -FIELD_NORTH_MG * sin_psi
         down2 = sin_theta * north1 + cos_theta * FIELD_DOWN_MG
         m = MAGNETIC_NOISE_MG
-        reading.magnetic_mg = (
+        magnetic_mg = (
             cos_theta * north1 - sin_theta * FIELD_DOWN_MG + n(m),
             cos_phi * east1 + sin_phi * down2 + n(m),
             -sin_phi * east1 + cos_phi * down2 + n(m),
         )
-        reading.pressure_pa = GROUND_PRESSURE_PA - PRESSURE_PER_METRE_PA * z + n(PRESSURE_NOISE_PA)
-        reading.battery_pct = state.battery_pct
-        reading.battery_mv = 10500 + 23 * state.battery_pct  # three LiPo cells; 50 % reads 11650 mV
-        reading.motor_pwm = state.motor_pwm
-        return reading
+        return Reading(
+            roll_deg,
+            pitch_deg,
+            180.0 if yaw_deg == -180.0 else yaw_deg,
+            heading_deg,
+            acceleration_mg,
+            rates_deg_s,
+            altitude_m,
+            altitude_raw_m,
+            velocity_m_s,
+            turned_deg,
+            self._add_to_the_way(velocity_m_s, turned_deg, time_s),
+            magnetic_mg,
+            GROUND_PRESSURE_PA - PRESSURE_PER_METRE_PA * z + n(PRESSURE_NOISE_PA),
+            state.battery_pct,
+            10500 + 23 * state.battery_pct,  # three LiPo cells; 50 % reads 11650 mV
+            state.motor_pwm,
+        )
 
-    def _add_to_the_way(self, reading, time_s):
+    def _add_to_the_way(self, velocity_m_s, turned_deg, time_s):
         elapsed_s, self._last_s = time_s - self._last_s, time_s
         if elapsed_s < ODOMETRY_GAP_S:
-            forward, right, _ = reading.velocity_m_s
-            c, s = math.cos(reading.turned_deg / _DEG), math.sin(reading.turned_deg / _DEG)
+            forward, right, _ = velocity_m_s
+            c, s = math.cos(turned_deg / _DEG), math.sin(turned_deg / _DEG)
             x, y = self._way_m
             self._way_m = (x + elapsed_s * (c * forward - s * right), y + elapsed_s * (s * forward + c * right))
         return self._way_m

@@ -24,15 +24,9 @@ _NAME = re.compile(r"[A-Z][A-Z0-9_]*\Z")
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
-class AtCommand(namedtuple("AtCommand", "name sequence arguments")):
-    """One received command; arguments converted as the signature says (int, float, str).
-
-    For a name outside SIGNATURES (legacy or unknown) the arguments are ints and strings as they stand.
-    """
-
-    __slots__ = ()
-
-
+# One received command; arguments converted as the signature says (int, float, str). For a name outside of SIGNATURES
+# (legacy or unknown) they are ints and strings as they stand.
+AtCommand = namedtuple("AtCommand", "name sequence arguments")
 ParsedDatagram = namedtuple("ParsedDatagram", "commands malformed")
 
 
@@ -43,19 +37,10 @@ def parse_datagram(data):
     a comma too many at the end, surplus arguments, and unsigned float patterns.
     Returns ParsedDatagram(commands: list of AtCommand, malformed: number of lines that were refused). Never raises.
     """
-    commands = []
-    malformed = 0
-    text = data.decode("latin-1").replace("\n", "\r").replace("\0", "\r")
-    for line in text.split("\r"):
-        line = line.strip(" \t")
-        if not line:
-            continue
-        command = _parse_line(line)
-        if command is None:
-            malformed += 1
-        else:
-            commands.append(command)
-    return ParsedDatagram(commands, malformed)
+    lines = [line.strip(" \t") for line in re.split("[\r\n\0]", data.decode("latin-1"))]
+    commands = [_parse_line(line) for line in lines if line]
+    understood = [command for command in commands if command is not None]
+    return ParsedDatagram(understood, len(commands) - len(understood))
 
 
 def _parse_line(line):
@@ -94,8 +79,7 @@ _ARGUMENT = re.compile(r'\s*(?:"([^"]*)"|([+-]?[0-9]{1,11}))\s*(,|\Z)', re.ASCII
 
 def _split_arguments(text):
     """List of int and str, or None when the text is not a comma-separated list of them."""
-    values = []
-    position = 0
+    values, position = [], 0
     while position < len(text):
         match = _ARGUMENT.match(text, position)
         if match is None:
@@ -158,17 +142,6 @@ class NavdataEncoder:
         for tag, (layout, payload_offset) in self._layouts.items():
             OPTION_HEADER.pack_into(self._buffer, payload_offset - OPTION_HEADER.size, tag, layout.size)
         self._body = memoryview(self._buffer)[:offset]
-
-    def __len__(self):
-        return len(self._buffer)
-
-    def __contains__(self, tag):
-        return tag in self._layouts
-
-    @property
-    def tags(self):
-        """The tags in wire order."""
-        return tuple(self._layouts)
 
     def slot(self, tag, first, last=None):
         """Function that writes the fields from `first` to `last` (default: only first) of one option.

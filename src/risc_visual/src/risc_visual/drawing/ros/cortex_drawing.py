@@ -22,7 +22,7 @@ _BARE = (0.75, 0.75, 0.75)
 _LOST_RGBA = (0.6, 0.6, 0.6, 0.4)
 _TYPES = {"ellipsoid": Marker.SPHERE, "cylinder": Marker.CYLINDER, "lines": Marker.LINE_LIST, "arrow": Marker.ARROW}
 _LEAST_M = 1e-3  # diameter of what rviz could not draw, were it smaller
-_MODES_M, _BATTERIES_M = (-0.5, -1.2, 0.0), (0.5, 1.15, 0.4)  # from two corners of the net to the lists of texts
+_MODES_M, _BATTERIES_M = (-0.5, -1.4, 0.0), (1.0, 1.15, 0.0)  # from two corners of the net to the lists of texts
 
 
 class CortexDrawing:

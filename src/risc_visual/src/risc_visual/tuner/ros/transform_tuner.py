@@ -46,6 +46,7 @@ _TEXT_ABOVE_M = 0.6  # its lower edge above the vehicle, and above the vehicle's
 _TEXT_M = 0.08  # height of a line
 _LINE = 1.3  # distance of two lines / their height
 _TEXT_COLUMNS = 56
+_APART_LINES = 5  # by so many the text of each vehicle is higher than that of the one before: they may fly abreast
 _TEXT_RGBA = (1.0, 1.0, 0.6, 1.0)
 
 
@@ -238,7 +239,7 @@ class TransformTunerNode:
     @until_shutdown
     def _on_text(self):
         found = []
-        for item in self._tuned:
+        for number, item in enumerate(self._tuned):
             camera = self._cameras[item.name]
             with self._lock:
                 windows = item.tuner.window.samples()
@@ -250,6 +251,7 @@ class TransformTunerNode:
             pen = Pen(
                 3.0 / self._params.text_hz, header(frame_id=body_frame(item.template))
             )  # where the vehicle is now
-            at_m = (0.0, 0.0, -_TEXT_ABOVE_M - 0.5 * _LINE * _TEXT_M * len(lines))  # body axes
+            lines_below = 0.5 * len(lines) + _APART_LINES * number
+            at_m = (0.0, 0.0, -_TEXT_ABOVE_M - _LINE * _TEXT_M * lines_below)  # body axes
             found.append(pen.text(item.name, 0, "\n".join(lines), at_m, _TEXT_M, _TEXT_RGBA))
         self._text.publish(found)
