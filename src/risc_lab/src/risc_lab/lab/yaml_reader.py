@@ -5,7 +5,6 @@ import os
 import pathlib
 import re
 
-import numpy as np
 import yaml
 
 from risc_lab.settings import settings_from
@@ -95,94 +94,11 @@ def errors_of(where):
 
 
 class Section:
-    """One mapping of a YAML file with typed access; keys that nobody asked for are an error in `done`."""
+    """A mapping and what it is, for errors; new code calls `settings_from` itself."""
 
     def __init__(self, content, where):
-        if not isinstance(content, dict):
-            raise ValueError("%s must be a mapping, found %r" % (where, content))
-        self._content = content
-        self.where = where  # file and key, for errors
-        self._asked = set()
-
-    def _value(self, key, default):
-        self._asked.add(key)
-        if key in self._content:
-            return self._content[key]
-        if default is None:
-            raise ValueError("%s: key '%s' is missing" % (self.where, key))
-        return default
-
-    def number(self, key, default=None, minimum=-np.inf, maximum=np.inf):
-        """A finite number within limits; without a default the key is required."""
-        value = self._value(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise ValueError("%s: '%s' must be a number, found %r" % (self.where, key, value))
-        if not minimum <= value <= maximum:
-            raise ValueError("%s: '%s' must be in [%g, %g], found %r" % (self.where, key, minimum, maximum, value))
-        return float(value)
-
-    def whole(self, key, default=None, minimum=-np.inf, maximum=np.inf):
-        """A whole number within limits."""
-        value = self.number(key, default, minimum, maximum)
-        if not value.is_integer():
-            raise ValueError("%s: '%s' must be a whole number, found %r" % (self.where, key, value))
-        return int(value)
-
-    def port(self, key, default=None):
-        """A UDP port number."""
-        return self.whole(key, default, 1, 65535)
-
-    def vector(self, key, length, default=None):
-        """A list of `length` finite numbers, as a tuple."""
-        value = self._value(key, default)
-        good = isinstance(value, (list, tuple)) and len(value) == length
-        if not good or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in value):
-            raise ValueError("%s: '%s' must be a list of %d numbers, found %r" % (self.where, key, length, value))
-        if not np.all(np.isfinite(value)):
-            raise ValueError("%s: '%s' must be finite, found %r" % (self.where, key, value))
-        return tuple(float(x) for x in value)
-
-    def flag(self, key, default=None):
-        """true or false."""
-        value = self._value(key, default)
-        if not isinstance(value, bool):
-            raise ValueError("%s: '%s' must be true or false, found %r" % (self.where, key, value))
-        return value
-
-    def text(self, key, default=None):
-        """A string; without a default the key is required and must not be empty."""
-        value = self._value(key, default)
-        if not isinstance(value, str) or (default is None and not value):
-            raise ValueError("%s: '%s' must be a text, found %r" % (self.where, key, value))
-        return value
-
-    def content(self, key, default=None):
-        """Whatever is there, for readers that look at it themselves."""
-        return self._value(key, default)
-
-    def section(self, key, default=None):
-        """A nested mapping, as a `Section`."""
-        return Section(self._value(key, default), "%s, %s" % (self.where, key))
-
-    def sections(self, key, default=None):
-        """A list of mappings, as a list of `Section`."""
-        value = self._value(key, default)
-        if not isinstance(value, (list, tuple)):
-            raise ValueError("%s: '%s' must be a list, found %r" % (self.where, key, value))
-        return [Section(item, "%s, %s[%d]" % (self.where, key, i)) for i, item in enumerate(value)]
+        self._content, self._where = content, where
 
     def settings(self, settings_class):
         """This mapping as an instance of a dataclass, see `risc_lab.settings`. Raises ValueError."""
-        return settings_from(settings_class, self._content, self.where)
-
-    def keys(self):
-        """Names of all keys, in the order of the file."""
-        return list(self._content)
-
-    def done(self):
-        """Raises ValueError naming the keys that are present but unknown: most are spelling mistakes."""
-        unknown = sorted(str(key) for key in set(self._content) - self._asked)
-        if unknown:
-            raise ValueError(
-                "%s: unknown key(s) %s; known are %s" % (self.where, ", ".join(unknown), ", ".join(sorted(self._asked)))
-            )
+        return settings_from(settings_class, self._content, self._where)
