@@ -11,16 +11,21 @@ from risc_control.flatness import (
     MIN_UP_M_S2,
     Acceleration,
     FlatInputs,
-    acceleration_of,
     flat_inputs,
     limit_tilt,
     thrust_at_tilt,
 )
 from risc_lab.frames import GRAVITY_M_S2 as G
-from risc_lab.frames import rotation_body_to_cortex
+from risc_lab.frames import rotation_body_to_cortex, rotation_body_to_ned
 
 MASS_KG = 0.45
 horizontal = st.floats(-9.0, 9.0)
+
+
+def acceleration_of(inputs, psi_rad, mass_kg):
+    """The inverse of `flat_inputs`: (3,) north, east, up with gravity, of a vehicle that has the attitude."""
+    R = rotation_body_to_ned(inputs.phi_rad, inputs.theta_rad, psi_rad)
+    return R[:, 2] * (-inputs.thrust_n / mass_kg) * (1.0, 1.0, -1.0)
 
 
 def test_hover_is_level_and_carries_the_weight():

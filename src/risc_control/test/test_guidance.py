@@ -36,14 +36,12 @@ def update(controller, state, reference, stamp_s=0.0):
 
 
 def pursue(position, velocity, target):
-    """With complex numbers north + i east."""
-    scene = ((complex(value).real, complex(value).imag) for value in (position, velocity, target))
-    return complex(*pursuit_acceleration(*scene, SPEED_M_S, PARAMS))
+    return pursuit_acceleration(*map(complex, (position, velocity, target)), SPEED_M_S, PARAMS)
 
 
 def point(controller):
     """Where the law's point is, north + i east."""
-    return complex(*controller.controller._points[0].position_m)
+    return controller.controller._points[0].position_m
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])

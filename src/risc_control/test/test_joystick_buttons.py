@@ -34,8 +34,8 @@ def desk(monkeypatch):
     monkeypatch.setattr(joystick_buttons, "claim_buttons", lambda functions: None)
     monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, callback, **_: setattr(found, "receive", callback))
     monkeypatch.setattr(joystick_buttons, "ros_time_s", lambda: found.now_s)
-    for level in ("logwarn", "logerr"):
-        monkeypatch.setattr(rospy, level, lambda text, *values: found.logged.append(text % values if values else text))
+    monkeypatch.setattr(rospy, "logwarn", lambda text, *values: found.logged.append(text % values))
+    monkeypatch.setattr(rospy, "logerr_throttle", lambda _period_s, text: found.logged.append(text))
     return found
 
 

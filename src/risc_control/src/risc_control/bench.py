@@ -7,6 +7,7 @@ import argparse
 import json
 import sys
 import time
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -27,20 +28,10 @@ DELAYS_S = (0.1, 0.3)
 POSITION_NOISE_M, VELOCITY_NOISE_M_S = 0.001, 0.01
 
 
-def controller_table(fleet_sizes, frames, seed=1):
-    """Microseconds per frame: list of dict with vehicles, delay_s, construction_ms and p50_us of each step."""
-    ardrone = load_vehicle_type("ardrone")
-    controller_row(1, ardrone, frames, seed)  # loads what is compiled, and wakes the processor up
-    return [
-        controller_row(count, replace(ardrone, command_delay_s=delay_s), frames, seed)
-        for count in fleet_sizes
-        for delay_s in DELAYS_S
-    ]
-
-
-def controller_row(count, vehicle_type, frames, seed):
-    """One row of `controller_table`."""
+def controller_row(count, delay_s, frames, seed=1):
+    """Dict of the median microseconds a frame of each step, for so many vehicles with such a link."""
     begin_s = time.perf_counter()
+    vehicle_type = replace(load_vehicle_type("ardrone"), command_delay_s=delay_s)
     loop, buffer = ControlLoop("differential_flatness", [vehicle_type] * count), ReferenceBuffer()
     construction_s = time.perf_counter() - begin_s
     course, rng, everyone = make_course("circle", count), np.random.default_rng(seed), np.ones(count, dtype=bool)
@@ -58,17 +49,9 @@ def controller_row(count, vehicle_type, frames, seed):
         times.append(time.perf_counter())
         loop.update(stamp_s, now_s, States(everyone, x), present, ahead, everyone, everyone)
         times.append(time.perf_counter())
-        seconds.append(np.diff(times))
-    push_us, at_us, update_us = 1e6 * np.median(seconds[WARM_UP:], axis=0)
-    return {
-        "vehicles": count,
-        "delay_s": vehicle_type.command_delay_s,
-        "construction_ms": 1e3 * construction_s,
-        "push_us": push_us,
-        "at_us": at_us,
-        "update_us": update_us,
-        "frame_us": 1e6 * float(np.median(np.sum(seconds[WARM_UP:], axis=1))),
-    }
+        seconds.append([*np.diff(times), times[-1] - times[0]])
+    steps_us = dict(zip(("push_us", "at_us", "update_us", "frame_us"), 1e6 * np.median(seconds[WARM_UP:], axis=0)))
+    return {"vehicles": count, "delay_s": delay_s, "construction_ms": 1e3 * construction_s, **steps_us}
 
 
 def pilot_table(frames):
@@ -76,8 +59,7 @@ def pilot_table(frames):
     params = VehicleNodeParams(joystick_timeout=0.0)
     pilot = VehiclePilot(params, load_vehicle_type("ardrone"), 0.0)
     own, control = OwnState((0.1, 0.2, 1.0), (0.1, 0.0, 0.02), 0.02, 0.03, 0.0), Controls(0.1, 0.05, 0.02, 4.4)
-    buttons = [0] * 11
-    seconds = {"state": [], "controls, no command due": [], "controls, command sent": [], "tick": []}
+    buttons, seconds = [0] * 11, defaultdict(list)
     for k in range(WARM_UP + frames):
         now_s = k * FRAME_S
         if k % NAVDATA_EVERY == 0:
@@ -104,21 +86,21 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--vehicles", type=int, nargs="+", default=[3, 10, 50], help="fleet sizes to time")
     parser.add_argument("--frames", type=int, default=2000, help="frames to time (default: 2000)")
-    parser.add_argument("--json", metavar="FILE", help="also write the figures here")
+    parser.add_argument("--json", type=argparse.FileType("w"), metavar="FILE", help="also write the figures here")
     options = parser.parse_args(arguments)
-    if min(options.vehicles) < 1 or options.frames < 1:
-        parser.error("--vehicles and --frames need numbers from 1 up")
-    controller, pilot = controller_table(options.vehicles, options.frames), pilot_table(options.frames)
+    controller_row(1, DELAYS_S[0], options.frames)  # loads what is compiled, and wakes the processor up
+    controller = [controller_row(count, delay_s, options.frames) for count in options.vehicles for delay_s in DELAYS_S]
     print("Controller: median time per frame, one core")
     print("%10s%8s%15s%10s%10s%10s%10s" % ("vehicles", "delay", "construction", "push", "at", "update", "frame"))
     for row in controller:
         print("%10d%6.1f s%12.0f ms%7.1f us%7.1f us%7.1f us%7.1f us" % tuple(row.values()))
     print("\nVehicle pilot: median time per message, one vehicle in autonomous flight")
+    pilot = pilot_table(options.frames)
     for what, microseconds in pilot.items():
         print("%-26s%7.1f us" % (what, microseconds))
     if options.json:
-        with open(options.json, "w", encoding="utf-8") as output:
-            json.dump({"controller": controller, "pilot_us": pilot}, output, indent=2)
+        with options.json:
+            json.dump({"controller": controller, "pilot_us": pilot}, options.json, indent=2)
     return 0
 
 

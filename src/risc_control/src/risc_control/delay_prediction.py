@@ -26,7 +26,7 @@ _MEASURED_HZ = 200.0  # the rate that the observer's gain is for
 
 # One step of a command loop, exact while the command u holds: value+ = f11 value + f12 rate + g1 u,
 # rate+ = f21 value + f22 rate + g2 u.
-LOOP_STEP = record(("f11", float), ("f12", float), ("f21", float), ("f22", float), ("g1", float), ("g2", float))
+LOOP_STEP = record("f11 f12 f21 f22 g1 g2")
 TILT_STEP = record(("phi", LOOP_STEP), ("theta", LOOP_STEP))
 
 # What the prediction knows of a vehicle type: steps of STEP_S of its loops, and what moves it.
@@ -36,11 +36,10 @@ PLANT = record(
     ("height", LOOP_STEP),
     ("psi", LOOP_STEP),
     ("climb", CLIMB_LOOP),
-    ("yaw_time_constant_s", float),
-    ("drag_1_s", float),  # drag over mass
-    ("mass_kg", float),
-    ("delay_s", float),  # from sending a command to its effect
-    ("period_s", float),  # from one command to the next
+    "yaw_time_constant_s mass_kg",
+    "drag_1_s",  # drag over mass
+    "delay_s",  # from sending a command to its effect
+    "period_s",  # from one command to the next
 )
 
 
@@ -66,11 +65,8 @@ def effective_delay_s(vehicle_type):
     command then holds. Raises ValueError when it cannot be predicted.
     """
     delay_s = vehicle_type.command_delay_s + 1.0 / vehicle_type.command_rate_hz
-    if not (vehicle_type.command_delay_s >= 0.0 and delay_s < 0.8 * MAX_HORIZON_S):
-        raise ValueError(
-            "command delay must be from 0 to %.2g s, got %r"
-            % (0.8 * MAX_HORIZON_S - 1.0 / vehicle_type.command_rate_hz, vehicle_type.command_delay_s)
-        )
+    if not 0.0 <= delay_s < 0.8 * MAX_HORIZON_S:
+        raise ValueError("command_delay_s and a command period are %.2g s, too long to be predicted over" % delay_s)
     return delay_s
 
 
@@ -144,9 +140,7 @@ def fill_in_force(sent, own, plant, stamp_s, commands):
 
 # --- roll and pitch with their rates -----------------------------------------------------------------------------
 
-TILT = record(
-    ("phi_rad", float), ("phi_rate_rad_s", float), ("theta_rad", float), ("theta_rate_rad_s", float), ("time_s", float)
-)
+TILT = record("phi_rad phi_rate_rad_s theta_rad theta_rate_rad_s time_s")
 # Of the Kalman filter: on the angle and its rate, per angle of innovation.
 TILT_GAIN = record(("phi", float, (2,)), ("theta", float, (2,)))
 

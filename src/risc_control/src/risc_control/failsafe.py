@@ -152,10 +152,8 @@ class Freshness:
     def describe(self, now_s):
         """Why it is not fresh, in a few words."""
         if self._clock_error_s:
-            return "%s stamped %.0f ms in the future: set the computers' clocks" % (
-                self._what,
-                1e3 * self._clock_error_s,
-            )
+            text = "%s stamped %.0f ms in the future: set the computers' clocks"
+            return text % (self._what, 1e3 * self._clock_error_s)
         age_s = self.age_s(now_s)
         return "no %s yet" % self._what if math.isinf(age_s) else "%s %.0f ms old" % (self._what, 1e3 * age_s)
 

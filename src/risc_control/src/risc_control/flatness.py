@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from risc_lab.compiled import compiled
-from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_ned
+from risc_lab.frames import GRAVITY_M_S2
 
 MIN_UP_M_S2 = 0.3 * GRAVITY_M_S2  # a vehicle that asks for less falls, and its tilt is ill-defined
 MIN_COS_TILT = 0.5  # beyond 60 degrees no thrust holds the height: do not ask for more than twice
@@ -50,12 +50,6 @@ def flat_inputs(f, psi_rad, yaw_rate_rad_s, mass_kg):
     phi_rad = math.asin(min(max(-z_2, -1.0), 1.0))  # (7.26)
     theta_rad = math.atan2(z_1, z_3)  # (7.27)
     return FlatInputs(mass_kg * norm, phi_rad, theta_rad, yaw_rate_rad_s)
-
-
-def acceleration_of(inputs, psi_rad, mass_kg):
-    """The inverse of `flat_inputs`: (3,) north, east, up with gravity, of a vehicle that has the attitude."""
-    R = rotation_body_to_ned(inputs.phi_rad, inputs.theta_rad, psi_rad)
-    return R[:, 2] * (-inputs.thrust_n / mass_kg) * (1.0, 1.0, -1.0)
 
 
 @compiled

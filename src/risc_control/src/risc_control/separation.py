@@ -65,19 +65,11 @@ _VEHICLE = record(
     ("cause", int),
 )
 _OF_SAFETY = (  # fields of SafetyLimits
-    "state_hold_s",
-    "state_land_s",
-    "separation_m",
-    "separation_stray_m",
-    "separation_course_m",
-    "separation_lookahead_s",
-    "separation_follow_s",
-    "separation_forget_s",
-    "separation_speed_m_s",
+    *("state_hold_s", "state_land_s", "separation_m", "separation_stray_m", "separation_course_m"),
+    *("separation_lookahead_s", "separation_follow_s", "separation_forget_s", "separation_speed_m_s"),
 )
 # Those, and where there is room to move.
-_LIMITS = record(*((name, float) for name in _OF_SAFETY), ("low_m", float, (3,)), ("high_m", float, (3,)))
-_FOUND = record(("climb", int), ("above", bool), ("aside", float, (2,)))
+_LIMITS = record(" ".join(_OF_SAFETY), ("low_m", float, (3,)), ("high_m", float, (3,)))
 
 
 class Look(NamedTuple):
@@ -111,7 +103,6 @@ class Separation:
         self._names, self._index = [], {}
         self._vehicles = np.zeros(0, _VEHICLE)
         self._rows = {}  # {names of a message: row of each}
-        self._found = np.zeros(1, _FOUND)[0]
         self._add([*self._fleet, *self._own])
         self._own_rows = [self._index[name] for name in self._own]
         self._alert_s = -math.inf  # when somebody held, last
@@ -120,7 +111,7 @@ class Separation:
         _see(self._vehicles, rows, np.zeros(0, bool), np.zeros((0, len(S))), 0.0)
         _refer(self._vehicles, rows, np.zeros((0, 3, 4)), 0.0, 1.0)
         _judge(self._vehicles, self._apart_m, 0.0, self._limits)
-        _avoid(self._vehicles, 0, 0.0, self._limits, self._found)
+        _avoid(self._vehicles, 0, 0.0, self._limits)
 
     def see(self, names, visible, states, seen_s):
         """States of some vehicles. visible: (n,) bool.  states: (n, 12), columns `S` (angles are not used)."""
@@ -140,14 +131,12 @@ class Separation:
             self._alert_s = now_s
         if now_s - self._alert_s > self._alert_lasts_s:  # who held must still land beside the others
             return {}
-        looks, found = {}, self._found
+        looks = {}
         for i, name in zip(self._own_rows, self._own):
-            _avoid(self._vehicles, i, now_s, self._limits, found)
+            climb, above, aside = _avoid(self._vehicles, i, now_s, self._limits)
             holds = bool(self._vehicles["holds"][i])
-            if holds or found["above"]:
-                aside = tuple(found["aside"].tolist())
-                reason = self._reason(self._vehicles[i], now_s) if holds else ""
-                looks[name] = Look(holds, reason, int(found["climb"]), bool(found["above"]), aside)
+            if holds or above:
+                looks[name] = Look(holds, self._reason(self._vehicles[i], now_s) if holds else "", climb, above, aside)
         return looks
 
     def _reason(self, vehicle, now_s):
@@ -357,11 +346,10 @@ def _judge(vehicles, apart_m, now_s, limits):
 
 
 @compiled
-def _avoid(vehicles, i, now_s, limits, found):
-    """Where a vehicle that holds has to go, into found (_FOUND)."""
+def _avoid(vehicles, i, now_s, limits):
+    """(climb, above, aside) of a `Look`: where a vehicle that holds has to go."""
     one, height_m = vehicles[i], vehicles[i].position_m[2]
-    found.climb, found.above = 0, False
-    found.aside[0] = found.aside[1] = 0.0
+    climb, above, aside = 0, False, (0.0, 0.0)
     closest_m, beside_m = limits.separation_m, _BESIDE * limits.separation_m
     for j in range(len(vehicles)):
         other = vehicles[j]
@@ -372,8 +360,8 @@ def _avoid(vehicles, i, now_s, limits, found):
         z = one.position_m[2] - other.position_m[2]
         level_m = math.hypot(x, y)
         if level_m < beside_m and not _is_above(other, one):
-            beside_m, found.above = level_m, True
-            found.aside[0], found.aside[1] = (x / level_m, y / level_m) if level_m > 0.0 else (1.0, 0.0)
+            beside_m, above = level_m, True
+            aside = (x / level_m, y / level_m) if level_m > 0.0 else (1.0, 0.0)
         if not _flies(other):
             continue
         # will it come too near even to one that stops at once?
@@ -383,11 +371,12 @@ def _avoid(vehicles, i, now_s, limits, found):
         alone_m = _nearest(x, y, z, u, v, w, limits.separation_lookahead_s)
         if alone_m < closest_m:
             closest_m = alone_m
-            found.climb = 1 if _is_above(one, other) else -1
-    if (found.climb > 0 and height_m > limits.high_m[2]) or (found.climb < 0 and height_m < limits.low_m[2]):
-        found.climb = 0
-    if found.above and not _is_free(vehicles, i, found.aside, _BESIDE * limits.separation_m - beside_m, now_s, limits):
-        found.aside[0] = found.aside[1] = 0.0
+            climb = 1 if _is_above(one, other) else -1
+    if (climb > 0 and height_m > limits.high_m[2]) or (climb < 0 and height_m < limits.low_m[2]):
+        climb = 0
+    if above and not _is_free(vehicles, i, aside, _BESIDE * limits.separation_m - beside_m, now_s, limits):
+        aside = (0.0, 0.0)
+    return climb, above, aside
 
 
 @compiled

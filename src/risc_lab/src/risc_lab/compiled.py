@@ -6,7 +6,7 @@ compiles everything, and the results are kept in __pycache__ beside the sources.
 flight: every class that uses such a function calls it once in its constructor. With NUMBA_DISABLE_JIT=1 the same source
 runs as plain Python; the tests compare the two.
 
-    VEHICLE = record(("phi_rad", float), ("theta_rad", float), ("velocity_m_s", float, (3,)))
+    VEHICLE = record("phi_rad theta_rad", ("velocity_m_s", float, (3,)))
 
     @compiled
     def tilt(vehicles, out_rad):
@@ -25,5 +25,9 @@ compiled = numba.njit(cache=True, error_model="numpy")
 
 
 def record(*fields):
-    """dtype of an array of records: numpy fields (name, type[, shape]) that are read as attributes, r.name."""
-    return np.dtype((np.record, list(fields)))
+    """dtype of an array of records: numpy fields (name, type[, shape]) that are read as attributes, r.name.
+
+    A text is the names of floats.
+    """
+    parts = ([(name, float) for name in item.split()] if isinstance(item, str) else [item] for item in fields)
+    return np.dtype((np.record, [field for part in parts for field in part]))

@@ -74,7 +74,7 @@ class Controller:
         self.mass_kg = np.array([vehicle_type.mass_kg for vehicle_type in vehicle_types])
         self.delay_s = np.zeros(len(vehicle_types))  # that it counts on, of each vehicle's commands
         self.saturated = np.zeros(len(vehicle_types), dtype=bool)  # of its last commands, those that it has limited
-        self._designed = self._prepared = (None, None)
+        self.designed = None  # by `design`, for the parameters of the step under way
 
     def step(self, t, states, reference, params):
         """`Command` of arrays (n,).  t: Times.  states: Bundle.  reference: Reference.  params: PARAMS.
@@ -84,18 +84,10 @@ class Controller:
         raise NotImplementedError
 
     def design(self, params):
-        """What follows from parameters and takes its time (gains ...). Raises ValueError when there is no solution."""
+        """What follows from parameters and takes its time (gains ...), which no step must wait for; from any thread.
 
-    def prepare(self, params):
-        """Design ahead of the first step with these parameters, which must not wait for it; from any thread."""
-        self._prepared = params, self.design(params)
-
-    def designed(self, params):
-        """What `design` has found for the parameters."""
-        if self._designed[0] is not params:
-            prepared = self._prepared
-            self._designed = prepared if prepared[0] is params else (params, self.design(params))
-        return self._designed[1]
+        Raises ValueError when there is no solution.
+        """
 
     def reset(self):
         """Forget everything that was learnt in flight."""
@@ -120,13 +112,13 @@ class ControlLoop:
         if isinstance(controller, str):
             params = params or default_params(controller)
             controller = REGISTRY.module(controller).Controller
-        self.params = params or controller.PARAMS()
-        self.controller = controller(vehicle_types, self.params)
+        params = params or controller.PARAMS()
+        self.controller = controller(vehicle_types, params)
         self._to_controls = ControlsConverter(vehicle_types)
         self._delays_s, self._which = np.unique(self.controller.delay_s, return_inverse=True)
         self._everyone = np.arange(len(vehicle_types))
         self.sent = CommandHistory(len(vehicle_types))  # whoever knows what was really sent appends it here
-        self.set_params(self.params)
+        self.set_params(params)
         n = len(vehicle_types)  # load what is compiled, by an update in which no vehicle is seen
         none, nowhere = np.zeros(n, dtype=bool), np.zeros((self.controller.ORDER + 1, n, len(Axis)))
         self.update(0.0, 0.0, States(none, np.zeros((n, len(S)))), nowhere, nowhere, none, none)
@@ -134,8 +126,12 @@ class ControlLoop:
 
     def set_params(self, params):
         """Fly with other parameters. Raises ValueError, and keeps the old ones, when there is no solution."""
-        self.controller.prepare(params)
-        self.params = params
+        self._flown = params, self.controller.design(params)
+
+    @property
+    def params(self):
+        """Those that it flies with."""
+        return self._flown[0]
 
     def forget_times(self):
         """The clock of stamps and commands was set."""
@@ -161,8 +157,9 @@ class ControlLoop:
         present, ahead, usable: see `Reference`.  autonomous: see `Bundle`.  Raises ValueError, and nothing counts as
         sent, when a number of a vehicle that is seen is not finite.
         """
+        params, self.controller.designed = self._flown
         reference, bundle = Reference(present, ahead, usable), Bundle(states, autonomous, self.sent)
-        command = self.controller.step(Times(stamp_s, now_s), bundle, reference, self.params)
+        command = self.controller.step(Times(stamp_s, now_s), bundle, reference, params)
         return Output(*self._to_controls(command, states.visible & usable, self.controller.saturated))
 
 

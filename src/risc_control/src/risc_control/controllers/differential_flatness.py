@@ -63,40 +63,15 @@ class Params(Settings):
 
 
 # What bounds the commands of a vehicle; see `Params`.
-_LIMITS = record(
-    ("roll_rad", float),
-    ("pitch_rad", float),
-    ("tilt_rad", float),
-    ("yaw_rate_rad_s", float),
-    ("error_max_m", float),
-    ("integral_max_m_s", float),
-    ("integral_min_height_m", float),
-)
+_OF_PARAMS = ("error_max_m", "integral_max_m_s", "integral_min_height_m")
+_LIMITS = record("roll_rad pitch_rad tilt_rad yaw_rate_rad_s", " ".join(_OF_PARAMS))
 
 # On the errors of a horizontal axis; and, forward through the attitude loop, on the first and second rate of the
 # reference's acceleration.
-_AXIS_GAINS = record(
-    ("integral", float),
-    ("position", float),
-    ("velocity", float),
-    ("tilt", float),
-    ("tilt_rate", float),
-    ("forward_rate_s", float),
-    ("forward_second_rate_s2", float),
-)
-_GAINS = record(
-    ("pitch", _AXIS_GAINS),
-    ("roll", _AXIS_GAINS),
-    ("height_integral", float),
-    ("height", float),
-    ("climb", float),
-    ("yaw", float),
-    ("yaw_rate", float),
-)
+_AXIS_GAINS = record("integral position velocity tilt tilt_rate", "forward_rate_s forward_second_rate_s2")
+_GAINS = record(("pitch", _AXIS_GAINS), ("roll", _AXIS_GAINS), "height_integral height climb yaw yaw_rate")
 # What is remembered of a vehicle: integrals of its position error, and whether a limit cut its last command.
-_INTEGRALS = record(
-    ("north_m_s", float), ("east_m_s", float), ("up_m_s", float), ("tilt_was_cut", bool), ("climb_was_cut", bool)
-)
+_INTEGRALS = record("north_m_s east_m_s up_m_s", ("tilt_was_cut", bool), ("climb_was_cut", bool))
 
 
 class Controller(controllers.Controller):
@@ -137,7 +112,7 @@ class Controller(controllers.Controller):
         """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
-        gains, limits = self.designed(params)
+        gains, limits = self.designed
         is_finite = _step(
             float(t.stamp_s),
             float(t.now_s),
@@ -168,7 +143,7 @@ def _limits(vehicle_type, params):
     most = greatest_command(vehicle_type)
     # on the total tilt, so that a saturated command keeps its direction
     tilt_rad = min(most.roll_rad, most.pitch_rad)
-    of_params = (getattr(params, name) for name in _LIMITS.names[4:])
+    of_params = (getattr(params, name) for name in _OF_PARAMS)
     return (most.roll_rad, most.pitch_rad, tilt_rad, most.yaw_rate_rad_s, *of_params)
 
 

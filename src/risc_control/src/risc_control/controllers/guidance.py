@@ -5,7 +5,7 @@ vehicle with speed V that sees its target at an angle eta off its course acceler
 That is the circle through its place and the target which its course touches, when the target is R* away; behind a
 target that runs on a circle the vehicle ends up on the same circle. Along its course it keeps the range R*.
 
-Horizontal vectors are (north, east).
+Horizontal vectors are complex numbers, north + i east.
 """
 
 import math
@@ -34,45 +34,39 @@ class Params(differential_flatness.Params):
 
 
 def pursuit_acceleration(position_m, velocity_m_s, target_m, target_speed_m_s, params):
-    """(north, east) acceleration [m/s^2] of a vehicle behind a target that has this speed.
+    """Acceleration [m/s^2] of a vehicle behind a target that has this speed.
 
     A vehicle that is at its target is only slowed down.
     """
-    north_m, east_m = target_m[0] - position_m[0], target_m[1] - position_m[1]
-    v_north, v_east = velocity_m_s
-    range_m, speed_m_s = math.hypot(north_m, east_m), math.hypot(v_north, v_east)
-    to_north, to_east = north_m / max(range_m, _AT_TARGET_M), east_m / max(range_m, _AT_TARGET_M)
-    if speed_m_s < params.slow_m_s:
-        on_north, on_east = to_north, to_east  # its course
-    else:
-        on_north, on_east = v_north / speed_m_s, v_east / speed_m_s
-    cos_eta, sin_eta = to_north * on_north + to_east * on_east, to_east * on_north - to_north * on_east
-    if cos_eta < 0.0:  # a target behind is turned to as hard as one abeam
-        sin_eta = (-1.0 if sin_eta < 0.0 else 1.0) * math.hypot(cos_eta, sin_eta)
+    line_m, speed_m_s = target_m - position_m, abs(velocity_m_s)
+    range_m = abs(line_m)
+    direction = line_m / max(range_m, _AT_TARGET_M)
+    course = direction if speed_m_s < params.slow_m_s else velocity_m_s / speed_m_s
+    off = direction * course.conjugate()  # cos(eta) + i sin(eta)
+    sin_eta = off.imag
+    if off.real < 0.0:  # a target behind is turned to as hard as one abeam
+        sin_eta = (-1.0 if sin_eta < 0.0 else 1.0) * abs(off)
     sideways = 2.0 * speed_m_s**2 / params.range_m * sin_eta
     wanted_m_s = target_speed_m_s + params.range_gain_1_s * (range_m - params.range_m)
     wanted_m_s = min(max(wanted_m_s, 0.0), params.speed_max_m_s)
-    along = params.speed_gain_1_s * (wanted_m_s - (v_north * on_north + v_east * on_east))
-    return along * on_north - sideways * on_east, along * on_east + sideways * on_north
+    along = params.speed_gain_1_s * (wanted_m_s - (velocity_m_s * course.conjugate()).real)
+    return (along + 1j * sideways) * course
 
 
 @dataclass
 class _Point:
-    """What the law steers in place of a vehicle; vectors (north, east)."""
+    """What the law steers in place of a vehicle."""
 
-    position_m: tuple = (0.0, 0.0)
-    velocity_m_s: tuple = (0.0, 0.0)
-    acceleration_m_s2: tuple = (0.0, 0.0)
+    position_m: complex = 0j
+    velocity_m_s: complex = 0j
+    acceleration_m_s2: complex = 0j
     seen_s: float = -math.inf  # when its vehicle was seen last
 
     def after(self, time_s):
-        """(position, velocity) that much later."""
+        """(position, velocity, acceleration) that much later."""
         a = self.acceleration_m_s2
-        p, v = self.position_m, self.velocity_m_s
-        return (
-            tuple(p[k] + time_s * (v[k] + 0.5 * time_s * a[k]) for k in (0, 1)),
-            tuple(v[k] + time_s * a[k] for k in (0, 1)),
-        )
+        velocity_m_s = self.velocity_m_s + time_s * a
+        return self.position_m + 0.5 * time_s * (self.velocity_m_s + velocity_m_s), velocity_m_s, a
 
 
 class Controller(differential_flatness.Controller):
@@ -117,14 +111,14 @@ class Controller(differential_flatness.Controller):
             visible, row = seen[i], x[i].tolist()
             recently = stamp_s - point.seen_s <= _LONGEST_STEP_S
             if recently and (not visible or (usable[i] and states.autonomous[i])):
-                point.position_m, point.velocity_m_s = point.after(step_s)
+                point.position_m, point.velocity_m_s, _ = point.after(step_s)
             else:
-                point.position_m, point.velocity_m_s = (row[S.X], -row[S.Y]), (row[S.U], -row[S.V])
+                point.position_m, point.velocity_m_s = complex(row[S.X], -row[S.Y]), complex(row[S.U], -row[S.V])
             if visible:
                 point.seen_s = stamp_s
-            point.acceleration_m_s2 = (0.0, 0.0)
+            point.acceleration_m_s2 = 0j
             if usable[i]:
-                target_m = float(target[i, Axis.X]), -float(target[i, Axis.Y])
+                target_m = complex(target[i, Axis.X], -target[i, Axis.Y])
                 point.acceleration_m_s2 = pursuit_acceleration(
                     point.position_m, point.velocity_m_s, target_m, self.target_speed_m_s, params
                 )
@@ -133,5 +127,5 @@ class Controller(differential_flatness.Controller):
         """The points so long (n,) after the last stamp into the horizontal axes of a reference (5, n, 4)."""
         reference[:, :, : Axis.Z] = 0.0
         for i, point in enumerate(self._points):
-            for order, (north, east) in enumerate((*point.after(times_s[i]), point.acceleration_m_s2)):
-                reference[order, i, Axis.X], reference[order, i, Axis.Y] = north, -east
+            for order, vector in enumerate(point.after(times_s[i])):
+                reference[order, i, Axis.X], reference[order, i, Axis.Y] = vector.real, -vector.imag

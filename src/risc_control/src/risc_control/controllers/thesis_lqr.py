@@ -38,8 +38,8 @@ class Params(Settings):
     error_max_m: Positive = 0.4  # [m] larger position errors count as this long
 
 
-_GAINS = record(("position", float), ("velocity", float), ("height", float), ("climb", float), ("yaw", float))
-_VEHICLE = record(("mass_kg", float), ("tilt_max_rad", float))
+_GAINS = record("position velocity height climb yaw")
+_VEHICLE = record("mass_kg tilt_max_rad")
 
 
 class Controller(controllers.Controller):
@@ -68,7 +68,7 @@ class Controller(controllers.Controller):
         commands = np.zeros((len(Command._fields), len(self.mass_kg)))
         is_finite = _step(
             self._vehicles,
-            self.designed(params),
+            self.designed,
             float(params.error_max_m),
             floats(states.vehicles.x),
             states.vehicles.visible & reference.usable,

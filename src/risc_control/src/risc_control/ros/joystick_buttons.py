@@ -4,7 +4,6 @@ import queue
 import socket
 import threading
 import time
-import traceback
 import urllib.parse
 
 import rosgraph
@@ -14,6 +13,7 @@ from sensor_msgs.msg import Joy
 from risc_control.joystick import LATE_S, ButtonPresses, button_conflict
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.params import number
+from risc_lab.ros.ticker import guarded
 
 _CLAIMS = "/joystick_buttons/"
 _ANSWER_S = 1.0
@@ -73,7 +73,7 @@ class ButtonSubscriber:
         would wait, and look as if the network had held them up. Raises ValueError for a parameter that makes no sense.
         """
         self._judge = ButtonPresses(functions.values(), number("~joystick_late_s", LATE_S))
-        self._callback = callback
+        self._work = guarded(lambda: callback(self._pressed.get()), "a joystick button")
         self._pressed = queue.SimpleQueue()
         self._lock = threading.Lock()  # every sender has a thread of its own
         claim_buttons(functions)
@@ -95,13 +95,4 @@ class ButtonSubscriber:
 
     def _run(self):
         while True:
-            buttons = self._pressed.get()
-            try:
-                self._callback(buttons)
-            except Exception as error:  # whatever it is, the next press must count
-                if rospy.core.is_shutdown_requested():
-                    return
-                rospy.logerr(
-                    "a joystick button had no effect, please report it (%s: %s)\n%s"
-                    % (type(error).__name__, error, traceback.format_exc())
-                )
+            self._work()

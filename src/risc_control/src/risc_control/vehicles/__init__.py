@@ -66,7 +66,7 @@ class Status(NamedTuple):
 
 
 # How a vehicle climbs, around hover: acceleration = gain * command - damping * climb rate, |command| <= most.
-CLIMB_LOOP = record(("gain", float), ("damping_1_s", float), ("most", float))
+CLIMB_LOOP = record("gain damping_1_s most")
 
 
 class Adapter:
@@ -129,9 +129,9 @@ def climb_loops(vehicle_types):
 
 # --- a vehicle's limits, and its entry of /controls ---------------------------------------------------------------
 
-_COMMAND = record(("roll_rad", float), ("pitch_rad", float), ("yaw_rate_rad_s", float), ("thrust_n", float))
+_COMMAND = record(" ".join(Command._fields))
 # What commands of a type are limited to, and what 1 on /controls means.
-_CONVERSION = record(("most", _COMMAND), ("unit", _COMMAND), ("hover_n", float))
+_CONVERSION = record(("most", _COMMAND), ("unit", _COMMAND), "hover_n")
 
 
 def greatest_command(vehicle_type):
