@@ -7,8 +7,6 @@ import re
 
 import yaml
 
-from risc_lab.settings import settings_from
-
 MEMBERS_VARIABLE = "RISC_MAAP_MEMBERS"  # of the environment: folders of members from elsewhere, see risc_lab.registry
 
 
@@ -91,14 +89,3 @@ def errors_of(where):
     except ValueError as error:
         text = str(error)
         raise ValueError(text if text.startswith(str(where)) else "%s: %s" % (where, text)) from error
-
-
-class Section:
-    """A mapping and what it is, for errors; new code calls `settings_from` itself."""
-
-    def __init__(self, content, where):
-        self._content, self._where = content, where
-
-    def settings(self, settings_class):
-        """This mapping as an instance of a dataclass, see `risc_lab.settings`. Raises ValueError."""
-        return settings_from(settings_class, self._content, self._where)
