@@ -32,7 +32,7 @@ from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, node_params
 from risc_control.vehicles import Controls, FlightState, Status
-from risc_estimation.filters import make_filter
+from risc_estimation.filters import COMMAND, make_filter
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.estimators import add_option, estimator_of
@@ -153,7 +153,7 @@ def fly(flight):
     stream = wires.wire("cortex/stream")
     for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
-        chains.append(_Chain(vehicle, phase, params, wires, partial(loop.sent.append, i)))
+        chains.append(_Chain(vehicle, phase, params, wires, partial(_record_command, loop.sent, estimator, i)))
     for fault in flight.wire_faults:
         wires.add(fault)
 
@@ -262,6 +262,12 @@ def _outcome(flight):
         return fly(flight)
     except RuntimeError as error:
         return error
+
+
+def _record_command(history, estimator, i, time_s, command):
+    """A command was sent: for the controller, and for a filter that asks for it."""
+    history.append(i, time_s, command)
+    estimator.on_board(estimator.names[i], time_s, COMMAND, command)
 
 
 class _Chain:
