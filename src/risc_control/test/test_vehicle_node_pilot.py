@@ -882,6 +882,13 @@ def test_the_fence_is_the_net_unless_it_is_set():
     assert node_params({}) == node_params({}, Arena()) == (VehicleNodeParams(), [])
 
 
+@pytest.mark.parametrize(
+    ("value", "meaning"), [("False", False), ("true", True), ("0", False), (1, True), (False, False)]
+)
+def test_simulation_may_be_a_text_as_launch_files_of_old_have_it(value, meaning):
+    assert node_params({"Simulation": value})[0].Simulation is meaning  # D-32: bool("False") is true
+
+
 def test_unknown_and_bad_parameters():
     assert node_params({"JoyToWay": 3, "delay": 0.3})[1] == ["JoyToWay"]
     for name, value in (

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits, fence_of
-from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
+from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks, parse_bool
 from risc_control.separation import ALONE
 from risc_control.vehicles import FlightState, adapter_class
 from risc_lab.command_history import CommandHistory
@@ -68,6 +68,9 @@ def node_params(values, arena=None):
     legacy_overrides(values)  # checks them
     known = {item.name for item in fields(VehicleNodeParams)}
     own = {name: value for name, value in values.items() if name in known}
+    for name in ("Simulation", "hold_auto_hover"):
+        if name in own:
+            own[name] = parse_bool(own[name], name)
     params = settings_from(VehicleNodeParams, {**(fence_of(arena) if arena else {}), **own}, "parameters")
     return params, sorted(set(values) - known - set(LEGACY_PARAMETERS))
 
