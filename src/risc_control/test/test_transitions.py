@@ -77,6 +77,15 @@ def test_to_the_course_and_home_they_keep_apart(course, vehicles):
     assert back[-1, 0, :, :2] == pytest.approx(grid(vehicles)[:, :2])
 
 
+def test_ways_that_are_smoother_for_a_controller_keep_the_limits():
+    manager = hovering(make_course("origin", 1), np.array([[1.2, 1.0, 0.0]]), order=12)
+    all_autonomous(manager, 0.0)
+    way = flown(manager, 0.0, 30.0)[:, :3, 0, :3]
+    assert manager.sample(30.0).phases == (Phase.COURSE,)
+    peaks = np.sqrt((way[:, 1:] ** 2).sum(axis=-1)).max(axis=0)
+    assert (peaks <= (manager.limits.speed_m_s, manager.limits.acceleration_m_s2)).all()
+
+
 @pytest.mark.parametrize("first,second", list(itertools.permutations([circles, one_circle], 2)))
 def test_from_course_to_course_they_keep_apart(first, second):
     manager = hovering(first(14), grid(14))

@@ -374,7 +374,8 @@ def _begin_course(task):
     for course_s, order in sorted(choices, key=choices.get):
         ways_m = np.linalg.norm(here_m[0] - slots(course_s)[list(order)], axis=1)
         far_first = sorted(task.starts, key=lambda i: -ways_m[i])  # the farthest is the most likely to be too fast
-        pairs = [_Pair(task.starts[i], on_course(course, order[i], begin_s - course_s)) for i in far_first]
+        ends = {i: on_course(course, order[i], begin_s - course_s).with_fields(smooth=task.smooth) for i in far_first}
+        pairs = [_Pair(task.starts[i], end) for i, end in ends.items()]
         durations_s = choices[course_s, order][1] * _DURATION_STEP ** np.arange(steps)
         durations_s = durations_s[(durations_s <= limits.longest_s) & (durations_s < best_s)]
         rows = (course_s + _ROUGH_FRACTIONS * durations_s[:, None]) / grid_s
