@@ -122,3 +122,10 @@ def test_two_nodes_may_take_a_button_for_the_same_thing(server):
     for server.own in ("/risc1/joystick_controller", "/risc2/joystick_controller"):
         server.nodes.add(server.own)
         claim_buttons({"JoytoWay": 0}, ["/joy"])
+
+
+@pytest.mark.parametrize("late_s", [0.0, -1.0])
+def test_a_limit_by_which_every_press_is_late_is_refused(desk, monkeypatch, late_s):
+    monkeypatch.setattr(joystick_buttons, "number", lambda name, default: late_s)
+    with pytest.raises(ValueError, match="joystick_late_s"):
+        ButtonSubscriber({"chase_button": 1}, lambda buttons: None)

@@ -72,7 +72,10 @@ class ButtonSubscriber:
         Presses are worked off one after the other in a thread of their own: as long as the callback takes, messages
         would wait, and look as if the network had held them up. Raises ValueError for a parameter that makes no sense.
         """
-        self._judge = ButtonPresses(functions.values(), number("~joystick_late_s", LATE_S))
+        late_s = number("~joystick_late_s", LATE_S)
+        if late_s <= 0.0:
+            raise ValueError("parameter ~joystick_late_s must be > 0, found %r" % late_s)
+        self._judge = ButtonPresses(functions.values(), late_s)
         self._work = guarded(lambda: callback(self._pressed.get()), "a joystick button")
         self._pressed = queue.SimpleQueue()
         self._lock = threading.Lock()  # every sender has a thread of its own
