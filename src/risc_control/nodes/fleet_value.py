@@ -98,7 +98,7 @@ def _values(fleet, name):
 
 def main():
     """Command line."""
-    if len(sys.argv) < 3 or len(sys.argv) == 3 and sys.argv[2] != "mocap":
+    if len(sys.argv) < 4:
         sys.exit(__doc__)
     try:
         value = fleet_value(load_fleet(sys.argv[1]), *sys.argv[2:])
