@@ -28,7 +28,7 @@ from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.origin import Origin, parameter_hash, read_beside
 from data_extraction.report.snapshots import SnapshotCollector
 from data_extraction.samples import Arrivals, Samples
-from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimits
+from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimits, fence_of
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.phases import OperatorResult, TrajectoryPhase
@@ -181,6 +181,10 @@ def test_the_fence_is_that_of_the_flights_parameters(play):
     raven = play(FenceCollector(limits), [moving(T0_S, x=0.9)]).margins()["Raven"]
     assert raven.least_m == pytest.approx(0.1)
     assert Origin(parameters=None, fleet=fleet).fence_limits() == {}
+    node = {"joystick_timeout": 0.7, "ScaleRoll": 3.0}  # what launch/joystick_controller.launch sets
+    parameters = {"risc3": {"joystick_controller": node, "joy_node": {"dev": ""}}}
+    limits = Origin(parameters=parameters, fleet=fleet).fence_limits()
+    assert limits == {"Raven": SafetyLimits(joystick_timeout=0.7, **fence_of(fleet.arena))}
 
 
 def safety(level, rule, reason):

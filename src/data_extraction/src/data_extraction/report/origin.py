@@ -52,8 +52,8 @@ class Origin:
         result = {}
         for vehicle in self.fleet.vehicles if self.fleet else ():
             for node in self._nodes_of(vehicle.namespace):
-                if "fence_margin_m" in node:
-                    names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
+                names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
+                if names:  # a vehicle node: launch files set at least its joystick_timeout, the others are defaults
                     result[vehicle.template] = settings_from(SafetyLimits, {**fence_of(self.fleet.arena), **names})
         return result
 
