@@ -56,8 +56,13 @@ std::string to_string(const Endpoint& endpoint) {
 }
 
 Address resolve(const std::string& name) {
-  boost::asio::io_context context;
   error_code error;
+  if (name.find_first_not_of("0123456789.") == std::string::npos) {  // the resolver takes 10.1 for 10.0.0.1
+    const Address address = boost::asio::ip::make_address_v4(name, error);
+    check(error, "'" + name + "' is no dotted quad");
+    return address;
+  }
+  boost::asio::io_context context;
   const auto found = udp::resolver(context).resolve(udp::v4(), name, "", error);
   check(error, "cannot resolve '" + name + "' (give it as a dotted quad, or add it to /etc/hosts)");
   return found->endpoint().address().to_v4();

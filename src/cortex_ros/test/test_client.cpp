@@ -760,6 +760,13 @@ TEST_F(ClientTest, ANameThatDoesNotResolveIsReportedAndTriedAgain) {
   EXPECT_EQ(client.statistics().host, "cortex.invalid:" + std::to_string(o.command_port));
 }
 
+TEST(Resolve, NumbersAreADottedQuadOrNothing) {
+  EXPECT_EQ(resolve("127.0.0.1").to_string(), "127.0.0.1");
+  for (const char* text : {"192.168.1.300", "10.1", "10.0.0", "3232235521"}) {
+    EXPECT_THROW(resolve(text), NetworkError) << text;
+  }
+}
+
 // ---- ending, options
 
 TEST_F(ClientTest, StopsPromptly) {

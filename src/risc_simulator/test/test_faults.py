@@ -273,6 +273,17 @@ def test_clear_lets_go_what_a_blackhole_without_end_holds():
     assert one.got == [b"a", b"b", b"c"]
 
 
+def test_what_a_closed_connection_had_to_get_is_forgotten():
+    stream, one, other = Stream(WireFault("blackhole", "*")), Connection(), Connection()
+    stream.write(one, b"a")
+    stream.write(other, b"b")
+    stream.stream.forget(one)
+    assert len(stream.stream.held) == 1
+    stream.wires.clear()
+    stream.wait(1.0)
+    assert (one.got, other.got) == ([], [b"b"])
+
+
 def test_cut_ends_one_connection():
     stream, one, other = Stream(WireFault("cut", "*", 1.0, 0.5, 0.5)), Connection(), Connection()
     stream.write(one, b"a")

@@ -20,7 +20,7 @@ class Parameters {
   // `values`: a struct {key: value}, or nothing. Those of the struct "mocap", which a launch file sets
   // together, count as if they stood beside it; a parameter of its own wins.
   explicit Parameters(XmlRpc::XmlRpcValue values) : values_(std::move(values)) {
-    if (values_.hasMember("mocap")) {
+    if (values_.hasMember("mocap") && values_["mocap"].getType() == XmlRpc::XmlRpcValue::TypeStruct) {
       for (const auto& [key, value] : XmlRpc::XmlRpcValue(values_["mocap"])) {
         if (!values_.hasMember(key)) {
           values_[key] = value;

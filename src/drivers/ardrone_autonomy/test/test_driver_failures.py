@@ -91,6 +91,23 @@ def test_camera_frames_that_cannot_be_published_do_not_end_a_flight(make_driver,
     assert driver._health.unpublished == 3
 
 
+def test_a_packet_that_comes_while_another_is_published_waits_for_the_next_loop(make_driver, log):
+    """Else a busy computer would publish faster than it is told to, and never come to cameras and pictures."""
+    driver = make_driver(is_alone=True)
+    driver._tick_video = lambda: None
+    driver._telemetry.publish_camera_frames = lambda: fail(log)
+
+    def publish(packet):
+        log.append("packet")
+        if packet < 50:
+            driver._waiting.append(packet + 1)
+
+    driver._publish = publish
+    driver._waiting.append(0)
+    driver._publish_until_shutdown()
+    assert [entry for entry in log if entry != "sleep"][:3] == ["packet", "fail", "packet"]
+
+
 def test_a_packet_is_there_when_its_arrival_is_told(make_driver):
     """Else the one who publishes would find nothing, and wait for the next."""
     driver = make_driver(is_alone=True)

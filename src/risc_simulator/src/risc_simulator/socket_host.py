@@ -106,6 +106,7 @@ class TcpClients:
         if self.backlogs.pop(sock, None) is not None:
             if self._waiting is not None:
                 self._waiting.discard(sock)
+            self._stream.forget(sock)
             sock.close()
 
     def close(self):

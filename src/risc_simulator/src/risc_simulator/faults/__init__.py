@@ -206,6 +206,10 @@ class Stream(Wire):
         if len(self.held) == 1:
             self.flow(now_s)
 
+    def forget(self, connection):
+        """Drop what is held of a connection that has been closed: a fault without end would keep it for ever."""
+        self.held = [item for item in self.held if item[1] is not connection]
+
     def flow(self, now_s):
         """Let pass what is held, as far as it may now."""
         while self.held:
@@ -214,7 +218,7 @@ class Stream(Wire):
             for end_s, act in faults:
                 arriving = act(passing, now_s + later_s)
                 if arriving is None:
-                    self.held = [item for item in self.held if item[1] is not connection]
+                    self.forget(connection)
                     self._count(cut=1)
                     cut(connection)
                     break

@@ -320,7 +320,7 @@ class ArdroneDriver:
                 time.sleep(max(0.0, loop_s - time.monotonic()))  # the newest packet of a loop
                 loop_s = time.monotonic() + self._period_s
             self._arrived.clear()
-            while self._waiting:
+            for _ in range(len(self._waiting)):  # what comes meanwhile is for the next loop
                 self._tolerate(self._publish, self._waiting.popleft())
             now_s = time.monotonic()
             if now_s >= camera_s:

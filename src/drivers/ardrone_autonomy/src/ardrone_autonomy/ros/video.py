@@ -85,7 +85,7 @@ class Video:
         is_ready: the vehicle is configured; before, nobody knows which camera it would send.
         """
         self._stream.want(is_ready and any(topic.get_num_connections() for topics in self._all() for topic in topics))
-        while self._waiting:
+        if self._waiting:
             self._publish(*self._waiting.popleft())
 
     def _all(self):
