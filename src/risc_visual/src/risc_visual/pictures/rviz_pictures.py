@@ -383,17 +383,21 @@ def _play(bag_path, topics, start_s, stop_s, rate, folder, network):
     command += ["--start=%.3f" % start_s, "--duration=%.3f" % (stop_s - start_s)]
     command += ["--topics", *topics, "--bags", str(bag_path), "__name:=player"]
     log = folder / "player.log"
+    with log.open("wb") as output:
+        player = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=dict(os.environ, **network),
+            start_new_session=True,  # a Ctrl-C at the terminal is for us
+        )
     try:
-        with log.open("wb") as output:
-            subprocess.run(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=dict(os.environ, **network),
-                start_new_session=True,  # a Ctrl-C at the terminal is for us
-                timeout=(stop_s - start_s) / rate + PLAY_MARGIN_S,
-                check=True,
-            )
-    except subprocess.SubprocessError as error:
-        raise RuntimeError("%s:\n%s" % (error, log.read_text(errors="replace"))) from None
+        if player.wait((stop_s - start_s) / rate + PLAY_MARGIN_S) != 0:
+            raise RuntimeError("rosbag play failed:\n" + log.read_text(errors="replace"))
+    except subprocess.TimeoutExpired:
+        raise RuntimeError("rosbag play does not end:\n" + log.read_text(errors="replace")) from None
+    finally:
+        if player.poll() is None:
+            player.terminate()  # not killed: rosbag passes this on to the program that plays, which would go on
+            player.wait()
