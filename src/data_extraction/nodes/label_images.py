@@ -7,6 +7,7 @@ from dataclasses import fields
 
 from data_extraction.command_line import bag_parser, fleet_of, folder_beside, run
 from data_extraction.labels import LabelParams, label
+from risc_lab.settings import settings_from
 
 OPTIONS = {  # -> the setting, and what it is
     "--states": ("states_topic", "topic that says where the vehicles were"),
@@ -30,7 +31,7 @@ def main():
     args = parser.parse_args()
 
     def work(progress):
-        params = LabelParams(**{field.name: getattr(args, field.name) for field in fields(LabelParams)})
+        params = settings_from(LabelParams, {field.name: getattr(args, field.name) for field in fields(LabelParams)})
         folder = args.out or folder_beside(args.bag, "labels")
         fleet = fleet_of(args.bag, args.fleet)
         path, pictures, labels, without_pose = label(args.bag, folder, fleet, params, args.topics, progress)

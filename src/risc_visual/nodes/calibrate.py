@@ -113,13 +113,14 @@ def main():
         result = calibrate(views, board, size_px, args.name, args.radial)
         save_calibration(result.calibration, out)
     except OSError as error:
+        show_progress("")
         print("calibrate.py: cannot read or write %s: %s" % (error.filename, error.strerror), file=sys.stderr)
         return 1
     except ValueError as error:
+        show_progress("")
         print("calibrate.py: %s" % error, file=sys.stderr)
         return 1
-    finally:
-        show_progress("")
+    show_progress("")
     report(result, source, len(views), count, args.views)
     print("wrote %s" % out)
     print(

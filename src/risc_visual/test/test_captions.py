@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from drawn import everything
+from drawn import HEAD, everything, scene
 
 from risc_visual.drawing.palette import on_white
 from risc_visual.drawing.ros import markers
@@ -51,6 +51,19 @@ def test_no_text_covers_another_or_a_vehicle(name, size):
         said = [text.text for text in layout.texts]
         for vehicle in NAMES[: len(positions_m)]:
             assert said.count(vehicle) >= 2, "beside the vehicle, and in the panel"
+
+
+def test_mode_and_battery_of_a_laboratory_without_a_fleet_are_those_of_its_vehicle():
+    (view,) = views_from(["oblique"], (1280, 900))
+    content = drawn([(0.5, 0.5, 1.0)])
+    for topic, message in (
+        ("/Ctrl_Status", scene().mode(HEAD, 0, "", True)),
+        ("/Battery_Status", scene().battery(HEAD, 0, "", 80.0)),
+    ):
+        content = {key: marker for key, marker in content.items() if key[0] != topic}
+        content[topic, message.ns, message.id] = message
+    said = [text.text for text in layout_of(view, content).texts]
+    assert "Autonomous" in said and "Battery: 80%" in said
 
 
 def test_what_is_written_stays_in_its_box():

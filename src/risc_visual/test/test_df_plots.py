@@ -110,6 +110,24 @@ def test_what_was_really_sent_counts_before_the_controllers_wish():
     assert column(segment, "theta_desired_deg") == pytest.approx(math.degrees(-0.05))
 
 
+def test_commands_that_ended_in_the_segment_before():
+    """What they leave behind is forgotten with that segment: the next one has none, and is logged all the same."""
+    recorder = Recorder(LEGACY_PARAMS)
+    recorder.add(PHASES, T0_S, told("coop", TrajectoryPhase.COURSE))
+    fly(recorder, 0.0, 3.0)
+    for k in range(300, 900):
+        stamp_s = T0_S + 0.01 * k
+        if k == 400:
+            recorder.add(PHASES, stamp_s, told("coop", TrajectoryPhase.HOLD))
+        recorder.add(REFERENCES, stamp_s, Trajectories(Obj=[reference("fluffy_II", 0.01 * k)]), stamp_s)
+        recorder.add(STATES, stamp_s, Cortex(Obj=[state("fluffy_II", 0.01 * k)]), stamp_s)
+        if k % 100 == 0:
+            recorder.ended()  # as the node does, every second
+    recorder.finish()
+    _, after = recorder.segments()
+    assert after.duration_s > 4.5 and np.isnan(column(after, "phi_desired_deg")[-100:]).all()
+
+
 def test_full_scale_of_the_commands():
     fleet = load_fleet(FLEET)
     of_fleet, others = full_scales_deg(PlotParams(), fleet.vehicles)

@@ -20,7 +20,8 @@ MOST_ROWS = 360_000  # of one vehicle's positions: half an hour at 200 Hz; longe
 PATH_ROWS = 5000  # of a path that is only drawn
 
 # The hops, in their order: each is the time from the datagram's receipt to the arrival of the message that answers the
-# frame, at a subscriber of that topic. `exposure_to_datagram` is the camera system's own delay.
+# frame, at a subscriber of that topic; of commands to their sending, by the clock of the computer that flies.
+# `exposure_to_datagram` is the camera system's own delay.
 HOPS = {
     "exposure_to_datagram": "exposure to datagram (the camera system itself)",
     "datagram_to_mocap_data": "datagram to /mocap_data",

@@ -120,10 +120,12 @@ class Recording:
         return topic in (REFERENCES, COMMANDS) and bool(names) and (topic in self._repeated or names.isdisjoint(states))
 
     def parts(self, topic, states=()):
-        """{vehicle: [(label, Samples), ...]} of a topic. states: names of the known vehicles."""
+        """{vehicle: [(label, Samples), ...]} of a topic, without what was forgotten. states: the known vehicles."""
         parts = {}
         by_place = self.by_place(topic, states)
         for (place, name), samples in self._samples[topic].items():
+            if not len(samples):
+                continue
             places = list(self._only if self._only and place == _ALONE else self.order)
             place = 0 if place == _ALONE else place
             owner = places[place] if by_place and place < len(places) else name

@@ -25,7 +25,7 @@ from data_extraction.report.topics import fits
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes
-from risc_visual.drawing.ros.markers import LABEL_M
+from risc_visual.drawing.ros.markers import LABEL_M, TEXT_M
 from risc_visual.drawing.scenery import load_scenery
 from risc_visual.pictures import captions
 from risc_visual.pictures.captions import DARK, LIGHT, Name, Row
@@ -306,10 +306,12 @@ def _rows(drawn, shown, tuner, time_text):
     rows = [Row(line, bold=True) for marker in of.get(TITLE, ()) for line in marker.text.split("\n")]
     rows.append(Row(time_text, small=True))
     states = of.get(MODE, []) + of.get(BATTERY, [])
+    alone = [state for state in states if state.scale.z == TEXT_M]  # without a fleet: nameless, of the first vehicle
     for marker in sorted(of.get(VEHICLE_NAMES, ()), key=lambda marker: marker.id):
         hull = drawn.get((VEHICLES, marker.ns, 1), marker)
         rows.append(Row(marker.text, mark="dot", mark_rgb=_rgb(hull), space=True))
-        mine = [state for state in states if state.text.startswith(marker.ns + ": ")]
+        mine = alone + [state for state in states if state.text.startswith(marker.ns + ": ")]
+        alone = []
         rows += [Row(state.text.removeprefix(marker.ns + ": "), _rgb(state), small=True) for state in mine]
     first = {(topic, marker.ns): _rgb(marker) for topic in shown for marker in reversed(of.get(topic, ()))}
     key = [(text, first[topic, ns]) for text, topic, ns in KEY if (topic, ns) in first]
@@ -383,17 +385,21 @@ def _play(bag_path, topics, start_s, stop_s, rate, folder, network):
     command += ["--start=%.3f" % start_s, "--duration=%.3f" % (stop_s - start_s)]
     command += ["--topics", *topics, "--bags", str(bag_path), "__name:=player"]
     log = folder / "player.log"
+    with log.open("wb") as output:
+        player = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=dict(os.environ, **network),
+            start_new_session=True,  # a Ctrl-C at the terminal is for us
+        )
     try:
-        with log.open("wb") as output:
-            subprocess.run(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=dict(os.environ, **network),
-                start_new_session=True,  # a Ctrl-C at the terminal is for us
-                timeout=(stop_s - start_s) / rate + PLAY_MARGIN_S,
-                check=True,
-            )
-    except subprocess.SubprocessError as error:
-        raise RuntimeError("%s:\n%s" % (error, log.read_text(errors="replace"))) from None
+        if player.wait((stop_s - start_s) / rate + PLAY_MARGIN_S) != 0:
+            raise RuntimeError("rosbag play failed:\n" + log.read_text(errors="replace"))
+    except subprocess.TimeoutExpired:
+        raise RuntimeError("rosbag play does not end:\n" + log.read_text(errors="replace")) from None
+    finally:
+        if player.poll() is None:
+            player.terminate()  # not killed: rosbag passes this on to the program that plays, which would go on
+            player.wait()

@@ -31,10 +31,9 @@ class LookoutParams(Settings):
 
     vehicles: tuple[str, ...] = ()  # namespaces whose cameras are looked through; () = those of /fleet, else risc1..4
     image: Name = "ardrone/image_rect_color"  # topic of the pictures, below the vehicle's namespace
-    overlay: str = (
-        ""  # topic of the pictures with what was found, drawn only while somebody listens, below the vehicle's
-    )
-    # namespace; "" = ardrone/image_modi, of quad_tracker ardrone/image_quads
+    # topic of the pictures with what was found, drawn only while somebody listens, below the vehicle's namespace;
+    # "" = ardrone/image_modi, of quad_tracker ardrone/image_quads
+    overlay: str = ""
     rectified: bool = True  # the pictures are image_proc's; false: as the camera takes them
     rate_hz: NotNegative = 0.0  # pictures of each camera that are looked at, at most; 0 = every one
     quads: bool = False  # risc_landmarks only: also look for other vehicles, in the same pass
