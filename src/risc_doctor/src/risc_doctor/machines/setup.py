@@ -74,6 +74,8 @@ def _host_key(computer, yes, out):
         lines = known_hosts.missing_lines(computer.name, address, computer.port, keys)
     except known_hosts.ChangedKeyError as changed:
         raise ssh.MachineError("host key", "changed_not_written", type=changed, name=name) from None
+    except (ValueError, paramiko.hostkeys.InvalidHostKey):
+        raise ssh.MachineError("host key", "corrupt") from None
     if not lines:
         return finding("host key", "known", name=name)
     for _, key in lines:
