@@ -33,9 +33,10 @@ LEAST_CORES = 0.003  # of a program that is looked at
 KINDS = (
     ("receiving", r"recv|receive_once|deserialize|decode|unpack|_from_wire|parse_datagram|on_navdata|on_readable"),
     ("sending", r"publish\b|serialize|encode|send|write_data|_pack\b|sendto|post\b|NavdataWriter"),
-    ("maths", r"risc_control/(tracking|prediction|reference|trajector|ways|motions|flatness|guidance)|risc_estimation/"
-              r"|risc_simulator/(world|models)|vehicle_pilot|safety\.py|link\.py"),
-    ("waking threads", r"threading\.py|rospy/timer|ticker\.py|paced\.py|select|poll\b|sleep|queue\.py"),
+    ("maths", r"risc_control/(controllers|delay_prediction|reference|pursuit|trajector|transitions|motions|flatness|lqr"
+              r"|separation|vehicles)|risc_lab/command_history|risc_estimation/"
+              r"|risc_simulator/(world|models)|vehicle_pilot|failsafe\.py|link\.py"),
+    ("waking threads", r"threading\.py|rospy/timer|ticker\.py|paced_subscriber\.py|select|poll\b|sleep|queue\.py"),
 )  # fmt: skip
 COLUMNS = ["receiving", "maths", "sending", "waking threads", "kernel", "the rest"]
 NATIVE = (

@@ -172,7 +172,8 @@ def _of_five_markers(fleet):
     many = generated_fleet(len(fleet.vehicles) + 5)
     hulls = [vehicle.template for vehicle in many.vehicles[5:]]
     vehicles = tuple(replace(vehicle, template=hull) for vehicle, hull in zip(fleet.vehicles, hulls))
-    return replace(fleet, vehicles=vehicles, templates={hull: many.templates[hull] for hull in hulls})
+    known = many.templates
+    return replace(fleet, vehicles=vehicles, templates=replace(known, templates={h: known.templates[h] for h in hulls}))
 
 
 def _wait(done, launch):

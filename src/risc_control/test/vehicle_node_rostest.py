@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The vehicle node on its topics: names, take-off and landing, command mapping, loss ladder, shutdown.
 
-Thresholds and pacing are held exactly by test_safety.py and test_vehicle_node_pilot.py, with a clock that the test
+Thresholds and pacing are held exactly by test_failsafe.py and test_vehicle_node_pilot.py, with a clock that the test
 turns. Here things must happen at all, in the right order and with the right content: the computer may be slow or stall.
 """
 

@@ -334,3 +334,13 @@ def test_a_vehicle_is_asked_by_its_address_without_a_fleet_file(param, address, 
     assert command[-2:] == ["--vehicle", address]
     assert command[command.index("--only") + 1] == "disk,subnets,vehicles"
     assert "my_fleet.yaml" not in command
+
+
+def test_a_broken_known_hosts_hides_no_key_that_has_changed(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / ".ssh").mkdir()
+    (tmp_path / ".ssh" / "known_hosts").write_text("127.0.0.8 ssh-ed25519 AAAAC!\n")
+    monkeypatch.setattr(known_hosts, "scan", lambda *_: [paramiko.RSAKey.generate(1024)])
+    with pytest.raises(ssh.MachineError) as problem:
+        setup._host_key(RISC2, yes=True, out=None)
+    assert problem.value.finding.code == "corrupt"

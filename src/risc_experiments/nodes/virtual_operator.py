@@ -3,13 +3,14 @@
 
 import threading
 import time
+from functools import partial
 
 import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 
-from ardrone_autonomy.msg import Navdata
+from risc_control.vehicles import adapter_class
 from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
 from risc_lab.phases import OperatorResult
 from risc_lab.ros.diagnostics import make_updater
@@ -48,12 +49,11 @@ class VirtualOperator:
         self._diagnostics = make_updater("none")
         self._diagnostics.add("virtual operator", self._diagnose)
         rospy.Service("~land", Trigger, self._on_land)
-        for name in wanted:
-            for topic, message, callback in (
-                ("ardrone/navdata", Navdata, self._locked(self._on_navdata)),
-                ("controller_status", Bool, self._locked(self._on_status)),
-            ):
-                PacedSubscriber("/%s/%s" % (name, topic), message, callback, LOOK_RATE_HZ, (name,))
+        paced = partial(PacedSubscriber, rate_hz=LOOK_RATE_HZ)
+        for vehicle in flown:
+            name, reports = vehicle.namespace, adapter_class(vehicle.vehicle_type)
+            reports.listen("/%s/" % name, partial(self._locked(self._on_report), name), paced)
+            paced("/%s/controller_status" % name, Bool, self._locked(self._on_status), args=(name,))
             rospy.Subscriber(
                 "/%s/safety" % name, Safety, self._locked(self._on_safety), name, queue_size=10, tcp_nodelay=True
             )
@@ -79,8 +79,8 @@ class VirtualOperator:
             if visible and name in self._namespaces:
                 self._operator.on_seen(self._namespaces[name], now_s)
 
-    def _on_navdata(self, message, name):
-        self._operator.on_navdata(name, message.state, time.monotonic())
+    def _on_report(self, name, status, _driver):
+        self._operator.on_navdata(name, status.state, time.monotonic())
 
     def _on_status(self, message, name):
         self._operator.on_status(name, message.data, time.monotonic())

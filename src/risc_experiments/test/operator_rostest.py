@@ -9,7 +9,7 @@ import unittest
 import rospy
 import rostest
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Empty
+from std_msgs.msg import Bool, Empty, Float32MultiArray, String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from ardrone_autonomy.msg import Navdata
@@ -37,10 +37,12 @@ class World:
         self._states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1)
         self._controls = rospy.Publisher("/controls", Controls, queue_size=1)
         self._trajectory = rospy.Publisher("/trajectory_phase", TrajectoryPhases, queue_size=1)
-        self._navdata = {v: rospy.Publisher("/%s/ardrone/navdata" % v, Navdata, queue_size=1) for v in TEMPLATES}
+        self._navdata = rospy.Publisher("/risc1/ardrone/navdata", Navdata, queue_size=1)
+        rospy.Subscriber("/risc1/ardrone/takeoff", Empty, self._on_takeoff, "risc1")
+        rospy.Subscriber("/risc1/ardrone/land", Empty, self._on_land, "risc1")
+        self._toy_status = rospy.Publisher("/risc2/toy/status", Float32MultiArray, queue_size=1)
+        rospy.Subscriber("/risc2/toy/command", String, self._on_toy_command)
         for vehicle in TEMPLATES:
-            rospy.Subscriber("/%s/ardrone/takeoff" % vehicle, Empty, self._on_takeoff, vehicle)
-            rospy.Subscriber("/%s/ardrone/land" % vehicle, Empty, self._on_land, vehicle)
             rospy.Subscriber("/%s/controller_status" % vehicle, Bool, self._on_status, vehicle)
         rospy.Subscriber("/operator/phase", OperatorState, self.phases.append)
         rospy.Subscriber("/operator/result", OperatorState, self.results.append)
@@ -51,6 +53,11 @@ class World:
     def _on_takeoff(self, _message, vehicle):
         if self.state[vehicle] == LANDED:
             self.state[vehicle], self.until_s[vehicle] = TAKING_OFF, time.monotonic() + TAKEOFF_S
+
+    def _on_toy_command(self, message):
+        order = {"take_off": self._on_takeoff, "land": self._on_land}.get(message.data)
+        if order is not None:
+            order(message, "risc2")
 
     def _on_land(self, _message, vehicle):
         if self.state[vehicle] not in (LANDED, LANDING):
@@ -78,7 +85,7 @@ class World:
                         self.state[vehicle], self.state[vehicle]
                     )
                 if vehicle not in self.silent:
-                    self._navdata[vehicle].publish(Navdata(state=self.state[vehicle], batteryPercent=80.0))
+                    self._report(vehicle)
                 states.Obj.append(States(name=template, visible=True, x=X_M[vehicle], z=1.0))
                 controls.Obj.append(Control(template, 0.1, 0.1, 0.1, 4.41))
                 since_s, home_s = self.autonomous_s[vehicle], self.home_s
@@ -93,6 +100,12 @@ class World:
             self._controls.publish(controls)
             self._trajectory.publish(TrajectoryPhases(vehicles=phases))
             rate.sleep()
+
+    def _report(self, vehicle):
+        if vehicle == "risc1":
+            self._navdata.publish(Navdata(state=self.state[vehicle], batteryPercent=80.0))
+        else:
+            self._toy_status.publish(data=[self.state[vehicle], 80.0])
 
     def end(self):
         self._ended = True

@@ -29,6 +29,7 @@ class _Wheel(Settings):
 class _Cart(Settings):
     wheels: tuple[_Wheel, ...]
     spare: _Wheel | None = None
+    load_kg: float | None = None
 
 
 def test_values_take_the_types_of_their_fields():
@@ -59,6 +60,18 @@ def test_values_take_the_types_of_their_fields():
 def test_what_is_wrong_is_named(wheel, said):
     with pytest.raises(ValueError, match=said):
         settings_from(_Cart, {"wheels": [wheel]}, "cart.yaml")
+
+
+def test_an_optional_value_is_named_in_words():
+    with pytest.raises(ValueError, match="'load_kg' must be a number or nothing, found 'much'"):
+        settings_from(_Cart, {"wheels": [], "load_kg": "much"})
+
+
+@pytest.mark.parametrize("value", ["inf", "-Infinity", "nan", math.inf])
+def test_a_text_is_no_way_around_finite_numbers(value):
+    assert settings_from(_Wheel, {"name": "left", "life_s": "2.5"}, lenient=True).life_s == 2.5
+    with pytest.raises(ValueError, match="'life_s' must be"):
+        settings_from(_Wheel, {"name": "left", "life_s": value}, lenient=True)
 
 
 def test_limits_hold_for_what_a_program_makes():

@@ -110,7 +110,8 @@ def number(least, most=math.inf):
     def parse(text):
         value = kind(text)
         if not (least <= value <= most and math.isfinite(value)):
-            raise argparse.ArgumentTypeError("must be from %g to %g, found %s" % (least, most, text))
+            limits = "" if least == -math.inf else " from %g" % least + (" to %g" % most if most < math.inf else " on")
+            raise argparse.ArgumentTypeError("must be a number%s, found %s" % (limits, text))
         return value
 
     parse.__name__ = "number"  # for "invalid number value"
@@ -157,8 +158,8 @@ def prepare_fleet(args, subnet, folder):
     for vehicle in fleet.vehicles if args.experiment in WITH_CAMERAS else ():
         if not vehicle.calibration:
             raise FlightError(
-                "%s measures bearings, but %s has no camera calibration: give it one in the fleet file %s, or fly "
-                "fewer vehicles" % (args.experiment, vehicle.namespace, args.fleet or "")
+                "%s measures bearings, but %s has no camera calibration: give it one in the fleet file%s, or fly "
+                "fewer vehicles" % (args.experiment, vehicle.namespace, " %s" % args.fleet if args.fleet else "")
             )
         load_calibration(vehicle.calibration)  # the driver would fly without it, and no bearing would come
     (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet.to_dict(), sort_keys=False), encoding="utf-8")

@@ -68,7 +68,10 @@ def settings_from(kind, values, where="", lenient=False):
     truth value count, and 0 and 1 as false and true.  Raises ValueError.
     """
     _refuse(kind, values, where, "")
-    return _convert(values, kind, where, strict=not lenient)
+    made = _convert(values, kind, where, strict=not lenient)
+    if lenient:  # texts may have become numbers that are not finite
+        _refuse(kind, {key: getattr(made, key) for key in values}, where, "")
+    return made
 
 
 def _refuse(hint, values, where, path):
@@ -113,9 +116,14 @@ def _convert(value, hint, where, key="", strict=True):
         missing = re.fullmatch("Object missing required field `(.*)`", text)
         if missing:
             raise ValueError(_said(where, "%s%s.%s" % (key, path, missing[1]), "is missing")) from None
-        wanted = re.sub(r"`(\w+)`", lambda word: _WORDS.get(word[1], word[1]), text.partition(", got")[0])
+        wanted = re.sub(r"`([\w |]+)`", _in_words, text.partition(", got")[0])
         found = ", found %r" % (_at(value, path),)
         raise ValueError(_said(where, key + path, wanted.replace("Expected", "must be") + found)) from None
+
+
+def _in_words(types):
+    """Of a match of msgspec's `float | null`: a number or nothing."""
+    return " or ".join(_WORDS.get(word, word) for word in types[1].split(" | "))
 
 
 def _said(where, key, text):

@@ -289,7 +289,8 @@ class _Vehicle:
         """Begin: what arrives from now on counts."""
         # Every joystick message: of a burst that a network held up, the first say that a press is old.
         rospy.Subscriber(self._prefix + "joy", Joy, self._on_joy, queue_size=None, tcp_nodelay=True)
-        self._link.listen(self._on_status)
+        subscribe = partial(rospy.Subscriber, queue_size=10, tcp_nodelay=True)
+        adapter_class(self._type).listen(self._prefix, self._on_status, subscribe)
         self._service = rospy.Service(self._prefix + "land", Trigger, self._on_land_request)
         where = rospy.get_name(), self.name, self._type.name, self._link.topic
         rospy.loginfo("%s flies %s (%s), commands on %s", *where)

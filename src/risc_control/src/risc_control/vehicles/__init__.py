@@ -109,6 +109,14 @@ class Adapter:
         raise NotImplementedError
 
     @staticmethod
+    def listen(prefix, on_status, subscribe):
+        """Call on_status(Status, name of the driver's node) for what the vehicle reports. prefix: as of `connect`.
+
+        subscribe: makes a subscription of a topic, a message class and a callback.
+        """
+        raise NotImplementedError
+
+    @staticmethod
     def connect(prefix):
         """Link to the vehicle by ROS, e.g. `ardrone.Link`. prefix: of its topics, with the last "/"."""
         raise NotImplementedError

@@ -63,6 +63,15 @@ class Adapter(vehicles.Adapter):
         return climb_ahead(climb_m_s, measured_s, now_s + self._delay_s, sent, self._delay_s, tau_s)
 
     @staticmethod
+    def listen(prefix, on_status, subscribe):
+        from ardrone_autonomy.msg import Navdata  # the rest needs no ROS, but for Link
+
+        def on_navdata(message):
+            on_status(status(message), message._connection_header.get("callerid", ""))
+
+        subscribe(prefix + "ardrone/navdata", Navdata, on_navdata)
+
+    @staticmethod
     def connect(prefix):
         return Link(prefix)
 
@@ -100,24 +109,13 @@ class Link:
         def publisher(topic, message):
             return rospy.Publisher(prefix + topic, message, queue_size=10, tcp_nodelay=True)
 
-        self._prefix, self._twist = prefix, Twist()  # filled again and again
+        self._twist = Twist()  # filled again and again
         self._cmd_vel = publisher("cmd_vel", Twist)
         # each called as it is
         self.take_off = publisher("ardrone/takeoff", Empty).publish
         self.land = publisher("ardrone/land", Empty).publish
         self.reset = publisher("ardrone/reset", Empty).publish  # motors off in the air
         self.topic = self._cmd_vel.resolved_name  # that commands go out on
-
-    def listen(self, on_status):
-        """Call on_status(Status, name of the driver's node) for each report of the vehicle."""
-        import rospy
-
-        from ardrone_autonomy.msg import Navdata
-
-        def on_navdata(message):
-            on_status(status(message), message._connection_header.get("callerid", ""))
-
-        rospy.Subscriber(self._prefix + "ardrone/navdata", Navdata, on_navdata, queue_size=10, tcp_nodelay=True)
 
     def send(self, sticks, level_only=False):
         """cmd_vel. level_only: the driver must not start the vehicle's own position hold."""

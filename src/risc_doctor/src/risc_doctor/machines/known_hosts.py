@@ -39,9 +39,10 @@ def missing_lines(name, address, port, keys):
     """Lines to add so that roslaunch and ssh know a server: [(line, key)], nothing when they do already.
 
     name: that of the machine, which becomes an alias unless known_hosts has it. keys: those that the server shows.
-    Raises ChangedKeyError when known_hosts has another key of the same type.
+    Raises ChangedKeyError when known_hosts has another key of the same type, and as `known_host_keys` when that cannot
+    be known.
     """
-    known = known_host_keys()
+    known = known_host_keys(strict=True)
     full, alias = host_name(address, port), host_name(name, port)
     have = known.lookup(full) or {}
     for key in keys:

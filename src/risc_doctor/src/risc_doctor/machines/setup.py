@@ -74,6 +74,8 @@ def _host_key(computer, yes, out):
         lines = known_hosts.missing_lines(computer.name, address, computer.port, keys)
     except known_hosts.ChangedKeyError as changed:
         raise ssh.MachineError("host key", "changed_not_written", type=changed, name=name) from None
+    except (ValueError, paramiko.hostkeys.InvalidHostKey):
+        raise ssh.MachineError("host key", "corrupt") from None
     if not lines:
         return finding("host key", "known", name=name)
     for _, key in lines:
@@ -96,7 +98,8 @@ def _log_in(computer):
     try:
         return ssh.connect(computer)
     except ssh.MachineError as problem:
-        if problem.finding.code not in ("refused", "no_key") or not sys.stdin.isatty():
+        found = problem.finding  # ("refused" is also what a port without ssh does)
+        if found.check != "login" or found.code not in ("refused", "no_key") or not sys.stdin.isatty():
             raise
     print("  %s asks for the password of %s, this once:" % (ssh.copy_id_line(computer), computer.login), flush=True)
     subprocess.run(shlex.split(ssh.copy_id_line(computer)), check=False)

@@ -80,11 +80,14 @@ def resolve(computer):
     return options.get("hostname", computer.address), options
 
 
-def known_host_keys():
-    """The host keys that roslaunch believes, as paramiko.HostKeys."""
-    keys = paramiko.HostKeys()
+def known_host_keys(strict=False):
+    """The host keys that roslaunch believes, as paramiko.HostKeys.
+
+    strict: raises ValueError or InvalidHostKey where a file holds a line that is no entry; the rest of it is not read.
+    """
+    keys, broken = paramiko.HostKeys(), (ValueError, paramiko.hostkeys.InvalidHostKey)  # roslaunch complains of those
     for path in ("/etc/ssh/ssh_known_hosts", os.path.expanduser("~/.ssh/known_hosts")):
-        with contextlib.suppress(OSError, ValueError, paramiko.hostkeys.InvalidHostKey):  # roslaunch complains of those
+        with contextlib.suppress(OSError, *(() if strict else broken)):
             keys.load(path)
     return keys
 

@@ -45,7 +45,7 @@ def judge(computer, uri, there, trouble):
     found, values = Findings("topics"), {"machine": computer.name, "address": computer.address}
     if there["master_uri"] != uri:
         return found.say("other_uri", uri=there["master_uri"])
-    host = urlsplit(there["uri"]).hostname
+    host = urlsplit(there["uri"]).netloc.rpartition(":")[0]  # .hostname would be in small letters
     if there["trouble"]:
         code = "name_unknown_there" if "resolved" in there["trouble"] else "not_there"
         found.say(code, cause=there["trouble"], **values)

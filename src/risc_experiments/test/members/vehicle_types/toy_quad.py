@@ -47,21 +47,30 @@ class Adapter(vehicles.Adapter):
         return Sticks(*map(limited, sticks), limited(left_rad_s / self.type.yaw_rate_max_rad_s))
 
     @staticmethod
+    def listen(prefix, on_status, subscribe):
+        from std_msgs.msg import Float32MultiArray
+
+        def on_message(message):
+            state, battery_pct = message.data
+            on_status(Status(int(state), battery_pct), message._connection_header["callerid"])
+
+        subscribe(prefix + "toy/status", Float32MultiArray, on_message)
+
+    @staticmethod
     def connect(prefix):
         return Link(prefix)
 
 
 class Link:
-    """Topics of its two nodes: toy/command and toy/status."""
+    """The topic of one of its two nodes; the other's is toy/status."""
 
     def __init__(self, prefix):
         import rospy
-        from std_msgs.msg import Float32MultiArray, String
+        from std_msgs.msg import String
 
         commands = rospy.Publisher(prefix + "toy/command", String, queue_size=10)
         self.topic = commands.resolved_name
         self._command = commands.publish
-        self._subscribe = lambda callback: rospy.Subscriber(prefix + "toy/status", Float32MultiArray, callback)
 
     def take_off(self):
         self._command("take_off")
@@ -72,14 +81,7 @@ class Link:
     def reset(self):
         self._command("cut_motors")
 
-    def listen(self, on_status):
-        def on_message(message):
-            state, battery_pct = message.data
-            on_status(Status(int(state), battery_pct), message._connection_header["callerid"])
-
-        self._subscribe(on_message)
-
-    def send(self, sticks, stamp=None, level_only=False):
+    def send(self, sticks, level_only=False):
         self._command("sticks %g %g %g %g" % sticks)
 
     def driver_overrides(self, driver):
