@@ -42,9 +42,10 @@ ALLOWED = {
     # these do not load before somebody has written an address: COPIED_FIRST
     ("launch/fleets/lab3.yaml", AIRCRAFT),
     ("launch/legacy/fleets/lab.yaml", AIRCRAFT),
-    # bound to, to hear it; a netmask
+    # bound to, to hear it; a netmask; asked only when told so: --host broadcast
     ("src/risc_simulator/src/risc_simulator/cortex_host.py", "255.255.255.255"),
     ("src/risc_doctor/src/risc_doctor/interfaces.py", "255.255.255.255"),
+    ("src/cortex_ros/python/cortex_ros/connection.py", "255.255.255.255"),
 }
 
 

@@ -115,7 +115,7 @@ def test_the_table(capsys):
     ("arguments", "message"),
     [
         (["--vehicles", "300"], "300"),
-        (["--delay", "2"], "command delay must be from 0"),
+        (["--delay", "2"], "command period are 2 s, too long"),
         (["--trajectory", "loop"], "invalid choice"),
         (["--workers", "0"], "worker"),
     ],

@@ -30,8 +30,8 @@ FLEETS, MULTI_MACHINE = LAUNCH / "fleets", LAUNCH / "Multi_Machine_Experiment.la
         ("circle", 5, "state", 1, LIMITS.separation_m),
         ("circle", 5, "state", 3, LIMITS.separation_m),
         ("circle", 5, "controls", 3, LIMITS.separation_m),
-        ("circles3", 3, "laptop", 1, LIMITS.separation_m),
-        ("circles3", 3, "laptop", 3, CONTACT_M),  # it drifts for two seconds, wherever the others are
+        ("circles3", 3, "laptop", 1, CONTACT_M),  # it drifts for two seconds, wherever the others are
+        ("circles3", 3, "laptop", 3, CONTACT_M),
     ],
 )
 def test_nobody_flies_into_one_that_stops(course, vehicles, what, seed, limit_m):

@@ -30,11 +30,16 @@ class _Cart(Settings):
     wheels: tuple[_Wheel, ...]
     spare: _Wheel | None = None
     load_kg: float | None = None
+    axle_m: tuple[float, float] = (0.0, 0.0)
 
 
 def test_values_take_the_types_of_their_fields():
     cart = settings_from(_Cart, {"wheels": [{"name": "left", "radius_m": 1, "marks": ["a"]}]}, "cart.yaml")
     assert cart == _Cart((_Wheel("left", 1.0, 3, math.inf, ("a",)),), None)
+    assert (
+        _Cart((), axle_m=np.array([1.0, 2.0])[:2].tolist()).axle_m
+        == _Cart((), axle_m=tuple(np.arange(1.0, 3.0))).axle_m
+    )
     assert _Wheel("left", np.float64(2.0), marks=["a"]) == _Wheel("left", 2.0, marks=("a",))
 
 

@@ -105,8 +105,7 @@ def _convert(value, hint, where, key="", strict=True):
         kind = typing.get_args(hint)[1]
         return {name: _convert(item, kind, where, "%s.%s" % (key, name)) for name, item in value.items()}
     try:
-        value = value.item() if isinstance(value, np.generic) else value
-        return msgspec.convert(value, hint, strict=strict, from_attributes=True)
+        return msgspec.convert(_plain(value), hint, strict=strict, from_attributes=True)
     except msgspec.ValidationError as error:
         text, _, path = str(error).rpartition(" - at `$") if " - at `$" in str(error) else (str(error), "", "")
         path = path.rstrip("`")
@@ -119,6 +118,13 @@ def _convert(value, hint, where, key="", strict=True):
         wanted = re.sub(r"`([\w |]+)`", _in_words, text.partition(", got")[0])
         found = ", found %r" % (_at(value, path),)
         raise ValueError(_said(where, key + path, wanted.replace("Expected", "must be") + found)) from None
+
+
+def _plain(value):
+    """The same without numpy's scalars."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return tuple(map(_plain, value)) if isinstance(value, (tuple, list)) else value
 
 
 def _in_words(types):

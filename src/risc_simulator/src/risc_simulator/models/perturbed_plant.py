@@ -10,6 +10,7 @@ import numpy as np
 
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import AttitudeLoop
+from risc_lab.settings import NotNegative, Positive, Settings
 
 # One standard deviation of each property; draws are cut at two of them.
 MASS_SPREAD = 0.03  # battery, hull and markers
@@ -26,21 +27,21 @@ TUMBLE_DAMPING_1_S = 6.0  # air damping of hull and standing propellers
 
 
 @dataclass(frozen=True)
-class PlantParams:
+class PlantParams(Settings):
     """What one vehicle really is. Loops mean what they mean in VehicleType."""
 
-    mass_kg: float
-    nominal_mass_kg: float  # what its own climb loop believes in
-    inertia_kg_m2: tuple[float, float, float]
-    thrust_scale: float  # true thrust / demanded thrust
+    mass_kg: Positive
+    nominal_mass_kg: Positive  # what its own climb loop believes in
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    thrust_scale: Positive  # true thrust / demanded thrust
     roll: AttitudeLoop
     pitch: AttitudeLoop
-    yaw_rate_time_constant_s: float
-    climb_time_constant_s: float
-    command_delay_s: float  # from sending to effect, beside the wait for the radio slot
-    drag_n_s_m: float
-    thrust_min_n: float
-    thrust_max_n: float
+    yaw_rate_time_constant_s: Positive
+    climb_time_constant_s: Positive
+    command_delay_s: NotNegative  # from sending to effect, beside the wait for the radio slot
+    drag_n_s_m: NotNegative
+    thrust_min_n: NotNegative
+    thrust_max_n: Positive
 
 
 def nominal_plant(vehicle_type):
