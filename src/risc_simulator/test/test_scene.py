@@ -67,7 +67,7 @@ def test_hulls_differ_from_each_other_and_in_front_from_behind():
         ("discs.colour", 1, "unknown key(s) colour"),
         ("hulls.colours", {}, "needs one hull at least"),
         ("hulls.colours.red_yellow.wing", [0, 0, 0], "unknown key(s) wing"),
-        ("room.half_x_m", 1.0, "'room.half_x_m' must be a number >= 2.49"),
+        ("room.half_x_m", 1.0, "smaller than the net: make half_x_m 2.49"),
         ("room.tile_m", None, "'room.tile_m' is missing"),
         ("room.marks", 2.5, "'room.marks' must be a whole number"),
         ("room.walls.front", None, "'room.walls.front' is missing"),

@@ -1,4 +1,4 @@
-"""The rviz configurations: what holds for each. Their topics: test_live_view_messages.py; views: test_screenshot.py."""
+"""The rviz configurations: what holds for each. Their topics: test_marker_scene.py; views: test_screenshot.py."""
 
 import pathlib
 

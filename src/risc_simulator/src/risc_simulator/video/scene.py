@@ -203,9 +203,9 @@ class Panel(Settings):
 class RoomParams(Settings):
     """The room around the arena: four walls, a floor of tiles, a ceiling with lamps, the net, things on the walls."""
 
-    half_x_m: between(NET_HALF_X_M, 100.0)
-    half_y_m: between(NET_HALF_Y_M, 100.0)
-    height_m: between(1.0, 100.0)
+    half_x_m: Positive  # with the laboratory's net; another arena moves the walls by as much as its net
+    half_y_m: Positive
+    height_m: Positive
     tile_m: between(0.1, 100.0)
     floor: Hsv
     floor_tiles: Hsv  # every second tile
@@ -343,7 +343,13 @@ def load_scene(fleet):
 def load_style(path=None):
     """Style from a scene file, None = config/scene.yaml. Raises ValueError naming file and key."""
     path = package_file("risc_simulator", "config/scene.yaml") if path is None else path
-    return settings_from(Style, load_yaml(path), str(path))
+    style = settings_from(Style, load_yaml(path), str(path))
+    if style.room.half_x_m < NET_HALF_X_M or style.room.half_y_m < NET_HALF_Y_M:
+        raise ValueError(
+            "%s: the room is smaller than the net: make half_x_m %g or more, half_y_m %g"
+            % (path, NET_HALF_X_M, NET_HALF_Y_M)
+        )
+    return style
 
 
 def room_geometry(room, arena):
