@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from risc_lab.lab import Arena, load_fleet
 from risc_lab.lab.yaml_reader import load_yaml, package_file
@@ -67,7 +68,6 @@ def test_hulls_differ_from_each_other_and_in_front_from_behind():
         ("discs.colour", 1, "unknown key(s) colour"),
         ("hulls.colours", {}, "needs one hull at least"),
         ("hulls.colours.red_yellow.wing", [0, 0, 0], "unknown key(s) wing"),
-        ("room.half_x_m", 1.0, "smaller than the net: make half_x_m 2.49"),
         ("room.tile_m", None, "'room.tile_m' is missing"),
         ("room.marks", 2.5, "'room.marks' must be a whole number"),
         ("room.walls.front", None, "'room.walls.front' is missing"),
@@ -92,6 +92,13 @@ def test_every_mistake_in_the_file_is_named(content, path, value, message):
     with pytest.raises(ValueError) as error:
         settings_from(Style, broken, "file.yaml")
     assert message in str(error.value) and "file.yaml" in str(error.value)
+
+
+def test_a_room_within_the_net_is_refused(content, tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text(yaml.safe_dump({**content, "room": {**content["room"], "half_x_m": 1.0}}))
+    with pytest.raises(ValueError, match="scene.yaml: the room is smaller than the net: make half_x_m 2.49"):
+        load_style(file)
 
 
 def test_missing_file_is_one_error(tmp_path):
@@ -174,8 +181,9 @@ def test_room_encloses_the_net():
     assert np.linalg.norm(np.diff(ends, axis=1), axis=2).max() <= 0.5 + 1e-9
 
 
-def test_a_larger_net_has_a_larger_room_around_it():
+def test_the_room_goes_with_the_net_around_it():
     fleet = load_fleet(package_file("risc_simulator", "test/two_ardrones.yaml"))
+    assert load_scene(replace(fleet, arena=Arena(0.5, 0.5))).style.room.half_x_m > 0.5
     room, larger = (load_scene(f).style.room for f in (fleet, replace(fleet, arena=Arena(6.0, 5.0))))
     assert room == load_style().room
     assert larger.half_x_m - 6.0 == pytest.approx(room.half_x_m - Arena().half_x_m)
