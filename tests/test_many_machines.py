@@ -41,6 +41,7 @@ from data_extraction.report.computers import ComputerCollector
 from risc_control.failsafe import SafetyLimits
 from risc_control.vehicles import greatest_command
 from risc_lab.lab import load_fleet, load_vehicle_type
+from risc_lab.lab.fleet import LEGACY_VEHICLES
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
 
 LIMITS = SafetyLimits()
@@ -122,7 +123,7 @@ def state_ages(hosts, vehicle):
     The vehicle's node tells what each command makes of the vehicle, and that stamp; no two have equal sticks.
     Left out: after the bag's end; of risc3, what may have died with the base station before its cable was plugged.
     """
-    template = {v.namespace: v.template for v in load_fleet(hosts.fleet).vehicles}[vehicle]
+    template = LEGACY_VEHICLES[vehicle]
     most = greatest_command(ARDRONE)
     full = np.array((most.roll_rad, most.pitch_rad, ARDRONE.climb_max_m_s, most.yaw_rate_rad_s))
     told, stamps_s = [], []
