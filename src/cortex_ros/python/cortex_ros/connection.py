@@ -117,7 +117,11 @@ class CortexConnection:
 
     def _receive(self, sock):
         """The packet that waits; None if it is not the host's, or malformed."""
-        data, sender = sock.recvfrom(wire.MAX_DATAGRAM_BYTES)
+        try:
+            data, sender = sock.recvfrom(wire.MAX_DATAGRAM_BYTES, socket.MSG_DONTWAIT)
+        except BlockingIOError:  # what waits is only the record of a refusal that has been raised already
+            sock.recvmsg(0, _BUFFER_BYTES, socket.MSG_ERRQUEUE | socket.MSG_DONTWAIT)
+            return None
         if self._host != BROADCAST and sender[0] != self._address[0]:
             return None
         try:
