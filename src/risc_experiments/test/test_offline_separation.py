@@ -30,7 +30,9 @@ FLEETS, MULTI_MACHINE = LAUNCH / "fleets", LAUNCH / "Multi_Machine_Experiment.la
         ("circle", 5, "state", 1, LIMITS.separation_m),
         ("circle", 5, "state", 3, LIMITS.separation_m),
         ("circle", 5, "controls", 3, LIMITS.separation_m),
-        ("circles3", 3, "laptop", 1, CONTACT_M),  # it drifts for two seconds, wherever the others are
+        ("circles3", 3, "laptop", 32, LIMITS.separation_m),
+        # it drifts for two seconds by its last command, wherever the others are: of thirty seeds eight collide
+        ("circles3", 3, "laptop", 1, CONTACT_M),
         ("circles3", 3, "laptop", 3, CONTACT_M),
     ],
 )
