@@ -211,5 +211,5 @@ def test_reset_forgets():
     assert (value[0, 0], samples[0]) == (pytest.approx(0.0), 1)
 
 
-def test_too_few_distinct_times_have_no_weights():
-    assert endpoint_weights([0.0, 0.0, 0.0], 1) is None
+def test_too_few_distinct_times_have_a_mean_and_no_slope():
+    np.testing.assert_allclose(endpoint_weights([0.0, 0.0, 0.0], 1), [[1.0 / 3.0] * 3, [0.0] * 3])
