@@ -43,7 +43,7 @@ def test_exact_on_polynomials_at_irregular_stamps(order, seed, jitter):
 
 def test_slope_of_a_line_is_the_textbook_least_squares_slope():
     rng = np.random.default_rng(3)
-    ages_s = np.sort(rng.uniform(0.0, 0.3, 17))[::-1]
+    ages_s = np.append(np.sort(rng.uniform(0.0, 0.3, 16))[::-1], 0.0)
     samples = rng.normal(size=17)
     slope, value = np.polyfit(-ages_s, samples, 1)
     assert endpoint_weights(ages_s, 1) @ samples == pytest.approx([value, slope], abs=1e-10)

@@ -205,8 +205,8 @@ def _are_weighed(window, start, end):
 def _weigh(fit, stamps_s, present, weights):
     """Weights that turn samples into the fitted polynomial's value and slope at the last stamp.
 
-    stamps_s: (n,) [s], rising; present: (n,) bool: at which there is a sample, at the last one there is.   Fills weights
-    (2, >= n): for the value, for the slope [1/s]; 0 without sample; and samples and span_s of fit. The order is less
+    stamps_s: (n,) [s], rising; present: (n,) bool: at which there is a sample, always at the last.   Fills weights
+    (2, >= n): for the value, for the slope [1/s], 0 without sample; and samples and span_s of fit. The order is less
     than wanted where the span is short, or where there are too few distinct times.
     Deviation from eq 4.1: times count from the newest sample and are scaled; the estimate is unchanged.
     """
