@@ -11,7 +11,7 @@ from collections import namedtuple
 
 from risc_control.failsafe import FailsafeLevel
 from risc_control.vehicle_pilot import FlightState
-from risc_visual.drawing.airframes import vehicle_colour
+from risc_visual.drawing.palette import vehicle_colour
 
 PAGE_OLD_S = 3.0  # the page itself says that it is old when nothing came for so long
 # How long a value stays true [s]. Mode and navdata come 15 times a second and more, the others once a second.
