@@ -49,11 +49,9 @@ class ControllerNode:
         defaults = default_params(rospy.get_param("~controller", controller))
         known = (*known, *VEHICLE_KEYS, *LEGACY_PARAMETERS)
         node, params = load_params(ControllerParams(controller), defaults, known=known, lenient=True)
-        for name, value in vars(params).items():
-            if value != getattr(defaults, name):
-                text = "%s is %r, not %r as in the YAML file: by the launch file, or left there by a run before (%s)"
-                cure = "rosparam delete " + rospy.resolve_name("~" + name)
-                rospy.logwarn(text, name, value, getattr(defaults, name), cure)
+        others = other_numbers(params, defaults)
+        if others:
+            rospy.logwarn(others, rospy.get_name())
         fleet_vehicles = vehicles() if fleet_vehicles is None else fleet_vehicles
         fleet_vehicles = [replace(vehicle, type=node.vehicle_type or vehicle.type) for vehicle in fleet_vehicles]
         self.names = [vehicle.template for vehicle in fleet_vehicles]
@@ -251,6 +249,17 @@ class ControllerNode:
             status.add("position error of %s (mm)" % name, "%.1f" % (1e3 * error_m))
         status.add("autonomous", ", ".join(np.array(self.names)[self._autonomous].tolist()) or "none")
         return status
+
+
+def other_numbers(params, defaults):
+    """What is not as in a controller's YAML file, in words with a place for the node's name; "" when nothing is."""
+    values = zip(vars(params).items(), vars(defaults).values())
+    others = ["%s %s (%s)" % (name, value, of_file) for (name, value), of_file in values if value != of_file]
+    text = (
+        "not as in the YAML file (whose value): %s. The launch file says so, or dynamic_reconfigure has left it here in "
+        "a run before: 'rosparam delete %%s/NAME' and another start bring the file's back"
+    )
+    return text % ", ".join(others) if others else ""
 
 
 def _config(params):
