@@ -256,8 +256,8 @@ def other_numbers(params, defaults):
     values = zip(vars(params).items(), vars(defaults).values())
     others = ["%s %s (%s)" % (name, value, of_file) for (name, value), of_file in values if value != of_file]
     text = (
-        "not as in the YAML file (whose value): %s. The launch file says so, or dynamic_reconfigure has left it here in "
-        "a run before: 'rosparam delete %%s/NAME' and another start bring the file's back"
+        "not as in the YAML file (whose value): %s. The launch file says so, or dynamic_reconfigure has left it here "
+        "in a run before: 'rosparam delete %%s/NAME' and another start bring the file's back"
     )
     return text % ", ".join(others) if others else ""
 
