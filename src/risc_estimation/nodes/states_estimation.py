@@ -27,7 +27,7 @@ from risc_lab.ros.diagnostics import Growth, add_all, summarise, ticking_updater
 from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES
-from risc_lab.ros.params import has_private, known_fleet, load_params
+from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, StateCovariances
@@ -44,7 +44,7 @@ class StatesEstimationNode:
         fleet = known_fleet()
         rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
         if fleet is not None:
-            fit_params = fit_params.within(fleet.arena, keep=tuple(filter(has_private, ARENA_KEYS)))
+            fit_params = fit_params.within(fleet.arena, keep=set(ARENA_KEYS).intersection(rospy.get_param("~", {})))
         self._estimator = StatesEstimator(
             load_templates(params.templates_file or None, fleet),
             fit_params,
