@@ -110,12 +110,6 @@ class _Kind:
         if self.body is not None:
             self.records["body"] = self.body.values
 
-    def prepare(self, vehicles):
-        """Write what the vehicles are into their records."""
-        fill_records(self.records, [vehicle.plant for vehicle in vehicles])
-        for c, vehicle in enumerate(vehicles):
-            vehicle.firmware.configure(self.records[c : c + 1])
-
 
 class _Carried:
     """What one vehicle carries."""
@@ -184,13 +178,10 @@ class World:
             self._x[X.PSI, i] = fleet_vehicle.start.yaw_rad
         self.vehicles = {vehicle.namespace: vehicle for vehicle in vehicles}
         self._vehicles = vehicles
-        landmarks_m = [
-            _look_up(templates, mark.name, "mocap template").markers_m @ _turned(mark.facing_rad).T
-            + np.array(mark.position_m)
-            for mark in fleet.landmarks
-        ]
         for kind in self._kinds:
-            kind.prepare([vehicles[i] for i in kind.columns])
+            fill_records(kind.records, [vehicles[i].plant for i in kind.columns])
+            for c, i in enumerate(kind.columns):
+                vehicles[i].firmware.configure(kind.records[c : c + 1])
         carried = [
             _Carried(kind, c, _look_up(templates, vehicles[i].attached.template, "mocap template"))
             for kind in self._kinds
@@ -198,18 +189,17 @@ class World:
             for c, i in enumerate(kind.columns)
         ]
         self._carried = {one.column: one for one in carried}
+        bodies = [(vehicle.template, vehicle.markers_m) for vehicle in vehicles]
+        for mark in fleet.landmarks:
+            markers_m = _look_up(templates, mark.name, "mocap template").markers_m
+            bodies.append((mark.name, markers_m @ _turned(mark.facing_rad).T + mark.position_m))
+        bodies += [(one.template.name, one.template.markers_m) for one in carried]
         #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, landmarks, what vehicles carry
-        self.layout = (
-            *((vehicle.template, len(vehicle.markers_m)) for vehicle in vehicles),
-            *((mark.name, len(markers_m)) for mark, markers_m in zip(fleet.landmarks, landmarks_m)),
-            *((one.template.name, len(one.template.markers_m)) for one in carried),
-        )
-        self._first_marker = np.cumsum([0] + [len(vehicle.markers_m) for vehicle in vehicles])
-        self._body_markers_m = np.concatenate(
-            [np.reshape(vehicle.markers_m, (-1, 3)) for vehicle in vehicles] + [np.empty((0, 3))]
-        )
-        self._markers_m = np.concatenate([self._body_markers_m, *landmarks_m, *(c.template.markers_m for c in carried)])
-        self._first_carried = len(self._markers_m) - sum(len(one.template.markers_m) for one in carried)
+        self.layout = tuple((name, len(markers_m)) for name, markers_m in bodies)
+        firsts = np.cumsum([0] + [count for _, count in self.layout])
+        self._first_marker, self._first_carried = firsts[: n + 1], firsts[len(bodies) - len(carried)]
+        self._markers_m = np.concatenate([np.empty((0, 3)), *(markers_m for _, markers_m in bodies)])
+        self._body_markers_m = self._markers_m[: firsts[n]].copy()
         for one in carried:
             one.rest(self._x)
 
@@ -217,8 +207,6 @@ class World:
         self._lifted = self._flags[0]
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
         self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
-        self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
-        self._wake_s = math.inf  # and the first of them
         self._steps_per_second = max(1, int(round(1.0 / step_s)))
         self._slope, self._thrust_n = np.empty((rows, n)), np.empty(n)
         self._slope_at = -1  # step whose slopes and thrusts these are
@@ -244,11 +232,18 @@ class World:
         target = int(math.floor(time_s / self.step_s + 1e-6))
         while self._steps < target:
             time_s = self.time_s
-            self._run_agenda(time_s)
-            if self._steps % self._steps_per_second == 0:
-                self._check_batteries(time_s)
-            if self._wake_s <= time_s:
-                self._wake(time_s)
+            while self._agenda and self._agenda[0][0] <= time_s:
+                _, _, i, action = heapq.heappop(self._agenda)
+                self._vehicles[i].firmware.apply(action, time_s, self._motions[i])
+                self._take_over(i)
+            is_second = self._steps % self._steps_per_second == 0
+            for i, vehicle in enumerate(self._vehicles):
+                if is_second:
+                    vehicle.firmware.check_battery(time_s)
+                    self._take_over(i)
+                if vehicle.firmware.wake_s <= time_s:
+                    vehicle.firmware.wake(time_s, self._motions[i])
+                    self._take_over(i)
             gusts = [self._gust_scale * rng.standard_normal(3) for rng in self._gust_rngs]
             touching = self._advance(np.reshape(gusts, (-1, 3)))
             self._steps += 1
@@ -278,23 +273,6 @@ class World:
 
     # ------------------------------------------------------------------ what on-board logic decides
 
-    def _run_agenda(self, time_s):
-        while self._agenda and self._agenda[0][0] <= time_s:
-            _, _, i, action = heapq.heappop(self._agenda)
-            self._vehicles[i].firmware.apply(action, time_s, self._motions[i])
-            self._take_over(i)
-
-    def _check_batteries(self, time_s):
-        for i, vehicle in enumerate(self._vehicles):
-            vehicle.firmware.check_battery(time_s)
-            self._take_over(i)
-
-    def _wake(self, time_s):
-        for i, vehicle in enumerate(self._vehicles):
-            if vehicle.firmware.wake_s <= time_s:
-                vehicle.firmware.wake(time_s, self._motions[i])
-                self._take_over(i)
-
     def _take_over(self, i):
         """Bring what the firmware decided into the arrays."""
         firmware = self._vehicles[i].firmware
@@ -307,8 +285,6 @@ class World:
         if not firmware.motors_on:
             self._u[U.CLIMB_TRIM, i] = 0.0
         self._lifted[i] = firmware.lifted
-        self._wakes_s[i] = firmware.wake_s
-        self._wake_s = min(self._wakes_s)
 
     def _vertical_motion(self, i):
         """Height [m] and climb rate [m/s]."""
