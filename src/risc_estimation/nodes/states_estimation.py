@@ -11,9 +11,9 @@ import threading
 import time
 
 import numpy as np
-import roslib.message
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
+from roslib.message import get_message_class
 
 from risc_estimation import sensors
 from risc_estimation.filters import COMMAND
@@ -27,7 +27,7 @@ from risc_lab.ros import low_latency
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES
-from risc_lab.ros.params import has_private, known_fleet, load_params
+from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, StateCovariances
@@ -42,7 +42,7 @@ class StatesEstimationNode:
         fleet = known_fleet()
         rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
         if fleet is not None:
-            fit_params = fit_params.within(fleet.arena, keep=tuple(filter(has_private, ARENA_KEYS)))
+            fit_params = fit_params.within(fleet.arena, keep=set(ARENA_KEYS).intersection(rospy.get_param("~", {})))
         self._estimator = StatesEstimator(
             load_templates(params.templates_file or None, fleet),
             fit_params,
@@ -87,14 +87,11 @@ class StatesEstimationNode:
         if wanted <= {COMMAND}:
             return
         for vehicle in vehicles:
-            if vehicle.type in sensors.REGISTRY.names():
-                kind = sensors.REGISTRY.module(vehicle.type)
-                topic, message_class = (
-                    "/%s/%s" % (vehicle.namespace, kind.TOPIC),
-                    roslib.message.get_message_class(kind.TYPE),
-                )
-                arguments = vehicle.template, kind.readings
-                rospy.Subscriber(topic, message_class, self._on_readings, arguments, queue_size=10, tcp_nodelay=True)
+            kind = sensors.of_type(vehicle.type)
+            if kind is not None:
+                topic, its_class = "/%s/%s" % (vehicle.namespace, kind.TOPIC), get_message_class(kind.TYPE)
+                arguments = vehicle.template, kind
+                rospy.Subscriber(topic, its_class, self._on_readings, arguments, queue_size=10, tcp_nodelay=True)
 
     @until_shutdown
     def _on_commands(self, message):
@@ -105,10 +102,8 @@ class StatesEstimationNode:
 
     @until_shutdown
     def _on_readings(self, message, arguments):
-        name, readings = arguments
         with self._lock:
-            for what, values in readings(message).items():
-                self._estimator.on_board(name, message.header.stamp.to_sec(), what, values)
+            sensors.give(self._estimator, *arguments, message)
 
     @until_shutdown
     def _on_frame(self, message):
