@@ -26,11 +26,12 @@ _LOOK_S = 0.25  # between two looks whether somebody listens
 class PictureNode(abc.ABC):
     """Subscribes to pictures while somebody listens to a result, and calls `process` with the newest one."""
 
-    def __init__(self, topic, outputs, settings_class, config_type=None):
+    def __init__(self, topic, outputs, settings_class, config_type=None, rate_hz=0.0):
         """topic: of the pictures.  outputs: dict topic -> encoding of a picture, or a message class.
 
         settings_class: Settings of private parameters.  config_type: of dynamic_reconfigure, with fields of the same
-        names; None: the settings stand.  Raises ValueError that names a wrong parameter.
+        names; None: the settings stand.  rate_hz: of pictures, at most; 0: all.  Raises ValueError that names a wrong
+        parameter.
         """
         self.lock = threading.Lock()  # held while `process` runs: for what other callbacks share with it
         self._encodings = {name: kind for name, kind in outputs.items() if isinstance(kind, str)}
@@ -42,7 +43,7 @@ class PictureNode(abc.ABC):
                 rospy.set_param("~" + key, value)
             self._server = Server(config_type, self._on_reconfigure)
         name = rospy.get_name().rsplit("/", 1)[-1]
-        self._reader = PictureReader(topic, self._work, node.ticking_updater(), name)
+        self._reader = PictureReader(topic, self._work, node.ticking_updater(), name, rate_hz)
         self._publishers = {
             name: rospy.Publisher(name, Image if isinstance(kind, str) else kind, queue_size=1)
             for name, kind in outputs.items()
