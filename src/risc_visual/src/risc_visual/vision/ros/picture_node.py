@@ -13,10 +13,11 @@ from cv_bridge import CvBridge
 from dynamic_reconfigure.server import Server
 from sensor_msgs.msg import Image
 
+from risc_lab.ros.diagnostics import ticking_updater
+from risc_lab.ros.node import run as run_node
 from risc_lab.ros.params import load_params
 from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
-from risc_visual.ros import node
 from risc_visual.vision.ros.picture_reader import PictureReader
 
 _BRIDGE = CvBridge()
@@ -43,7 +44,7 @@ class PictureNode(abc.ABC):
                 rospy.set_param("~" + key, value)
             self._server = Server(config_type, self._on_reconfigure)
         name = rospy.get_name().rsplit("/", 1)[-1]
-        self._reader = PictureReader(topic, self._work, node.ticking_updater(), name, rate_hz)
+        self._reader = PictureReader(topic, self._work, ticking_updater(), name, rate_hz)
         self._publishers = {
             name: rospy.Publisher(name, Image if isinstance(kind, str) else kind, queue_size=1)
             for name, kind in outputs.items()
@@ -109,4 +110,4 @@ def rois_msg(header, regions):
 def run(name, node_class):
     """Run a node until shutdown; wrong parameters end it with one line."""
     cv2.setNumThreads(1)  # the flight needs the other cores
-    node.run(name, node_class)
+    run_node(name, node_class)
