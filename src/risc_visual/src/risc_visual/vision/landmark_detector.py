@@ -93,6 +93,7 @@ class LandmarkDetector:
         """
         self._config = config
         self._limits = config.detector
+        self.shrink = config.detector.shrink  # how much smaller than the picture its colours.Planes must be
         self._camera = camera
         self._distorted = camera is not None and bool(np.any(camera.D))
         self._scale = config.ring_scale
@@ -102,11 +103,6 @@ class LandmarkDetector:
         self._core = _on_rays(self._circle[::2], np.array(_CENTRE_RADII))
         places = np.concatenate((self._ring, self._core)).reshape(-1, 2)
         self._rows = np.column_stack((places, np.ones(len(places), np.float32)))
-
-    @property
-    def shrink(self):
-        """How much smaller than the picture its colours.Planes must be."""
-        return self._limits.shrink
 
     def detect(self, image, planes=None):
         """List of Detection, the best first; the same landmark can be among them more than once.
@@ -250,7 +246,7 @@ class LandmarkDetector:
         points, good = self._edge(bgr, start, min(0.5 * band, max(_REACH_PX / start.semi_minor, 0.15)), core, ring)
         if np.count_nonzero(good) < _WHOLE * _RAYS:  # a part is hidden: the blob is not quite where the disc is
             points, good = self._edge(bgr, start, 0.6 * band, core, ring)
-            rough, _ = fit_ellipse(points[good], 2.0, _OUTLIER_PX)
+            rough, _ = fit_ellipse(points[good], _OUTLIER_PX)
             if rough is None or not 0.5 < rough.area / start.area < 2.0 or rough.semi_minor < 1.0:
                 return None
             start = rough
