@@ -87,11 +87,11 @@ def unit_circle(count):
     return np.column_stack((np.cos(angles), np.sin(angles)))
 
 
-def fit_ellipse(points, least_outlier=0.3):
+def fit_ellipse(points, least_outlier=0.3, outlier=3.0):
     """Ellipse through edge points (n, 2), once without outliers, by OpenCV's direct least squares.
 
-    Distances above three (robust) standard deviations are left out, but none below least_outlier (unit of the points).
-    Returns (ellipse, distances (n,), with sign, + outside), or (None, None) if there is none.
+    Distances above `outlier` (robust) standard deviations are left out, but none below least_outlier (unit of the
+    points). Returns (ellipse, distances (n,), with sign, + outside), or (None, None) if there is none.
     """
     points = points.astype(np.float32)
     ellipse = direct_ellipse(points)
@@ -99,7 +99,7 @@ def fit_ellipse(points, least_outlier=0.3):
         return None, None
     off = distances(points, ellipse)
     spread = np.abs(off)
-    keep = spread <= max(least_outlier, 3.0 * 1.4826 * _median(spread))
+    keep = spread <= max(least_outlier, outlier * 1.4826 * _median(spread))
     if _POINTS_MIN <= np.count_nonzero(keep) < len(keep):
         ellipse = direct_ellipse(points[keep])
         if ellipse is None:

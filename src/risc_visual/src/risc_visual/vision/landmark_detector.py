@@ -246,7 +246,7 @@ class LandmarkDetector:
         points, good = self._edge(bgr, start, min(0.5 * band, max(_REACH_PX / start.semi_minor, 0.15)), core, ring)
         if np.count_nonzero(good) < _WHOLE * _RAYS:  # a part is hidden: the blob is not quite where the disc is
             points, good = self._edge(bgr, start, 0.6 * band, core, ring)
-            rough, _ = fit_ellipse(points[good], _OUTLIER_PX)
+            rough, _ = fit_ellipse(points[good], _OUTLIER_PX, 2.0)
             if rough is None or not 0.5 < rough.area / start.area < 2.0 or rough.semi_minor < 1.0:
                 return None
             start = rough
