@@ -1,4 +1,4 @@
-// Time for the client: handed in, so that tests need not wait.
+// Time for sources of motion capture: handed in, so that tests need not wait.
 #pragma once
 
 #include <chrono>
@@ -13,16 +13,12 @@ using Time = std::chrono::nanoseconds;
 class Clock {
  public:
   virtual ~Clock() = default;
-  virtual Time monotonic() const = 0;  // for time-outs: never steps
-  virtual Time wall() const = 0;       // since 1970: what ROS stamps are made of
-};
-
-class SystemClock : public Clock {
- public:
-  Time monotonic() const override {
+  // For time-outs: never steps.
+  virtual Time monotonic() const {
     return std::chrono::duration_cast<Time>(std::chrono::steady_clock::now().time_since_epoch());
   }
-  Time wall() const override {
+  // Since 1970: what ROS stamps are made of.
+  virtual Time wall() const {
     return std::chrono::duration_cast<Time>(std::chrono::system_clock::now().time_since_epoch());
   }
 };

@@ -59,10 +59,7 @@ class Phase(Enum):
     READY = "ready"
 
 
-class _Write(Enum):
-    IDLE = 0
-    AWAIT_ACK = 1
-    AWAIT_CLEAR = 2
+_Write = Enum("_Write", "IDLE AWAIT_ACK AWAIT_CLEAR")
 
 
 class DroneLink:
@@ -394,61 +391,44 @@ class DroneLink:
     def _advance_writes(self, now_s):
         """One step of: acknowledge bit clear -> write -> bit set -> ask to clear it -> bit clear -> next write."""
         acknowledged = bool(self.state_bits & _ACK)
-        if self._write_state is _Write.AWAIT_CLEAR:
-            if not acknowledged:
-                self._write_state = _Write.IDLE
-            elif now_s >= self._write_retry_s:
-                if self._write_tries >= MAX_CLEAR_TRIES:
-                    self._write_now(now_s)  # the bit is stuck: go on without it
-                else:
-                    self._ask_to_clear(now_s)
-        elif self._write_state is _Write.AWAIT_ACK:
+        is_due = now_s >= self._write_retry_s
+        if self._write_state is _Write.AWAIT_ACK:
             if acknowledged:
                 self._writes.popleft()
-                self._write_state = _Write.AWAIT_CLEAR
-                self._write_tries = 0
-                self._ask_to_clear(now_s)
-            elif now_s >= self._write_retry_s:
-                if self._write_tries >= MAX_WRITE_TRIES:
-                    self.unanswered_writes += 1
-                    self._report("error", "the vehicle did not acknowledge %s = %s" % self._writes.popleft())
-                    self._write_state = _Write.IDLE
-                else:
-                    if self.phase is Phase.CONFIGURING:
-                        # A vehicle that still counts from a client before us ignores all but number 1, which was lost
-                        self._numbers = itertools.count(1)
-                    self._send_write(now_s)
+                self._await(_Write.AWAIT_CLEAR)
+            elif is_due and self._write_tries >= MAX_WRITE_TRIES:
+                self.unanswered_writes += 1
+                self._report("error", "the vehicle did not acknowledge %s = %s" % self._writes.popleft())
+                self._await(_Write.IDLE)
+        elif self._write_state is _Write.AWAIT_CLEAR:
+            if is_due and self._write_tries >= MAX_CLEAR_TRIES:
+                acknowledged = False  # the bit is stuck: go on without it
+            if not acknowledged:
+                self._await(_Write.IDLE)
         if self._write_state is _Write.IDLE:
-            self._write_tries = 0
             if self._writes:
-                if acknowledged:
-                    self._write_state = _Write.AWAIT_CLEAR
-                    self._ask_to_clear(now_s)
-                else:
-                    self._write_now(now_s)
+                self._await(_Write.AWAIT_CLEAR if acknowledged else _Write.AWAIT_ACK)
             elif self.phase is Phase.CONFIGURING:
                 self.phase = Phase.READY
                 self._configured_before = True
                 self._report("info", "the vehicle is configured")
+        if self._write_state is not _Write.IDLE and (is_due or not self._write_tries):
+            self._try_write(now_s)
 
-    def _write_now(self, now_s):
-        self._write_tries = 0
-        if self._writes:
-            self._write_state = _Write.AWAIT_ACK
-            self._send_write(now_s)
-        else:
-            self._write_state = _Write.IDLE
+    def _await(self, write_state):
+        self._write_state, self._write_tries = write_state, 0
 
-    def _send_write(self, now_s):
-        key, text = self._writes[0]
+    def _try_write(self, now_s):
+        self._write_tries += 1
+        if self._write_state is _Write.AWAIT_CLEAR:
+            self._send("CTRL", CtrlMode.CLEAR_ACK, 0)
+            self._write_retry_s = now_s + CLEAR_PERIOD_S
+            return
+        if self._write_tries > 1 and self.phase is Phase.CONFIGURING:
+            # A vehicle that still counts from a client before us ignores all but number 1, which was lost
+            self._numbers = itertools.count(1)
         self._send_command(
             at.encode("CONFIG_IDS", next(self._numbers), self._session_id, USER_ID, APPLICATION_ID)
-            + at.encode("CONFIG", next(self._numbers), key, text)
+            + at.encode("CONFIG", next(self._numbers), *self._writes[0])
         )
-        self._write_tries += 1
         self._write_retry_s = now_s + ACK_TIMEOUT_S
-
-    def _ask_to_clear(self, now_s):
-        self._send("CTRL", CtrlMode.CLEAR_ACK, 0)
-        self._write_tries += 1
-        self._write_retry_s = now_s + CLEAR_PERIOD_S
