@@ -147,7 +147,6 @@ _FRAME_HEAD = struct.Struct("<HHii")
 _I32, _F32 = struct.Struct("<i"), struct.Struct("<f")
 _IDENTITY = struct.Struct("<128s4B")
 _NO_SEGMENTS_NO_DOFS = bytes(8)
-_NO_ANALOG_NO_FORCES = bytes(16)
 
 
 # --- encoding -----------------------------------------------------------------------------------------------------
@@ -207,10 +206,9 @@ class FrameEncoder:
         self._starts = np.array(starts, dtype=np.int64)  # where each marker lies in the packet
         self._wire_mm = np.empty((len(starts), 3), "<f4")  # the markers as they go into the packet,
         self._wire_bytes = self._wire_mm.view(np.uint8)  # and their bytes
-        self._end = _end_of_frame(b"")  # of a frame without unidentified markers and recording
-        self._frame = bytearray(b"".join(parts) + self._end)
+        self._bodies_end = size
+        self._frame = bytearray(b"".join(parts) + self._end())
         self._packet = np.frombuffer(self._frame, np.uint8)
-        self._check_size(len(self._frame), 0)
         _put_markers(np.empty((0, 3)), 1.0, self._starts, self._wire_mm, self._wire_bytes, self._packet)  # loads it
 
     def encode(self, number, markers, unidentified=None, delay_s=0.0, recording=None):
@@ -224,34 +222,31 @@ class FrameEncoder:
         if markers.shape != self._wire_mm.shape:
             raise ValueError("the layout has %d markers, got %d" % (self.marker_count, len(markers)))
         _put_markers(markers, self._mm_per_unit, self._starts, self._wire_mm, self._wire_bytes, self._packet)
-        packet = self._frame[:]
-        tail = b""
+        packet, loose, item = self._frame[:], b"", b""
+        if unidentified is not None and len(unidentified):
+            loose = (unidentified * self._mm_per_unit).astype("<f4").tobytes()
         if recording is not None:
             *numbers, name = recording
             data = _i32(*numbers) + _text(name, MAX_FILE_NAME_BYTES)
-            tail = _i32(TAG_RECORDING, len(data)) + data
-        if unidentified is not None and len(unidentified):
-            loose = (unidentified * self._mm_per_unit).astype("<f4").tobytes()
-            packet[-len(self._end) :] = _end_of_frame(loose)
-            self._check_size(len(packet) + len(tail), len(unidentified))
-        packet += tail
+            item = _i32(TAG_RECORDING, len(data)) + data
+        if loose or item:
+            packet[self._bodies_end :] = self._end(loose, item)
         _FRAME_HEAD.pack_into(packet, 0, _FRAME_OF_DATA, len(packet) - 4, number, self._body_count)
-        delay_offset = len(packet) - len(tail) - 4
+        delay_offset = len(packet) - len(item) - 4
         _F32.pack_into(packet, delay_offset, delay_s)
         return packet, delay_offset
 
-    def _check_size(self, packet_bytes, loose_count):
-        if packet_bytes > MAX_DATAGRAM_BYTES:
+    def _end(self, loose=b"", recording=b""):
+        """What follows the bodies: unidentified markers, no analog samples and forces, a delay of 0, an item."""
+        end, loose_count = _i32(len(loose) // 12) + loose + bytes(24) + recording, len(loose) // 12
+        payload_bytes = self._bodies_end + len(end) - 4
+        if payload_bytes > MAX_PAYLOAD_BYTES:
             raise PacketTooLargeError(
                 "a frame of %d bodies, %d markers and %d unidentified markers needs %d payload bytes, one datagram"
                 " holds %d: use fewer"
-                % (self._body_count, self.marker_count, loose_count, packet_bytes - 4, MAX_PAYLOAD_BYTES)
+                % (self._body_count, self.marker_count, loose_count, payload_bytes, MAX_PAYLOAD_BYTES)
             )
-
-
-def _end_of_frame(loose):
-    """End of a frame behind its bodies: unidentified markers, no analog samples, no forces, a delay of 0."""
-    return _i32(len(loose) // 12) + loose + _NO_ANALOG_NO_FORCES + bytes(8)
+        return end
 
 
 @compiled
