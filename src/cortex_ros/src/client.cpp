@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <map>
 #include <sstream>
 #include <stdexcept>
 #include <utility>
@@ -51,16 +52,13 @@ std::vector<Position> to_positions(const std::vector<Marker>& markers, double me
 }  // namespace
 
 Mode mode_from_text(const std::string& text) {
-  if (text == "auto") {
-    return Mode::kAuto;
+  static const std::map<std::string, Mode> kModes = {
+      {"auto", Mode::kAuto}, {"stream", Mode::kStream}, {"poll", Mode::kPoll}};
+  const auto found = kModes.find(text);
+  if (found == kModes.end()) {
+    throw std::invalid_argument("mode must be auto, stream or poll, not '" + text + "'");
   }
-  if (text == "stream") {
-    return Mode::kStream;
-  }
-  if (text == "poll") {
-    return Mode::kPoll;
-  }
-  throw std::invalid_argument("mode must be auto, stream or poll, not '" + text + "'");
+  return found->second;
 }
 
 std::string host_from_text(const std::string& text) {

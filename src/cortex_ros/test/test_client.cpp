@@ -83,9 +83,8 @@ class Recorder : public SourceEvents {
 };
 
 bool has(const MocapHost& host, const std::string& remark) {
-  return std::any_of(host.remarks.begin(), host.remarks.end(), [&](const std::string& text) {
-    return text.find(remark) != std::string::npos;
-  });
+  return std::any_of(host.remarks.begin(), host.remarks.end(),
+                     [&](const std::string& text) { return text.find(remark) != std::string::npos; });
 }
 
 constexpr const char* kNoUnit = "does not report its length unit";

@@ -46,6 +46,7 @@ _ACK, _BOOTSTRAP, _COM_WATCHDOG, _EMERGENCY, _FLYING = map(
 )
 _MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # a packet in which one of these changes must be sound to its last byte
 
+_NEVER_S = float("inf")
 _FIRST_OPTION = struct.Struct("<HHI")  # tag, size, first word of the payload; every packet has at least these
 _NOT_IN_FLIGHT = (ControlState.LANDED, ControlState.LANDING)
 
@@ -105,7 +106,7 @@ class DroneLink:
         self._navdata_sequence = -1
         self._heard_s = float("-inf")
         self._next_wake_up_s = float("-inf")
-        self._settled_s = float("inf")
+        self._settled_s = _NEVER_S
         self._configured_before = False
         self._setup_started_s = float("-inf")
         self._watchdog_reset = False
@@ -128,7 +129,7 @@ class DroneLink:
         self._take_off_ordered = False
         self._land_ordered = False
         self._closing = False
-        self._next_tick_s = float("inf")  # no commands before the first packet
+        self._next_tick_s = _NEVER_S  # no commands before the first packet
         self._last_tick_s = float("-inf")
 
     # --- what is known -------------------------------------------------------------------------------------------
@@ -324,16 +325,16 @@ class DroneLink:
                 self._next_wake_up_s = self._heard_s + WAKE_UP_PERIOD_S
         if self.phase is Phase.SETTLING and now_s >= self._settled_s:
             self._start_configuration(now_s)
-        due_s = self._next_wake_up_s
+        next_step_s = _NEVER_S
         if self.phase is Phase.SETTLING:
-            due_s = min(due_s, self._settled_s)
+            next_step_s = self._settled_s
         elif self.connected:
             self._advance_writes(now_s)
             if self._write_state is not _Write.IDLE:
-                due_s = min(due_s, self._write_retry_s)
+                next_step_s = self._write_retry_s
         if now_s >= self._next_tick_s:
             self._tick(now_s)
-        self.due_s = min(due_s, self._next_tick_s)
+        self.due_s = min(self._next_wake_up_s, next_step_s, self._next_tick_s)
 
     def _on_lost(self):
         self._report("error", "nothing received for %.1f s: landing is ordered, looking for the vehicle" % LOST_S)
@@ -344,7 +345,7 @@ class DroneLink:
 
     def _hurry(self, now_s):
         """Send at once what has changed, MIN_SPACING_S after the last datagram at the earliest."""
-        if self._next_tick_s != float("inf"):
+        if self._next_tick_s != _NEVER_S:
             self._next_tick_s = min(self._next_tick_s, max(now_s, self._last_tick_s + MIN_SPACING_S))
             self.due_s = min(self.due_s, self._next_tick_s)
 
@@ -364,12 +365,10 @@ class DroneLink:
             self._sticks = self._fresh_sticks(now_s)
         if self._select and now_s >= self._select_until_s:
             self._select = False
-            self._report(
-                "warn",
-                "the reset had no effect: the cause of the emergency persists, or the link is bad"
-                if self.connected
-                else "the reset was sent for %.1f s without telemetry, nobody knows its effect" % RESET_TIMEOUT_S,
-            )
+            text = "the reset had no effect: the cause of the emergency persists, or the link is bad"
+            if not self.connected:
+                text = "the reset was sent for %.1f s without telemetry, nobody knows its effect" % RESET_TIMEOUT_S
+            self._report("warn", text)
         self._pilot(self._sticks, self._start, self._select)
         if self._watchdog_reset:
             self._watchdog_reset = False
