@@ -147,9 +147,11 @@ def test_a_host_that_goes_away_while_it_is_polled_is_waited_for_and_then_told():
         def serve():
             identity = wire.encode_identity(Command.HERE_I_AM, wire.Identity("Cortex", (1, 5, 3, 1)))
             packet, _ = wire.FrameEncoder([("body", 1)]).encode(7, np.ones((1, 3)))
-            for answer in (identity, packet):
-                _, client = host.recvfrom(1000)
-                host.sendto(answer, client)
+            polled = False
+            while not polled:
+                request, client = host.recvfrom(1000)
+                polled = request[0] == Command.REQUEST_FRAME
+                host.sendto(packet if polled else identity, client)
             host.close()  # from now on its computer refuses
 
         thread = threading.Thread(target=serve)
@@ -182,8 +184,8 @@ def test_a_host_is_found_by_broadcast():
         port = host.getsockname()[1]
 
         def serve():
+            _, client = host.recvfrom(1000)
             for name, program in (("Other", 7), ("Cortex", 1)):
-                _, client = host.recvfrom(1000)
                 identity = wire.Identity(name, (program, 5, 3, 1))
                 host.sendto(wire.encode_identity(Command.HERE_I_AM, identity), client)
 

@@ -27,11 +27,6 @@ class JoyEvent(NamedTuple):
     type: int
     number: int
 
-    @property
-    def is_initial(self):
-        """True for the synthetic records that the kernel sends after opening."""
-        return bool(self.type & _INIT)
-
 
 class RecordReader:
     """Cuts a byte stream into records; a read may end in the middle of one."""
@@ -104,18 +99,18 @@ class JoyState:
 
     def apply(self, event):
         """Take one event over; returns its `Urgency`."""
-        kind = event.type & ~_INIT
+        kind, is_initial = event.type & ~_INIT, event.type & _INIT  # the latter of the kernel's records after opening
         if kind == _BUTTON:
             self._grow(self.buttons, event.number, 0)
             if not self._settings.sticky_buttons:
                 self.buttons[event.number] = 1 if event.value else 0
             elif event.value == 1:
                 self.buttons[event.number] = 1 - self.buttons[event.number]
-            return Urgency.SOON if event.is_initial else Urgency.NOW
+            return Urgency.SOON if is_initial else Urgency.NOW
         if kind == _AXIS:
             self._grow(self.axes, event.number, 0.0)
             # Triggers announce 0 until first touched, which would read as half pressed: keep 0 unless told otherwise.
-            if not event.is_initial or self._settings.default_trig_val:
+            if not is_initial or self._settings.default_trig_val:
                 self.axes[event.number] = self.axis_value(event.value)
             return Urgency.SOON
         return Urgency.NEVER

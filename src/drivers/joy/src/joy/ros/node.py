@@ -44,27 +44,22 @@ class JoyNode:
             try:
                 fd = open_device(path)
             except OSError as error:
-                if not complained:
-                    cure = "plug it in, or set ~dev; trying again every second"
-                    rospy.logerr("joy: cannot open joystick %s (%s): %s", path, error.strerror, cure)
-                    complained = True
-                self._diagnostics.update()
-                select.select([self._wake_read], [], [], RETRY_S)
-                continue
-            name = device_name(fd) or "no name"
-            rospy.loginfo("joy: opened joystick %s (%s), dead zone %g", path, name, self._settings.deadzone)
-            self._is_open = True
-            self._diagnostics.force_update()
-            try:
-                self._read(fd, path)
-            finally:
-                os.close(fd)
-                self._is_open = False
-            if rospy.is_shutdown():
-                break
-            rospy.logerr("joy: connection to joystick %s lost; trying again every second", path)
-            self._diagnostics.force_update()
+                problem = "cannot open joystick %s (%s): plug it in, or set ~dev" % (path, error.strerror)
+            else:
+                problem, complained = "connection to joystick %s lost" % path, False
+                name = device_name(fd) or "no name"
+                rospy.loginfo("joy: opened joystick %s (%s), dead zone %g", path, name, self._settings.deadzone)
+                self._is_open = True
+                self._diagnostics.force_update()
+                try:
+                    self._read(fd, path)
+                finally:
+                    os.close(fd)
+                    self._is_open = False
+            if not complained and not rospy.is_shutdown():
+                rospy.logerr("joy: %s; trying again every second", problem)
             complained = True
+            self._diagnostics.force_update()
             select.select([self._wake_read], [], [], RETRY_S)
 
     def _choose_device(self):
