@@ -19,6 +19,7 @@ constexpr int kQueueSize = 100;
 constexpr double kLogPeriodS = 5.0;
 constexpr double kStaleFrameS = 0.5;
 constexpr double kMaxMaxDelayS = 10.0;
+constexpr double kMinRateHz = 0.1;  // a slower host is one that does not tell its rate
 constexpr char kUpAxis = 'z';
 
 ros::console::Level to_ros_level(LogLevel level) {
@@ -126,7 +127,7 @@ void MocapPublisher::on_frame(const MocapFrame& frame) {
 }
 
 void MocapPublisher::on_host_up(const MocapHost& host) {
-  const bool filter = filter_stamps_ && host.frame_rate_hz > 0.0;
+  const bool filter = filter_stamps_ && host.frame_rate_hz >= kMinRateHz;
   stamps_.set_period(filter ? from_seconds(1.0 / host.frame_rate_hz) : Time{0});
   if (is_up_) {
     // This thread receives the frames: packets that anyone can send must not keep it busy with logging.

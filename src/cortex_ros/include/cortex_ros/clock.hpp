@@ -2,8 +2,6 @@
 #pragma once
 
 #include <chrono>
-#include <cmath>
-#include <limits>
 
 namespace cortex_ros {
 
@@ -27,18 +25,9 @@ inline double to_seconds(Time time) {
   return std::chrono::duration<double>(time).count();
 }
 
-// The nearest Time, towards zero. What does not fit becomes the longest Time of its sign, NaN becomes zero.
+// Towards zero. Of less than 292 years.
 inline Time from_seconds(double seconds) {
-  constexpr double kNanosecondsPerSecond = 1e9;
-  constexpr double kLimit = -static_cast<double>(std::numeric_limits<Time::rep>::min());  // 2^63 exactly
-  const double nanoseconds = seconds * kNanosecondsPerSecond;
-  if (std::isnan(nanoseconds)) {
-    return Time{0};
-  }
-  if (nanoseconds >= kLimit) {
-    return Time::max();
-  }
-  return nanoseconds <= -kLimit ? Time::min() : Time(static_cast<Time::rep>(nanoseconds));
+  return std::chrono::duration_cast<Time>(std::chrono::duration<double>(seconds));
 }
 
 }  // namespace cortex_ros
