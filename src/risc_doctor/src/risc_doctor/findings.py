@@ -79,11 +79,33 @@ class Findings(list):
         return self
 
 
-def broken(check, error):
-    """The Finding that the check itself has failed, and where."""
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    where = "%s, line %d" % (pathlib.PurePath(place.filename).name, place.lineno)
-    return finding(check, "broken", error="%s: %s" % (type(error).__name__, error), place=where)
+class FoundError(Exception):
+    """Nothing more can be looked at; `finding` says why."""
+
+    def __init__(self, check, code, **values):
+        self.finding = finding(check, code, **values)
+        super().__init__(self.finding.text)
+
+
+def collect(findings):
+    """A list of findings from an iterator, which a FoundError may end: it is the last one."""
+    found = []
+    try:
+        for one in findings:
+            found.append(one)  # noqa: PERF402 - those before an error stay
+    except FoundError as error:
+        found.append(error.finding)
+    return found
+
+
+def guarded(check, function, *arguments):
+    """`collect` of a function's findings; when it breaks, a red one that says where: other checks are worth having."""
+    try:
+        return collect(function(*arguments))
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = "%s, line %d" % (pathlib.PurePath(place.filename).name, place.lineno)
+        return [finding(check, "broken", error="%s: %s" % (type(error).__name__, error), place=where)]
 
 
 def worst(findings):

@@ -4,7 +4,7 @@ import socket
 
 from risc_doctor import interfaces as net
 from risc_doctor.findings import Findings
-from risc_doctor.ros_master import MasterError, host_and_port, resolve
+from risc_doctor.ros_master import MasterError, UnknownHostError, host_and_port, resolve
 
 
 def check(situation):
@@ -80,14 +80,14 @@ def _nodes(situation):
     if situation.master is None:
         return found
     try:
-        answers = situation.master.ask_nodes(situation.master.nodes())
+        answers = situation.master.ask_nodes()
         simulated_time = situation.master.parameter("/use_sim_time", False)
     except MasterError as error:
         return found.say("master_gone", error=error)
     if simulated_time:
         found.say("simulated_time")
-    gone = sorted(name for name, why in answers.items() if why and "not known here" not in why)
-    unknown = sorted(name for name, why in answers.items() if "not known here" in why)
+    unknown = [name for name, why in answers.items() if isinstance(why, UnknownHostError)]
+    gone = [name for name, why in answers.items() if why and name not in unknown]
     for name in unknown:
         found.say("node_unreachable", node=name, why=answers[name])
     if gone:

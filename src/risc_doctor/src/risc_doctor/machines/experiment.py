@@ -4,7 +4,7 @@ import os
 import posixpath
 import re
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import roslaunch
 from roslaunch.arg_dump import get_args
@@ -13,11 +13,12 @@ from roslaunch.core import RLException, is_machine_local
 from ardrone_autonomy.protocol import DEFAULT_ADDRESS
 
 _VIRTUAL_LAB = "virtual_lab"  # node types that begin so bring the vehicles and the Cortex of a launch file with them
+_RECORDERS = ("data_extraction", "recorder"), ("rosbag", "record")
 _BAG_OPTIONS = "-O", "--output-name", "-o", "--output-prefix"  # of rosbag record
 
 
 class ExperimentError(Exception):
-    """The launch file cannot be used; the text says why and what to do."""
+    """The experiment cannot be used; the text says why and what to do."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,11 @@ class Computer:
         return self.address if self.user is None else "%s@%s" % (self.user, self.address)
 
     @property
+    def needs_login(self):
+        """Whether roslaunch goes there by ssh."""
+        return self.nodes > 0 and not self.local and not self.unresolved
+
+    @property
     def loader_file(self):
         """The file that the env-loader is; before it there may be "env VARIABLE=VALUE"."""
         return shlex.split(self.env_loader)[-1]
@@ -65,29 +71,27 @@ class Experiment:
     computers: tuple
     cortex: tuple = ()  # addresses of the Cortex hosts that are asked, wherever the nodes run
 
-    def only(self, names):
-        """The same with some of its computers. Raises ExperimentError for a name that the file has not."""
-        known = [computer.name for computer in self.computers]
-        unknown = [name for name in names if name not in known]
-        if unknown:
-            raise ExperimentError("%s has no machine %s: it has %s" % (self.path, unknown[0], ", ".join(known)))
-        return replace(self, computers=tuple(c for c in self.computers if c.name in names))
 
+def load_experiment(path, arguments=(), only=None):
+    """Read a launch file. Raises ExperimentError.
 
-def load_experiment(path, arguments=()):
-    """Read a launch file. arguments: texts "NAME:=VALUE". Raises ExperimentError."""
+    arguments: texts "NAME:=VALUE".  only: names of the computers that matter, "risc2,risc3"; None = all of them.
+    """
     if not os.path.isfile(path):
         raise ExperimentError("there is no launch file %s" % path)
     try:
-        _check_arguments(path, arguments)
+        known = get_args([path])
+        for name in (argument.partition(":=")[0] for argument in arguments):
+            if name not in known:  # roslaunch ignores these: a misspelt address would go unnoticed
+                raise ExperimentError("%s has no argument %s: it has %s" % (path, name, ", ".join(sorted(known))))
         config = roslaunch.config.ROSLaunchConfig()
         loader = roslaunch.xmlloader.XmlLoader()
         loader.ignore_unset_args = False  # roslaunch has no default for it here
-        loader.load(str(path), config, argv=list(arguments), verbose=False)
+        loader.load(path, config, argv=list(arguments), verbose=False)
+        if config.config_errors:
+            raise RLException(config.config_errors[0])
     except (RLException, roslaunch.xmlloader.XmlParseException) as problem:
         raise ExperimentError("roslaunch cannot read %s: %s" % (path, " ".join(str(problem).split()))) from None
-    if config.config_errors:
-        raise ExperimentError("roslaunch cannot read %s: %s" % (path, config.config_errors[0]))
     machines = {name: machine for name, machine in config.machines.items() if name}
     if not machines:
         raise ExperimentError("%s has no <machine> tags: all of it runs on this computer (./maap doctor)" % path)
@@ -95,21 +99,13 @@ def load_experiment(path, arguments=()):
         if node.machine_name and node.machine_name not in machines:
             raise ExperimentError("%s: node %s is for machine %s, which no <machine> tag declares"
                                   % (path, node.name, node.machine_name))  # fmt: skip
+    for name in only.split(",") if only else ():
+        if name not in machines:
+            raise ExperimentError("%s has no machine %s: it has %s" % (path, name, ", ".join(machines)))
     fleet = loader.root_context.resolve_dict.get("arg", {}).get("fleet", "")
-    computers = tuple(_computer(machine, config, fleet) for machine in machines.values())
-    return Experiment(str(path), tuple(arguments), computers, _cortex(config, config.nodes))
-
-
-def _check_arguments(path, arguments):
-    """roslaunch ignores arguments that a file has not: a misspelt address would go unnoticed."""
-    known = get_args([str(path)])
-    for argument in arguments:
-        name = argument.partition(":=")[0]
-        if name not in known:
-            raise ExperimentError("%s has no argument %s: it has %s" % (path, name, ", ".join(sorted(known))))
-
-
-_RECORDERS = {("data_extraction", "recorder"), ("rosbag", "record")}
+    wanted = [machine for name, machine in machines.items() if not only or name in only.split(",")]
+    computers = tuple(_computer(machine, config, fleet) for machine in wanted)
+    return Experiment(path, tuple(arguments), computers, _cortex(config, config.nodes))
 
 
 def _computer(machine, config, fleet):
