@@ -11,9 +11,9 @@ import threading
 import time
 
 import numpy as np
-import roslib.message
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
+from roslib.message import get_message_class
 
 from risc_estimation import sensors
 from risc_estimation.filters import COMMAND
@@ -87,14 +87,11 @@ class StatesEstimationNode:
         if wanted <= {COMMAND}:
             return
         for vehicle in vehicles:
-            if vehicle.type in sensors.REGISTRY.names():
-                kind = sensors.REGISTRY.module(vehicle.type)
-                topic, message_class = (
-                    "/%s/%s" % (vehicle.namespace, kind.TOPIC),
-                    roslib.message.get_message_class(kind.TYPE),
-                )
-                arguments = vehicle.template, kind.readings
-                rospy.Subscriber(topic, message_class, self._on_readings, arguments, queue_size=10, tcp_nodelay=True)
+            kind = sensors.of_type(vehicle.type)
+            if kind is not None:
+                topic, its_class = "/%s/%s" % (vehicle.namespace, kind.TOPIC), get_message_class(kind.TYPE)
+                arguments = vehicle.template, kind
+                rospy.Subscriber(topic, its_class, self._on_readings, arguments, queue_size=10, tcp_nodelay=True)
 
     @until_shutdown
     def _on_commands(self, message):
@@ -105,10 +102,8 @@ class StatesEstimationNode:
 
     @until_shutdown
     def _on_readings(self, message, arguments):
-        name, readings = arguments
         with self._lock:
-            for what, values in readings(message).items():
-                self._estimator.on_board(name, message.header.stamp.to_sec(), what, values)
+            sensors.give(self._estimator, *arguments, message)
 
     @until_shutdown
     def _on_frame(self, message):

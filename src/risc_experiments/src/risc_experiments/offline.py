@@ -38,6 +38,7 @@ from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.fleets import default_fleet
+from risc_experiments.on_board import OnBoardReadings
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_templates, load_vehicle_type
 from risc_lab.lab.yaml_reader import package_file
@@ -90,7 +91,7 @@ class Flight:
     psi_deg: float | None = None  # constant yaw instead of the course's own
     perturbed: bool = True
     gusts: bool = False
-    noise: bool = True  # of the cameras
+    noise: bool = True  # of the cameras, and of sensors on board
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
     estimator: str | None = None  # name of the velocity filter; None = the controller's, see `estimators`
     params: object = None  # its PARAMS; None = those of its YAML file
@@ -99,7 +100,9 @@ class Flight:
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
-    wire_faults: tuple = ()  # of WireFault, on cortex/stream and NAMESPACE/commands; what has no bytes is not corrupted
+    # of WireFault, on cortex/stream and NAMESPACE/commands (what has no bytes is not corrupted), and NAMESPACE/navdata
+    # where the filter asks for it
+    wire_faults: tuple = ()
 
 
 class Result(NamedTuple):
@@ -152,6 +155,7 @@ def fly(flight):
     chains, loss = [], flight.loss
     wires, arrived = Wires(flight.seed), []
     stream = wires.wire("cortex/stream")
+    on_board = OnBoardReadings(estimator, world.vehicles.values(), wires, flight.seed, float(flight.noise))
     for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
         chains.append(_Chain(vehicle, phase, params, wires, partial(_record_command, loop.sent, estimator, i)))
@@ -166,6 +170,7 @@ def fly(flight):
         now_s = time_s + LATENCY_S
         world.step_to(time_s)
         wires.release(now_s)
+        on_board.send(time_s)
         seen = cameras.observe(time_s, world.layout, world.markers_m())
         if frame:
             stream.carry(seen, None, now_s, lambda seen, *_: arrived.append(seen))

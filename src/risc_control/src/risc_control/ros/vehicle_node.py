@@ -33,7 +33,7 @@ from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, Trajectori
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import known_fleet, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus
+from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus, VehicleStatus
 
 _RAD_PER_DEG = math.radians(1.0)
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
@@ -42,6 +42,7 @@ _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
+_VEHICLE_STATUS_S = 0.2  # at most so often, while its state stays
 _REFERENCES_HZ = 20.0  # how often references are looked at
 SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be another one, with other full scales;
 _GONE_S = 5.0  # after so long what is known of its full scales counts no more
@@ -279,6 +280,8 @@ class _Vehicle:
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
         self._link = adapter_class(vehicle_type).connect(prefix)
         self._status = self._publisher("controller_status", Bool)
+        self._vehicle_status = self._publisher("vehicle_status", VehicleStatus)
+        self._told_s, self._told = -math.inf, VehicleStatus(name=self.name, battery_pct=math.nan)  # when last
         self._safety = self._publisher("safety", Safety, latch=True)
         self._node_status = self._publisher("node_status", VehicleNodeStatus)
 
@@ -331,7 +334,17 @@ class _Vehicle:
         with self._lock:
             orders = self._pilot.on_status(status, time.monotonic())
             self._carry_out(orders)
+            self._tell(status)
         self._report(orders)
+
+    def _tell(self, status):
+        """Tell a vehicles.Status when it is due. With the lock held."""
+        told, now_s = self._told, time.monotonic()
+        if status.battery_pct is not None:
+            told.battery_pct = status.battery_pct
+        if status.state != told.state or now_s - self._told_s >= _VEHICLE_STATUS_S:
+            self._told_s, told.state, told.header.stamp = now_s, status.state, rospy.Time.now()
+            self._vehicle_status.publish(told)
 
     def compare(self, full_scales, node):
         """A controller or the vehicle's driver has these; with others than ours nobody is obeyed."""

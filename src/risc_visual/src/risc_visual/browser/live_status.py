@@ -10,12 +10,12 @@ import threading
 from collections import namedtuple
 
 from risc_control.failsafe import FailsafeLevel
-from risc_control.vehicle_pilot import FlightState
+from risc_control.vehicles import state_text
 from risc_visual.drawing.airframes import vehicle_colour
 
 PAGE_OLD_S = 3.0  # the page itself says that it is old when nothing came for so long
-# How long a value stays true [s]. Mode and navdata come 15 times a second and more, the others once a second.
-_TRUE_S = {"mode": 1.0, "navdata": 1.0, "error_m": 3.0, "mocap": 3.0, "references": 1.5, "operator": 3.0}
+# How long a value stays true [s]. Mode and status come 5 times a second and more, the others once a second.
+_TRUE_S = {"mode": 1.0, "vehicle": 1.0, "error_m": 3.0, "mocap": 3.0, "references": 1.5, "operator": 3.0}
 _NEVER = float("inf")
 
 # The last rule is the page's own watch: whoever replaces the text in time restarts the animation before it shows.
@@ -35,7 +35,6 @@ div:has(> .rm-land) + div button { height: 3.4em !important; font-size: 1.25em; 
 )
 
 Vehicle = namedtuple("Vehicle", "namespace template index")  # index: of its colour
-Report = namedtuple("Report", "state battery_pct")  # of the vehicle itself: FlightState number, [%]
 Mocap = namedtuple("Mocap", "rate_hz visible vehicles")  # visible: how many of the vehicles are seen
 _Answer = namedtuple("_Answer", "done text")
 
@@ -68,9 +67,9 @@ class LiveStatus:
         self._answers_lock = threading.Lock()
 
     def note(self, what, whose, value, now_s):
-        """Something was heard: "mode" (autonomous?), "navdata" (`Report`), "safety" (Verdict), "error_m" of a vehicle
-        by its namespace; "course" (phase) of one by its template; "mocap" (`Mocap`), "references" and "operator" (text
-        of its phase) of "".
+        """Something was heard: "mode" (autonomous?), "vehicle" (VehicleStatus), "safety" (Verdict), "error_m" of a
+        vehicle by its namespace; "course" (phase) of one by its template; "mocap" (`Mocap`), "references" and
+        "operator" (text of its phase) of "".
         """
         self._heard[what, whose] = (value, now_s)
 
@@ -105,7 +104,7 @@ class LiveStatus:
         age_s = self._age_s(what, whose, now_s)
         if age_s <= _TRUE_S[what]:
             return text(self._heard[what, whose][0])
-        name = {"mode": "vehicle node", "navdata": "vehicle", "mocap": "motion capture"}[what]
+        name = {"mode": "vehicle node", "mocap": "motion capture"}.get(what, what)
         if math.isinf(age_s):
             return '<span class="silent">%s: nothing heard</span>' % name
         old = '<span class="old">%s</span>' % text(self._heard[what, whose][0])
@@ -132,7 +131,7 @@ class LiveStatus:
             good = safety is None or safety.level == FailsafeLevel.OK
             text = html.escape(safety.text) if safety else "?"
             lines.append('<span class="%s">safety: %s</span>' % ("good" if good else "bad", text))
-        lines += [self._told("navdata", name, now_s, _report_html), self._way_html(vehicle, now_s)]
+        lines += [self._told("vehicle", name, now_s, _status_html), self._way_html(vehicle, now_s)]
         colour = "rgb(%d, %d, %d)" % tuple(255.0 * part for part in vehicle_colour(vehicle.index))
         return '<div class="vehicle" style="border-color: %s">%s</div>' % (colour, "<br/>".join(lines))
 
@@ -163,10 +162,9 @@ def _mode_html(autonomous):
     return '<span class="%s">%s</span>' % (("good", "autonomous") if autonomous else ("hand", "manual"))
 
 
-def _report_html(report):
-    known = report.state in tuple(FlightState)
-    name = FlightState(report.state).name.lower().replace("_", " ") if known else "state %d" % report.state
-    return "%s, battery %.0f %%" % (name, report.battery_pct)
+def _status_html(status):
+    battery = "not known" if math.isnan(status.battery_pct) else "%.0f %%" % status.battery_pct
+    return "%s, battery %s" % (state_text(status.state), battery)
 
 
 def _mocap_html(mocap):

@@ -5,6 +5,7 @@ While nobody looks it subscribes to nothing and costs nothing. Wiring only; see 
 
 import time
 from dataclasses import dataclass
+from functools import partial
 
 import rospy
 import tf2_ros
@@ -12,17 +13,23 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ardrone_autonomy.msg import Navdata
 from risc_lab.phases import OperatorPhase, phase_words
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, known_arena, load_params, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.settings import Name, Port, Positive, Settings
-from risc_maap_msgs.msg import ControllerReport, EstimatorStatus, OperatorState, Safety, TrajectoryPhases
+from risc_maap_msgs.msg import (
+    ControllerReport,
+    EstimatorStatus,
+    OperatorState,
+    Safety,
+    TrajectoryPhases,
+    VehicleStatus,
+)
 from risc_msgs.msg import Trajectories
 from risc_visual.browser.landing import ask_all
-from risc_visual.browser.live_status import BrowserPanel, LiveStatus, Mocap, Report, Vehicle
+from risc_visual.browser.live_status import BrowserPanel, LiveStatus, Mocap, Vehicle
 from risc_visual.browser.marker_scene import FIXED_FRAME, MarkerScene
 from risc_visual.browser.page_server import open_server
 from risc_visual.drawing.scenery import load_scenery
@@ -149,7 +156,7 @@ class LiveView:
         for vehicle in self._vehicles:
             name = vehicle.namespace
             newest("/%s/controller_status" % name, Bool, lambda msg, name=name: note("mode", name, msg.data))
-            newest("/%s/ardrone/navdata" % name, Navdata, lambda msg, name=name: note("navdata", name, _report(msg)))
+            newest("/%s/vehicle_status" % name, VehicleStatus, partial(note, "vehicle", name))
             every("/%s/safety" % name, Safety, lambda msg, name=name: note("safety", name, verdict_from_msg(msg)))
         newest("/trajectory", Trajectories, lambda _msg: note("references", "", True))
         every("/trajectory_phase", TrajectoryPhases, self._on_phases)
@@ -205,10 +212,6 @@ class LiveView:
         status.add("types of markers that are not shown", ", ".join(map(str, sorted(self._not_shown))) or "none")
         turns["changes"], turns["took_max_s"] = 0, 0.0
         return status
-
-
-def _report(navdata):
-    return Report(navdata.state, navdata.batteryPercent)
 
 
 def _operator_text(message):
