@@ -42,13 +42,14 @@ def judge_own_address(environment, interfaces, master, several, host_name):
     """
     found = Findings("ros")
     ip, name = environment.get("ROS_IP", ""), environment.get("ROS_HOSTNAME", "")
-    cards = [card for card in interfaces if card.up and card.addresses and not card.is_loopback]
+    cards = net.leading_out(interfaces)
     choice = ", ".join(str(address.ip) for card in cards for address in card.addresses) or "127.0.0.1"
     if ip and name:
         found.say("both", name=name, ip=ip)
     told, variable = (name, "ROS_HOSTNAME") if name else (ip, "ROS_IP")
     export = ("unset ROS_HOSTNAME; " if name else "") + "export ROS_IP=%s" % choice
-    far = master is not None and _is_elsewhere(master, interfaces)
+    host = resolve(host_and_port(master.uri)[0]) if master is not None else None
+    far = host is not None and not net.is_own(interfaces, host)
     if not told:
         code = "no_ip_several" if several or far else "no_ip" if resolve(host_name) else "no_ip_unknown"
         return found.say(code, host=host_name, export=export)
@@ -66,12 +67,6 @@ def judge_own_address(environment, interfaces, master, several, host_name):
     else:
         code = "only_here_several" if several and only_here else "own"
     return found.say(code, variable=variable, told=told, export=export, address=address)
-
-
-def _is_elsewhere(master, interfaces):
-    """Whether a master runs on another computer."""
-    address = resolve(host_and_port(master.uri)[0])
-    return address is not None and not net.is_own(interfaces, address)
 
 
 def _nodes(situation):

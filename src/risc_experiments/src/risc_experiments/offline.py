@@ -10,7 +10,6 @@ processes, sockets and the scheduler's jitter; the time from exposure to the con
 import argparse
 import json
 import math
-import os
 import pathlib
 import sys
 import time
@@ -41,7 +40,6 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.on_board import OnBoardReadings
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_templates, load_vehicle_type
-from risc_lab.lab.yaml_reader import package_file
 from risc_lab.states import S, States
 from risc_simulator.faults import Wires
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
@@ -112,7 +110,6 @@ class Result(NamedTuple):
     rmse_m: np.ndarray  # (n,) position against truth, on the course after settling
     max_m: np.ndarray  # (n,)
     closest_m: float  # smallest distance between two vehicles from take-over to the end
-    crashes: tuple
     saturated: float  # fraction of the commands that a limit cut
     flown_s: float
     took_s: float
@@ -240,7 +237,6 @@ def fly(flight):
         rmse_m=np.sqrt((errors**2).mean(axis=0)),
         max_m=errors.max(axis=0),
         closest_m=float(min(between, default=math.inf)),
-        crashes=tuple(world.crashes),
         saturated=saturated / (len(names) * (frame + 1)),
         flown_s=time_s,
         safety=tuple(sorted((said_s, name, text) for name, chain in zip(names, chains) for said_s, text in chain.said)),
@@ -376,15 +372,9 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks):
         chain.deliver(now_s)
 
 
-def _fleet_files():
-    """Folder of the shipped fleet files: in the workspace that ./maap names, or around this package's sources."""
-    root = os.environ.get("RISC_MAAP_ROOT")
-    return pathlib.Path(root, "launch/fleets") if root else package_file("..", "launch/fleets")
-
-
 def _lab(flight):
     """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
-    fleet = default_fleet(flight.vehicles, flight.trajectory, _fleet_files())
+    fleet = default_fleet(flight.vehicles, flight.trajectory)
     if flight.psi_deg is not None:
         turned = [replace(v, start=replace(v.start, yaw_deg=flight.psi_deg)) for v in fleet.vehicles]
         fleet = replace(fleet, vehicles=tuple(turned))
