@@ -4,6 +4,7 @@ import concurrent.futures
 
 from ardrone_autonomy.protocol.navdata import State
 from risc_control.failsafe import SafetyLimits
+from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 from risc_doctor import interfaces as net
 from risc_doctor import navdata_probe
 from risc_doctor.findings import YELLOW, Findings
@@ -25,14 +26,14 @@ def check(situation):
     if graph.error and graph.vehicles:  # asking past a driver would take its telemetry
         return found.say("unheard")
     for vehicle in situation.vehicles():
-        heard = graph.vehicles.get(vehicle.namespace)
-        if heard is None:
+        name = "%s (%s)" % (vehicle.namespace, vehicle.address)
+        if vehicle.namespace not in graph.vehicles:
             silent.append(vehicle)
-        elif heard.battery_pct is None:
-            found.say("no_telemetry", name="%s (%s)" % (vehicle.namespace, vehicle.address))
+        elif (heard := graph.vehicles[vehicle.namespace]) is None:
+            found.say("no_telemetry", name=name)
         else:
-            state = State.FLYING if heard.flies else 0
-            found += judge("%s (%s)" % (vehicle.namespace, vehicle.address), "by its driver", state, heard.battery_pct)
+            flies = heard.state not in ON_GROUND | NO_EVIDENCE
+            found += judge(name, "by its driver", State.FLYING if flies else 0, heard.battery_pct)
     if situation.fleet.own_networks and not situation.wanted:
         if found:  # the others are elsewhere, even if something has their address here
             return found.say("no_driver", names=", ".join(v.namespace for v in silent)) if silent else found
