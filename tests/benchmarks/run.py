@@ -20,7 +20,7 @@ BENCHMARKS = {
     "planning": ("ways of 1 to 50 vehicles: time to plan and to sample, gaps in the references",
                  [PYTHON, str(HERE / "planning.py"), "--json", "{json}"]),
     "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
-    "control": ("time per frame of controller and vehicle pilot", [PYTHON, "-m", "risc_control.bench",
+    "control": ("time per frame of controller and vehicle pilot", [PYTHON, str(HERE / "control.py"),
                                                                    "--json", "{json}"]),
     "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),
     "drawing": ("markers for rviz: time per drawing, up to 50 vehicles", [PYTHON, str(HERE / "drawing.py"),

@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """cortex_raw, states3 -> angles_synthetic (Observed_angles). Wiring only; see risc_estimation.synthetic_bearings."""
 
-import sys
 import threading
 import time
 
@@ -16,12 +15,10 @@ from risc_estimation.ros.conversions import FRAME_ID
 from risc_estimation.ros.params import SyntheticNodeParams
 from risc_estimation.synthetic_bearings import SyntheticBearings, SyntheticParams
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
-from risc_lab.ros.diagnostics import Growth, age_text, make_updater
+from risc_lab.ros.diagnostics import Growth, add_all, age_text, is_silent, summarise, ticking_updater
+from risc_lab.ros.node import run
 from risc_lab.ros.params import load_params, vehicles
-from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
-
-_SILENCE_S = 3.0
 
 
 class SyntheticAnglesNode:
@@ -45,9 +42,7 @@ class SyntheticAnglesNode:
         self._pictures, self._last_s = 0, None
         self._growth = Growth()
         self._pub = rospy.Publisher("angles_synthetic", Observed_angles, queue_size=10, tcp_nodelay=True)
-        self._diagnostics = make_updater("none")
-        self._diagnostics.add("synthetic angles", self._diagnose)
-        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
+        ticking_updater().add("synthetic angles", self._diagnose)
         rospy.Subscriber("states3", Landmarks, self._on_landmarks, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("cortex_raw", Cortex, self._on_states, queue_size=100, tcp_nodelay=True)
 
@@ -82,30 +77,18 @@ class SyntheticAnglesNode:
         return [item._replace(name=self._called(item.name)) for item in quads]
 
     def _diagnose(self, status):
-        now_s = time.monotonic()
         with self._lock:
             pictures, last_s = self._pictures, self._last_s
         _, rates_hz = self._growth({"pictures": pictures})
-        if last_s is None or now_s - last_s > _SILENCE_S:
-            status.summary(DiagnosticStatus.WARN, "nothing on " + rospy.resolve_name("cortex_raw"))
-        elif self._blind:
-            status.summary(DiagnosticStatus.WARN, "no camera of " + ", ".join(self._blind))
-        else:
-            status.summary(DiagnosticStatus.OK, "angles are published")
-        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
-        status.add("age of last states [s]", age_text(last_s))
+        summarise(
+            status,
+            (is_silent(last_s), DiagnosticStatus.WARN, "nothing on " + rospy.resolve_name("cortex_raw")),
+            (self._blind, DiagnosticStatus.WARN, "no camera of " + ", ".join(self._blind)),
+            (True, DiagnosticStatus.OK, "angles are published"),
+        )
+        add_all(status, {"rate [Hz]": "%.1f" % rates_hz["pictures"], "age of last states [s]": age_text(last_s)})
         return status
 
 
-def main():
-    rospy.init_node("synthetic_angles")
-    try:
-        SyntheticAnglesNode()
-    except ValueError as error:
-        rospy.logfatal("synthetic_angles.py: %s", error)
-        sys.exit(1)
-    rospy.spin()
-
-
 if __name__ == "__main__":
-    main()
+    run("synthetic_angles", SyntheticAnglesNode)

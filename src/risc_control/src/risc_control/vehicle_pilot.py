@@ -6,19 +6,18 @@ never steps; `age_s` is the age of a message by its stamp when it arrived.
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits, fence_of
-from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks, parse_bool
+from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits
+from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
 from risc_control.separation import ALONE
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState, adapter_class, state_text
 from risc_lab.command_history import CommandHistory
 from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
-from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, legacy_overrides
-from risc_lab.settings import NotNegative, Positive, Settings, settings_from
+from risc_lab.settings import NotNegative, Positive, Settings
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
@@ -55,21 +54,6 @@ class VehicleNodeParams(PilotParams, JoystickParams, SafetyLimits):
 
     Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`).
     """
-
-
-def node_params(values, arena=None):
-    """(`VehicleNodeParams`, names that mean nothing) of a mapping. Raises ValueError that names the parameter.
-
-    arena: Arena whose net is the fence unless the parameters say else; None = the laboratory's.
-    """
-    legacy_overrides(values)  # checks them
-    known = {item.name for item in fields(VehicleNodeParams)}
-    own = {name: value for name, value in values.items() if name in known}
-    for name in ("Simulation", "hold_auto_hover"):
-        if name in own:
-            own[name] = parse_bool(own[name], name)
-    params = settings_from(VehicleNodeParams, {**(fence_of(arena) if arena else {}), **own}, "parameters")
-    return params, sorted(set(values) - known - set(LEGACY_PARAMETERS))
 
 
 def choose_vehicle(wanted, namespace, fleet):

@@ -24,13 +24,13 @@ from ardrone_autonomy.link import LOST_S
 from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
-from risc_control.controllers import ControlLoop
-from risc_control.failsafe import FailsafeLevel
+from risc_control.controllers import ControlLoop, own_params
+from risc_control.failsafe import FailsafeLevel, fence_of
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
-from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, node_params
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, FlightState, Status
 from risc_estimation.filters import COMMAND, make_filter
 from risc_estimation.pose_fit import PoseFitParams
@@ -39,7 +39,7 @@ from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.fleets import default_fleet
 from risc_experiments.on_board import OnBoardReadings
 from risc_experiments.workers import in_order
-from risc_lab.lab import load_templates, load_vehicle_type
+from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.states import S, States
 from risc_simulator.faults import Wires
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
@@ -93,6 +93,7 @@ class Flight:
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
     estimator: str | None = None  # name of the velocity filter; None = the controller's, see `estimators`
     params: object = None  # its PARAMS; None = those of its YAML file
+    fleet: str = ""  # fleet file, of which the first so many fly; "" = one of the shipped ones
     types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
     overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
@@ -143,11 +144,12 @@ def fly(flight):
     )
     yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
     course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
-    loop = ControlLoop(flight.controller, vehicle_types, flight.params)
+    own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
+    loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
     manager = make_manager(fleet.vehicles, course, order=loop.controller.ORDER)
     buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
-    params, _ = node_params({"joystick_timeout": 0.0, **flight.node}, fleet.arena)
+    params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **flight.node})
     separation = Separation(names, params, names)
     chains, loss = [], flight.loss
     wires, arrived = Wires(flight.seed), []
@@ -374,7 +376,10 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks):
 
 def _lab(flight):
     """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
-    fleet = default_fleet(flight.vehicles, flight.trajectory)
+    if flight.fleet:
+        fleet = load_fleet(flight.fleet).with_vehicles(flight.vehicles)
+    else:
+        fleet = default_fleet(flight.vehicles, flight.trajectory)
     if flight.psi_deg is not None:
         turned = [replace(v, start=replace(v.start, yaw_deg=flight.psi_deg)) for v in fleet.vehicles]
         fleet = replace(fleet, vehicles=tuple(turned))
@@ -394,6 +399,7 @@ def main(argv=None):
     add = parser.add_argument
     add("--trajectory", nargs="+", choices=sorted(COURSES), default=["circle", "flat8", "slanted8"])
     add("--vehicles", type=int, default=3, metavar="N")
+    add("--fleet", default="", metavar="FILE", help="fleet file (default: one of the shipped ones)")
     add("--seeds", type=int, default=5, metavar="N", help="seeds 1 to N (default: 5)")
     add("--delay", type=float, nargs="+", metavar="S", help="link delay (default: that of the type)")
     add("--duration", type=float, default=20.0, metavar="S", help="judged time (default: 20 s)", dest="duration_s")
@@ -409,7 +415,7 @@ def main(argv=None):
     if args.compile:
         _compile()
         return 0
-    common = ("vehicles", "duration_s", "controller", "estimator", "perturbed", "gusts")
+    common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts")
     common = {name: getattr(args, name) for name in common}
     flights = [
         Flight(course, seed=seed, delay_s=delay_s, psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,

@@ -19,19 +19,21 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.controller_stream import ControllerStream
+from risc_control.failsafe import fence_of
 from risc_control.joystick import Button
 from risc_control.ros.conversions import command_sent
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.separation import ALONE, Separation
-from risc_control.vehicle_pilot import OwnState, VehiclePilot, choose_vehicle, node_params
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, choose_vehicle
 from risc_control.vehicles import Controls, adapter_class
-from risc_lab.lab.vehicle_types import disagreement
+from risc_lab.lab.arena import Arena
+from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
-from risc_lab.ros.params import known_fleet, told_vehicle_type
+from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus, VehicleStatus
 
@@ -48,7 +50,6 @@ SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be a
 _GONE_S = 5.0  # after so long what is known of its full scales counts no more
 _VEHICLES_A_TURN = 5  # that one message of the controller commands;
 _MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
-_OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
 _NONE = rospy.Time()
 
 
@@ -61,13 +62,9 @@ class VehicleNode:
     """
 
     def __init__(self, namespace=""):
-        values = rospy.get_param("~", {})
-        fleet = known_fleet()
-        params, unknown = node_params(
-            {name: value for name, value in values.items() if name not in _OWN_KEYS}, fleet and fleet.arena
-        )
-        for name in unknown:
-            rospy.logwarn("parameter ~%s means nothing to this node: is it misspelt?", name)
+        values, fleet = rospy.get_param("~", {}), known_fleet()
+        defaults = VehicleNodeParams(**fence_of(fleet.arena if fleet else Arena()))
+        (params,) = load_params(defaults, known=("type", *VEHICLE_KEYS, *LEGACY_PARAMETERS), lenient=True)
         self.params, self.errands = params, queue.Queue()  # functions: the master must not hold up a callback
         threading.Thread(target=self._run_errands, daemon=True).start()
         chosen = _chosen(values, namespace, fleet)
