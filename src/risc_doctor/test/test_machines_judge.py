@@ -306,7 +306,7 @@ def test_the_computer_that_listens_to_cortex_is_asked_for_it(more, hosts, checks
         % more
     )
     experiment = load_experiment(str(path))
-    assert experiment.cortex == load_experiment(str(path), only="risc2").cortex == hosts
+    assert [computer.name for computer in load_experiment(str(path), only="risc2").computers] == ["risc2"]
     assert [computer.cortex for computer in experiment.computers] == [(), hosts]
     talker = Talker("[]")
     check._doctor(experiment.computers[1], talker.loaded)

@@ -12,7 +12,9 @@ from roslaunch.core import RLException, is_machine_local
 
 from ardrone_autonomy.protocol import DEFAULT_ADDRESS
 
-_VIRTUAL_LAB = "virtual_lab"  # node types that begin so bring the vehicles and the Cortex of a launch file with them
+_VIRTUAL_LAB = (
+    "virtual_lab"  # node types that begin so bring vehicles and Cortex with them: they are there only when it runs
+)
 _RECORDERS = ("data_extraction", "recorder"), ("rosbag", "record")
 _BAG_OPTIONS = "-O", "--output-name", "-o", "--output-prefix"  # of rosbag record
 
@@ -69,7 +71,6 @@ class Experiment:
     path: str
     arguments: tuple  # "NAME:=VALUE"
     computers: tuple
-    cortex: tuple = ()  # addresses of the Cortex hosts that are asked, wherever the nodes run
 
 
 def load_experiment(path, arguments=(), only=None):
@@ -105,19 +106,28 @@ def load_experiment(path, arguments=(), only=None):
     fleet = loader.root_context.resolve_dict.get("arg", {}).get("fleet", "")
     wanted = [machine for name, machine in machines.items() if not only or name in only.split(",")]
     computers = tuple(_computer(machine, config, fleet) for machine in wanted)
-    return Experiment(path, tuple(arguments), computers, _cortex(config, config.nodes))
+    return Experiment(path, tuple(arguments), computers)
 
 
 def _computer(machine, config, fleet):
     nodes = [node for node in config.nodes if node.machine_name == machine.name]
-    local, unresolved = False, ""
+    lab = any(node.type.startswith(_VIRTUAL_LAB) for node in config.nodes)
+    local, unresolved, joysticks, vehicles, cortex, bags = False, "", [], [], [], []
     try:
         local = is_machine_local(machine)
     except RLException:
         unresolved = machine.address
-    joysticks = [_value(config, node, "dev") for node in nodes if node.type == "joy_node"]
-    drivers = [node for node in nodes if node.type == "ardrone_driver" and not _with_lab(config)]
-    bags = [_bag_folder(node.args) for node in nodes if (node.package, node.type) in _RECORDERS]
+    for node in nodes:
+        own = _parameters(config, node)
+        if node.type == "joy_node":
+            joysticks.append(own.get("dev"))
+        elif node.type == "ardrone_driver" and not lab:
+            each = [value for key, value in own.items() if re.fullmatch("(vehicles/.*/)?drone_ip", key)]
+            vehicles += each or [DEFAULT_ADDRESS]
+        elif node.type == "stream_markers" and not lab:
+            cortex.append(own.get("host"))
+        elif (node.package, node.type) in _RECORDERS:
+            bags.append(_bag_folder(node.args))
     return Computer(
         name=machine.name,
         address=machine.address,
@@ -129,28 +139,17 @@ def _computer(machine, config, fleet):
         local=local,
         unresolved=unresolved,
         nodes=len(nodes),
-        joysticks=tuple(dict.fromkeys(filter(None, joysticks))),
-        vehicles=tuple(dict.fromkeys(address for node in drivers for address in _vehicle_addresses(config, node))),
-        cortex=_cortex(config, nodes),
+        joysticks=_different(joysticks),
+        vehicles=_different(vehicles),
+        cortex=_different(cortex),
         bag_folder=next(filter(None, bags), ""),
         fleet=fleet,
     )
 
 
-def _with_lab(config):
-    """Whether the launch file starts the virtual lab: then vehicles and Cortex are there only when it runs."""
-    return any(node.type.startswith(_VIRTUAL_LAB) for node in config.nodes)
-
-
-def _cortex(config, nodes):
-    """The Cortex hosts that these nodes ask."""
-    readers = [node for node in nodes if node.type == "stream_markers" and not _with_lab(config)]
-    return tuple(dict.fromkeys(filter(None, (_value(config, node, "host") for node in readers))))
-
-
-def _value(config, node, name):
-    """Value of a node's own parameter as text, "" when the launch file gives none."""
-    return str(_parameters(config, node).get(name, ""))
+def _different(values):
+    """Texts of what is not empty, each once."""
+    return tuple(dict.fromkeys(str(value) for value in values if value))
 
 
 def _parameters(config, node):
@@ -158,13 +157,6 @@ def _parameters(config, node):
     prefix = node.namespace + node.name + "/"
     values = {key[len(prefix) :]: param.value for key, param in config.params.items() if key.startswith(prefix)}
     return {**values.get("mocap", {}), **values}
-
-
-def _vehicle_addresses(config, driver):
-    """Addresses of the vehicles that a driver node is for."""
-    own = _parameters(config, driver)
-    each = [str(value) for key, value in own.items() if re.fullmatch("(vehicles/.*/)?drone_ip", key)]
-    return each or [DEFAULT_ADDRESS]
 
 
 def _bag_folder(arguments):
