@@ -8,12 +8,13 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Header
 
-from risc_estimation.bearings import fleet_calibration, fleet_mount, make_camera
+from risc_estimation.bearings import make_camera
 from risc_estimation.expected_bearings import Observer
 from risc_estimation.ros.bearing_conversions import observed_angles, states_from_msg
 from risc_estimation.ros.conversions import FRAME_ID
 from risc_estimation.ros.params import SyntheticNodeParams
 from risc_estimation.synthetic_bearings import SyntheticBearings, SyntheticParams
+from risc_lab.lab.calibration import load_calibration, load_mount
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.ros.diagnostics import Growth, add_all, age_text, is_silent, summarise, ticking_updater
 from risc_lab.ros.node import run
@@ -47,8 +48,8 @@ class SyntheticAnglesNode:
         rospy.Subscriber("cortex_raw", Cortex, self._on_states, queue_size=100, tcp_nodelay=True)
 
     def _observer(self, vehicle):
-        calibration = fleet_calibration(vehicle, self._params.default_calibration)
-        return None if calibration is None else Observer(make_camera(calibration, False), fleet_mount(vehicle))
+        calibration = load_calibration(vehicle.calibration or self._params.default_calibration)
+        return calibration and Observer(make_camera(calibration, False), load_mount(vehicle.camera_mount))
 
     def _on_landmarks(self, msg):
         # states3 says where a disc is, not where it looks: it is taken to face whoever looks at it

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_estimation.gates import LIMITS, REFUSALS, believe_pose, is_inside, limits_of, see_markers
 from risc_estimation.landmark_positions import LANDMARK, locate_landmark
 from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst
 from risc_lab.compiled import compiled, record
@@ -46,6 +45,14 @@ class PoseFitParams(Settings):
         net = zip(ARENA_KEYS, (arena.half_x_m, arena.half_y_m, arena.height_m))
         return replace(self, **{name: value for name, value in net if name not in keep})
 
+    def limits(self):
+        """(1,) LIMITS."""
+        lower_m = np.array([-self.arena_x_m, -self.arena_y_m, self.arena_z_min_m]) - self.arena_margin_m
+        upper_m = np.array([self.arena_x_m, self.arena_y_m, self.arena_z_max_m]) + self.arena_margin_m
+        cos_tilt_max = math.cos(min(self.tilt_max_rad, math.pi))
+        row = (self.marker_limit_m, self.residual_max_m, self.min_spread_m, cos_tilt_max, lower_m, upper_m)
+        return np.array([row], dtype=LIMITS)
+
     def __post_init__(self):
         super().__post_init__()
         if not self.arena_z_min_m < self.arena_z_max_m:
@@ -54,6 +61,21 @@ class PoseFitParams(Settings):
             )
 
 
+LIMITS = record(
+    ("marker_m", float),
+    ("residual_max_m", float),
+    ("min_spread_m", float),
+    ("cos_tilt_max", float),
+    ("lower_m", float, (3,)),  # corners of the arena
+    ("upper_m", float, (3,)),
+)
+REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
+    ("markers_left_out", int),
+    ("misfits", int),
+    ("collinear", int),
+    ("tilted", int),
+    ("outside", int),
+)
 ROWS = record(("first", int), ("count", int))  # the markers of a body in those of the frame
 BODY = record(("markers", int), ("has_attitude", bool))  # number of its template's; not of an attached body
 FIT = record(("stamp_s", float), ("residual_m", float), ("rotation", float, (3, 3)))
@@ -179,7 +201,7 @@ class PoseFit:
                 )
         most = max([len(template.markers_m) for template in self._templates.values()], default=0)
         self._fixed, self._marker_visible = np.zeros(1, dtype=FIXED), np.zeros(most, dtype=bool)
-        self._fixed["limits"] = limits_of(params)
+        self._fixed["limits"] = params.limits()
         self._bodies = _Bodies(
             known=np.zeros(0, dtype=BODY),
             templates_m=np.zeros((0, most, 3)),
@@ -307,9 +329,29 @@ def _fit_frame(
         rows = body_rows[i]
         markers = markers_m[rows.first : rows.first + rows.count]
         flags[0, i] = _locate(bodies, i, stamp_s, markers, limits, refusals, fixed[0].work, fixed[0].pose)
-        flags[1, i] = flags[0, i] and is_inside(measured[0, i], limits, refusals)
+        flags[1, i] = flags[0, i]
+        for axis in range(3):
+            if flags[1, i] and not limits.lower_m[axis] <= measured[0, i, axis] <= limits.upper_m[axis]:
+                refusals.outside += 1
+                flags[1, i] = False
     landmarks = _Landmarks(l_known, l_offsets_m, l_positions_m, l_rows)
     return _find_landmarks(landmarks, landmark_rows, markers_m, limits, marker_visible)
+
+
+@compiled
+def see_markers(markers, limits, visible):
+    """Fills visible (n,): which of the first n markers (k, 3) [m] are there and not lost. Returns how many."""
+    count = 0
+    for i in range(len(visible)):
+        visible[i] = (
+            i < len(markers)
+            and abs(markers[i, 0]) < limits.marker_m
+            and abs(markers[i, 1]) < limits.marker_m
+            and abs(markers[i, 2]) < limits.marker_m
+        )
+        if visible[i]:
+            count += 1
+    return count
 
 
 @compiled
@@ -328,7 +370,11 @@ def _locate(bodies, i, stamp_s, markers, limits, refusals, work, pose):
             refusals.misfits += 1
             return False
         refusals.markers_left_out += 1
-    if not believe_pose(pose, has_attitude, limits, refusals):
+    if not pose.spread_m >= limits.min_spread_m:
+        refusals.collinear += 1
+        return False
+    if has_attitude and not -pose.rotation[2, 2] >= limits.cos_tilt_max:
+        refusals.tilted += 1
         return False
     fit = bodies.fits[i]
     fit.stamp_s, fit.residual_m = stamp_s, pose.residual_m
@@ -337,17 +383,10 @@ def _locate(bodies, i, stamp_s, markers, limits, refusals, work, pose):
     if has_attitude:
         phi, theta, psi = euler_of_body_in_cortex(pose.rotation)
         angles_rad = bodies.measured[1, i]
-        angles_rad[0] = _nearest(phi, angles_rad[0])
-        angles_rad[1] = _nearest(theta, angles_rad[1])
-        angles_rad[2] = _nearest(psi, angles_rad[2])
+        for axis in range(3):  # whole turns are added to be nearest to the last
+            turned = (phi, theta, psi)[axis] - angles_rad[axis]
+            angles_rad[axis] += turned - 2.0 * math.pi * round(turned * (0.5 / math.pi))
     return True
-
-
-@compiled
-def _nearest(angle_rad, to_rad):
-    """The angle, whole turns added, that is nearest to another."""
-    turned = angle_rad - to_rad
-    return to_rad + (turned - 2.0 * math.pi * round(turned * (0.5 / math.pi)))
 
 
 @compiled

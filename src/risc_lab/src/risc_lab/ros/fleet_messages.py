@@ -16,6 +16,7 @@ let one CortexArrays of their own `deserialize` them. It overwrites its arrays i
 same, and makes new ones otherwise: code that keeps views of them compares `data`.
 """
 
+import functools
 import io
 import struct
 from operator import attrgetter
@@ -30,7 +31,7 @@ from risc_msgs.msg import Controls, Cortex, Landmarks, Mocap_data, Trajectories
 
 _HEADER = struct.Struct("<4I")  # seq, secs, nsecs, length of frame_id
 _LENGTH = struct.Struct("<I")
-_MOST_LAYOUTS = 64  # remembered for each kind of message; more sets of names than that are not of one flight
+_MOST_LAYOUTS = 256  # remembered; more sets of names than that are not of one flight
 
 
 class Layout(NamedTuple):
@@ -90,7 +91,6 @@ class FleetMessage(genpy.Message):
     _beside = ""
     _counted = False
     _columns = 4
-    _layouts = {}  # {key: Layout}; a key is the entries with their names as bytes. Each kind has its own
     _newest = None  # Layout of the newest message: nearly always that of the next one as well
 
     def __init_subclass__(cls, of, **options):
@@ -99,7 +99,7 @@ class FleetMessage(genpy.Message):
         for name, value in kind.items():
             setattr(cls, name, value)
         cls.Raw = type(cls.__name__ + "Raw", (_Raw,), dict(kind, __slots__=()))
-        cls._layouts, cls._beside_bytes = {}, np.dtype(cls._beside).itemsize if cls._beside else 0
+        cls._beside_bytes = np.dtype(cls._beside).itemsize if cls._beside else 0
         wire = io.BytesIO()
         cls(()).serialize(wire)  # loads what is compiled, now
         cls(()).deserialize(wire.getvalue())
@@ -156,16 +156,9 @@ class FleetMessage(genpy.Message):
         self._rest = self.data[layout.end_of_numbers :].view(self._beside or "u1")
 
     @classmethod
+    @functools.lru_cache(_MOST_LAYOUTS)
     def _layout_of(cls, key):
-        layout = cls._layouts.get(key)
-        if layout is None:
-            while len(cls._layouts) >= _MOST_LAYOUTS:
-                del cls._layouts[next(iter(cls._layouts))]
-            layout = cls._layouts[key] = cls._laid_out(key)
-        return layout
-
-    @classmethod
-    def _laid_out(cls, key):
+        """Layout of a key: the entries with their names as bytes."""
         body, beside, numbers = _LENGTH.pack(len(key)), [], []  # (place, number of bytes)
         for name, rows in key:
             body += _LENGTH.pack(len(name)) + name
