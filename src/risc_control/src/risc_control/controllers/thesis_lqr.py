@@ -23,8 +23,9 @@ from risc_lab.states import S
 
 @dataclass(frozen=True)
 class Params(Settings):
-    """Diagonals of Q and R: about the best without prediction for velocities that arrive 0.12 s late (the filter thesis),
-    which bear no larger gain. The original's weights (17.22, 1.62) oscillate at 0.1 s of command delay.
+    """Diagonals of Q and R: about the best without prediction for velocities that arrive 0.12 s late (filter thesis).
+
+    These bear no larger gain. The original's weights (17.22, 1.62) oscillate at 0.1 s of command delay.
     """
 
     q_position: NotNegative = 1.5  # horizontal [1/m^2]
