@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 from rosgraph.network import get_local_addresses
 
 from risc_doctor.findings import RED, Finding, FoundError, finding, guarded
+from risc_doctor.interfaces import source_towards
 from risc_doctor.machines import clock_offset, keep_alive, ssh, topics, workspace_digest
 
 _LOADER_S = 15.0
@@ -97,12 +98,8 @@ def own_address(experiment):
                 address = socket.gethostbyname(computer.address)
                 if not address.startswith("127."):
                     return address
-    for computer in experiment.computers:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
-            if computer.needs_login:
-                probe.connect((computer.address, computer.port))  # sends nothing
-                return probe.getsockname()[0]
-    return None
+    ways = (source_towards(computer.address) for computer in experiment.computers if computer.needs_login)
+    return next(filter(None, ways), None)
 
 
 def launch_line(experiment):
