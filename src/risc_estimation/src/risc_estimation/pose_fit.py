@@ -19,8 +19,6 @@ from risc_lab.lab import templates as kinds
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_lab.settings import NotNegative, Positive, Settings
 
-ARENA_KEYS = ("arena_x_m", "arena_y_m", "arena_z_max_m")  # settings that are those of the net, unless set
-
 
 @dataclass(frozen=True)
 class PoseFitParams(Settings):
@@ -40,10 +38,9 @@ class PoseFitParams(Settings):
     arena_z_max_m: float = NET_HEIGHT_M
     arena_margin_m: float = 0.05  # [m] so far outside still counts as inside
 
-    def within(self, arena, keep=()):
-        """The same settings for another Arena, but for the fields named in `keep`."""
-        net = zip(ARENA_KEYS, (arena.half_x_m, arena.half_y_m, arena.height_m))
-        return replace(self, **{name: value for name, value in net if name not in keep})
+    def within(self, arena):
+        """The same settings for another Arena."""
+        return replace(self, arena_x_m=arena.half_x_m, arena_y_m=arena.half_y_m, arena_z_max_m=arena.height_m)
 
     def limits(self):
         """(1,) LIMITS."""
