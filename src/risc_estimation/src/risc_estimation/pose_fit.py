@@ -59,20 +59,12 @@ class PoseFitParams(Settings):
 
 
 LIMITS = record(
-    ("marker_m", float),
-    ("residual_max_m", float),
-    ("min_spread_m", float),
-    ("cos_tilt_max", float),
+    "marker_m residual_max_m min_spread_m cos_tilt_max",
     ("lower_m", float, (3,)),  # corners of the arena
     ("upper_m", float, (3,)),
 )
-REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
-    ("markers_left_out", int),
-    ("misfits", int),
-    ("collinear", int),
-    ("tilted", int),
-    ("outside", int),
-)
+# how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
+REFUSALS = record(*[(gate, int) for gate in ("markers_left_out", "misfits", "collinear", "tilted", "outside")])
 BODY = record(
     ("markers", int),  # of its template
     ("has_attitude", bool),  # not of an attached body
