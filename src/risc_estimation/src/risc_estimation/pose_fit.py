@@ -13,7 +13,7 @@ import numpy as np
 
 from risc_estimation.landmark_positions import LANDMARK, locate_landmark
 from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst
-from risc_lab.compiled import compiled, record
+from risc_lab.compiled import compiled, record, with_row
 from risc_lab.frames import euler_of_body_in_cortex
 from risc_lab.lab import templates as kinds
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
@@ -159,13 +159,6 @@ class Poses:
         return covariances
 
 
-def pack_bodies(bodies):
-    """(layout, markers_m) as `PoseFit.update` takes them, from a dict name -> (k, 3) markers [m]."""
-    parts = [np.reshape(markers, (-1, 3)) for markers in bodies.values()]
-    layout = tuple((name, len(part)) for name, part in zip(bodies, parts))
-    return layout, np.concatenate([np.zeros((0, 3)), *parts])
-
-
 class PoseFit:
     """Frames of named marker sets in, `Poses` and landmarks out. Not thread-safe."""
 
@@ -276,14 +269,8 @@ class PoseFit:
 
 
 def _with_row(table):
-    """A NamedTuple of arrays with one more row of zeros; that is their first axis, but for flags and measured."""
-    grown = []
-    for name, array in zip(table._fields, table):
-        shape = list(array.shape)
-        shape[1 if name in ("flags", "measured") else 0] += 1
-        grown.append(np.zeros(shape, dtype=array.dtype))
-        grown[-1][tuple(map(slice, array.shape))] = array
-    return table._make(grown)
+    """A NamedTuple of arrays with one more row; that is their first axis, but for flags and measured."""
+    return table._make([with_row(a, 1 if name in ("flags", "measured") else 0) for name, a in table._asdict().items()])
 
 
 # --- compiled: all bodies of a frame in one call
