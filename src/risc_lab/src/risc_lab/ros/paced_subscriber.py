@@ -42,14 +42,14 @@ class PacedSubscriber:
     time of the monotonic clock is called next with the newest message of then instead.
     """
 
-    def __init__(self, topic, message_class, callback, rate_hz, args=(), buffer_bytes=BUFFER_BYTES):
+    def __init__(self, topic, message_class, callback, rate_hz, args=()):
         self._callback = callback
         self._args = args
         self._period_s = 1.0 / rate_hz
         self._over = threading.Event()
         _opened(self._over)
         self._subscriber = rospy.Subscriber(
-            topic, message_class, self._on_message, queue_size=1, buff_size=buffer_bytes, tcp_nodelay=True
+            topic, message_class, self._on_message, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
         )
 
     def unregister(self):
