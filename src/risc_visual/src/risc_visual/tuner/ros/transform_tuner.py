@@ -248,9 +248,7 @@ class TransformTunerNode:
             lines = item.tuner.lines(latest, *windows, camera=camera, seen=now_s - item.seen_s < _SEEN_S)
             if now_s - item.answered_s < _ANSWER_S:
                 lines += textwrap.wrap(item.answer, _TEXT_COLUMNS)
-            pen = Pen(
-                3.0 / self._params.text_hz, header(frame_id=body_frame(item.template))
-            )  # where the vehicle is now
+            pen = Pen(3.0 / self._params.text_hz, header(frame_id=body_frame(item.template)))  # where it is now
             lines_below = 0.5 * len(lines) + _APART_LINES * number
             at_m = (0.0, 0.0, -_TEXT_ABOVE_M - _LINE * _TEXT_M * lines_below)  # body axes
             found.append(pen.text(item.name, 0, "\n".join(lines), at_m, _TEXT_M, _TEXT_RGBA))
