@@ -4,6 +4,7 @@ Of every `held_out_every` seconds the last one is kept aside: a mount is solved 
 which had no say in it. Seconds, not single bearings, since neighbouring pictures have the same errors.
 """
 
+import itertools
 from collections import Counter, deque
 from dataclasses import dataclass
 
@@ -35,18 +36,12 @@ class BearingWindow:
         self._track = PoseTrack(span_s=self._params.late_max_s + 1.0)
         self._waiting = deque()  # (stamp, landmark, ray) of bearings whose pose may still come
         self._rows = deque()  # (stamp, landmark, point in body axes, ray)
-        self._newest_s = None
-
-    @property
-    def last_pose_s(self):
-        """Stamp [s] of the newest pose, None before the first."""
-        return self._track.last_stamp_s
+        self._newest_s = -np.inf
 
     def restart(self):
         """Forget every bearing: what comes from now on is recorded."""
-        self._rows.clear()
-        self._waiting.clear()
-        self.refused.clear()
+        for kept in (self._rows, self._waiting, self.refused):
+            kept.clear()
 
     def see_landmarks(self, places):
         """{landmark: (3,) [m] cortex}; those not named stay where they were last seen."""
@@ -57,7 +52,7 @@ class BearingWindow:
         if self._track.append(stamp_s, position_m, euler_rad) is Step.NEW_CLOCK:
             self._rows.clear()
             self._waiting.clear()
-            self._newest_s = None
+            self._newest_s = -np.inf
         self._advance(stamp_s)
         if self._waiting and self._waiting[0][0] <= stamp_s:
             self._place()
@@ -67,11 +62,10 @@ class BearingWindow:
 
         stamp: of its exposure; 0 = not stamped (bags of the original release): then it is that of the newest pose.
         """
-        if not stamp_s:
-            if self.last_pose_s is None:
-                self.refused.update(["the vehicle was not seen"] * len(bearings))
-                return
-            stamp_s = self.last_pose_s
+        stamp_s = stamp_s or self._track.last_stamp_s
+        if stamp_s is None:
+            self.refused.update(["the vehicle was not seen"] * len(bearings))
+            return
         self._advance(stamp_s)
         for name, bearing_rad in bearings.items():
             if not np.all(np.isfinite(bearing_rad)):
@@ -90,16 +84,11 @@ class BearingWindow:
 
     def latest(self, duration_s):
         """Samples of the last so many seconds."""
-        begin_s = -np.inf if self._newest_s is None else self._newest_s - duration_s
-        recent = []
-        for row in reversed(self._rows):
-            if row[0] < begin_s:
-                break
-            recent.append(row)
-        return self._samples(recent[::-1])
+        recent = itertools.takewhile(lambda row: row[0] >= self._newest_s - duration_s, reversed(self._rows))
+        return self._samples([*recent][::-1])
 
     def _advance(self, stamp_s):
-        self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
+        self._newest_s = max(self._newest_s, stamp_s)
         while self._rows and self._rows[0][0] < self._newest_s - self._params.window_s:
             self._rows.popleft()
 

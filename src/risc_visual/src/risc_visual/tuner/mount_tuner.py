@@ -40,7 +40,7 @@ class MountTuner:
 
     def __init__(self, vehicle, params=None, window_params=None, fit_params=None):
         """vehicle: FleetVehicle. Raises ValueError for a mount file that is not usable, unless params.nominal."""
-        self.vehicle = vehicle
+        self.vehicle, self.name, self.template = vehicle, vehicle.namespace, vehicle.template
         self._params = params or TunerParams()
         self._fit_params = fit_params or FitParams()
         self._from_file = bool(vehicle.camera_mount) and not self._params.nominal
@@ -48,8 +48,9 @@ class MountTuner:
         self.mount = self._first  # replaced as a whole
         self._lock = threading.Lock()  # held to replace it: `change` keeps some of its numbers
         self.window = BearingWindow(window_params)
-
-    # -------- what sliders and handles do
+        self.acting = threading.Lock()  # for whoever calls: one action at a time
+        self.seen_s = self.answered_s = -math.inf  # when it was seen last, and answered last [s]
+        self.answer = ""  # the last one
 
     @property
     def numbers(self):
@@ -59,7 +60,7 @@ class MountTuner:
     def change(self, numbers):
         """Take {some of NUMBERS: value}; beyond the sliders' ends they stop there. Raises ValueError for NaN."""
         if not np.all(np.isfinite(list(numbers.values()))):
-            raise ValueError("%s: not moved: a mount needs finite numbers, got %r" % (self._name, numbers))
+            raise ValueError("%s: not moved: a mount needs finite numbers, got %r" % (self.name, numbers))
         with self._lock:
             self.mount = mount_of([numbers.get(key, value) for key, value in self.numbers.items()])
 
@@ -67,12 +68,10 @@ class MountTuner:
         """Whether such numbers are those of the mount."""
         return all(abs(numbers[key] - value) < _STEP for key, value in self.numbers.items())
 
-    # -------- what menu entries and services do
-
     def record(self):
         """Begin a new window."""
         self.window.restart()
-        return True, "%s: recording; fly where the camera sees landmarks, near and far, then solve" % self._name
+        return True, "%s: recording; fly where the camera sees landmarks, near and far, then solve" % self.name
 
     def solve(self, samples, camera=None):
         """Find the mount. samples: the first of window.samples(); camera: risc_lab.camera.Camera, for pixels."""
@@ -80,14 +79,14 @@ class MountTuner:
         try:
             fit = fit_mount(samples, start, self._fit_params, camera)
         except ValueError as error:
-            return False, "%s: not solved: %s" % (self._name, error)
+            return False, "%s: not solved: %s" % (self.name, error)
         with self._lock:
             self.mount = mount_of(numbers_of(fit.mount))
         was_deg = math.degrees(misses(samples, start, self._fit_params).rms_rad)
         std_mm = ", ".join("%.1f" % (1e3 * value) for value in fit.std[:3])
         std_deg = ", ".join("%.2f" % math.degrees(value) for value in fit.std[3:])
         sentences = [
-            "%s: solved: %s, was %.2f deg" % (self._name, fit.misses, was_deg),
+            "%s: solved: %s, was %.2f deg" % (self.name, fit.misses, was_deg),
             "%s; standard deviations %s mm, %s deg" % (text_of(self.mount), std_mm, std_deg),
             *("WARNING: " + text for text in fit.warnings),
         ]
@@ -98,7 +97,7 @@ class MountTuner:
         count, needed = len(samples.times_s), self._fit_params.samples_min
         if count < needed:
             text = "%s: not checked: %d bearings were kept aside, %d are needed: record more"
-            return False, text % (self._name, count, needed)
+            return False, text % (self.name, count, needed)
         found = misses(samples, self.mount, self._fit_params, camera)
         faults = []
         if not math.degrees(found.rms_rad) <= self._params.rms_good_deg:
@@ -106,7 +105,7 @@ class MountTuner:
         if found.wrong_share > self._fit_params.wrong_max:
             faults.append("more than %.0f %% wrong" % (100.0 * self._fit_params.wrong_max))
         verdict = "NOT good, " + " and ".join(faults) if faults else "good"
-        return not faults, "%s: %s: %s kept aside" % (self._name, verdict, found)
+        return not faults, "%s: %s: %s kept aside" % (self.name, verdict, found)
 
     def save(self):
         """Write the mount where the fleet says that it is; `reset` goes back to it from now on."""
@@ -114,34 +113,32 @@ class MountTuner:
         if not url:
             return False, (
                 "%s: not saved: the fleet file names no camera_mount for %s: add one, e.g. camera_mount: "
-                "%s_mount.yaml with its folder, and start again" % (self._name, self.vehicle.namespace, self._name)
+                "%s_mount.yaml with its folder, and start again" % (self.name, self.vehicle.namespace, self.name)
             )
         mount = self.mount
         try:
             path = resolve_url(url).resolve()
             save_mount(mount, path)
         except (OSError, ValueError) as error:
-            return False, "%s: not saved: cannot write %s: %s" % (self._name, url, error)
+            return False, "%s: not saved: cannot write %s: %s" % (self.name, url, error)
         with self._lock:
             self._first, self._from_file = mount, True
-        return True, "%s: saved to %s: %s" % (self._name, path, text_of(mount))
+        return True, "%s: saved to %s: %s" % (self.name, path, text_of(mount))
 
     def reset(self):
         """Back to the mount that was saved last, or that it began with."""
         with self._lock:
             mount = self.mount = self._first
             origin = "the file's" if self._from_file else "the nominal one"
-        return True, "%s: the mount is %s again: %s" % (self._name, origin, text_of(mount))
-
-    # -------- what the view shows
+        return True, "%s: the mount is %s again: %s" % (self.name, origin, text_of(mount))
 
     def lines(self, latest, to_solve, to_check, camera=None, seen=True):
         """Lines of the text beside the camera. latest: Samples of the last while; seen: by motion capture, now."""
         if not seen:
-            return ["%s: not seen by motion capture" % self._name]
+            return ["%s: not seen by motion capture" % self.name]
         mount, params = self.mount, self._fit_params
         found = misses(latest, mount, params, camera)
-        lines = ["%s: %s" % (self._name, found if found.right.size else "no landmark in view")]
+        lines = ["%s: %s" % (self.name, found if found.right.size else "no landmark in view")]
         lines.append("window: %d bearings to solve on, %d to check on" % (len(to_solve.times_s), len(to_check.times_s)))
         if len(to_solve.times_s) < params.samples_min:
             lines.append("too few to solve")
@@ -149,10 +146,6 @@ class MountTuner:
             right = misses(to_solve, mount, params).right
             lines += weak_values(standard_deviations(to_solve.take(right), mount, params), params)
         return lines + ["left out: %d, %s" % (n, why) for why, n in sorted(self.window.refused.items())]
-
-    @property
-    def _name(self):
-        return self.vehicle.namespace
 
 
 def numbers_of(mount):
