@@ -4,7 +4,6 @@ Of every `held_out_every` seconds the last one is kept aside: a mount is solved 
 which had no say in it. Seconds, not single bearings, since neighbouring pictures have the same errors.
 """
 
-import itertools
 from collections import Counter, deque
 from dataclasses import dataclass
 
@@ -40,8 +39,12 @@ class BearingWindow:
 
     def restart(self):
         """Forget every bearing: what comes from now on is recorded."""
-        for kept in (self._rows, self._waiting, self.refused):
-            kept.clear()
+        self._forget()
+        self.refused.clear()
+
+    def _forget(self):
+        self._rows.clear()
+        self._waiting.clear()
 
     def see_landmarks(self, places):
         """{landmark: (3,) [m] cortex}; those not named stay where they were last seen."""
@@ -50,8 +53,7 @@ class BearingWindow:
     def see_pose(self, stamp_s, position_m, euler_rad):
         """The vehicle's pose: (3,) [m] cortex; roll, pitch, yaw [rad]. Only while it is seen."""
         if self._track.append(stamp_s, position_m, euler_rad) is Step.NEW_CLOCK:
-            self._rows.clear()
-            self._waiting.clear()
+            self._forget()
             self._newest_s = -np.inf
         self._advance(stamp_s)
         if self._waiting and self._waiting[0][0] <= stamp_s:
@@ -84,8 +86,7 @@ class BearingWindow:
 
     def latest(self, duration_s):
         """Samples of the last so many seconds."""
-        recent = itertools.takewhile(lambda row: row[0] >= self._newest_s - duration_s, reversed(self._rows))
-        return self._samples([*recent][::-1])
+        return self._samples([row for row in self._rows if row[0] >= self._newest_s - duration_s])
 
     def _advance(self, stamp_s):
         self._newest_s = max(self._newest_s, stamp_s)
