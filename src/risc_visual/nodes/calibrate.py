@@ -46,9 +46,8 @@ def find_views(source, count, pictures, board):
 
 
 def _too_few(found, count, sample, board):
-    text = "the board (%dx%d inner corners) was found in %d of %d pictures, at least %d are needed: " % (
-        (board.columns, board.rows, found, count, MIN_VIEWS)
-    )
+    text = "the board (%dx%d inner corners) was found in %d of %d pictures, at least %d are needed: "
+    text %= board.columns, board.rows, found, count, MIN_VIEWS
     for other in filter(None, map(shown_board, sample)):
         if sorted(other) != sorted((board.columns, board.rows)):
             return text + "they show a board of %dx%d, try --size %dx%d" % (other + other)
@@ -117,10 +116,7 @@ def work(args):
     show_progress("calibrating with %d views ..." % len(views))
     result = calibrate(views, board, size_px, args.name, args.radial)
     show_progress("")
-    try:
-        save_calibration(result.calibration, out)
-    except OSError as error:
-        raise ValueError("cannot write %s: %s" % (out, error.strerror)) from None
+    save_calibration(result.calibration, out)
     report(result, source, len(views), count, args.views)
     print("wrote %s" % out)
     print(
