@@ -112,6 +112,8 @@ def main():
         result = calibrate(views, board, size_px, args.name, args.radial)
         save_calibration(result.calibration, out)
     except (OSError, ValueError) as error:
+        if isinstance(error, OSError):
+            error = "cannot read or write %s: %s" % (error.filename, error.strerror)
         show_progress("")
         print("calibrate.py: %s" % error, file=sys.stderr)
         return 1
