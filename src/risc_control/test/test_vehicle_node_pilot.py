@@ -761,9 +761,9 @@ def test_packets_without_a_battery_are_no_empty_battery():
 
 def request(desk):
     """Ask for a landing. Returns (done, what happens)."""
-    orders, done, text = desk.pilot.on_land_request(desk.now_s)
+    orders = desk.pilot.on_land_request(desk.now_s)
     desk.take(orders)
-    return done, text
+    return orders.answer
 
 
 @pytest.mark.parametrize("autonomous", [True, False])

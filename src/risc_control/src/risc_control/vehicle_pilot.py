@@ -107,6 +107,7 @@ class Orders:
     simulator_reset = None  # value for the parameter RESET of simulators
     safety = None  # Verdict, when it has just changed
     shut_down = False
+    answer = None  # (done, what happens in a sentence) to who asked for a landing
     log = ()  # of (level "info" | "warn" | "error", sentence)
 
     def say(self, level, sentence):
@@ -278,25 +279,27 @@ class VehiclePilot:
         return orders
 
     def on_land_request(self, now_s):
-        """Somebody who has no joystick wants the vehicle down. Returns (`Orders`, done, what happens, in a sentence).
+        """Somebody who has no joystick wants the vehicle down.
 
         The ladder lands it, whoever flies, until it reports that it stands or the operator takes over.
         """
         orders = Orders()
         silent = not self.ladder.navdata_is_fresh(now_s)
         if self._ended:
-            return orders, False, "the vehicle node is ending; it has ordered a landing itself"
-        if self.airborne:
+            orders.answer = False, "the vehicle node is ending; it has ordered a landing itself"
+        elif self.airborne:
             self._judge(orders, now_s, land=True)
-            reason = self.ladder.verdict.reason
-            return orders, not silent, "landing (%s)%s" % (reason, ", but the vehicle is silent" if silent else "")
-        if silent or self.flight_state not in ON_GROUND:
+            unsure = ", but the vehicle is silent" if silent else ""
+            orders.answer = not silent, "landing (%s)%s" % (self.ladder.verdict.reason, unsure)
+        elif silent or self.flight_state not in ON_GROUND:
             # Nothing says that it stands, and an order to land does no harm to one that does.
             orders.land = True
             why = "the vehicle is silent" if silent else "it does not say that it stands (%s)" % self._state_text()
             orders.say("warn", "landing was requested: ordered once, but %s" % why)
-            return orders, False, "landing ordered once, but %s: whether it flies is not known" % why
-        return orders, True, "it stands: not airborne (%s)" % self._state_text()
+            orders.answer = False, "landing ordered once, but %s: whether it flies is not known" % why
+        else:
+            orders.answer = True, "it stands: not airborne (%s)" % self._state_text()
+        return orders
 
     def on_shutdown(self, now_s):
         """One round of the last orders: level and, whatever is known of it, land. Nothing but a reset follows."""

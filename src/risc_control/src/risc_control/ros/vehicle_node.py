@@ -51,6 +51,7 @@ _GONE_S = 5.0  # after so long what is known of its full scales counts no more
 _VEHICLES_A_TURN = 5  # that one message of the controller commands;
 _MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
 _NONE = rospy.Time()
+_LOGS = {"info": rospy.loginfo, "warn": partial(rospy.logwarn_throttle_identical, 2.0), "error": rospy.logerr}
 
 
 class VehicleNode:
@@ -74,7 +75,9 @@ class VehicleNode:
         types = [told_vehicle_type(vehicle, values) for vehicle, _, _ in chosen]
         rates_hz = [params.rate_hz(vehicle_type) for vehicle_type in types]
         turns_s = _turns_s([1.0 / rate_hz for rate_hz in rates_hz])
-        self.sent = _Sent()
+        self.sent = queue.SimpleQueue()  # of CommandSent: those that have their turn together share a message
+        self._sent_lock = threading.Lock()
+        self._sent_publisher = rospy.Publisher("/commands_sent", CommandsSent, queue_size=100, tcp_nodelay=True)
         self.controllers_s = {}  # {node of a controller: when it was heard last}
         self._vehicles = [_Vehicle(self, *who, kind, turn_s) for who, kind, turn_s in zip(chosen, types, turns_s)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
@@ -142,7 +145,7 @@ class VehicleNode:
             answers = stream.answers(stamp_s, age_s, is_due)
             for vehicle, row in flown:
                 vehicle.on_controls(Controls(*row), stamp if answers else None, stamp_s, age_s)
-            self.sent.publish()
+            self._tell_sent()
             return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
     def _on_states(self, message):
@@ -188,7 +191,16 @@ class VehicleNode:
     def _on_tick(self):
         for vehicle in self._vehicles:
             vehicle.on_tick()
-        self.sent.publish()
+        self._tell_sent()
+
+    def _tell_sent(self):
+        """What was sent since the last time, in the order of sending."""
+        with self._sent_lock:
+            commands = [self.sent.get() for _ in range(self.sent.qsize())]
+            if commands:
+                message = CommandsSent(commands=commands)
+                message.header.stamp = commands[-1].sent
+                self._sent_publisher.publish(message)
 
     def _compare(self, controller):
         """A controller says what full scales it reckons with; one that says nothing is believed."""
@@ -209,7 +221,7 @@ class VehicleNode:
         for ticker in self._tickers:
             ticker.stop()
         land(self._vehicles)
-        self.sent.publish()
+        self._tell_sent()
         time.sleep(_FLUSH_S)
 
 
@@ -220,28 +232,6 @@ def land(vehicles):
         if not vehicles:
             return
         time.sleep(_LAND_ROUND_S)
-
-
-class _Sent:
-    """/commands_sent of all vehicles of the node: those that have their turn together share a message."""
-
-    def __init__(self):
-        self._commands, self._lock = [], threading.Lock()
-        self._publisher = rospy.Publisher("/commands_sent", CommandsSent, queue_size=100, tcp_nodelay=True)
-
-    def add(self, command):
-        """A CommandSent went out."""
-        with self._lock:
-            self._commands.append(command)
-
-    def publish(self):
-        """Tell what was added; in the order of sending."""
-        with self._lock:
-            commands, self._commands = self._commands, []
-            if commands:
-                message = CommandsSent(commands=commands)
-                message.header.stamp = commands[-1].sent
-                self._publisher.publish(message)
 
 
 def _contained(method):
@@ -267,7 +257,7 @@ class _Vehicle:
         self.name = fleet_vehicle.template
         self._node, self._type, self._prefix, self._is_alone = node, vehicle_type, prefix, is_alone
         self._turn_s = turn_s
-        self._pilot = VehiclePilot(node.params, vehicle_type, time.monotonic(), turn_s)
+        self.pilot = VehiclePilot(node.params, vehicle_type, time.monotonic(), turn_s)
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()
@@ -295,11 +285,6 @@ class _Vehicle:
         where = rospy.get_name(), self.name, self._type.name, self._link.topic
         rospy.loginfo("%s flies %s (%s), commands on %s", *where)
 
-    @property
-    def next_command_s(self):
-        """When the vehicle takes the next command of the controller [s]; infinite while it takes none."""
-        return self._pilot.next_command_s
-
     def on_error(self, error):
         """Something failed. An autonomous vehicle must not fly on with it; in manual mode its operator decides."""
         if rospy.core.is_shutdown_requested():
@@ -311,7 +296,7 @@ class _Vehicle:
             % (self.name, type(error).__name__, error, traceback.format_exc()),
         )
         now_s = time.monotonic()
-        if self._pilot.autonomous and now_s - self._error_land_s >= _ERROR_LAND_S:
+        if self.pilot.autonomous and now_s - self._error_land_s >= _ERROR_LAND_S:
             self._error_land_s = now_s
             self._link.land()
             rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.name, error))
@@ -319,23 +304,17 @@ class _Vehicle:
     @_contained
     def _on_joy(self, message):
         age_s, who = origin(message)
-        with self._lock:
-            orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic(), age_s, who)
-            self._carry_out(orders)
-        self._report(orders)
+        self._act(lambda pilot, now_s: pilot.on_joy(message.buttons, message.axes, now_s, age_s, who))
 
     @_contained
     def _on_status(self, status, driver):
         if _begins(driver, self._drivers_s):
             self._node.errands.put(lambda: self.compare(self._link.driver_overrides(driver), driver))
-        with self._lock:
-            orders = self._pilot.on_status(status, time.monotonic())
-            self._carry_out(orders)
-            self._tell(status)
-        self._report(orders)
+        self._act(lambda pilot, now_s: pilot.on_status(status, now_s))
+        self._tell(status)
 
     def _tell(self, status):
-        """Tell a vehicles.Status when it is due. With the lock held."""
+        """Tell a vehicles.Status when it is due."""
         told, now_s = self._told, time.monotonic()
         if status.battery_pct is not None:
             told.battery_pct = status.battery_pct
@@ -356,7 +335,7 @@ class _Vehicle:
         """Whose full scales differ, of those that are still there. With the lock held."""
         since_s, heard_s = time.monotonic() - _GONE_S, {**self._node.controllers_s, **self._drivers_s}
         self._disagreements = {n: text for n, text in self._disagreements.items() if text and heard_s[n] > since_s}
-        self._pilot.disagreement = next(iter(self._disagreements.values()), "")
+        self.pilot.disagreement = next(iter(self._disagreements.values()), "")
 
     @_contained
     def on_state(self, visible, row, age_s, look):
@@ -369,45 +348,47 @@ class _Vehicle:
         own = OwnState(row[:3], row[3:6], *(_RAD_PER_DEG * angle for angle in row[6:9]))
         with self._lock:
             self._counts["states"] += 1
-            self._pilot.on_state(own, age_s, time.monotonic(), look)
+            self.pilot.on_state(own, age_s, time.monotonic(), look)
 
     @_contained
     def on_controls(self, own, stamp, stamp_s, age_s):
         """Its entry of /controls, with the stamp of the message; None: no command may follow."""
-        with self._lock:
-            self._counts["controls"] += 1
-            if stamp is None:
-                self._pilot.hear_controls(own, age_s, time.monotonic())
-                return
-            orders = self._pilot.on_controls(own, stamp_s, age_s, time.monotonic())
-            self._carry_out(orders, stamp)
-        self._report(orders)
+        self._counts["controls"] += 1
+        if stamp is None:
+            with self._lock:
+                self.pilot.hear_controls(own, age_s, time.monotonic())
+        else:
+            self._act(lambda pilot, now_s: pilot.on_controls(own, stamp_s, age_s, now_s), stamp)
 
     def _on_land_request(self, _request):
-        with self._lock:
-            orders, done, text = self._pilot.on_land_request(time.monotonic())
-            self._carry_out(orders)
-        self._report(orders)
-        return TriggerResponse(done, text)
+        return TriggerResponse(*self._act(lambda pilot, now_s: pilot.on_land_request(now_s)).answer)
 
     @_contained
     def on_tick(self):
         """Twice for each command that the vehicle takes."""
-        with self._lock:
-            if self._disagreements:
+        if self._disagreements:
+            with self._lock:
                 self._agree()
-            orders = self._pilot.tick(time.monotonic())
-            self._carry_out(orders)
-        self._report(orders)
+        self._act(lambda pilot, now_s: pilot.tick(now_s))
 
     def last_orders(self):
         """Level and land, once. Returns whether that was enough."""
         with self._lock:
-            self._carry_out(self._pilot.on_shutdown(time.monotonic()))
-            return not self._pilot.needs_landing(time.monotonic())
+            self._carry_out(self.pilot.on_shutdown(time.monotonic()))
+            return not self.pilot.needs_landing(time.monotonic())
+
+    def _act(self, decide, stamp=None):
+        """Let the pilot decide at a time, and do what it orders. Returns its Orders.
+
+        decide: function of both.  stamp: of the controls that are answered.
+        """
+        with self._lock:  # also while it is published, so that an older command never overtakes a newer one
+            orders = decide(self.pilot, time.monotonic())
+            self._carry_out(orders, stamp)
+        self._report(orders)
+        return orders
 
     def _carry_out(self, orders, stamp=None):
-        """Publish what was ordered; inside the lock, so that an older command never overtakes a newer one."""
         if orders.reset:
             self._link.reset()
         if orders.takeoff:
@@ -421,7 +402,7 @@ class _Vehicle:
             answers = stamp if command.answers_s and stamp is not None else _NONE
             if answers:
                 self._answer_max_s = max(self._answer_max_s, (sent - answers).to_sec())
-            self._node.sent.add(command_sent(self.name, sent, answers, command.settles_at))
+            self._node.sent.put(command_sent(self.name, sent, answers, command.settles_at))
             self._counts["commands"] += 1
         if orders.status is not None:
             self._status.publish(orders.status)
@@ -435,13 +416,7 @@ class _Vehicle:
         if orders.simulator_reset is not None:
             self._node.errands.put(partial(rospy.set_param, "/RESET", orders.simulator_reset))
         for level, text in orders.log:
-            text = "%s: %s" % (self.name, text)
-            if level == "info":
-                rospy.loginfo(text)
-            elif level == "warn":
-                rospy.logwarn_throttle_identical(2.0, text)
-            else:
-                rospy.logerr(text)
+            _LOGS[level]("%s: %s" % (self.name, text))
         if orders.shut_down:
             end = (lambda: rospy.signal_shutdown("shut-down button")) if self._is_alone else self._begin_again
             threading.Thread(target=end, daemon=True).start()
@@ -450,8 +425,8 @@ class _Vehicle:
         """What the shut-down button means beside other vehicles: land, then be as a node that has just started."""
         land([self])
         with self._lock:
-            before, now_s = self._pilot, time.monotonic()
-            self._pilot = VehiclePilot(self._node.params, self._type, now_s, self._turn_s, before)
+            before, now_s = self.pilot, time.monotonic()
+            self.pilot = VehiclePilot(self._node.params, self._type, now_s, self._turn_s, before)
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):
@@ -459,7 +434,7 @@ class _Vehicle:
         with self._lock:
             now_s, (_, rates) = time.monotonic(), self._growth(self._counts)
             answer_max_s, self._answer_max_s = self._answer_max_s, 0.0
-            pilot = self._pilot
+            pilot = self.pilot
             verdict, reactions = pilot.ladder.verdict, list(pilot.ladder.reactions)
             ages_s = pilot.ladder.state.age_s(now_s), pilot.ladder.controls.age_s(now_s)
             behind_s = pilot.ladder.state.clock_behind_s
@@ -508,7 +483,7 @@ def _begins(who, heard_s):
 
 def _next_command_s(flown):
     """When the first of [(_Vehicle, its control)] takes a command [s]; infinite when none does."""
-    return min((vehicle.next_command_s for vehicle, _ in flown), default=math.inf)
+    return min((vehicle.pilot.next_command_s for vehicle, _ in flown), default=math.inf)
 
 
 def _turns_s(periods_s):
