@@ -1,7 +1,11 @@
 #!/usr/bin/env python3
-"""The vehicle node with relative names: start it inside the vehicle's group."""
+"""The vehicle node: with relative names, for the group of its vehicle; as risc1_controller.py on the topics /risc1/..."""
+
+import pathlib
+import sys
 
 from risc_control.ros.vehicle_node import main
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    vehicle = pathlib.Path(sys.argv[0]).name.removesuffix("_controller.py")
+    sys.exit(main("" if vehicle == "risc" else vehicle))

@@ -17,19 +17,23 @@ from risc_control.separation import ALONE
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState, adapter_class, state_text
 from risc_lab.command_history import CommandHistory
 from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
-from risc_lab.settings import NotNegative, Positive, Settings
+from risc_lab.settings import NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
-_SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `PilotParams.command_rate_hz`
+_SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `VehicleNodeParams.command_rate_hz`
 
 
 @dataclass(frozen=True)
-class PilotParams(Settings):
-    """Everything of the node that is neither the joystick's mapping nor the ladder's."""
+class VehicleNodeParams(JoystickParams, SafetyLimits):
+    """All parameters of the vehicle node, by their names on the parameter server; of its own those that are neither the
+    joystick's mapping nor the ladder's.
+
+    Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`).
+    """
 
     Simulation: bool = False  # send commands without navdata, for simulators that have none
     # [Hz] 0 or negative: a sixtieth slower than the vehicle takes them (29.5 of 30). At the same rate commands that
@@ -46,14 +50,6 @@ class PilotParams(Settings):
     def rate_hz(self, vehicle_type):
         """At which a vehicle of a type is sent commands."""
         return self.command_rate_hz if self.command_rate_hz > 0.0 else _SLOWER * vehicle_type.command_rate_hz
-
-
-@dataclass(frozen=True)
-class VehicleNodeParams(PilotParams, JoystickParams, SafetyLimits):
-    """All parameters of the vehicle node, by their names on the parameter server.
-
-    Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`).
-    """
 
 
 def choose_vehicle(wanted, namespace, fleet):
@@ -121,23 +117,18 @@ class SlotClock:
     def __init__(self, rate_hz, begin_s=0.0):
         """begin_s: when a slot begins; clocks with the same one let the same tick through."""
         self._period_s = 1.0 / rate_hz
-        self._next_s = begin_s
+        self.next_s = begin_s  # when the next slot begins that was not used
 
     def due(self, now_s):
         """True when a slot has begun that was not used; uses it."""
-        if now_s < self._next_s:
+        if now_s < self.next_s:
             return False
-        self._next_s += self._period_s * (1 + (now_s - self._next_s) // self._period_s)
+        self.next_s += self._period_s * (1 + (now_s - self.next_s) // self._period_s)
         return True
-
-    @property
-    def next_s(self):
-        """When the next slot begins that was not used."""
-        return self._next_s
 
     def restart(self, now_s):
         """A slot was used out of turn: the next one is half a period away or more."""
-        self._next_s += self._period_s * math.ceil((now_s - self._next_s) / self._period_s + 0.5)
+        self.next_s += self._period_s * math.ceil((now_s - self.next_s) / self._period_s + 0.5)
 
 
 class VehiclePilot:
