@@ -24,7 +24,7 @@ class ExperimentNode(ControllerNode):
         fleet_vehicles = vehicles(only_one=True)
         kinds = TrajectoryParams, BumperParams
         params, bumpers = load_params(*kinds, known=None, lenient=True)
-        courses = [make_course(name, 1, params.yaw) for name in FIGURES]
+        courses = [make_course(name, 1).with_yaw(params.yaw) for name in FIGURES]
         self._wiring = ManagerWiring(fleet_vehicles, courses[0], params, listens=False)
         self._selector = CourseSelector(self._wiring, courses, bumpers)
         self._reference_message = TrajectoriesMessage(self._wiring.manager.names)

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
-"""Differential flatness controller of several vehicles (thesis 6; Appendix C), or another one by its name (~controller);
-as LQR_DF_controller.py: LQR on a double integrator and flatness, as the thesis describes it.
+"""Differential flatness controller of several vehicles (thesis 6; Appendix C); ~controller: another one by its name.
+
+As LQR_DF_controller.py: LQR on a double integrator and flatness, as the thesis describes it.
 """
 
 import pathlib

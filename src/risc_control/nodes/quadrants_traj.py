@@ -13,7 +13,7 @@ def make_node():
     vehicles = len(node.wiring.vehicles)
     yaw = node.wiring.params.yaw
     courses = [make_course("origin", vehicles)] + [quadrant(number, vehicles) for number in (1, 2, 3, 4, 1)]
-    CourseSelector(node.wiring, [course if yaw is None else course.with_yaw(yaw) for course in courses], *node.more)
+    CourseSelector(node.wiring, [course.with_yaw(yaw) for course in courses], *node.more)
     return node
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The vehicle node: with relative names, for the group of its vehicle; as risc1_controller.py on the topics /risc1/..."""
+"""The vehicle node: with relative names, for its vehicle's group; as risc1_controller.py on the topics /risc1/..."""
 
 import pathlib
 import sys

@@ -15,14 +15,12 @@ from risc_control.vehicle_pilot import (
     SlotClock,
     VehicleNodeParams,
     VehiclePilot,
-    choose_vehicle,
 )
 from risc_control.vehicles import Controls, FlightState, Status
 from risc_control.vehicles.ardrone import climb_ahead, status
 from risc_lab.command_history import CommandHistory
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab.arena import Arena
-from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.settings import settings_from
 
@@ -912,42 +910,3 @@ def test_a_controller_with_other_full_scales_is_not_obeyed():
     desk.pilot.disagreement, since = "as before", len(desk.orders)
     desk.run(0.7)
     assert desk.count("land", since) > 0, "as if it were silent"
-
-
-def fleet(*vehicles):
-    return fleet_from_dict(
-        {
-            "name": "test",
-            "mocap": {"host": "127.0.0.1"},
-            "vehicles": [
-                {
-                    "namespace": namespace,
-                    "template": template,
-                    "type": kind,
-                    "address": "127.0.0.%d" % (k + 2),
-                    "start": {"position_m": [0, 0, 0]},
-                }
-                for k, (namespace, template, kind) in enumerate(vehicles)
-            ],
-        }
-    )
-
-
-def chosen(*what):
-    vehicle = choose_vehicle(*what)
-    return vehicle.template, vehicle.type
-
-
-def test_vehicle_is_found_by_name():
-    two = fleet(("risc1", "Raven", "ardrone"), ("risc2", "iris_1", "iris"))
-    assert chosen("", "risc1", two) == ("Raven", "ardrone"), "the fleet overrides the lab's table"
-    assert chosen("", "risc2", two) == ("iris_1", "iris")
-    assert chosen("iris_1", "risc1", two) == ("iris_1", "iris")
-    assert chosen("condor", "risc1", two) == ("condor", "ardrone")
-    assert chosen("", "", fleet(("risc1", "Raven", "ardrone"))) == ("Raven", "ardrone")
-    assert chosen("", "risc1", None) == ("fluffy_II", "ardrone")
-    assert chosen("", "risc2", None) == ("albatross", "ardrone")
-    assert chosen("", "risc3", None) == ("Raven", "ardrone")
-    for namespace, known in (("risc3", two), ("", two), ("", None), ("risc4", None)):
-        with pytest.raises(ValueError, match="~vehicle"):
-            choose_vehicle("", namespace, known)

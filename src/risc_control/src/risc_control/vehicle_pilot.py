@@ -16,7 +16,6 @@ from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sti
 from risc_control.separation import ALONE
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState, adapter_class, state_text
 from risc_lab.command_history import CommandHistory
-from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
 from risc_lab.settings import NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
@@ -50,26 +49,6 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     def rate_hz(self, vehicle_type):
         """At which a vehicle of a type is sent commands."""
         return self.command_rate_hz if self.command_rate_hz > 0.0 else _SLOWER * vehicle_type.command_rate_hz
-
-
-def choose_vehicle(wanted, namespace, fleet):
-    """FleetVehicle that a node flies.
-
-    wanted: the parameter ~vehicle, "" when not set.  namespace: e.g. "risc1", "" for none.  fleet: a `Fleet` or None.
-    Raises ValueError when it cannot be known.
-    """
-    vehicles = laboratory_vehicles() if fleet is None else fleet.vehicles
-    for vehicle in vehicles:
-        if wanted == vehicle.template or (not wanted and namespace == vehicle.namespace):
-            return vehicle
-    if wanted:
-        return unplaced_vehicle(namespace, wanted)
-    if fleet is not None and not namespace and len(vehicles) == 1:
-        return vehicles[0]
-    raise ValueError(
-        "cannot tell which vehicle '%s' is: start the node inside the vehicle's group (%s), or set ~vehicle to its "
-        "mocap template" % (namespace or "/", ", ".join(vehicle.namespace for vehicle in vehicles))
-    )
 
 
 class OwnState(NamedTuple):
@@ -238,7 +217,7 @@ class VehiclePilot:
         """
         is_finite = math.isfinite(sum(own))
         if is_finite and not self.disagreement:
-            self.ladder.note_controls(age_s, now_s)
+            self.ladder.controls.note(age_s, now_s)
         return is_finite
 
     def on_controls(self, own, stamp_s, age_s, now_s):

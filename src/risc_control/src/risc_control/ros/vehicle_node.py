@@ -24,9 +24,10 @@ from risc_control.joystick import Button
 from risc_control.ros.conversions import command_sent
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.separation import ALONE, Separation
-from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, choose_vehicle
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, adapter_class
 from risc_lab.lab.arena import Arena
+from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
 from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
@@ -437,7 +438,7 @@ class _Vehicle:
             pilot = self.pilot
             verdict, reactions = pilot.ladder.verdict, list(pilot.ladder.reactions)
             ages_s = pilot.ladder.state.age_s(now_s), pilot.ladder.controls.age_s(now_s)
-            behind_s = pilot.ladder.state.clock_behind_s
+            behind_s = pilot.ladder.state.ages.behind_s
             autonomous, flight_state = pilot.autonomous, pilot.flight_state
         told = VehicleNodeStatus(name=self.name, computer=socket.gethostname())
         told.header.stamp = rospy.Time.now()
@@ -498,24 +499,35 @@ def _chosen(values, namespace, fleet):
 
     values: private parameters.  fleet: Fleet or None.  Raises ValueError when it cannot be known.
     """
-    wanted = values.get("vehicles", "")
-
-    def told(vehicle):
-        return replace(vehicle, type=values.get("type", vehicle.type))
-
-    if not wanted:
-        group = namespace or rospy.get_namespace().strip("/").split("/")[-1]
-        vehicle = choose_vehicle(values.get("vehicle", ""), group, fleet)
-        return [(told(vehicle), "/%s/" % namespace if namespace else "", True)]
-    names = wanted.split() if isinstance(wanted, str) else wanted
-    known = {vehicle.namespace: vehicle for vehicle in fleet.vehicles} if fleet is not None else {}
-    unknown = [name for name in names if name not in known]
-    if unknown or len(set(names)) < len(names):
-        raise ValueError(
-            "parameter ~vehicles must be namespaces of /fleet (%s), each once; found %s"
-            % (", ".join(known) or "there is none: load a fleet file", ", ".join(map(str, names)))
-        )
-    return [(told(known[name]), "/%s/" % name, len(names) == 1) for name in names]
+    known = laboratory_vehicles() if fleet is None else fleet.vehicles
+    names = values.get("vehicles", "")
+    names = names.split() if isinstance(names, str) else names
+    if names:
+        found = [vehicle for name in names for vehicle in known if fleet is not None and vehicle.namespace == name]
+        if len(found) < len(names) or len(set(names)) < len(names):
+            raise ValueError(
+                "parameter ~vehicles must be namespaces of /fleet (%s), each once; found %s"
+                % (
+                    ", ".join(vehicle.namespace for vehicle in known) if fleet else "there is none: load a fleet file",
+                    ", ".join(map(str, names)),
+                )
+            )
+        prefixes = ["/%s/" % name for name in names]
+    else:
+        wanted, group = values.get("vehicle", ""), namespace or rospy.get_namespace().strip("/").split("/")[-1]
+        found = [v for v in known if wanted == v.template or (not wanted and group == v.namespace)]
+        if not found and wanted:
+            found = [unplaced_vehicle(group, wanted)]
+        if not found and fleet is not None and not group and len(known) == 1:
+            found = known
+        if not found:
+            raise ValueError(
+                "cannot tell which vehicle '%s' is: start the node inside the vehicle's group (%s), or set ~vehicle to "
+                "its mocap template" % (group or "/", ", ".join(vehicle.namespace for vehicle in known))
+            )
+        prefixes = ["/%s/" % namespace if namespace else ""]
+    found = [replace(vehicle, type=values.get("type", vehicle.type)) for vehicle in found]
+    return [(vehicle, prefix, len(found) == 1) for vehicle, prefix in zip(found, prefixes)]
 
 
 def main(namespace=""):
