@@ -19,7 +19,7 @@ BENCHMARKS = {
                                                             "--delay", "0.1", "0.3", "--json", "{json}"]),
     "planning": ("ways of 1 to 50 vehicles: time to plan and to sample, gaps in the references",
                  [PYTHON, str(HERE / "planning.py"), "--json", "{json}"]),
-    "estimation": ("noise and time of the estimator", [PYTHON, "-m", "risc_estimation.bench", "--json", "{json}"]),
+    "estimation": ("noise and time of the estimator", [PYTHON, str(HERE / "estimation.py"), "--json", "{json}"]),
     "control": ("time per frame of controller and vehicle pilot", [PYTHON, str(HERE / "control.py"),
                                                                    "--json", "{json}"]),
     "decode": ("decoding a 16-body frame in C++", [PYTHON, str(HERE / "decode.py"), "--json", "{json}"]),

@@ -10,10 +10,11 @@ from collections import namedtuple
 import pytest
 
 from risc_control.failsafe import FailsafeLevel, Verdict
-from risc_visual.browser.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, Mocap, Vehicle
+from risc_visual.browser.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, Vehicle
 
 FLYING = 3
 Report = namedtuple("Report", "state battery_pct")  # as a VehicleStatus
+Mocap = namedtuple("Mocap", "rate_hz visible vehicles")  # as an EstimatorStatus
 
 
 class Panel:
@@ -78,7 +79,7 @@ def test_before_anything_was_heard_nothing_is_claimed():
         (("mode", "risc1"), "vehicle node silent for 5 s", "autonomous"),
         (("vehicle", "risc1"), "vehicle silent for 5 s", "flying, battery 87 %"),
         (("mocap", ""), "motion capture silent for 5 s", "200 Hz, 2 of 2 seen"),
-        (("operator", ""), "operator silent", "fly: on course for 30 s"),
+        (("operator", ""), "operator silent for 5 s", "fly: on course for 30 s"),
     ],
 )
 def test_what_is_silent_is_said_to_be_so(silent, says, was):

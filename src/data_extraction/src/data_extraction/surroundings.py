@@ -8,10 +8,10 @@ import numpy as np
 from data_extraction.camera_topics import is_bottom, namespace_of
 from data_extraction.flatten import seconds
 from data_extraction.samples import Samples
-from risc_estimation.bearings import calibration_from_info, fleet_calibration, fleet_mount
+from risc_estimation.bearings import calibration_from_info
 from risc_estimation.expected_bearings import Hull
 from risc_estimation.pose_track import PoseTrack
-from risc_lab.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT
+from risc_lab.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT, load_calibration, load_mount
 from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.lab.templates import load_templates
@@ -35,8 +35,8 @@ class Surroundings:
         self._fleet = fleet
         self._template = {vehicle.namespace: vehicle.template for vehicle in vehicles}
         self._namespace = {vehicle.template: vehicle.namespace for vehicle in vehicles}
-        self._fleet_calibrations = {vehicle.namespace: fleet_calibration(vehicle) for vehicle in vehicles}
-        self._mounts = {vehicle.namespace: fleet_mount(vehicle) for vehicle in vehicles}
+        self._fleet_calibrations = {vehicle.namespace: load_calibration(vehicle.calibration) for vehicle in vehicles}
+        self._mounts = {vehicle.namespace: load_mount(vehicle.camera_mount) for vehicle in vehicles}
         self._templates = load_templates(fleet=fleet)
         self.catalogue = load_landmark_catalogue()
         self.tracks = {topic: defaultdict(PoseTrack) for topic in states_topics}

@@ -47,6 +47,7 @@ from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S
+from risc_simulator.video.polygons import clip_polygons, coverage
 from risc_simulator.world import World
 
 FRAME_S = 0.005
@@ -435,6 +436,8 @@ def main(argv=None):
         for name in CONTROLLERS.names():
             ControlLoop(name, [load_vehicle_type("ardrone")])
         FrameEncoder((("body", 1),))  # the virtual lab's
+        clip_polygons(np.zeros((3, 3)), np.array([3]), np.zeros((1, 4)))  # its cameras'
+        coverage([np.zeros((3, 2))], (0, 0, 1, 1))
         from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
         from risc_estimation.ros.conversions import EstimateMessages
 

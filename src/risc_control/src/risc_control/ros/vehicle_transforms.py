@@ -10,7 +10,7 @@ import rospy
 import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
-from risc_lab.lab.calibration import FRONT_MOUNT, load_mount
+from risc_lab.lab.calibration import load_mount
 from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, known_fleet, load_params
@@ -63,7 +63,7 @@ def main(name):
     rospy.init_node(name)
     try:
         (params,) = load_params(TransformParams, lenient=True)
-        mounts = {v.template: load_mount(v.camera_mount) if v.camera_mount else FRONT_MOUNT for v in fleet_vehicles()}
+        mounts = {v.template: load_mount(v.camera_mount) for v in fleet_vehicles()}
         transforms = VehicleTransforms(mounts)
     except ValueError as error:
         rospy.logfatal("%s: %s", name, error)

@@ -145,7 +145,6 @@ class ArdroneHost(VehicleHost):
         self._sticks = _NO_STICKS
         self._wanted = Setpoint(hover=True)  # before the altitude limit
         self._scheduled = self._wanted
-        self._free_m = -math.inf, math.inf  # heights between which nothing limits its climb
         self._ref_sequence = 0
         self._ref_time_s = None
         self._ref_gap_ms = 0.0
@@ -393,7 +392,6 @@ class ArdroneHost(VehicleHost):
         self._climb_max_m_s = 1e-3 * get("control:control_vz_max")
         self._lowest_m, highest_mm = 1e-3 * get("control:altitude_min"), get("control:altitude_max")
         self._highest_m = 1e-3 * highest_mm if highest_mm < NO_LIMIT_MM else math.inf
-        self._find_free_heights()
         self._rebuild_writer()
         if self._video is not None:
             self._video.configure(
@@ -529,7 +527,6 @@ class ArdroneHost(VehicleHost):
         self._landing_ordered = action is FlightAction.LAND
         if action is FlightAction.TAKE_OFF:
             self._wanted = self._scheduled = Setpoint(hover=True)
-            self._find_free_heights()
             self._counts["take_offs"] += 1
         elif action is FlightAction.LAND:
             self._counts["landings"] += 1
@@ -576,26 +573,13 @@ class ArdroneHost(VehicleHost):
         climb = min(climb, ALTITUDE_GAIN_1_S * (self._highest_m - altitude_m))
         return setpoint if climb == setpoint.climb_m_s else replace(setpoint, climb_m_s=climb)
 
-    def _find_free_heights(self):
-        """Where _limit_altitude() has nothing to do; nowhere while the climb is limited."""
-        if self._wanted.hover:
-            self._free_m = -math.inf, math.inf
-        elif self._scheduled.climb_m_s != self._wanted.climb_m_s:
-            self._free_m = math.inf, -math.inf
-        else:
-            shift_m = self._rest_height_m - self._wanted.climb_m_s / ALTITUDE_GAIN_1_S
-            self._free_m = self._lowest_m + shift_m, self._highest_m + shift_m
-
     def _limit_altitude(self, now_s):
-        if self._free_m[0] <= self._vehicle.height_m <= self._free_m[1]:
-            return
         limited = self._within_altitude_limits(self._wanted)
         if abs(limited.climb_m_s - self._scheduled.climb_m_s) > CLIMB_STEP_M_S:
             self._schedule(now_s, limited)
 
     def _schedule(self, time_s, setpoint):
         self._scheduled = setpoint
-        self._find_free_heights()
         self._vehicle.schedule(time_s, setpoint)
 
     # --- navdata ----------------------------------------------------------------------------------------------------
