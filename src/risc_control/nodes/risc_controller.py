@@ -1,11 +1,7 @@
 #!/usr/bin/env python3
-"""The vehicle node: with relative names, for its vehicle's group; as risc1_controller.py on the topics /risc1/..."""
-
-import pathlib
-import sys
+"""The vehicle node of albatross: the one program under its legacy name, on the topics /albatross/..."""
 
 from risc_control.ros.vehicle_node import main
 
 if __name__ == "__main__":
-    vehicle = pathlib.Path(sys.argv[0]).name.removesuffix("_controller.py")
-    sys.exit(main("" if vehicle == "risc" else vehicle))
+    raise SystemExit(main("albatross"))

@@ -372,7 +372,7 @@ def test_last_orders_are_level_and_land_and_nothing_follows():
     desk = Desk().fly(autonomous=True)
     orders = desk.pilot.on_shutdown(desk.now_s)
     assert orders.land
-    assert orders.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
+    assert orders.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), None)
     assert desk.run(1.0) == [], "controls still arrive while the node ends"
     assert not desk.press(TAKEOFF_LAND).takeoff
     assert desk.press(EMERGENCY).reset
@@ -456,7 +456,7 @@ def test_manual_commands_go_out_at_30_hz_and_follow_the_sticks():
     sent = desk.run(3.0)
     assert len(sent) == pytest.approx(90, abs=1)
     for _, sticks, stamp_s in sent:
-        assert (sticks, stamp_s) == (Sticks(-1.0, 0.25, 1.0, 0.25), 0.0)
+        assert (sticks, stamp_s) == (Sticks(-1.0, 0.25, 1.0, 0.25), None)
 
 
 def test_a_silent_joystick_centres_its_sticks():
@@ -775,7 +775,7 @@ def test_a_request_lands_in_both_modes_until_it_stands(autonomous):
     assert request(desk) == (True, "landing (landing was requested)")
     asked = desk.orders[-1][1]
     assert asked.land and (asked.safety.level, asked.safety.rule) == (FailsafeLevel.LAND, Rule.REQUEST), "at once"
-    assert asked.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
+    assert asked.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), None)
     sent = desk.run(1.0)
     assert desk.count("land", since) == pytest.approx(6, abs=1), "ordered again every 0.2 s"
     assert all(sticks == Sticks(0.0, 0.0, 0.0, 0.0) for _, sticks, _ in sent)

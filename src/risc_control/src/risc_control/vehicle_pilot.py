@@ -65,7 +65,7 @@ class SentCommand(NamedTuple):
     """A command to send."""
 
     sticks: Sticks
-    answers_s: float  # stamp of the /controls answered [s]; 0 = of none
+    answers: object  # the stamp of the /controls that it answers, as `on_controls` was given it; None = it answers none
     settles_at: np.ndarray  # (4,) what the vehicle makes of it: see `command_history.Channel`
 
 
@@ -220,8 +220,8 @@ class VehiclePilot:
             self.ladder.controls.note(age_s, now_s)
         return is_finite
 
-    def on_controls(self, own, stamp_s, age_s, now_s):
-        """A command of the controller (`vehicles.Controls`) with the stamp of the state it answers."""
+    def on_controls(self, own, stamp, age_s, now_s):
+        """A command of the controller (`vehicles.Controls`) with the stamp of the state it answers, of any type."""
         orders = Orders()
         if not self.hear_controls(own, age_s, now_s):
             orders.say("warn", "the controller sent a command that is not finite: ignored")
@@ -231,7 +231,7 @@ class VehiclePilot:
         self._judge(orders, now_s)
         if self.ladder.verdict.level == _OK and self._takes_commands() and self._slots.due(now_s):
             sent = self._sent.vehicles[0]
-            self._send(self._adapter.answer(own, self._state, self._state_s, now_s, sent), stamp_s, orders, now_s)
+            self._send(self._adapter.answer(own, self._state, self._state_s, now_s, sent), stamp, orders, now_s)
         return orders
 
     def tick(self, now_s):
@@ -277,7 +277,7 @@ class VehiclePilot:
         orders = Orders()
         orders.land = True
         level = CENTRED if self._adapter.HOLDS_POSITION else self._adapter.move(0.0, 0.0, 0.0, self._state)
-        self._send(level, 0.0, orders, now_s)
+        self._send(level, None, orders, now_s)
         return orders
 
     def needs_landing(self, now_s):
@@ -411,7 +411,7 @@ class VehiclePilot:
             sticks = self._adapter.by_hand(self._sticks(), self._state)
         else:
             sticks = CENTRED if itself else self._adapter.move(0.0, 0.0, 0.0, self._state)
-        self._send(sticks, 0.0, orders, now_s)
+        self._send(sticks, None, orders, now_s)
 
     def _avoid(self, look):
         """Sticks that stop the vehicle where it is, except where a `separation.Look` sends it."""
@@ -425,6 +425,6 @@ class VehiclePilot:
         )
         return self._adapter.move(forward_rad, left_rad, look.climb * speed_m_s, self._state)
 
-    def _send(self, sticks, stamp_s, orders, now_s):
-        orders.command = SentCommand(sticks, stamp_s, self._adapter.settles_at(sticks))
+    def _send(self, sticks, answers, orders, now_s):
+        orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks))
         self._sent.append(0, now_s, orders.command.settles_at)

@@ -9,6 +9,7 @@ import socket
 import threading
 import time
 import traceback
+from collections import defaultdict
 from dataclasses import replace
 from functools import partial, wraps
 
@@ -87,7 +88,7 @@ class VehicleNode:
         self._separation = Separation(self._by_name, params, everybody)
         tick_hz = _TICKS_PER_COMMAND * max(rates_hz)
         self._tick_s = 1.0 / tick_hz
-        self._streams = {}  # {sender of /controls: ControllerStream}
+        self._streams = defaultdict(lambda: ControllerStream(self._tick_s))  # {sender of /controls: its stream}
         self._heard = {}  # {topic: {sender: names of its messages}}
         self._complete = set()  # topics that have all vehicles
         self._answering, self._looking = threading.Lock(), threading.Lock()  # senders have threads of their own
@@ -137,15 +138,13 @@ class VehicleNode:
             )
             rows = zip(map(self._by_name.get, controls.names), controls.controls.tolist())
             flown = [(vehicle, row) for vehicle, row in rows if vehicle is not None]
-            stream = self._streams.get(who)
-            if stream is None:
-                stream = self._streams[who] = ControllerStream(self._tick_s)
             if _begins(who, self.controllers_s):
                 self.errands.put(lambda: self._compare(who))
             is_due = time.monotonic() >= _next_command_s(flown)
+            stream = self._streams[who]
             answers = stream.answers(stamp_s, age_s, is_due)
             for vehicle, row in flown:
-                vehicle.on_controls(Controls(*row), stamp if answers else None, stamp_s, age_s)
+                vehicle.on_controls(Controls(*row), stamp if answers else None, age_s)
             self._tell_sent()
             return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
@@ -352,14 +351,14 @@ class _Vehicle:
             self.pilot.on_state(own, age_s, time.monotonic(), look)
 
     @_contained
-    def on_controls(self, own, stamp, stamp_s, age_s):
+    def on_controls(self, own, stamp, age_s):
         """Its entry of /controls, with the stamp of the message; None: no command may follow."""
         self._counts["controls"] += 1
         if stamp is None:
             with self._lock:
                 self.pilot.hear_controls(own, age_s, time.monotonic())
         else:
-            self._act(lambda pilot, now_s: pilot.on_controls(own, stamp_s, age_s, now_s), stamp)
+            self._act(lambda pilot, now_s: pilot.on_controls(own, stamp, age_s, now_s))
 
     def _on_land_request(self, _request):
         return TriggerResponse(*self._act(lambda pilot, now_s: pilot.on_land_request(now_s)).answer)
@@ -378,18 +377,15 @@ class _Vehicle:
             self._carry_out(self.pilot.on_shutdown(time.monotonic()))
             return not self.pilot.needs_landing(time.monotonic())
 
-    def _act(self, decide, stamp=None):
-        """Let the pilot decide at a time, and do what it orders. Returns its Orders.
-
-        decide: function of both.  stamp: of the controls that are answered.
-        """
+    def _act(self, decide):
+        """Let the pilot decide at a time (decide: function of both), and do what it orders. Returns its Orders."""
         with self._lock:  # also while it is published, so that an older command never overtakes a newer one
             orders = decide(self.pilot, time.monotonic())
-            self._carry_out(orders, stamp)
+            self._carry_out(orders)
         self._report(orders)
         return orders
 
-    def _carry_out(self, orders, stamp=None):
+    def _carry_out(self, orders):
         if orders.reset:
             self._link.reset()
         if orders.takeoff:
@@ -400,7 +396,7 @@ class _Vehicle:
             command = orders.command
             self._link.send(command.sticks, orders.level_only)
             sent = rospy.Time.from_sec(ros_time_s())
-            answers = stamp if command.answers_s and stamp is not None else _NONE
+            answers = command.answers or _NONE
             if answers:
                 self._answer_max_s = max(self._answer_max_s, (sent - answers).to_sec())
             self._node.sent.put(command_sent(self.name, sent, answers, command.settles_at))
@@ -435,11 +431,9 @@ class _Vehicle:
         with self._lock:
             now_s, (_, rates) = time.monotonic(), self._growth(self._counts)
             answer_max_s, self._answer_max_s = self._answer_max_s, 0.0
-            pilot = self.pilot
-            verdict, reactions = pilot.ladder.verdict, list(pilot.ladder.reactions)
-            ages_s = pilot.ladder.state.age_s(now_s), pilot.ladder.controls.age_s(now_s)
-            behind_s = pilot.ladder.state.ages.behind_s
-            autonomous, flight_state = pilot.autonomous, pilot.flight_state
+            autonomous, flight_state, ladder = self.pilot.autonomous, self.pilot.flight_state, self.pilot.ladder
+            verdict, reactions, behind_s = ladder.verdict, list(ladder.reactions), ladder.state.ages.behind_s
+            ages_s = ladder.state.age_s(now_s), ladder.controls.age_s(now_s)
         told = VehicleNodeStatus(name=self.name, computer=socket.gethostname())
         told.header.stamp = rospy.Time.now()
         told.oldest_state_s, told.clock_behind_s = answer_max_s, behind_s

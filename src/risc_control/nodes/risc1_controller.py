@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""The vehicle node of risc1: the one program under the name that Appendix C gives it, on the topics /risc1/..."""
+
+from risc_control.ros.vehicle_node import main
+
+if __name__ == "__main__":
+    raise SystemExit(main("risc1"))
