@@ -45,9 +45,8 @@ def find_views(source, count, pictures, board):
 
 
 def _too_few(found, count, sample, board):
-    text = "the board (%dx%d inner corners) was found in %d of %d pictures, at least %d are needed: " % (
-        (board.columns, board.rows, found, count, MIN_VIEWS)
-    )
+    text = "the board (%dx%d inner corners) was found in %d of %d pictures, at least %d are needed: "
+    text %= board.columns, board.rows, found, count, MIN_VIEWS
     for other in filter(None, map(shown_board, sample)):
         if sorted(other) != sorted((board.columns, board.rows)):
             return text + "they show a board of %dx%d, try --size %dx%d" % (other + other)
@@ -112,11 +111,7 @@ def main():
         show_progress("calibrating with %d views ..." % len(views))
         result = calibrate(views, board, size_px, args.name, args.radial)
         save_calibration(result.calibration, out)
-    except OSError as error:
-        show_progress("")
-        print("calibrate.py: cannot read or write %s: %s" % (error.filename, error.strerror), file=sys.stderr)
-        return 1
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         show_progress("")
         print("calibrate.py: %s" % error, file=sys.stderr)
         return 1

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import yaml
 
-from risc_lab.lab.yaml_reader import errors_of, load_yaml, package_file
+from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Count, Settings, Vector, between, settings_from
 
 DISTORTION_MODEL = "plumb_bob"
@@ -155,8 +155,11 @@ def load_calibration(url):
     if not url:
         return None
     path = resolve_url(url)
-    with errors_of(path):
-        return read_calibration(path).usable()
+    calibration = read_calibration(path)
+    try:
+        return calibration.usable()
+    except ValueError as error:
+        raise ValueError("%s: %s" % (path, error)) from error
 
 
 def save_calibration(calibration, path):

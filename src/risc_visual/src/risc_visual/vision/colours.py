@@ -36,7 +36,7 @@ class Planes:
     def __init__(self, bgr):
         """bgr: (h, w, 3) uint8."""
         self._planes = cv2.split(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV))
-        self._within = {}
+        self._ranges = {}
 
     @property
     def hue(self):
@@ -45,21 +45,18 @@ class Planes:
 
     def mask(self, paint):
         """(h, w) uint8: 255 where the picture has this paint (an HsvRange)."""
-        vivid = paint.saturation + paint.value
-        if vivid not in self._within:
-            self._within[vivid] = cv2.bitwise_and(self._range(1, *paint.saturation), self._range(2, *paint.value))
-        return cv2.bitwise_and(self._hue_within(*paint.hue), self._within[vivid])
-
-    def _hue_within(self, first, last):
+        first, last = paint.hue
         if first <= last:
-            return self._range(0, first, last)
-        return cv2.bitwise_or(self._range(0, first, HUES - 1), self._range(0, 0, last))
+            hue = self._range(0, first, last)
+        else:
+            hue = self._range(0, first, HUES - 1) | self._range(0, 0, last)
+        return hue & self._range(1, *paint.saturation) & self._range(2, *paint.value)
 
-    def _range(self, plane, low, high):
-        key = (plane, low, high)
-        if key not in self._within:
-            self._within[key] = cv2.inRange(self._planes[plane], low, high)
-        return self._within[key]
+    def _range(self, *key):
+        if key not in self._ranges:
+            plane, low, high = key
+            self._ranges[key] = cv2.inRange(self._planes[plane], low, high)
+        return self._ranges[key]
 
 
 def as_bgr(image):

@@ -96,14 +96,10 @@ class VehicleDetector:
                 % (len(names), len(config.hulls))
             )
         self._limits = config.detector
+        self.shrink = config.detector.shrink  # how much smaller the picture of `detect_in` must be
         self._hulls = dict(zip(names, config.hulls))
         paints = sorted({paint for hull in self._hulls.values() for paint in (hull.nose, hull.tail)})
         self._ranges = {paint: config.colours[paint] for paint in paints}
-
-    @property
-    def shrink(self):
-        """How much smaller the picture of `detect_in` must be."""
-        return self._limits.shrink
 
     def detect(self, image, observer=None):
         """List of VehicleDetection, each vehicle at most once, the largest first.

@@ -7,12 +7,12 @@ from cv_bridge import CvBridge
 from sensor_msgs.msg import Image
 
 from risc_estimation.ros.cameras import VehicleCameras
+from risc_lab.ros.diagnostics import ticking_updater
 from risc_lab.ros.params import fleet_vehicles, load_params
 from risc_lab.settings import Name, NotNegative, Settings
 from risc_maap_msgs.msg import Detections
 from risc_msgs.msg import Observed_rois
 from risc_visual.ros.conversions import detections_of_picture, rois_of_picture
-from risc_visual.ros.node import ticking_updater
 from risc_visual.vision.colours import SIDE_MIN_PX, Planes, shrunk
 from risc_visual.vision.landmark_config import load_landmarks
 from risc_visual.vision.landmark_detector import LandmarkDetector
