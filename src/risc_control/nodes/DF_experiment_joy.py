@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """The figures of chapter 6 with one vehicle: trajectory and controller in one node, figures chosen by the bumpers."""
 
-import sys
 from dataclasses import fields
 
 import numpy as np
@@ -51,4 +50,4 @@ class ExperimentNode(ControllerNode):
 
 
 if __name__ == "__main__":
-    sys.exit(main("LQR_controller", ExperimentNode))
+    main("LQR_controller", ExperimentNode)

@@ -1,9 +1,7 @@
 #!/usr/bin/env python3
-"""LQR on a double integrator and flatness, as the thesis describes it: for teaching and comparison."""
-
-import sys
+"""Differential flatness controller of several vehicles (thesis 6; Appendix C); ~controller: another one by its name."""
 
 from risc_control.ros.controller_node import ControllerNode, main
 
 if __name__ == "__main__":
-    sys.exit(main("LQR_controller", lambda: ControllerNode("thesis_lqr")))
+    main("Differential_Flatness", lambda: ControllerNode("differential_flatness"))

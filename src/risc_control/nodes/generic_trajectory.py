@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""One circle of 0.7 m in 5 s for all vehicles, evenly spread."""
+"""Any course by its name (~course)."""
 
 from risc_control.ros.trajectory_node import main
 
 if __name__ == "__main__":
-    raise SystemExit(main("circular_trajectory", "circle", radius_m=0.7, period_s=5.0))
+    main("generic_trajectory", "circle")

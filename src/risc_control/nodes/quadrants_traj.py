@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """Origin and quadrants I, II, III, IV, I, stepped through by the joystick's bumpers."""
 
-import sys
-
 from risc_control.ros.controller_node import main
 from risc_control.ros.trajectory_node import BumperParams, CourseSelector, TrajectoryNode
 from risc_control.trajectories import make_course, quadrant
@@ -18,4 +16,4 @@ def make_node():
 
 
 if __name__ == "__main__":
-    sys.exit(main("Trajectory", make_node))
+    main("Trajectory", make_node)

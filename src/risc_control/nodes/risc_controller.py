@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""The vehicle node of albatross: the one program under its legacy name, on the topics /albatross/..."""
+"""The vehicle node with relative names: start it inside the vehicle's group."""
 
 from risc_control.ros.vehicle_node import main
 
 if __name__ == "__main__":
-    raise SystemExit(main("albatross"))
+    main()

@@ -240,8 +240,8 @@ class TrajectoryNode(ReferenceNode):
 
 
 def main(name, course, **options):
-    """Run a TrajectoryNode until shutdown. Returns the exit code."""
-    return controller_node.main(name, lambda: TrajectoryNode(course, **options))
+    """Run a TrajectoryNode until shutdown."""
+    controller_node.main(name, lambda: TrajectoryNode(course, **options))
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
@@ -525,12 +526,5 @@ def _chosen(values, namespace, fleet):
 
 
 def main(namespace=""):
-    """Run the node until shutdown; returns the exit code."""
-    low_latency.start("risc_hand_controller")
-    try:
-        VehicleNode(namespace)
-    except ValueError as error:
-        rospy.logfatal("%s: %s", rospy.get_name(), error)
-        return 1
-    low_latency.spin()
-    return 0
+    """Run the node until shutdown; wrong parameters end it with one line."""
+    run("risc_hand_controller", lambda: VehicleNode(namespace), low_latency.start, low_latency.spin)
