@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from data_extraction.recording import COMMANDS, REFERENCES, STATES, Recording
+from data_extraction.recording import COMMANDS, ON_COURSE, REFERENCES, STATES, Recording
 from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.lab.vehicle_types import load_vehicle_type
@@ -35,7 +35,6 @@ _FIELDS = {
 }
 
 PLOT_BUTTON = 3  # of the original release
-ON_COURSE = "course"  # the phase in which the course itself is flown
 IRIS = "iris"
 IRIS_EULER_ANGLE_MAX_RAD = 0.78537  # of the original release, for its IRIS+ controllers; the AR.Drone's is in its type
 
