@@ -19,6 +19,7 @@
 #include <ctime>
 #include <deque>
 #include <filesystem>
+#include <functional>
 #include <iostream>
 #include <map>
 #include <memory>
@@ -28,49 +29,17 @@
 #include <string>
 #include <system_error>
 #include <thread>
+#include <typeinfo>
 #include <utility>
 #include <vector>
 
 #include "bag_file.hpp"
 
 namespace data_extraction {
-
-// The bytes of a message of whatever type. topic_tools::ShapeShifter holds type, MD5 sum and definition
-// besides, copied for every message; the connection has them.
-struct AnyMessage {
-  std::string bytes;
-};
-
-}  // namespace data_extraction
-
-namespace ros {
-
-template <>
-struct message_traits::MD5Sum<data_extraction::AnyMessage> {
-  static const char* value() { return "*"; }
-};
-
-template <>
-struct message_traits::DataType<data_extraction::AnyMessage> {
-  static const char* value() { return "*"; }
-};
-
-template <>
-struct serialization::Serializer<data_extraction::AnyMessage> {
-  template <typename Stream>
-  static void read(Stream& stream, data_extraction::AnyMessage& message) {
-    message.bytes.assign(reinterpret_cast<const char*>(stream.getData()), stream.getLength());
-  }
-};
-
-}  // namespace ros
-
-namespace data_extraction {
 namespace {
 
 namespace fs = std::filesystem;
-using Clock = std::chrono::steady_clock;  // nobody sets it
-using Event = ros::MessageEvent<AnyMessage const>;
+using Clock = std::chrono::steady_clock;          // nobody sets it
 using Header = boost::shared_ptr<ros::M_string>;  // of a connection, by which its messages know it
 
 constexpr std::size_t kMegabyte = 1u << 20;
@@ -200,6 +169,28 @@ class AtOnce : public ros::CallbackQueueInterface {
   void removeByID(uint64_t) override {}
 };
 
+// Messages of whatever type, as their bytes. topic_tools::ShapeShifter holds type, MD5 sum and definition
+// besides, copied for every message; the connection has them.
+class Raw : public ros::SubscriptionCallbackHelper {
+ public:
+  using Take = std::function<void(const std::string&, ros::Time received, const Header&)>;
+  explicit Raw(Take take) : take_(std::move(take)) {}
+  ros::VoidConstPtr deserialize(const ros::SubscriptionCallbackHelperDeserializeParams& params) override {
+    return boost::make_shared<std::string>(reinterpret_cast<const char*>(params.buffer), params.length);
+  }
+  void call(ros::SubscriptionCallbackHelperCallParams& params) override {
+    const auto& event = params.event;
+    take_(*static_cast<const std::string*>(event.getMessage().get()), event.getReceiptTime(),
+          event.getConnectionHeaderPtr());
+  }
+  const std::type_info& getTypeInfo() override { return typeid(std::string); }
+  bool isConst() override { return true; }
+  bool hasHeader() override { return false; }
+
+ private:
+  Take take_;
+};
+
 class Recorder {
  public:
   Recorder(const ros::NodeHandle& node, const Options& options)
@@ -294,17 +285,18 @@ class Recorder {
     const auto limit = options_.most_hz.find(topic);
     const ros::Duration period(limit == options_.most_hz.end() ? 0.0 : 1.0 / limit->second);
     const auto source = std::make_shared<Source>(Source{topic, period});
-    ros::SubscribeOptions options;
-    options.initByFullCallbackType<const Event&>(
-        topic, 0, [this, source](const Event& event) { take(*source, event); });
+    const auto take = [this, source](const std::string& message, ros::Time received, const Header& header) {
+      this->take(*source, message, received, header);
+    };
+    ros::SubscribeOptions options(topic, 0, "*", "*");
+    options.helper = boost::make_shared<Raw>(take);
     options.transport_hints = ros::TransportHints().tcpNoDelay();
     options.callback_queue = &at_once_;
     return node_.subscribe(options);
   }
 
-  void take(Source& source, const Event& event) {
-    const ros::Time received = std::max(event.getReceiptTime(), ros::TIME_MIN);  // a bag has no time 0
-    const std::string& message = event.getMessage()->bytes;
+  void take(Source& source, const std::string& message, ros::Time received, const Header& header) {
+    received = std::max(received, ros::TIME_MIN);  // a bag has no time 0
     const std::lock_guard<std::mutex> lock(mutex_);
     // where the clock was set back, a new period begins
     if (over_ || (source.last <= received && received < source.last + source.period)) {
@@ -315,8 +307,9 @@ class Recorder {
       ++dropped_;
       return;
     }
-    const std::uint32_t connection = connection_of(source, event.getConnectionHeaderPtr());
+    const std::uint32_t connection = connection_of(source, header);
     filling_.add_message(connection, received, message);
+    ++taken_;
     if (filling_.bytes() >= kChunkBytes) {
       cut_chunk();
     }
@@ -357,7 +350,6 @@ class Recorder {
       lock.unlock();
       bag_.write(chunk);
       lock.lock();
-      written_ += chunk.messages();
       held_bytes_ -= chunk.bytes();
       full_.pop_front();
     }
@@ -387,10 +379,7 @@ class Recorder {
 
   // What is in the bag and what is not, in words.
   std::string recorded() const {
-    std::size_t lost = written_ - bag_.messages() + filling_.messages();
-    for (const Chunk& chunk : full_) {
-      lost += chunk.messages();
-    }
+    const std::size_t lost = taken_ - bag_.messages();
     std::ostringstream text;
     text << bag_.messages() << " messages, " << bag_.bytes() / kMegabyte << " MB, were recorded";
     if (lost != 0) {
@@ -410,7 +399,7 @@ class Recorder {
                      "the disk is too slow: messages were not recorded");
     }
     status.add("file", options_.name + ".bag");
-    status.add("messages recorded", written_);
+    status.add("messages recorded", taken_);
     status.add("messages not recorded", dropped_);
     status.add("bytes waiting for the disk", held_bytes_ + filling_.bytes());
   }
@@ -433,7 +422,7 @@ class Recorder {
   Chunk filling_;
   std::deque<Chunk> full_;
   std::size_t held_bytes_ = 0;  // of full_
-  std::size_t written_ = 0;     // messages
+  std::size_t taken_ = 0;       // messages
   std::size_t dropped_ = 0;
 };
 

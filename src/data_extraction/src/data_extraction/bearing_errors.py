@@ -104,13 +104,9 @@ class BearingCollector(Collector):
 
     topics = (ANGLES, DETECTIONS)
 
-    def __init__(self, fleet=None, rectified=True):
-        """fleet: risc_lab.lab.Fleet, see Surroundings. rectified: whether vision worked on rectified pictures.
-
-        Raises ValueError, from Surroundings.
-        """
+    def __init__(self, fleet=None):
+        """fleet: risc_lab.lab.Fleet, see Surroundings. Raises ValueError, from there."""
         self._fleet = fleet
-        self._rectified = rectified
         self._surroundings = Surroundings(fleet, (GROUND_TRUTH, MOCAP_STATES))
         # observer, as on /angles -> stamp, index of the name, is a vehicle, visible, azimuth, elevation [deg]
         self._rows = defaultdict(lambda: Samples(6))
@@ -162,7 +158,7 @@ class BearingCollector(Collector):
             try:
                 vehicle = surroundings.vehicle(name)
                 calibration, mounts[vehicle] = surroundings.camera(vehicle)
-                camera = None if calibration is None else make_camera(calibration, self._rectified)
+                camera = None if calibration is None else make_camera(calibration, rectified=True)
             except ValueError as error:
                 result.notes.append(str(error))
                 continue

@@ -35,11 +35,6 @@ class LabelParams(Settings):
     format: Literal["jpg", "png"] = "jpg"  # of the pictures
     states_topic: str = "/cortex_raw"
 
-    def __post_init__(self):
-        super().__post_init__()
-        if not np.isfinite(self.delay_s):
-            raise ValueError("'delay_s' must be finite, found %r" % self.delay_s)
-
 
 def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None):
     """Write the pictures of a bag and one labels.json into a folder. Returns (path of that file, number of pictures, of

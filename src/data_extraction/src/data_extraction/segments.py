@@ -15,6 +15,7 @@ from msgspec import Meta
 from data_extraction.recording import COMMANDS, ON_COURSE, REFERENCES, STATES, Recording
 from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
+from risc_lab.command_history import Channel, CommandHistory, command_of
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.phases import OperatorPhase
 from risc_lab.settings import Positive, Settings
@@ -31,7 +32,6 @@ _FIELDS = {
     STATES: ("x", "y", "z", "u", "v", "w", "phi", "theta", "psi"),
     REFERENCES: ("x", "y", "z", "xdot", "ydot", "zdot", "psi"),
     COMMANDS: ("phi", "theta"),
-    SENT: ("roll_rad", "pitch_rad"),
 }
 
 PLOT_BUTTON = 3  # of the original release
@@ -39,7 +39,8 @@ IRIS = "iris"
 IRIS_EULER_ANGLE_MAX_RAD = 0.78537  # of the original release, for its IRIS+ controllers; the AR.Drone's is in its type
 
 _DELAY_S = 0.5  # a state waits so long for the reference and the command before and after it
-_GAP_S = 0.25  # nothing is interpolated over a longer silence
+_GAP_S = 0.25  # nothing is interpolated over a longer silence, and no command holds for longer
+_SENT_ROWS = 2**17  # the longest segment at 200 Hz
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,7 @@ class Recorder:
         template = {vehicle.namespace: vehicle.template for vehicle in fleet_vehicles}
         self._wanted = tuple(template.get(name, name) for name in params.vehicles)
         self._recording = Recording(_FIELDS, only=self._wanted)
+        self._sent = {}  # vehicle -> CommandHistory(1)
         self._clock = ClockGuard(math.inf)  # of the states; they may pause for long
         self._delay_s = _DELAY_S
         self._over, self._growing = {}, {}  # vehicle -> its Segments that have ended; that which has not
@@ -176,11 +178,16 @@ class Recorder:
             recording.phases(receipt_s, message)
         elif topic == OPERATOR:
             recording.others_phase(receipt_s, OperatorPhase(message.phase).name.lower())
+        elif topic == SENT:
+            if message.name not in self._sent:
+                self._sent[message.name] = CommandHistory(1, _SENT_ROWS)
+            self._sent[message.name].append(0, receipt_s if recording.unstamped else stamp_s, command_of(message))
         elif topic != STATES or self._advances(receipt_s if recording.unstamped else stamp_s):
             was_stamped = not recording.unstamped
-            recording.add(topic, receipt_s, stamp_s, [message] if topic == SENT else message.Obj)
-            if was_stamped and recording.unstamped:
-                self._clock.forget()  # times are those of receipt from now on
+            recording.add(topic, receipt_s, stamp_s, message.Obj)
+            if was_stamped and recording.unstamped:  # times are those of receipt from now on
+                self._clock.forget()
+                self._sent.clear()
 
     def finish(self):
         """Use what still waits for later messages: there will be none."""
@@ -210,6 +217,7 @@ class Recorder:
             for name in list(self._growing):
                 self._end(self._growing.pop(name))
             self._recording.restart()
+            self._sent.clear()
         return step is not Step.REFUSED
 
     def _end(self, segment):
@@ -222,38 +230,34 @@ class Recorder:
     def _collect(self, until_s):
         """Pair what came up to a time, and forget what belongs to segments that have ended."""
         recording = self._recording
-        references = recording.parts(REFERENCES, recording.order)
-        commands, sent = (recording.parts(topic, recording.order) for topic in (COMMANDS, SENT))
+        references, commands = (recording.parts(topic, recording.order) for topic in (REFERENCES, COMMANDS))
         for name, parts in recording.parts(STATES).items():
             if name not in references or (self._wanted and name not in self._wanted):
                 continue
-            told = sent.get(name) or commands.get(name, [])
-            scale_deg = math.degrees(1.0) if name in sent else self._scales_deg.get(name, self._other_scale_deg)
-            series = recording.series(told) if told else None
             states, wanted = recording.series(parts), recording.series(references[name])
-            found = list(self._paired(name, states, wanted, series, scale_deg, until_s))
+            computed = recording.series(commands[name]) if name in commands else None
+            found = list(self._paired(name, states, wanted, computed, until_s))
             if not found:
                 continue
             for segment in found[:-1]:
                 self._end(segment)
             self._growing[name] = found[-1]
             recording.forget(parts, found[-1].start_s)
-            recording.forget(references[name] + told, found[-1].start_s - _GAP_S)
+            recording.forget(references[name] + commands.get(name, []), found[-1].start_s - _GAP_S)
 
-    def _paired(self, name, states, references, commands, scale_deg, until_s):
-        """Segments of a vehicle, of its states up to a time that have a reference before and after them.
-
-        scale_deg: what the commands' roll and pitch [deg] are multiples of.
-        """
+    def _paired(self, name, states, references, computed, until_s):
+        """Segments of a vehicle, of its states up to a time that have a reference before and after them."""
         near, labels = references.near(states.t_s, _GAP_S)
         near &= states.t_s <= until_s
         t_s, have, labels = states.t_s[near], states.values[near], labels[near]
         references.values[:, 6] = np.unwrap(references.values[:, 6])
         want = references.at(t_s)
         told = np.full((len(t_s), 2), np.nan)
-        if commands is not None:
-            told = commands.at(t_s) * scale_deg
-            told[~commands.near(t_s, _GAP_S)[0]] = np.nan
+        if name in self._sent:
+            told = np.degrees(self._sent[name].held(0, t_s, _GAP_S)[:, [Channel.PHI, Channel.THETA]])
+        if computed is not None and np.isnan(told).all():
+            told = computed.at(t_s) * self._scales_deg.get(name, self._other_scale_deg)
+            told[~computed.near(t_s, _GAP_S)[0]] = np.nan
         psi_deg = (np.degrees(want[:, 6:]) + 180.0) % 360.0 - 180.0
         errors = want[:, 3:6] - have[:, 3:6]
         table = np.hstack((have[:, :3], want[:, :3], told, psi_deg, have[:, 6:], errors, t_s[:, None]))

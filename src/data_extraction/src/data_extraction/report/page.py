@@ -2,10 +2,7 @@
 
 import base64
 import datetime
-import math
 from itertools import count
-
-import jinja2
 
 from data_extraction import plots
 from data_extraction import summary as summaries
@@ -14,7 +11,6 @@ from data_extraction.report.drops import CELL_M, GAP_S
 from data_extraction.report.events import head_and_tail
 from data_extraction.report.ladder import by_rule, raised
 from data_extraction.report.topics import expected, vehicle_of
-from risc_lab.lab.yaml_reader import package_file
 
 _UNITS = {"m": "\u202fm", "s": "\u202fs", "rad": "\u202frad", "deg": "°", "pct": "\u202f%", "ms": "\u202fms",
           "hz": "\u202fHz"}  # fmt: skip
@@ -38,15 +34,9 @@ def summary_of(material):
 
 def write(path, material, summary):
     """Write the page. summary: of `summary_of`, or of a flight that has just been judged. Returns the path."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(package_file("data_extraction", "templates")),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = summaries.templates(autoescape=True)
     environment.filters.update(_FILTERS)
-    environment.globals.update(plots=plots, hops=HOPS, cell_m=CELL_M, gap_s=GAP_S, pi=math.pi)
+    environment.globals.update(plots=plots, hops=HOPS, cell_m=CELL_M, gap_s=GAP_S)
     numbers = {"figure": count(1), "table": count(1)}
     page = environment.get_template("report.html")
     with plots.style():
