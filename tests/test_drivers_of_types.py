@@ -5,7 +5,10 @@ A toy from a folder of members has two nodes, which come up beside ardrone_drive
 
 import os
 import pathlib
+import re
 import struct
+import subprocess
+import sys
 import threading
 import time
 
@@ -16,6 +19,7 @@ import yaml
 from risc_doctor import ros_master
 from risc_lab.lab import fleet_from_dict
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port, marked_processes
+from risc_maap_msgs.msg import VehicleStatus
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.virtual_lab import VirtualLab
 
@@ -156,6 +160,10 @@ def test_a_toy_flies_by_its_own_driver_beside_an_ardrone(tmp_path):
             return False
         return True
 
+    def said(*command):
+        environment = {**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:%d" % port}
+        return subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, timeout=STARTED_S).stdout
+
     toy = lab.world.vehicles["risc2"]
     rest_m = toy.height_m
     try:
@@ -174,6 +182,11 @@ def test_a_toy_flies_by_its_own_driver_beside_an_ardrone(tmp_path):
         stick.press(UP, 1)
         wait_until(lambda: toy.height_m > rest_m + 0.3, RISEN_S, launch.log_tail)
         stick.press(UP, 0)
+        told = said("rostopic", "echo", "-n1", "/risc2/vehicle_status")
+        assert 'name: "albatross"' in told and "state: %d" % VehicleStatus.FLYING in told, told
+        listed = said(sys.executable, "-m", "risc_doctor", str(tmp_path / "fleet.yaml"), "--only", "vehicles")
+        for name in ("risc1", "risc2"):
+            assert re.search(r"%s \(\S+\) answers \(by its driver.*\), battery \d+ %%" % name, listed), listed
     finally:
         killed = launch.stop()
         ended.set()

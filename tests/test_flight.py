@@ -263,6 +263,7 @@ def test_coop_measures_bearings_and_records_what_the_experiment_needs(tmp_path):
     assert recorded >= {"/risc1/cmd_vel", "/risc2/cmd_vel", "/controls", "/trajectory", "/cortex_raw", "/ground_truth"}
     assert recorded >= {"/angles", "/land_rois", "/states3", "/tf", "/tf_static"}
     assert recorded >= {"/mocap_status", "/estimator_status", "/controller_report", "/risc1/node_status"}
+    assert "/risc1/vehicle_status" in recorded
     assert recorded >= {"/trajectory_phase", "/risc1/safety", "/operator/phase", "/operator/result"}
     assert pathlib.Path(folder, "plots", "bearings.png").stat().st_size > 10000
     page = (folder / "report.html").read_text(encoding="utf-8")

@@ -21,8 +21,7 @@ from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import load_calibration, load_mount
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States, Trajectories, Trajectory
-from risc_visual.drawing.airframes import vehicle_colour
-from risc_visual.drawing.palette import on_white, ray_colours, sphere_colours
+from risc_visual.drawing.palette import on_white, ray_colours, sphere_colours, vehicle_colour
 from risc_visual.drawing.scenery import load_scenery
 from risc_visual.pictures.captions import LIGHT, scene_size
 from risc_visual.pictures.rviz_pictures import views_from

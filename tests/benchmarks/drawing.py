@@ -19,7 +19,7 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from risc_estimation.bearings import Bearing
-from risc_estimation.ros.bearing_conversions import bearings_from_msg, observed_angles
+from risc_estimation.ros.bearing_conversions import bearings_from_msg, observed_angles, states_from_msg
 from risc_lab.lab.fleet import FleetVehicle, Start
 from risc_lab.lab.templates import load_templates
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_angles, States
@@ -29,7 +29,6 @@ from risc_visual.drawing.rays import RayStyles
 from risc_visual.drawing.ros import markers
 from risc_visual.drawing.ros.cortex_drawing import CortexDrawing
 from risc_visual.drawing.ros.paths import PathDrawing
-from risc_visual.ros.conversions import poses_from_cortex
 from risc_visual.vision.landmark_config import load_landmarks
 
 MOCAP_HZ = 200.0
@@ -92,7 +91,8 @@ def programs(names):
 
     def flown(data):
         msg = Cortex().deserialize(data)
-        return paths.draw(markers.header(msg.header.stamp), {p.name: p.position_m for p in poses_from_cortex(msg)})
+        places_m = {name: at_m for name, (at_m, _) in states_from_msg(msg).items()}
+        return paths.draw(markers.header(msg.header.stamp), places_m)
 
     def rays(data):
         msg = Observed_angles().deserialize(data)

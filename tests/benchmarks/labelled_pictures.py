@@ -15,7 +15,7 @@ from risc_lab.camera import Camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraCalibration
 from risc_simulator.video.checkerboard_motion import Waving
-from risc_simulator.video.renderer import NoiseTile, to_camera
+from risc_simulator.video.renderer import noise_tile, to_camera
 from risc_simulator.video.scene import CameraPose, Prop, Scene, VehiclePose, bgr_of_hsv, load_style, plane_axes
 
 SIZE_PX = (640, 360)
@@ -65,7 +65,7 @@ def landmark_set(seed, count):
     cameras = {
         name: Camera(CameraCalibration.from_intrinsics(name, SIZE_PX, *values)) for name, values in CALIBRATIONS.items()
     }
-    noise = NoiseTile(np.random.SeedSequence((seed, 1)))
+    noise = noise_tile(np.random.SeedSequence((seed, 1)))
     for index in range(count):
         yield _sample(np.random.SeedSequence((seed, 0, index)), index, style, cameras, noise)
 

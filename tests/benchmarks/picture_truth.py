@@ -7,9 +7,9 @@ import numpy as np
 
 from risc_lab.camera import bearings_of_rays
 from risc_simulator.video.checkerboard_motion import HOLD_S, MOVE_S, POSTURES
-from risc_simulator.video.coverage import coverage
+from risc_simulator.video.polygons import coverage
 from risc_simulator.video.renderer import NEAR_M, Renderer, _convex_hull, to_camera
-from risc_simulator.video.scene import CameraPose
+from risc_simulator.video.scene import CameraPose, Disc, VehiclePose
 
 _TRUTH_RASTER = 128  # cells along the longer side of an outline in which its visible share is counted
 
@@ -40,15 +40,15 @@ class LabelledRenderer(Renderer):
         A vehicle's outline is convex: what is seen between its rotors counts as vehicle.
         """
         truths, nearer = [], []
-        for thing in reversed(self._things(pose, vehicles, boards)):
-            if thing.kind in ("landmark", "vehicle"):
-                outline, share = self._outline(thing.outline_m, thing.kind == "vehicle", pose)
+        for thing, layers in reversed(self._things(pose, vehicles, boards)):
+            is_landmark = isinstance(thing, Disc) and len(layers) == 2  # else it is seen from behind
+            if is_landmark or isinstance(thing, VehiclePose):
+                outline_m = np.concatenate([layer.outlines[0] for layer in layers[: 1 if is_landmark else None]])
+                outline, share = self._outline(outline_m, not is_landmark, pose)
                 if self._meets_picture(outline):
                     truth = self._truth_of(thing, outline, share * self._seen_fraction(outline, nearer), pose)
                     truths += [truth] if truth is not None else []
-            shapes = [
-                self._outline(shape, layer.is_solid, pose)[0] for layer in thing.layers for shape in layer.outlines
-            ]
+            shapes = [self._outline(shape, layer.is_solid, pose)[0] for layer in layers for shape in layer.outlines]
             nearer += [shape for shape in shapes if len(shape) > 2]
         return truths[::-1]
 
@@ -83,22 +83,24 @@ class LabelledRenderer(Renderer):
 
     def _truth_of(self, thing, outline, seen_fraction, pose):
         """Truth; None when the centre is where the camera model does not reach."""
-        centre = self.project(thing.centre_m[None], pose)[0]
+        centre_m = np.array(thing.sphere(self.scene)[0], dtype=float)
+        centre = self.project(centre_m[None], pose)[0]
         if not np.isfinite(centre).all():
             return None
         low, high = outline.min(axis=0), outline.max(axis=0)
-        relative = to_camera(pose, thing.centre_m[None])[0]
+        relative = to_camera(pose, centre_m[None])[0]
         azimuth, elevation = bearings_of_rays(relative)
         obliqueness = 0.0
-        if thing.kind == "landmark":
+        is_landmark = isinstance(thing, Disc)
+        if is_landmark:
             least = self._disc_diameter(thing, pose)
-            sight = np.asarray(pose.position_m) - thing.centre_m
+            sight = np.asarray(pose.position_m) - centre_m
             obliqueness = float(np.arccos(np.clip(sight @ thing.normal / np.linalg.norm(sight), -1.0, 1.0)))
         else:
             least = float(min(cv2.minAreaRect(outline.astype(np.float32))[1]))
         return Truth(
             name=thing.name,
-            kind=thing.kind,
+            kind="landmark" if is_landmark else "vehicle",
             centre_px=(float(centre[0]), float(centre[1])),
             box_px=(float(low[0]), float(low[1]), float(high[0]), float(high[1])),
             diameter_px=least,
@@ -111,11 +113,12 @@ class LabelledRenderer(Renderer):
 
     def _disc_diameter(self, thing, pose):
         """Least diameter [px] of the ellipse that a landmark's centre disc is seen as."""
-        pixels = self.project(thing.centre_outline_m, pose)
+        outline_m = thing.outline(thing.centre_diameter_m)
+        pixels = self.project(outline_m, pose)
         scale = 1.0
         if not np.isfinite(pixels).all():  # a part is nowhere: go by the middle of it
             scale = 0.1
-            pixels = self.project(thing.centre_m + scale * (thing.centre_outline_m - thing.centre_m), pose)
+            pixels = self.project(thing.centre_m + scale * (outline_m - thing.centre_m), pose)
         if not np.isfinite(pixels).all():
             return 0.0
         # points spread evenly on a circle have half the squared radius as variance, along each axis of the ellipse
@@ -136,13 +139,7 @@ class LabelledRenderer(Renderer):
             for other in nearer
             if (other.min(axis=0) < high).all() and (other.max(axis=0) > low).all()
         ]
-        masks = coverage(
-            np.concatenate(outlines),
-            [len(outline) for outline in outlines],
-            range(len(outlines)),
-            np.ones(len(outlines)),
-            [(0, 0, width, height)] * len(outlines),
-        )
+        masks = [coverage([outline], (0, 0, width, height)) for outline in outlines]
         whole = float(masks[0].sum())
         seen = masks[0] * masks[1]
         for mask in masks[2:]:
@@ -158,7 +155,9 @@ def held_s():
 def corners_of(board):
     """Inner corners (rows * columns, 3) [m] of a Board, cortex frame, in findChessboardCorners' order."""
     column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
-    return board.to_cortex(column.ravel() - 0.5 * (board.columns - 1), row.ravel() - 0.5 * (board.rows - 1))
+    return board.to_cortex(
+        np.stack((column.ravel() - 0.5 * (board.columns - 1), row.ravel() - 0.5 * (board.rows - 1)), axis=1)
+    )
 
 
 def corners_px(waving, camera, time_s):

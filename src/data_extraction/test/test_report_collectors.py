@@ -1,6 +1,7 @@
 """What the report collects from a bag: each collector, from bags of a few messages with known answers."""
 
 import json
+import math
 import struct
 from types import SimpleNamespace
 
@@ -15,7 +16,6 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, String
 
-from ardrone_autonomy.msg import Navdata
 from data_extraction.bags import Bag, BagError
 from data_extraction.camera_topics import one_topic_each
 from data_extraction.progress import bar
@@ -42,6 +42,7 @@ from risc_maap_msgs.msg import (
     TrajectoryPhases,
     VehicleNodeStatus,
     VehiclePhase,
+    VehicleStatus,
 )
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_rois, Risc_roi, Risc_rois, States
 
@@ -259,10 +260,10 @@ def test_computers_that_fly_are_named_with_their_worst_figures(play):
 def test_charge_and_time_in_the_air(play):
     rows = []
     for k, state in enumerate((2, 2, 6, 3, 3, 4, 8, 2, 2)):
-        rows.append(("/risc1/ardrone/navdata", Navdata(batteryPercent=90.0 - k, state=state), T0_S + k))
-    rows.append(("/ardrone/navdata", Navdata(batteryPercent=0.0), T0_S))
+        rows.append(("/risc1/vehicle_status", VehicleStatus(battery_pct=90.0 - k, state=state), T0_S + k))
+    rows.append(("/vehicle_status", VehicleStatus(battery_pct=math.nan), T0_S))
     batteries = play(BatteryCollector(), rows).result(0.0)
-    assert set(batteries) == {"risc1"}, "0 %: that one does not report its charge"
+    assert set(batteries) == {"risc1"}, "that one does not report its charge"
     assert (batteries["risc1"].first_pct, batteries["risc1"].last_pct) == (90.0, 82.0)
     assert batteries["risc1"].air_s == pytest.approx(5.0)
 

@@ -16,7 +16,6 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Bool, String
 
-from ardrone_autonomy.msg import Navdata
 from data_extraction.report.__main__ import INSTALL, main, make, write_pdf
 from data_extraction.report.gates import GATES
 from data_extraction.report.origin import parameter_hash
@@ -31,6 +30,7 @@ from risc_maap_msgs.msg import (
     Safety,
     TrajectoryPhases,
     VehiclePhase,
+    VehicleStatus,
 )
 from risc_msgs.msg import (
     Angle,
@@ -152,7 +152,7 @@ def full_rows():
         if k % 7 == 0:
             yield t_s, "/risc1/cmd_vel_stamped", TwistStamped()
         if k % 20 == 0:
-            yield t_s, "/risc1/ardrone/navdata", Navdata(batteryPercent=90.0 - t_s, state=3)
+            yield t_s, "/risc1/vehicle_status", VehicleStatus(battery_pct=90.0 - t_s, state=3)
             yield t_s, "/states3", Landmarks(Obj=[Landmark("Green_pink", 2.3, 0.3, 1.0)])
             found = Risc_roi("green", True, 80, 45, 40.0, 30.0, 10.0)
             yield t_s, "/risc1/ardrone/camera_info", info
@@ -266,7 +266,7 @@ def test_pictures_are_in_the_page_and_small(full, page):
 
 
 def test_a_poor_bag_says_what_is_missing(tmp_path):
-    rows = (row for row in full_rows() if row[1] in ("/cortex_raw", "/risc1/ardrone/navdata"))
+    rows = (row for row in full_rows() if row[1] in ("/cortex_raw", "/risc1/vehicle_status"))
     write_bag(tmp_path / "lab.bag", rows)
     make(tmp_path / "lab.bag")
     page = read(tmp_path / "lab_report" / "report.html")
@@ -368,7 +368,7 @@ def test_what_was_not_judged_is_not_said_to_be(tmp_path):
 def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
     """The last 5 s have no frame; nothing else changes, and no vehicle leaves the lowest failsafe level."""
     silent = ("/mocap_data", "/cortex_raw", "/ground_truth", "/trajectory")
-    rows = [row for row in full_rows() if row[1] in (*silent, "/estimator_status", "/risc1/ardrone/navdata")]
+    rows = [row for row in full_rows() if row[1] in (*silent, "/estimator_status", "/risc1/vehicle_status")]
     rows = [row for row in rows if row[0] < 15.0 or row[1] not in silent] + [(1.0, "/risc1/safety", Safety())]
     write_bag(tmp_path / "end.bag", sorted(rows, key=lambda row: row[0]))
     (tmp_path / "flight.yaml").write_text("arguments:\nversions:\n")

@@ -2,16 +2,17 @@
 """The figures of chapter 6 with one vehicle: trajectory and controller in one node, figures chosen by the bumpers."""
 
 import sys
+from dataclasses import fields
 
 import numpy as np
 import rospy
 
 from risc_control.ros.controller_node import ControllerNode, main
 from risc_control.ros.conversions import TrajectoriesMessage
-from risc_control.ros.trajectory_node import CourseSelector, ManagerWiring, yaw_from_params
+from risc_control.ros.trajectory_node import BumperParams, CourseSelector, ManagerWiring, TrajectoryParams
 from risc_control.trajectories import make_course
 from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
-from risc_lab.ros.params import vehicles
+from risc_lab.ros.params import load_params, vehicles
 
 FIGURES = ("origin", "slanted8", "origin", "flat8", "origin", "circle")
 
@@ -21,12 +22,15 @@ class ExperimentNode(ControllerNode):
 
     def __init__(self):
         fleet_vehicles = vehicles(only_one=True)
-        courses = [make_course(name, 1, yaw_from_params()) for name in FIGURES]
-        self._wiring = ManagerWiring(fleet_vehicles, courses[0], listens=False)
-        self._selector = CourseSelector(self._wiring, courses)
+        kinds = TrajectoryParams, BumperParams
+        params, bumpers = load_params(*kinds, known=None, lenient=True)
+        courses = [make_course(name, 1, params.yaw) for name in FIGURES]
+        self._wiring = ManagerWiring(fleet_vehicles, courses[0], params, listens=False)
+        self._selector = CourseSelector(self._wiring, courses, bumpers)
         self._reference_message = TrajectoriesMessage(self._wiring.manager.names)
         self._reference_publisher = rospy.Publisher("/trajectory", TrajectoriesArrays, queue_size=1, tcp_nodelay=True)
-        super().__init__("differential_flatness", fleet_vehicles)
+        known = [item.name for kind in kinds for item in fields(kind)]
+        super().__init__("differential_flatness", fleet_vehicles, known)
         self._wiring.manager.ask(self._loop.controller.ORDER)
 
     def _subscribe(self):

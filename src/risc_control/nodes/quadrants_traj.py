@@ -4,16 +4,16 @@
 import sys
 
 from risc_control.ros.controller_node import main
-from risc_control.ros.trajectory_node import CourseSelector, TrajectoryNode, yaw_from_params
+from risc_control.ros.trajectory_node import BumperParams, CourseSelector, TrajectoryNode
 from risc_control.trajectories import make_course, quadrant
 
 
 def make_node():
-    node = TrajectoryNode("origin")
+    node = TrajectoryNode("origin", BumperParams)
     vehicles = len(node.wiring.vehicles)
-    yaw = yaw_from_params()
+    yaw = node.wiring.params.yaw
     courses = [make_course("origin", vehicles)] + [quadrant(number, vehicles) for number in (1, 2, 3, 4, 1)]
-    CourseSelector(node.wiring, [course if yaw is None else course.with_yaw(yaw) for course in courses])
+    CourseSelector(node.wiring, [course if yaw is None else course.with_yaw(yaw) for course in courses], *node.more)
     return node
 
 

@@ -2,32 +2,39 @@
 """References for Hows_controller.py: a place to wait at, and, after a button, a target that runs on a circle."""
 
 import sys
+from dataclasses import dataclass
 
 import rospy
 from std_msgs.msg import Float64
 
 from risc_control.pursuit_reference import TargetParams, VirtualTarget
 from risc_control.ros.controller_node import main
-from risc_control.ros.joystick_buttons import ButtonSubscriber
-from risc_control.ros.trajectory_node import ManagerWiring, ReferenceNode
-from risc_lab.ros.params import dataclass_from_params, number, vehicles
+from risc_control.ros.joystick_buttons import ButtonParams, ButtonSubscriber
+from risc_control.ros.trajectory_node import ManagerWiring, ReferenceNode, TrajectoryParams
+from risc_lab.ros.params import VEHICLE_KEYS, load_params, vehicles
+from risc_lab.settings import Count
+
+
+@dataclass(frozen=True)
+class ChaseParams(ButtonParams):
+    """The button that lets the target go."""
+
+    chase_button: Count = 1
 
 
 class VirtualTargetNode(ReferenceNode):
     """Publishes the speed of the target, too, on `target_velocity`, 0 while it rests."""
 
     def __init__(self):
-        params = dataclass_from_params(TargetParams)
-        wiring = ManagerWiring(vehicles(only_one=True), params.waiting_place(), VirtualTarget)
+        kinds = TrajectoryParams, TargetParams, ChaseParams
+        params, target, chase = load_params(*kinds, known=VEHICLE_KEYS, lenient=True)
+        wiring = ManagerWiring(vehicles(only_one=True), target.waiting_place(), params, VirtualTarget)
         self._target = wiring.manager
-        self._target.target = params.target_course()
-        button = number("~chase_button", 1)
-        if button < 0 or button != int(button):
-            raise ValueError("parameter ~chase_button must be a button, counted from 0, got %r" % button)
+        self._target.target = target.target_course()
         self._pursuing = False
         self._speed_publisher = rospy.Publisher("target_velocity", Float64, queue_size=1, tcp_nodelay=True)
         super().__init__(wiring)
-        ButtonSubscriber({"chase_button": int(button)}, self._on_press)
+        ButtonSubscriber(chase, self._on_press)
 
     def _sampled(self, time_s):
         self._speed_publisher.publish(self._target.target_speed_m_s(time_s))

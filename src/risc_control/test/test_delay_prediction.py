@@ -12,7 +12,6 @@ from risc_control.delay_prediction import (
     STEP_S,
     TILT,
     Motion,
-    TiltObserver,
     discretised,
     effective_delay_s,
     fill_in_force,
@@ -21,6 +20,7 @@ from risc_control.delay_prediction import (
     plants,
     predicted,
     steps_of,
+    tilt_observer,
 )
 from risc_lab.command_history import CHANNELS, Channel, CommandHistory
 from risc_lab.frames import GRAVITY_M_S2 as G
@@ -230,13 +230,14 @@ def unseen():
 
 def observed(observer, tilt, time_s, angles_rad, rates_rad_s, command):
     """((phi, theta), their rates) of the only vehicle."""
-    observe(tilt, time_s, (*angles_rad, *rates_rad_s), command, observer.steps[0], observer.gains[0])
+    steps, gains = observer
+    observe(tilt, time_s, (*angles_rad, *rates_rad_s), command, steps[0], gains[0])
     return (tilt.phi_rad, tilt.theta_rad), (tilt.phi_rate_rad_s, tilt.theta_rate_rad_s)
 
 
 def test_observer_knows_the_rate_from_noisy_angles():
     """Better than the measured angles, without lag in the rate: 0.3 degree of noise, known commands."""
-    observer, tilt = TiltObserver([ARDRONE], 0.005, 0.6), unseen()
+    observer, tilt = tilt_observer([ARDRONE], 0.005, 0.6), unseen()
     A, b = (part[:2] for part in loops(ARDRONE))
     phi, gamma = discretised(A, b, 0.005)
     rng, truth = np.random.default_rng(0), np.zeros((2, 2))
@@ -256,14 +257,14 @@ def test_observer_knows_the_rate_from_noisy_angles():
 
 
 def test_observer_starts_from_the_measurement_and_again_after_a_gap():
-    observer, tilt, command = TiltObserver([ARDRONE], 0.005, 0.6), unseen(), np.zeros(CHANNELS)
+    observer, tilt, command = tilt_observer([ARDRONE], 0.005, 0.6), unseen(), np.zeros(CHANNELS)
     for time_s in (10.0, 10.5):
         assert observed(observer, tilt, time_s, (0.1, -0.1), (0.3, 0.2), command) == ((0.1, -0.1), (0.3, 0.2))
         observed(observer, tilt, time_s + 0.005, (0.0, 0.0), (0.0, 0.0), command)
 
 
 def test_observer_steps_of_any_length_are_those_of_the_exponential():
-    steps = TiltObserver(TYPES, 0.005, 0.6).steps
+    steps, _ = tilt_observer(TYPES, 0.005, 0.6)
     A, b = (np.stack(part)[:, :2] for part in zip(*map(loops, TYPES)))
     for j in (1, 10, 137, 200):
         Phi, Gamma = discretised(A, b, 0.0005 * j)

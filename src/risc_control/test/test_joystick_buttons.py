@@ -1,6 +1,7 @@
 """risc_control.ros.joystick_buttons without a master: what a slow callback must not change."""
 
 import threading
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import pytest
@@ -8,9 +9,15 @@ import rospy
 from sensor_msgs.msg import Joy
 
 from risc_control.ros import joystick_buttons
-from risc_control.ros.joystick_buttons import ButtonSubscriber, claim_buttons
+from risc_control.ros.joystick_buttons import ButtonParams, ButtonSubscriber, claim_buttons
 
 TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True)
+class Buttons(ButtonParams):
+    previous_button: int = 4
+    next_button: int = 5
 
 
 @pytest.fixture
@@ -30,7 +37,6 @@ def desk(monkeypatch):
 
     found = Desk()
     found.logged = []
-    monkeypatch.setattr(joystick_buttons, "number", lambda name, default: default)
     monkeypatch.setattr(joystick_buttons, "claim_buttons", lambda functions: None)
     monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, callback, **_: setattr(found, "receive", callback))
     monkeypatch.setattr(joystick_buttons, "ros_time_s", lambda: found.now_s)
@@ -49,7 +55,7 @@ def test_a_press_counts_while_the_callback_is_busy_with_the_one_before(desk):
         if len(seen) == 2:
             both.set()
 
-    ButtonSubscriber({"previous_button": 4, "next_button": 5}, callback)
+    ButtonSubscriber(Buttons(), callback)
     desk.send(5)
     assert busy.wait(TIMEOUT_S)
     desk.send()
@@ -68,7 +74,7 @@ def test_a_callback_that_fails_is_told_and_the_next_press_counts(desk):
             raise RuntimeError("no such course")
         worked.set()
 
-    ButtonSubscriber({"previous_button": 4, "next_button": 5}, callback)
+    ButtonSubscriber(Buttons(), callback)
     desk.send(4)
     desk.send(5)
     assert worked.wait(TIMEOUT_S)
@@ -83,7 +89,7 @@ def test_a_late_press_is_told_with_its_age_and_not_obeyed(desk):
         seen.append(buttons)
         worked.set()
 
-    ButtonSubscriber({"previous_button": 4, "next_button": 5}, callback)
+    ButtonSubscriber(Buttons(), callback)
     desk.send(4, age_s=2.0)
     desk.send(5)
     assert worked.wait(TIMEOUT_S)
@@ -122,10 +128,3 @@ def test_two_nodes_may_take_a_button_for_the_same_thing(server):
     for server.own in ("/risc1/joystick_controller", "/risc2/joystick_controller"):
         server.nodes.add(server.own)
         claim_buttons({"JoytoWay": 0}, ["/joy"])
-
-
-@pytest.mark.parametrize("late_s", [0.0, -1.0])
-def test_a_limit_by_which_every_press_is_late_is_refused(desk, monkeypatch, late_s):
-    monkeypatch.setattr(joystick_buttons, "number", lambda name, default: late_s)
-    with pytest.raises(ValueError, match="joystick_late_s"):
-        ButtonSubscriber({"chase_button": 1}, lambda buttons: None)

@@ -37,7 +37,7 @@ from vehicle_world import (
 )
 
 from risc_control.ros.vehicle_node import SILENCE_S, VehicleNode
-from risc_maap_msgs.msg import Safety, VehicleNodeStatus
+from risc_maap_msgs.msg import Safety, VehicleNodeStatus, VehicleStatus
 
 TEMPLATES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "condor"}
 LIMIT_S = {"hold": 0.5, "land": 2.0}  # of states and controls, as in vehicle_node.test
@@ -264,6 +264,18 @@ class VehicleNodeTest(unittest.TestCase):
         rospy.Subscriber("/risc2/node_status", VehicleNodeStatus, told.append)
         wait_for(lambda: told and 0.0 < told[-1].oldest_state_s < 5.0, "the age of a state that was answered")
         self.assertEqual((told[-1].name, told[-1].computer), (TEMPLATES["risc2"], socket.gethostname()))
+
+    def test_7_what_a_vehicle_says_of_itself(self):
+        """In the words of all types; at once when its state is another, else five times a second."""
+        world = self.world
+        world.forget()
+        world.flight_state["risc2"] = FLYING
+        world.wait("risc2", "vehicle_status", lambda m: m.state == VehicleStatus.FLYING)
+        wait_for(lambda: len(world.messages("risc1", "vehicle_status")) >= 10, "ten of risc1")
+        told = world.messages("risc1", "vehicle_status")
+        self.assertEqual({(m.name, m.state, m.battery_pct) for m in told}, {("fluffy_II", VehicleStatus.LANDED, 80.0)})
+        stamps_s = [m.header.stamp.to_sec() for m in told]
+        self.assertGreater((stamps_s[-1] - stamps_s[0]) / (len(told) - 1), 0.19)
 
     def test_8_without_a_master_that_answers_the_ladder_goes_on(self):
         """A base station beyond a cable that is out: connections stay, answers do not come."""

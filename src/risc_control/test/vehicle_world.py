@@ -12,7 +12,7 @@ from std_msgs.msg import Bool, Empty
 from ardrone_autonomy.msg import Navdata
 from risc_control.vehicles import adapter_class
 from risc_lab.lab.vehicle_types import load_vehicle_type
-from risc_maap_msgs.msg import CommandsSent, Safety
+from risc_maap_msgs.msg import CommandsSent, Safety, VehicleStatus
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
 JOY_TO_WAY, EMERGENCY, SHUT_DOWN, TAKEOFF_LAND = 0, 2, 7, 6
@@ -29,6 +29,7 @@ PUBLISHED = {
     "ardrone/reset": Empty,
     "controller_status": Bool,
     "safety": Safety,
+    "vehicle_status": VehicleStatus,
 }
 
 

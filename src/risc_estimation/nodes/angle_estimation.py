@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """detections, or land_rois where only these come -> angles. Wiring only; see risc_estimation.bearings."""
 
-import sys
 import threading
 import time
 
@@ -13,13 +12,13 @@ from risc_estimation.ros.bearing_conversions import observed_angles, regions_fro
 from risc_estimation.ros.cameras import VehicleCameras
 from risc_estimation.ros.conversions import header_for
 from risc_estimation.ros.params import AngleParams
-from risc_lab.ros.diagnostics import Growth, age_text, make_updater
+from risc_lab.ros.diagnostics import Growth, add_all, age_text, is_silent, summarise, ticking_updater
+from risc_lab.ros.node import run
 from risc_lab.ros.params import fleet_vehicles, load_params
-from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import Detections
 from risc_msgs.msg import Observed_angles, Observed_rois
 
-_SILENCE_S = 3.0
+EXACT, REFUSED = "images with exact detections", "regions without a direction"  # counted, as diagnostics call them
 
 
 class AngleEstimationNode:
@@ -29,13 +28,11 @@ class AngleEstimationNode:
         params = load_params(AngleParams)[0]
         self._cameras = VehicleCameras(fleet_vehicles(), params.rectified, params.camera, params.default_calibration)
         self._lock = threading.Lock()  # both topics and the diagnostics have a thread each
-        self._pictures, self._exact, self._found, self._refused = 0, 0, 0, 0
+        self._counts = dict.fromkeys(("images", EXACT, "angles", REFUSED), 0)
         self._last_s = None  # monotonic clock
         self._growth = Growth()
         self._pub = rospy.Publisher("angles", Observed_angles, queue_size=10, tcp_nodelay=True)
-        self._diagnostics = make_updater("none")
-        self._diagnostics.add("angle estimation", self._diagnose)
-        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
+        ticking_updater().add("angle estimation", self._diagnose)
         self._source = ImageSource()
         rospy.Subscriber("detections", Detections, self._on_detections, queue_size=10, tcp_nodelay=True)
         rospy.Subscriber("land_rois", Observed_rois, self._on_rois, queue_size=10, tcp_nodelay=True)
@@ -62,49 +59,30 @@ class AngleEstimationNode:
             pictures.append((entry.name, bearings[: len(landmarks)], bearings[len(landmarks) :]))
         self._pub.publish(observed_angles(header_for(header), pictures))
         with self._lock:
-            self._pictures += 1
-            self._exact += exact
-            self._found += found
-            self._refused += wanted - found
+            for what, more in (("images", 1), (EXACT, exact), ("angles", found), (REFUSED, wanted - found)):
+                self._counts[what] += more
             self._last_s = time.monotonic()
 
     def _diagnose(self, status):
-        now_s = time.monotonic()
         with self._lock:
-            pictures, refused, last_s = self._pictures, self._refused, self._last_s
-            found, exact = self._found, self._exact
-        new, rates_hz = self._growth({"pictures": pictures, "refused": refused})
+            counts, last_s = dict(self._counts), self._last_s
+        new, rates_hz = self._growth(counts)
         problems = self._cameras.problems()
-        if last_s is None or now_s - last_s > _SILENCE_S:
-            status.summary(DiagnosticStatus.WARN, "nothing on " + rospy.resolve_name("detections") + " or land_rois")
-        elif problems:
-            status.summary(DiagnosticStatus.WARN, "no camera of " + ", ".join(sorted(problems)))
-        elif new["refused"]:
-            status.summary(DiagnosticStatus.WARN, "%d regions have no direction" % new["refused"])
-        else:
-            status.summary(DiagnosticStatus.OK, "angles are published")
-        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
-        status.add("age of last regions [s]", age_text(last_s))
-        status.add("images", str(pictures))
-        status.add("images with exact detections", str(exact))
-        status.add("angles", str(found))
-        status.add("regions without a direction", str(refused))
-        for namespace, source in sorted(self._cameras.sources().items()):
-            status.add("camera of " + namespace, source)
-        for namespace, text in sorted(problems.items()):
-            status.add("camera of " + namespace, text)
+        nothing = "nothing on %s or land_rois" % rospy.resolve_name("detections")
+        summarise(
+            status,
+            (is_silent(last_s), DiagnosticStatus.WARN, nothing),
+            (problems, DiagnosticStatus.WARN, "no camera of " + ", ".join(sorted(problems))),
+            (new[REFUSED], DiagnosticStatus.WARN, "%d regions have no direction" % new[REFUSED]),
+            (True, DiagnosticStatus.OK, "angles are published"),
+        )
+        add_all(
+            status, {"rate [Hz]": "%.1f" % rates_hz["images"], "age of last regions [s]": age_text(last_s), **counts}
+        )
+        for said in (self._cameras.sources(), problems):
+            add_all(status, {"camera of " + name: said[name] for name in sorted(said)})
         return status
 
 
-def main():
-    rospy.init_node("angle_estimation")
-    try:
-        AngleEstimationNode()
-    except ValueError as error:
-        rospy.logfatal("angle_estimation.py: %s", error)
-        sys.exit(1)
-    rospy.spin()
-
-
 if __name__ == "__main__":
-    main()
+    run("angle_estimation", AngleEstimationNode)

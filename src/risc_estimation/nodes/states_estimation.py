@@ -6,13 +6,12 @@ filter wants it: what vehicles measure on board and what they were sent. See ris
 """
 
 import math
-import sys
 import threading
 import time
 
-import roslib.message
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
+from roslib.message import get_message_class
 
 from risc_estimation import sensors
 from risc_estimation.filters import COMMAND
@@ -24,13 +23,16 @@ from risc_lab.command_history import command_of
 from risc_lab.lab.fleet import MocapEndpoint
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros import low_latency
-from risc_lab.ros.diagnostics import Growth, make_updater
+from risc_lab.ros.diagnostics import Growth, add_all, summarise, ticking_updater
 from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
+from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES
-from risc_lab.ros.params import has_private, known_fleet, load_params
+from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, StateCovariances
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 class StatesEstimationNode:
@@ -42,7 +44,7 @@ class StatesEstimationNode:
         fleet = known_fleet()
         rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
         if fleet is not None:
-            fit_params = fit_params.within(fleet.arena, keep=tuple(filter(has_private, ARENA_KEYS)))
+            fit_params = fit_params.within(fleet.arena, keep=set(ARENA_KEYS).intersection(rospy.get_param("~", {})))
         self._estimator = StatesEstimator(
             load_templates(params.templates_file or None, fleet),
             fit_params,
@@ -65,9 +67,7 @@ class StatesEstimationNode:
         self._covariances_pub = rospy.Publisher("state_covariances", StateCovariances, queue_size=100, tcp_nodelay=True)
         self._frame, self._messages = MocapArrays(), EstimateMessages()
         self._status_pub = rospy.Publisher("estimator_status", EstimatorStatus, queue_size=10, tcp_nodelay=True)
-        self._diagnostics = make_updater("mocap")
-        self._diagnostics.add("states estimation", self._diagnose)
-        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
+        ticking_updater("mocap").add("states estimation", self._diagnose)
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
         self._listen_on_board(self._estimator.on_board_wanted, fleet.vehicles if fleet else ())
@@ -87,14 +87,11 @@ class StatesEstimationNode:
         if wanted <= {COMMAND}:
             return
         for vehicle in vehicles:
-            if vehicle.type in sensors.REGISTRY.names():
-                kind = sensors.REGISTRY.module(vehicle.type)
-                topic, message_class = (
-                    "/%s/%s" % (vehicle.namespace, kind.TOPIC),
-                    roslib.message.get_message_class(kind.TYPE),
-                )
-                arguments = vehicle.template, kind.readings
-                rospy.Subscriber(topic, message_class, self._on_readings, arguments, queue_size=10, tcp_nodelay=True)
+            kind = sensors.of_type(vehicle.type)
+            if kind is not None:
+                topic, its_class = "/%s/%s" % (vehicle.namespace, kind.TOPIC), get_message_class(kind.TYPE)
+                arguments = vehicle.template, kind
+                rospy.Subscriber(topic, its_class, self._on_readings, arguments, queue_size=10, tcp_nodelay=True)
 
     @until_shutdown
     def _on_commands(self, message):
@@ -104,10 +101,8 @@ class StatesEstimationNode:
 
     @until_shutdown
     def _on_readings(self, message, arguments):
-        name, readings = arguments
         with self._lock:
-            for what, values in readings(message).items():
-                self._estimator.on_board(name, message.header.stamp.to_sec(), what, values)
+            sensors.give(self._estimator, *arguments, message)
 
     @until_shutdown
     def _on_frame(self, message):
@@ -151,7 +146,7 @@ class StatesEstimationNode:
             last_s, silent = self._last_receipt_s, self._silent
             visible = 0 if self._last_estimate is None else int(self._last_estimate.visible.sum())
             bodies, passed_over = zip(names, self._estimator.status()), self._passed_over
-        numbers = {key: value for key, value in sorted(vars(counts).items()) if key != "unknown"}
+        numbers = {key: value for key, value in sorted(vars(counts).items()) if key not in ("unknown", "frames")}
         known, unknown = len(names), sorted(counts.unknown)
         refused = counts.duplicate_stamps + counts.backward_stamps
         new, rates_hz = self._growth({"frames": counts.frames, "refused": refused, "passed over": passed_over})
@@ -162,7 +157,7 @@ class StatesEstimationNode:
             visible=visible,
             frames=counts.frames,
             passed_over=passed_over,
-            counters=[Counter(*item) for item in numbers.items() if item[0] != "frames"],
+            counters=[Counter(*item) for item in numbers.items()],
             unknown_bodies=unknown,
         )
         told.header.stamp = rospy.Time.now()
@@ -171,40 +166,32 @@ class StatesEstimationNode:
             if name not in self._told_unknown:
                 self._told_unknown.add(name)
                 rospy.logwarn("no template for body '%s': it is not estimated. Add it to the templates file", name)
-        if not told.age_s <= 1.0:
-            refused_only = "all mocap frames are refused: their stamps do not advance"
-            status.summary(DiagnosticStatus.ERROR, refused_only if new["refused"] else "no mocap frames")
-        elif new["refused"]:
-            status.summary(DiagnosticStatus.WARN, "%d frames refused: stamp does not advance" % new["refused"])
-        elif visible < known:
-            status.summary(DiagnosticStatus.WARN, "%d of %d vehicles visible" % (visible, known))
-        elif new["passed over"]:
-            status.summary(DiagnosticStatus.WARN, "%d frames passed over: no time for them" % new["passed over"])
-        elif unknown:
-            status.summary(DiagnosticStatus.WARN, "bodies without a template: " + ", ".join(unknown))
-        else:
-            status.summary(DiagnosticStatus.OK, "%d vehicles visible" % visible)
-        status.add("rate [Hz]", "%.1f" % told.rate_hz)
-        status.add("age of last frame [s]", "none yet" if last_s is None else "%.3f" % told.age_s)
-        status.add("vehicles visible", "%d of %d" % (visible, known))
-        status.add("frames passed over", str(passed_over))
-        status.add("unknown bodies", ", ".join(unknown) or "none")
-        for name, state in bodies:
-            status.add(name, "no frames" if silent else state.name.lower())
-        for key, value in numbers.items():
-            status.add(key, str(value))
+        silence = not told.age_s <= 1.0
+        summarise(
+            status,
+            (silence and new["refused"], ERROR, "all mocap frames are refused: their stamps do not advance"),
+            (silence, ERROR, "no mocap frames"),
+            (new["refused"], WARN, "%d frames refused: stamp does not advance" % new["refused"]),
+            (visible < known, WARN, "%d of %d vehicles visible" % (visible, known)),
+            (new["passed over"], WARN, "%d frames passed over: no time for them" % new["passed over"]),
+            (unknown, WARN, "bodies without a template: " + ", ".join(unknown)),
+            (True, OK, "%d vehicles visible" % visible),
+        )
+        add_all(
+            status,
+            {
+                "rate [Hz]": "%.1f" % told.rate_hz,
+                "age of last frame [s]": "none yet" if last_s is None else "%.3f" % told.age_s,
+                "vehicles visible": "%d of %d" % (visible, known),
+                "frames passed over": passed_over,
+                "unknown bodies": ", ".join(unknown) or "none",
+                **{name: "no frames" if silent else state.name.lower() for name, state in bodies},
+                "frames": counts.frames,
+                **numbers,
+            },
+        )
         return status
 
 
-def main():
-    low_latency.start("Mocap_State_Estimator")
-    try:
-        StatesEstimationNode()
-    except ValueError as error:
-        rospy.logfatal("states_estimation.py: %s", error)
-        sys.exit(1)
-    low_latency.spin()
-
-
 if __name__ == "__main__":
-    main()
+    run("Mocap_State_Estimator", StatesEstimationNode, low_latency.start, low_latency.spin)

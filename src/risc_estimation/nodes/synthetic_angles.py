@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """cortex_raw, states3 -> angles_synthetic (Observed_angles). Wiring only; see risc_estimation.synthetic_bearings."""
 
-import sys
 import threading
 import time
 
@@ -9,19 +8,18 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Header
 
-from risc_estimation.bearings import fleet_calibration, fleet_mount, make_camera
+from risc_estimation.bearings import make_camera
 from risc_estimation.expected_bearings import Observer
 from risc_estimation.ros.bearing_conversions import observed_angles, states_from_msg
 from risc_estimation.ros.conversions import FRAME_ID
 from risc_estimation.ros.params import SyntheticNodeParams
 from risc_estimation.synthetic_bearings import SyntheticBearings, SyntheticParams
+from risc_lab.lab.calibration import load_calibration, load_mount
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
-from risc_lab.ros.diagnostics import Growth, age_text, make_updater
+from risc_lab.ros.diagnostics import Growth, add_all, age_text, is_silent, summarise, ticking_updater
+from risc_lab.ros.node import run
 from risc_lab.ros.params import load_params, vehicles
-from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
-
-_SILENCE_S = 3.0
 
 
 class SyntheticAnglesNode:
@@ -45,15 +43,13 @@ class SyntheticAnglesNode:
         self._pictures, self._last_s = 0, None
         self._growth = Growth()
         self._pub = rospy.Publisher("angles_synthetic", Observed_angles, queue_size=10, tcp_nodelay=True)
-        self._diagnostics = make_updater("none")
-        self._diagnostics.add("synthetic angles", self._diagnose)
-        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
+        ticking_updater().add("synthetic angles", self._diagnose)
         rospy.Subscriber("states3", Landmarks, self._on_landmarks, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("cortex_raw", Cortex, self._on_states, queue_size=100, tcp_nodelay=True)
 
     def _observer(self, vehicle):
-        calibration = fleet_calibration(vehicle, self._params.default_calibration)
-        return None if calibration is None else Observer(make_camera(calibration, False), fleet_mount(vehicle))
+        calibration = load_calibration(vehicle.calibration or self._params.default_calibration)
+        return calibration and Observer(make_camera(calibration, False), load_mount(vehicle.camera_mount))
 
     def _on_landmarks(self, msg):
         # states3 says where a disc is, not where it looks: it is taken to face whoever looks at it
@@ -82,30 +78,18 @@ class SyntheticAnglesNode:
         return [item._replace(name=self._called(item.name)) for item in quads]
 
     def _diagnose(self, status):
-        now_s = time.monotonic()
         with self._lock:
             pictures, last_s = self._pictures, self._last_s
         _, rates_hz = self._growth({"pictures": pictures})
-        if last_s is None or now_s - last_s > _SILENCE_S:
-            status.summary(DiagnosticStatus.WARN, "nothing on " + rospy.resolve_name("cortex_raw"))
-        elif self._blind:
-            status.summary(DiagnosticStatus.WARN, "no camera of " + ", ".join(self._blind))
-        else:
-            status.summary(DiagnosticStatus.OK, "angles are published")
-        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
-        status.add("age of last states [s]", age_text(last_s))
+        summarise(
+            status,
+            (is_silent(last_s), DiagnosticStatus.WARN, "nothing on " + rospy.resolve_name("cortex_raw")),
+            (self._blind, DiagnosticStatus.WARN, "no camera of " + ", ".join(self._blind)),
+            (True, DiagnosticStatus.OK, "angles are published"),
+        )
+        add_all(status, {"rate [Hz]": "%.1f" % rates_hz["pictures"], "age of last states [s]": age_text(last_s)})
         return status
 
 
-def main():
-    rospy.init_node("synthetic_angles")
-    try:
-        SyntheticAnglesNode()
-    except ValueError as error:
-        rospy.logfatal("synthetic_angles.py: %s", error)
-        sys.exit(1)
-    rospy.spin()
-
-
 if __name__ == "__main__":
-    main()
+    run("synthetic_angles", SyntheticAnglesNode)

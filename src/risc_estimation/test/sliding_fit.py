@@ -29,10 +29,12 @@ class SlidingFit(Windows):
 
 
 def endpoint_weights(ages_s, order):
-    """(2, n) weights of samples for value and slope at age zero, None if there are too few distinct times."""
+    """(2, n) weights of samples for value and slope at age zero, which is the last."""
     ages_s, weights = np.array(ages_s, dtype=float), np.zeros((2, len(ages_s)))
-    good = _weigh(np.zeros(1, dtype=FIT)[0], ages_s, order, float(ages_s.max()) or 1.0, weights)
-    return weights if good else None
+    fit = np.zeros(1, dtype=FIT)[0]
+    fit["window_s"], fit["order"] = float(ages_s.max()) or 1.0, order
+    _weigh(fit, -ages_s, np.ones(len(ages_s), dtype=bool), weights)
+    return weights
 
 
 def slope_noise_gain(samples, spacing_s, order=1):

@@ -63,8 +63,7 @@ def test_the_arena_is_the_net_unless_it_is_set():
 
 def test_settings_of_the_filter_may_be_private_parameters(monkeypatch):
     given = {"filter": "thesis", "max_gap_s": 0.2, "silence_s": 0.3}
-    monkeypatch.setattr(params, "has_private", given.__contains__)
-    monkeypatch.setattr(params, "private", lambda name, default: given.get(name, default))
+    monkeypatch.setattr(params.rospy, "get_param", lambda *_: given)
     velocity_filter, keys = params.load_filter()
     assert (velocity_filter.params.max_gap_s, velocity_filter.params.position_order) == (0.2, 1)
     assert "max_gap_s" in keys and "silence_s" not in keys

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from risc_estimation.bearings import make_camera
-from risc_estimation.expected_bearings import Hull, Observer, look, to_camera
+from risc_estimation.expected_bearings import Hull, Observer, look
 from risc_lab.camera import Camera, cortex_to_camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import FRONT_MOUNT, CameraCalibration, CameraMount, load_calibration
@@ -30,7 +30,7 @@ def test_to_camera_is_that_of_one_pose_for_each_of_many():
     R = rotation_body_to_cortex(*angles.T)
     points = random.normal(size=(5, 3))
     mount = CameraMount((0.2, 0.01, -0.02), 0.1, -0.2, 0.3)
-    many = to_camera(points, positions, R, mount)
+    many = cortex_to_camera(points, positions, R, mount)
     for k in range(5):
         np.testing.assert_allclose(many[k], cortex_to_camera(points[k], positions[k], R[k], mount), atol=1e-12)
 

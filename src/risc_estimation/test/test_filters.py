@@ -137,3 +137,19 @@ def test_without_late_s_what_is_late_does_not_reach_the_filter():
     for stamp_s in (1.000, 1.010, 1.005, 1.010):
         estimator.update(stamp_s, *frame(((0.1, 0.2, 1.0), 0.0)))
     assert [entry[0] for entry in recorder.given] == [1.000, 1.010]
+
+
+def test_a_burst_of_late_frames_blinds_nobody_and_a_clock_set_back_as_little_starts_afresh():
+    """20 ms of a steady 200 Hz: late frames reach a filter that takes them; the same on a clock that was set do not."""
+    body = frame(((0.1, 0.2, 1.0), 0.0))
+    for estimator in (make("least_squares"), StatesEstimator(TEMPLATES, velocity_filter=Recorder())):
+        estimates = [estimator.update(k * DT_S, *body) for k in (*range(60), 64, 61, 62, 63, 65, 66)]
+        late = estimator.counts.late_frames
+        assert estimator.counts.clock_resets == 0 and late + estimator.counts.backward_stamps == 3
+        if late:
+            assert [round(entry[0] / DT_S) for entry in estimator._filter.given][60:] == [64, 61, 62, 63, 65, 66]
+        else:
+            assert all(estimate.visible.all() for estimate in estimates[59:] if estimate is not None)
+        for k in range(67, 74):
+            estimator.update(k * DT_S - 0.0225, *body)
+        assert estimator.counts.clock_resets == 1

@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 
 from risc_lab.clock import ClockGuard, Step
@@ -30,6 +31,47 @@ def looked(stamps, longest_step_s=1.0):
 )
 def test_what_a_stamp_is_to_its_stream(stamps, expected):
     assert looked(stamps) == expected
+
+
+FRAMES_S = [100.0 + 0.005 * k for k in range(60)]
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 0.0005])
+@pytest.mark.parametrize(
+    "order",
+    [
+        (54, 51, 52, 53, 55),
+        (54, 55, 56, 51, 52, 53, 57),  # the gap is not the newest
+        (52, 54, 56, 51, 53, 55, 57),  # three gaps
+        (59, *range(51, 59)),
+        (54, 51, 51, 52, 52, 53, 53, 55),  # each comes twice
+    ],
+)
+def test_a_burst_of_late_frames_is_no_set_clock(order, jitter_s):
+    """Of a steady clock at 200 Hz; where a frame is late its stamp goes on rising, and never passes the newest."""
+    rng = np.random.default_rng(1)
+    frames = (np.array(FRAMES_S) + rng.uniform(-jitter_s, jitter_s, 60)).tolist()
+    steps = looked(frames[:51] + [frames[k] for k in order])
+    newest = [max((50, *order[:i])) for i in range(len(order))]
+    assert steps == [A] * 51 + [A if k > before else R for k, before in zip(order, newest)]
+
+
+@pytest.mark.parametrize("share_lost", [0.0, 0.3])
+@pytest.mark.parametrize("back_s", [0.0501, 0.0524, 0.1037, 0.6])
+def test_a_clock_set_back_by_little_is_new_after_three_frames(back_s, share_lost):
+    """The control arm of the test above: also with frames lost, which leave gaps."""
+    rng = np.random.default_rng(2)
+    frames = [t for t in FRAMES_S if rng.random() >= share_lost]
+    steps = looked(frames + [frames[-1] + 0.005 * k - back_s for k in range(1, 9)])
+    assert N in steps and steps.index(N) - len(frames) <= (2 if not share_lost else 5)
+    assert set(steps[steps.index(N) + 1 :]) == {A}
+
+
+def test_what_is_older_than_a_delay_explains_is_of_another_clock():
+    stamps = FRAMES_S[:20] + FRAMES_S[-3:] + FRAMES_S[-20:-14]
+    assert looked(stamps)[-6:] == [R] * 6, "up to 0.1 s late"
+    stamps = [t + (1.0 if t > FRAMES_S[19] else 0.0) for t in FRAMES_S] + [FRAMES_S[20] + 0.005 * k for k in range(3)]
+    assert looked(stamps)[-3:] == [R, R, N]
 
 
 def test_a_stream_that_may_pause():

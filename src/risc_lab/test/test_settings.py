@@ -31,6 +31,7 @@ class _Cart(Settings):
     spare: _Wheel | None = None
     load_kg: float | None = None
     axle_m: tuple[float, float] = (0.0, 0.0)
+    teeth: tuple[between(0, 9), ...] | None = None
 
 
 def test_values_take_the_types_of_their_fields():
@@ -65,6 +66,12 @@ def test_values_take_the_types_of_their_fields():
 def test_what_is_wrong_is_named(wheel, said):
     with pytest.raises(ValueError, match=said):
         settings_from(_Cart, {"wheels": [wheel]}, "cart.yaml")
+
+
+def test_a_whole_number_may_be_written_with_a_point():
+    assert repr(settings_from(_Wheel, {"name": "left", "spokes": 3.0}).spokes) == "3"
+    assert repr(settings_from(_Cart, {"wheels": [], "teeth": [3.0, 4]}).teeth) == "(3, 4)"
+    assert repr(settings_from(_Cart, {"wheels": [], "load_kg": 3.0}).load_kg) == "3.0"
 
 
 def test_an_optional_value_is_named_in_words():

@@ -1,10 +1,14 @@
 """Time that tests turn."""
 
+import pathlib
 import select
+import sys
 
 import pytest
 
 from risc_simulator import virtual_lab
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))  # addresses.py
 
 
 class Clock:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import pathlib
-import random
 import socket
 import sys
 import threading
@@ -10,6 +9,7 @@ import threading
 import av
 import numpy as np
 import pytest
+from addresses import free_port, own_net
 
 from ardrone_autonomy.protocol.video import StreamParser
 from cortex_ros import wire
@@ -45,10 +45,10 @@ HANGS_M = LENGTH_M + M_KG * GRAVITY_M_S2 / K_N_M
 
 
 def make_fleet(*vehicles):
-    net = "127.%d" % random.SystemRandom().randint(140, 169)
+    net = own_net()
     content = {
         "name": "toys",
-        "mocap": {"host": net + ".0.1", "stream_port": 12001},
+        "mocap": {"host": net + ".0.1", "stream_port": free_port()},
         "vehicles": [dict(vehicle, address="%s.1.%d" % (net, k)) for k, vehicle in enumerate(vehicles, 1)],
         "templates": BALL,
     }

@@ -18,12 +18,11 @@ from risc_simulator.video.scene import (
     Scene,
     Style,
     VehiclePose,
-    board_layers,
     load_scene,
     load_style,
     normal_of_facing,
     plane_axes,
-    room_geometry,
+    room_layers,
 )
 
 PAINTS_HSV = {"green": (66, 150, 170), "blue": (98, 150, 170), "pink": (167, 150, 200), "orange": (15, 160, 230)}
@@ -131,32 +130,33 @@ def test_disc_outline_lies_in_its_plane_and_has_the_area_of_the_circle():
 def test_board_axes_are_opencvs():
     # the board stands upright before somebody who looks along +x: its x is -y, its y down, its z +x
     R = np.array([(0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
-    corners = Board(3, 2, 0.1, (5.0, 0.0, 1.0), R).to_cortex(np.array([-1.0, 0.0, -1.0]), np.array([-0.5, -0.5, 0.5]))
+    corners = Board(3, 2, 0.1, (5.0, 0.0, 1.0), R).to_cortex([(-1.0, -0.5), (0.0, -0.5), (-1.0, 0.5)])
     assert np.allclose(corners, [(5.0, 0.1, 1.05), (5.0, 0.0, 1.05), (5.0, 0.1, 0.95)])
 
 
 def test_board_squares_meet_at_the_corners():
     board = Board(8, 6, 0.025, (0.0, 0.0, 0.0), np.eye(3))
-    (_, white), (_, black) = board_layers(board, load_style().boards)
-    assert len(black) == 32  # of 9 x 7 squares
-    assert np.ptp(white[0], axis=0) == pytest.approx([0.025 * 11, 0.025 * 9, 0.0])
-    points = np.concatenate(black)
+    white, black = board.layers(Scene(load_style()), np.array([0.0, 0.0, -1.0]))
+    assert len(black.outlines) == 32  # of 9 x 7 squares
+    assert np.ptp(white.outlines[0], axis=0) == pytest.approx([0.025 * 11, 0.025 * 9, 0.0])
+    points = np.concatenate(black.outlines)
     column, row = np.meshgrid(np.arange(8) - 3.5, np.arange(6) - 2.5)
-    for corner in board.to_cortex(column.ravel(), row.ravel()):  # each inner corner is one of two black squares
+    corners = np.stack((column.ravel(), row.ravel()), axis=1)
+    for corner in board.to_cortex(corners):  # each inner corner is one of two black squares
         assert (np.linalg.norm(points - corner, axis=1) < 1e-9).sum() == 2
 
 
 def test_hull_by_order_and_by_number():
     scene = Scene(load_style(), colour_of_vehicle={"risc2": 1})
-    names = list(scene.style.hulls.colours)
+    hulls = scene.style.hulls.hulls
 
-    def name_of(vehicle, colour=None):
-        return scene.hull_colour(VehiclePose(vehicle, (0, 0, 0), np.eye(3), colour))
+    def hull_of(vehicle, colour=None):
+        return scene.hull(VehiclePose(vehicle, (0, 0, 0), np.eye(3), colour))
 
-    assert name_of("risc2") == names[1]
-    assert name_of("stranger") == names[0]
-    assert name_of("risc2", 2) == names[2]
-    assert name_of("risc2", len(names)) == names[0]
+    assert hull_of("risc2") is hulls[1]
+    assert hull_of("stranger") is hulls[0]
+    assert hull_of("risc2", 2) is hulls[2]
+    assert hull_of("risc2", len(hulls)) is hulls[0]
 
 
 def test_a_landmark_or_paint_that_is_not_known_is_named(content):
@@ -173,8 +173,9 @@ def test_imaging_out_of_range_is_named():
 
 
 def test_room_encloses_the_net():
-    polygons, ends, _, _ = room_geometry(load_style().room, Arena())
-    points = np.concatenate([outline for _, group in polygons for outline in group])
+    layers = room_layers(load_style().room, Arena())
+    points = np.concatenate([outline for layer in layers if not layer.are_lines for outline in layer.outlines])
+    (ends,) = [np.array(layer.outlines) for layer in layers if layer.are_lines]
     low, high = points.min(axis=0), points.max(axis=0)
     cords = ends.reshape(-1, 3)
     assert (cords >= low).all() and (cords <= high).all()
@@ -187,7 +188,7 @@ def test_the_room_goes_with_the_net_around_it():
     room, larger = (load_scene(f).style.room for f in (fleet, replace(fleet, arena=Arena(6.0, 5.0))))
     assert room == load_style().room
     assert larger.half_x_m - 6.0 == pytest.approx(room.half_x_m - Arena().half_x_m)
-    cords = room_geometry(larger, Arena(6.0, 5.0))[1].reshape(-1, 3)
+    (cords,) = [np.concatenate(x.outlines) for x in room_layers(larger, Arena(6.0, 5.0)) if x.are_lines]
     assert np.abs(cords).max(axis=0)[:2] == pytest.approx([6.0, 5.0])
 
 
@@ -198,5 +199,5 @@ def test_scene_of_a_fleet():
     for disc, landmark in zip(scene.discs, fleet.landmarks):
         assert disc.centre_m == landmark.position_m
         assert disc.normal == normal_of_facing(landmark.facing_rad)
-    first, second = (scene.hull_colour(VehiclePose(v.namespace, (0, 0, 0), np.eye(3))) for v in fleet.vehicles[:2])
-    assert first != second
+    first, second = (scene.hull(VehiclePose(v.namespace, (0, 0, 0), np.eye(3))) for v in fleet.vehicles[:2])
+    assert first is not second

@@ -1,6 +1,4 @@
-"""Blackboard, encoder and camera poses of the virtual cameras, each by itself."""
-
-import threading
+"""Encoder and camera poses of the virtual cameras, each by itself."""
 
 import av
 import cv2
@@ -9,49 +7,8 @@ import pytest
 
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraMount
-from risc_simulator.video.blackboard import STATE_WIDTH, Blackboard
-from risc_simulator.video.camera_pose import camera_pose
+from risc_simulator.video.camera_process import camera_pose
 from risc_simulator.video.encoder import H264Encoder
-
-
-def test_blackboard_carries_both_ways():
-    lab = Blackboard(3)
-    cameras = Blackboard(3, lab.fd)
-    assert cameras.snapshot() is None
-    rows = np.arange(3.0 * STATE_WIDTH).reshape(3, STATE_WIDTH)
-    lab.publish(10.0, 2.5, rows)
-    lab.channel[1], lab.light[...] = 1, 0.4
-    cameras.watchers[2] = 5
-    snapshot = cameras.snapshot()
-    assert (snapshot.time_s, snapshot.lab_s) == (10.0, 2.5)
-    np.testing.assert_array_equal(snapshot.rows, rows)
-    assert cameras.channel.tolist() == [0, 1, 0] and float(cameras.light) == 0.4
-    assert lab.watchers.tolist() == [0, 0, 5]
-
-
-def test_a_snapshot_is_never_half_of_one_and_half_of_another():
-    lab = Blackboard(4)
-    cameras = Blackboard(4, lab.fd)
-    over = threading.Event()
-
-    def write():
-        k = 0
-        while not over.is_set():
-            k += 1
-            lab.publish(k, k, np.full((4, STATE_WIDTH), float(k)))
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    try:
-        seen = set()
-        while len(seen) < 200:
-            snapshot = cameras.snapshot()
-            if snapshot is not None:
-                assert (snapshot.rows == snapshot.time_s).all() and snapshot.lab_s == snapshot.time_s
-                seen.add(snapshot.time_s)
-    finally:
-        over.set()
-        writer.join()
 
 
 @pytest.mark.parametrize("size_px", [(640, 360), (320, 180), (64, 48)])

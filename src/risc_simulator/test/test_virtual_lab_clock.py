@@ -1,10 +1,10 @@
 """The lab's schedule with a clock that the test turns: long stalls under traffic, slow frame rates, wrong options."""
 
-import random
 import socket
 
 import numpy as np
 import pytest
+from addresses import free_port, own_net
 
 from risc_lab.lab import FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
@@ -16,9 +16,9 @@ TAKE_OFF = 290718208
 
 
 def make_fleet(rate_hz=200.0):
-    net = "127.%d" % random.SystemRandom().randint(180, 199)  # a range of this file: tests may run side by side
+    net = own_net()
     vehicle = FleetVehicle("risc1", "fluffy_II", "ardrone", net + ".1.1", Start((0.5, 0.0, 0.0)))
-    return Fleet("one", MocapEndpoint(net + ".0.1", stream_port=21001, rate_hz=rate_hz), (vehicle,), ())
+    return Fleet("one", MocapEndpoint(net + ".0.1", stream_port=free_port(), rate_hz=rate_hz), (vehicle,), ())
 
 
 class Pilot:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import random
 import signal
 import socket
 import struct
@@ -14,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from addresses import free_port, own_net
 
 from risc_lab.lab import FleetLandmark, FleetVehicle, Start
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
@@ -38,13 +38,7 @@ landmarks: [{name: Green_pink, position_m: [2.3, 0.8, 1.0]}]
 @pytest.fixture
 def net():
     """First two bytes of addresses, and a stream port, that no other test run uses."""
-    return {"net": "127.%d" % random.SystemRandom().randint(100, 139), "port": free_port()}
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return probe.getsockname()[1]
+    return {"net": own_net(), "port": free_port()}
 
 
 def make_fleet(net, count=2):

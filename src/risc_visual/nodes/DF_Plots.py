@@ -19,7 +19,7 @@ from data_extraction.segments import OPERATOR, PHASES, PLOT_BUTTON, SENT, PlotPa
 from risc_control.joystick import ButtonPresses
 from risc_control.ros.joystick_buttons import origin
 from risc_lab.ros.paced_subscriber import PacedSubscriber
-from risc_lab.ros.params import fleet_vehicles, load_params, number
+from risc_lab.ros.params import fleet_vehicles, load_params
 from risc_maap_msgs.msg import CommandsSent, OperatorState, TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, Trajectories
 from risc_visual.ros.node import Health
@@ -34,11 +34,11 @@ class DFPlots:
         fleet = fleet_vehicles()
         params = load_params(PlotParams)[0]
         if params.plot_button < 0:
-            params = replace(params, plot_button=int(number("/plot_button", PLOT_BUTTON)))
+            params = replace(params, plot_button=rospy.get_param("/plot_button", PLOT_BUTTON))
             if params.plot_button < 0:
                 raise ValueError("parameter /plot_button must be a button (0, 1, ...), found %d" % params.plot_button)
         if params.euler_angle_max < 0.0:
-            params = replace(params, euler_angle_max=number("/euler_angle_max", params.euler_angle_max))
+            params = replace(params, euler_angle_max=rospy.get_param("/euler_angle_max", params.euler_angle_max))
         self._params = params
         self._recorder = Recorder(params, fleet)
         self._lock = threading.Lock()  # of the recorder

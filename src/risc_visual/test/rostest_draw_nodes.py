@@ -15,8 +15,7 @@ from geometry_msgs.msg import Twist, TwistStamped, Vector3
 from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ardrone_autonomy.msg import Navdata
-from risc_maap_msgs.msg import Safety
+from risc_maap_msgs.msg import Safety, VehicleStatus
 from risc_msgs.msg import (
     Angle,
     Angles,
@@ -46,7 +45,7 @@ INPUTS = {
     "/trajectory": Trajectories,
     "/risc2/controller_status": Bool,
     "/risc2/safety": Safety,
-    "/risc2/ardrone/navdata": Navdata,
+    "/risc2/vehicle_status": VehicleStatus,
     "/risc2/position_cov": TwistStamped,
     "/angles": Observed_angles,
     "/waypoints": Waypoints,
@@ -128,7 +127,7 @@ class DrawNodesTest(unittest.TestCase):
                 self.publishers[topic].publish(message)
             if k % 10 == 0:
                 self.publishers["/risc2/controller_status"].publish(True)
-                self.publishers["/risc2/ardrone/navdata"].publish(Navdata(batteryPercent=60))
+                self.publishers["/risc2/vehicle_status"].publish(VehicleStatus(battery_pct=60.0))
             time.sleep(max(0.0, start_s + (k + 1) / 200.0 - time.monotonic()))
         return time.monotonic() - start_s
 

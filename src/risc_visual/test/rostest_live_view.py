@@ -22,7 +22,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
-from ardrone_autonomy.msg import Navdata
 from risc_maap_msgs.msg import (
     ControllerReport,
     EstimatorStatus,
@@ -31,6 +30,7 @@ from risc_maap_msgs.msg import (
     TrackingError,
     TrajectoryPhases,
     VehiclePhase,
+    VehicleStatus,
 )
 from risc_msgs.msg import Trajectories
 from risc_visual.drawing.ros import markers
@@ -45,7 +45,7 @@ OUTPUTS = {
     "Quad_Markers": MarkerArray,
     "angle_lines": MarkerArray,
     "/risc1/controller_status": Bool,
-    "/risc1/ardrone/navdata": Navdata,
+    "/risc1/vehicle_status": VehicleStatus,
     "/risc1/safety": Safety,
     "/trajectory": Trajectories,
     "/trajectory_phase": TrajectoryPhases,
@@ -190,7 +190,7 @@ class LiveViewTest(unittest.TestCase):
 
         def all_is_there():
             self.topics["/risc1/controller_status"].publish(True)
-            self.topics["/risc1/ardrone/navdata"].publish(Navdata(state=3, batteryPercent=60.0))
+            self.topics["/risc1/vehicle_status"].publish(VehicleStatus(state=3, battery_pct=60.0))
             self.topics["/trajectory"].publish(Trajectories())
             for topic, report in reports.items():
                 self.topics[topic].publish(report)

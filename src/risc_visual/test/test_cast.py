@@ -4,96 +4,119 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from drawn import NOW_S, scene
+from geometry_msgs.msg import Point
 from scipy.spatial.transform import Rotation
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker
 
 from risc_lab.phases import phase_words
-from risc_visual.drawing.airframes import AIRFRAMES, PAINT, vehicle_colour
-from risc_visual.drawing.cast import Cast, Index, Pose, reference_marks, rod_foot, title_text
+from risc_msgs.msg import Cortex, States
+from risc_visual.drawing.cast import Index, reference_marks, title_text
+from risc_visual.drawing.palette import vehicle_colour
+from risc_visual.drawing.ros.airframes import AIRFRAMES
 
 NAN = float("nan")
 
 
-def pose(name="Raven", visible=True, at=(1.0, 2.0, 3.0), euler=(0.0, 0.0, 0.0)):
-    return Pose(name, visible, at, euler)
+def state(name="Raven", visible=True, at=(1.0, 2.0, 3.0), euler_deg=(0.0, 0.0, 0.0)):
+    return States(name, visible, *at, *[0.0] * 3, *euler_deg, *[0.0] * 3)
 
 
-def view_of(**options):
-    return Cast(Index()).views([pose(**options)])[0]
+def drawn_of(drawing, *states):
+    """{name: parts} of what draw_cortex makes of a message; of a vehicle the hull comes first."""
+    found = {}
+    for marker in drawing.vehicles(Cortex(Obj=list(states)), NOW_S)[0]:
+        found.setdefault(marker.ns, []).append(marker)
+    return found
+
+
+def is_grey(parts):
+    return {(m.color.r, m.color.g, m.color.b) for m in parts} == {(0.6, 0.6, 0.6)}
+
+
+def test_a_name_keeps_its_number():
+    index = Index(["fluffy_II", "albatross", "fluffy_II"])
+    assert [index[name] for name in ("Raven", "albatross", "Kahn", "Raven", "fluffy_II")] == [2, 1, 3, 2, 0]
 
 
 @pytest.mark.parametrize(
-    "euler_deg, nose, right",
+    "euler_deg, nose, right, belly",
     [
-        ((0, 0, 0), (1, 0, 0), (0, -1, 0)),
-        ((0, 0, 90), (0, -1, 0), (-1, 0, 0)),  # yaw is clockwise from above
-        ((0, 90, 0), (0, 0, 1), (0, -1, 0)),  # pitch lifts the nose
-        ((90, 0, 0), (1, 0, 0), (0, 0, -1)),  # roll lowers the right wing
+        ((0, 0, 0), (1, 0, 0), (0, -1, 0), (0, 0, -1)),
+        ((0, 0, 90), (0, -1, 0), (-1, 0, 0), (0, 0, -1)),  # yaw is clockwise from above
+        ((0, 90, 0), (0, 0, 1), (0, -1, 0), (1, 0, 0)),  # pitch lifts the nose
+        ((90, 0, 0), (1, 0, 0), (0, 0, -1), (0, 1, 0)),  # roll lowers the right wing
     ],
 )
-def test_attitude_is_drawn_in_the_senses_of_the_message(euler_deg, nose, right):
-    turn = Rotation.from_quat(view_of(euler=tuple(np.radians(euler_deg))).quaternion)
-    np.testing.assert_allclose(turn.apply([(1, 0, 0), (0, 1, 0)]), [nose, right], atol=1e-12)
-
-
-def test_belly_is_below():
-    np.testing.assert_allclose(Rotation.from_quat(view_of().quaternion).apply((0, 0, 1)), (0, 0, -1), atol=1e-12)
+def test_attitude_is_drawn_in_the_senses_of_the_message(euler_deg, nose, right, belly):
+    turn = drawn_of(scene(), state(euler_deg=euler_deg))["Raven"][0].pose.orientation
+    axes = Rotation.from_quat((turn.x, turn.y, turn.z, turn.w)).apply(np.eye(3))
+    np.testing.assert_allclose(axes, [nose, right, belly], atol=1e-12)
 
 
 def test_unseen_is_not_drawn_and_lost_stays_where_it_was():
-    cast = Cast(Index())
-    assert cast.views([pose(visible=False, at=(0.0, 0.0, 0.0))]) == []
-    seen = cast.views([pose()])[0]
-    lost = cast.views([pose(visible=False, at=(9.0, 9.0, 9.0))])[0]
-    assert not seen.lost and lost.lost
-    assert (lost.position_m, lost.quaternion) == (seen.position_m, seen.quaternion)
-    assert not cast.views([pose(at=(0.0, 0.0, 1.0))])[0].lost
+    drawing = scene()
+    assert drawn_of(drawing, state(visible=False, at=(0.0, 0.0, 0.0))) == {}
+    seen = drawn_of(drawing, state())["Raven"]
+    lost = drawn_of(drawing, state(visible=False, at=(9.0, 9.0, 9.0)))["Raven"]
+    assert [m.pose for m in lost] == [m.pose for m in seen]
+    assert is_grey(lost) and not is_grey(seen)
+    assert not is_grey(drawn_of(drawing, state(at=(0.0, 0.0, 1.0)))["Raven"])
 
 
-@pytest.mark.parametrize("broken", [{"at": (NAN, 0.0, 0.0)}, {"euler": (0.0, NAN, 0.0)}])
+@pytest.mark.parametrize("broken", [{"at": (NAN, 0.0, 0.0)}, {"euler_deg": (0.0, NAN, 0.0)}])
 def test_numbers_that_are_none_count_as_lost(broken):
-    cast = Cast(Index())
-    cast.views([pose(), pose("Kahn")])
-    raven, kahn = cast.views([pose(**broken), pose("Kahn", at=(0.5, 0.0, 1.0))])
-    assert raven.lost and raven.position_m == (1.0, 2.0, 3.0)
-    assert not kahn.lost and kahn.position_m == (0.5, 0.0, 1.0)
+    drawing = scene()
+    drawn_of(drawing, state(), state("Kahn"))
+    found = drawn_of(drawing, state(**broken), state("Kahn", at=(0.5, 0.0, 1.0)))
+    assert is_grey(found["Raven"]) and found["Raven"][0].pose.position == Point(1.0, 2.0, 3.0)
+    assert not is_grey(found["Kahn"]) and found["Kahn"][0].pose.position == Point(0.5, 0.0, 1.0)
 
 
-def test_order_of_the_message_changes_neither_index_nor_colour():
-    cast = Cast(Index(["fluffy_II", "albatross"]))
-    there = {
-        view.name: (view.index, view.colour) for view in cast.views([pose("albatross"), pose(), pose("fluffy_II")])
-    }
-    back = {view.name: (view.index, view.colour) for view in cast.views([pose("fluffy_II"), pose(), pose("albatross")])}
+def test_order_of_the_message_changes_no_colour():
+    drawing = scene(vehicles=("fluffy_II", "albatross"))
+    states = [state("albatross"), state(), state("fluffy_II")]
+    there, back = (
+        {name: parts[0].color for name, parts in drawn_of(drawing, *order).items()} for order in (states, states[::-1])
+    )
     assert there == back
-    assert there["fluffy_II"] == (0, vehicle_colour(0)) and there["Raven"][0] == 2
+    assert there["fluffy_II"] == ColorRGBA(*vehicle_colour(0), 1.0) and there["Raven"] == ColorRGBA(
+        *vehicle_colour(2), 1.0
+    )
 
 
 def test_type_chooses_the_airframe():
-    cast = Cast(Index(), {"IRIS": "iris", "odd": "no such type"})
-    parts = {view.name: view.parts for view in cast.views([pose("IRIS"), pose("odd"), pose("Raven")])}
-    assert parts["IRIS"] is AIRFRAMES["iris"]
-    assert parts["odd"] is parts["Raven"] is AIRFRAMES["ardrone"]
+    fleet = [SimpleNamespace(template="IRIS", type="iris"), SimpleNamespace(template="odd", type="no such type")]
+    found = drawn_of(scene(fleet), state("IRIS"), state("odd"), state("Raven"))
+    hulls_m = {name: parts[0].scale.x for name, parts in found.items()}
+    assert hulls_m == {
+        "IRIS": AIRFRAMES["iris"][0].size_m[0],
+        **dict.fromkeys(("odd", "Raven"), AIRFRAMES["ardrone"][0].size_m[0]),
+    }
 
 
 @pytest.mark.parametrize("name", sorted(AIRFRAMES))
 def test_airframes_are_symmetric_with_a_painted_front(name):
     parts = AIRFRAMES[name]
-    rotors = [part for part in parts if part.shape == "cylinder"]
+    rotors = [part for part in parts if part.shape == Marker.CYLINDER]
     assert len(rotors) == 4
     np.testing.assert_allclose(np.sum([part.centre_m[:2] for part in rotors], axis=0), (0, 0), atol=1e-12)
-    assert all((part.colour == PAINT) == (part.centre_m[0] > 0) for part in rotors)
+    assert all(part.painted == (part.centre_m[0] > 0) for part in rotors)
     assert all(part.centre_m[2] < 0 for part in rotors)  # above the hull: z points to the belly
     gaps = [np.hypot(*np.subtract(a.centre_m, b.centre_m)[:2]) for a in rotors for b in rotors if a is not b]
     assert min(gaps) >= rotors[0].size_m[0]  # discs do not cut each other
-    (arrow,) = (part for part in parts if part.shape == "arrow")
+    (arrow,) = (part for part in parts if part.shape == Marker.ARROW)
     assert arrow.points_m[1][0] > arrow.points_m[0][0] > 0
 
 
-def test_rod_stands_on_the_nearest_vehicle_within_reach():
-    views = Cast(Index()).views([pose("a", at=(0.0, 0.0, 1.0)), pose("b", at=(1.0, 0.0, 1.0))])
-    assert rod_foot((0.9, 0.0, 2.0), views) == (1.0, 0.0, 1.0)
-    assert rod_foot((0.0, 5.0, 2.0), views) is None
-    assert rod_foot((0.0, 0.0, 2.0), []) is None
+@pytest.mark.parametrize("tip_m, foot_m", [((0.9, 0.0, 2.0), (1.0, 0.0, 1.0)), ((0.0, 5.0, 2.0), None)])
+def test_rod_stands_on_the_nearest_vehicle_within_reach(tip_m, foot_m):
+    vehicles = state("a", at=(0.0, 0.0, 1.0)), state("b", at=(1.0, 0.0, 1.0))
+    parts = drawn_of(scene(), *vehicles, state("Pendulum_tip", at=tip_m))["Pendulum_tip"]
+    assert [m.points[0] for m in parts if m.id == 2] == ([Point(*foot_m)] if foot_m else [])
+    (alone,) = drawn_of(scene(), state("Pendulum_tip", at=tip_m))["Pendulum_tip"]
+    assert alone.id == 1
 
 
 def test_references_are_marked_at_rest_or_when_their_vehicle_is_away():

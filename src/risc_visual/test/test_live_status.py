@@ -5,13 +5,16 @@ import re
 import sys
 import threading
 import xml.etree.ElementTree as ET
+from collections import namedtuple
 
 import pytest
 
 from risc_control.failsafe import FailsafeLevel, Verdict
-from risc_visual.browser.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, Mocap, Report, Vehicle
+from risc_visual.browser.live_status import PAGE_OLD_S, PAGE_STYLE, LiveStatus, Vehicle
 
 FLYING = 3
+Report = namedtuple("Report", "state battery_pct")  # as a VehicleStatus
+Mocap = namedtuple("Mocap", "rate_hz visible vehicles")  # as an EstimatorStatus
 
 
 class Panel:
@@ -23,7 +26,7 @@ class Panel:
         self.values["mocap", ""] = Mocap(200.0, 2, 2)
         for name, template in (("risc1", "fluffy_II"), ("risc2", "albatross")):
             self.values["mode", name] = True
-            self.values["navdata", name] = Report(FLYING, 87.0)
+            self.values["vehicle", name] = Report(FLYING, 87.0)
             self.values["safety", name] = Verdict(FailsafeLevel.OK, "")
             self.values["error_m", name] = 0.0234
             self.values["course", template] = "course"
@@ -74,9 +77,9 @@ def test_before_anything_was_heard_nothing_is_claimed():
     "silent, says, was",
     [
         (("mode", "risc1"), "vehicle node silent for 5 s", "autonomous"),
-        (("navdata", "risc1"), "vehicle silent for 5 s", "flying, battery 87 %"),
+        (("vehicle", "risc1"), "vehicle silent for 5 s", "flying, battery 87 %"),
         (("mocap", ""), "motion capture silent for 5 s", "200 Hz, 2 of 2 seen"),
-        (("operator", ""), "operator silent", "fly: on course for 30 s"),
+        (("operator", ""), "operator silent for 5 s", "fly: on course for 30 s"),
     ],
 )
 def test_what_is_silent_is_said_to_be_so(silent, says, was):
@@ -170,8 +173,8 @@ def test_texts_from_outside_are_no_html():
 
 def test_a_state_without_a_name():
     panel = Panel()
-    panel.values["navdata", "risc1"] = Report(77, 50.0)
-    assert "state 77, battery 50 %" in panel.hear().vehicle(0)
+    panel.values["vehicle", "risc1"] = Report(77, 50.0)
+    assert "not known, battery 50 %" in panel.hear().vehicle(0)
 
 
 def test_the_page_says_by_itself_that_it_is_old():

@@ -252,13 +252,13 @@ def test_any_course_of_events_shows_what_rviz_would(view):
 
 
 def test_what_cannot_be_drawn_keeps_nothing_else_from_being_drawn(view, monkeypatch):
-    def add(scene, path, drawn, turn):
+    def look_of(drawn):
         if drawn.id == 1:
             raise ValueError("no such thing")
-        return real(scene, path, drawn, turn)
+        return real(drawn)
 
-    real = marker_scene.add_marker
-    monkeypatch.setattr(marker_scene, "add_marker", add)
+    real = marker_scene.look_of
+    monkeypatch.setattr(marker_scene, "look_of", look_of)
     view.note(marker(1), marker(2))
     with pytest.raises(ValueError, match="no such thing"):
         view.turn()

@@ -10,8 +10,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from risc_control.failsafe import FailsafeLevel, Verdict
 from risc_lab.frames import rotation_body_to_cortex
-from risc_visual.drawing.airframes import AIRFRAMES
 from risc_visual.drawing.ros import markers
+from risc_visual.drawing.ros.airframes import AIRFRAMES
 from risc_visual.drawing.trails import MAX_PIECES
 
 

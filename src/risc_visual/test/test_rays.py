@@ -11,7 +11,7 @@ from risc_lab.camera import cortex_to_camera
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.calibration import CameraMount
 from risc_lab.vehicle_frames import camera_transform
-from risc_visual.drawing.airframes import vehicle_colour
+from risc_visual.drawing.palette import vehicle_colour
 from risc_visual.drawing.params import RayParams
 from risc_visual.drawing.rays import RayStyles, Shown, Whereabouts
 from risc_visual.vision.landmark_config import load_landmarks

@@ -64,8 +64,8 @@ def test_numbers_stand_outside_of_the_net_from_metre_to_metre(scenery):
 def test_sixteen_cameras_look_down_into_the_arena(scenery):
     assert len(scenery.cameras.poses) == 16
     np.testing.assert_allclose(scenery.cameras.poses[0].position_m, (-3.43574, 0.16033, 2.52688))
-    for camera in scenery.cameras.poses:
-        R = camera.rotation_to_cortex(scenery.cameras.tilt_deg)
+    for camera, turn in zip(scenery.cameras.poses, scenery.cameras.turns()):
+        R = turn.as_matrix()
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) == pytest.approx(1.0)
         assert R[2, 0] == pytest.approx(-0.5)  # 30 degrees below the horizon
@@ -77,7 +77,7 @@ def test_sixteen_cameras_look_down_into_the_arena(scenery):
 
 
 def test_heading_is_a_compass_course_from_y(scenery):
-    along_y, along_x = (scenery.cameras.poses[k].rotation_to_cortex(30.0)[:2, 0] for k in (4, 0))
+    along_y, along_x = (scenery.cameras.turns()[k].as_matrix()[:2, 0] for k in (4, 0))
     np.testing.assert_allclose(along_y, (0.0, np.cos(np.radians(30))), atol=1e-12)
     np.testing.assert_allclose(along_x, (np.cos(np.radians(30)), 0.0), atol=1e-12)
 

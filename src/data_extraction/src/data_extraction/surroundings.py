@@ -9,10 +9,10 @@ from data_extraction.camera_topics import is_bottom
 from data_extraction.flatten import seconds
 from data_extraction.report.topics import Collector, vehicle_of
 from data_extraction.samples import Samples
-from risc_estimation.bearings import calibration_from_info, fleet_calibration, fleet_mount
+from risc_estimation.bearings import calibration_from_info
 from risc_estimation.expected_bearings import Hull
 from risc_estimation.pose_track import PoseTrack
-from risc_lab.lab.calibration import BOTTOM_MOUNT
+from risc_lab.lab.calibration import BOTTOM_MOUNT, load_calibration, load_mount
 from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.lab.templates import load_templates
@@ -37,7 +37,9 @@ class Surroundings(Collector):
         self.topics = (*states_topics, LANDMARKS, MOCAP)
         vehicles = fleet.vehicles if fleet else laboratory_vehicles()
         self._template = {vehicle.namespace: vehicle.template for vehicle in vehicles}
-        self._cameras = {v.template: (v.namespace, fleet_calibration(v), fleet_mount(v)) for v in vehicles}
+        self._cameras = {
+            v.template: (v.namespace, load_calibration(v.calibration), load_mount(v.camera_mount)) for v in vehicles
+        }
         self._placed = {landmark.name: landmark for landmark in fleet.landmarks} if fleet else {}
         self._templates = load_templates(fleet=fleet)
         self._others = {name for name, template in self._templates.items() if template.kind != "vehicle"}

@@ -145,36 +145,35 @@ TILT = record("phi_rad phi_rate_rad_s theta_rad theta_rate_rad_s time_s")
 TILT_GAIN = record(("phi", float, (2,)), ("theta", float, (2,)))
 
 
-class TiltObserver:
-    """Roll and pitch with their rates, from measured angles and the commands in force: a steady-state Kalman filter.
+def tilt_observer(vehicle_types, angle_noise_rad, disturbance_rad_s2):
+    """((k, steps) TILT_STEP of 1, 2, ... times _OBSERVER_TABLE_S, (k,) TILT_GAIN) of k VehicleTypes, for `observe`.
 
-    Rates by differencing noisy angles are noisy or late; the model of the attitude loop knows them better.
+    Roll and pitch with their rates, from measured angles and the commands in force: a steady-state Kalman filter. Rates
+    by differencing noisy angles are noisy or late; the model of the attitude loop knows them better.
+
+    angle_noise_rad: standard deviation of a measured angle.  disturbance_rad_s2: density of what the model of the loop
+    does not know, as an angular acceleration [rad/s^2/sqrt(Hz)]: more trusts the measurement more.
     """
-
-    def __init__(self, vehicle_types, angle_noise_rad, disturbance_rad_s2):
-        """angle_noise_rad: standard deviation of a measured angle.  disturbance_rad_s2: density of what the model of
-        the loop does not know, as an angular acceleration [rad/s^2/sqrt(Hz)]: more trusts the measurement more.
-        """
-        A, b = (np.stack(part)[:, : Channel.CLIMB] for part in zip(*map(loops, vehicle_types)))
-        times_s = _OBSERVER_TABLE_S * np.arange(1, round(_MAX_GAP_S / _OBSERVER_TABLE_S) + 1)
-        every = np.repeat(A[:, None], len(times_s), axis=1), np.repeat(b[:, None], len(times_s), axis=1)
-        table = _loop_steps(*discretised(*every, times_s[:, None, None, None]))
-        self.steps = np.zeros(table.shape[:2], TILT_STEP)  # (k, steps): of 1, 2, ... times _OBSERVER_TABLE_S
-        self.gains = np.zeros(len(A), TILT_GAIN)  # (k,)
-        Phi, _ = discretised(A, b, 1.0 / _MEASURED_HZ)
-        noise = np.diag([0.0, disturbance_rad_s2**2 / _MEASURED_HZ]) + 1e-15 * np.eye(2)
-        for axis, name in enumerate(TILT_GAIN.names):
-            self.steps[name] = table[:, :, axis]
-            for kind, gain in enumerate(self.gains):
-                P = solve_discrete_are(Phi[kind, axis].T, [[1.0], [0.0]], noise, [[angle_noise_rad**2]])
-                gain[name] = P[:, 0] / (P[0, 0] + angle_noise_rad**2)
+    A, b = (np.stack(part)[:, : Channel.CLIMB] for part in zip(*map(loops, vehicle_types)))
+    times_s = _OBSERVER_TABLE_S * np.arange(1, round(_MAX_GAP_S / _OBSERVER_TABLE_S) + 1)
+    every = np.repeat(A[:, None], len(times_s), axis=1), np.repeat(b[:, None], len(times_s), axis=1)
+    table = _loop_steps(*discretised(*every, times_s[:, None, None, None]))
+    steps, gains = np.zeros(table.shape[:2], TILT_STEP), np.zeros(len(A), TILT_GAIN)
+    Phi, _ = discretised(A, b, 1.0 / _MEASURED_HZ)
+    noise = np.diag([0.0, disturbance_rad_s2**2 / _MEASURED_HZ]) + 1e-15 * np.eye(2)
+    for axis, name in enumerate(TILT_GAIN.names):
+        steps[name] = table[:, :, axis]
+        for kind, gain in enumerate(gains):
+            P = solve_discrete_are(Phi[kind, axis].T, [[1.0], [0.0]], noise, [[angle_noise_rad**2]])
+            gain[name] = P[:, 0] / (P[0, 0] + angle_noise_rad**2)
+    return steps, gains
 
 
 @compiled
 def observe(tilt, time_s, measured, command, steps, gain):
     """Bring a vehicle's TILT to time_s by what was measured: (phi, theta, phi', theta'); the rates to start with.
 
-    command: in force since the last measurement.  steps, gain: of the vehicle's type, see `TiltObserver`.
+    command: in force since the last measurement.  steps, gain: of the vehicle's type, see `tilt_observer`.
     """
     phi_rad, theta_rad, phi_rate_rad_s, theta_rate_rad_s = measured
     j = np.rint((time_s - tilt.time_s) / _OBSERVER_TABLE_S)

@@ -192,19 +192,3 @@ class ButtonPresses:
 def limited(fraction):
     """A fraction within [-1, 1]."""
     return min(max(fraction, -1.0), 1.0)
-
-
-def parse_bool(value, name):
-    """A truth value from a parameter; launch files of old set texts, and bool("False") is true (D-32).
-
-    Raises ValueError for anything but true, false and their spellings.
-    """
-    if isinstance(value, str):
-        text = value.strip().lower()
-        if text in ("true", "1", "yes", "on"):
-            return True
-        if text in ("false", "0", "no", "off"):
-            return False
-    elif isinstance(value, bool) or value in (0, 1):
-        return bool(value)
-    raise ValueError("parameter %s must be true or false, found %r" % (name, value))

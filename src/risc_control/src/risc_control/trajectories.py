@@ -14,7 +14,7 @@ as their first axis, and x, y, z, psi as their last.
 
 import inspect
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,7 @@ from risc_control.motions import Chains, simple_motion
 from risc_control.reference_buffer import Axis, Order
 from risc_lab.compiled import compiled
 from risc_lab.lab.generated_fleet import SPACING_M, rows
+from risc_lab.settings import Positive, Settings, settings_from
 
 # Courses of chapter 6 and of the original release.
 COURSE_HEIGHT_M = 1.0
@@ -251,23 +252,20 @@ def make_course(name, vehicles, yaw=None, **options):
     yaw: YawProgram instead of the course's own.  options: the keyword arguments of the function in COURSES.
     Raises ValueError for an unknown name or option, or a course that is not for so many vehicles.
     """
-    if name not in COURSES:
-        raise ValueError("unknown trajectory '%s'; known are: %s" % (name, ", ".join(sorted(COURSES))))
     if vehicles < 1:
         raise ValueError("a course needs at least one vehicle, got %r" % (vehicles,))
-    known = course_options(name)
-    for option, value in options.items():
-        if option not in known:
-            raise ValueError("trajectory '%s' has no %s; it has: %s" % (name, option, ", ".join(known)))
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0.0:
-            raise ValueError("%s of trajectory '%s' must be a number > 0, got %r" % (option, name, value))
-    course = COURSES[name](vehicles, **options)
+    numbers = settings_from(course_settings(name), options, "trajectory '%s'" % name)
+    course = COURSES[name](vehicles, **vars(numbers))
     return course if yaw is None else course.with_yaw(yaw)
 
 
-def course_options(name):
-    """Names of the numbers that a course takes."""
-    return list(inspect.signature(COURSES[name]).parameters)[1:]
+def course_settings(name):
+    """Dataclass of the numbers that a course takes. Raises ValueError for an unknown name."""
+    if name not in COURSES:
+        raise ValueError("unknown trajectory '%s'; known are: %s" % (name, ", ".join(sorted(COURSES))))
+    _, *numbers = inspect.signature(COURSES[name]).parameters.values()
+    numbers = [(number.name, Positive, number.default) for number in numbers]
+    return make_dataclass(name, numbers, bases=(Settings,), frozen=True)
 
 
 def course_for_fleet(name, vehicles, arena, yaw=None, **options):

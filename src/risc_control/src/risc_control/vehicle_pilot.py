@@ -6,29 +6,25 @@ never steps; `age_s` is the age of a message by its stamp when it arrived.
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits, fence_of
-from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks, parse_bool
+from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits
+from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
 from risc_control.separation import ALONE
-from risc_control.vehicles import FlightState, adapter_class
+from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState, adapter_class, state_text
 from risc_lab.command_history import CommandHistory
 from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
-from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, legacy_overrides
-from risc_lab.settings import NotNegative, Positive, Settings, settings_from
+from risc_lab.settings import NotNegative, Positive, Settings
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
-_TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
-_ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
 _SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `PilotParams.command_rate_hz`
-_NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # an emergency in the air also reads 0
 
 
 @dataclass(frozen=True)
@@ -58,21 +54,6 @@ class VehicleNodeParams(PilotParams, JoystickParams, SafetyLimits):
 
     Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`).
     """
-
-
-def node_params(values, arena=None):
-    """(`VehicleNodeParams`, names that mean nothing) of a mapping. Raises ValueError that names the parameter.
-
-    arena: Arena whose net is the fence unless the parameters say else; None = the laboratory's.
-    """
-    legacy_overrides(values)  # checks them
-    known = {item.name for item in fields(VehicleNodeParams)}
-    own = {name: value for name, value in values.items() if name in known}
-    for name in ("Simulation", "hold_auto_hover"):
-        if name in own:
-            own[name] = parse_bool(own[name], name)
-    params = settings_from(VehicleNodeParams, {**(fence_of(arena) if arena else {}), **own}, "parameters")
-    return params, sorted(set(values) - known - set(LEGACY_PARAMETERS))
 
 
 def choose_vehicle(wanted, namespace, fleet):
@@ -236,12 +217,12 @@ class VehiclePilot:
         self.ladder.note_navdata(status.battery_pct, now_s)
         self.flight_state = state
         if not self._params.Simulation:
-            if state in _ON_GROUND:
+            if state in ON_GROUND:
                 if self._takeoff_s is None or now_s - self._takeoff_s > self._params.takeoff_grace_s:
                     self.airborne, self._takeoff_s = False, None
-            elif state not in _NO_EVIDENCE:
+            elif state not in NO_EVIDENCE:
                 self.airborne, self._takeoff_s = True, None
-        if state in _ON_GROUND and self.autonomous and not self.airborne:
+        if state in ON_GROUND and self.autonomous and not self.airborne:
             self._set_mode(False, orders, "landed")
         return orders
 
@@ -309,7 +290,7 @@ class VehiclePilot:
             self._judge(orders, now_s, land=True)
             reason = self.ladder.verdict.reason
             return orders, not silent, "landing (%s)%s" % (reason, ", but the vehicle is silent" if silent else "")
-        if silent or self.flight_state not in _ON_GROUND:
+        if silent or self.flight_state not in ON_GROUND:
             # Nothing says that it stands, and an order to land does no harm to one that does.
             orders.land = True
             why = "the vehicle is silent" if silent else "it does not say that it stands (%s)" % self._state_text()
@@ -339,7 +320,7 @@ class VehiclePilot:
     # --- what is decided ----------------------------------------------------------------------------------------
 
     def _takes_commands(self):
-        return self._params.Simulation or self.flight_state in _TAKES_COMMANDS
+        return self._params.Simulation or self.flight_state in TAKES_COMMANDS
 
     def _centre_silent_sticks(self, orders, now_s):
         """A deflection holds only as long as the joystick repeats it: it may be unplugged, or its node dead."""
@@ -418,11 +399,8 @@ class VehiclePilot:
 
     def _state_text(self):
         """E.g. "state 6, taking off"."""
-        if self.flight_state is None:
-            return "no state yet"
-        known = self.flight_state in tuple(FlightState)
-        name = FlightState(self.flight_state).name.lower().replace("_", " ") if known else "not known"
-        return "state %d, %s" % (self.flight_state, name)
+        state = self.flight_state
+        return "no state yet" if state is None else "state %d, %s" % (state, state_text(state))
 
     def _set_mode(self, autonomous, orders, why):
         self.autonomous = orders.mode = orders.status = autonomous

@@ -5,8 +5,9 @@ import struct
 import threading
 import time
 from dataclasses import dataclass, field
+from functools import partial
 
-from ardrone_autonomy.protocol.navdata import ControlState
+from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, adapter_class
 from risc_doctor.findings import RED, YELLOW, Findings
 from risc_lab.lab import fleet_from_dict
 
@@ -16,7 +17,6 @@ _SLOW, _MUCH_TOO_SLOW = 0.9, 0.5  # of the expected rate
 _SHOWN = 8  # complaints; more say the same
 _HEADER = struct.Struct("<III")  # of std_msgs/Header: seq, stamp [s], stamp [ns]
 OK, WARN = 0, 1  # diagnostic_msgs/DiagnosticStatus
-_ON_THE_GROUND = {ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, ControlState.TEST}
 TOPICS = {  # topic -> who publishes it
     "/mocap_data": "stream_markers",
     "/cortex_raw": "states_estimation",
@@ -77,14 +77,13 @@ def listen(master, fleet, listen_s=LISTEN_S):
         return report
     publishers = master.publishers()
     report.topics = {name: Topic(tuple(publishers[name])) for name in TOPICS if name in publishers}
-    for vehicle in fleet.vehicles:
-        if "/%s/ardrone/navdata" % vehicle.namespace in publishers:
-            report.vehicles[vehicle.namespace] = HeardVehicle()
+    driven = [vehicle for vehicle in fleet.vehicles if _status_topics(vehicle) & publishers.keys()]
+    report.vehicles = {vehicle.namespace: HeardVehicle() for vehicle in driven}
     report.error = "the graph did not answer within %g s" % (listen_s + _PATIENCE_S)
 
     def work():
         try:
-            _listen(report, listen_s)
+            _listen(report, driven, listen_s)
             report.error = ""
         except Exception as error:  # rospy raises many kinds when a master goes away
             report.error = "%s: %s" % (type(error).__name__, error)
@@ -95,11 +94,20 @@ def listen(master, fleet, listen_s=LISTEN_S):
     return report
 
 
-def _listen(report, listen_s):
+def _hear(vehicle, on_status, subscribe):
+    """Subscribe to what the driver of a FleetVehicle publishes of its status, as the adapter of its type knows it."""
+    adapter_class(vehicle.vehicle_type).listen("/%s/" % vehicle.namespace, on_status, subscribe)
+
+
+def _status_topics(vehicle):
+    topics = set()
+    _hear(vehicle, None, lambda topic, *_: topics.add(topic))
+    return topics
+
+
+def _listen(report, driven, listen_s):
     import rospy  # only a graph needs it
     from diagnostic_msgs.msg import DiagnosticArray
-
-    from ardrone_autonomy.msg import Navdata
 
     rospy.init_node("maap_doctor", anonymous=True, disable_signals=True, disable_rostime=True)
     meters, statuses = {name: _Meter() for name in report.topics}, {}
@@ -108,15 +116,20 @@ def _listen(report, listen_s):
         for status in message.status:
             statuses[status.name] = (status.level, status.name, status.message)
 
-    def on_navdata(message, heard):
-        heard.battery_pct, heard.flies = float(message.batteryPercent), message.state not in _ON_THE_GROUND
+    def noted_in(heard):
+        def on_status(status, _driver):
+            heard.flies = status.state not in ON_GROUND | NO_EVIDENCE
+            if status.battery_pct is not None:
+                heard.battery_pct = float(status.battery_pct)
+
+        return on_status
 
     for name, meter in meters.items():
         rospy.Subscriber(name, rospy.AnyMsg, meter, tcp_nodelay=True)
     rospy.Subscriber("/diagnostics", DiagnosticArray, on_diagnostics, tcp_nodelay=True)
-    for namespace, heard in report.vehicles.items():
-        topic = "/%s/ardrone/navdata" % namespace
-        rospy.Subscriber(topic, Navdata, on_navdata, heard, queue_size=1, tcp_nodelay=True)
+    for vehicle in driven:
+        subscribe = partial(rospy.Subscriber, queue_size=1, tcp_nodelay=True)
+        _hear(vehicle, noted_in(report.vehicles[vehicle.namespace]), subscribe)
     time.sleep(listen_s)
     rospy.signal_shutdown("done")
     for name, meter in meters.items():

@@ -63,6 +63,9 @@ def _ask(situation, vehicle, served):
     found, name = Findings("vehicles"), "%s (%s)" % (vehicle.namespace, vehicle.address)
     if sum(other.address == vehicle.address for other in situation.fleet.vehicles) > 1 or not vehicle.namespace:
         name = "the vehicle at %s" % vehicle.address  # one of several with one address has no name from here
+    kind = vehicle.vehicle_type
+    if (kind.driver or kind.name) != "ardrone":
+        return found.say("other_wire", name=name, type=kind.name)
     drivers = [process for process, address in served if address in (vehicle.address, None)]
     if drivers:
         uri = drivers[0].environment.get("ROS_MASTER_URI") or "http://ITS_MASTER:11311"

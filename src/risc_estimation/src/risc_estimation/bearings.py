@@ -11,12 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from risc_lab.camera import Camera
-from risc_lab.lab.calibration import (
-    FRONT_MOUNT,
-    CameraCalibration,
-    load_calibration,
-    load_mount,
-)
+from risc_lab.lab.calibration import CameraCalibration
 
 # Optical axes (x right, y down, z along the axis) of vectors in camera axes (x along the axis, y right, z down).
 _CAMERA_TO_OPTICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -131,17 +126,3 @@ def calibration_from_info(info, name):
     if info.binning_x > 1 or info.binning_y > 1 or cropped or region.x_offset or region.y_offset:
         raise ValueError("camera %s: its camera_info has binning or a region of interest: switch them off" % name)
     return CameraCalibration.from_info(info, name).usable()
-
-
-def fleet_calibration(vehicle, default=""):
-    """CameraCalibration of a FleetVehicle's front camera; None if it has none.
-
-    default: calibration file of vehicles that name none; "" = none. Raises ValueError for a file that is not usable.
-    """
-    url = vehicle.calibration or default
-    return load_calibration(url) if url else None
-
-
-def fleet_mount(vehicle):
-    """CameraMount of a FleetVehicle's front camera. Raises ValueError for a file that is not usable."""
-    return load_mount(vehicle.camera_mount) if vehicle.camera_mount else FRONT_MOUNT

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from risc_lab.camera import bearings_of_rays, rotation_camera_to_body
+from risc_lab.camera import bearings_of_rays, cortex_to_camera
 from risc_lab.lab.calibration import FRONT_MOUNT, CameraMount
 from risc_lab.lab.landmark_catalogue import Disc
 
@@ -59,16 +59,9 @@ class Sighting(NamedTuple):
         return (*self.outline_px.min(axis=0), *self.outline_px.max(axis=0))
 
 
-def to_camera(points_cortex, positions_m, R_body_to_cortex, mount):
-    """Points (..., 3) [m] from the cortex frame into camera axes; poses (..., 3), (..., 3, 3) broadcast with them."""
-    relative = np.asarray(points_cortex, dtype=float) - positions_m
-    relative_body = np.einsum("...i,...ij->...j", relative, R_body_to_cortex)
-    return (relative_body - mount.position_m) @ rotation_camera_to_body(mount)
-
-
 def bearings_of_points(points_cortex, positions_m, R_body_to_cortex, mount):
-    """(azimuth, elevation) [rad], each (...), of points (..., 3) [m] as seen by a camera; see `to_camera`."""
-    return bearings_of_rays(to_camera(points_cortex, positions_m, R_body_to_cortex, mount))
+    """(azimuth, elevation) [rad], each (...), of points (..., 3) [m] as seen by a camera; see `cortex_to_camera`."""
+    return bearings_of_rays(cortex_to_camera(points_cortex, positions_m, R_body_to_cortex, mount))
 
 
 def look(observer, position_m, R_body_to_cortex, targets):
@@ -85,7 +78,7 @@ def look(observer, position_m, R_body_to_cortex, targets):
     shapes = [_disc_shape(item, eye_m) if isinstance(item, Disc) else _hull_shape(item) for item in targets]
     # of all targets at once: centres, outlines, and what the least diameter is taken from
     parts = [np.vstack((shape.centre_m, shape.outline_m, shape.core_m)) for shape in shapes]
-    points = to_camera(np.concatenate(parts), position_m, R_body_to_cortex, mount)
+    points = cortex_to_camera(np.concatenate(parts), position_m, R_body_to_cortex, mount)
     ends = np.cumsum([len(part) for part in parts])[:-1]
     pixels = np.split(observer.camera.project(points), ends)
     raw = getattr(observer.camera, "raw", None)  # a rectified picture shows nothing that the raw one does not hold

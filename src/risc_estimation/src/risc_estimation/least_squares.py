@@ -33,6 +33,8 @@ FIT = record(
     ("capacity", int),  # samples
     ("frames", int),  # pushed so far
     ("weighed", int),  # samples that the shared weights are for; 0 = none
+    ("samples", int),  # of the fit,
+    ("span_s", float),  # from the oldest to the newest of them
     ("moments", float, (2 * MAX_ORDER + 1,)),  # sums of the powers of the scaled times
     ("normal", float, (MAX_ORDER + 1, MAX_ORDER + 1)),  # the normal equations
     ("polynomials", float, (MAX_ORDER + 1, 2)),  # weight of a sample as polynomial in its time: for value, for slope
@@ -56,7 +58,8 @@ class Window(NamedTuple):
     stamps_s: np.ndarray  # (2 capacity,)
     present: np.ndarray  # (bodies, 2 capacity) bool
     values: np.ndarray  # (bodies, 2 capacity, channels) [unit]
-    weights: np.ndarray  # (3, capacity) shared weights: ages that they are for [s], for the value, for the slope [1/s]
+    # (5, capacity) shared weights: ages that they are for [s], for the value, for the slope [1/s]; the same of one body
+    weights: np.ndarray
     estimates: np.ndarray  # (bodies, 2, channels) value [unit], slope [unit/s]
 
 
@@ -86,7 +89,7 @@ class Windows:
             np.zeros((k, 2 * capacity)),
             np.zeros((k, 0, 2 * capacity), dtype=bool),
             np.zeros((k, 0, 2 * capacity, channels)),
-            np.zeros((k, 3, capacity)),
+            np.zeros((k, 5, capacity)),
             np.zeros((k, 0, 2, channels)),
         )
 
@@ -138,23 +141,30 @@ def estimate_newest(window, wanted):
     """Fit the bodies that are wanted ((bodies,) bool) at the newest frame, in which each of them has a sample.
 
     Fills window.estimates, and samples and span_s of window.bodies. Bodies that have every sample of the window share
-    their weights.
+    their weights; where one that is wanted misses some, each has weights of its own.
     """
     start, end = _newest_stretch(window)
     complete = True
     for i in range(len(wanted)):
         if wanted[i] and window.bodies[i].gapless < end - start:
             complete = False
-    if complete:
-        _renew_shared_weights(window, start, end)
+    known = complete and _are_weighed(window, start, end)
+    weights = window.weights[1:3] if complete else window.weights[3:5]
     for i in range(len(wanted)):
         if wanted[i]:
-            if complete:
-                body = window.bodies[i]
-                body.samples, body.span_s = end - start, window.stamps_s[end - 1] - window.stamps_s[start]
-                _apply_shared_weights(window, i, start, end)
-            else:
-                _fit_own_samples(window, i, start, end)
+            if not known:
+                _weigh(window.fit[0], window.stamps_s[start:end], window.present[i, start:end], weights)
+                known = complete
+            body = window.bodies[i]
+            body.samples, body.span_s = window.fit[0].samples, window.fit[0].span_s
+            for channel in range(window.values.shape[2]):
+                value = slope = 0.0
+                for k in range(end - start):
+                    sample = window.values[i, start + k, channel]
+                    value += weights[0, k] * sample
+                    slope += weights[1, k] * sample
+                window.estimates[i, 0, channel] = value
+                window.estimates[i, 1, channel] = slope
 
 
 @compiled
@@ -175,96 +185,57 @@ def _newest_stretch(window):
 
 
 @compiled
-def _renew_shared_weights(window, start, end):
-    """Weights for bodies that have every sample; remade only when the pattern of stamps changes."""
+def _are_weighed(window, start, end):
+    """Whether the shared weights are for this pattern of stamps; else notes that they will be."""
     fit = window.fit[0]
     samples, newest_s = end - start, window.stamps_s[end - 1]
     known = fit.weighed == samples
     for k in range(samples):
         if known and abs(newest_s - window.stamps_s[start + k] - window.weights[0, k]) > UNIFORM_TOLERANCE_S:
             known = False
-    if known:
-        return
-    fit.weighed = samples
-    for k in range(samples):
-        window.weights[0, k] = newest_s - window.stamps_s[start + k]
-    order = _order(fit, samples, window.weights[0, 0])
-    while not _weigh(fit, window.weights[0, :samples], order, fit.window_s, window.weights[1:]):
-        order -= 1
+    if not known:
+        fit.weighed = samples
+        for k in range(samples):
+            window.weights[0, k] = newest_s - window.stamps_s[start + k]
+    fit.samples, fit.span_s = samples, newest_s - window.stamps_s[start]
+    return known
 
 
 @compiled
-def _apply_shared_weights(window, i, start, end):
-    for channel in range(window.values.shape[2]):
-        value = slope = 0.0
-        for k in range(end - start):
-            sample = window.values[i, start + k, channel]
-            value += window.weights[1, k] * sample
-            slope += window.weights[2, k] * sample
-        window.estimates[i, 0, channel] = value
-        window.estimates[i, 1, channel] = slope
+def _weigh(fit, stamps_s, present, weights):
+    """Weights that turn samples into the fitted polynomial's value and slope at the last stamp.
 
-
-@compiled
-def _fit_own_samples(window, i, start, end):
-    """Fit a body that misses samples of the window."""
-    fit, body = window.fit[0], window.bodies[i]
-    newest_s = window.stamps_s[end - 1]
-    fit.moments[:] = 0.0
-    samples = 0
-    for k in range(start, end):
-        if window.present[i, k]:
-            if samples == 0:
-                body.span_s = newest_s - window.stamps_s[k]
-            samples += 1
-            _add_moments(fit, (newest_s - window.stamps_s[k]) / -fit.window_s)
-    body.samples = samples
-    order = _order(fit, samples, body.span_s)
-    while not _solve(fit, order, fit.window_s):
-        order -= 1
-    window.estimates[i, :, :] = 0.0
-    for k in range(start, end):
-        if window.present[i, k]:
-            value, slope = _weights_at(fit, order, (newest_s - window.stamps_s[k]) / -fit.window_s)
-            for channel in range(window.values.shape[2]):
-                window.estimates[i, 0, channel] += value * window.values[i, k, channel]
-                window.estimates[i, 1, channel] += slope * window.values[i, k, channel]
-
-
-@compiled
-def _order(fit, samples, span_s):
-    """Order of the polynomial for so many samples over such a time."""
-    return min(fit.order if span_s >= fit.ramp_s else 1, samples - 1)
-
-
-@compiled
-def _weigh(fit, ages_s, order, scale_s, weights):
-    """Weights that turn samples into the fitted polynomial's value and slope at age zero.
-
-    ages_s: (n,) [s], >= 0.   scale_s: time that the ages are divided by for conditioning.   Fills weights (2, n): for
-    the value, for the slope [1/s]; returns whether there are enough distinct times for that order.
+    stamps_s: (n,) [s], rising; present: (n,) bool: at which there is a sample, always at the last.   Fills weights
+    (2, >= n): for the value, for the slope [1/s], 0 without sample; and samples and span_s of fit. The order is less
+    than wanted where the span is short, or where there are too few distinct times.
     Deviation from eq 4.1: times count from the newest sample and are scaled; the estimate is unchanged.
     """
-    fit.moments[:] = 0.0
-    for k in range(len(ages_s)):
-        _add_moments(fit, ages_s[k] / -scale_s)
-    if not _solve(fit, order, scale_s):
-        return False
-    for k in range(len(ages_s)):
-        weights[0, k], weights[1, k] = _weights_at(fit, order, ages_s[k] / -scale_s)
-    return True
+    newest_s = stamps_s[-1]
+    fit.samples, fit.moments[:] = 0, 0.0
+    for k in range(len(stamps_s)):
+        if present[k]:
+            if fit.samples == 0:
+                fit.span_s = newest_s - stamps_s[k]
+            fit.samples += 1
+            u, power = (newest_s - stamps_s[k]) / -fit.window_s, 1.0
+            for j in range(len(fit.moments)):
+                fit.moments[j] += power
+                power *= u
+    order = min(fit.order if fit.span_s >= fit.ramp_s else 1, fit.samples - 1)
+    while not _solve(fit, order):
+        order -= 1
+    for k in range(len(stamps_s)):
+        value = slope = 0.0
+        if present[k]:
+            u = (newest_s - stamps_s[k]) / -fit.window_s
+            for j in range(order, -1, -1):
+                value = value * u + fit.polynomials[j, 0]
+                slope = slope * u + fit.polynomials[j, 1]
+        weights[0, k], weights[1, k] = value, slope
 
 
 @compiled
-def _add_moments(fit, u):
-    power = 1.0
-    for k in range(len(fit.moments)):
-        fit.moments[k] += power
-        power *= u
-
-
-@compiled
-def _solve(fit, order, scale_s):
+def _solve(fit, order):
     """Polynomials whose values at the samples' times are the weights; False if the normal equations are singular.
 
     The value is coefficient 0 of the fitted polynomial, the slope coefficient 1 over the scale of time: rows 0 and 1 of
@@ -275,7 +246,7 @@ def _solve(fit, order, scale_s):
         for k in range(order + 1):
             A[j, k] = fit.moments[j + k]
         x[j, 0] = 1.0 if j == 0 else 0.0
-        x[j, 1] = 1.0 / scale_s if j == 1 else 0.0
+        x[j, 1] = 1.0 / fit.window_s if j == 1 else 0.0
     for j in range(order + 1):
         if not A[j, j] > _DISTINCT * fit.moments[2 * j]:
             return False
@@ -291,13 +262,3 @@ def _solve(fit, order, scale_s):
                 x[j, side] -= A[j, k] * x[k, side]
             x[j, side] /= A[j, j]
     return True
-
-
-@compiled
-def _weights_at(fit, order, u):
-    """(value, slope): the weights of a sample at scaled time u."""
-    value = slope = 0.0
-    for k in range(order, -1, -1):
-        value = value * u + fit.polynomials[k, 0]
-        slope = slope * u + fit.polynomials[k, 1]
-    return value, slope

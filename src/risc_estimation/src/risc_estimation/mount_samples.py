@@ -44,9 +44,12 @@ class BearingWindow:
 
     def restart(self):
         """Forget every bearing: what comes from now on is recorded."""
+        self._forget()
+        self.refused.clear()
+
+    def _forget(self):
         self._rows.clear()
         self._waiting.clear()
-        self.refused.clear()
 
     def see_landmarks(self, places):
         """{landmark: (3,) [m] cortex}; those not named stay where they were last seen."""
@@ -55,8 +58,7 @@ class BearingWindow:
     def see_pose(self, stamp_s, position_m, euler_rad):
         """The vehicle's pose: (3,) [m] cortex; roll, pitch, yaw [rad]. Only while it is seen."""
         if self._track.append(stamp_s, position_m, euler_rad) is Step.NEW_CLOCK:
-            self._rows.clear()
-            self._waiting.clear()
+            self._forget()
             self._newest_s = None
         self._advance(stamp_s)
         if self._waiting and self._waiting[0][0] <= stamp_s:
@@ -91,12 +93,7 @@ class BearingWindow:
     def latest(self, duration_s):
         """Samples of the last so many seconds."""
         begin_s = -np.inf if self._newest_s is None else self._newest_s - duration_s
-        recent = []
-        for row in reversed(self._rows):
-            if row[0] < begin_s:
-                break
-            recent.append(row)
-        return self._samples(recent[::-1])
+        return self._samples([row for row in self._rows if row[0] >= begin_s])
 
     def _advance(self, stamp_s):
         self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)

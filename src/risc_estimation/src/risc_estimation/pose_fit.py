@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_estimation.gates import LIMITS, REFUSALS, believe_pose, is_inside, limits_of, see_markers
 from risc_estimation.landmark_positions import LANDMARK, locate_landmark
 from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst
 from risc_lab.compiled import compiled, record
@@ -46,6 +45,14 @@ class PoseFitParams(Settings):
         net = zip(ARENA_KEYS, (arena.half_x_m, arena.half_y_m, arena.height_m))
         return replace(self, **{name: value for name, value in net if name not in keep})
 
+    def limits(self):
+        """(1,) LIMITS."""
+        lower_m = np.array([-self.arena_x_m, -self.arena_y_m, self.arena_z_min_m]) - self.arena_margin_m
+        upper_m = np.array([self.arena_x_m, self.arena_y_m, self.arena_z_max_m]) + self.arena_margin_m
+        cos_tilt_max = math.cos(min(self.tilt_max_rad, math.pi))
+        row = (self.marker_limit_m, self.residual_max_m, self.min_spread_m, cos_tilt_max, lower_m, upper_m)
+        return np.array([row], dtype=LIMITS)
+
     def __post_init__(self):
         super().__post_init__()
         if not self.arena_z_min_m < self.arena_z_max_m:
@@ -54,19 +61,39 @@ class PoseFitParams(Settings):
             )
 
 
-ROWS = record(("first", int), ("count", int))  # the markers of a body in those of the frame
-BODY = record(("markers", int), ("has_attitude", bool))  # number of its template's; not of an attached body
-FIT = record(("stamp_s", float), ("residual_m", float), ("rotation", float, (3, 3)))
+LIMITS = record(
+    ("marker_m", float),
+    ("residual_max_m", float),
+    ("min_spread_m", float),
+    ("cos_tilt_max", float),
+    ("lower_m", float, (3,)),  # corners of the arena
+    ("upper_m", float, (3,)),
+)
+REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
+    ("markers_left_out", int),
+    ("misfits", int),
+    ("collinear", int),
+    ("tilted", int),
+    ("outside", int),
+)
+BODY = record(
+    ("markers", int),  # of its template
+    ("has_attitude", bool),  # not of an attached body
+    ("first", int),  # its markers in those of the frame
+    ("count", int),
+    ("stamp_s", float),  # of its newest pose
+    ("residual_m", float),
+    ("rotation", float, (3, 3)),
+)
 FIXED = record(("limits", LIMITS), ("refusals", REFUSALS), ("work", WORK), ("pose", POSE))  # what all bodies share
 
 
 class _Bodies(NamedTuple):
     """What is known of the vehicles and of what is attached to them, one row each. `Poses` explains most of it."""
 
-    known: np.ndarray  # (bodies,) BODY
+    table: np.ndarray  # (bodies,) BODY
     templates_m: np.ndarray  # (bodies, most markers, 3)
     used: np.ndarray  # (bodies, most markers) bool: the markers that the newest fit rests on
-    fits: np.ndarray  # (bodies,) FIT
     flags: np.ndarray  # (2, bodies) bool: present, inside
     measured: np.ndarray  # (2, bodies, 3): positions [m], angles [rad]
 
@@ -74,19 +101,10 @@ class _Bodies(NamedTuple):
 class _Landmarks(NamedTuple):
     """What is known of the landmarks."""
 
-    known: np.ndarray  # (landmarks,) LANDMARK
+    table: np.ndarray  # (landmarks,) LANDMARK
     offsets_m: np.ndarray  # (landmarks, most markers, 3)
     positions_m: np.ndarray  # (landmarks, 3) of those seen in the newest frame, which come first
     rows: np.ndarray  # (landmarks,) which ones these are
-
-
-class _Plan(NamedTuple):
-    """What a layout of the frame means."""
-
-    bodies: np.ndarray  # (bodies,) ROWS
-    landmarks: np.ndarray  # (landmarks,) ROWS
-    unknown: tuple[str, ...]  # names without a template
-    markers_m: np.ndarray  # (markers, 3) copy of the frame's
 
 
 class Poses:
@@ -114,17 +132,17 @@ class Poses:
     @property
     def stamps_s(self):
         """(n,) stamp of each body's pose [s]; that of the frame where it is present, -inf before the first."""
-        return self._bodies.fits["stamp_s"]
+        return self._bodies.table["stamp_s"]
 
     @property
     def rotation(self):
         """(n, 3, 3) template axes (for vehicles: body axes) to cortex axes."""
-        return self._bodies.fits["rotation"]
+        return self._bodies.table["rotation"]
 
     @property
     def residual_m(self):
         """(n,) rms distance of the used markers from the fitted template [m]."""
-        return self._bodies.fits["residual_m"]
+        return self._bodies.table["residual_m"]
 
     def covariances(self):
         """(n, 6, 6) covariance of position [m] and of a small rotation about cortex x, y, z [rad], in this order.
@@ -138,7 +156,7 @@ class Poses:
         """
         covariances = np.full((len(self.present), 6, 6), np.nan)
         bodies, here = self._bodies, self.present
-        used, fits = bodies.used[here], bodies.fits[here]
+        used, fits = bodies.used[here], bodies.table[here]
         arms = np.einsum("nij,nkj->nki", fits["rotation"], bodies.templates_m[here])
         J = np.empty((*arms.shape, 6))
         J[..., :3] = np.eye(3)
@@ -179,17 +197,16 @@ class PoseFit:
                 )
         most = max([len(template.markers_m) for template in self._templates.values()], default=0)
         self._fixed, self._marker_visible = np.zeros(1, dtype=FIXED), np.zeros(most, dtype=bool)
-        self._fixed["limits"] = limits_of(params)
+        self._fixed["limits"] = params.limits()
         self._bodies = _Bodies(
-            known=np.zeros(0, dtype=BODY),
+            table=np.zeros(0, dtype=BODY),
             templates_m=np.zeros((0, most, 3)),
             used=np.zeros((0, most), dtype=bool),
-            fits=np.zeros(0, dtype=FIT),
             flags=np.zeros((2, 0), dtype=bool),
             measured=np.zeros((2, 0, 3)),
         )
         self._landmarks = _Landmarks(
-            known=np.zeros(0, dtype=LANDMARK),
+            table=np.zeros(0, dtype=LANDMARK),
             offsets_m=np.zeros((0, most, 3)),
             positions_m=np.zeros((0, 3)),
             rows=np.zeros(0, dtype=int),
@@ -217,14 +234,14 @@ class PoseFit:
         if template.kind == kinds.LANDMARK:
             self.landmark_names += (name,)
             self._landmarks = landmarks = _with_row(self._landmarks)
-            landmarks.known[-1] = count, False
+            landmarks.table["markers"][-1] = count
             landmarks.offsets_m[-1, :count] = template.markers_m
         else:
             self.names += (name,)
             self._bodies = bodies = _with_row(self._bodies)
-            bodies.known[-1] = count, template.kind == kinds.VEHICLE
+            table = bodies.table[-1:]
+            table["markers"], table["has_attitude"], table["stamp_s"] = count, template.kind == kinds.VEHICLE, -math.inf
             bodies.templates_m[-1, :count] = template.markers_m
-            bodies.fits["stamp_s"][-1] = -math.inf
             self.poses.names = self.names
             self.poses.take(self._bodies)
             self._on_body(template)
@@ -239,18 +256,12 @@ class PoseFit:
         Raises ValueError when layout and markers_m do not match.
         """
         if layout != self._layout:
-            plan = self._plan = self._plan_for(layout)
-            self._layout = layout
-            self._arguments = (
-                plan.markers_m, plan.bodies, plan.landmarks, self._fixed, self._marker_visible,
-                *self._bodies, *self._landmarks,
-            )  # fmt: skip
-        plan = self._plan
+            self._plan_for(layout)
         shape = markers_m.shape if isinstance(markers_m, np.ndarray) else np.shape(markers_m)
-        if shape != plan.markers_m.shape:
-            raise ValueError("the layout has %d markers, the array is %r" % (len(plan.markers_m), shape))
-        plan.markers_m[:] = markers_m
-        for name in plan.unknown:
+        if shape != self._markers_m.shape:
+            raise ValueError("the layout has %d markers, the array is %r" % (len(self._markers_m), shape))
+        self._markers_m[:] = markers_m
+        for name in self._unknown_here:
             self.unknown[name] += 1
         self.poses.stamp_s = stamp_s = float(stamp_s)
         seen = _fit_frame(stamp_s, *self._arguments)
@@ -260,19 +271,19 @@ class PoseFit:
         return names, self._landmarks.positions_m[:seen].copy()
 
     def _plan_for(self, layout):
-        """Plan of a layout; bodies seen for the first time are admitted."""
+        """Find every body's markers in those of the frame; bodies seen for the first time are admitted."""
         places, first = {}, 0
         for name, count in layout:
             places.setdefault(name, (first, count))
             first += count
         for name in places:
             self.admit(name)
-        return _Plan(
-            np.array([places.get(name, (0, 0)) for name in self.names], dtype=ROWS),
-            np.array([places.get(name, (0, 0)) for name in self.landmark_names], dtype=ROWS),
-            tuple([name for name in places if name not in self._templates]),
-            np.zeros((first, 3)),
-        )
+        for names, table in (self.names, self._bodies.table), (self.landmark_names, self._landmarks.table):
+            for row, name in enumerate(names):
+                table["first"][row], table["count"][row] = places.get(name, (0, 0))
+        self._layout, self._markers_m = layout, np.zeros((first, 3))
+        self._unknown_here = [name for name in places if name not in self._templates]
+        self._arguments = self._markers_m, self._fixed, self._marker_visible, *self._bodies, *self._landmarks
 
 
 def _with_row(table):
@@ -292,31 +303,49 @@ def _with_row(table):
 # The arrays come one by one, since a tuple of them takes three times as long to pass.
 @compiled
 def _fit_frame(
-    stamp_s, markers_m, body_rows, landmark_rows, fixed, marker_visible,
-    known, templates_m, used, fits, flags, measured,
-    l_known, l_offsets_m, l_positions_m, l_rows,
+    stamp_s, markers_m, fixed, marker_visible,
+    table, templates_m, used, flags, measured,
+    l_table, l_offsets_m, l_positions_m, l_rows,
 ):  # fmt: skip
     """One frame: updates all tables. Returns how many landmarks are seen.
 
-    stamp_s [s]; markers_m (markers, 3) [m]; body_rows, landmark_rows: ROWS of each; fixed: (1,) FIXED;
-    marker_visible: (most markers,) bool.  After them: the fields of _Bodies and of _Landmarks.
+    stamp_s [s]; markers_m (markers, 3) [m]; fixed: (1,) FIXED; marker_visible: (most markers,) bool.  After them: the
+    fields of _Bodies and of _Landmarks.
     """
-    bodies = _Bodies(known, templates_m, used, fits, flags, measured)
+    bodies = _Bodies(table, templates_m, used, flags, measured)
     limits, refusals = fixed[0].limits, fixed[0].refusals
-    for i in range(len(known)):
-        rows = body_rows[i]
-        markers = markers_m[rows.first : rows.first + rows.count]
-        flags[0, i] = _locate(bodies, i, stamp_s, markers, limits, refusals, fixed[0].work, fixed[0].pose)
-        flags[1, i] = flags[0, i] and is_inside(measured[0, i], limits, refusals)
-    landmarks = _Landmarks(l_known, l_offsets_m, l_positions_m, l_rows)
-    return _find_landmarks(landmarks, landmark_rows, markers_m, limits, marker_visible)
+    for i in range(len(table)):
+        flags[0, i] = flags[1, i] = _locate(bodies, i, stamp_s, markers_m, fixed[0])
+        for axis in range(3):
+            if flags[1, i] and not limits.lower_m[axis] <= measured[0, i, axis] <= limits.upper_m[axis]:
+                refusals.outside += 1
+                flags[1, i] = False
+    landmarks = _Landmarks(l_table, l_offsets_m, l_positions_m, l_rows)
+    return _find_landmarks(landmarks, markers_m, limits, marker_visible)
 
 
 @compiled
-def _locate(bodies, i, stamp_s, markers, limits, refusals, work, pose):
-    """Pose of a body from its markers of this frame; returns whether it is believed."""
-    template, has_attitude = bodies.templates_m[i], bodies.known[i].has_attitude
-    used = bodies.used[i, : bodies.known[i].markers]
+def see_markers(markers, limits, visible):
+    """Fills visible (n,): which of the first n markers (k, 3) [m] are there and not lost. Returns how many."""
+    count = 0
+    for i in range(len(visible)):
+        visible[i] = (
+            i < len(markers)
+            and abs(markers[i, 0]) < limits.marker_m
+            and abs(markers[i, 1]) < limits.marker_m
+            and abs(markers[i, 2]) < limits.marker_m
+        )
+        if visible[i]:
+            count += 1
+    return count
+
+
+@compiled
+def _locate(bodies, i, stamp_s, markers_m, fixed):
+    """Pose of a body from the markers of this frame; returns whether it is believed."""
+    limits, refusals, work, pose = fixed.limits, fixed.refusals, fixed.work, fixed.pose
+    body, template = bodies.table[i], bodies.templates_m[i]
+    markers, used = markers_m[body.first : body.first + body.count], bodies.used[i, : body.markers]
     count = see_markers(markers, limits, used)
     if count < MIN_MARKERS:
         return False
@@ -328,35 +357,31 @@ def _locate(bodies, i, stamp_s, markers, limits, refusals, work, pose):
             refusals.misfits += 1
             return False
         refusals.markers_left_out += 1
-    if not believe_pose(pose, has_attitude, limits, refusals):
+    if not pose.spread_m >= limits.min_spread_m:
+        refusals.collinear += 1
         return False
-    fit = bodies.fits[i]
-    fit.stamp_s, fit.residual_m = stamp_s, pose.residual_m
-    fit.rotation[:, :] = pose.rotation
+    if body.has_attitude and not -pose.rotation[2, 2] >= limits.cos_tilt_max:
+        refusals.tilted += 1
+        return False
+    body.stamp_s, body.residual_m = stamp_s, pose.residual_m
+    body.rotation[:, :] = pose.rotation
     bodies.measured[0, i] = pose.position_m
-    if has_attitude:
+    if body.has_attitude:
         phi, theta, psi = euler_of_body_in_cortex(pose.rotation)
         angles_rad = bodies.measured[1, i]
-        angles_rad[0] = _nearest(phi, angles_rad[0])
-        angles_rad[1] = _nearest(theta, angles_rad[1])
-        angles_rad[2] = _nearest(psi, angles_rad[2])
+        for axis in range(3):  # whole turns are added to be nearest to the last
+            turned = (phi, theta, psi)[axis] - angles_rad[axis]
+            angles_rad[axis] += turned - 2.0 * math.pi * round(turned * (0.5 / math.pi))
     return True
 
 
 @compiled
-def _nearest(angle_rad, to_rad):
-    """The angle, whole turns added, that is nearest to another."""
-    turned = angle_rad - to_rad
-    return to_rad + (turned - 2.0 * math.pi * round(turned * (0.5 / math.pi)))
-
-
-@compiled
-def _find_landmarks(landmarks, landmark_rows, markers_m, limits, marker_visible):
+def _find_landmarks(landmarks, markers_m, limits, marker_visible):
     """Fills positions and rows of the landmarks that are seen in this frame; returns how many."""
     count = 0
-    for i in range(len(landmarks.known)):
-        landmark, rows = landmarks.known[i], landmark_rows[i]
-        measured = markers_m[rows.first : rows.first + rows.count]
+    for i in range(len(landmarks.table)):
+        landmark = landmarks.table[i]
+        measured = markers_m[landmark.first : landmark.first + landmark.count]
         seen = marker_visible[: landmark.markers]
         see_markers(measured, limits, seen)
         offsets, position_m = landmarks.offsets_m[i], landmarks.positions_m[count]

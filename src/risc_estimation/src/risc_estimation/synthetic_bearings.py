@@ -42,11 +42,17 @@ class SyntheticBearings:
         """observers: {vehicle: Observer, None = its camera is not known, so it sees nothing}."""
         self._params = params or SyntheticParams()
         self._observers = dict(observers)
-        self._tracks = {name: PoseTrack(span_s=self._params.delay_s + 0.5) for name in self._observers}
+        self._tracks = {}
+        self._restart()
         self._discs: dict[str, Disc] = {}
         self._random = np.random.default_rng(self._params.seed)
-        self._tick = None  # number of the next picture; its stamp is tick / rate
         self._stamps = ClockGuard()
+
+    def _restart(self):
+        self._tracks = {
+            name: PoseTrack(span_s=self._params.delay_s + 0.5) for name in (*self._observers, *self._tracks)
+        }
+        self._tick = None  # number of the next picture; its stamp is tick / rate
 
     def see_landmarks(self, discs):
         """The landmarks as they are now, a list of Disc; those not named stay where they were last seen."""
@@ -61,8 +67,7 @@ class SyntheticBearings:
         if step is Step.REFUSED:
             return []
         if step is Step.NEW_CLOCK:
-            self._tracks.update({name: PoseTrack(span_s=self._params.delay_s + 0.5) for name in self._tracks})
-            self._tick = None
+            self._restart()
         for name, (position_m, euler_rad) in states.items():
             if name not in self._tracks:
                 self._tracks[name] = PoseTrack(span_s=self._params.delay_s + 0.5)
@@ -92,7 +97,12 @@ class SyntheticBearings:
         if observer is not None and own is not None:
             targets = list(self._discs.values()) + [hulls[name] for name in others if name in hulls]
             sightings = look(observer, own.position_m, own.R_body_to_cortex, targets)
-        found = {(item.kind == LANDMARK, item.name): self._measured(item) for item in sightings if self._is_found(item)}
+        found = {}
+        for item in sightings:
+            if self._is_found(item):
+                noise = np.radians(self._params.noise_deg) * self._random.standard_normal(2)
+                azimuth_rad, elevation_rad = item.azimuth_rad + float(noise[0]), item.elevation_rad + float(noise[1])
+                found[item.kind == LANDMARK, item.name] = Bearing(item.name, True, azimuth_rad, elevation_rad)
 
         def bearings(is_landmark, names):
             return [found.get((is_landmark, name), Bearing(name, False, np.nan, np.nan)) for name in names]
@@ -106,10 +116,4 @@ class SyntheticBearings:
             and sighting.diameter_px >= params.min_diameter_px
             and sighting.distance_m <= params.max_distance_m
             and bool(np.isfinite(sighting.centre_px).all())
-        )
-
-    def _measured(self, sighting):
-        noise = np.radians(self._params.noise_deg) * self._random.standard_normal(2)
-        return Bearing(
-            sighting.name, True, sighting.azimuth_rad + float(noise[0]), sighting.elevation_rad + float(noise[1])
         )

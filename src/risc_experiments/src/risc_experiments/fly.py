@@ -21,6 +21,7 @@ from cortex_ros.wire import MAX_BODIES
 from data_extraction.progress import Progress
 from data_extraction.report.origin import PROCESSORS
 from risc_control.controllers import REGISTRY as CONTROLLERS
+from risc_control.controllers import own_params
 from risc_control.trajectories import COURSES, course_for_fleet
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.fleets import default_fleet
@@ -152,6 +153,7 @@ def prepare_fleet(args, subnet, folder):
         text = "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"
         raise FlightError(text % (*counts, sum(counts), MAX_BODIES))
     course_for_fleet(trajectory, args.vehicles, fleet.arena)  # better now than in the air
+    own_params(args.controller, fleet.vehicles, args.fleet)
     fleet = fleet.in_subnet(subnet)
     if args.mocap_rate is not None:
         fleet = replace(fleet, mocap=replace(fleet.mocap, rate_hz=args.mocap_rate))

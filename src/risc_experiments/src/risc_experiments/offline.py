@@ -24,21 +24,22 @@ from ardrone_autonomy.link import LOST_S
 from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
-from risc_control.controllers import ControlLoop
-from risc_control.failsafe import FailsafeLevel
+from risc_control.controllers import ControlLoop, own_params
+from risc_control.failsafe import FailsafeLevel, fence_of
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
-from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, node_params
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, FlightState, Status
 from risc_estimation.filters import COMMAND, make_filter
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.estimators import add_option, estimator_of
 from risc_experiments.fleets import default_fleet
+from risc_experiments.on_board import OnBoardReadings
 from risc_experiments.workers import in_order
-from risc_lab.lab import load_templates, load_vehicle_type
+from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.states import S, States
 from risc_simulator.faults import Wires
@@ -46,6 +47,7 @@ from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.models.radio_link import RadioLink
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S
+from risc_simulator.video.polygons import clip_polygons, coverage
 from risc_simulator.world import World
 
 FRAME_S = 0.005
@@ -89,16 +91,19 @@ class Flight:
     psi_deg: float | None = None  # constant yaw instead of the course's own
     perturbed: bool = True
     gusts: bool = False
-    noise: bool = True  # of the cameras
+    noise: bool = True  # of the cameras, and of sensors on board
     controller: str = "differential_flatness"  # name of one, see risc_control.controllers
     estimator: str | None = None  # name of the velocity filter; None = the controller's, see `estimators`
     params: object = None  # its PARAMS; None = those of its YAML file
+    fleet: str = ""  # fleet file, of which the first so many fly; "" = one of the shipped ones
     types: tuple = ()  # names of the vehicles' types, in the order of the fleet; () = those of the fleet file
     overrides: dict = field(default_factory=dict)  # what the vehicles have otherwise than their types
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
-    wire_faults: tuple = ()  # of WireFault, on cortex/stream and NAMESPACE/commands; what has no bytes is not corrupted
+    # of WireFault, on cortex/stream and NAMESPACE/commands (what has no bytes is not corrupted), and NAMESPACE/navdata
+    # where the filter asks for it
+    wire_faults: tuple = ()
 
 
 class Result(NamedTuple):
@@ -142,15 +147,17 @@ def fly(flight):
     )
     yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
     course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
-    loop = ControlLoop(flight.controller, vehicle_types, flight.params)
+    own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
+    loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
     manager = make_manager(fleet.vehicles, course, order=loop.controller.ORDER)
     buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
-    params, _ = node_params({"joystick_timeout": 0.0, **flight.node}, fleet.arena)
+    params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **flight.node})
     separation = Separation(names, params, names)
     chains, loss = [], flight.loss
     wires, arrived = Wires(flight.seed), []
     stream = wires.wire("cortex/stream")
+    on_board = OnBoardReadings(estimator, world.vehicles.values(), wires, flight.seed, float(flight.noise))
     for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
         chains.append(_Chain(vehicle, phase, params, wires, partial(_record_command, loop.sent, estimator, i)))
@@ -165,6 +172,7 @@ def fly(flight):
         now_s = time_s + LATENCY_S
         world.step_to(time_s)
         wires.release(now_s)
+        on_board.send(time_s)
         seen = cameras.observe(time_s, world.layout, world.markers_m())
         if frame:
             stream.carry(seen, None, now_s, lambda seen, *_: arrived.append(seen))
@@ -388,7 +396,10 @@ def _fleet_files():
 
 def _lab(flight):
     """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
-    fleet = default_fleet(flight.vehicles, flight.trajectory, _fleet_files())
+    if flight.fleet:
+        fleet = load_fleet(flight.fleet).with_vehicles(flight.vehicles)
+    else:
+        fleet = default_fleet(flight.vehicles, flight.trajectory, _fleet_files())
     if flight.psi_deg is not None:
         turned = [replace(v, start=replace(v.start, yaw_deg=flight.psi_deg)) for v in fleet.vehicles]
         fleet = replace(fleet, vehicles=tuple(turned))
@@ -407,6 +418,7 @@ def main(argv=None):
     )
     parser.add_argument("--trajectory", nargs="+", choices=sorted(COURSES), default=["circle", "flat8", "slanted8"])
     parser.add_argument("--vehicles", type=int, default=3, metavar="N")
+    parser.add_argument("--fleet", default="", metavar="FILE", help="fleet file (default: one of the shipped ones)")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds 1 to N (default: 5)")
     parser.add_argument("--delay", type=float, nargs="+", metavar="S", help="link delay (default: that of the type)")
     parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="judged time (default: 20 s)")
@@ -424,6 +436,8 @@ def main(argv=None):
         for name in CONTROLLERS.names():
             ControlLoop(name, [load_vehicle_type("ardrone")])
         FrameEncoder((("body", 1),))  # the virtual lab's
+        clip_polygons(np.zeros((3, 3)), np.array([3]), np.zeros((1, 4)))  # its cameras'
+        coverage([np.zeros((3, 2))], (0, 0, 1, 1))
         from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
         from risc_estimation.ros.conversions import EstimateMessages
 
@@ -433,6 +447,7 @@ def main(argv=None):
         return 0
     common = {
         "vehicles": args.vehicles,
+        "fleet": args.fleet,
         "duration_s": args.duration,
         "controller": args.controller,
         "estimator": args.estimator,

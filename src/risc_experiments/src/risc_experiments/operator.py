@@ -15,15 +15,12 @@ import math
 from dataclasses import dataclass
 
 from risc_control.failsafe import FailsafeLevel
-from risc_control.vehicle_pilot import FlightState
+from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState
 from risc_lab.phases import OperatorPhase as Phase
 from risc_lab.phases import OperatorResult
 from risc_lab.phases import TrajectoryPhase as Trajectory
 from risc_lab.settings import Count, NotNegative, Settings
 
-_HOVERS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
-_ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
-_NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # packets without a state read 0, an emergency too
 JOY_RATE_HZ = 10.0  # of its joysticks; once a message it looks, decides and presses
 _PRESS_MESSAGES = 2  # a button is down in so many messages, and up in at least as many: no late clock loses an edge
 _LAND_AGAIN_S = 2.0
@@ -120,9 +117,9 @@ class Watched:
     def note_report(self, state, now_s):
         """It reports its state number."""
         self.flight_state, self.reported_s = state, now_s
-        if state in _ON_GROUND:
+        if state in ON_GROUND:
             self._in_air, self._ground_s = False, now_s
-        elif state not in _NO_EVIDENCE:
+        elif state not in NO_EVIDENCE:
             self._in_air = True
 
     def may_fly(self):
@@ -255,7 +252,7 @@ class Operator:
             self._enter(Phase.TAKEOFF, now_s)
 
     def _take_off(self, now_s):
-        waiting = [name for name, w in self._taking_part() if w.flight_state not in _HOVERS]
+        waiting = [name for name, w in self._taking_part() if w.flight_state not in TAKES_COMMANDS]
         if not waiting:
             self._enter(Phase.SETTLE, now_s)
             return
@@ -357,7 +354,7 @@ class Operator:
         if not w.may_fly() or now_s - w.land_s <= _LAND_AGAIN_S:
             return
         heard = now_s - w.reported_s <= _SURE_S
-        if heard and (w.flight_state in _ON_GROUND or w.flight_state == FlightState.LANDING):
+        if heard and (w.flight_state in ON_GROUND or w.flight_state == FlightState.LANDING):
             return
         if not heard or w.failure or w.land_s > -math.inf:
             w.call_land, w.land_s = True, now_s

@@ -92,12 +92,14 @@ def rotation_camera_to_body(mount):
     return rotation_body_to_ned(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
 
 
-def cortex_to_camera(points_cortex, position_m, R_body_to_cortex, mount):
+def cortex_to_camera(points_cortex, positions_m, R_body_to_cortex, mount):
     """Points (..., 3) [m] from the cortex frame into the axes of a camera on a vehicle.
 
-    position_m: (3,) vehicle's centre, cortex frame. R_body_to_cortex: (3, 3). mount: lab.calibration.CameraMount.
+    positions_m: (..., 3) of the vehicle's centre, cortex frame, R_body_to_cortex: (..., 3, 3): broadcast with the
+    points.  mount: lab.calibration.CameraMount.
     """
-    relative_body = (np.asarray(points_cortex, dtype=float) - position_m) @ R_body_to_cortex
+    relative = np.asarray(points_cortex, dtype=float) - positions_m
+    relative_body = np.einsum("...i,...ij->...j", relative, R_body_to_cortex)
     return (relative_body - mount.position_m) @ rotation_camera_to_body(mount)
 
 

@@ -3,8 +3,15 @@
 import enum
 import math
 import sys
+from bisect import bisect
+from collections import deque
+from itertools import pairwise
+from statistics import median
 
 AGREEING = 3  # stamps in a row that agree with each other make a new clock
+LATE_S = 0.2  # what fell behind by more is not late but of another clock
+_REMEMBERED = 64  # stamps: 0.3 s at 200 Hz
+_APART = 0.75  # of the usual step: the stamps of another clock come nearer to those that were seen
 
 
 class Step(enum.IntEnum):
@@ -24,6 +31,9 @@ class ClockGuard:
     One stamp that falls back, or that is far ahead, may be a straggler or damage. It is refused. `AGREEING` of them in
     a row, each a step ahead of the one before, are a clock that was set or a bag that begins again: the last of them is
     accepted, and what follows it. Until then a stamp of the old clock goes on with that.
+
+    Stamps that a delay explains do not count as such, however many: each is up to `LATE_S` old and fills a gap that
+    was left between the stamps seen. A clock that was set back comes again to times from which stamps are there.
     """
 
     def __init__(self, longest_step_s=10.0):
@@ -38,25 +48,40 @@ class ClockGuard:
         self.newest_s = -math.inf  # newest stamp that was accepted [s]
         self._jumped_s = -math.inf  # newest of those in a row that were not
         self._agreeing = 0
+        self._seen_s = deque(maxlen=_REMEMBERED)  # stamps of this clock, late ones as well
 
     def look(self, stamp_s):
         """`Step` of a stamp [s] of any clock."""
         step_s = stamp_s - self.newest_s
         if 0.0 < step_s <= self._longest_step_s:
-            self.newest_s, self._agreeing = stamp_s, 0
-            return _ADVANCES
+            return self._accept(stamp_s, _ADVANCES)
         if step_s == 0.0 or not math.isfinite(stamp_s):
             return _REFUSED
-        if step_s == math.inf:  # the first
-            self.newest_s = stamp_s
-            return _ADVANCES
-        jumped_s = stamp_s - self._jumped_s
+        if self.newest_s == -math.inf:  # the first
+            return self._accept(stamp_s, _ADVANCES)
+        jumped_s, self._jumped_s = stamp_s - self._jumped_s, stamp_s
         if jumped_s == 0.0:
+            return _REFUSED
+        if self._is_late(stamp_s):
+            self._seen_s.append(stamp_s)
             return _REFUSED
         follows = self._agreeing > 0 and 0.0 < jumped_s <= self._longest_step_s
         self._agreeing = self._agreeing + 1 if follows else 1
-        self._jumped_s = stamp_s
         if self._agreeing < AGREEING:
             return _REFUSED
+        self._seen_s.clear()
+        return self._accept(stamp_s, _NEW_CLOCK)
+
+    def _accept(self, stamp_s, step):
+        self._seen_s.append(stamp_s)
         self.newest_s, self._agreeing = stamp_s, 0
-        return _NEW_CLOCK
+        return step
+
+    def _is_late(self, stamp_s):
+        """Whether a stamp that falls back fills a gap."""
+        seen_s = sorted(self._seen_s)
+        after = bisect(seen_s, stamp_s)
+        if not 0 < after < len(seen_s) or self.newest_s - stamp_s > LATE_S:
+            return False
+        apart_s = min(stamp_s - seen_s[after - 1], seen_s[after] - stamp_s)
+        return apart_s >= _APART * median(after_s - before_s for before_s, after_s in pairwise(seen_s))

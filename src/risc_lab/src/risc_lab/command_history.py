@@ -4,6 +4,7 @@ A command holds until the next one; before the first a vehicle was commanded not
 record of `CommandHistory.vehicles`.
 """
 
+import copy
 from enum import IntEnum
 
 import numpy as np
@@ -49,6 +50,12 @@ class CommandHistory:
             self.append(0, 0.0, np.zeros(CHANNELS))
             self.at(0, 0.0)
         self.clear()
+
+    def of(self, rows):
+        """The same histories of some of the vehicles, a slice."""
+        part = copy.copy(self)
+        part.vehicles = self.vehicles[rows]
+        return part
 
     def clear(self):
         """Forget everything."""

@@ -67,28 +67,31 @@ def settings_from(kind, values, where="", lenient=False):
     where: what the values are, e.g. the path of their file; begins each error.  lenient: texts that hold a number or a
     truth value count, and 0 and 1 as false and true.  Raises ValueError.
     """
-    _refuse(kind, values, where, "")
-    made = _convert(values, kind, where, strict=not lenient)
+    made = _convert(_checked(kind, values, where, ""), kind, where, strict=not lenient)
     if lenient:  # texts may have become numbers that are not finite
-        _refuse(kind, {key: getattr(made, key) for key in values}, where, "")
+        _checked(kind, {key: getattr(made, key) for key in values}, where, "")
     return made
 
 
-def _refuse(hint, values, where, path):
-    """Raises ValueError for numbers that are not finite, and for keys that the dataclass, or one within it, has not."""
-    if isinstance(values, float) and not math.isfinite(values):
-        raise ValueError(_said(where, path, "must be finite, found %r" % values))
+def _checked(hint, values, where, path):
+    """The values, with 3 for 3.0 where a whole number is wanted.
+
+    Raises ValueError for numbers that are not finite, and for keys that the dataclass, or one within it, has not.
+    """
+    if isinstance(values, float):
+        if not math.isfinite(values):
+            raise ValueError(_said(where, path, "must be finite, found %r" % values))
+        return int(values) if values.is_integer() and _takes(int, hint) and not _takes(float, hint) else values
     if isinstance(values, (list, tuple)):
-        for i, item in enumerate(values):
-            _refuse(hint, item, where, "%s[%d]" % (path, i))
+        return [_checked(hint, item, where, "%s[%d]" % (path, i)) for i, item in enumerate(values)]
     if typing.get_origin(hint) is typing.Literal and values not in typing.get_args(hint):
         choice = ", ".join(map(str, typing.get_args(hint)))
         raise ValueError(_said(where, path, "must be one of %s, found %r" % (choice, values)))
     if typing.get_origin(hint) is dict and isinstance(values, Mapping):
-        for key, value in values.items():
-            _refuse(typing.get_args(hint)[1], value, where, "%s.%s" % (path, key))
+        kind = typing.get_args(hint)[1]
+        values = {key: _checked(kind, value, where, "%s.%s" % (path, key)) for key, value in values.items()}
         _convert(values, hint, where, path)
-        return
+        return values
     kind = next((kind for kind in (hint, *typing.get_args(hint)) if is_dataclass(kind)), None)
     if kind is not None and isinstance(values, Mapping):
         known = _hints(kind)
@@ -96,8 +99,13 @@ def _refuse(hint, values, where, path):
         if unknown:
             text = "unknown key(s) %s; known are %s" % (", ".join(unknown), ", ".join(sorted(known)))
             raise ValueError(_said(where, "", "%s%s" % (path and path.lstrip(".") + ": ", text)))
-        for key, value in values.items():
-            _refuse(known[key], value, where, "%s.%s" % (path, key))
+        return {key: _checked(known[key], value, where, "%s.%s" % (path, key)) for key, value in values.items()}
+    return values
+
+
+def _takes(kind, hint):
+    """Whether a type, or one of those that it is made of, is this one."""
+    return hint is kind or any(_takes(kind, part) for part in typing.get_args(hint))
 
 
 def _convert(value, hint, where, key="", strict=True):

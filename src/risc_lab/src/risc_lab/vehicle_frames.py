@@ -6,7 +6,6 @@ Parent of all vehicle frames is `cortex`; that of a camera is its vehicle's body
 import math
 from typing import NamedTuple
 
-import numpy as np
 from scipy.spatial.transform import Rotation
 
 from risc_lab.camera import rotation_camera_to_body
@@ -45,21 +44,12 @@ def vehicle_frames(name, position_m, phi_rad, theta_rad, psi_rad):
         ("_vehicle2_frame", (0.0, theta_rad, psi_rad)),
         ("_body_frame", (phi_rad, theta_rad, psi_rad)),
     )
-    place = tuple(float(value) for value in position_m)
-    return [
-        FrameTransform(WORLD, name + suffix, place, _quaternion(math.pi + phi, -theta, -psi))
-        for suffix, (phi, theta, psi) in turns
-    ]
+    place, angles = tuple(float(value) for value in position_m), [(math.pi + p, -t, -y) for _, (p, t, y) in turns]
+    quaternions = map(tuple, Rotation.from_euler("xyz", angles).as_quat().tolist())
+    return [FrameTransform(WORLD, name + turn[0], place, its) for turn, its in zip(turns, quaternions)]
 
 
 def camera_transform(name, mount):
     """FrameTransform from a vehicle's body to its camera. mount: lab.calibration.CameraMount."""
-    quaternion = Rotation.from_matrix(rotation_camera_to_body(mount)).as_quat()
-    return FrameTransform(
-        body_frame(name), camera_frame(name), tuple(mount.position_m), tuple(float(value) for value in quaternion)
-    )
-
-
-def _quaternion(roll_rad, pitch_rad, yaw_rad):
-    """Of fixed-axis roll, pitch, yaw (tf's setRPY)."""
-    return tuple(np.asarray(Rotation.from_euler("xyz", (roll_rad, pitch_rad, yaw_rad)).as_quat()).tolist())
+    quaternion = Rotation.from_matrix(rotation_camera_to_body(mount)).as_quat().tolist()
+    return FrameTransform(body_frame(name), camera_frame(name), tuple(mount.position_m), tuple(quaternion))

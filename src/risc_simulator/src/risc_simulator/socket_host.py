@@ -229,10 +229,7 @@ class VehicleHost(SocketHost):
         self._lost_until_s = -math.inf  # injected
 
     def attach_video(self, video):
-        """Let a camera process serve the video clients.  video: video.launcher.VehicleVideo."""
-
-    def watch_streams(self):
-        """Who serves the video clients may have changed: wait for what is to be served now."""
+        """video: video.server.Station, which serves the video clients, to be told what the configuration says."""
 
     def lose_link(self, duration_s):
         """From now on nothing passes in either direction, for this long; what has been sent before arrives."""

@@ -1,6 +1,6 @@
 """The virtual lab as one program without ROS: physics, a Cortex host and a host for each vehicle, in one thread.
 
-Pictures are made by a process of their own, which starts with the lab and sleeps while nobody watches.
+Pictures are made by a process of its own, which starts with the lab and sleeps while nobody watches.
 
     python3 -m risc_simulator.virtual_lab FLEET.yaml [options]
 
@@ -36,14 +36,13 @@ from risc_simulator.cortex_host import CortexHost
 from risc_simulator.faults import WireFault, Wires, load_wire_faults
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.socket_host import SocketSet
-from risc_simulator.video.launcher import VehicleVideo, VideoLauncher
+from risc_simulator.video.server import VideoServer
 from risc_simulator.world import World
 
 MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
 MAX_CATCH_UP_S = 1.0  # a computer that slept longer than this stops the lab's clock meanwhile
 LATE_S = 0.1  # a frame that is later than this is late,
 LATE_PATIENCE_S = 0.5  # and when all have been for so long those that are missing are left out
-WATCH_VIDEO_EVERY = 20  # frames
 _LOG = logging.getLogger(__name__)
 _CAMERA_STREAM = (1000000,)  # random stream of the cameras beside the vehicles' (index, purpose)
 
@@ -139,7 +138,6 @@ class VirtualLab:
         self.fleet, seed = fleet, told.seed
         self._period_s = 1.0 / fleet.mocap.rate_hz
         self._send_after_s = fleet.mocap.reported_delay_s
-        self._frames_per_second = max(1, int(fleet.mocap.rate_hz))
         templates = load_templates(fleet=fleet)
         types = {name: load_vehicle_type(name) for name in {v.type for v in fleet.vehicles}}
         self._cycles_per_frame = int(np.ceil(self._period_s / MAX_STEP_S - 1e-9))
@@ -159,7 +157,6 @@ class VirtualLab:
         self._hosts = []
         self.wires = Wires(seed)
         self._waiting = SocketSet()
-        self._video = None
         try:
             self.cortex_host = CortexHost(
                 self.world, fleet.mocap, self.cameras, self.now_s, templates, told.live, told.interface, self.wires
@@ -175,16 +172,16 @@ class VirtualLab:
                 host.video_listener if self.world.vehicles[namespace].virtual.cameras else None
                 for namespace, host in self.vehicle_hosts.items()
             ]
-            self._video = VideoLauncher(fleet, seed, listeners)
+            self._video = VideoServer(self.world, fleet, seed, self.wires, listeners)
+            self._hosts.append(self._video)
+            for namespace, host in self.vehicle_hosts.items():
+                host.attach_video(self._video.stations[namespace])
             if cameras_ahead:
                 self._video.start()
-            self._video_clients_wanted = self._video.may_start
-            for index, host in enumerate(self.vehicle_hosts.values()):
-                host.attach_video(VehicleVideo(self._video, index))
             for host in self._hosts:
                 self._waiting.add(host)
             for fault in wire_faults:
-                self._tell_wires("add", fault)
+                self.wires.add(fault)
         except (OSError, ValueError):
             self.close()
             raise
@@ -196,7 +193,7 @@ class VirtualLab:
         lines = ["virtual lab '%s': %s%s" % (self.fleet.name, mode, ", gusts" if told.gusts else "")]
         if told.radio_loss:
             lines[0] += ", radio loses %g %% of the commands' slots and of navdata" % (100.0 * told.radio_loss)
-        return "\n".join(lines + [host.describe() for host in self._hosts])
+        return "\n".join(lines + [host.describe() for host in (self.cortex_host, *self.vehicle_hosts.values())])
 
     @property
     def cameras_ready(self):
@@ -227,25 +224,8 @@ class VirtualLab:
                 self.frame += 1
                 self.lateness.add(now_s - due_s)
                 self.cortex_host.tick(now_s)
-                if self._video.running:
-                    self._tend_video()
-                if self.frame % WATCH_VIDEO_EVERY == 0:
-                    self._watch_video_clients()
-            for host in self.vehicle_hosts.values():
+            for host in self._hosts[1:]:
                 host.tick(now_s)
-
-    def _tend_video(self):
-        if self._video.board.watchers.any():
-            self._video.board.publish(self._start_s + self.exposure_s, self.exposure_s, self.world.truth())
-        if self.frame % self._frames_per_second == 0:
-            self._video.check()
-
-    def _watch_video_clients(self):
-        """Wait for clients of the video exactly while nobody else does."""
-        if self._video.may_start is not self._video_clients_wanted:
-            self._video_clients_wanted = self._video.may_start
-            for host in self.vehicle_hosts.values():
-                host.watch_streams()
 
     def _skip_what_is_too_late(self):
         """Leave out the frames that are overdue when the computer could not make up for them in time."""
@@ -284,19 +264,17 @@ class VirtualLab:
     def _serve_until(self, due_s):
         while True:
             now_s = self._forgive(due_s)
-            wait_s = due_s - now_s
-            if self.wires.due_s < due_s:  # a datagram that a fault has delayed
-                self.wires.release(now_s)
-                wait_s = min(due_s, self.wires.due_s) - now_s
+            self.wires.release(now_s)
+            self._video.send(now_s)
+            wake_s = min(due_s, self.wires.due_s, self._video.due_s)
             # select, because a timeout of epoll's own counts in whole milliseconds
-            if not select.select((self._waiting,), (), (), max(wait_s, 0.0))[0]:
-                if self.wires.due_s < due_s:
+            if not select.select((self._waiting,), (), (), max(wake_s - now_s, 0.0))[0]:
+                if wake_s < due_s:
                     continue
                 return
             for host in self._waiting.readable():
                 host.serve(self._forgive(due_s))
-            self._watch_video_clients()
-            if wait_s <= 0.0:
+            if now_s >= due_s:
                 return
 
     def run(self, stop_event=None, duration_s=None, on_frame=None):
@@ -327,13 +305,9 @@ class VirtualLab:
         Raises ValueError for a fault, channel or severity that does not exist.
         """
         if fault:
-            self._tell_wires("add", WireFault(fault, channel, severity, self._served_s, duration_s))
+            self.wires.add(WireFault(fault, channel, severity, self._served_s, duration_s))
         else:
-            self._tell_wires("clear", channel)
-
-    def _tell_wires(self, method, argument):
-        getattr(self.wires, method)(argument)
-        self._video.tell_wires(method, argument)
+            self.wires.clear(channel)
 
     def lose_link(self, namespace, duration_s):
         """Take a vehicle's link off the air. Raises ValueError for an unknown vehicle."""
@@ -347,12 +321,11 @@ class VirtualLab:
         """Light of the room for the vehicles' cameras: 1 = normal. Raises ValueError unless it is from 0 to 10."""
         if not 0.0 <= brightness <= 10.0:
             raise ValueError("the light must be from 0 to 10 times the normal one, got %r" % (brightness,))
-        self._video.board.light[...] = brightness
+        self._video.light = brightness
 
     def wave_board(self, namespace, duration_s):
         """Wave a checkerboard in front of a vehicle's camera, from now on. Raises ValueError for an unknown vehicle."""
-        self._look_up(self.vehicle_hosts, namespace)
-        self._video.wave_board(namespace, duration_s)
+        self._look_up(self._video.stations, namespace).board_s = self._served_s, self._served_s + duration_s
 
     def _look_up(self, of_vehicles, namespace):
         if namespace not in of_vehicles:
@@ -377,7 +350,7 @@ class VirtualLab:
                     "command_delay_s": plant.command_delay_s,
                 },
                 "host": self.vehicle_hosts[namespace].statistics(),
-                "video": self._video.statistics(namespace),
+                "video": self._video.stations[namespace].statistics(),
             }
         return {
             "simulated": True,
@@ -406,16 +379,14 @@ class VirtualLab:
                 }
                 for crash in self.world.crashes
             ],
-            "wires": {**self.wires.statistics(), **self._video.wire_statistics()},
+            "wires": self.wires.statistics(),
             "cortex": self.cortex_host.statistics(),
             "vehicles": vehicles,
         }
 
     def close(self):
         """Close all sockets and end the camera process. May be called twice."""
-        if self._video is not None:
-            self._video.close()
-        for host in self._hosts:
+        for host in reversed(self._hosts):
             host.close()
         self._waiting.close()
         self._hosts = []

@@ -1,19 +1,14 @@
-"""Charge and time in the air of every vehicle, from its navdata."""
+"""Charge and time in the air of every vehicle, from what it says of itself."""
 
+import math
 from dataclasses import dataclass, field
 
 from data_extraction.report.topics import PerName, vehicle_of
 from data_extraction.samples import Samples
-from risc_control.vehicle_pilot import FlightState
+from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 
 _ROWS = 4000  # that are drawn
-_GAP_S = 2.0  # navdata are silent for longer: nobody knows what happened meanwhile
-_IN_THE_AIR = frozenset(
-    (
-        FlightState.FLYING, FlightState.HOVERING, FlightState.TAKING_OFF, FlightState.GOTO, FlightState.LANDING,
-        FlightState.LOOPING,
-    )
-)  # fmt: skip
+_GAP_S = 2.0  # it is silent for longer: nobody knows what happened meanwhile
 
 
 @dataclass
@@ -23,7 +18,7 @@ class Battery:
     samples: Samples = field(default_factory=lambda: Samples(2, _ROWS))  # receipt [s], charge [%]
     last_pct: float | None = None
     air_s: float = 0.0  # time in the air
-    last_s: float = 0.0  # receipt of the newest navdata
+    last_s: float = 0.0  # receipt of the newest status
     flying: bool = False
 
     @property
@@ -34,15 +29,15 @@ class Battery:
 class BatteryCollector(PerName):
     """Its memory does not grow."""
 
-    ends = ("/navdata",)
+    ends = ("/vehicle_status",)
 
     def __call__(self, topic, receipt_s, message):
-        vehicle = self.found.setdefault(vehicle_of(topic, levels=2), Battery())
+        vehicle = self.found.setdefault(vehicle_of(topic), Battery())
         if vehicle.flying and receipt_s - vehicle.last_s < _GAP_S:
             vehicle.air_s += receipt_s - vehicle.last_s
-        vehicle.flying, vehicle.last_s = message.state in _IN_THE_AIR, receipt_s
-        if message.batteryPercent > 0.0:  # 0: not reported
-            vehicle.last_pct = float(message.batteryPercent)
+        vehicle.flying, vehicle.last_s = message.state not in ON_GROUND | NO_EVIDENCE, receipt_s
+        if not math.isnan(message.battery_pct):
+            vehicle.last_pct = message.battery_pct
             vehicle.samples.append((receipt_s, vehicle.last_pct))
 
     def result(self, end_s):

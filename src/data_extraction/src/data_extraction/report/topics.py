@@ -22,7 +22,7 @@ TYPES = {
     "/commands_sent": "CommandsSent",
     "/cmd_vel_stamped": "TwistStamped",
     "/safety": "Safety",
-    "/navdata": "Navdata",
+    "/vehicle_status": "VehicleStatus",
     "/joy": "Joy",
     "/controller_status": "Bool",
     "/takeoff": "Empty",

@@ -20,15 +20,18 @@ It flies all vehicles of a fleet at once, of whatever types. Who cannot be flown
 the units of /controls are not its business: `ControlLoop` sees to them, and it is what nodes and offline flights run.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
-from risc_control.reference_buffer import Axis, Order
+from risc_control.reference_buffer import MOST_ORDER, Axis, Order
 from risc_control.vehicles import Command, Controls, ControlsConverter
 from risc_lab.command_history import CommandHistory
+from risc_lab.lab.vehicle_types import load_vehicle_type, vehicle_type_file
 from risc_lab.registry import Registry
+from risc_lab.settings import settings_from
 from risc_lab.states import S, States
 
 REGISTRY = Registry("controllers", __name__)
@@ -65,9 +68,8 @@ class NoParams:
 class Controller:
     """Flies n vehicles. Steps come in the order of time."""
 
-    PARAMS = NoParams  # dataclass of numbers: the keys of its YAML file
+    PARAMS = NoParams  # dataclass of numbers: the keys of its YAML file; dynamic_reconfigure changes them in flight
     ORDER = Order.ACCELERATION  # highest derivative of the reference that it reads, at most MOST_ORDER
-    RECONFIGURE = ""  # what dynamic_reconfigure changes of its parameters: a file cfg/NAME.cfg
 
     def __init__(self, vehicle_types, params):
         """vehicle_types: VehicleType of each vehicle, in the order of all arrays."""
@@ -97,6 +99,43 @@ class Controller:
         """The clock of stamps and commands was set: what was sent when means nothing now."""
 
 
+class _Mixed(Controller):
+    """One controller for vehicles of which some have numbers of their own: an instance for neighbours with the same."""
+
+    def __init__(self, kind, vehicle_types, params, own):
+        super().__init__(vehicle_types, params)
+        self.ORDER = kind.ORDER
+        self._parts, begin = [], 0  # (rows, what they have otherwise, Controller)
+        for numbers, equals in groupby(own):
+            rows = slice(begin, begin + len(list(equals)))
+            part = kind(vehicle_types[rows], replace(params, **numbers))
+            self.delay_s[rows] = part.delay_s
+            self._parts.append((rows, numbers, part))
+            begin = rows.stop
+
+    def design(self, params):
+        own = [replace(params, **numbers) for _, numbers, _ in self._parts]
+        return [(params, part.design(params)) for params, (_, _, part) in zip(own, self._parts)]
+
+    def step(self, t, states, reference, params):
+        commands = np.empty((len(Command._fields), len(self.delay_s)))
+        for (rows, _, part), (own, part.designed) in zip(self._parts, self.designed):
+            vehicles = States(states.vehicles.visible[rows], states.vehicles.x[rows])
+            bundle = Bundle(vehicles, states.autonomous[rows], states.sent.of(rows))
+            wanted = Reference(reference.present[:, rows], reference.ahead[:, rows], reference.usable[rows])
+            commands[:, rows] = part.step(t, bundle, wanted, own)
+            self.saturated[rows] = part.saturated
+        return Command(*commands)
+
+    def reset(self):
+        for _, _, part in self._parts:
+            part.reset()
+
+    def forget_times(self):
+        for _, _, part in self._parts:
+            part.forget_times()
+
+
 class Output(NamedTuple):
     """What goes to n vehicles."""
 
@@ -107,13 +146,23 @@ class Output(NamedTuple):
 class ControlLoop:
     """A controller with its parameters, its references in time, and the way to /controls."""
 
-    def __init__(self, controller, vehicle_types, params=None):
-        """controller: a name of the REGISTRY, or a class.  params: None = of its YAML file, of a class its defaults."""
+    def __init__(self, controller, vehicle_types, params=None, own=()):
+        """controller: a name of the REGISTRY, or a class.  params: None = of its YAML file, of a class its defaults.
+        own: what each vehicle has otherwise, see `own_params`.  Raises ValueError for what cannot be flown.
+        """
         if isinstance(controller, str):
             params = params or default_params(controller)
             controller = REGISTRY.module(controller).Controller
+        if controller.ORDER > MOST_ORDER:  # better said now than at the first reference
+            text = "%s reads derivatives to order %d of its reference, and there are %d: make its ORDER smaller"
+            raise ValueError(text % (controller.__module__, controller.ORDER, MOST_ORDER))
         params = params or controller.PARAMS()
-        self.controller = controller(vehicle_types, params)
+        same = not own or all(numbers == own[0] for numbers in own)
+        self._of_all = own[0] if own and same else {}
+        own_or_all = replace(params, **self._of_all)
+        self.controller = (
+            controller(vehicle_types, own_or_all) if same else _Mixed(controller, vehicle_types, params, own)
+        )
         self._to_controls = ControlsConverter(vehicle_types)
         self._delays_s, self._which = np.unique(self.controller.delay_s, return_inverse=True)
         self._everyone = np.arange(len(vehicle_types))
@@ -125,13 +174,13 @@ class ControlLoop:
         self.controller.reset()
 
     def set_params(self, params):
-        """Fly with other parameters. Raises ValueError, and keeps the old ones, when there is no solution."""
-        self._flown = params, self.controller.design(params)
+        """Fly with other parameters; what vehicles have otherwise stays theirs.
 
-    @property
-    def params(self):
-        """Those that it flies with."""
-        return self._flown[0]
+        Raises ValueError, and keeps the old ones, when there is no solution.
+        """
+        flown = replace(params, **self._of_all)
+        self._flown = flown, self.controller.design(flown)
+        self.params = params
 
     def forget_times(self):
         """The clock of stamps and commands was set."""
@@ -169,6 +218,29 @@ def checked(is_finite, commands):
     if not is_finite:
         raise ValueError("refusing to command: a state or a reference is not finite")
     return Command(commands[0], commands[1], commands[2], commands[3])
+
+
+def own_params(name, vehicles, where):
+    """[{key: value}] that each FleetVehicle has otherwise than the YAML file of a controller.
+
+    It stands in `controllers` of the vehicle's type, and then in those of its entry in the fleet file.
+    where: the fleet file.  Raises ValueError that names the file, the vehicle and the key.
+    """
+    defaults, known = default_params(name), REGISTRY.names()
+    found = []
+    for vehicle in vehicles:
+        of_type = load_vehicle_type(vehicle.type).controllers, str(vehicle_type_file(vehicle.type))
+        of_vehicle = vehicle.controllers, "%s: vehicle '%s'" % (where, vehicle.namespace)
+        own = {}
+        for controllers, place in (of_type, of_vehicle):
+            unknown = sorted(set(controllers) - set(known))
+            if unknown:
+                text = "%s: controllers: there is no '%s'; known are: %s (is RISC_MAAP_MEMBERS set?)"
+                raise ValueError(text % (place, "', '".join(unknown), ", ".join(known)))
+            own.update(controllers.get(name, {}))
+            settings_from(type(defaults), {**vars(defaults), **own}, "%s: controllers: %s" % (place, name))
+        found.append(own)
+    return found
 
 
 def default_params(name):

@@ -17,13 +17,13 @@ from risc_control import controllers
 from risc_control.delay_prediction import (
     TILT,
     Motion,
-    TiltObserver,
     fill_in_force,
     loops,
     observe,
     plants,
     predicted,
     steps_of,
+    tilt_observer,
 )
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
 from risc_control.lqr import lqr_gain, with_integral
@@ -79,7 +79,6 @@ class Controller(controllers.Controller):
 
     PARAMS = Params
     ORDER = Order.SNAP
-    RECONFIGURE = "TrackingWeights"
 
     def __init__(self, vehicle_types, params):
         super().__init__(vehicle_types, params)
@@ -88,15 +87,18 @@ class Controller(controllers.Controller):
         self._plants = plants(self._types)
         self.delay_s = self._plants["delay_s"][self._kinds]
         self._computed = CommandHistory(len(vehicle_types))
-        self._observer = TiltObserver(self._types, params.angle_noise_rad, params.tilt_disturbance_rad_s2)
         self._tilts = np.zeros(len(vehicle_types), TILT)
         self._tilts["time_s"] = -np.inf
         self._integrals = np.zeros(len(vehicle_types), _INTEGRALS)
         self._stamp_s = -np.inf
 
     def design(self, params):
-        """((k,) _GAINS, (k,) _LIMITS) of the k types. Raises ValueError when there is no solution."""
-        return _gains(self._types, params), np.array([_limits(t, params) for t in self._types], _LIMITS)
+        """((k,) _GAINS, (k,) _LIMITS, and what `tilt_observer` gives) of the k types. Raises ValueError when there is
+        no solution.
+        """
+        limits = np.array([_limits(t, params) for t in self._types], _LIMITS)
+        observer = tilt_observer(self._types, params.angle_noise_rad, params.tilt_disturbance_rad_s2)
+        return _gains(self._types, params), limits, *observer
 
     def reset(self):
         """Forget the integrals and the commands under way."""
@@ -112,7 +114,7 @@ class Controller(controllers.Controller):
         """As `controllers.Controller`. Where somebody else flies, integrators rest at 0 and nothing counts as sent."""
         commands = np.zeros((len(Command._fields), len(self._integrals)))
         step_s, self._stamp_s = t.stamp_s - self._stamp_s, t.stamp_s
-        gains, limits = self.designed
+        gains, limits, observer_steps, observer_gains = self.designed
         is_finite = _step(
             float(t.stamp_s),
             float(t.now_s),
@@ -121,8 +123,8 @@ class Controller(controllers.Controller):
             self._plants,
             limits,
             gains,
-            self._observer.steps,
-            self._observer.gains,
+            observer_steps,
+            observer_gains,
             self._tilts,
             self._integrals,
             states.sent.vehicles,

@@ -46,7 +46,6 @@ class Controller(controllers.Controller):
     """See the module. Delays do not matter to it, nor who flies; nothing is remembered."""
 
     PARAMS = Params
-    RECONFIGURE = "ThesisWeights"
 
     def __init__(self, vehicle_types, params):
         super().__init__(vehicle_types, params)

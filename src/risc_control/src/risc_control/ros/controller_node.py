@@ -1,9 +1,9 @@
 """Wiring of the controller nodes: /cortex_raw and /trajectory -> /controls. The work is in `controllers`."""
 
-import importlib
 import threading
 import time
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import rospy
@@ -11,52 +11,57 @@ from dynamic_reconfigure.server import Server
 from rospy.numpy_msg import numpy_msg
 from std_msgs.msg import Bool, UInt8
 
-from risc_control.controllers import REGISTRY, ControlLoop, default_params
+from risc_control.controllers import ControlLoop, default_params, own_params
 from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
 from risc_control.ros.conversions import ControlsMessage, StatesReader
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.command_history import command_of
 from risc_lab.lab.templates import attached_bodies, load_templates
-from risc_lab.lab.vehicle_types import FULL_SCALES
+from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
-from risc_lab.ros.params import (
-    dataclass_from_params,
-    known_fleet,
-    number,
-    private,
-    told_vehicle_type,
-    vehicles,
-    warn_of_unknown,
-)
+from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
+from risc_lab.settings import Positive, Settings
 from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 
 
+@dataclass(frozen=True)
+class ControllerParams(Settings):
+    """Of the node; those of its controller are private parameters, too, by the names of its YAML file."""
+
+    controller: str  # name of one, see `controllers`
+    vehicle_type: str = ""  # of all vehicles; "": what the fleet says
+    state_timeout: Positive = 0.2  # [s] an older state is not answered
+    reference_timeout: Positive = 0.2  # [s] nor a vehicle whose newest reference is older
+
+
 class ControllerNode:
-    """Runs a controller on every state. Subclasses may bring their own references (`_references`).
+    """Runs a controller on every state. Subclasses may bring their own references (`_references`)."""
 
-    Its parameters are private ones by the names of its YAML file, whose values are the defaults.
-    """
-
-    def __init__(self, controller, fleet_vehicles=None):
-        """controller: name of one (see `controllers`), if ~controller does not say another."""
+    def __init__(self, controller, fleet_vehicles=None, known=()):
+        """controller: name of one, if ~controller does not say another.  known: private parameters of others."""
+        defaults = default_params(rospy.get_param("~controller", controller))
+        known = (*known, *VEHICLE_KEYS, *LEGACY_PARAMETERS)
+        node, params = load_params(ControllerParams(controller), defaults, known=known, lenient=True)
+        others = other_numbers(params, defaults)
+        if others:
+            rospy.logwarn(others, rospy.get_name())
         fleet_vehicles = vehicles() if fleet_vehicles is None else fleet_vehicles
+        fleet_vehicles = [replace(vehicle, type=node.vehicle_type or vehicle.type) for vehicle in fleet_vehicles]
         self.names = [vehicle.template for vehicle in fleet_vehicles]
         self._index = {name: i for i, name in enumerate(self.names)}
-        kind, name = private("vehicle_type", ""), private("controller", controller)
-        types = [told_vehicle_type(replace(vehicle, type=kind or vehicle.type)) for vehicle in fleet_vehicles]
-        controller_class = REGISTRY.module(name).Controller
-        params = dataclass_from_params(controller_class.PARAMS, defaults=default_params(name))
-        self._state_timeout_s = number("~state_timeout", 0.2)
-        self._reference_timeout_s = number("~reference_timeout", 0.2)
-        self._loop = ControlLoop(controller_class, types, params)
+        private = rospy.get_param("~", {})
+        types = [told_vehicle_type(vehicle, private) for vehicle in fleet_vehicles]
+        self._state_timeout_s, self._reference_timeout_s = node.state_timeout, node.reference_timeout
+        own = own_params(node.controller, fleet_vehicles, "parameter /fleet")
+        self._loop = ControlLoop(node.controller, types, params, own)
         # for the vehicle nodes, which compare them with their own
         of_types = [{field: getattr(vehicle_type, field) for field in FULL_SCALES} for vehicle_type in types]
         rospy.set_param("~full_scales", dict(zip(self.names, of_types)))
@@ -79,11 +84,7 @@ class ControllerNode:
         self._diagnostics = make_updater(", ".join(self.names))
         self._diagnostics.add("controller", self._diagnose)
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
-        if controller_class.RECONFIGURE:
-            config = importlib.import_module("risc_control.cfg.%sConfig" % controller_class.RECONFIGURE)
-            for weight in set(config.defaults).intersection(field.name for field in fields(params)):
-                rospy.set_param("~" + weight, getattr(params, weight))  # else it begins with defaults of its own
-            self._server = Server(config, self._on_reconfigure)
+        self._server = Server(_config(params), self._on_reconfigure)
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
@@ -93,7 +94,7 @@ class ControllerNode:
             "%s controls %s by %s, acting %.0f ms ahead",
             rospy.get_name(),
             ", ".join(self.names),
-            name,
+            node.controller,
             1e3 * self._loop.controller.delay_s.max(),
         )
 
@@ -116,14 +117,14 @@ class ControllerNode:
         )
 
     def _on_reconfigure(self, config, _level):
-        """New weights in flight; impossible ones change nothing."""
+        """New numbers in flight; impossible ones change nothing."""
         params = self._loop.params
-        weights = {field.name: config[field.name] for field in fields(params) if field.name in config}
+        numbers = {item.name: config[item.name] for item in fields(params) if item.name in config}
         try:
-            self._loop.set_params(replace(params, **weights))
+            self._loop.set_params(replace(params, **numbers))
         except ValueError as error:
-            rospy.logerr("weights not taken: %s", error)
-            config.update({name: getattr(params, name) for name in weights})
+            rospy.logerr("numbers of the controller not taken: %s", error)
+            config.update({name: getattr(params, name) for name in numbers})
         return config
 
     def _on_commands_sent(self, message):
@@ -251,6 +252,32 @@ class ControllerNode:
         return status
 
 
+def other_numbers(params, defaults):
+    """What is not as in a controller's YAML file, in words with a place for the node's name; "" when nothing is."""
+    values = zip(vars(params).items(), vars(defaults).values())
+    others = ["%s %s (%s)" % (name, value, of_file) for (name, value), of_file in values if value != of_file]
+    text = (
+        "not as in the YAML file (whose value): %s. The launch file says so, or dynamic_reconfigure has left it here "
+        "in a run before: 'rosparam delete %%s/NAME' and another start bring the file's back"
+    )
+    return text % ", ".join(others) if others else ""
+
+
+def _config(params):
+    """What dynamic_reconfigure is to know of the numbers of a controller: what a .cfg file would generate. Their limits
+    are those of the class, which refuses instead of limiting.
+    """
+    numbers = {name: value for name, value in vars(params).items() if isinstance(value, float)}
+    parameter = {"type": "double", "level": 0, "description": "", "edit_method": ""}
+    group = {"name": "Default", "type": "", "state": True, "id": 0, "parent": 0, "groups": []}
+    return SimpleNamespace(
+        config_description={**group, "parameters": [{"name": name, **parameter} for name in numbers]},
+        defaults=numbers,
+        min=dict.fromkeys(numbers, -np.inf),
+        max=dict.fromkeys(numbers, np.inf),
+    )
+
+
 def _errors_m(reference, states, known):
     """(n,) distances between references and positions; NaN: not seen, or no reference."""
     off_m = np.sqrt(((reference[0, :, :3] - states.position_m) ** 2).sum(axis=1))
@@ -265,7 +292,6 @@ def main(name, make_node):
     except ValueError as error:
         rospy.logfatal("%s: %s", rospy.get_name(), error)
         return 1
-    warn_of_unknown()
     low_latency.spin()
     del node
     return 0

@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 import urllib.parse
+from dataclasses import dataclass
 
 import rosgraph
 import rospy
@@ -12,8 +13,8 @@ from sensor_msgs.msg import Joy
 
 from risc_control.joystick import LATE_S, ButtonPresses, button_conflict
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.params import number
 from risc_lab.ros.ticker import guarded
+from risc_lab.settings import Positive, Settings
 
 _CLAIMS = "/joystick_buttons/"
 _ANSWER_S = 1.0
@@ -62,19 +63,25 @@ def _runs(node):
     return True
 
 
-class ButtonSubscriber:
-    """Calls back when buttons go down on `joy`. A press that comes later than ~joystick_late_s is told, not obeyed."""
+@dataclass(frozen=True)
+class ButtonParams(Settings):
+    """Of a node that listens for buttons; a subclass has those: by their names, indices from 0."""
 
-    def __init__(self, functions, callback):
-        """functions: {parameter: index from 0} of the buttons, which no other node may take for something else.
+    joystick_late_s: Positive = LATE_S  # [s] a press that comes later is told, not obeyed
+
+
+class ButtonSubscriber:
+    """Calls back when buttons go down on `joy`."""
+
+    def __init__(self, params, callback):
+        """params: ButtonParams, whose buttons no other node may take for something else.
         callback: takes the frozenset of the indices that one message presses, never empty.
 
         Presses are worked off one after the other in a thread of their own: as long as the callback takes, messages
-        would wait, and look as if the network had held them up. Raises ValueError for a parameter that makes no sense.
+        would wait, and look as if the network had held them up. Raises ValueError for a button that is taken.
         """
-        late_s = number("~joystick_late_s", LATE_S)
-        if late_s <= 0.0:
-            raise ValueError("parameter ~joystick_late_s must be > 0, found %r" % late_s)
+        functions = dict(vars(params))
+        late_s = functions.pop("joystick_late_s")
         self._judge = ButtonPresses(functions.values(), late_s)
         self._work = guarded(lambda: callback(self._pressed.get()), "a joystick button")
         self._pressed = queue.SimpleQueue()

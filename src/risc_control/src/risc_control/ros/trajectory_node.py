@@ -4,24 +4,24 @@ import math
 import threading
 import time
 import traceback
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import rospy
 from std_msgs.msg import Bool, UInt8
 from std_srvs.srv import Trigger, TriggerResponse
 
-from risc_control.joystick import parse_bool
 from risc_control.reference_buffer import Order
 from risc_control.ros import controller_node
 from risc_control.ros.conversions import StatesReader, TrajectoriesMessage, derivatives_message
-from risc_control.ros.joystick_buttons import ButtonSubscriber
+from risc_control.ros.joystick_buttons import ButtonParams, ButtonSubscriber
 from risc_control.trajectories import (
-    COURSES,
     SAFE_SEPARATION_M,
     YawProgram,
     course_for_fleet,
-    course_options,
     course_separation,
+    course_settings,
     peak_yaw_rate_rad_s,
 )
 from risc_control.trajectory_manager import TrajectoryManager, make_manager
@@ -29,12 +29,12 @@ from risc_control.transitions import WayLimits, plan_ways
 from risc_lab.ros.clock import SteadyClock
 from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
-from risc_lab.ros.params import dataclass_from_params, has_private, known_arena, number, private, vehicles
+from risc_lab.ros.params import VEHICLE_KEYS, known_arena, load_params, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
+from risc_lab.settings import Count, between
 from risc_maap_msgs.msg import TrajectoryDerivatives, TrajectoryPhases, VehiclePhase
 
-BUMPERS = {"next_button": 5, "previous_button": 4}
 _WATCH_HZ = 50.0  # how often it is looked where vehicles are that others fly
 
 # Ways begin this long after the order: planning takes 10 ms for three vehicles, some 300 ms for fifty, and the
@@ -44,25 +44,46 @@ _LEAD_PER_VEHICLE_S = 0.01
 _REST_S = 1.0  # after planning has failed
 
 
+@dataclass(frozen=True)
+class TrajectoryParams(WayLimits):
+    """Of all nodes that make references."""
+
+    rate: between(1.0, 1000.0) = 200.0  # [Hz]
+    home_height: float = 1.0  # [m]
+    wait_for_autonomous: bool = True  # False: on the course from the first moment on, in every mode
+    wait_for_all: bool = True  # nobody starts while a vehicle hovers there that is not autonomous
+    psi_deg: float | Literal[""] = ""  # constant heading; "": that of the course
+    yaw_along_path: bool = False  # the nose leads
+
+    @property
+    def yaw(self):
+        """YawProgram; None = the course's own."""
+        if self.psi_deg == "":
+            return YawProgram(along_path=True) if self.yaw_along_path else None
+        return YawProgram(math.radians(self.psi_deg), along_path=self.yaw_along_path)
+
+
 class ManagerWiring:
     """A TrajectoryManager with the topics and services around it, for nodes that publish what it samples.
 
     Ways are planned in a thread of their own.
     """
 
-    def __init__(self, fleet_vehicles, course, kind=TrajectoryManager, listens=True):
-        """kind: TrajectoryManager or a subclass.  listens: to the states; a node that does it itself calls `look`."""
-        self.vehicles = fleet_vehicles
+    def __init__(self, fleet_vehicles, course, params, kind=TrajectoryManager, listens=True):
+        """params: TrajectoryParams.  kind: TrajectoryManager or a subclass.  listens: to the states; a node that does
+        it itself calls `look`.
+        """
+        self.vehicles, self.params = fleet_vehicles, params
         self.clock = SteadyClock()  # that of the courses: a clock that is set moves no reference
-        smooth = parse_bool(private("wait_for_autonomous", True), "~wait_for_autonomous")
+        smooth = params.wait_for_autonomous
         self.manager = make_manager(
             fleet_vehicles,
             course,
-            number("~home_height", 1.0),
-            dataclass_from_params(WayLimits),
+            params.home_height,
+            params,
             kind,
             smooth=smooth,
-            wait_for_all=parse_bool(private("wait_for_all", True), "~wait_for_all"),
+            wait_for_all=params.wait_for_all,
             lead_s=_LEAD_S + _LEAD_PER_VEHICLE_S * len(fleet_vehicles),
         )
         self.lock = threading.Lock()
@@ -183,10 +204,7 @@ class ReferenceNode:
         self._derivatives = rospy.Publisher(
             "trajectory_derivatives", TrajectoryDerivatives, queue_size=1, tcp_nodelay=True
         )
-        rate_hz = number("~rate", 200.0)
-        if not 1.0 <= rate_hz <= 1000.0:
-            raise ValueError("parameter ~rate must be from 1 to 1000 Hz, got %r" % rate_hz)
-        Ticker(1.0 / rate_hz, self._on_tick, "the references' clock")
+        Ticker(1.0 / wiring.params.rate, self._on_tick, "the references' clock")
 
     @until_shutdown
     def _on_tick(self):
@@ -207,11 +225,18 @@ class ReferenceNode:
 class TrajectoryNode(ReferenceNode):
     """The references of a fleet on a course."""
 
-    def __init__(self, default_course, **default_options):
-        """default_course: name in COURSES, unless ~course says another.  default_options: as make_course takes them."""
-        fleet_vehicles = vehicles()
-        course = course_from_params(fleet_vehicles, default_course, default_options)
-        super().__init__(ManagerWiring(fleet_vehicles, course))
+    def __init__(self, default_course, *kinds, **default_options):
+        """default_course: name in COURSES, unless ~course says another.  kinds: dataclasses of further parameters,
+        which are in `more`.  default_options: as make_course takes them.
+        """
+        name, fleet_vehicles = rospy.get_param("~course", default_course), vehicles()
+        numbers = course_settings(name)(**default_options if name == default_course else {})
+        params, numbers, *self.more = load_params(
+            TrajectoryParams, numbers, *kinds, known=("course", *VEHICLE_KEYS), lenient=True
+        )
+        course = course_for_fleet(name, len(fleet_vehicles), known_arena(), params.yaw, **vars(numbers))
+        check_course(course, fleet_vehicles)
+        super().__init__(ManagerWiring(fleet_vehicles, course, params))
 
 
 def main(name, course, **options):
@@ -219,17 +244,27 @@ def main(name, course, **options):
     return controller_node.main(name, lambda: TrajectoryNode(course, **options))
 
 
-class CourseSelector:
-    """Steps a ManagerWiring through courses, round and round, by two joystick buttons: the original's bumpers."""
+@dataclass(frozen=True)
+class BumperParams(ButtonParams):
+    """The buttons of a CourseSelector: by default the original's bumpers."""
 
-    def __init__(self, wiring, courses):
-        """courses: list of Course; the first is flown at the start."""
+    next_button: Count = 5
+    previous_button: Count = 4
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.next_button == self.previous_button:
+            raise ValueError("next_button and previous_button must be two buttons, both are %d" % self.next_button)
+
+
+class CourseSelector:
+    """Steps a ManagerWiring through courses, round and round, by two joystick buttons."""
+
+    def __init__(self, wiring, courses, params):
+        """courses: list of Course; the first is flown at the start.  params: BumperParams."""
         self._wiring, self._courses, self._index = wiring, courses, 0
-        buttons = {name: int(number("~" + name, index)) for name, index in BUMPERS.items()}
-        self._steps = {buttons["next_button"]: 1, buttons["previous_button"]: -1}
-        if len(self._steps) < 2 or min(self._steps) < 0:
-            raise ValueError("~next_button and ~previous_button must be two buttons, counted from 0, got %r" % buttons)
-        ButtonSubscriber(buttons, self._on_press)
+        self._steps = {params.next_button: 1, params.previous_button: -1}
+        ButtonSubscriber(params, self._on_press)
 
     def _on_press(self, pressed):
         before, count = self._index, len(self._courses)
@@ -237,26 +272,6 @@ class CourseSelector:
         if self._index != before:
             rospy.loginfo("course %d of %d: %s", self._index + 1, count, self._courses[self._index].name)
             self._wiring.set_course(self._courses[self._index])
-
-
-def yaw_from_params():
-    """YawProgram of ~psi_deg (a constant yaw) or ~yaw_along_path; None = the course's own."""
-    psi_deg = private("psi_deg", "")
-    along = parse_bool(private("yaw_along_path", False), "~yaw_along_path")
-    if psi_deg == "":
-        return YawProgram(along_path=True) if along else None
-    return YawProgram(math.radians(number("~psi_deg", 0.0)), along_path=along)
-
-
-def course_from_params(fleet_vehicles, default_course, default_options):
-    """The course of ~course with the options among the private parameters, checked against the vehicles."""
-    name = private("course", default_course)
-    options = dict(default_options) if name == default_course else {}
-    known = course_options(name) if name in COURSES else ()
-    options.update({option: number("~" + option, None) for option in known if has_private(option)})
-    course = course_for_fleet(name, len(fleet_vehicles), known_arena(), yaw_from_params(), **options)
-    check_course(course, fleet_vehicles)
-    return course
 
 
 def check_course(course, fleet_vehicles):

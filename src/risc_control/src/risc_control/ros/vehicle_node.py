@@ -19,21 +19,23 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.controller_stream import ControllerStream
+from risc_control.failsafe import fence_of
 from risc_control.joystick import Button
 from risc_control.ros.conversions import command_sent
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.separation import ALONE, Separation
-from risc_control.vehicle_pilot import OwnState, VehiclePilot, choose_vehicle, node_params
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, choose_vehicle
 from risc_control.vehicles import Controls, adapter_class
-from risc_lab.lab.vehicle_types import disagreement
+from risc_lab.lab.arena import Arena
+from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
-from risc_lab.ros.params import known_fleet, told_vehicle_type
+from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus
+from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus, VehicleStatus
 
 _RAD_PER_DEG = math.radians(1.0)
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
@@ -42,12 +44,12 @@ _LAND_ROUND_S = 0.05
 _ERROR_LAND_S = 0.2  # how often a landing is ordered while callbacks fail
 _ERROR_LOG_S = 2.0
 _FLUSH_S = 0.1  # at shutdown: time for the last messages to leave
+_VEHICLE_STATUS_S = 0.2  # at most so often, while its state stays
 _REFERENCES_HZ = 20.0  # how often references are looked at
 SILENCE_S = 0.5  # a controller or a driver that was silent for so long may be another one, with other full scales;
 _GONE_S = 5.0  # after so long what is known of its full scales counts no more
 _VEHICLES_A_TURN = 5  # that one message of the controller commands;
 _MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
-_OWN_KEYS = ("vehicle", "vehicles", "type", "diagnostic_period")
 _NONE = rospy.Time()
 
 
@@ -60,13 +62,9 @@ class VehicleNode:
     """
 
     def __init__(self, namespace=""):
-        values = rospy.get_param("~", {})
-        fleet = known_fleet()
-        params, unknown = node_params(
-            {name: value for name, value in values.items() if name not in _OWN_KEYS}, fleet and fleet.arena
-        )
-        for name in unknown:
-            rospy.logwarn("parameter ~%s means nothing to this node: is it misspelt?", name)
+        values, fleet = rospy.get_param("~", {}), known_fleet()
+        defaults = VehicleNodeParams(**fence_of(fleet.arena if fleet else Arena()))
+        (params,) = load_params(defaults, known=("type", *VEHICLE_KEYS, *LEGACY_PARAMETERS), lenient=True)
         self.params, self.errands = params, queue.Queue()  # functions: the master must not hold up a callback
         threading.Thread(target=self._run_errands, daemon=True).start()
         chosen = _chosen(values, namespace, fleet)
@@ -279,6 +277,8 @@ class _Vehicle:
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
         self._link = adapter_class(vehicle_type).connect(prefix)
         self._status = self._publisher("controller_status", Bool)
+        self._vehicle_status = self._publisher("vehicle_status", VehicleStatus)
+        self._told_s, self._told = -math.inf, VehicleStatus(name=self.name, battery_pct=math.nan)  # when last
         self._safety = self._publisher("safety", Safety, latch=True)
         self._node_status = self._publisher("node_status", VehicleNodeStatus)
 
@@ -331,7 +331,17 @@ class _Vehicle:
         with self._lock:
             orders = self._pilot.on_status(status, time.monotonic())
             self._carry_out(orders)
+            self._tell(status)
         self._report(orders)
+
+    def _tell(self, status):
+        """Tell a vehicles.Status when it is due. With the lock held."""
+        told, now_s = self._told, time.monotonic()
+        if status.battery_pct is not None:
+            told.battery_pct = status.battery_pct
+        if status.state != told.state or now_s - self._told_s >= _VEHICLE_STATUS_S:
+            self._told_s, told.state, told.header.stamp = now_s, status.state, rospy.Time.now()
+            self._vehicle_status.publish(told)
 
     def compare(self, full_scales, node):
         """A controller or the vehicle's driver has these; with others than ours nobody is obeyed."""

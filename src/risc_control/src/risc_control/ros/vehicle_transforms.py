@@ -4,17 +4,26 @@ One program for all nodes that send these frames: `transforms`, `risc_transforms
 """
 
 import math
+from dataclasses import dataclass
 
 import rospy
 import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
-from risc_lab.lab.calibration import FRONT_MOUNT, load_mount
+from risc_lab.lab.calibration import load_mount
 from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.ros.paced_subscriber import PacedSubscriber
-from risc_lab.ros.params import fleet_vehicles, known_fleet, number, warn_of_unknown
+from risc_lab.ros.params import fleet_vehicles, known_fleet, load_params
+from risc_lab.settings import Positive, Settings
 from risc_lab.vehicle_frames import camera_transform, vehicle_frames
 from risc_msgs.msg import Cortex
+
+
+@dataclass(frozen=True)
+class TransformParams(Settings):
+    """Of the node."""
+
+    rate: Positive = 50.0  # [Hz]
 
 
 class VehicleTransforms:
@@ -53,16 +62,13 @@ def main(name):
     """Run the node of the fleet's frames until ROS shuts down. Returns the exit code."""
     rospy.init_node(name)
     try:
-        rate_hz = number("~rate", 50.0)
-        if not rate_hz > 0.0:
-            raise ValueError("parameter ~rate must be positive, got %r" % rate_hz)
-        warn_of_unknown()
-        mounts = {v.template: load_mount(v.camera_mount) if v.camera_mount else FRONT_MOUNT for v in fleet_vehicles()}
+        (params,) = load_params(TransformParams, lenient=True)
+        mounts = {v.template: load_mount(v.camera_mount) for v in fleet_vehicles()}
         transforms = VehicleTransforms(mounts)
     except ValueError as error:
         rospy.logfatal("%s: %s", name, error)
         return 1
-    PacedSubscriber("/cortex_raw", Cortex, transforms.send, rate_hz)
+    PacedSubscriber("/cortex_raw", Cortex, transforms.send, params.rate)
     rospy.spin()
     return 0
 

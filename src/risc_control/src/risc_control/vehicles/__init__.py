@@ -58,6 +58,16 @@ class FlightState(IntEnum):
     LOOPING = 9
 
 
+ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
+NO_EVIDENCE = frozenset((FlightState.UNKNOWN, FlightState.TEST))  # of air or ground: an emergency in the air reads 0
+TAKES_COMMANDS = frozenset((FlightState.FLYING, FlightState.HOVERING, FlightState.GOTO))
+
+
+def state_text(state):
+    """A FlightState, or a number that only its type knows, in words."""
+    return FlightState(state).name.lower().replace("_", " ") if state in tuple(FlightState) else "not known"
+
+
 class Status(NamedTuple):
     """What a vehicle says of itself."""
 

@@ -6,7 +6,8 @@ import time
 import rospy
 from sensor_msgs.msg import CameraInfo
 
-from risc_estimation.bearings import calibration_from_info, fleet_calibration, make_camera
+from risc_estimation.bearings import calibration_from_info, make_camera
+from risc_lab.lab.calibration import load_calibration
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 
 _LOOK_HZ = 1.0  # camera_info comes with every picture and hardly ever changes
@@ -29,7 +30,7 @@ class VehicleCameras:
         self._calibrations, self._cameras, self._sources, self._problems = {}, {}, {}, {}
         self._subscribers, self._first_asked_s = {}, {}
         for vehicle in fleet:
-            calibration = fleet_calibration(vehicle, default_calibration)
+            calibration = load_calibration(vehicle.calibration or default_calibration)
             if calibration is not None:
                 self._accept(vehicle.namespace, calibration, "fleet")
         for vehicle in fleet:

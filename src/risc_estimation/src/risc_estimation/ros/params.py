@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
+import rospy
+
 from risc_estimation.filters import DEFAULT, REGISTRY, make_filter
-from risc_lab.ros.params import has_private, private
 from risc_lab.settings import Name, NotNegative, Positive, Settings
 
 
@@ -30,9 +31,10 @@ def load_filter():
 
     Raises ValueError for an unknown filter or a bad value.
     """
-    name = private("filter", DEFAULT)
+    told = rospy.get_param("~", {})
+    name = told.get("filter", DEFAULT)
     keys = REGISTRY.settings(name)
-    return make_filter(name, {key: private(key, None) for key in keys if has_private(key)}), keys
+    return make_filter(name, {key: told[key] for key in keys if key in told}), keys
 
 
 @dataclass(frozen=True)

@@ -12,3 +12,14 @@ reference; `velocity` (3,) [m/s]; `height` (1,) above the ground [m]; `specific_
 from risc_lab.registry import Registry
 
 REGISTRY = Registry("sensors", __name__)
+
+
+def of_type(name):
+    """Module of a type of vehicle; None for a type whose readings nothing here knows."""
+    return REGISTRY.module(name) if name in REGISTRY.names() else None
+
+
+def give(estimator, name, kind, message):
+    """Hand a StatesEstimator what one message says of a vehicle. kind: its module."""
+    for what, values in kind.readings(message).items():
+        estimator.on_board(name, message.header.stamp.to_sec(), what, values)

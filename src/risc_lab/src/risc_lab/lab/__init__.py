@@ -1,24 +1,16 @@
 """The laboratory as data: the fleet, the vehicle types, the mocap templates. Needs no ROS."""
 
-from risc_lab.lab.arena import Arena
-from risc_lab.lab.fleet import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Start, fleet_from_dict, load_fleet
-from risc_lab.lab.generated_fleet import generated_fleet
-from risc_lab.lab.templates import Template, load_templates
-from risc_lab.lab.vehicle_types import AttitudeLoop, VehicleType, load_vehicle_type
-
-__all__ = [
-    "Arena",
-    "AttitudeLoop",
-    "Fleet",
-    "FleetLandmark",
-    "FleetVehicle",
-    "MocapEndpoint",
-    "Start",
-    "Template",
-    "VehicleType",
-    "fleet_from_dict",
-    "generated_fleet",
-    "load_fleet",
-    "load_templates",
-    "load_vehicle_type",
-]
+from risc_lab.lab.arena import Arena as Arena
+from risc_lab.lab.fleet import Fleet as Fleet
+from risc_lab.lab.fleet import FleetLandmark as FleetLandmark
+from risc_lab.lab.fleet import FleetVehicle as FleetVehicle
+from risc_lab.lab.fleet import MocapEndpoint as MocapEndpoint
+from risc_lab.lab.fleet import Start as Start
+from risc_lab.lab.fleet import fleet_from_dict as fleet_from_dict
+from risc_lab.lab.fleet import load_fleet as load_fleet
+from risc_lab.lab.generated_fleet import generated_fleet as generated_fleet
+from risc_lab.lab.templates import Template as Template
+from risc_lab.lab.templates import load_templates as load_templates
+from risc_lab.lab.vehicle_types import AttitudeLoop as AttitudeLoop
+from risc_lab.lab.vehicle_types import VehicleType as VehicleType
+from risc_lab.lab.vehicle_types import load_vehicle_type as load_vehicle_type

@@ -13,6 +13,12 @@ from risc_lab.settings import Count, Settings, Vector, between, settings_from
 
 DISTORTION_MODEL = "plumb_bob"
 _FOLDER = "package://risc_lab/config/cameras/"  # what a bare file name means
+_SHAPES = {  # of K, D, R, P in a file; of the second there may be any number, in a row or a column
+    "camera_matrix": (3, 3),
+    "distortion_coefficients": None,
+    "rectification_matrix": (3, 3),
+    "projection_matrix": (3, 4),
+}
 
 
 @dataclass(frozen=True)
@@ -83,16 +89,12 @@ class _CalibrationFile(Settings):
 
     def __post_init__(self):
         super().__post_init__()
-        for key, shape in (("camera", (3, 3)), ("rectification", (3, 3)), ("projection", (3, 4))):
-            _check_shape(key + "_matrix", getattr(self, key + "_matrix"), [shape])
-        count = len(self.distortion_coefficients.data)
-        _check_shape("distortion_coefficients", self.distortion_coefficients, [(1, count), (count, 1)])
-
-
-def _check_shape(key, matrix, shapes):
-    if (matrix.rows, matrix.cols) not in shapes or len(matrix.data) != matrix.rows * matrix.cols:
-        found = key, *shapes[0], matrix.rows, matrix.cols, len(matrix.data)
-        raise ValueError("'%s' must be %d x %d, found %d rows, %d cols and %d numbers" % found)
+        for key, shape in _SHAPES.items():
+            matrix, count = getattr(self, key), len(getattr(self, key).data)
+            shapes = [shape] if shape else [(1, count), (count, 1)]
+            if (matrix.rows, matrix.cols) not in shapes or count != matrix.rows * matrix.cols:
+                found = key, *shapes[0], matrix.rows, matrix.cols, count
+                raise ValueError("'%s' must be %d x %d, found %d rows, %d cols and %d numbers" % found)
 
 
 @dataclass(frozen=True)
@@ -144,17 +146,14 @@ def read_calibration(path):
     content = load_yaml(path)
     known = {key: content[key] for key in _CalibrationFile.__dataclass_fields__ if key in content}
     file = settings_from(_CalibrationFile, known, str(path), lenient=True)
-    matrices = (
-        file.camera_matrix.data,
-        file.distortion_coefficients.data,
-        file.rectification_matrix.data,
-        file.projection_matrix.data,
-    )
+    matrices = [getattr(file, key).data for key in _SHAPES]
     return CameraCalibration(file.camera_name, file.image_width, file.image_height, *matrices, file.distortion_model)
 
 
 def load_calibration(url):
-    """The calibration of a file, see `resolve_url`, that `risc_lab.camera` can use. Raises ValueError as above."""
+    """The calibration of a file, see `resolve_url`, that `risc_lab.camera` can use; None of "". Raises ValueError."""
+    if not url:
+        return None
     path = resolve_url(url)
     with errors_of(path):
         return read_calibration(path).usable()
@@ -169,12 +168,11 @@ def save_calibration(calibration, path):
         "image_width": int(calibration.width_px),
         "image_height": int(calibration.height_px),
         "camera_name": calibration.name,
-        "camera_matrix": _entry(3, 3, calibration.K),
         "distortion_model": calibration.distortion_model,
-        "distortion_coefficients": _entry(1, len(calibration.D), calibration.D),
-        "rectification_matrix": _entry(3, 3, calibration.R),
-        "projection_matrix": _entry(3, 4, calibration.P),
     }
+    for (key, shape), data in zip(_SHAPES.items(), (calibration.K, calibration.D, calibration.R, calibration.P)):
+        rows, cols = shape or (1, len(data))
+        content[key] = {"rows": rows, "cols": cols, "data": [float(value) for value in data]}
     path = pathlib.Path(path).resolve()  # a link stays a link
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name("%s.%d" % (path.name, os.getpid()))
@@ -186,7 +184,12 @@ def save_calibration(calibration, path):
 
 
 def load_mount(url):
-    """Read a camera mount: position_m, roll_deg, pitch_deg, yaw_deg. Raises ValueError that names file and key."""
+    """CameraMount of a file: position_m, roll_deg, pitch_deg, yaw_deg; the nominal one of a front camera of "".
+
+    Raises ValueError that names file and key.
+    """
+    if not url:
+        return FRONT_MOUNT
     path = resolve_url(url)
     file = settings_from(_MountFile, load_yaml(path), str(path))
     return CameraMount(file.position_m, *map(math.radians, (file.roll_deg, file.pitch_deg, file.yaw_deg)))
@@ -194,16 +197,11 @@ def load_mount(url):
 
 def save_mount(mount, path):
     """Write a camera mount that load_mount reads. Raises OSError."""
+    degrees = map(math.degrees, (mount.roll_rad, mount.pitch_rad, mount.yaw_rad))
     content = {
         "position_m": [float(value) for value in mount.position_m],
-        "roll_deg": math.degrees(mount.roll_rad),
-        "pitch_deg": math.degrees(mount.pitch_rad),
-        "yaw_deg": math.degrees(mount.yaw_rad),
+        **dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), degrees)),
     }
     text = "# Front camera in body axes (x nose, y right wing, z belly).\n"
     text += yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     pathlib.Path(path).write_text(text, encoding="utf-8")
-
-
-def _entry(rows, columns, data):
-    return {"rows": rows, "cols": columns, "data": [float(value) for value in data]}

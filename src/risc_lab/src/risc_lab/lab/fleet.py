@@ -74,6 +74,7 @@ class FleetVehicle(Settings):
     calibration: str = ""  # of the front camera, see lab.calibration.resolve_url; "" = none
     camera_mount: str = ""  # where the front camera sits, see lab.calibration; "" = the type's nominal place
     overrides: dict[str, NotNegative] = field(default_factory=dict)  # what it has otherwise than its type: OVERRIDABLE
+    controllers: dict[str, dict[str, float]] = field(default_factory=dict)  # numbers of its own, by controller
     attached: AttachedBody | None = None
 
     def __post_init__(self):

@@ -6,7 +6,7 @@ vehicle has otherwise than its type (`OVERRIDABLE`).
 
 import math
 import pathlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from risc_lab.lab.yaml_reader import config_files, load_yaml
 from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
@@ -61,6 +61,8 @@ class VehicleType(Settings):
     battery_life_s: Positive  # full to empty in flight
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
+    # {controller: {key: value}} of its YAML file that the type has otherwise
+    controllers: dict[str, dict[str, float]] = field(default_factory=dict, hash=False)
 
 
 def load_vehicle_type(name, overrides=()):
@@ -69,13 +71,18 @@ def load_vehicle_type(name, overrides=()):
     overrides: what the vehicle has otherwise, {field: value} or pairs.  Raises ValueError that names the file and the
     key, or the known types when there is no such type.
     """
-    path = pathlib.Path(name)
-    if path.suffix != ".yaml":
-        known = config_files("vehicle_types", "risc_lab")
-        if name not in known:
-            raise ValueError("unknown vehicle type '%s'; known are: %s" % (name, ", ".join(sorted(known))))
-        path = known[name]
+    path = vehicle_type_file(name)
     return settings_from(VehicleType, {**load_yaml(path), **dict(overrides)}, str(path))
+
+
+def vehicle_type_file(name):
+    """Path of a type's YAML file. Raises ValueError as `load_vehicle_type`."""
+    if pathlib.Path(name).suffix == ".yaml":
+        return pathlib.Path(name)
+    known = config_files("vehicle_types", "risc_lab")
+    if name not in known:
+        raise ValueError("unknown vehicle type '%s'; known are: %s" % (name, ", ".join(sorted(known))))
+    return known[name]
 
 
 def disagreement(name, mine, theirs, whose):
@@ -83,12 +90,12 @@ def disagreement(name, mine, theirs, whose):
 
     mine, theirs: {field: value}, compared where both have one.  whose: what the second set is of.
     """
-    for field in FULL_SCALES:
-        if field in mine and field in theirs and abs(theirs[field] / mine[field] - 1.0) > 0.01:
+    for scale in FULL_SCALES:
+        if scale in mine and scale in theirs and abs(theirs[scale] / mine[scale] - 1.0) > 0.01:
             return (
                 "%s: %s is %.4g in the vehicle node, but %.4g in %s, so each command would be %.2f times the wanted "
                 "one: set it once, in the vehicle's type or in the fleet file"
-                % (name, field, mine[field], theirs[field], whose, theirs[field] / mine[field])
+                % (name, scale, mine[scale], theirs[scale], whose, theirs[scale] / mine[scale])
             )
     return ""
 
@@ -99,7 +106,7 @@ def legacy_overrides(values):
     Raises ValueError for what is no number.
     """
     found = {}
-    for name, (field, factor) in LEGACY_PARAMETERS.items():
+    for name, (key, factor) in LEGACY_PARAMETERS.items():
         try:
             value = factor * float(values.get(name, -1.0))
         except (TypeError, ValueError):
@@ -109,5 +116,5 @@ def legacy_overrides(values):
                 "parameter %s must be a number > 0 (negative: the vehicle type's), found %r" % (name, values[name])
             )
         if value >= 0.0:
-            found[field] = value
+            found[key] = value
     return found

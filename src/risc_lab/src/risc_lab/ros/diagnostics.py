@@ -5,11 +5,14 @@ import time
 import rospy
 from diagnostic_updater import Updater
 
+from risc_lab.ros.ticker import Ticker
+
 _PERIOD = "~diagnostic_period"
 _PERIOD_S = 1.0
+_SILENCE_S = 3.0  # without news after which an input is silent
 
 
-def make_updater(hardware_id):
+def make_updater(hardware_id="none"):
     """A diagnostic_updater.Updater for this node that leaves the master alone.
 
     An Updater asks for its period again and again as long as it is not set, and asking is to the master as good
@@ -19,6 +22,13 @@ def make_updater(hardware_id):
         rospy.set_param(_PERIOD, _PERIOD_S)
     updater = Updater()
     updater.setHardwareID(hardware_id)
+    return updater
+
+
+def ticking_updater(hardware_id="none"):
+    """One that reports once a second by itself."""
+    updater = make_updater(hardware_id)
+    Ticker(1.0, updater.force_update, "the diagnostics")
     return updater
 
 
@@ -35,6 +45,22 @@ class Growth:
         new = {name: count - self._counts.get(name, 0) for name, count in counts.items()}
         self._counts, self._reported_s = dict(counts), now_s
         return new, {name: count / elapsed_s for name, count in new.items()}
+
+
+def summarise(status, *cases):
+    """The first of (condition, level, message) whose condition holds is the summary of a status."""
+    status.summary(*next(case[1:] for case in cases if case[0]))
+
+
+def add_all(status, values):
+    """{key: value} into a status."""
+    for key, value in values.items():
+        status.add(key, str(value))
+
+
+def is_silent(last_s):
+    """Whether an input is. last_s: when it was heard last, monotonic clock; None: never."""
+    return last_s is None or time.monotonic() - last_s > _SILENCE_S
 
 
 def age_text(last_s):

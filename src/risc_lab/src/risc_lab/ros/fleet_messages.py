@@ -16,8 +16,11 @@ let one CortexArrays of their own `deserialize` them. It overwrites its arrays i
 same, and makes new ones otherwise: code that keeps views of them compares `data`.
 """
 
+import functools
 import io
 import struct
+from operator import attrgetter
+from typing import NamedTuple
 
 import genpy
 import numpy as np
@@ -28,27 +31,18 @@ from risc_msgs.msg import Controls, Cortex, Landmarks, Mocap_data, Trajectories
 
 _HEADER = struct.Struct("<4I")  # seq, secs, nsecs, length of frame_id
 _LENGTH = struct.Struct("<I")
-_MOST_LAYOUTS = 64  # remembered for each kind of message; more sets of names than that are not of one flight
+_MOST_LAYOUTS = 256  # remembered; more sets of names than that are not of one flight
 
 
-class Layout:
+class Layout(NamedTuple):
     """Where the numbers of a message stand on the wire, and where in the message's `data`."""
 
-    def __init__(self, entries, template, places):
-        """entries: names, or (name, number of markers) pairs.  template: the body with all numbers zero.
-
-        places: {place in the body: (number of bytes, 0 for the numbers or 1 for what stands after all of them)}.
-        """
-        self.entries = entries
-        self.template = np.frombuffer(template, np.uint8)
-        spans, self.size = [], 0  # [bytes] of data
-        for part in (0, 1):
-            self.end_of_numbers = self.size
-            for place in (place for place, (_, its_part) in places.items() if its_part == part):
-                spans.append((place, places[place][0], self.size))
-                self.size += places[place][0]
-        # first byte in the body, number of bytes, first in data; the last one ends the body
-        self.spans = np.array([*sorted(spans), (len(template), 0, 0)], np.intp)
+    names: tuple[str, ...]
+    entries: tuple[tuple[str, int], ...]  # name, rows of numbers
+    template: np.ndarray  # the body with all numbers zero, bytes
+    spans: np.ndarray  # first byte in the body, number of bytes, first in data; the last one ends the body
+    end_of_numbers: int  # in data; what stands beside the numbers comes after all of them
+    size: int  # of data [bytes]
 
 
 @compiled
@@ -91,13 +85,13 @@ class _Raw(genpy.Message):
 class FleetMessage(genpy.Message):
     """What the kinds have in common. Numbers are views of `data`, an array of bytes: write into them, or read."""
 
-    __slots__ = ("header", "layout", "data", "_body", "_views")
+    __slots__ = ("header", "layout", "data", "_body", "_numbers", "_rest")
     _has_header = True
-    _layouts = {}  # {key: Layout}; a key is the entries with their names as bytes. Each kind has its own
+    # An entry on the wire: its name, what _beside says (a type of numpy), if _counted how many rows, rows of float64.
+    _beside = ""
+    _counted = False
+    _columns = 4
     _newest = None  # Layout of the newest message: nearly always that of the next one as well
-    _flags = 0  # 1: a bool stands before the numbers of an entry
-    _columns = 4  # float64 in a row
-    _rest_type = bool  # of what stands after the numbers
 
     def __init_subclass__(cls, of, **options):
         super().__init_subclass__(**options)
@@ -105,21 +99,24 @@ class FleetMessage(genpy.Message):
         for name, value in kind.items():
             setattr(cls, name, value)
         cls.Raw = type(cls.__name__ + "Raw", (_Raw,), dict(kind, __slots__=()))
-        cls._layouts = {}
-        cls(()).deserialize(_serialised(cls(())))  # loads what is compiled, now
+        cls._beside_bytes = np.dtype(cls._beside).itemsize if cls._beside else 0
+        wire = io.BytesIO()
+        cls(()).serialize(wire)  # loads what is compiled, now
+        cls(()).deserialize(wire.getvalue())
 
     def __init__(self, entries=None):
         """entries: their names (of Mocap_data (name, number of markers) pairs); None for one to deserialise."""
         self.header = Header()
-        self.layout = self._body = self._views = None
+        self.layout = None
         if entries is not None:
-            self._adopt(self._layout_of(self._coded(entries, _encoded)))
+            pairs = entries if self._counted else [(name, 1) for name in entries]
+            self._adopt(self._layout_of(tuple([(name.encode("utf-8"), rows) for name, rows in pairs])))
             self.data[:] = 0
 
     @property
     def names(self):
         """Names of the entries, in their order."""
-        return self.layout.entries
+        return self.layout.names
 
     def serialize(self, buff):
         """As genpy's."""
@@ -143,114 +140,70 @@ class FleetMessage(genpy.Message):
                 self._adopt(self._newest)
             layout = self.layout
             if layout is None or not _unpack(buff, begin, layout.template, layout.spans, self.data):
-                self._deserialize_anew(buff, begin)
+                layout = self._layout_of(self._key_of(memoryview(buff)[begin:]))
+                self._adopt(layout)
+                # genpy passes over what comes after the last entry
+                _unpack(buff[: begin + layout.template.size], begin, layout.template, layout.spans, self.data)
+                type(self)._newest = layout
         except struct.error as error:
             raise genpy.DeserializationError("%s of %d bytes: %s" % (self._type, len(buff), error)) from error
         return self
 
-    def _deserialize_anew(self, buff, begin):
-        layout = self._layout_of(self._key_of(memoryview(buff)[begin:]))
-        self._adopt(layout)
-        if not _unpack(buff[: begin + layout.template.size], begin, layout.template, layout.spans, self.data):
-            raise struct.error("the entries are not whole")
-        type(self)._newest = layout
-
     def _adopt(self, layout):
-        self.layout, self._body, self._views = layout, None, None
+        self.layout, self._body = layout, None
         self.data = np.empty(layout.size, np.uint8)
+        self._numbers = self.data[: layout.end_of_numbers].view("<f8").reshape(-1, self._columns)
+        self._rest = self.data[layout.end_of_numbers :].view(self._beside or "u1")
 
     @classmethod
+    @functools.lru_cache(_MOST_LAYOUTS)
     def _layout_of(cls, key):
-        layout = cls._layouts.get(key)
-        if layout is None:
-            while len(cls._layouts) >= _MOST_LAYOUTS:
-                del cls._layouts[next(iter(cls._layouts))]
-            body, places = _LENGTH.pack(len(key)), {}
-            for entry in key:
-                for constant, size, part in cls._parts(entry):
-                    body += constant
-                    places[len(body)] = size, part
-                    body += bytes(size)
-            layout = cls._layouts[key] = Layout(cls._coded(key, _decoded), body, places)
-        return layout
+        """Layout of a key: the entries with their names as bytes."""
+        body, beside, numbers = _LENGTH.pack(len(key)), [], []  # (place, number of bytes)
+        for name, rows in key:
+            body += _LENGTH.pack(len(name)) + name
+            beside.append((len(body), cls._beside_bytes))
+            body += bytes(cls._beside_bytes) + (_LENGTH.pack(rows) if cls._counted else b"")
+            numbers.append((len(body), 8 * cls._columns * rows))
+            body += bytes(numbers[-1][1])
+        spans, size = [(len(body), 0, 0)], 0
+        for place, count in numbers + beside:
+            spans.append((place, count, size))
+            size += count
+        # as genpy: a byte that is not UTF-8 is replaced, and logged once
+        entries = tuple([(name.decode("utf-8", "rosmsg"), rows) for name, rows in key])
+        names, end_of_numbers = tuple([name for name, _ in entries]), sum([count for _, count in numbers])
+        template = np.frombuffer(body, np.uint8)
+        return Layout(names, entries, template, np.array(sorted(spans), np.intp), end_of_numbers, size)
 
     @classmethod
     def _key_of(cls, body):
+        """Names as bytes and rows of the entries of a body. Raises struct.error for one that is cut short."""
         (count,) = _LENGTH.unpack_from(body)
-        key, at = [], _LENGTH.size
+        key, at, rows = [], _LENGTH.size, 1
         for _ in range(count):
-            entry, at = cls._read(body, at)
-            key.append(entry)
-        if at > len(body):
-            raise struct.error("an entry is cut short")
+            begin = at + _LENGTH.size
+            at = begin + _LENGTH.unpack_from(body, at)[0]
+            name = bytes(body[begin:at])
+            at += cls._beside_bytes
+            if cls._counted:
+                (rows,) = _LENGTH.unpack_from(body, at)
+                at += _LENGTH.size
+            at += 8 * cls._columns * rows
+            if at > len(body):
+                raise struct.error("an entry is cut short")
+            key.append((name, rows))
         return tuple(key)
 
-    @staticmethod
-    def _coded(entries, code):
-        """The entries, or their key, with each name encoded or decoded."""
-        return tuple([code(name) for name in entries])
 
-    @classmethod
-    def _parts(cls, entry):
-        """(bytes before it, number of bytes, part of `Layout`) of what an entry of a key holds."""
-        flag = [(_text(entry), 1, 1)] if cls._flags else []
-        return [*flag, (b"" if flag else _text(entry), 8 * cls._columns, 0)]
-
-    @classmethod
-    def _read(cls, body, at):
-        """(entry of a key, next place) at a place of a body."""
-        name, at = _read_text(body, at)
-        return name, at + cls._flags + 8 * cls._columns
-
-    def _numbers(self):
-        """(rows, columns) float64."""
-        return self._both()[0]
-
-    def _rest(self):
-        """What stands after the numbers: (entries,)."""
-        return self._both()[1]
-
-    def _both(self):
-        if self._views is None:
-            end = self.layout.end_of_numbers
-            numbers, rest = self.data[:end].view("<f8"), self.data[end:].view(self._rest_type)
-            self._views = numbers.reshape(-1, self._columns), rest
-        return self._views
-
-
-def _serialised(message):
-    buff = io.BytesIO()
-    message.serialize(buff)
-    return buff.getvalue()
-
-
-def _encoded(name):
-    return name.encode("utf-8")
-
-
-def _decoded(name):
-    # as genpy: a byte that is not UTF-8 is replaced, and logged once
-    return name.decode("utf-8", "rosmsg")
-
-
-def _text(name):
-    return _LENGTH.pack(len(name)) + name
-
-
-def _read_text(body, at):
-    """(bytes of a text, next place) at a place of a body. Raises struct.error when it is cut short."""
-    (length,) = _LENGTH.unpack_from(body, at)
-    end = at + _LENGTH.size + length
-    if end > len(body):
-        raise struct.error("a name is cut short")
-    return bytes(body[at + _LENGTH.size : end]), end
+_numbers, _rest = property(attrgetter("_numbers")), property(attrgetter("_rest"))
 
 
 class ControlsArrays(FleetMessage, of=Controls):
     """Controls. `controls` (n, 4): phi, theta, psi [-], T [N], as the message says."""
 
     __slots__ = ()
-    controls = property(FleetMessage._numbers)
+    controls = _numbers
 
 
 class TrajectoriesArrays(FleetMessage, of=Trajectories):
@@ -261,7 +214,7 @@ class TrajectoriesArrays(FleetMessage, of=Trajectories):
 
     @property
     def derivatives(self):
-        return self._numbers().reshape(-1, 3, 4)
+        return self._numbers.reshape(-1, 3, 4)
 
 
 class LandmarksArrays(FleetMessage, of=Landmarks):
@@ -269,16 +222,15 @@ class LandmarksArrays(FleetMessage, of=Landmarks):
 
     __slots__ = ()
     _columns = 3
-    positions_m = property(FleetMessage._numbers)
+    positions_m = _numbers
 
 
 class CortexArrays(FleetMessage, of=Cortex):
     """Cortex. `visible` (n,) bool; `states` (n, 12) in the units of the message: m, m/s, degrees, degrees/s."""
 
     __slots__ = ()
-    _flags, _columns = 1, 12
-    states = property(FleetMessage._numbers)
-    visible = property(FleetMessage._rest)
+    _beside, _columns = "?", 12
+    states, visible = _numbers, _rest
 
 
 class MocapArrays(FleetMessage, of=Mocap_data):
@@ -287,25 +239,5 @@ class MocapArrays(FleetMessage, of=Mocap_data):
     """
 
     __slots__ = ()
-    _columns, _rest_type = 3, "<f8"
-    markers_m = property(FleetMessage._numbers)
-    residuals = property(FleetMessage._rest)
-
-    @property
-    def names(self):
-        return tuple(name for name, _ in self.layout.entries)
-
-    @staticmethod
-    def _coded(entries, code):
-        return tuple([(code(name), count) for name, count in entries])
-
-    @classmethod
-    def _parts(cls, entry):
-        name, count = entry
-        return (_text(name), 8, 1), (_LENGTH.pack(count), 24 * count, 0)
-
-    @classmethod
-    def _read(cls, body, at):
-        name, at = _read_text(body, at)
-        (count,) = _LENGTH.unpack_from(body, at + 8)
-        return (name, count), at + 8 + _LENGTH.size + 24 * count
+    _beside, _counted, _columns = "<f8", True, 3
+    markers_m, residuals = _numbers, _rest

@@ -17,8 +17,6 @@ from risc_lab.compiled import compiled
 from risc_lab.lab.arena import Arena
 from risc_lab.settings import NotNegative, Settings
 
-_FRAMES_AHEAD = 64
-
 
 @dataclass(frozen=True)
 class CameraParams(Settings):
@@ -66,28 +64,6 @@ class Observation(NamedTuple):
     unidentified_m: np.ndarray
 
 
-class _DrawnAhead:
-    """Random numbers of one kind in the order in which a Generator gives them, drawn many at once."""
-
-    BLOCK = 4096
-
-    def __init__(self, draw):
-        """draw: of a Generator, takes a count."""
-        self._draw = draw
-        self._next = 0
-        self.numbers = np.empty(0)
-
-    def take(self, count):
-        """Index in `numbers` of the next so many."""
-        start = self._next
-        if start + count > len(self.numbers):
-            rest = self.numbers[start:]
-            self.numbers = np.concatenate((rest, self._draw(max(self.BLOCK, count))))
-            start = 0
-        self._next = start + count
-        return start
-
-
 class MocapCameras:
     """Turns exact markers into observed ones, frame by frame.
 
@@ -97,18 +73,15 @@ class MocapCameras:
     def __init__(self, params=None, seed=0):
         self.params = CameraParams() if params is None else params
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        noise, occlusion, self._ghost = (np.random.default_rng(s) for s in sequence.spawn(3))
-        self._noise, self._occlusion = _DrawnAhead(noise.standard_normal), _DrawnAhead(occlusion.random)
+        self._noise, self._occlusion, self._ghost = (np.random.default_rng(s) for s in sequence.spawn(3))
         self._layout = ()
         self._hides = []  # (rows of the marker array, until when they are hidden)
         self._hidden_until_s = np.empty(0)
         self._ghosts_m = np.empty((0, 3))
         self._ghosts_until_s = np.empty(0)
         self._next_end_s = math.inf  # of a ghost's life
-        self._quiet_count = self._quiet_left = 0  # frames that were drawn ahead, and those of them still to come
-        self._quiet_state, self._quiet_expected = None, 0.0  # of the generator before, and births expected in each
         self._last_time_s = -math.inf
-        _see(0.0, 0.0, 0.0, np.empty((0, 3)), 0.0, np.empty(0), 0, np.empty(0), 0, np.empty(0))  # loads it
+        self._see(0.0, 0.0, np.empty((0, 3)))  # loads it
 
     def hide(self, body, until_s):
         """Hide all markers of a body in the frames before until_s. Raises ValueError when the last frame had none."""
@@ -133,35 +106,27 @@ class MocapCameras:
         step_s = max(time_s - self._last_time_s, 0.0) if self._last_time_s > -math.inf else 0.0
         self._last_time_s = time_s
 
-        hidden_until_s, params = self._hidden_until_s, self.params
-        count = len(hidden_until_s)
-        if len(exact_m) != count:
-            raise ValueError("the layout has %d markers, got %d" % (count, len(exact_m)))
-        first_noise = self._noise.take(3 * count)
-        first_chance = self._occlusion.take(2 * count) if params.occlusions_per_marker_hz > 0.0 else 0
-        markers_m = _see(
-            time_s,
-            params.occlusions_per_marker_hz * step_s,
-            params.occlusion_mean_s,
-            exact_m,
-            params.noise_std_m,
-            self._noise.numbers,
-            first_noise,
-            self._occlusion.numbers,
-            first_chance,
-            hidden_until_s,
-        )
+        if len(exact_m) != len(self._hidden_until_s):
+            raise ValueError("the layout has %d markers, got %d" % (len(self._hidden_until_s), len(exact_m)))
+        markers_m = self._see(time_s, step_s, exact_m)
         if self._hides:
             self._hides = [(rows, until_s) for rows, until_s in self._hides if time_s < until_s]
             for rows, _ in self._hides:
                 markers_m[rows] = math.nan
         return Observation(time_s, self._layout, markers_m, self._unidentified(time_s, step_s))
 
+    def _see(self, time_s, step_s, exact_m):
+        params = self.params
+        losses = params.occlusions_per_marker_hz * step_s
+        noise_m = params.noise_std_m * self._noise.standard_normal(exact_m.shape)
+        chances = self._occlusion.random((2 if params.occlusions_per_marker_hz > 0.0 else 0, len(exact_m)))
+        return _see(time_s, losses, params.occlusion_mean_s, exact_m, noise_m, chances, self._hidden_until_s)
+
     def _unidentified(self, time_s, step_s):
         """(u, 3) ghosts: each stays where it appeared and trembles like any marker."""
         params = self.params
         if params.ghosts_hz > 0.0:
-            born = self._births(params.ghosts_hz * step_s)
+            born = self._ghost.poisson(params.ghosts_hz * step_s)
             if born or time_s >= self._next_end_s:
                 alive = time_s < self._ghosts_until_s
                 new_m = self._ghost.uniform(params.volume_min_m, params.volume_max_m, (born, 3))
@@ -173,45 +138,20 @@ class MocapCameras:
             return self._ghosts_m
         return self._ghosts_m + params.noise_std_m * self._ghost.standard_normal(self._ghosts_m.shape)
 
-    def _births(self, expected):
-        """How many ghosts appear in this frame. While there are none, frames without a birth are drawn many at once."""
-        ghost = self._ghost
-        if self._quiet_left and abs(expected - self._quiet_expected) > 1e-9:
-            # another time has passed than was foreseen: back to before what has not been used
-            ghost.bit_generator.state = self._quiet_state
-            ghost.poisson(self._quiet_expected, self._quiet_count - self._quiet_left)
-            self._quiet_left = 0
-        elif not self._quiet_left and not len(self._ghosts_m):
-            self._quiet_state, self._quiet_expected = ghost.bit_generator.state, expected
-            count = np.flatnonzero(np.append(ghost.poisson(expected, _FRAMES_AHEAD), 1))[0].item()
-            if count < _FRAMES_AHEAD:
-                ghost.bit_generator.state = self._quiet_state
-                ghost.poisson(expected, count)
-            self._quiet_count = self._quiet_left = count
-        if self._quiet_left:
-            self._quiet_left -= 1
-            return 0
-        return ghost.poisson(expected)
-
 
 @compiled
-def _see(time_s, losses, loss_mean_s, exact_m, noise_std_m, noise, first_noise, chances, first_chance, hidden_until_s):
+def _see(time_s, losses, loss_mean_s, exact_m, noise_m, chances, hidden_until_s):
     """(n, 3) markers with noise; those that are hidden, or get lost by chance now, are NaN.
 
-    losses: expected number of times that a marker gets lost in this frame. hidden_until_s: (n,), kept from call to
-    call. From first_noise on come 3 n standard normal numbers, from first_chance on n uniform ones that decide whether
-    a marker gets lost, and n that decide for how long.
+    losses: expected number of times that a marker gets lost in this frame. chances: (2, n) uniform numbers, which
+    decide whether a marker gets lost and for how long; (0, n): none does. hidden_until_s: (n,), kept from call to call.
     """
-    n = len(hidden_until_s)
-    markers_m = np.empty((n, 3))
-    starts = -math.expm1(-losses)  # probability, as of a Poisson process
-    for k in range(n):
-        for axis in range(3):
-            markers_m[k, axis] = noise_std_m * noise[first_noise + 3 * k + axis] + exact_m[k, axis]
-        if starts > 0.0 and chances[first_chance + k] < starts and time_s >= hidden_until_s[k]:
-            duration_s = -loss_mean_s * math.log1p(-chances[first_chance + n + k])  # exponentially distributed
+    markers_m = exact_m + noise_m
+    starts = -math.expm1(-losses) if len(chances) else 0.0  # probability, as of a Poisson process
+    for k in range(len(markers_m)):
+        if starts > 0.0 and chances[0, k] < starts and time_s >= hidden_until_s[k]:
+            duration_s = -loss_mean_s * math.log1p(-chances[1, k])  # exponentially distributed
             hidden_until_s[k] = time_s + duration_s
         if time_s < hidden_until_s[k]:
-            for axis in range(3):
-                markers_m[k, axis] = math.nan
+            markers_m[k] = math.nan
     return markers_m

@@ -9,6 +9,10 @@ and, compiled (risc_lab.compiled), where it differs from a plain quadrotor (mode
     before_step (x, inputs, vehicle), after_step (inputs, climb_m_s, vehicle, step_s): what runs on board in every step
 and, if it has cameras whose video the lab serves (socket_host.VehicleHost.video_listener),
     CAMERAS     a `VirtualCamera` for each, in the order of the channels that its host chooses from
+and, if filters are to have its sensors' readings in offline flights, too
+    Telemetry   (vehicle, seed, noise), made while the vehicle stands: channel (name of its wire), period_s;
+                packet(time_s) -> bytes; message(packet, header) -> that of its driver, see risc_estimation.sensors;
+                None of a damaged packet
 The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types). One from elsewhere is
 virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
 """
@@ -43,6 +47,7 @@ class VirtualType(NamedTuple):
     fields: tuple  # of its record, see risc_lab.compiled
     equations: dict  # {name in integrator.py: function}
     cameras: tuple[VirtualCamera, ...]
+    Telemetry: type | None
 
 
 @functools.cache
@@ -56,6 +61,7 @@ def virtual_type(name):
             (*QUADROTOR_FIELDS, *getattr(module, "FIELDS", ())),
             {name: getattr(module, name, getattr(integrator, name)) for name in _EQUATIONS},
             tuple(getattr(module, "CAMERAS", ())),
+            getattr(module, "Telemetry", None),
         )
     except AttributeError as error:
         raise ValueError("virtual vehicle %r (%s): %s" % (name, module.__file__, error)) from error

@@ -10,15 +10,11 @@ Simplifications: the net is behind everything (cameras are inside it); things do
 own motion does not blur.
 """
 
-import math
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 
-from risc_simulator.video.clipping import clip_polygons, clip_segments
-from risc_simulator.video.coverage import coverage
-from risc_simulator.video.scene import bgr_of_hsv, board_layers, room_geometry
+from risc_simulator.video.polygons import clip_polygons, coverage
+from risc_simulator.video.scene import room_layers
 
 NEAR_M = 0.05  # nothing is drawn nearer to the focal plane than this
 _MARGIN = 0.1  # of the picture's size in normalised coordinates: how far things are drawn beyond its border
@@ -35,12 +31,9 @@ _WAVELENGTHS_M = np.array([460e-9, 540e-9, 610e-9])  # of a sensor's blue, green
 _DAYLIGHT_K = 6500.0
 
 
-class NoiseTile:
-    """White noise of unit deviation, larger than any picture, of which each picture takes another part."""
-
-    def __init__(self, seed=0, width_px=1024, height_px=512):
-        rng = np.random.default_rng(seed)
-        self.values = rng.standard_normal((height_px, width_px, 3), dtype=np.float32)
+def noise_tile(seed=0, width_px=1024, height_px=512):
+    """White noise (h, w, 3) of unit deviation, larger than any picture, of which each picture takes another part."""
+    return np.random.default_rng(seed).standard_normal((height_px, width_px, 3), dtype=np.float32)
 
 
 class Renderer:
@@ -49,25 +42,20 @@ class Renderer:
     def __init__(self, camera, scene, seed=0, noise=None):
         """camera: risc_lab.camera.Camera. scene: Scene. seed: int or SeedSequence.
 
-        noise: NoiseTile that several renderers share; None makes one. Raises ValueError for a tile that is too small.
+        noise: tile that several renderers share; None makes one.
         """
         self.camera = camera
         self.scene, self.imaging = scene, scene.style.imaging
         self._rng = np.random.default_rng(seed)
         size = camera.width_px, camera.height_px
         if noise is None:
-            noise = NoiseTile(self._rng.integers(2**32), size[0] + 256, size[1] + 128)
-        if noise.values.shape[1] < size[0] or noise.values.shape[0] < size[1]:
-            raise ValueError("the noise tile is %dx%d, the picture %dx%d" % (noise.values.shape[1::-1] + size))
+            noise = noise_tile(self._rng.integers(2**32), size[0] + 256, size[1] + 128)
         self._noise = noise
         self._light = _light_map(size, self.imaging)
         self._gain, self._brightness = 1.0, self._light
         # kept from picture to picture: new memory of this size costs as much as the work in it
         self._canvas, self._paint = (np.empty((size[1], size[0], 3), np.uint8) for _ in range(2))
         self._exposed, self._grain = (np.zeros((_STRIP_ROWS, size[0], 3), np.float32) for _ in range(2))
-        self._hull_parts = {}
-        self._prop_things = [_prop_thing(prop) for prop in self.scene.props]
-        self._disc_things = [_disc_things(disc, bgr_of_hsv(scene.style.discs.back)) for disc in scene.discs]
 
         border = camera.undistort(_border(size))
         low, high = border.min(axis=0), border.max(axis=0)
@@ -90,15 +78,11 @@ class Renderer:
         grid = np.stack(np.meshgrid(np.linspace(0, size[0] - 1, 4), np.linspace(0, size[1] - 1, 3)), axis=-1)
         self._probe_rays = camera.rays(grid.reshape(-1, 2))
 
-        polygons, self._cords, self._cord_bgr, posts = room_geometry(scene.style.room, scene.arena)
         self._behind_all = scene.style.room.shaded(scene.style.room.walls.front)
-        groups = [(bgr, group) for bgr, group in polygons + posts if group]
-        outlines = [outline for _, group in groups for outline in group]
+        self._room_layers = room_layers(scene.style.room, scene.arena)
+        outlines = [outline for layer in self._room_layers for outline in layer.outlines]
         self._room_points = np.concatenate(outlines)
         self._room_counts = np.array([len(outline) for outline in outlines])
-        self._room_group = np.repeat(np.arange(len(groups)), [len(group) for _, group in groups])
-        self._room_bgr = [bgr for bgr, _ in groups]
-        self._first_post = len(groups) - len(posts)
 
     def render(self, pose, vehicles=(), boards=(), gain=1.0):
         """Picture (h, w, 3) uint8 BGR.
@@ -130,50 +114,18 @@ class Renderer:
 
     def _draw_room_at(self, picture, pose, time_s):
         _fill(picture, self._behind_all)  # nothing of it stays uncovered
-        points, counts = self._clipped(to_camera(pose, self._room_points, time_s), self._room_counts)
+        points = to_camera(pose, self._room_points, time_s)
+        points, counts = clip_polygons(points, self._room_counts, self._frustum)
         pixels = _fixed_point(self._pixels(points, pose))
-        stops = np.cumsum(counts).tolist()
-        groups = {}
-        for number in np.flatnonzero(counts).tolist():
-            group = groups.setdefault(int(self._room_group[number]), [])
-            group.append(pixels[stops[number] - counts[number] : stops[number]])
-        cords_drawn = False
-        for number in sorted(groups):
-            if number >= self._first_post and not cords_drawn:
-                self._draw_cords(picture, pose, time_s)
-                cords_drawn = True
-            cv2.fillPoly(picture, groups[number], self._room_bgr[number], cv2.LINE_AA, _SHIFT)
-        if not cords_drawn:
-            self._draw_cords(picture, pose, time_s)
-
-    def _clipped(self, points, counts):
-        """Polygons in camera axes cut to the frustum, as clip_polygons; most lie wholly on one side and are quick."""
-        starts = np.cumsum(counts) - counts
-        side = points @ self._frustum[:, :3].T + self._frustum[:, 3]
-        lowest = np.minimum.reduceat(side, starts)
-        highest = np.maximum.reduceat(side, starts)
-        outside = (highest < 0.0).any(axis=1)
-        cut = ~outside & (lowest < 0.0).any(axis=1)
-        kept = np.where(outside, 0, counts)
-        if not cut.any():
-            return points[np.repeat(~outside, counts)], kept
-        cut_points, cut_counts = clip_polygons(points[np.repeat(cut, counts)], counts[cut], self._frustum)
-        new_counts = kept.copy()
-        new_counts[cut] = cut_counts
-        result = np.empty((int(new_counts.sum()), 3))
-        from_cut = np.repeat(cut, new_counts)
-        result[from_cut] = cut_points
-        result[~from_cut] = points[np.repeat(~outside & ~cut, counts)]
-        return result, new_counts
-
-    def _draw_cords(self, picture, pose, time_s):
-        ends = to_camera(pose, self._cords.reshape(-1, 3), time_s).reshape(-1, 2, 3)
-        side = ends @ self._frustum[:, :3].T + self._frustum[:, 3]
-        ends = ends[~((side[:, 0] < 0.0) & (side[:, 1] < 0.0)).any(axis=1)]
-        ends = clip_segments(ends, self._frustum[:1])  # the rest OpenCV cuts off; they are too short to be bent much
-        if len(ends):
-            pixels = _fixed_point(self._pixels(ends.reshape(-1, 3), pose)).reshape(-1, 2, 2)
-            cv2.polylines(picture, list(pixels), False, self._cord_bgr, 1, cv2.LINE_AA, _SHIFT)
+        stops, counts, first = np.cumsum(counts).tolist(), counts.tolist(), 0
+        for layer in self._room_layers:
+            last = first + len(layer.outlines)
+            shapes = [pixels[stops[k] - counts[k] : stops[k]] for k in range(first, last) if counts[k]]
+            first = last
+            if layer.are_lines:
+                cv2.polylines(picture, [line[:2] for line in shapes], False, layer.bgr, 1, cv2.LINE_AA, _SHIFT)
+            elif shapes:
+                cv2.fillPoly(picture, shapes, layer.bgr, cv2.LINE_AA, _SHIFT)
 
     def _room_flow(self, pose):
         """Motion (n, 2) [px] of the room during the exposure, at places all over the picture."""
@@ -192,88 +144,70 @@ class Renderer:
     # things
 
     def _things(self, pose, vehicles, boards):
-        """List of _Thing that may be seen, from far to near."""
-        scene, position = self.scene, np.asarray(pose.position_m, dtype=float)
-        candidates = [  # centre, radius of a sphere around it that holds everything, how to make it
-            (front.centre_m, 0.5 * disc.ring_diameter_m, _either, (front, back, position))
-            for disc, (front, back) in zip(scene.discs, self._disc_things)
-        ]
-        candidates += [(thing.centre_m, reach, _itself, (thing,)) for thing, reach in self._prop_things]
-        candidates += [
-            (
-                vehicle.position_m,
-                scene.style.hulls.radius_m,
-                _vehicle_thing,
-                (vehicle, self._parts_of(vehicle), position),
-            )
-            for vehicle in vehicles
-        ]
-        for board in boards:
-            margin = 1.0 + 2.0 * scene.style.boards.margin_squares
-            reach = 0.5 * board.square_m * math.hypot(board.columns + margin, board.rows + margin)
-            candidates.append((board.centre_m, reach, _board_thing, (board, position, scene.style.boards)))
-        if not candidates:
+        """[(thing, its Layers)] of those that may be seen, from far to near."""
+        things = [*self.scene.discs, *self.scene.props, *vehicles, *boards]
+        if not things:
             return []
-        centres = to_camera(pose, np.array([candidate[0] for candidate in candidates], dtype=float))
+        centres, radii = zip(*(thing.sphere(self.scene) for thing in things))
+        centres = to_camera(pose, np.array(centres, dtype=float))
         side = centres @ self._frustum[:, :3].T + self._frustum[:, 3]
-        may_be_seen = (side.min(axis=1) > [-candidate[1] for candidate in candidates]).tolist()
-        near_last = np.argsort(-np.einsum("ij,ij->i", centres, centres), kind="stable").tolist()
-        return [candidates[k][2](*candidates[k][3]) for k in near_last if may_be_seen[k]]
-
-    def _parts_of(self, vehicle):
-        colour = self.scene.hull_colour(vehicle)
-        if colour not in self._hull_parts:
-            self._hull_parts[colour] = [(part, part.middle) for part in self.scene.style.hulls.parts(colour)]
-        return self._hull_parts[colour]
+        may_be_seen = side.min(axis=1) > -np.array(radii)
+        near_last = np.argsort(-np.einsum("ij,ij->i", centres, centres), kind="stable")
+        eye_m = np.asarray(pose.position_m, dtype=float)
+        return [(things[k], things[k].layers(self.scene, eye_m)) for k in near_last.tolist() if may_be_seen[k]]
 
     def _draw_things(self, picture, pose, things):
-        layers = [layer for thing in things for layer in thing.layers]
-        if not layers:
+        outlines = [(layer, outline) for _, layers in things for layer in layers for outline in layer.outlines]
+        if not outlines:
             return
         moments = 1
         if self._is_moving(pose):
-            flow = np.linalg.norm(self._flow(np.array([thing.centre_m for thing in things]), pose), axis=1)
+            centres = np.array([thing.sphere(self.scene)[0] for thing, _ in things])
+            flow = np.linalg.norm(self._flow(centres, pose), axis=1)
             moments = int(min(max(np.ceil(flow.max() / _THING_STEP_PX), 1), _MAX_THING_MOMENTS))
-        outlines = [outline for layer in layers for outline in layer.outlines]
-        lengths = np.array([len(outline) for outline in outlines])
-        starts = np.cumsum(lengths) - lengths
-        world = np.concatenate(outlines)
+        stops = np.cumsum([len(outline) for _, outline in outlines]).tolist()
+        world = np.concatenate([outline for _, outline in outlines])
         points = np.stack([to_camera(pose, world, time_s) for time_s in self._moments(moments)])
-        is_near = np.minimum.reduceat(points[..., 0].min(axis=0), starts) < NEAR_M
         pixels = self._pixels(points.reshape(-1, 3), pose).reshape(moments, -1, 2)
-        low = np.minimum.reduceat(pixels.min(axis=0), starts).tolist()
-        high = np.maximum.reduceat(pixels.max(axis=0), starts).tolist()
-        single = pixels.astype(np.float32)  # for OpenCV
-        is_near, starts, lengths = is_near.tolist(), starts.tolist(), lengths.tolist()
+        is_near = (points[..., 0] < NEAR_M).any(axis=0)
+        polygons = []
+        for number, (layer, outline) in enumerate(outlines):
+            part = slice(stops[number] - len(outline), stops[number])
+            if is_near[part].any():
+                polygons += [self._cut_outline(moment[part], layer.is_solid, pose) for moment in points]
+            elif layer.is_solid:
+                polygons += [_convex_hull(moment[part]) for moment in pixels]
+            else:
+                polygons += list(pixels[:, part])
+            if number + 1 == len(outlines) or outlines[number + 1][0] is not layer:
+                self._blend(picture, [polygon for polygon in polygons if len(polygon) > 2], 1.0 / moments, layer)
+                polygons = []
 
-        batch = _Batch(self._paint, 1.0 / moments)
-        first = 0
-        for layer in layers:
-            last = first + len(layer.outlines)
-            polygons, reach = [], low[first:last] + high[first:last]
-            for number in range(first, last):
-                part = slice(starts[number], starts[number] + lengths[number])
-                for moment in range(moments):
-                    if is_near[number]:
-                        polygon = self._cut_outline(points[moment, part], layer.is_solid, pose)
-                        if len(polygon):
-                            reach += [polygon.min(axis=0), polygon.max(axis=0)]
-                    elif layer.is_solid:
-                        polygon = cv2.convexHull(single[moment, part])[:, 0]
-                    else:
-                        polygon = pixels[moment, part]
-                    if len(polygon) > 2:
-                        polygons.append(polygon)
-            first = last
-            batch.add(polygons, reach, layer)
-        batch.blend_into(picture)
+    def _blend(self, picture, polygons, weight, layer):
+        """Paint a Layer, whose polygons [px] at all moments are these, into a picture."""
+        if not polygons:
+            return
+        corners = np.concatenate(polygons)
+        low = np.maximum(np.floor(corners.min(axis=0) + 0.5), 0.0)
+        high = np.minimum(np.floor(corners.max(axis=0) + 1.5), picture.shape[1::-1])
+        if (low >= high).any():
+            return
+        (x0, y0), (x1, y1) = low.astype(int).tolist(), high.astype(int).tolist()
+        mask, below = coverage(polygons, (x0, y0, x1, y1), weight), picture[y0:y1, x0:x1]
+        if layer.ground_bgr is None:
+            paint = self._paint[: y1 - y0, : x1 - x0]
+            _fill(paint, layer.bgr)
+            cv2.blendLinear(paint, below, mask, 1.0 - mask, dst=below)
+        else:  # where it covers a part of a pixel, its ground covers that part and not the rest in proportion
+            change = mask[:, :, None] * np.subtract(layer.bgr, layer.ground_bgr).astype(np.float32)
+            cv2.add(below, change, dst=below, dtype=cv2.CV_8U)
 
     def _cut_outline(self, points, is_solid, pose):
         """Pixels (n, 2) of that part of an outline in camera axes, or of a solid's points, that is in front."""
         if is_solid:
             points = points[points[:, 0] >= NEAR_M]
             return _convex_hull(self._pixels(points, pose)) if len(points) > 2 else points[:, 1:]
-        points, _ = clip_polygons(points, [len(points)], self._frustum[:1])
+        points, _ = clip_polygons(points, np.array([len(points)]), self._frustum[:1])
         return self._pixels(points, pose) if len(points) else points[:, 1:]
 
     # the sensor
@@ -288,7 +222,7 @@ class Renderer:
         height, width = picture.shape[:2]
         noisy = imaging.read_noise > 0.0 or imaging.shot_noise > 0.0
         if noisy:
-            tile = self._noise.values
+            tile = self._noise
             y = int(self._rng.integers(tile.shape[0] - height + 1))
             x = int(self._rng.integers(tile.shape[1] - width + 1))
             tile = tile[y : y + height, x : x + width]
@@ -368,125 +302,6 @@ def to_camera(pose, points_m, time_s=0.0):
         position = position + np.asarray(pose.velocity_m_s) * time_s
         R = R @ cv2.Rodrigues(np.asarray(pose.rate_rad_s, dtype=float) * time_s)[0]
     return (points_m - position) @ R
-
-
-class _Layer(NamedTuple):
-    """Outlines of one colour. A solid's outline is the convex hull of its points in the picture.
-
-    ground_bgr: colour of the layer before, when this one is painted on it: it never reaches beyond. None: on its own.
-    """
-
-    outlines: list
-    bgr: tuple
-    is_solid: bool = False
-    ground_bgr: tuple | None = None
-
-
-class _Thing(NamedTuple):
-    """Something with a distance: its layers are drawn together."""
-
-    name: str
-    kind: str  # landmark, back, vehicle, board, prop
-    centre_m: np.ndarray
-    layers: list
-    outline_m: np.ndarray | None = None
-    normal: np.ndarray | None = None
-    centre_outline_m: np.ndarray | None = None
-
-
-class _Batch:
-    """Layers of a picture whose coverage is computed at once."""
-
-    def __init__(self, paint, weight):
-        """paint: (h, w, 3) uint8 of the picture's size, to work in. weight: of one polygon."""
-        self._paint, self._weight = paint, weight
-        self._polygons, self._masks, self._boxes, self._layers = [], [], [], []
-
-    def add(self, polygons, reach, layer):
-        """The next layer: pixels (n, 2) of its outlines at all moments, and a list of pixels that spans them all."""
-        if not polygons:
-            return
-        height, width = self._paint.shape[:2]
-        x, y = zip(*reach)
-        x0, y0 = max(math.floor(min(x) + 0.5), 0), max(math.floor(min(y) + 0.5), 0)
-        x1, y1 = min(math.floor(max(x) + 1.5), width), min(math.floor(max(y) + 1.5), height)
-        if x0 >= x1 or y0 >= y1:
-            return
-        self._masks += [len(self._boxes)] * len(polygons)
-        self._polygons += polygons
-        self._boxes.append((x0, y0, x1, y1))
-        self._layers.append(layer)
-
-    def blend_into(self, picture):
-        """Paint all layers, in order, into picture (h, w, 3) uint8."""
-        if not self._boxes:
-            return
-        masks = coverage(
-            np.concatenate(self._polygons),
-            [len(polygon) for polygon in self._polygons],
-            self._masks,
-            np.full(len(self._polygons), self._weight),
-            self._boxes,
-        )
-        for (x0, y0, x1, y1), layer, mask in zip(self._boxes, self._layers, masks):
-            below = picture[y0:y1, x0:x1]
-            if layer.ground_bgr is None:
-                paint = self._paint[: y1 - y0, : x1 - x0]
-                _fill(paint, layer.bgr)
-                cv2.blendLinear(paint, below, mask, 1.0 - mask, dst=below)
-            else:  # where it covers a part of a pixel, its ground covers that part and not the rest in proportion
-                change = mask[:, :, None] * np.subtract(layer.bgr, layer.ground_bgr).astype(np.float32)
-                cv2.add(below, change, dst=below, dtype=cv2.CV_8U)
-
-
-def _itself(thing):
-    return thing
-
-
-def _either(front, back, position):
-    """The side of a disc that is seen from a position."""
-    return front if (position - front.centre_m) @ front.normal > 0.0 else back
-
-
-def _prop_thing(prop):
-    """(_Thing, radius [m] of the sphere around its centre that holds it)."""
-    centre = prop.outline_m.mean(axis=0)
-    reach = float(np.linalg.norm(prop.outline_m - centre, axis=1).max())
-    return _Thing("", "prop", centre, [_Layer([prop.outline_m], prop.bgr)]), reach
-
-
-def _disc_things(disc, back_bgr):
-    """The _Things that a Disc is from its front and from behind."""
-    centre, normal = np.asarray(disc.centre_m, dtype=float), np.asarray(disc.normal, dtype=float)
-    ring, inner = disc.outline(disc.ring_diameter_m), disc.outline(disc.centre_diameter_m)
-    layers = [_Layer([ring], disc.ring_bgr), _Layer([inner], disc.centre_bgr, ground_bgr=disc.ring_bgr)]
-    front = _Thing(disc.name, "landmark", centre, layers, ring, normal, inner)
-    return front, _Thing(disc.name, "back", centre, [_Layer([ring], back_bgr)], ring, normal)
-
-
-def _vehicle_thing(vehicle, parts, position):
-    R, centre = np.asarray(vehicle.R_body_to_cortex), np.asarray(vehicle.position_m, dtype=float)
-    eye = (position - centre) @ R  # body axes
-    facing = [
-        (part, eye - middle) for part, middle in parts if part.normal is None or (eye - middle) @ part.normal > 0.0
-    ]
-    facing.sort(key=lambda entry: -(entry[1] @ entry[1]))
-    outline = np.concatenate([part.points for part, _ in facing]) @ R.T + centre
-    stops = np.cumsum([len(part.points) for part, _ in facing]).tolist()
-    layers = [
-        _Layer([outline[stop - len(part.points) : stop]], part.bgr, is_solid=True)
-        for stop, (part, _) in zip(stops, facing)
-    ]
-    return _Thing(vehicle.name, "vehicle", centre, layers, outline)
-
-
-def _board_thing(board, position, params):
-    centre = np.asarray(board.centre_m, dtype=float)
-    (white, sheet), (black, squares) = board_layers(board, params)
-    layers = [_Layer(sheet, white), _Layer(squares, black, ground_bgr=white)]
-    if (centre - position) @ np.asarray(board.R_board_to_cortex)[:, 2] <= 0.0:  # its z points away from the viewer
-        layers = layers[:1]
-    return _Thing("", "board", centre, layers)
 
 
 def _moved(points, pose, time_s):

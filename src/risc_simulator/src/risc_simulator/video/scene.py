@@ -2,6 +2,10 @@
 
 Everything is flat polygons in the cortex frame [m] (x forward, y left, z up), or convex solids given by their points.
 Colours are BGR 0..255; in settings, and so in config/scene.yaml, they are OpenCV's HSV.
+
+A thing (Disc, Board, Prop, VehiclePose) has
+    sphere(scene)         centre (3,) and radius [m] of a sphere that holds it
+    layers(scene, eye_m)  its Layers, as seen from a place (3,), in painter's order
 """
 
 import functools
@@ -19,11 +23,23 @@ from risc_lab.settings import Fraction, Meta, Positive, Settings, between, setti
 
 CIRCLE_POINTS = 64  # corners of a disc's outline: area and diameter 0.16 % and 0.08 % small, which is mended below
 _CIRCLE_GAIN = math.sqrt(2.0 * math.pi / CIRCLE_POINTS / math.sin(2.0 * math.pi / CIRCLE_POINTS))  # for the true area
-_MAX_EDGE_M = 0.5  # long edges of the room are cut: a straight line is not straight in a distorted picture
-_WALLS = ("front", "back", "left", "right")
+_MAX_EDGE = 0.5  # long edges are cut: a straight line is not straight in a distorted picture [m]; [squares] of boards
+_CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])  # of a square
 
 Bgr = tuple[float, float, float]
 Hsv = tuple[Annotated[float, Meta(ge=0.0, lt=180.0)], between(0.0, 255.0), between(0.0, 255.0)]
+
+
+class Layer(NamedTuple):
+    """Outlines of one colour. A solid's outline is the convex hull of its points in the picture.
+
+    ground_bgr: colour of the layer before, when this one is painted on it: it never reaches beyond. None: on its own.
+    """
+
+    outlines: list  # of (n, 3) [m], cortex frame
+    bgr: Bgr
+    is_solid: bool = False
+    ground_bgr: Bgr | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +63,19 @@ class Disc:
             np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * upward
         )
 
+    @functools.cached_property
+    def _outlines(self):
+        return self.outline(self.ring_diameter_m), self.outline(self.centre_diameter_m)
+
+    def sphere(self, _scene):
+        return self.centre_m, 0.5 * self.ring_diameter_m
+
+    def layers(self, scene, eye_m):
+        ring, centre = self._outlines
+        if (eye_m - self.centre_m) @ self.normal <= 0.0:
+            return [Layer([ring], bgr_of_hsv(scene.style.discs.back))]
+        return [Layer([ring], self.ring_bgr), Layer([centre], self.centre_bgr, ground_bgr=self.ring_bgr)]
+
 
 @dataclass(frozen=True)
 class Board:
@@ -62,10 +91,27 @@ class Board:
     centre_m: tuple[float, float, float]  # cortex frame
     R_board_to_cortex: np.ndarray  # (3, 3)
 
-    def to_cortex(self, x_squares, y_squares):
-        """Points (n, 3) [m], cortex frame, of coordinates on the board in squares from its middle."""
-        flat = np.stack((x_squares, y_squares, np.zeros_like(x_squares)), axis=-1) * self.square_m
-        return np.asarray(self.centre_m) + flat @ np.asarray(self.R_board_to_cortex).T
+    def to_cortex(self, squares):
+        """Points (..., 3) [m], cortex frame, of places (..., 2) on the board in squares from its middle."""
+        R = np.asarray(self.R_board_to_cortex)
+        return np.asarray(self.centre_m) + self.square_m * np.asarray(squares) @ R[:, :2].T
+
+    def sphere(self, scene):
+        margin = 1.0 + 2.0 * scene.style.boards.margin_squares
+        return self.centre_m, 0.5 * self.square_m * math.hypot(self.columns + margin, self.rows + margin)
+
+    def layers(self, scene, eye_m):
+        paints = scene.style.boards
+        half = 0.5 * np.array([self.columns + 1, self.rows + 1])
+        sheet = self.to_cortex(subdivided(_CORNERS * (half + paints.margin_squares)))
+        white, black = bgr_of_hsv(paints.white), bgr_of_hsv(paints.black)
+        if (self.centre_m - eye_m) @ np.asarray(self.R_board_to_cortex)[:, 2] <= 0.0:  # from behind
+            return [Layer([sheet], white)]
+        column, row = np.meshgrid(np.arange(self.columns + 1), np.arange(self.rows + 1))
+        is_black = (column + row) % 2 == 0
+        middles = np.stack((column[is_black], row[is_black]), axis=1) + 0.5 - half
+        squares = self.to_cortex(middles[:, None] + subdivided(0.5 * _CORNERS))
+        return [Layer([sheet], white), Layer(list(squares), black, ground_bgr=white)]
 
 
 @dataclass(frozen=True)
@@ -75,15 +121,12 @@ class Prop:
     outline_m: np.ndarray  # (n, 3) corners, cortex frame
     bgr: Bgr
 
+    def sphere(self, _scene):
+        centre_m = self.outline_m.mean(axis=0)
+        return centre_m, np.linalg.norm(self.outline_m - centre_m, axis=1).max()
 
-@dataclass(frozen=True)
-class CameraPose:
-    """Where a camera is in the middle of its exposure, and how it moves meanwhile."""
-
-    position_m: np.ndarray  # (3,) focal point, cortex frame
-    R_camera_to_cortex: np.ndarray  # (3, 3); camera axes: x along the optical axis, y right, z down in the picture
-    velocity_m_s: np.ndarray = (0.0, 0.0, 0.0)  # cortex frame
-    rate_rad_s: np.ndarray = (0.0, 0.0, 0.0)  # camera axes
+    def layers(self, _scene, _eye_m):
+        return [Layer([self.outline_m], self.bgr)]
 
 
 @dataclass(frozen=True)
@@ -95,21 +138,41 @@ class VehiclePose:
     R_body_to_cortex: np.ndarray  # (3, 3); body axes: x nose, y right wing, z belly
     colour: int | None = None  # number of the hull; None: as the scene says, else the first
 
+    def sphere(self, scene):
+        return self.position_m, scene.style.hulls.radius_m
+
+    def layers(self, scene, eye_m):
+        R, centre_m = np.asarray(self.R_body_to_cortex), np.asarray(self.position_m, dtype=float)
+        eye = (eye_m - centre_m) @ R  # body axes
+        facing = [
+            (part, eye - part.middle)
+            for part in scene.hull(self)
+            if part.normal is None or (eye - part.middle) @ part.normal > 0.0
+        ]
+        facing.sort(key=lambda entry: -(entry[1] @ entry[1]))
+        return [Layer([part.points @ R.T + centre_m], part.bgr, is_solid=True) for part, _ in facing]
+
 
 class Part(NamedTuple):
-    """A convex solid of one colour. points: (n, 3) whose convex hull it is.
+    """A convex solid of one colour, body axes. points: (n, 3) whose convex hull it is.
 
     normal: (3,) of a flat part that is drawn only when it faces the camera; None: drawn from all sides.
     """
 
     points: np.ndarray
     bgr: Bgr
+    middle: np.ndarray  # (3,)
     normal: np.ndarray | None = None
 
-    @property
-    def middle(self):
-        """(3,) mean of the points."""
-        return self.points.mean(axis=0)
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where a camera is in the middle of its exposure, and how it moves meanwhile."""
+
+    position_m: np.ndarray  # (3,) focal point, cortex frame
+    R_camera_to_cortex: np.ndarray  # (3, 3); camera axes: x along the optical axis, y right, z down in the picture
+    velocity_m_s: np.ndarray = (0.0, 0.0, 0.0)  # cortex frame
+    rate_rad_s: np.ndarray = (0.0, 0.0, 0.0)  # camera axes
 
 
 @dataclass(frozen=True)
@@ -141,26 +204,29 @@ class HullParams(Settings):
         """Of the sphere around the vehicle's centre that holds everything."""
         return math.sqrt(2.0) * self.offset_m + 0.5 * self.diameter_m + self.height_m
 
-    def parts(self, colour):
-        """List of Part in body axes. colour: name."""
+    @functools.cached_property
+    def hulls(self):
+        """The hull of each colour: list of Part."""
+        return [self._parts(paint) for paint in self.colours.values()]
+
+    def _parts(self, paint):
         angles = np.arange(24) * (2.0 * math.pi / 24)
         circle = np.stack((np.cos(angles), np.sin(angles), np.zeros(24)), axis=1)
         half_m, radius_m = 0.5 * self.height_m, 0.5 * self.diameter_m
-        paint, parts = self.colours[colour], []
+        solids = []  # points, colour, normal
         for x, hsv in ((self.offset_m, paint.nose), (-self.offset_m, paint.tail)):
             for y in (-self.offset_m, self.offset_m):
                 rim = circle * radius_m + (x, y, 0.0)
-                shroud = np.concatenate((rim + (0.0, 0.0, -half_m), rim + (0.0, 0.0, half_m)))
-                parts.append(Part(shroud, bgr_of_hsv(hsv)))
+                solids.append((np.concatenate((rim + (0.0, 0.0, -half_m), rim + (0.0, 0.0, half_m))), hsv, None))
                 for side in (-1.0, 1.0):  # above and below
                     blades = circle * (0.8 * radius_m) + (x, y, side * half_m)
-                    parts.append(Part(blades, bgr_of_hsv(self.rotors), np.array([0.0, 0.0, side])))
+                    solids.append((blades, self.rotors, np.array([0.0, 0.0, side])))
         # the body: three slices of a flat boat
         length_m = self.offset_m + 0.3 * self.diameter_m
         slices = [(0.8, -0.9 * half_m), (1.0, 0.0), (0.8, 1.1 * half_m)]
         body = [circle * (size * length_m * np.array([1.0, 0.42, 1.0])) + (0.0, 0.0, z) for size, z in slices]
-        parts.append(Part(np.concatenate(body), bgr_of_hsv(self.body)))
-        return parts
+        solids.append((np.concatenate(body), self.body, None))
+        return [Part(points, bgr_of_hsv(hsv), points.mean(axis=0), normal) for points, hsv, normal in solids]
 
 
 @dataclass(frozen=True)
@@ -292,11 +358,11 @@ class Scene:
     colour_of_vehicle: dict[str, int] = field(default_factory=dict)  # number of the hull, by the vehicle's name
     props: tuple[Prop, ...] = ()
 
-    def hull_colour(self, vehicle):
-        """Name of the hull of a VehiclePose."""
+    def hull(self, vehicle):
+        """Parts of a VehiclePose."""
         number = self.colour_of_vehicle.get(vehicle.name, 0) if vehicle.colour is None else vehicle.colour
-        names = list(self.style.hulls.colours)
-        return names[number % len(names)]
+        hulls = self.style.hulls.hulls
+        return hulls[number % len(hulls)]
 
 
 def normal_of_facing(facing_rad):
@@ -316,6 +382,7 @@ def plane_axes(normal):
     return across, np.cross(normal, across)
 
 
+@functools.lru_cache(256)
 def bgr_of_hsv(hsv):
     """BGR of a colour in OpenCV's 8-bit HSV."""
     return tuple(float(x) for x in cv2.cvtColor(np.uint8([[hsv]]), cv2.COLOR_HSV2BGR)[0, 0])
@@ -352,15 +419,19 @@ def load_style(path=None):
     return style
 
 
-def room_geometry(room, arena):
-    """What never moves: polygons, the net's cords, their colour, and posts, of RoomParams around an Arena.
+class RoomLayer(NamedTuple):
+    """What never moves, of one colour: outlines (n, 3) [m] of polygons, or lines (2, 3)."""
 
-    Polygons and posts are lists of (bgr, list of (n, 3) outlines [m]) in painter's order, posts in front of the cords;
-    cords: (k, 2, 3) their ends.
-    """
+    bgr: Bgr
+    outlines: list
+    are_lines: bool = False
+
+
+def room_layers(room, arena):
+    """RoomLayers of RoomParams around an Arena, in painter's order."""
     x, y, z = room.half_x_m, room.half_y_m, room.height_m
     floor = _rectangle("floor", (0.0, 0.0), (2.0 * x, 2.0 * y), room)
-    polygons = [(room.shaded(room.floor), [floor])]
+    layers = [RoomLayer(room.shaded(room.floor), [floor])]
     counts = [int(math.ceil(2.0 * half_m / room.tile_m)) for half_m in (x, y)]
     tiles = []
     for i in range(counts[0]):
@@ -368,118 +439,80 @@ def room_geometry(room, arena):
             x0, y0 = i * room.tile_m - x, j * room.tile_m - y
             x1, y1 = min(x0 + room.tile_m, x), min(y0 + room.tile_m, y)
             tiles.append(np.array([(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)]))
-    polygons.append((bgr_of_hsv(room.floor_tiles), tiles))
+    layers.append(RoomLayer(bgr_of_hsv(room.floor_tiles), tiles))
     marks = _marks(room, arena)
-    polygons += [(bgr_of_hsv(room.dark_marks), marks[::2]), (bgr_of_hsv(room.light_marks), marks[1::2])]
-    polygons.append((bgr_of_hsv(room.ceiling), [floor + (0.0, 0.0, z)]))
-    width_m, depth_m = room.lamp_size_m
+    layers += [RoomLayer(bgr_of_hsv(room.dark_marks), marks[::2]), RoomLayer(bgr_of_hsv(room.light_marks), marks[1::2])]
+    layers.append(RoomLayer(bgr_of_hsv(room.ceiling), [floor + (0.0, 0.0, z)]))
     lamps = [
-        floor_rectangle + (0.0, 0.0, z)
+        _rectangle("floor", (u, v), room.lamp_size_m[::-1], room) + (0.0, 0.0, z)
         for u in (-0.6 * x, 0.0, 0.6 * x)
         for v in (-0.5 * y, 0.5 * y)
-        for floor_rectangle in [_rectangle("floor", (u, v), (depth_m, width_m), room)]
     ]
-    polygons.append((bgr_of_hsv(room.lamps), lamps))
+    layers.append(RoomLayer(bgr_of_hsv(room.lamps), lamps))
     skirting = []
-    for on in _WALLS:
+    for on, hsv in vars(room.walls).items():
         length_m = 2.0 * (y if on in ("front", "back") else x)
-        polygons.append((room.shaded(getattr(room.walls, on)), [_rectangle(on, (0.0, 0.5 * z), (length_m, z), room)]))
+        layers.append(RoomLayer(room.shaded(hsv), [_rectangle(on, (0.0, 0.5 * z), (length_m, z), room)]))
         skirting.append(_rectangle(on, (0.0, 0.5 * room.skirting_m), (length_m, room.skirting_m), room))
-    polygons.append((bgr_of_hsv(room.skirting), skirting))
-    polygons += [
-        (bgr_of_hsv(panel.hsv), [_rectangle(panel.surface, panel.centre_m, panel.size_m, room)])
-        for panel in room.panels
-    ]
+    layers.append(RoomLayer(bgr_of_hsv(room.skirting), skirting))
+    for panel in room.panels:
+        outline = _rectangle(panel.surface, panel.centre_m, panel.size_m, room)
+        layers.append(RoomLayer(bgr_of_hsv(panel.hsv), [outline]))
     cords, posts = _net(room, arena)
-    return polygons, cords, bgr_of_hsv(room.net), [(bgr_of_hsv(room.posts), posts)]
-
-
-def board_layers(board, params):
-    """[(bgr, outlines)] of a Board's front in painter's order; outlines: list of (n, 3) [m]. params: BoardParams."""
-    half_x, half_y = 0.5 * (board.columns + 1), 0.5 * (board.rows + 1)
-    sheet = _unit_square(2.0 * (half_x + params.margin_squares), 2.0 * (half_y + params.margin_squares), 12)
-    white = board.to_cortex(sheet[:, 0], sheet[:, 1])
-    square = _unit_square(1.0, 1.0, 2)
-    column, row = np.meshgrid(np.arange(board.columns + 1), np.arange(board.rows + 1))
-    is_black = (column + row) % 2 == 0
-    middles = np.stack((column[is_black] + 0.5 - half_x, row[is_black] + 0.5 - half_y), axis=1)
-    corners = (middles[:, None] + square).reshape(-1, 2)
-    black = np.split(board.to_cortex(corners[:, 0], corners[:, 1]), len(middles))
-    return [(bgr_of_hsv(params.white), [white]), (bgr_of_hsv(params.black), black)]
+    layers += [RoomLayer(bgr_of_hsv(room.net), cords, are_lines=True), RoomLayer(bgr_of_hsv(room.posts), posts)]
+    return [layer for layer in layers if layer.outlines]
 
 
 def _marks(room, arena):
     """Outlines of the wear marks: always the same, at random places of the arena."""
     rng = np.random.default_rng(0)
-    half_m = (arena.half_x_m, arena.half_y_m)
     marks = []
     for _ in range(room.marks):
-        (x, y), length_m, angle = (
-            rng.uniform(-1.0, 1.0, 2) * half_m,
-            rng.uniform(0.3, 1.0) * room.mark_m,
-            rng.uniform(0.0, 3.1),
-        )
+        centre = np.append(rng.uniform(-1.0, 1.0, 2) * (arena.half_x_m, arena.half_y_m), 0.0)
+        length_m, angle = rng.uniform(0.3, 1.0) * room.mark_m, rng.uniform(0.0, 3.1)
         along = 0.5 * length_m * np.array([math.cos(angle), math.sin(angle), 0.0])
         across = rng.uniform(0.2, 0.8) * np.array([-along[1], along[0], 0.0])
-        centre = np.array([x, y, 0.0])
         marks.append(centre + np.array([-along - across, along - across, along + across, -along + across]))
     return marks
 
 
 def _net(room, arena):
-    """Cords (k, 2, 3) [m] of the net, cut into pieces, and its corner posts as outlines."""
+    """Cords of the net, lines (2, 3) [m] cut into pieces, and its corner posts as outlines."""
     half_x, half_y, top = arena.half_x_m, arena.half_y_m, min(arena.height_m, room.height_m)
-    ends = []
+    cords, posts = [], []
     for half, side, axis in ((half_y, half_x, 0), (half_x, half_y, 1)):
         across = np.linspace(-half, half, max(2, int(round(2.0 * half / room.net_mesh_m)) + 1))
         upward = np.linspace(0.0, top, max(2, int(round(top / room.net_mesh_m)) + 1))
         for fixed in (-side, side):
-            plane = [((u, 0.0), (u, top)) for u in across] + [((-half, v), (half, v)) for v in upward]
-            for a, b in plane:
-                line = [(fixed, u, v) if axis == 0 else (u, fixed, v) for u, v in (a, b)]
-                pieces = subdivided(np.array(line), closed=False)
-                ends.append(np.stack((pieces[:-1], pieces[1:]), axis=1))
-    posts = []
+            for line in [((u, 0.0), (u, top)) for u in across] + [((-half, v), (half, v)) for v in upward]:
+                pieces = subdivided(np.insert(np.array(line), axis, fixed, axis=1), closed=False)
+                cords += list(np.stack((pieces[:-1], pieces[1:]), axis=1))
     for x in (-half_x, half_x):
         for y in (-half_y, half_y):
-            radius = math.hypot(x, y)
-            side = np.array([-y, x, 0.0]) / radius * 0.5 * room.post_m
             foot = np.array([x, y, 0.0])
+            side = 0.5 * room.post_m / math.hypot(x, y) * np.array([-y, x, 0.0])
             head = foot + (0.0, 0.0, top)
             posts.append(subdivided(np.array([foot - side, foot + side, head + side, head - side])))
-    return np.concatenate(ends), posts
+    return cords, posts
 
 
 def _rectangle(on, centre_m, size_m, room):
     """Outline (n, 3) [m] of a rectangle on a surface of the room, long edges cut."""
-    (u, v), (half_u, half_v) = centre_m, (0.5 * size_m[0], 0.5 * size_m[1])
-    corners = [(u - half_u, v - half_v), (u + half_u, v - half_v), (u + half_u, v + half_v), (u - half_u, v + half_v)]
-    place = {
-        "front": lambda a, b: (room.half_x_m, a, b),
-        "back": lambda a, b: (-room.half_x_m, a, b),
-        "left": lambda a, b: (a, room.half_y_m, b),
-        "right": lambda a, b: (a, -room.half_y_m, b),
-        "floor": lambda a, b: (a, b, 0.0),
+    axis, value = {
+        "front": (0, room.half_x_m),
+        "back": (0, -room.half_x_m),
+        "left": (1, room.half_y_m),
+        "right": (1, -room.half_y_m),
+        "floor": (2, 0.0),
     }[on]
-    return subdivided(np.array([place(a, b) for a, b in corners]))
+    return subdivided(np.insert(np.add(centre_m, 0.5 * _CORNERS * size_m), axis, value, axis=1))
 
 
-def subdivided(outline_m, closed=True):
-    """Outline (n, 3) with more points on the same edges, so that none is longer than _MAX_EDGE_M."""
-    ends = np.roll(outline_m, -1, axis=0) if closed else outline_m[1:]
-    starts = outline_m if closed else outline_m[:-1]
+def subdivided(outline, closed=True):
+    """Outline (n, 2 or 3) with more points on the same edges, so that none is longer than _MAX_EDGE."""
+    ends = np.roll(outline, -1, axis=0) if closed else outline[1:]
     points = []
-    for start, end in zip(starts, ends):
-        count = max(1, int(math.ceil(np.linalg.norm(end - start) / _MAX_EDGE_M)))
+    for start, end in zip(outline, ends):
+        count = max(1, int(math.ceil(np.linalg.norm(end - start) / _MAX_EDGE)))
         points.append(start + np.arange(count)[:, None] / count * (end - start))
-    if not closed:
-        points.append(outline_m[-1:])
-    return np.concatenate(points)
-
-
-def _unit_square(width, height, cuts):
-    """Outline (4 * cuts, 2) of a rectangle around the origin, each edge cut."""
-    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * (width, height)
-    ends = np.roll(corners, -1, axis=0)
-    share = np.arange(cuts)[:, None] / cuts
-    return np.concatenate([a + share * (b - a) for a, b in zip(corners, ends)])
+    return np.concatenate(points if closed else [*points, outline[-1:]])

@@ -1,187 +1,154 @@
-"""One aircraft's video: its cameras, its encoder, and the clients of its TCP port 5555."""
+"""The video of the virtual lab: when pictures are taken, and the clients of each vehicle's TCP port for video.
 
-import functools
+A process of its own draws and codes the pictures (camera_process.py), one at a time. It starts with the lab or when the
+first client comes. Times are lab time in seconds.
+"""
+
+import contextlib
+import logging
+import math
+import pickle
+import socket
+import subprocess
+import sys
 import weakref
 from collections import deque
+from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from ardrone_autonomy.protocol.video import FrameType, parse_header
-from risc_lab.camera import Camera
-from risc_lab.lab.calibration import load_calibration, load_mount
-from risc_simulator.socket_host import TcpClients
-from risc_simulator.video.camera_pose import camera_pose
-from risc_simulator.video.checkerboard_motion import Waving
-from risc_simulator.video.encoder import H264Encoder
-from risc_simulator.video.renderer import Renderer
-from risc_simulator.video.stream_writer import StreamWriter
+from ardrone_autonomy.protocol.video import MIN_HEADER_BYTES, FrameType, parse_header
+from risc_lab.lab import load_vehicle_type
+from risc_simulator.notices import Notices
+from risc_simulator.socket_host import SocketHost, TcpClients
 
+_LOG = logging.getLogger(__name__)
+RATES_HZ = (1.0, 30.0)  # of video:codec_fps
+BITRATES_KBIT_S = (250.0, 8000.0)
 MAX_CLIENTS = 8
 LATE_PICTURES = 300  # the newest ones, of which the lateness is told
 LATE_PERCENT = 10.0
 MAX_BACKLOG_BYTES = 512 * 1024  # a client that reads slower than this loses pictures up to the next keyframe
+STOP_PATIENCE_S = 3.0
+START_REST_S = 5.0  # a camera process that has ended is started again after this time, not sooner
+BAD_FILES = 3  # its exit code: a file that the fleet names cannot be used
+READY = b"\n"  # what it says before the first order
 
 
-class Eye:
-    """One camera of one vehicle."""
+class Order(NamedTuple):
+    """One picture, to be taken of the world as it is."""
 
-    def __init__(self, camera, fleet_vehicle, scene, seed):
-        """camera: vehicles.VirtualCamera. ValueError for a bad calibration or mount, of the type or the fleet file."""
-        calibration, self.mount, self._sensor_px = camera.calibration, camera.mount, camera.sensor_px
-        if camera.by_fleet:
-            calibration = fleet_vehicle.calibration or calibration
-            self.mount = load_mount(fleet_vehicle.camera_mount) if fleet_vehicle.camera_mount else self.mount
-        self.camera = Camera(load_calibration(calibration))
-        self._make_renderer = functools.partial(Renderer, self.camera, scene, seed)
-        self._waving = None  # made when it is needed
+    index: int  # of the vehicle in the fleet
+    channel: int  # place among the cameras of its type
+    rate_hz: float
+    bitrate_kbit_s: float
+    begins_anew: bool  # with an IDR picture, whatever came before
+    timestamp_ms: int
+    rows: np.ndarray  # (n, 12) of World.truth()
+    light: float  # of the room, 1 = normal
+    waved_s: float | None  # for how long [s] a checkerboard has been waved in front of the camera; None: there is none
 
-    @functools.cached_property
-    def _renderer(self):
-        """Made when it is needed: 10 MB and 30 ms, and most cameras of a large fleet are never looked through."""
-        return self._make_renderer()
 
-    def look(self, row, vehicles, light, waved_s=None):
-        """Picture (h, w, 3) uint8 BGR from the vehicle whose state is row (12,), see camera_pose.
+class Station(TcpClients):
+    """The video of one vehicle, as its host and the lab see it."""
 
-        vehicles: VehiclePoses of the others. light: of the room, 1 = normal.
-        waved_s: for how long [s] a checkerboard has been waved in front of the camera; None = there is none.
+    def __init__(self, vehicle, channels, listener, stream, waiting):
+        """vehicle: FleetVehicle. channels: how many cameras it has. listener: bound TCP socket; None without cameras.
+
+        stream: faults.Stream that the pictures pass on their way to each client. waiting: see TcpClients.
         """
-        pose = camera_pose(row, self.mount)
-        boards = () if waved_s is None else (self._board(waved_s, pose),)
-        picture = self._renderer.render(pose, vehicles, boards, light)
-        if self._sensor_px is not None:
-            size = picture.shape[1::-1]
-            picture = cv2.resize(picture, self._sensor_px, interpolation=cv2.INTER_AREA)
-            picture = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
-        return picture
-
-    def _board(self, waved_s, pose):
-        if self._waving is None:
-            self._waving = Waving(self.camera)
-        return self._waving.board(waved_s, pose)
-
-
-class Station:
-    """Serves one listener. One thread, non-blocking sockets; nothing that clients do raises."""
-
-    def __init__(self, listener, eyes, latency_s, notices, stream):
-        """listener: bound TCP socket. eyes: Eyes by channel. latency_s: from exposure to sending. notices: Notices.
-
-        stream: faults.Stream that the pictures pass on their way to each client.
-        """
-        self.listener = listener
-        listener.setblocking(False)
-        self._eyes, self._latency_s, self.stream = eyes, latency_s, stream
-        self._clients = TcpClients(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive)
+        notices = Notices(_LOG, vehicle.namespace)
+        super().__init__(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive, waiting)
+        self._channels, self._latency_s = channels or 1, load_vehicle_type(vehicle.type).video_latency_s
+        self.configure(0, RATES_HZ[1], 4000.0, True)
+        self.link_up = True  # False: nothing passes
+        self.board_s = 0.0, 0.0  # from when until when a checkerboard is waved
+        self.pictures = self.skipped = 0  # sent; left out because the computer was too slow
+        self.newest_picture = 0, 0  # bytes of H.264 and frame number of the newest that was made
+        self.begins_anew = True  # the next picture begins a stream
+        self.next_s = None  # when the next one is to be exposed; None: at once
+        self.exposed_s = -math.inf  # when the newest one was
+        self._on_the_way = deque()  # (time to send, bytes, is a keyframe)
         # who has missed something; a new client gets what comes, as from the aircraft: from the middle of the stream
         self._waiting_for_keyframe = weakref.WeakSet()
-        self._encoder, self._encoder_settings = None, None
-        self._writer = StreamWriter()
-        self._on_the_way = deque()  # (time to send, bytes)
-        self._timestamp_ms = None  # of the newest picture, on the lab's clock
-        self.next_s = None  # monotonic time of the next exposure
-        self.pictures = self.skipped = 0
-        self.newest_picture = 0, 0  # bytes of H.264 and frame number of the newest picture
         self._lateness_s = deque(maxlen=LATE_PICTURES)
-        # How late nine out of ten of the newest pictures were sent, at least. A client takes the pictures that came
-        # soonest as on time: when the computer has made all of them late, so are its stamps.
-        self._late_s = 0.0  # None: not known since the last picture
 
-    @property
-    def late_s(self):
-        """See above. Computed when somebody asks, after everything has been sent."""
-        if self._late_s is None:
-            self._late_s = float(np.percentile(self._lateness_s, LATE_PERCENT))
-        return self._late_s
+    def configure(self, channel, rate_hz, bitrate_kbit_s, enabled):
+        """What the vehicle's configuration says; clients write any number there, cameras do what they can."""
+        self.channel, self.enabled = channel % self._channels, enabled
+        self.rate_hz = float(min(max(rate_hz, RATES_HZ[0]), RATES_HZ[1]))
+        self.bitrate_kbit_s = float(min(max(bitrate_kbit_s, BITRATES_KBIT_S[0]), BITRATES_KBIT_S[1]))
+
+    def statistics(self):
+        """What the camera has done, as plain numbers.
+
+        late_ms: how late nine out of ten of the newest pictures were sent, at least. A client takes the pictures that
+        came soonest as on time: when the computer has made all of them late, so are its stamps.
+        """
+        late_s = float(np.percentile(self._lateness_s, LATE_PERCENT)) if self._lateness_s else 0.0
+        return {"pictures": self.pictures, "skipped": self.skipped, "late_ms": 1e3 * late_s}
 
     @property
     def watchers(self):
         """How many clients are connected."""
-        return len(self._clients.backlogs)
+        return len(self.backlogs)
 
-    def sockets(self):
-        """Sockets to wait on."""
-        return [self.listener, *self._clients.backlogs]
-
-    def blocked(self):
-        """Sockets of clients that have not taken everything yet: wait until they can be written."""
-        return [sock for sock, backlog in self._clients.backlogs.items() if backlog]
-
-    def on_readable(self, sock):
-        """A client comes, or says something, or goes."""
-        if sock is self.listener:
-            self._clients.accept()
-        else:
-            self._clients.drain(sock)
-
-    def due_s(self, rate_hz, now_s, is_on=True):
-        """When the next picture is to be exposed; None while nobody watches, or the camera is off."""
-        if not self.watchers:
-            self._encoder = None  # the next watcher starts with an IDR frame
+    def accept(self):
+        is_first = not self.backlogs
+        super().accept()
+        if is_first:
+            self.begins_anew, self.next_s = True, None
             self._on_the_way.clear()
-        if not self.watchers or not is_on:
+            self._waiting_for_keyframe.update(self.backlogs)
+
+    def is_due(self, now_s, exposure_s):
+        """Whether a picture is to be taken now, of a world that was exposed then."""
+        if not self.enabled:
             self.next_s = None
-            return None
+            return False
         if self.next_s is None:
             self.next_s = now_s
-        period_s = 1.0 / rate_hz
-        late = int((now_s - self.next_s) / period_s)
+        late = int((now_s - self.next_s) * self.rate_hz)
         if late > 0:  # the computer is too slow: pictures are left out, the rhythm is kept
             self.skipped += late
-            self.next_s += late * period_s
-        return self.next_s
+            self.next_s += late / self.rate_hz
+        return self.next_s <= now_s and exposure_s > self.exposed_s
 
-    def expose(self, snapshot, index, channel, rate_hz, bitrate_kbit_s, **view):
-        """Take a picture of a Snapshot from the vehicle of this index, and put it on its way. view: of Eye.look.
+    def order(self, index, exposure_s, rows, light):
+        """Order of the picture that is due. index: of the vehicle. exposure_s, rows, light: of the world."""
+        self.next_s += 1.0 / self.rate_hz
+        self.exposed_s = exposure_s
+        begins_anew, self.begins_anew = self.begins_anew, False
+        since_s, until_s = self.board_s
+        waved_s = max(0.0, exposure_s - since_s) if exposure_s < until_s else None
+        settings = self.channel, self.rate_hz, self.bitrate_kbit_s, begins_anew
+        return Order(index, *settings, round(1e3 * exposure_s), rows, light, waved_s)
 
-        While the lab stands still there is nothing new: two pictures of one time would look like a clock set back.
-        """
-        self.next_s += 1.0 / rate_hz
-        timestamp_ms = round(1e3 * snapshot.lab_s)
-        if timestamp_ms == self._timestamp_ms:
-            self.skipped += 1
-            return
-        self._timestamp_ms = timestamp_ms
-        picture = self._eyes[channel].look(snapshot.rows[index], **view)
-        settings = (channel, rate_hz, bitrate_kbit_s)
-        if self._encoder is None or settings != self._encoder_settings:
-            self._encoder = H264Encoder(picture.shape[1], picture.shape[0], rate_hz, bitrate_kbit_s)
-            self._encoder_settings = settings
-            self._writer.stream_id = self._writer.stream_id % 0xFFFF + 1
-            self._writer.encoded_px = self._encoder.coded_px
-            self._writer.display_px = picture.shape[1::-1]
-        data = self._writer.picture(self._encoder.encode(picture), timestamp_ms)
-        header = parse_header(data)
+    def take(self, data, header):
+        """Put the picture that was ordered on its way."""
         self.newest_picture = header.payload_bytes, header.frame_number
-        self._on_the_way.append((snapshot.time_s + self._latency_s, data))
+        self._on_the_way.append((self.exposed_s + self._latency_s, data, header.frame_type == FrameType.IDR))
 
-    def send_due_s(self):
-        """When something is to be sent next; None when nothing is on its way."""
-        return self._on_the_way[0][0] if self._on_the_way else None
+    @property
+    def due_s(self):
+        """When something is to be sent next."""
+        return self._on_the_way[0][0] if self._on_the_way else math.inf
 
-    def send(self, now_s, lab_s, link_up):
-        """Send what has arrived; with the link down it is lost. lab_s: the same as now_s on the lab's clock."""
-        while self._on_the_way and self._on_the_way[0][0] <= now_s:
-            due_s, data = self._on_the_way.popleft()
+    def send(self, now_s):
+        """Send what has arrived; with the link down it is lost."""
+        while self.due_s <= now_s:
+            due_s, data, is_keyframe = self._on_the_way.popleft()
             self._lateness_s.append(now_s - due_s)
-            self._late_s = None
-            is_keyframe = parse_header(data).frame_type == FrameType.IDR
-            self.pictures += link_up
-            if link_up:
-                self._clients.write((data, is_keyframe), lab_s)
+            self.pictures += self.link_up
+            if self.link_up:
+                self.write((data, is_keyframe), now_s)
             else:
-                self._waiting_for_keyframe.update(self._clients.backlogs)
-        if link_up:
-            self._clients.flush()
-
-    def close(self):
-        """Hang up on everybody."""
-        self._clients.close()
-        self.listener.close()
+                self._waiting_for_keyframe.update(self.backlogs)
+        if self.link_up:
+            self.flush()
 
     def _arrive(self, picture, sock):
-        (data, is_keyframe), backlog = picture, self._clients.backlogs[sock]
+        (data, is_keyframe), backlog = picture, self.backlogs[sock]
         if len(backlog) + len(data) > MAX_BACKLOG_BYTES:
             self._waiting_for_keyframe.add(sock)
         elif is_keyframe or sock not in self._waiting_for_keyframe:
@@ -189,6 +156,160 @@ class Station:
             backlog += data
 
 
-def seed_of(seed, index, channel):
-    """Seed of the noise of one camera, of the vehicle of this index."""
-    return np.random.SeedSequence(seed, spawn_key=(2000000 + 2 * index + channel % 2, *range(channel // 2)))
+class VideoServer(SocketHost):
+    """The stations of all vehicles, and the process that makes their pictures."""
+
+    def __init__(self, world, fleet, seed, wires, listeners):
+        """world: has time_s and truth(). listeners: bound TCP sockets in fleet order, None of one without cameras."""
+        super().__init__("video", wires)
+        self._world, self._job = world, (fleet, seed)
+        self.light = 1.0  # of the room
+        self.stations = {}  # by namespace
+        self._listeners = {}  # listener -> its Station
+        for vehicle, listener in zip(fleet.vehicles, listeners):
+            stream = wires.stream("%s/video" % vehicle.namespace) if listener else None
+            channels = len(world.vehicles[vehicle.namespace].virtual.cameras)
+            station = Station(vehicle, channels, listener, stream, self._waiting)
+            self.stations[vehicle.namespace] = station
+            if listener:
+                listener.setblocking(False)
+                self._listeners[listener] = station
+                self._waiting.add(listener)
+        self._all = list(self.stations.values())
+        self._process = self._link = None
+        self._heard = bytearray()
+        self._taking = None  # Station whose picture is in the making
+        self._rest_until_s = -math.inf
+        self._said_ready = False
+        self.ready = False  # the camera process is up: a client is served at once
+        self.due_s = math.inf  # before this time send() has nothing to do
+        self._now_s = 0.0
+
+    def start(self):
+        """Start the camera process if it does not run. A computer that cannot start it now is asked again later."""
+        if self._process is not None or not self._listeners or self._now_s < self._rest_until_s:
+            return
+        link, theirs = socket.socketpair()
+        with link, theirs:
+            command = [sys.executable, "-m", "risc_simulator.video.camera_process", str(theirs.fileno())]
+            try:
+                # Ctrl-C is for the lab, whose end ends this process
+                self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], start_new_session=True)
+            except OSError as error:  # no memory, too many processes: the lab goes on
+                _LOG.error("the camera process cannot be started (%s), the next try is in %g s", error, START_REST_S)
+                self._rest_until_s = self._now_s + START_REST_S
+                return
+            self._link = link.dup()
+        self._waiting.add(self._link)
+        self._send_to_process(self._job)
+
+    def on_readable(self, sock, now_s):
+        self._now_s = now_s
+        if sock is self._link:
+            self._hear()
+        elif sock in self._listeners:
+            self._listeners[sock].accept()
+        else:
+            next(station for station in self._all if sock in station.backlogs).drain(sock)
+
+    def tick(self, now_s):
+        """To be called once per cycle of the lab, after the world has moved."""
+        self._now_s = now_s
+        for station in self._all:
+            if station.backlogs and station.link_up:
+                station.flush()
+        if self._process is None and any(station.backlogs for station in self._all):
+            self.start()
+        if self._link is None and self._process is not None and self._process.poll() is not None:
+            self._bury()
+        self._order_picture()
+
+    def send(self, now_s):
+        """Send the pictures that have arrived by now."""
+        if now_s >= self.due_s:
+            for station in self._all:
+                station.send(now_s)
+            self.due_s = min(station.due_s for station in self._all)
+
+    def close(self):
+        """Hang up on everybody and end the camera process. May be called twice."""
+        self._hang_up()
+        if self._process is not None:
+            try:
+                self._process.wait(STOP_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+            self._process = None
+        for station in self._all:
+            station.close()
+        self._waiting.close()
+
+    # --- the camera process -------------------------------------------------------------------------------------------
+
+    def _order_picture(self):
+        """Let the camera that has waited longest take its picture if it is due and the camera process is free."""
+        if not self.ready or self._taking is not None:
+            return
+        exposure_s = self._world.time_s
+        due = [(s.exposed_s, k, s) for k, s in enumerate(self._all) if s.backlogs and s.is_due(self._now_s, exposure_s)]
+        if due:
+            _, index, self._taking = min(due)
+            self._send_to_process(self._taking.order(index, exposure_s, self._world.truth(), self.light))
+
+    def _send_to_process(self, what):
+        with contextlib.suppress(ConnectionError):  # it has ended: its socket will tell
+            self._link.sendall(pickle.dumps(what))
+
+    def _hear(self):
+        try:
+            data = self._link.recv(1 << 18)
+        except ConnectionError:
+            data = b""
+        if not data:
+            self._hang_up()
+            return
+        self._heard += data
+        if not self.ready:
+            del self._heard[: len(READY)]
+            self.ready = True
+            if not self._said_ready:
+                self._said_ready = True
+                _LOG.info("cameras are ready: video is sent as soon as a client connects")
+        elif len(self._heard) >= MIN_HEADER_BYTES:
+            header = parse_header(self._heard)
+            if len(self._heard) == header.header_bytes + header.payload_bytes:
+                self._taking.take(bytes(self._heard), header)
+                self._heard.clear()
+                self.due_s = min(self.due_s, self._taking.due_s)
+                self._taking = None
+                self._order_picture()
+
+    def _hang_up(self):
+        if self._link is not None:
+            self._waiting.discard(self._link)
+            self._link.close()
+            self._link = None
+        self.ready, self._taking = False, None
+        self._heard.clear()
+
+    def _bury(self):
+        """Say that the camera process has ended, and when it is started again."""
+        code, self._process = self._process.returncode, None
+        if code == BAD_FILES:
+            rest_s = math.inf
+            _LOG.error(
+                "vehicles send no video: the camera process cannot use what its last line names. Mend that and start "
+                "the lab again"
+            )
+        else:
+            rest_s = START_REST_S
+            _LOG.error(
+                "the camera process has ended (code %s), its last lines say why: vehicles send no video until it is "
+                "started again, in %g s",
+                code,
+                rest_s,
+            )
+        self._rest_until_s = self._now_s + rest_s
+        for station in self._all:
+            station.next_s = None

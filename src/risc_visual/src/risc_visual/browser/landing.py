@@ -1,35 +1,27 @@
 """Asking several at once, and telling what each answers, or that it does not. No ROS."""
 
 import threading
-import time
 
 
 def ask_all(questions, limit_s, tell):
     """Ask all at the same time. questions: dict name -> callable without arguments that returns (done, text).
 
-    tell(name, done, text) is called for every answer, one at a time. Who has not answered after `limit_s` [s] is told
-    as failed then, and once more if an answer comes after all. A question that raises has failed: what it raises is the
-    text. Returns when everybody has answered or the time is over.
+    tell(name, done, text) is called for every answer, in a thread of its own. Who has not answered after `limit_s` [s]
+    is told as failed then, and once more if an answer comes after all. A question that raises has failed: what it
+    raises is the text.
     """
-    lock = threading.Lock()
-    answered = set()
+    for item in questions.items():
+        threading.Thread(target=_ask, args=(*item, limit_s, tell), daemon=True).start()
 
-    def ask(name, question):
-        try:
-            done, text = question()
-        except Exception as error:  # whatever it is, the others' answers count, and this one's must not look good
-            done, text = False, "%s: %s" % (type(error).__name__, error)
-        with lock:
-            answered.add(name)
-            tell(name, done, text)
 
-    threads = [threading.Thread(target=ask, args=item, daemon=True) for item in questions.items()]
-    for thread in threads:
-        thread.start()
-    end_s = time.monotonic() + limit_s
-    for thread in threads:
-        thread.join(max(0.0, end_s - time.monotonic()))
-    with lock:
-        for name in questions:
-            if name not in answered:
-                tell(name, False, "no answer within %g s" % limit_s)
+def _ask(name, question, limit_s, tell):
+    late = threading.Timer(limit_s, tell, (name, False, "no answer within %g s" % limit_s))
+    late.daemon = True
+    late.start()
+    try:
+        done, text = question()
+    except Exception as error:  # whatever it is, it must not look good
+        done, text = False, "%s: %s" % (type(error).__name__, error)
+    late.cancel()
+    late.join()  # if it was late, that is told before the answer
+    tell(name, done, text)

@@ -6,17 +6,18 @@ Times are seconds of a clock that never steps.
 
 import html
 import math
-import threading
 from collections import namedtuple
 
 from risc_control.failsafe import FailsafeLevel
-from risc_control.vehicle_pilot import FlightState
-from risc_visual.drawing.airframes import vehicle_colour
+from risc_control.vehicles import state_text
+from risc_visual.drawing.palette import vehicle_colour
 
 PAGE_OLD_S = 3.0  # the page itself says that it is old when nothing came for so long
-# How long a value stays true [s]. Mode and navdata come 15 times a second and more, the others once a second.
-_TRUE_S = {"mode": 1.0, "navdata": 1.0, "error_m": 3.0, "mocap": 3.0, "references": 1.5, "operator": 3.0}
-_NEVER = float("inf")
+# How long a value stays true [s]. Mode and status come 5 times a second and more, what changes seldom is said once, the
+# others come once a second.
+_TRUE_S = {"mode": 1.0, "vehicle": 1.0, "error_m": 3.0, "mocap": 3.0, "references": 1.5, "operator": 3.0}
+_TRUE_S.update(safety=math.inf, course=math.inf)
+_SOURCES = {"mode": "vehicle node", "mocap": "motion capture"}  # who says it; of others that is its name
 
 # The last rule is the page's own watch: whoever replaces the text in time restarts the animation before it shows.
 PAGE_STYLE = (
@@ -35,9 +36,6 @@ div:has(> .rm-land) + div button { height: 3.4em !important; font-size: 1.25em; 
 )
 
 Vehicle = namedtuple("Vehicle", "namespace template index")  # index: of its colour
-Report = namedtuple("Report", "state battery_pct")  # of the vehicle itself: FlightState number, [%]
-Mocap = namedtuple("Mocap", "rate_hz visible vehicles")  # visible: how many of the vehicles are seen
-_Answer = namedtuple("_Answer", "done text")
 
 
 class BrowserPanel:
@@ -63,26 +61,22 @@ class LiveStatus:
         """vehicles: list of `Vehicle`."""
         self._vehicles = vehicles
         self._heard = {}  # (what, whose) -> (value, when [s])
-        self._asked_at = ""  # time of day of the last press on a land button
-        self._answers = {}  # who was asked -> _Answer, None before it has come
-        self._answers_lock = threading.Lock()
+        self._asked = ("", {})  # time of day of the last press on a land button; who was asked -> (class, text)
 
     def note(self, what, whose, value, now_s):
-        """Something was heard: "mode" (autonomous?), "navdata" (`Report`), "safety" (Verdict), "error_m" of a vehicle
-        by its namespace; "course" (phase) of one by its template; "mocap" (`Mocap`), "references" and "operator" (text
-        of its phase) of "".
+        """Something was heard: "mode" (autonomous?), "vehicle" (VehicleStatus), "safety" (Verdict), "error_m" of a
+        vehicle by its namespace; "course" (phase) of one by its template; "mocap" (EstimatorStatus), "references" and
+        "operator" (text of its phase) of "".
         """
         self._heard[what, whose] = (value, now_s)
 
     def note_asked(self, names, time_of_day):
         """Somebody has pressed a land button: these vehicles are asked to land."""
-        with self._answers_lock:
-            self._asked_at, self._answers = time_of_day, dict.fromkeys(names)
+        self._asked = time_of_day, dict.fromkeys(names, ("small", "asked"))
 
     def note_answer(self, name, done, text):
         """What became of it."""
-        with self._answers_lock:
-            self._answers[name] = _Answer(done, text)
+        self._asked[1][name] = ("good" if done else "bad", text)
 
     def forget(self):
         """Nobody has listened for a while: nothing is known. Answers stay."""
@@ -92,82 +86,74 @@ class LiveStatus:
         """The panel's content now."""
         parts = [self._answers_html()]
         parts += [self._vehicle_html(vehicle, now_s) for vehicle in self._vehicles]
-        parts += [self._laboratory_html(now_s)]
+        parts += ["<div>%s</div>" % self._told("mocap", "", now_s, _mocap_words, "motion capture ")]
+        if ("operator", "") in self._heard:
+            parts += ["<div>%s</div>" % self._told("operator", "", now_s, html.escape, "operator: ")]
         parts += ['<div class="small">as of %s</div>' % time_of_day]
         parts += ['<div class="page-old">NO NEWS FOR %g s: WHAT YOU SEE IS OLD</div>' % PAGE_OLD_S]
         return '<div class="rm">%s</div>' % "".join(parts)
 
-    def _age_s(self, what, whose, now_s):
-        return now_s - self._heard[what, whose][1] if (what, whose) in self._heard else _NEVER
+    def _news(self, what, whose, now_s):
+        """A value, None when it was never heard or is not true any more."""
+        value, heard_s = self._heard.get((what, whose), (None, -math.inf))
+        return value if now_s - heard_s <= _TRUE_S[what] else None
 
-    def _told(self, what, whose, now_s, text):
-        """A value by its `text` (value -> HTML) while it is true, else that it is silent, and its last word."""
-        age_s = self._age_s(what, whose, now_s)
-        if age_s <= _TRUE_S[what]:
-            return text(self._heard[what, whose][0])
-        name = {"mode": "vehicle node", "navdata": "vehicle", "mocap": "motion capture"}[what]
-        if math.isinf(age_s):
-            return '<span class="silent">%s: nothing heard</span>' % name
-        old = '<span class="old">%s</span>' % text(self._heard[what, whose][0])
-        return '<span class="silent">%s silent for %.0f s</span> %s' % (name, age_s, old)
+    def _told(self, what, whose, now_s, words, lead=""):
+        """A value in words (value -> HTML) while it is true, else that its source is silent, and its last word."""
+        value, heard_s = self._heard.get((what, whose), (None, -math.inf))
+        if now_s - heard_s <= _TRUE_S[what]:
+            return lead + words(value)
+        source = _SOURCES.get(what, what)
+        if math.isinf(heard_s):
+            return _span("silent", source + ": nothing heard")
+        silence = _span("silent", "%s silent for %.0f s" % (source, now_s - heard_s))
+        return "%s %s" % (silence, _span("old", words(value)))
 
     def _answers_html(self):
-        with self._answers_lock:
-            asked_at, answers = self._asked_at, dict(self._answers)
+        asked_at, answers = self._asked
+        answers = dict(answers)  # more may come meanwhile
         if not answers:
             return ""
         parts = ['<div class="small">landing asked for at %s</div>' % asked_at]
-        for name, answer in answers.items():
-            told_as = "small" if answer is None else "good" if answer.done else "bad"
-            text = "asked" if answer is None else answer.text
+        for name, (told_as, text) in answers.items():
             parts.append('<div class="%s">%s: %s</div>' % (told_as, html.escape(name), html.escape(text)))
         return "".join(parts)
 
     def _vehicle_html(self, vehicle, now_s):
         name = vehicle.namespace
         title = "<b>%s</b> %s" % (html.escape(name), html.escape(vehicle.template))
-        lines = ["%s, %s" % (title, self._told("mode", name, now_s, _mode_html))]
-        if self._age_s("mode", name, now_s) <= _TRUE_S["mode"]:  # who says the mode, says the safety, when it changes
-            safety = self._heard.get(("safety", name), (None, 0.0))[0]
+        lines = ["%s, %s" % (title, self._told("mode", name, now_s, _mode_words))]
+        if self._news("mode", name, now_s) is not None:  # who says the mode, says the safety, when it changes
+            safety = self._news("safety", name, now_s)
             good = safety is None or safety.level == FailsafeLevel.OK
-            text = html.escape(safety.text) if safety else "?"
-            lines.append('<span class="%s">safety: %s</span>' % ("good" if good else "bad", text))
-        lines += [self._told("navdata", name, now_s, _report_html), self._way_html(vehicle, now_s)]
+            lines.append(_span("good" if good else "bad", "safety: " + (html.escape(safety.text) if safety else "?")))
+        lines += [self._told("vehicle", name, now_s, _status_words), self._way_html(vehicle, now_s)]
         colour = "rgb(%d, %d, %d)" % tuple(255.0 * part for part in vehicle_colour(vehicle.index))
         return '<div class="vehicle" style="border-color: %s">%s</div>' % (colour, "<br/>".join(lines))
 
     def _way_html(self, vehicle, now_s):
         """Where it is on its way, and how far from its reference, as far as somebody says so."""
         found = []
-        if self._age_s("references", "", now_s) <= _TRUE_S["references"]:
-            course = self._heard.get(("course", vehicle.template), ("", 0.0))[0]
-            found += [html.escape(course)] if course else []
-            error_m = self._heard.get(("error_m", vehicle.namespace), (math.nan, 0.0))[0]
-            if self._age_s("error_m", vehicle.namespace, now_s) <= _TRUE_S["error_m"] and math.isfinite(error_m):
+        if self._news("references", "", now_s):
+            found = [html.escape(self._news("course", vehicle.template, now_s) or "")]
+            error_m = self._news("error_m", vehicle.namespace, now_s)
+            if error_m is not None and math.isfinite(error_m):
                 found.append("%.0f mm from its reference" % (1e3 * error_m))
-        return ", ".join(found) or '<span class="small">no reference</span>'
-
-    def _laboratory_html(self, now_s):
-        mocap = self._told("mocap", "", now_s, _mocap_html)
-        lines = [mocap if mocap.startswith("<span") else "motion capture %s" % mocap]
-        if ("operator", "") in self._heard:
-            text = html.escape(self._heard["operator", ""][0])
-            if self._age_s("operator", "", now_s) <= _TRUE_S["operator"]:
-                lines.append("operator: %s" % text)
-            else:
-                lines.append('<span class="silent">operator silent</span> <span class="old">%s</span>' % text)
-        return "".join("<div>%s</div>" % line for line in lines)
+        return ", ".join(filter(None, found)) or _span("small", "no reference")
 
 
-def _mode_html(autonomous):
-    return '<span class="%s">%s</span>' % (("good", "autonomous") if autonomous else ("hand", "manual"))
+def _span(kind, text):
+    return '<span class="%s">%s</span>' % (kind, text)
 
 
-def _report_html(report):
-    known = report.state in tuple(FlightState)
-    name = FlightState(report.state).name.lower().replace("_", " ") if known else "state %d" % report.state
-    return "%s, battery %.0f %%" % (name, report.battery_pct)
+def _mode_words(autonomous):
+    return _span("good", "autonomous") if autonomous else _span("hand", "manual")
 
 
-def _mocap_html(mocap):
-    return "%.0f Hz, %d of %d seen" % mocap
+def _status_words(status):
+    battery = "not known" if math.isnan(status.battery_pct) else "%.0f %%" % status.battery_pct
+    return "%s, battery %s" % (state_text(status.state), battery)
+
+
+def _mocap_words(status):
+    return "%.0f Hz, %d of %d seen" % (status.rate_hz, status.visible, status.vehicles)

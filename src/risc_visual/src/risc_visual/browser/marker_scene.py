@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
-from risc_visual.browser.shapes import SHAPES, add_marker, change_marker, turn_of
+from risc_visual.browser.shapes import SHAPES, look_of, turn_of
 
 FIXED_FRAME = "cortex"
 _SAME_M = 1e-5  # positions nearer than this are the same
@@ -23,6 +23,8 @@ _WAITS_S = 1.0  # for the pose of a marker's frame; later it would be drawn wher
 _EYE_M, _LOOKS_AT_M, _FIELD_RAD = (-6.3, 3.6, 4.2), (0.0, -0.1, 0.9), 0.75  # where the view begins
 _TILE_M = 0.5
 _AMBIENT = 1.0  # beside viser's own two lights
+_WXYZ = [3, 0, 1, 2]  # of a quaternion x, y, z, w: viser's order
+_SEEN = ("type", "scale", "color", "points", "colors", "text")  # fields of a marker
 
 
 @dataclass
@@ -32,10 +34,11 @@ class _Member:
     marker: Marker = None
     waits_since_s: float | None = None  # for the pose of its frame; None = it is placed
     ends_s: float = np.inf
-    pose: np.ndarray | None = None  # (7,) position and quaternion x, y, z, w in the fixed frame, and
-    look: Marker | None = None  # what it looks like there
+    pose: np.ndarray | None = None  # (7,) position and quaternion x, y, z, w in the fixed frame, of
+    placed: Marker | None = None  # the last one that was placed
     handle: object = None  # viser's of what is drawn,
     drawn: Marker | None = None  # that marker,
+    look: tuple | None = None  # what stands for it,
     drawn_pose: np.ndarray | None = None  # and its pose in the group
 
 
@@ -106,11 +109,10 @@ class MarkerScene:
 
     def clear(self):
         """Begin anew: nothing is kept, and nothing is drawn any more but the floor."""
-        with self._lock, self._server.atomic():
+        with self._lock:
             for group in self._groups.values():
                 group.end(list(group.members))
-                group.draw(self._server.scene, 0.0, None, [])
-            self._groups.clear()
+        self.draw(0.0, None)
 
 
 class _Group:
@@ -129,43 +131,38 @@ class _Group:
         member.marker = marker
         if member.waits_since_s is None:
             member.waits_since_s = now_s
-        lifetime_s = marker.lifetime.to_sec()
-        member.ends_s = now_s + lifetime_s if lifetime_s > 0.0 else np.inf
+        member.ends_s = now_s + (marker.lifetime.to_sec() or np.inf)
 
     def end(self, numbers):
-        for number in numbers:
-            member = self.members.pop(number, None)
-            if member is not None:
-                self.touched = True
-                if member.handle is not None:
-                    self._gone.append(member.handle)
+        for number in self.members.keys() & numbers:
+            self.touched = True
+            self._gone.append(self.members.pop(number).handle)
 
     def draw(self, scene, now_s, lookup, problems):
         """Returns the number of changes; errors are added to `problems`."""
         self.touched = False
         self._place(now_s, lookup)
-        count = len(self._gone)
-        for handle in self._gone:
-            handle.remove()
-        self._gone = []
+        gone, self._gone = list(filter(None, self._gone)), []
+        count = len(gone)
         placed = sorted((number, member) for number, member in self.members.items() if member.pose is not None)
+        if self._handle and not self.members:
+            gone, self._handle, self._pose = [*gone, self._handle], None, None
+        for handle in gone:
+            handle.remove()
         if not placed:
-            if self._handle is not None and not self.members:
-                self._handle.remove()
-                self._handle, self._pose = None, None
             return count
         poses = np.array([member.pose for _, member in placed])
         if self._handle is None:
             self._handle = scene.add_frame(self._path, show_axes=False)
         if self._pose is None or not _is_near(poses[0], self._pose):
             count, self._pose = count + 1, poses[0]
-            self._handle.position, self._handle.wxyz = poses[0][:3], np.roll(poses[0][3:], 1)
+            self._handle.position, self._handle.wxyz = poses[0][:3], poses[0][3:][_WXYZ]
         back = Rotation.from_quat(self._pose[3:]).inv()
         turns = (back * Rotation.from_quat(poses[:, 3:])).as_quat()
         own = np.column_stack((back.apply(poses[:, :3] - self._pose[:3]), turns))
         for (number, member), pose in zip(placed, own):
             try:
-                count += self._show(scene, number, member, pose)
+                count += _show(scene, "%s/%d" % (self._path, number), member, pose)
             except Exception as error:  # whatever it is, the others are drawn
                 problems.append(error)
         return count
@@ -180,32 +177,38 @@ class _Group:
                 transform = lookup(frame, header.stamp)
                 pose = None if transform is None else _carried(transform, pose)
             if pose is not None:
-                member.pose, member.look, member.waits_since_s = pose, member.marker, None
+                member.pose, member.placed, member.waits_since_s = pose, member.marker, None
             elif now_s - member.waits_since_s > _WAITS_S:
                 self.end([number])
             else:
                 self.touched = True
 
-    def _show(self, scene, number, member, pose):
-        """1 when there was something to do."""
-        look, before = member.look, member.drawn
-        same = before is not None and all(getattr(before, name) == getattr(look, name) for name in _LOOKS)
-        moved = before is None or not _is_near(pose, member.drawn_pose)
-        if same and not moved:
-            return 0
-        turn = turn_of(look, pose[3:])
-        if not same:
-            member.drawn = None  # if it cannot be shown
-            if before is None or not change_marker(member.handle, before, look):
-                member.handle = add_marker(scene, "%s/%d" % (self._path, number), look, turn)
-                moved = True
-        if moved:
-            member.handle.position, member.handle.wxyz = pose[:3], np.roll(turn, 1)
-        member.drawn, member.drawn_pose = look, pose
-        return 1
+
+def _show(scene, path, member, pose):
+    """Draw what is placed, at a pose (7,) in its group. Returns 1 when there was something to do."""
+    marker, before = member.placed, member.drawn
+    same = before is not None and all(getattr(before, name) == getattr(marker, name) for name in _SEEN)
+    stays = before is not None and _is_near(pose, member.drawn_pose)
+    if same and stays:
+        return 0
+    place = {"position": pose[:3], "wxyz": turn_of(marker, pose[3:])[_WXYZ]}
+    changes = {} if stays else place
+    if not same:
+        member.drawn = None  # if it cannot be shown
+        method, fixed, free = look = look_of(marker)
+        if member.look and method == member.look[0] and _are_equal(fixed, member.look[1]):
+            changes = {**changes, **free}
+        else:
+            member.handle, changes = getattr(scene, method)(path, **fixed, **free, **place), {}
+        member.look = look
+    for name, value in changes.items():
+        setattr(member.handle, name, value)
+    member.drawn, member.drawn_pose = marker, pose
+    return 1
 
 
-_LOOKS = ("type", "scale", "color", "points", "colors", "text")  # fields of a marker
+def _are_equal(look, other):
+    return all(np.array_equal(value, other.get(name)) for name, value in look.items())
 
 
 def _name(text):

@@ -101,10 +101,7 @@ def _full_name():
 def _check_free(host, port):
     """viser itself takes the next free port instead, where nobody looks for it."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
+        socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise ValueError(_taken(host, port)) from None
@@ -112,7 +109,7 @@ def _check_free(host, port):
             raise ValueError("port %d needs root: choose one from 1024 to 65535" % port) from None
         raise ValueError(
             "host '%s' is no address of this computer (%s): use 127.0.0.1 for this computer only, 0.0.0.0 for the "
-            "network" % (host, error.strerror)
+            "network" % (host, error.strerror.partition(" (")[0])
         ) from None
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from visualization_msgs.msg import Marker
 
-_GROUND_RGB = (0.08, 0.08, 0.08)  # of the dark page; lines have no opacity there, so they are mixed with it
+_GROUND_RGB = np.array((0.08, 0.08, 0.08))  # of the dark page; lines have no opacity there, so they are mixed with it
 _FAINT = 0.5  # texts less opaque than this are scenery: they lie on the floor, all others face the viewer
 _FACETS = 2  # subdivisions of a ball, enough for what is small on the screen
 _ROUND = 24  # sides of a cylinder
@@ -15,25 +15,49 @@ _LABEL = 0.65  # of a text's height: a label stands on a white card that makes i
 _TEXT_PX = 48  # height of a text on the floor, in its picture
 # Texts on the floor are read from -x, where the view begins: their right is -y, their top is +x. A picture's own axes
 # are x to its right and y down.
-_ON_FLOOR = (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0)  # x, y, z, w
+_ON_FLOOR = np.array((np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0))  # x, y, z, w
+_LINES = (Marker.LINE_STRIP, Marker.LINE_LIST)
+_POINTS = (Marker.SPHERE_LIST, Marker.CUBE_LIST, Marker.POINTS)
+SHAPES = frozenset(  # types that can be shown
+    (Marker.ARROW, Marker.CUBE, Marker.SPHERE, Marker.CYLINDER, Marker.TEXT_VIEW_FACING, *_LINES, *_POINTS)
+)
 
 
-def add_marker(scene, path, marker, turn):
-    """Add a marker to viser's scene; returns its handle. turn: (4,) quaternion x, y, z, w that `turn_of` gave."""
-    return _ADD[marker.type](scene, path, marker, {"wxyz": np.roll(turn, 1)})
-
-
-def change_marker(handle, before, marker):
-    """Change what a marker looks like in place; False when it must be added anew. before: the marker as it was."""
-    if (before.type, before.scale) != (marker.type, marker.scale):
-        return False
-    if marker.type == Marker.TEXT_VIEW_FACING and not is_on_floor(before) and not is_on_floor(marker):
-        handle.text = marker.text
-        return True
-    if marker.type in _OF_POINTS and not before.colors and not marker.colors:
-        handle.points, handle.colors = _points(marker.points, marker), _colours(marker)
-        return True
-    return False
+def look_of(marker):
+    """(method of viser's scene that adds it, dict of what is fixed then, dict of what may change in place)."""
+    size_m, rgba = (marker.scale.x, marker.scale.y, marker.scale.z), _rgba(marker.color)
+    opacity = None if rgba[3] >= 1.0 else rgba[3]
+    solid = {"color": rgba[:3], "opacity": opacity, "cast_shadow": False, "receive_shadow": False}
+    if marker.type == Marker.SPHERE:
+        return "add_icosphere", {"radius": 0.5, "scale": size_m, "subdivisions": _FACETS, **solid}, {}
+    if marker.type == Marker.CYLINDER:
+        return "add_cylinder", {"radius": 0.5, "scale": size_m, "radial_segments": _ROUND, **solid}, {}
+    if marker.type == Marker.CUBE and rgba[3] < _FAINT and min(size_m) < _SHEET_M:
+        lines = {"points": net_of_sheet(size_m), "colors": _mixed(marker.color)}
+        return "add_line_segments", {"thickness": _MESH_LINE_M, **lines}, {}
+    if marker.type == Marker.CUBE:
+        return "add_box", {"dimensions": size_m, **solid}, {}
+    if marker.type == Marker.ARROW:
+        return "add_arrows", {"colors": _mixed(marker.color), **_arrow(marker, *size_m)}, {}
+    if is_on_floor(marker):
+        picture = text_picture(marker.text, rgba)
+        width_m = size_m[2] * picture.shape[1] / picture.shape[0]
+        size = {"render_width": width_m, "render_height": size_m[2]}
+        return "add_image", {"image": picture, **size, "cast_shadow": False, "receive_shadow": False}, {}
+    if marker.type == Marker.TEXT_VIEW_FACING:
+        size = {"font_size_mode": "scene", "font_scene_height": _LABEL * size_m[2]}
+        return "add_label", {"anchor": "center-center", **size}, {"text": marker.text}
+    many = {"points": _in_order(_points(marker.points), marker.type), "colors": _mixed(marker.color)}
+    fixed, free = {}, many
+    if marker.colors and len(marker.colors) == len(marker.points):  # each has a colour of its own
+        many["colors"] = _in_order(np.array([_mixed(colour) for colour in marker.colors]), marker.type)
+        fixed, free = many, {}
+    if marker.type in _LINES:
+        return "add_line_segments", {"thickness": max(marker.scale.x, _LINE_MIN_M), **fixed}, free
+    look = {"point_shape": "square"}
+    if marker.type == Marker.SPHERE_LIST:
+        look = {"point_shape": "circle", "point_shading": "gradient"}
+    return "add_point_cloud", {"point_size": marker.scale.x, "precision": "float32", **look, **fixed}, free
 
 
 def is_on_floor(marker):
@@ -46,50 +70,25 @@ def turn_of(marker, turn):
     return _ON_FLOOR if is_on_floor(marker) else turn
 
 
-def _size(marker):
-    return marker.scale.x, marker.scale.y, marker.scale.z
-
-
-def _solid(marker):
-    """Colour and opacity of a body."""
-    colour = marker.color
-    opacity = None if colour.a >= 1.0 else colour.a
-    return {"color": (colour.r, colour.g, colour.b), "opacity": opacity, "cast_shadow": False, "receive_shadow": False}
+def _rgba(colour):
+    return colour.r, colour.g, colour.b, colour.a
 
 
 def _mixed(colour):
     """A colour on the ground of the page, as integers."""
-    rgb = np.array((colour.r, colour.g, colour.b))
-    return (255.0 * (colour.a * rgb + (1.0 - colour.a) * np.array(_GROUND_RGB))).astype(np.uint8)
+    *rgb, alpha = _rgba(colour)
+    return (255.0 * (alpha * np.array(rgb) + (1.0 - alpha) * _GROUND_RGB)).astype(np.uint8)
 
 
-def _points(items, marker):
-    """What belongs to the points as viser wants it: (n, 3), of lines (n, 2, 3). items: Points, or arrays (3,)."""
-    rows = [(item.x, item.y, item.z) if hasattr(item, "x") else item for item in items]
-    rows = np.array(rows, dtype=np.float32).reshape(-1, 3)
-    if marker.type == Marker.LINE_STRIP:
+def _points(points):
+    return np.array([(point.x, point.y, point.z) for point in points], dtype=np.float32).reshape(-1, 3)
+
+
+def _in_order(rows, shape):
+    """Rows (n, 3) that belong to the points as viser wants them: of lines (n, 2, 3)."""
+    if shape == Marker.LINE_STRIP:
         return np.stack([rows[:-1], rows[1:]], axis=1)
-    if marker.type == Marker.LINE_LIST:
-        return rows[: len(rows) // 2 * 2].reshape(-1, 2, 3)
-    return rows
-
-
-def _colours(marker):
-    """Colours of the points: (3,) if they have none of their own, else in the order of `_points`."""
-    if len(marker.colors) != len(marker.points) or not marker.colors:
-        return _mixed(marker.color)
-    return _points(map(_mixed, marker.colors), marker).astype(np.uint8)
-
-
-def _add_ball(scene, path, marker, pose):
-    return scene.add_icosphere(path, 0.5, scale=_size(marker), subdivisions=_FACETS, **_solid(marker), **pose)
-
-
-def _add_box(scene, path, marker, pose):
-    if marker.color.a < _FAINT and min(_size(marker)) < _SHEET_M:
-        lines = net_of_sheet(_size(marker))
-        return scene.add_line_segments(path, lines, _mixed(marker.color), thickness=_MESH_LINE_M, **pose)
-    return scene.add_box(path, dimensions=_size(marker), **_solid(marker), **pose)
+    return rows[: len(rows) // 2 * 2].reshape(-1, 2, 3) if shape == Marker.LINE_LIST else rows
 
 
 def net_of_sheet(size_m):
@@ -105,48 +104,18 @@ def net_of_sheet(size_m):
     return np.concatenate(found)
 
 
-def _add_cylinder(scene, path, marker, pose):
-    return scene.add_cylinder(path, 0.5, 1.0, scale=_size(marker), radial_segments=_ROUND, **_solid(marker), **pose)
-
-
-def _add_arrow(scene, path, marker, pose):
+def _arrow(marker, a, b, c):
     """With points: scale is shaft diameter, head diameter, head length; without: length, width, height along x."""
-    a, b, c = _size(marker)
     if len(marker.points) >= 2:
-        ends, shaft_m, head_m, head_length_m = _points(marker.points[:2], marker), a, b, c
+        ends, shaft_m, head_m, head_length_m = _points(marker.points[:2]), a, b, c
     else:
         ends, shaft_m, head_m, head_length_m = np.array(((0.0, 0.0, 0.0), (a, 0.0, 0.0))), 0.5 * b, b, 0.25 * a
-    return scene.add_arrows(
-        path,
-        ends[None].astype(np.float32),
-        _mixed(marker.color),
-        shaft_radius=0.5 * shaft_m,
-        head_radius=0.5 * head_m,
-        head_length=head_length_m or 0.2 * float(np.linalg.norm(ends[1] - ends[0])),
-        **pose,
-    )
-
-
-def _add_lines(scene, path, marker, pose):
-    width_m = max(marker.scale.x, _LINE_MIN_M)
-    return scene.add_line_segments(path, _points(marker.points, marker), _colours(marker), thickness=width_m, **pose)
-
-
-def _add_points(scene, path, marker, pose):
-    is_round = marker.type == Marker.SPHERE_LIST
-    look = {"point_shape": "circle", "point_shading": "gradient"} if is_round else {"point_shape": "square"}
-    points, colours = _points(marker.points, marker), _colours(marker)
-    return scene.add_point_cloud(path, points, colours, point_size=marker.scale.x, precision="float32", **look, **pose)
-
-
-def _add_text(scene, path, marker, pose):
-    height_m = marker.scale.z
-    if not is_on_floor(marker):
-        size = {"font_size_mode": "scene", "font_scene_height": _LABEL * height_m}
-        return scene.add_label(path, marker.text, anchor="center-center", **size, **pose)
-    picture = text_picture(marker.text, (marker.color.r, marker.color.g, marker.color.b, marker.color.a))
-    width_m = height_m * picture.shape[1] / picture.shape[0]
-    return scene.add_image(path, picture, width_m, height_m, cast_shadow=False, receive_shadow=False, **pose)
+    return {
+        "points": ends[None].astype(np.float32),
+        "shaft_radius": 0.5 * shaft_m,
+        "head_radius": 0.5 * head_m,
+        "head_length": head_length_m or 0.2 * float(np.linalg.norm(ends[1] - ends[0])),
+    }
 
 
 def text_picture(text, rgba):
@@ -160,19 +129,3 @@ def text_picture(text, rgba):
     picture[..., :3] = np.multiply(rgba[:3], 255.0).astype(np.uint8)
     picture[..., 3] = (rgba[3] * shade).astype(np.uint8)
     return picture
-
-
-_ADD = {
-    Marker.ARROW: _add_arrow,
-    Marker.CUBE: _add_box,
-    Marker.SPHERE: _add_ball,
-    Marker.CYLINDER: _add_cylinder,
-    Marker.LINE_STRIP: _add_lines,
-    Marker.LINE_LIST: _add_lines,
-    Marker.CUBE_LIST: _add_points,
-    Marker.SPHERE_LIST: _add_points,
-    Marker.POINTS: _add_points,
-    Marker.TEXT_VIEW_FACING: _add_text,
-}
-_OF_POINTS = {kind for kind, add in _ADD.items() if add in (_add_lines, _add_points)}
-SHAPES = frozenset(_ADD)  # types that can be shown

@@ -1,4 +1,4 @@
-"""Colours of landmarks and of rays, by the paint of the disc in their middle; all colours on white. Needs no ROS."""
+"""Colours of vehicles, of landmarks and rays by the paint in the disc's middle; all colours on white. Needs no ROS."""
 
 import colorsys
 
@@ -9,14 +9,18 @@ from risc_visual.vision.colours import HUES
 WHITE_RGB = (1.0, 1.0, 1.0)
 # Those of the original release; other paints have the colour of their hue.
 SPHERE_RGB = {"orange": (1.0, 0.6, 0.0), "green": (0.0, 1.0, 0.0), "blue": (0.0, 0.0, 1.0), "pink": (1.0, 0.0, 0.5)}
-RAY_RGB = {
-    "orange": (1.0, 0.27, 0.0),
-    "green": (0.0, 1.0, 0.0),
-    "blue": (0.0, 0.0, 1.0),
-    "pink": (0.78, 0.082, 0.52),
-}
-
-
+RAY_RGB = {**SPHERE_RGB, "orange": (1.0, 0.27, 0.0), "pink": (0.78, 0.082, 0.52)}
+# Told apart from each other on a dark ground, and from what has a meaning: red (flown), green (desired).
+_VEHICLES_RGB = (
+    (0.30, 0.70, 1.00),
+    (1.00, 0.80, 0.25),
+    (0.75, 0.55, 1.00),
+    (0.25, 0.90, 0.80),
+    (1.00, 0.60, 0.75),
+    (0.80, 0.85, 0.55),
+    (0.85, 0.85, 0.90),
+    (0.90, 0.65, 0.45),
+)
 _PRINT_LUMINANCE = 0.25  # the most on white paper: a contrast of 3.5 : 1
 _GREY_CHROMA = 0.15  # less is grey
 _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))  # of linear sRGB
@@ -29,6 +33,11 @@ def on_white(rgb):
         return tuple((1.0 - rgb).tolist())
     linear = rgb**2.2
     return tuple((rgb * min(1.0, _PRINT_LUMINANCE / (_LUMINANCE @ linear)) ** (1.0 / 2.2)).tolist())
+
+
+def vehicle_colour(index):
+    """(r, g, b) of the vehicle with this index; they repeat after eight."""
+    return _VEHICLES_RGB[index % len(_VEHICLES_RGB)]
 
 
 def sphere_colours(landmarks):

@@ -15,7 +15,7 @@ class ArenaParams(Settings):
 
 @dataclass(frozen=True)
 class DrawingParams(Settings):
-    """What the drawing nodes share."""
+    """What the nodes share that draw what moves."""
 
     rate_hz: Positive = 25.0  # of drawing; what arrives in between is not even deserialised
     lifetime_s: Positive = 1.0  # without news after which what moves vanishes

@@ -1,17 +1,15 @@
 """Bearings as rays: where a camera says that landmarks and other vehicles are. Needs no ROS.
 
-Axes are those of the camera: x along the optical axis, y right, z down.
+Axes are those of the camera: x along the optical axis, y right, z down. Nothing here is thread-safe.
 """
 
 import math
-import threading
 from typing import NamedTuple
 
 import numpy as np
 
 from risc_lab.camera import rays_of_bearings
-from risc_visual.drawing.airframes import vehicle_colour
-from risc_visual.drawing.palette import WHITE_RGB, ray_colours
+from risc_visual.drawing.palette import WHITE_RGB, ray_colours, vehicle_colour
 
 _AHEAD_S = 0.5  # [s] a picture so much newer than the last sight of its vehicle may still get a place
 
@@ -36,11 +34,9 @@ class RayStyles:
         """
         self._params = params
         # Thin under a template's name: in the original release such bearings were no measurements.
-        thin = {kind.name for kind in landmarks.landmarks} - {kind.roi_name for kind in landmarks.landmarks}
-        self._landmarks = {
-            name: (params.template_width_m if name in thin else params.width_m, rgb)
-            for name, rgb in ray_colours(landmarks).items()
-        }
+        widths_m = {kind.name: params.template_width_m for kind in landmarks.landmarks}
+        widths_m.update({kind.roi_name: params.width_m for kind in landmarks.landmarks})
+        self._landmarks = {name: (widths_m[name], rgb) for name, rgb in ray_colours(landmarks).items()}
         self._vehicles = {
             name: (params.width_m, vehicle_colour(index)) for index, names in enumerate(vehicles) for name in names
         }
@@ -69,15 +65,12 @@ class Whereabouts:
 
     def __init__(self, max_age_s):
         """max_age_s: [s] a picture that is older than the newest sight of its vehicle by this has no place any more."""
-        self._max_age_s = max_age_s
-        self._lock = threading.Lock()
-        self._seen_s = {}
+        self._max_age_s, self._seen_s = max_age_s, {}
 
     def note(self, stamp_s, visible):
         """A frame of motion capture. visible: dict name of vehicle -> bool."""
-        with self._lock:
-            for name, is_seen in visible.items():
-                self._seen_s[name] = stamp_s if is_seen else self._seen_s.get(name, -math.inf)
+        for name, is_seen in visible.items():
+            self._seen_s[name] = stamp_s if is_seen else self._seen_s.get(name, -math.inf)
 
     def stamp_of(self, name, stamp_s):
         """Time [s] at which to place a vehicle's picture, None if there is no place for it.
@@ -85,13 +78,9 @@ class Whereabouts:
         stamp_s: of the picture; 0 = not stamped (bags of the original release): then it is the newest sight. The
         picture of a vehicle that motion capture has never named (a camera on a stand) is not judged.
         """
-        with self._lock:
-            seen_s = self._seen_s.get(name)
-        if seen_s is None:
-            return stamp_s
-        if not stamp_s:
-            return seen_s if math.isfinite(seen_s) else None
-        return stamp_s if stamp_s - _AHEAD_S <= seen_s <= stamp_s + self._max_age_s else None
+        seen_s = self._seen_s.get(name, stamp_s)
+        at_s = stamp_s or seen_s
+        return at_s if at_s - _AHEAD_S <= seen_s <= at_s + self._max_age_s and math.isfinite(at_s) else None
 
 
 class Shown:
@@ -101,8 +90,7 @@ class Shown:
     """
 
     def __init__(self, lifetime_s):
-        self._lifetime_s = lifetime_s
-        self._until_s = {}
+        self._lifetime_s, self._until_s = lifetime_s, {}
 
     def renew(self, keys, now_s):
         """These are drawn now."""

@@ -3,10 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.yaml_reader import load_yaml, package_file
-from risc_lab.settings import Positive, Settings, between, settings_from
+from risc_lab.settings import Positive, Settings, Vector, between, settings_from
 
 
 @dataclass(frozen=True)
@@ -18,13 +19,8 @@ class Net(Arena):
     def walls(self):
         """The four panels: list of (centre (3,) [m], size (3,) [m])."""
         x, y, z, t = self.half_x_m, self.half_y_m, self.height_m, self.thickness_m
-        panel_x, panel_y = (t, 2.0 * y, z), (2.0 * x, t, z)
-        return [
-            ((x, 0.0, z / 2), panel_x),
-            ((-x, 0.0, z / 2), panel_x),
-            ((0.0, y, z / 2), panel_y),
-            ((0.0, -y, z / 2), panel_y),
-        ]
+        across_x = [((side * x, 0.0, z / 2), (t, 2.0 * y, z)) for side in (1.0, -1.0)]
+        return across_x + [((0.0, side * y, z / 2), (2.0 * x, t, z)) for side in (1.0, -1.0)]
 
     def edges(self):
         """The box' twelve edges: (24, 3) [m], start and end in turn."""
@@ -60,15 +56,8 @@ class Grid(Settings):
 class CameraPose(Settings):
     """Where a motion capture camera is, and where it looks."""
 
-    position_m: tuple[float, float, float]
+    position_m: Vector
     heading_deg: float  # of the optical axis in plan: 0 = along +y, + clockwise from above
-
-    def rotation_to_cortex(self, tilt_deg):
-        """(3, 3) rotation from camera axes (x along the optical axis, y left, z up) to cortex axes."""
-        (sin_h, sin_t), (cos_h, cos_t) = (f(np.radians((self.heading_deg, tilt_deg))) for f in (np.sin, np.cos))
-        ahead = (cos_t * sin_h, cos_t * cos_h, -sin_t)
-        left = (-cos_h, sin_h, 0.0)
-        return np.column_stack([ahead, left, np.cross(ahead, left)])
 
 
 @dataclass(frozen=True)
@@ -77,6 +66,10 @@ class Cameras(Settings):
 
     tilt_deg: between(-90.0, 90.0)  # of the optical axes below the horizon
     poses: tuple[CameraPose, ...] = ()
+
+    def turns(self):
+        """List of Rotations from camera axes (x along the optical axis, y left, z up) to cortex axes."""
+        return [Rotation.from_euler("ZY", (90.0 - pose.heading_deg, self.tilt_deg), True) for pose in self.poses]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Paths of moving things, kept in pieces so that only the end has to be sent again. Needs no ROS."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import dist
 
 PIECE_POINTS = 25
@@ -13,8 +13,8 @@ class Piece:
     """A stretch of a path without a break."""
 
     slot: int  # 0 .. MAX_PIECES - 1, the same as long as the piece lives
-    points_m: list[tuple[float, float, float]] = field(default_factory=list)
-    newest_s: float = 0.0
+    points_m: list[tuple[float, float, float]]
+    newest_s: float
     sent: bool = False  # has been handed out in its final shape
 
 
@@ -24,35 +24,30 @@ class Trail:
     def __init__(self, duration_s, params):
         """duration_s: what is older is forgotten. params: params.PathParams."""
         self._duration_s, self._params = duration_s, params
-        self._pieces = deque()
+        self._pieces = deque(maxlen=MAX_PIECES)
         self._count = 0
         self._end = None  # (stamp [s], position (3,) [m]) newest position
 
     def add(self, stamp_s, position_m):
         """Go to a position (3,) [m]. A stamp before the last one (a bag that starts again) forgets the path."""
-        joined = False
-        if self._end is not None:
-            last_s, last_m = self._end
-            if stamp_s < last_s:
-                self._pieces.clear()
-            elif stamp_s - last_s <= self._params.gap_s and dist(position_m, last_m) <= self._params.jump_m:
-                joined = bool(self._pieces)
-        self._end = (stamp_s, position_m)
-        if not joined:
-            self._new_piece(position_m)
-        else:
-            points_m = self._pieces[-1].points_m
-            if dist(position_m, points_m[-1]) >= self._params.step_m:
-                points_m.append(position_m)
-                if len(points_m) >= PIECE_POINTS:
-                    self._pieces[-1].newest_s = stamp_s
-                    self._new_piece(position_m)  # starts where the last one ends: no gap to be seen
-        self._pieces[-1].newest_s = stamp_s
+        (last_s, last_m), self._end = self._end or (stamp_s, position_m), (stamp_s, position_m)
+        if stamp_s < last_s:
+            self._pieces.clear()
+        near = stamp_s - last_s <= self._params.gap_s and dist(position_m, last_m) <= self._params.jump_m
+        if not (near and self._pieces):
+            self._begin_piece()
+            return
+        piece = self._pieces[-1]
+        piece.newest_s = stamp_s
+        if dist(position_m, piece.points_m[-1]) >= self._params.step_m:
+            piece.points_m.append(position_m)
+            if len(piece.points_m) >= PIECE_POINTS:
+                self._begin_piece()  # starts where the last one ends: no gap to be seen
 
-    def _new_piece(self, start_m):
-        if len(self._pieces) == MAX_PIECES:
-            self._pieces.popleft()
-        self._pieces.append(Piece(self._count % MAX_PIECES, [start_m]))
+    def _begin_piece(self):
+        """At the newest position; of too many the oldest goes."""
+        stamp_s, position_m = self._end
+        self._pieces.append(Piece(self._count % MAX_PIECES, [position_m], stamp_s))
         self._count += 1
 
     def to_send(self, now_s, turn, turns):

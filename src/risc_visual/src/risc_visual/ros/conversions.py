@@ -7,23 +7,9 @@ from std_msgs.msg import Header
 from risc_control.failsafe import FailsafeLevel, Rule, Verdict
 from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
-from risc_visual.drawing.cast import Pose
 
 FRAME_ID = "cortex"
 _UNKNOWN = (-1.0, 0.0, -1.0)  # covariance: xx, xy, yy
-
-
-def poses_from_cortex(msg):
-    """Cortex -> list of `Pose`."""
-    return [
-        Pose(
-            entry.name,
-            entry.visible,
-            (entry.x, entry.y, entry.z),
-            (math.radians(entry.phi), math.radians(entry.theta), math.radians(entry.psi)),
-        )
-        for entry in msg.Obj
-    ]
 
 
 def verdict_from_msg(msg):

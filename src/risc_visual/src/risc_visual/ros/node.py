@@ -1,28 +1,12 @@
-"""What all nodes of risc_visual share: how they run, and what they say of themselves on /diagnostics."""
+"""What all nodes of risc_visual share: what they say of themselves on /diagnostics."""
 
-import sys
 import threading
 import time
 
-import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_lab.ros.diagnostics import Growth, age_text, make_updater
+from risc_lab.ros.diagnostics import Growth, age_text, is_silent, make_updater
 from risc_lab.ros.ticker import Ticker
-
-_SILENCE_S = 3.0  # without news after which an input is silent
-
-
-def run(name, make):
-    """Make a node, and run it until shutdown; wrong parameters (ValueError) end it with one line."""
-    rospy.init_node(name)
-    try:
-        node = make()
-    except ValueError as error:
-        rospy.logfatal("%s: %s", name, error)
-        sys.exit(1)
-    rospy.spin()
-    del node
 
 
 def ticking_updater():
@@ -30,11 +14,6 @@ def ticking_updater():
     updater = make_updater("none")
     Ticker(1.0, updater.update, "the diagnostics")
     return updater
-
-
-def is_silent(last_s):
-    """Whether an input is. last_s: when it was heard last, monotonic clock; None: never."""
-    return last_s is None or time.monotonic() - last_s > _SILENCE_S
 
 
 class Health:

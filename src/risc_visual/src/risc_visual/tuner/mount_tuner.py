@@ -23,7 +23,7 @@ from risc_estimation.mount_fit import (
     weak_values,
 )
 from risc_estimation.mount_samples import BearingWindow
-from risc_lab.lab.calibration import FRONT_MOUNT, CameraMount, load_mount, resolve_url, save_mount
+from risc_lab.lab.calibration import CameraMount, load_mount, resolve_url, save_mount
 from risc_lab.settings import Positive, Settings
 
 NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -75,7 +75,7 @@ class MountTuner:
         self._params = params or TunerParams()
         self._fit_params = fit_params or FitParams()
         self._from_file = bool(vehicle.camera_mount) and not self._params.nominal
-        self._first = load_mount(vehicle.camera_mount) if self._from_file else FRONT_MOUNT
+        self._first = load_mount(vehicle.camera_mount if self._from_file else "")
         self.mount = self._first  # replaced as a whole
         self._lock = threading.Lock()  # held to replace it: `change` keeps some of its numbers
         self.window = BearingWindow(window_params)

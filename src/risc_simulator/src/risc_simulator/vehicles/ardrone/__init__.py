@@ -5,9 +5,10 @@ from risc_simulator.vehicles import VirtualCamera
 from risc_simulator.vehicles.ardrone.firmware import ArdroneFirmware as Firmware
 from risc_simulator.vehicles.ardrone.host import ArdroneHost as Host
 from risc_simulator.vehicles.ardrone.on_board import FIELDS, after_step, before_step
+from risc_simulator.vehicles.ardrone.telemetry import Telemetry
 
 CAMERAS = (
     VirtualCamera("front", "ardrone_front.yaml", FRONT_MOUNT, by_fleet=True),
     VirtualCamera("bottom", "ardrone_bottom.yaml", BOTTOM_MOUNT, sensor_px=(320, 180)),
 )
-__all__ = ["CAMERAS", "FIELDS", "Firmware", "Host", "after_step", "before_step"]
+__all__ = ["CAMERAS", "FIELDS", "Firmware", "Host", "Telemetry", "after_step", "before_step"]

@@ -18,11 +18,8 @@ TAKE_OFF_CLIMB_M_S = 0.6
 LANDING_DESCENT_M_S = 0.4
 HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
 
-HEIGHT_GAIN_1_S = 1.2  # height hold: climb rate per height error
 HEIGHT_HOLD_CLIMB_M_S = 0.5
 STOPPING_TIME_S = 0.3  # height is held where the climb loop can stop, not where hover was asked for
-FLOW_GAIN_RAD_PER_M_S = 0.15  # braking: tilt per velocity seen by the belly camera
-FLOW_TILT_MAX_RAD = 0.2
 FLOW_SCALE_SPREAD = 0.05  # the height that scales the flow is not exact,
 FLOW_BIAS_SPREAD_M_S = 0.01  # nor is the camera exactly level: a hover creeps
 
@@ -30,9 +27,6 @@ FLOW_BIAS_SPREAD_M_S = 0.01  # nor is the camera exactly level: a hover creeps
 TILT_LIMIT_RAD = 0.52
 CLIMB_LIMIT_M_S = 2.0
 YAW_RATE_LIMIT_RAD_S = 6.11
-
-CLIMB_INTEGRAL_1_S2 = 0.5  # slow trim of the climb loop: a thrust error is forgotten within some 6 s
-CLIMB_TRIM_LIMIT_M_S2 = 2.0
 
 LOW_BATTERY_PCT = 15.0  # refuses to take off
 EMPTY_BATTERY_PCT = 3.0  # lands by itself
@@ -75,11 +69,7 @@ class ArdroneFirmware(Firmware):
 
     def configure(self, record):
         """Write the constants of this vehicle into its record (1,), on_board.FIELDS; `tell` will change the rest."""
-        one = record[0]
-        one.height_gain_1_s = HEIGHT_GAIN_1_S
-        one.flow_gain_rad_per_m_s, one.flow_tilt_max_rad = FLOW_GAIN_RAD_PER_M_S, FLOW_TILT_MAX_RAD
-        one.flow_scale, one.flow_bias_forward_m_s, one.flow_bias_right_m_s = self._flow
-        one.climb_integral_1_s2, one.climb_trim_limit_m_s2 = CLIMB_INTEGRAL_1_S2, CLIMB_TRIM_LIMIT_M_S2
+        record["flow_scale"], record["flow_bias_forward_m_s"], record["flow_bias_right_m_s"] = self._flow
         self._holds, self._hold_values = record["holds"], [record[name] for name in Hold._fields]
 
     def tell(self):

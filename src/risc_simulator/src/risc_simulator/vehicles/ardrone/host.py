@@ -1,7 +1,7 @@
 """An AR.Drone 2.0 on the wire: the sockets, state machine and telemetry of one aircraft of the virtual lab.
 
 UDP 5556 takes AT commands, UDP 5554 answers wake-up datagrams with navdata, TCP 5559 gives the configuration text,
-TCP 5555 is for video, which a camera process serves (`attach_video`).  TCP 5551 is FTP, with the firmware's version.
+TCP 5555 is for video, which video.server serves (`attach_video`).  TCP 5551 is FTP, with the firmware's version.
 Each aircraft has its own loopback address, so all use the standard ports.  Any real client can connect.
 
 Piloting (PCMD, REF) passes the simulated radio: one set of sticks per 1/30 s slot, the vehicle's command delay later.
@@ -99,8 +99,8 @@ class ArdroneHost(VehicleHost):
     ports: Ports; a 0 takes a free one, see `ports`.
     seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
     radio_loss: probability that a radio slot, or a datagram of navdata, is lost.
-    wires: faults.Wires, of which it uses commands, wake_ups, navdata, and the streams control, ftp and video (on which
-        the camera process lets faults act); None = wires of its own.
+    wires: faults.Wires, of which it uses commands, wake_ups, navdata, and the streams control and ftp; None = wires of
+        its own.
 
     All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
     address or port cannot be used; nothing that arrives later raises.
@@ -109,7 +109,7 @@ class ArdroneHost(VehicleHost):
     def __init__(self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, wires=None):
         super().__init__(vehicle, wires)
         self._commands, self._wake_ups, self._navdata = map(self.wire, ("commands", "wake_ups", "navdata"))
-        control, ftp, _ = map(self.stream, ("control", "ftp", "video"))
+        control, ftp = map(self.stream, ("control", "ftp"))
         self.address = address
         rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
         rate_hz = vehicle.type.command_rate_hz
@@ -145,7 +145,6 @@ class ArdroneHost(VehicleHost):
         self._sticks = _NO_STICKS
         self._wanted = Setpoint(hover=True)  # before the altitude limit
         self._scheduled = self._wanted
-        self._free_m = -math.inf, math.inf  # heights between which nothing limits its climb
         self._ref_sequence = 0
         self._ref_time_s = None
         self._ref_gap_ms = 0.0
@@ -164,7 +163,7 @@ class ArdroneHost(VehicleHost):
         self._writer = None
 
         self._readers = None  # TcpClients of the configuration
-        self._video = None  # video.launcher.VehicleVideo
+        self._video = None  # video.server.Station
         self._sockets = {}  # name -> socket
         self._ftp = None
         try:
@@ -181,7 +180,7 @@ class ArdroneHost(VehicleHost):
             raise
         for sock in (self._sockets["at"], self._sockets["navdata"]):
             self._waiting.add(sock)
-        self.watch_streams()
+        self._watch_streams()
         self.ports = Ports(*[self._sockets[name].getsockname()[1] for name in Ports._fields])
         self._obey_configuration()
 
@@ -195,15 +194,12 @@ class ArdroneHost(VehicleHost):
     def attach_video(self, video):
         self._video = video
         self._obey_configuration()
-        self.watch_streams()
 
-    def watch_streams(self):
+    def _watch_streams(self):
         """Wait for those listeners and streams that are to be served now."""
         served = []
         if self._sockets and not self.link_lost:  # stalled streams would be readable for ever
             served = [self._sockets["control"], *self._readers.backlogs, self._ftp]
-            if self._video is not None and self._video.wants_clients:  # else the camera process accepts
-                served.append(self.video_listener)
         datagrams = [self._sockets.get("at"), self._sockets.get("navdata")]
         for sock in self._waiting:
             if sock not in datagrams and sock not in served:
@@ -221,14 +217,11 @@ class ArdroneHost(VehicleHost):
             for data, sender in self.receive(sock):
                 self._wake_ups.carry(data, sender, now_s, self._on_wake_up)
         elif self.link_lost:
-            self.watch_streams()  # a loss that has just begun: streams stall
+            self._watch_streams()  # a loss that has just begun: streams stall
         elif sock is self._ftp:
             self._ftp.serve(now_s)
         elif sock is self._sockets.get("control"):
             self._readers.accept()
-        elif sock is self._sockets.get("video"):
-            self._video.start()  # accepts as soon as it is up
-            self.watch_streams()
         else:
             self._readers.drain(sock)
         self._find_due(self._vehicle.phase)
@@ -293,9 +286,9 @@ class ArdroneHost(VehicleHost):
 
     def _switch_link(self, link_up):
         self._link_up = link_up
-        self.watch_streams()
+        self._watch_streams()
         if self._video is not None:
-            self._video.set_link(self._link_up)
+            self._video.link_up = link_up
 
     def get(self, key):
         """Typed value of a configuration key in force."""
@@ -399,7 +392,6 @@ class ArdroneHost(VehicleHost):
         self._climb_max_m_s = 1e-3 * get("control:control_vz_max")
         self._lowest_m, highest_mm = 1e-3 * get("control:altitude_min"), get("control:altitude_max")
         self._highest_m = 1e-3 * highest_mm if highest_mm < NO_LIMIT_MM else math.inf
-        self._find_free_heights()
         self._rebuild_writer()
         if self._video is not None:
             self._video.configure(
@@ -535,7 +527,6 @@ class ArdroneHost(VehicleHost):
         self._landing_ordered = action is FlightAction.LAND
         if action is FlightAction.TAKE_OFF:
             self._wanted = self._scheduled = Setpoint(hover=True)
-            self._find_free_heights()
             self._counts["take_offs"] += 1
         elif action is FlightAction.LAND:
             self._counts["landings"] += 1
@@ -582,26 +573,13 @@ class ArdroneHost(VehicleHost):
         climb = min(climb, ALTITUDE_GAIN_1_S * (self._highest_m - altitude_m))
         return setpoint if climb == setpoint.climb_m_s else replace(setpoint, climb_m_s=climb)
 
-    def _find_free_heights(self):
-        """Where _limit_altitude() has nothing to do; nowhere while the climb is limited."""
-        if self._wanted.hover:
-            self._free_m = -math.inf, math.inf
-        elif self._scheduled.climb_m_s != self._wanted.climb_m_s:
-            self._free_m = math.inf, -math.inf
-        else:
-            shift_m = self._rest_height_m - self._wanted.climb_m_s / ALTITUDE_GAIN_1_S
-            self._free_m = self._lowest_m + shift_m, self._highest_m + shift_m
-
     def _limit_altitude(self, now_s):
-        if self._free_m[0] <= self._vehicle.height_m <= self._free_m[1]:
-            return
         limited = self._within_altitude_limits(self._wanted)
         if abs(limited.climb_m_s - self._scheduled.climb_m_s) > CLIMB_STEP_M_S:
             self._schedule(now_s, limited)
 
     def _schedule(self, time_s, setpoint):
         self._scheduled = setpoint
-        self._find_free_heights()
         self._vehicle.schedule(time_s, setpoint)
 
     # --- navdata ----------------------------------------------------------------------------------------------------

@@ -6,20 +6,21 @@ When it runs, and with which numbers, is decided by firmware.py.
 from risc_lab.compiled import compiled
 from risc_simulator.models.quadrotor import U, X, level_motion
 
+HEIGHT_GAIN_1_S = 1.2  # height hold: climb rate per height error
+FLOW_GAIN_RAD_PER_M_S = 0.15  # braking: tilt per velocity seen by the belly camera
+FLOW_TILT_MAX_RAD = 0.2
+CLIMB_INTEGRAL_1_S2 = 0.5  # slow trim of the climb loop: a thrust error is forgotten within some 6 s
+CLIMB_TRIM_LIMIT_M_S2 = 2.0
+
 FIELDS = (
     ("holds", bool),  # it keeps its height by itself; False: the commands stay as they are
     ("height_m", float),  # to be held, with a climb rate within these limits
     ("climb_min_m_s", float),
     ("climb_max_m_s", float),
     ("brakes", bool),  # while it holds, it brakes and keeps its heading, too; False: tilt and yaw rate are as commanded
-    ("height_gain_1_s", float),  # climb rate per height error
-    ("flow_gain_rad_per_m_s", float),  # braking: tilt per velocity seen
-    ("flow_tilt_max_rad", float),
     ("flow_scale", float),  # velocity seen = scale * true one + bias
     ("flow_bias_forward_m_s", float),
     ("flow_bias_right_m_s", float),
-    ("climb_integral_1_s2", float),  # slow trim of the climb loop
-    ("climb_trim_limit_m_s2", float),
 )
 
 
@@ -33,18 +34,18 @@ def before_step(x, inputs, vehicle):
         inputs[U.ROLL] = -_brake(right_m_s, vehicle.flow_bias_right_m_s, vehicle)
         inputs[U.PITCH] = _brake(forward_m_s, vehicle.flow_bias_forward_m_s, vehicle)
         inputs[U.YAW_RATE] = 0.0
-    up_m_s = vehicle.height_gain_1_s * (vehicle.height_m - x[X.H])
+    up_m_s = HEIGHT_GAIN_1_S * (vehicle.height_m - x[X.H])
     inputs[U.CLIMB] = min(vehicle.climb_max_m_s, max(vehicle.climb_min_m_s, up_m_s))
 
 
 @compiled
 def _brake(velocity_m_s, bias_m_s, vehicle):
-    tilt_rad = vehicle.flow_gain_rad_per_m_s * (vehicle.flow_scale * velocity_m_s + bias_m_s)
-    return min(vehicle.flow_tilt_max_rad, max(-vehicle.flow_tilt_max_rad, tilt_rad))
+    tilt_rad = FLOW_GAIN_RAD_PER_M_S * (vehicle.flow_scale * velocity_m_s + bias_m_s)
+    return min(FLOW_TILT_MAX_RAD, max(-FLOW_TILT_MAX_RAD, tilt_rad))
 
 
 @compiled
 def after_step(inputs, climb_m_s, vehicle, step_s):
     """The slow integral on the climb error; climb_m_s: climb rate at the start of the step."""
-    trim = inputs[U.CLIMB_TRIM] + vehicle.climb_integral_1_s2 * step_s * (inputs[U.CLIMB] - climb_m_s)
-    inputs[U.CLIMB_TRIM] = max(-vehicle.climb_trim_limit_m_s2, min(vehicle.climb_trim_limit_m_s2, trim))
+    trim = inputs[U.CLIMB_TRIM] + CLIMB_INTEGRAL_1_S2 * step_s * (inputs[U.CLIMB] - climb_m_s)
+    inputs[U.CLIMB_TRIM] = max(-CLIMB_TRIM_LIMIT_M_S2, min(CLIMB_TRIM_LIMIT_M_S2, trim))

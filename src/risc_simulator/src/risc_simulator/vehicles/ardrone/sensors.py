@@ -32,19 +32,10 @@ _DEG = 180.0 / math.pi
 _BLOCK = 8192
 
 
-class _Noise:
-    """Standard normal numbers one at a time; drawing them in blocks makes one cost some 50 ns."""
-
-    def __init__(self, rng, scale):
-        self._rng = rng
-        self._scale = scale
-        self._iterator = iter(())
-
-    def __call__(self, std):
-        for value in self._iterator:
-            return std * value
-        self._iterator = iter((self._scale * self._rng.standard_normal(_BLOCK)).tolist())
-        return std * next(self._iterator)
+def _normal_numbers(rng, scale):
+    """Normal numbers one at a time; drawing them in blocks makes one cost some 50 ns."""
+    while True:
+        yield from (scale * rng.standard_normal(_BLOCK)).tolist()
 
 
 class Reading(NamedTuple):
@@ -78,7 +69,7 @@ class ArdroneSensors:
     """
 
     def __init__(self, rng, noise=1.0, rest_height_m=0.0):
-        self._noise = _Noise(rng, noise)
+        self._normal = _normal_numbers(rng, noise)
         self._rest_height_m = rest_height_m
         n = self._noise
         self._bias_deg = (n(ATTITUDE_BIAS_DEG), n(ATTITUDE_BIAS_DEG))  # roll, pitch
@@ -87,6 +78,9 @@ class ArdroneSensors:
         self._last_psi = None
         self._unwrapped = self._first_heading_deg = 0.0
         self._last_s, self._way_m = -math.inf, (0.0, 0.0)
+
+    def _noise(self, std):
+        return std * next(self._normal)
 
     def flat_trim(self):
         """The vehicle lies flat: what the attitude reads now is zero."""

@@ -5,6 +5,7 @@ While nobody looks it subscribes to nothing and costs nothing. Wiring only; see 
 
 import time
 from dataclasses import dataclass
+from functools import partial
 
 import rospy
 import tf2_ros
@@ -12,17 +13,23 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ardrone_autonomy.msg import Navdata
 from risc_lab.phases import OperatorPhase, phase_words
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, known_arena, load_params, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.settings import Name, Port, Positive, Settings
-from risc_maap_msgs.msg import ControllerReport, EstimatorStatus, OperatorState, Safety, TrajectoryPhases
+from risc_maap_msgs.msg import (
+    ControllerReport,
+    EstimatorStatus,
+    OperatorState,
+    Safety,
+    TrajectoryPhases,
+    VehicleStatus,
+)
 from risc_msgs.msg import Trajectories
 from risc_visual.browser.landing import ask_all
-from risc_visual.browser.live_status import BrowserPanel, LiveStatus, Mocap, Report, Vehicle
+from risc_visual.browser.live_status import BrowserPanel, LiveStatus, Vehicle
 from risc_visual.browser.marker_scene import FIXED_FRAME, MarkerScene
 from risc_visual.browser.page_server import open_server
 from risc_visual.drawing.scenery import load_scenery
@@ -42,6 +49,7 @@ _PANEL_HZ = 2.0
 _MOST_LOAD = 0.25  # of a core: a busy scene is drawn less often
 _ANSWER_S = 3.0  # a vehicle node that has not answered by then is shown as silent
 _FRAMES_S = 10.0  # of tf to remember: markers of a picture are older than the newest frames
+_NO_NODE = "the vehicle node does not answer, use its joystick"
 _OPERATOR = "virtual operator"  # no name of a vehicle has a space
 _OPERATOR_LAND = "/operator/land"
 _QUEUE = 100  # messages of a burst, e.g. one a vehicle
@@ -93,7 +101,7 @@ class LiveView:
         """Ask the nodes of these vehicles to land them, and others too; the panel shows what each answers."""
         rospy.logwarn("landing of %s was asked for in the browser", ", ".join(names))
         self._status.note_asked(names, _time_of_day())
-        vehicles_first = {name: lambda name=name: _call_land(name) for name in names}
+        vehicles_first = {name: partial(_call, "/%s/land" % name, _NO_NODE) for name in names}
         ask_all({**vehicles_first, **others}, _ANSWER_S, self._on_answer)
 
     def _on_answer(self, name, done, text):
@@ -143,23 +151,18 @@ class LiveView:
             self._subscribers.append(PacedSubscriber(topic, kind, callback, rate_hz))
 
         for topic in WHOLE:
-            newest(topic, MarkerArray, self._to_scene(topic), self._params.rate_hz)
+            newest(topic, MarkerArray, partial(self._on_markers, topic), self._params.rate_hz)
         for topic, kind in [(topic, MarkerArray) for topic in ARRAYS] + [(topic, Marker) for topic in SINGLE]:
-            every(topic, kind, self._to_scene(topic))
-        for vehicle in self._vehicles:
-            name = vehicle.namespace
+            every(topic, kind, partial(self._on_markers, topic))
+        for name, _, _ in self._vehicles:
             newest("/%s/controller_status" % name, Bool, lambda msg, name=name: note("mode", name, msg.data))
-            newest("/%s/ardrone/navdata" % name, Navdata, lambda msg, name=name: note("navdata", name, _report(msg)))
+            newest("/%s/vehicle_status" % name, VehicleStatus, partial(note, "vehicle", name))
             every("/%s/safety" % name, Safety, lambda msg, name=name: note("safety", name, verdict_from_msg(msg)))
-        newest("/trajectory", Trajectories, lambda _msg: note("references", "", True))
+        newest("/trajectory", Trajectories, partial(note, "references", ""))
         every("/trajectory_phase", TrajectoryPhases, self._on_phases)
         every("/operator/phase", OperatorState, lambda msg: note("operator", "", _operator_text(msg)))
         every("/controller_report", ControllerReport, self._on_controller)
-        every(
-            "/estimator_status",
-            EstimatorStatus,
-            lambda msg: note("mocap", "", Mocap(msg.rate_hz, msg.visible, msg.vehicles)),
-        )
+        every("/estimator_status", EstimatorStatus, partial(note, "mocap", ""))
 
     def _rest(self):
         """The last one has gone."""
@@ -175,14 +178,8 @@ class LiveView:
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
-    def _to_scene(self, topic):
-        """Callback for the markers on a topic."""
-
-        def note(message):
-            markers = getattr(message, "markers", [message])
-            self._not_shown |= self._scene.note(topic, markers, time.monotonic())
-
-        return note
+    def _on_markers(self, topic, message):
+        self._not_shown |= self._scene.note(topic, getattr(message, "markers", [message]), time.monotonic())
 
     def _note(self, what, whose, value):
         self._status.note(what, whose, value, time.monotonic())
@@ -207,33 +204,24 @@ class LiveView:
         return status
 
 
-def _report(navdata):
-    return Report(navdata.state, navdata.batteryPercent)
-
-
 def _operator_text(message):
     return ": ".join(filter(None, (OperatorPhase(message.phase).name.lower(), message.text)))
 
 
-def _call_land(name):
-    """Ask a vehicle's node to land it. Returns (done, what happens)."""
+def _call(service, silent):
+    """Ask for a landing. silent: what it means when nobody answers. Returns (done, what happens)."""
     try:
-        answer = rospy.ServiceProxy("/%s/land" % name, Trigger)()
+        answer = rospy.ServiceProxy(service, Trigger)()
     except rospy.ServiceException as error:
-        return False, "the vehicle node does not answer, use its joystick (%s)" % error
+        return False, "%s (%s)" % (silent, error)
     return answer.success, answer.message
 
 
 def _call_operator():
-    """Ask the virtual operator to land all and to start none. Returns (done, what happens), "" when there is none."""
-    code, _, _ = rospy.get_master().lookupService(_OPERATOR_LAND)
-    if code != 1:
+    """The virtual operator is to land all and to start none. Returns (done, what happens), "" when there is none."""
+    if rospy.get_master().lookupService(_OPERATOR_LAND)[0] != 1:
         return True, ""
-    try:
-        answer = rospy.ServiceProxy(_OPERATOR_LAND, Trigger)()
-    except rospy.ServiceException as error:
-        return False, "does not answer and may start vehicles again (%s)" % error
-    return answer.success, answer.message
+    return _call(_OPERATOR_LAND, "does not answer and may start vehicles again")
 
 
 def _time_of_day():

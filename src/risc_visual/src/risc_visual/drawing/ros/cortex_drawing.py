@@ -1,72 +1,89 @@
 """Messages of motion capture and of the vehicles -> the markers of draw_cortex. Needs no ROS master."""
 
 import math
-import threading
 
+import numpy as np
 from geometry_msgs.msg import Quaternion
+from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
 from risc_control.failsafe import FailsafeLevel
+from risc_estimation.ros.bearing_conversions import states_from_msg
+from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.templates import attached_bodies
-from risc_visual.drawing.airframes import PAINT
-from risc_visual.drawing.cast import Cast, Index, is_news, rod_foot
-from risc_visual.drawing.palette import sphere_colours
+from risc_visual.drawing.cast import Index, is_news
+from risc_visual.drawing.palette import sphere_colours, vehicle_colour
+from risc_visual.drawing.ros.airframes import AIRFRAMES, DEFAULT_AIRFRAME
 from risc_visual.drawing.ros.markers import GREEN, LINE_M, ORANGE, ORIGIN, RED, TEXT_M, WHITE, Pen, header, is_known
-from risc_visual.ros.conversions import poses_from_cortex
 
 _TEXT_PERIODS = 3.0  # without news after which a text vanishes
 _SPHERE_ALPHA, _OTHER_ALPHA = 0.7, 0.4  # of landmarks, and of those that nobody knows
 _PENDULUM = (1.0, 0.6, 0.0)
+_ROD_MAX_M = 1.5  # a pendulum tip farther than this from every vehicle stands on none
 _BARE = (0.75, 0.75, 0.75)
 _LOST_RGBA = (0.6, 0.6, 0.6, 0.4)
-_TYPES = {"ellipsoid": Marker.SPHERE, "cylinder": Marker.CYLINDER, "lines": Marker.LINE_LIST, "arrow": Marker.ARROW}
 _LEAST_M = 1e-3  # diameter of what rviz could not draw, were it smaller
 _MODES_M, _BATTERIES_M = (-0.5, -1.4, 0.0), (1.0, 1.15, 0.0)  # from two corners of the net to the lists of texts
 
 
 class CortexDrawing:
-    """Every method belongs to one topic, each topic may have a thread of its own. Stamps are those of the messages.
-
-    What has no stamp has the ROS time that the caller gives.
-    """
+    """Not thread-safe. Stamps are those of the messages; what has none has the ROS time that the caller gives."""
 
     def __init__(self, params, fleet, templates, landmarks, arena=Arena()):
         """params: CortexParams. fleet: FleetVehicles. templates: of lab.templates. landmarks: LandmarksConfig."""
-        index = Index(params.vehicles or [vehicle.template for vehicle in fleet])
-        self._cast = Cast(index, {vehicle.template: vehicle.type for vehicle in fleet})
+        self._index = Index(params.vehicles or [vehicle.template for vehicle in fleet])
+        self._types = {vehicle.template: vehicle.type for vehicle in fleet}
         self._tips = attached_bodies(templates)
         self._colours = {name: rgb + (_SPHERE_ALPHA,) for name, rgb in sphere_colours(landmarks).items()}
         self._lifetime_s, self._label_rgba = params.lifetime_s, WHITE + (params.label_alpha,)
         self._text_lifetime_s = _TEXT_PERIODS / params.status_hz
         self._half_m = arena.half_x_m, arena.half_y_m, 0.0
-        self._lock = threading.Lock()
+        self._last = {}  # name -> (position [m], Quaternion, places of its parts [m]) where it was seen last
         self._safety = {}  # line -> Verdict of the vehicle's safety when it is not content
         self._levels = {}  # name -> (level of the safety ladder, when it was said [s])
 
     def vehicles(self, msg, now_s):
         """Cortex -> (vehicles and pendulums, their names): ns = name. now_s: ROS time, that given to `mode`.
 
-        A lost vehicle is a grey ghost where it was last seen; one that its safety has stopped says so.
+        A lost vehicle, also one with numbers that are not finite, is a grey ghost where it was last seen; one that its
+        safety has stopped says so.
         """
-        pen, levels = Pen(self._lifetime_s, header(msg.header.stamp)), self._levels_at(now_s)
-        poses = poses_from_cortex(msg)
-        views = self._cast.views([pose for pose in poses if pose.name not in self._tips])
-        found, labels = [], []
-        for view in views:
-            found += _vehicle(pen, view)
-            text, rgba = view.name + (" (lost)" if view.lost else ""), self._label_rgba
-            if view.name in levels:
-                text, rgba = "%s: %s" % (text, levels[view.name]), RED + rgba[3:]
-            labels.append(pen.label(view.name, view.index + 1, text, view.position_m, rgba))
-        for tip in poses:
-            if tip.name in self._tips and tip.visible:
-                found.append(pen.ball(tip.name, 1, tip.position_m, 0.076, _PENDULUM + (1.0,)))
-                foot_m = rod_foot(tip.position_m, [view for view in views if not view.lost])
-                if foot_m is not None:
-                    found.append(pen.line(tip.name, 2, (foot_m, tip.position_m), 0.02, _PENDULUM + (0.7,)))
-                labels.append(pen.label(tip.name, 1, tip.name, tip.position_m, self._label_rgba))
+        pen, found, labels = Pen(self._lifetime_s, header(msg.header.stamp)), [], []
+        states = states_from_msg(msg)
+        tips_m = {name: states.pop(name)[0] for name in self._tips.intersection(states)}
+        seen = {name: pose for name, pose in states.items() if np.isfinite(pose).all()}
+        self._remember(seen)
+        for name in (entry.name for entry in msg.Obj if entry.name in self._last):
+            at_m, turn, places_m = self._last[name]
+            index, lost = self._index[name], name not in seen
+            for number, (part, place_m) in enumerate(zip(self._parts(name), places_m), start=1):
+                rgba = _LOST_RGBA if lost else (vehicle_colour(index) if part.painted else _BARE) + (part.alpha,)
+                found.append(pen.marker(name, number, part.shape, place_m, part.size_m, rgba, turn, part.points_m))
+            text, rgba = name + (" (lost)" if lost else ""), self._label_rgba
+            level, said_s = self._levels.get(name, ("", -math.inf))
+            if is_news(said_s, now_s, self._text_lifetime_s):  # what a vehicle said last is not true for ever
+                text, rgba = "%s: %s" % (text, level), RED + rgba[3:]
+            labels.append(pen.label(name, index + 1, text, at_m, rgba))
+        for name, tip_m in tips_m.items():
+            found.append(pen.ball(name, 1, tip_m, 0.076, _PENDULUM + (1.0,)))
+            foot_m = min((at_m for at_m, _ in seen.values()), key=lambda at_m: math.dist(at_m, tip_m), default=None)
+            if foot_m and math.dist(foot_m, tip_m) <= _ROD_MAX_M:
+                found.append(pen.line(name, 2, (foot_m, tip_m), 0.02, _PENDULUM + (0.7,)))
+            labels.append(pen.label(name, 1, name, tip_m, self._label_rgba))
         return found, labels
+
+    def _remember(self, seen):
+        """seen: dict name -> (position [m], angles [rad])."""
+        if seen:
+            rotations = rotation_body_to_cortex(*np.array([euler_rad for _, euler_rad in seen.values()]).T)
+            turns = Rotation.from_matrix(rotations).as_quat().tolist()
+            for (name, (at_m, _)), R, turn in zip(seen.items(), rotations, turns):
+                places_m = [part.centre_m for part in self._parts(name)] @ R.T + at_m
+                self._last[name] = at_m, Quaternion(*turn), places_m.tolist()
+
+    def _parts(self, name):
+        return AIRFRAMES.get(self._types.get(name), AIRFRAMES[DEFAULT_AIRFRAME])
 
     def bodies(self, msg):
         """Mocap_data -> the markers of every body that are seen, as one list of spheres: ns = template."""
@@ -105,20 +122,17 @@ class CortexDrawing:
 
     def note_safety(self, line, verdict):
         """What the safety of the vehicle on a line of the list says: its Verdict."""
-        with self._lock:
-            self._safety[line] = None if verdict.level == FailsafeLevel.OK else verdict
+        self._safety[line] = None if verdict.level == FailsafeLevel.OK else verdict
 
     def mode(self, head, line, name, autonomous):
         """Line of text: who flies the vehicle, or what its safety does about it.
 
         line: of the list of vehicles, from 0. name: "" for a laboratory with one vehicle.
         """
-        with self._lock:
-            safety = self._safety.get(line)
-            if safety:
-                self._levels[name] = (safety.level.name, head.stamp.to_sec())
-            else:
-                self._levels.pop(name, None)
+        self._levels.pop(name, None)
+        safety = self._safety.get(line)
+        if safety:
+            self._levels[name] = safety.level.name, head.stamp.to_sec()
         text = safety.text if safety else "Autonomous" if autonomous else "Manual"
         rgb = RED if safety else GREEN if autonomous else ORANGE
         return self._status(head, "controller_status", _MODES_M, line, name, text, rgb)
@@ -142,19 +156,3 @@ class CortexDrawing:
         text = "%s: %s" % (name, text) if name else text
         at_m = (x + side * apart_m, y, z + side * apart_m)
         return Pen(self._text_lifetime_s, head).text(ns, line, text, at_m, height_m, rgb + (1.0,))
-
-    def _levels_at(self, now_s):
-        """dict name -> level of the vehicles that still speak: what a vehicle said last is not true for ever."""
-        with self._lock:
-            said = dict(self._levels)
-        return {name: level for name, (level, said_s) in said.items() if is_news(said_s, now_s, self._text_lifetime_s)}
-
-
-def _vehicle(pen, view):
-    """The parts of a vehicle: ids from 1."""
-    turn = Quaternion(*view.quaternion)
-    found = []
-    for number, (part, at_m) in enumerate(zip(view.parts, view.places_m), start=1):
-        rgba = _LOST_RGBA if view.lost else (view.colour if part.colour == PAINT else _BARE) + (part.alpha,)
-        found.append(pen.marker(view.name, number, _TYPES[part.shape], at_m, part.size_m, rgba, turn, part.points_m))
-    return found

@@ -6,11 +6,9 @@ sends any more vanishes.
 """
 
 import functools
-import math
 
 import genpy
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
@@ -33,19 +31,9 @@ _BEHIND_M = 0.8
 
 
 # The values of a message are shared where they repeat: a message is written once and only read after that.
-@functools.lru_cache(maxsize=1024)
-def _rgba(red, green, blue, alpha):
-    return ColorRGBA(red, green, blue, alpha)
-
-
-@functools.lru_cache(maxsize=1024)
-def _vector(x, y, z):
-    return Vector3(x, y, z)
-
-
-@functools.lru_cache(maxsize=64)
-def _duration(seconds):
-    return genpy.Duration.from_sec(seconds)
+_rgba = functools.lru_cache(maxsize=1024)(ColorRGBA)
+_vector = functools.lru_cache(maxsize=1024)(Vector3)
+_duration = functools.lru_cache(maxsize=64)(genpy.Duration.from_sec)
 
 
 def header(stamp=None, frame_id=FRAME_ID):
@@ -67,17 +55,12 @@ class Pen:
             ns=ns,
             id=number,
             type=shape,
-            action=Marker.ADD,
             pose=Pose(Point(*at_m), turn),
             scale=_vector(*size_m),
             color=_rgba(*rgba),
             lifetime=self._lifetime,
-            frame_locked=False,
             points=[Point(*point) for point in points_m],
-            colors=[],
             text=text,
-            mesh_resource="",
-            mesh_use_embedded_materials=False,
         )
 
     def ball(self, ns, number, at_m, diameter_m, rgba):
@@ -100,7 +83,7 @@ class Pen:
 
 def is_known(position_m):
     """False for what stands for 'not seen': NaN, or the 10 km of the original release."""
-    return all(math.isfinite(value) and abs(value) < 1000.0 for value in position_m)
+    return all(abs(value) < 1000.0 for value in position_m)
 
 
 def gone_marker(ns, number):
@@ -108,38 +91,32 @@ def gone_marker(ns, number):
     return Marker(header=header(), ns=ns, id=number, action=Marker.DELETE)
 
 
-# ---------------------------------------------------------------- arena
+def pyramid(far_m, wide_m, high_m):
+    """Ends of the lines (x, y, z) of what a camera sees: edges from its centre, and a frame. x: the optical axis."""
+    corners = [(far_m, y, z) for y, z in ((wide_m, high_m), (-wide_m, high_m), (-wide_m, -high_m), (wide_m, -high_m))]
+    edges = [end for corner in corners for end in (ORIGIN, corner)]
+    return edges + [end for side in zip(corners, corners[1:] + corners[:1]) for end in side]
 
 
 def net_markers(pen, net):
     """The net: four panels (ids 0..3) and the edges of the box (id 4)."""
-    panels = [
-        pen.marker("Net", k, Marker.CUBE, centre_m, size_m, WHITE + (0.1,))
-        for k, (centre_m, size_m) in enumerate(net.walls())
-    ]
-    edges = pen.line("Net", 4, net.edges().tolist(), 2.0 * net.thickness_m, WHITE + (0.4,), Marker.LINE_LIST)
-    return panels + [edges]
+    found = [pen.marker("Net", k, Marker.CUBE, *wall, WHITE + (0.1,)) for k, wall in enumerate(net.walls())]
+    edges = net.edges().tolist()
+    return found + [pen.line("Net", 4, edges, 2.0 * net.thickness_m, WHITE + (0.4,), Marker.LINE_LIST)]
 
 
 def grid_markers(pen, grid, net):
     """Numbers along the edges of the floor, ids in the order of `Grid.labels`."""
-    return [
-        pen.text("grid", k, text, at_m, grid.text_height_m, WHITE + (0.3,))
-        for k, (text, at_m) in enumerate(grid.labels(net))
-    ]
+    labels = enumerate(grid.labels(net))
+    return [pen.text("grid", k, text, at_m, grid.text_height_m, WHITE + (0.3,)) for k, (text, at_m) in labels]
 
 
 def camera_markers(pen, cameras):
     """Motion capture cameras: housings (ids 0..n-1), lenses (n..2n-1) and the corners of what each sees (2n..3n-1)."""
-    corners = [(0.5, 0.2, 0.15), (0.5, -0.2, 0.15), (0.5, -0.2, -0.15), (0.5, 0.2, -0.15)]
-    lines = [end for corner in corners for end in (ORIGIN, corner)]
-    lines += [end for side in zip(corners, corners[1:] + corners[:1]) for end in side]
-    n = len(cameras.poses)
-    found = []
-    for k, pose in enumerate(cameras.poses):
-        rotation = pose.rotation_to_cortex(cameras.tilt_deg)
-        turn = Quaternion(*Rotation.from_matrix(rotation).as_quat().tolist())
-        at_m, lens_m = pose.position_m, (pose.position_m + rotation @ [0.10, 0.0, 0.0]).tolist()
+    lines, n, found = pyramid(0.5, 0.2, 0.15), len(cameras.poses), []
+    for k, (pose, rotation) in enumerate(zip(cameras.poses, cameras.turns())):
+        turn = Quaternion(*rotation.as_quat().tolist())
+        at_m, lens_m = pose.position_m, (pose.position_m + rotation.apply((0.10, 0.0, 0.0))).tolist()
         for number, shape, place_m, size_m, rgba, points_m in (
             (k, Marker.CUBE, at_m, (0.14, 0.10, 0.10), WHITE + (0.6,), ()),
             (n + k, Marker.SPHERE, lens_m, (0.08, 0.08, 0.08), (1.0, 0.2, 0.2, 0.8), ()),
@@ -153,9 +130,6 @@ def title_marker(pen, text, arena=Arena()):
     """What is flown: a text behind the far wall, where it covers no vehicle, seen from behind or from above."""
     at_m = (arena.half_x_m + _BEHIND_M, 0.0, arena.height_m)
     return pen.text("trajectory_name", 0, text, at_m, TEXT_M, ORANGE + (1.0,))
-
-
-# ---------------------------------------------------------------- rays
 
 
 def ray_markers(pen, observer, numbered, alpha, label_alpha=0.0):

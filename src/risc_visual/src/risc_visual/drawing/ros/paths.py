@@ -1,5 +1,7 @@
 """Paths of several things as markers that rviz gets in pieces."""
 
+from collections import defaultdict
+
 from risc_visual.drawing.ros.markers import Pen, is_known
 from risc_visual.drawing.trails import MAX_PIECES, Trail
 
@@ -16,18 +18,16 @@ class PathDrawing:
 
         index: cast.Index of the things' names.
         """
-        self._look, self._make_trail, self._index = (ns, rgb, width_m), lambda: Trail(duration_s, params), index
+        self._look, self._index = (ns, rgb, width_m), index
+        self._trails = defaultdict(lambda: Trail(duration_s, params))
         self._turns = max(1, round(_REFRESH_S * params.rate_hz))
         self._turn = 0
-        self._trails = {}
 
     def draw(self, head, positions_m):
         """Markers to send now: line strips that pale with age. positions_m: dict name -> (3,) [m] at head's stamp."""
         now_s, pen = head.stamp.to_sec(), Pen(_PIECE_LIFETIME_S, head)
         for name, position_m in positions_m.items():
             if is_known(position_m):
-                if name not in self._trails:
-                    self._trails[name] = self._make_trail()
                 self._trails[name].add(now_s, position_m)
         self._turn += 1
         ns, rgb, width_m = self._look
@@ -36,9 +36,10 @@ class PathDrawing:
             first = self._index[name] * MAX_PIECES
             for slot, points_m, age in trail.to_send(now_s, self._turn, self._turns):
                 alpha = round(1.0 - (1.0 - _OLDEST_ALPHA) * min(1.0, age), 2)  # in steps: shared objects stay few
-                found.append(pen.line(ns, first + slot, points_m, width_m, rgb + (alpha,)))
+                found.append(pen.line(ns, first + slot, points_m, width_m, (*rgb, alpha)))
         return found
 
     def keep_only(self, names):
         """Forget the paths of all others."""
-        self._trails = {name: trail for name, trail in self._trails.items() if name in names}
+        for name in set(self._trails) - set(names):
+            del self._trails[name]

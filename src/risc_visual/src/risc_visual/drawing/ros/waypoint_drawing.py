@@ -6,24 +6,24 @@ from collections import Counter
 from geometry_msgs.msg import Quaternion
 from visualization_msgs.msg import Marker
 
+from risc_estimation.ros.bearing_conversions import states_from_msg
 from risc_visual.drawing.cast import Index, is_news
 from risc_visual.drawing.ros.markers import FLOWN_M, RED, WHITE, Pen, header
 from risc_visual.drawing.ros.paths import PathDrawing
-from risc_visual.ros.conversions import poses_from_cortex
 
 _NAMELESS = "waypoint"  # namespace of those that name no vehicle, as in bags of the original release
 _ARROW_M = (0.255, 0.07, 0.07)
 
 
 class WaypointDrawing:
-    """Every method belongs to one topic, each topic may have a thread of its own. now_s: ROS time [s]."""
+    """Not thread-safe. now_s: ROS time [s]."""
 
     def __init__(self, params, names):
         """params: WaypointParams. names: of the vehicles, which get the first ids."""
         self._params = params
         self._numbers = Index((name, 1) for name in names)  # of waypoints: (name, which of those with this name)
         self._paths = PathDrawing("way_trail", RED, FLOWN_M, params.trail_s, params, Index(names))
-        self._sent = (frozenset(), 0.0)  # vehicles that have a waypoint, and when it was said; replaced as a whole
+        self._sent = ((), 0.0)  # vehicles that have a waypoint, and when it was said
 
     def waypoints(self, msg, now_s):
         """Waypoints -> (balls, arrows of the headings, names): ns = name, id from the index."""
@@ -41,7 +41,7 @@ class WaypointDrawing:
             turn = Quaternion(0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
             arrows.append(pen.marker(*what, Marker.ARROW, at_m, _ARROW_M, rgba, turn))
             labels.append(pen.label(*what, entry.name, at_m, WHITE + (params.label_alpha,)))
-        self._sent = frozenset(label.text for label in labels), now_s
+        self._sent = [label.text for label in labels], now_s
         return balls, arrows, labels
 
     def paths(self, msg, now_s):
@@ -49,5 +49,5 @@ class WaypointDrawing:
         names, said_s = self._sent
         names = names if is_news(said_s, now_s, self._params.lifetime_s) else ()
         self._paths.keep_only(names)
-        poses = [pose for pose in poses_from_cortex(msg) if pose.visible and pose.name in names]
-        return self._paths.draw(header(msg.header.stamp), {pose.name: pose.position_m for pose in poses})
+        seen = {name: at_m for name, (at_m, _) in states_from_msg(msg).items() if name in names}
+        return self._paths.draw(header(msg.header.stamp), seen)

@@ -27,7 +27,7 @@ from risc_lab.ros.until_shutdown import until_shutdown
 from risc_lab.vehicle_frames import body_frame
 from risc_msgs.msg import Cortex, Landmarks, Observed_angles
 from risc_visual.cfg import TransformTunerConfig
-from risc_visual.drawing.ros.marker_publisher import MarkerPublisher
+from risc_visual.drawing.ros.drawer import MarkerPublisher
 from risc_visual.drawing.ros.markers import Pen, header
 from risc_visual.ros.node import Health
 from risc_visual.tuner.mount_tuner import NUMBERS, MountTuner, TunerParams

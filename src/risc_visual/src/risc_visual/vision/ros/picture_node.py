@@ -13,6 +13,7 @@ from cv_bridge import CvBridge
 from dynamic_reconfigure.server import Server
 from sensor_msgs.msg import Image
 
+from risc_lab.ros.node import run as run_node
 from risc_lab.ros.params import load_params
 from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
@@ -108,4 +109,4 @@ def rois_msg(header, regions):
 def run(name, node_class):
     """Run a node until shutdown; wrong parameters end it with one line."""
     cv2.setNumThreads(1)  # the flight needs the other cores
-    node.run(name, node_class)
+    run_node(name, node_class)

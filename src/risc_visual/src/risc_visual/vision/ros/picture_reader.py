@@ -9,10 +9,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Image
 
 from risc_lab.images import picture_from_msg
-from risc_lab.ros.diagnostics import Growth, age_text
+from risc_lab.ros.diagnostics import Growth, age_text, is_silent
 from risc_lab.ros.paced_subscriber import PICTURES_BYTES
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_visual.ros.node import is_silent
 
 _TOLD_S = 10.0  # between two reports of the same trouble
 

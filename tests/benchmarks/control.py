@@ -1,4 +1,4 @@
-"""How long a frame takes in the controller and in the vehicle pilot: `python3 -m risc_control.bench [--json FILE]`.
+"""How long a frame takes in the controller and in the vehicle pilot: `./maap bench control`.
 
 Vehicles on a circle with noisy states, one frame after the other as in flight. Seeded.
 """

@@ -2,7 +2,7 @@
 
 import json
 
-from risc_control import bench
+import control as bench
 
 
 def test_every_figure_is_there(tmp_path, capsys):

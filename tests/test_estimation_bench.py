@@ -2,7 +2,7 @@
 
 import json
 
-from risc_estimation import bench
+import estimation as bench
 
 
 def test_bench_writes_its_tables(tmp_path, capsys):

@@ -1,0 +1,29 @@
+"""Addresses that no other test run of this computer uses at the same time."""
+
+import functools
+import socket
+
+
+@functools.cache
+def _guard():
+    """(Number of a network, socket that keeps it for this process until it ends)."""
+    for number in range(100, 200):
+        guard = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            guard.bind(("127.%d.254.254" % number, 47111))
+            return number, guard
+        except OSError:  # another run has it
+            guard.close()
+    raise RuntimeError("all networks from 127.100 to 127.199 are in use by tests")
+
+
+def own_net():
+    """First two bytes of loopback addresses that are this process', e.g. "127.142"."""
+    return "127.%d" % _guard()[0]
+
+
+def free_port():
+    """A UDP port that is free now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return probe.getsockname()[1]
