@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """Labelled pictures from a bag: motion capture says what every camera saw (COCO JSON). Needs no ROS master."""
 
-import argparse
 import sys
 from dataclasses import fields
 
@@ -22,10 +21,12 @@ OPTIONS = {  # -> the setting, and what it is
 
 def main():
     """Command line. Returns the exit code."""
-    parser = bag_parser("label_images.py", __doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    parser.add_argument("-t", "--topics", nargs="+", help="topics of pictures (all image_raw and image_rect_color)")
+    parser = bag_parser("label_images.py", __doc__)
+    topics = "topics of pictures (default: all image_raw and image_rect_color)"
+    parser.add_argument("-t", "--topics", nargs="+", help=topics)
     for option, (field, text) in OPTIONS.items():
         default = getattr(LabelParams, field)
+        text += " (default: %(default)s)"
         parser.add_argument(option, dest=field, type=type(default), default=default, help=text)
     parser.add_argument("--overlay", action="store_true", help="also write the pictures with their labels drawn in")
     args = parser.parse_args()

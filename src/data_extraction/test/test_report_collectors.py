@@ -184,7 +184,7 @@ def test_the_fence_is_that_of_the_flights_parameters(play):
     assert raven.least_m == pytest.approx(0.1)
     assert Origin(parameters=None, fleet=fleet).fence_limits() == {}
     node = {"joystick_timeout": 0.7, "ScaleRoll": 3.0}  # what launch/joystick_controller.launch sets
-    parameters = {"risc3": {"joystick_controller": node, "joy_node": {"dev": ""}}}
+    parameters = {"risc3": {"joystick_controller": node, "joy_node": {"dev": ""}}, "virtual_lab": {"vehicles": -1}}
     limits = Origin(parameters=parameters, fleet=fleet).fence_limits()
     assert limits == {"Raven": SafetyLimits(joystick_timeout=0.7, **fence_of(fleet.arena))}
 

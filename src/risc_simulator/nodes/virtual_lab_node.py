@@ -10,8 +10,7 @@ import rospy
 
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_lab.ros import low_latency
-from risc_simulator.ros.node import VirtualLabNode
-from risc_simulator.ros.params import load_options, make_lab
+from risc_simulator.ros.node import VirtualLabNode, load_options, make_lab
 from risc_simulator.virtual_lab import report
 
 

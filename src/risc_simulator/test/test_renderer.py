@@ -201,7 +201,7 @@ def test_colours_of_centre_and_ring_and_none_from_behind():
     assert np.array_equal(picture[180, int(320 + 0.125 * scale)], ring)
     assert np.array_equal(picture[180, int(320 + 0.16 * scale)], BLACK)
     behind = renderer(scene=replace(DARK, discs=(replace(front, normal=(1.0, 0.0, 0.0)),)))
-    assert np.array_equal(behind.render(pose())[180, 320], bgr_of_hsv(STYLE.discs.back))
+    assert np.array_equal(behind.render(pose())[180, 320], bgr_of_hsv(STYLE.disc_backs))
     assert behind.truth(pose()) == []
 
 

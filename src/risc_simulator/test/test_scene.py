@@ -64,7 +64,7 @@ def test_hulls_differ_from_each_other_and_in_front_from_behind():
     [
         ("paints.green", [300, 0, 0], "'paints.green[0]' must be a number < 180"),
         ("paints.green", [1, 2], "'paints.green' must be a list of length 3"),
-        ("discs.colour", 1, "unknown key(s) colour"),
+        ("disc_backs", None, "'disc_backs' is missing"),
         ("hulls.colours", {}, "needs one hull at least"),
         ("hulls.colours.red_yellow.wing", [0, 0, 0], "unknown key(s) wing"),
         ("room.tile_m", None, "'room.tile_m' is missing"),

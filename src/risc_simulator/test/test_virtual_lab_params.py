@@ -10,12 +10,12 @@ rospy = pytest.importorskip("rospy", reason="needs ROS")
 @pytest.fixture
 def load_options(monkeypatch):
     """load_options(given): what the node makes of these private parameters."""
-    from risc_simulator.ros import params
+    from risc_simulator.ros import node
 
     def load(**given):
         private = {"~": given, **{"~" + name: value for name, value in given.items()}}
         monkeypatch.setattr(rospy, "get_param", private.get)
-        return params.load_options()
+        return node.load_options()
 
     return load
 

@@ -1,7 +1,6 @@
 """`./maap screenshot`: pictures of an experiment or of a bag as rviz shows it, without a screen."""
 
 import argparse
-import contextlib
 import pathlib
 import signal
 import sys
@@ -72,27 +71,19 @@ def flown(args, rest, progress, argv):
     folder = fly.prepare_folder(flight)
     progress.say("flying %s first, results in %s" % (args.what, folder))
     interrupted = threading.Event()
-    with _signals_set(interrupted):
+    fly.handle_signals(lambda *_: interrupted.set())  # then the vehicles land
+    try:
         result = fly.fly(flight, folder, progress, interrupted)
         if isinstance(result, fly.TooSlow):
             result = fly.fly_slower("risc_experiments.screenshot", argv, folder, result, progress, interrupted)
+    finally:
+        fly.handle_signals(signal.default_int_handler)
     if result:
         raise fly.FlightError(
             "no pictures of a flight that failed: %s (./maap screenshot %s/flight.bag makes them all the same)"
             % (result, folder)
         )
     return folder
-
-
-@contextlib.contextmanager
-def _signals_set(event):
-    """Ctrl-C and its kin only set the event; what they did before comes back at the end."""
-    before = [signal.signal(number, lambda *_: event.set()) for number in fly.SIGNALS]
-    try:
-        yield
-    finally:
-        for number, handler in zip(fly.SIGNALS, before):
-            signal.signal(number, handler)
 
 
 def main(argv=None):
@@ -113,9 +104,7 @@ def main(argv=None):
         bag_path = flown(args, rest, progress, argv) / "flight.bag" if experiment else pathlib.Path(args.what)
         fleet = bag_path.parent / "fleet.yaml"
         fleet = args.fleet if args.fleet and not experiment else fleet if fleet.exists() else None
-        arena = None
-        if fleet:
-            arena = load_fleet(fleet).arena  # a mistake in it is one line here, and a dead node there
+        arena = load_fleet(fleet).arena if fleet else None  # a mistake in it is one line here, and a dead node there
         with Bag(bag_path) as bag:
             at_s = moment_of(bag) if args.at is None else args.at
             names = args.views or standard_views(bag, fleet)

@@ -29,10 +29,10 @@ UP_AXIS_Z = 2
 MM_PER_M = 1000.0
 MULTICAST_TTL = 2  # as the SDK's own sockets
 COMMAND_RECEIVE_BUFFER_BYTES = 1 << 20  # as the SDK's own sockets
-CLIENTS_REMEMBERED = 64
 TAKE_FRAMES = 12000  # a recording keeps its last minute at 200 Hz for playback
 ANALOG_RATE_HZ = 0.0  # no analog board
 ANALOG_BIT_DEPTH = 16
+CLIENTS_REMEMBERED = 64
 FRAME_NUMBER_MASK = 0x7FFFFFFF  # the wire's frame number is signed
 
 _LOG = logging.getLogger(__name__)
@@ -183,8 +183,8 @@ class CortexHost(SocketHost):
         """Counts since the start, what has never happened is not in it and counts 0; and requests by kind."""
         result = self._counts.copy()
         result["requests"] = dict(sorted(self._request_counts.items()))
-        result["clients"] = len(self._clients)
         result["notices"] = self._notices.statistics()
+        result["clients"] = len(self._clients)
         return result
 
     # --- sockets --------------------------------------------------------------------------------------------------
@@ -333,8 +333,7 @@ class CortexHost(SocketHost):
             elif command == Command.GENERAL_REQUEST:
                 self._on_text_request(wire.decode_text(payload), sender)
             elif command == Command.PUSH_BASEPOSITION:
-                wire.decode_base_position(payload)  # the protocol has no answer to it
-                self._count_request("PUSH_BASEPOSITION", sender)
+                self._count_request("PUSH_BASEPOSITION", sender)  # the protocol has no answer to it
             elif command in _HOST_COMMANDS:
                 # what only a host sends; answering could start an endless exchange between two hosts
                 self._counts["unexpected"] += 1

@@ -2,7 +2,7 @@
 
 import errno
 import math
-import select
+import selectors
 import socket
 import struct
 from collections import Counter
@@ -124,44 +124,28 @@ class TcpClients:
             self.hang_up(sock)
 
 
-class SocketSet:
+class SocketSet(selectors.EpollSelector):
     """Waits for members that have a fileno(), by epoll: a wake costs what can be read, not what is waited for.
 
-    A set has a fileno() itself, which can be read when a member can: sets nest.
+    A set has a fileno() itself, which can be read when a member can: sets nest. Closed, it has no members.
     """
 
-    def __init__(self):
-        self._epoll = select.epoll()
-        self._members = {}  # descriptor -> member, in the order of joining
-
-    def fileno(self):
-        """Descriptor to wait on."""
-        return self._epoll.fileno()
-
     def __iter__(self):
-        return iter(list(self._members.values()))
+        return iter([key.fileobj for key in (self.get_map() or {}).values()])
 
     def add(self, member):
         """Wait for this one, too; nothing happens when it is a member."""
-        descriptor = member.fileno()
-        if descriptor not in self._members:
-            self._epoll.register(descriptor, select.EPOLLIN)
-            self._members[descriptor] = member
+        if member not in self.get_map():
+            self.register(member, selectors.EVENT_READ)
 
     def discard(self, member):
         """Do not wait for this one any longer. To be called before it is closed."""
-        descriptor = member.fileno()
-        if self._members.pop(descriptor, None) is not None:
-            self._epoll.unregister(descriptor)
+        if member in self.get_map():
+            self.unregister(member)
 
     def readable(self):
         """Members that can be read now."""
-        return [self._members[descriptor] for descriptor, _ in self._epoll.poll(0)]
-
-    def close(self):
-        """Forget all members, which stay open. May be called twice."""
-        self._members = {}
-        self._epoll.close()
+        return [key.fileobj for key, _ in self.select(0)]
 
 
 class SocketHost:

@@ -4,10 +4,9 @@ Time is world time in seconds from 0, on a fixed grid. Actions are applied at th
 theirs. Everything outside (positions, velocities) is in the cortex frame; inside it is the state of
 models/quadrotor.py.
 
-The world is a list of systems: a vehicle, with what is attached to it. One compiled call moves all systems of a kind
-(models/integrator.py), over as many steps as nothing happens; what happens (actions, an empty battery, the ends of a
-take-off's parts, touching the floor, the net or another vehicle) is decided here. Systems of several kinds move in
-turn, a step at a time.
+The world is a list of systems: a vehicle, with what is attached to it. One compiled call moves all systems of a kind by
+a step (models/integrator.py); what happens between steps (actions, an empty battery, the ends of a take-off's parts,
+touching the floor, the net or another vehicle) is decided here.
 """
 
 import functools
@@ -29,7 +28,6 @@ from risc_simulator.vehicles import virtual_type
 
 NET_REBOUND_M_S = 0.5
 GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehicles' downwash
-_GUST_BLOCK = 1024  # steps drawn at once
 
 # What each random stream of a vehicle is for; the numbers are part of what a seed means.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
@@ -51,7 +49,11 @@ class Vehicle:
 
     def schedule(self, time_s, action):
         """Let a Setpoint or FlightAction reach the vehicle's logic when world time passes time_s (a past time: now)."""
-        self._world._schedule(time_s, self._index, action)
+        if not math.isfinite(time_s):
+            raise ValueError("an action needs a finite time, got %r" % (time_s,))
+        world = self._world
+        world._agenda_count += 1  # equal times keep the order of scheduling
+        heapq.heappush(world._agenda, (time_s, world._agenda_count, self._index, action))
 
     @property
     def phase(self):
@@ -108,12 +110,6 @@ class _Kind:
         if self.body is not None:
             self.records["body"] = self.body.values
 
-    def prepare(self, vehicles):
-        """Write what the vehicles are into their records."""
-        fill_records(self.records, [vehicle.plant for vehicle in vehicles])
-        for c, vehicle in enumerate(vehicles):
-            vehicle.firmware.configure(self.records[c : c + 1])
-
 
 class _Carried:
     """What one vehicle carries."""
@@ -145,12 +141,10 @@ class World:
         if not 0.0 < step_s <= 0.02:
             raise ValueError("step_s must be in (0, 0.02], got %r" % (step_s,))
         self.step_s = step_s
-        self._gusts = gusts
         self.crashes = deque(maxlen=1000)  # Crash, newest last
         self._least_squared_m2 = math.inf
         self._steps = 0
         self._agenda, self._agenda_count = [], 0
-        self._event_step = 0  # until this step nothing happens but motion
 
         net = self._net = fleet.arena
         self._net_m = net.half_x_m, net.half_y_m, net.height_m
@@ -184,13 +178,10 @@ class World:
             self._x[X.PSI, i] = fleet_vehicle.start.yaw_rad
         self.vehicles = {vehicle.namespace: vehicle for vehicle in vehicles}
         self._vehicles = vehicles
-        landmarks_m = [
-            _look_up(templates, mark.name, "mocap template").markers_m @ _turned(mark.facing_rad).T
-            + np.array(mark.position_m)
-            for mark in fleet.landmarks
-        ]
         for kind in self._kinds:
-            kind.prepare([vehicles[i] for i in kind.columns])
+            fill_records(kind.records, [vehicles[i].plant for i in kind.columns])
+            for c, i in enumerate(kind.columns):
+                vehicles[i].firmware.configure(kind.records[c : c + 1])
         carried = [
             _Carried(kind, c, _look_up(templates, vehicles[i].attached.template, "mocap template"))
             for kind in self._kinds
@@ -198,18 +189,17 @@ class World:
             for c, i in enumerate(kind.columns)
         ]
         self._carried = {one.column: one for one in carried}
+        bodies = [(vehicle.template, vehicle.markers_m) for vehicle in vehicles]
+        for mark in fleet.landmarks:
+            markers_m = _look_up(templates, mark.name, "mocap template").markers_m
+            bodies.append((mark.name, markers_m @ _turned(mark.facing_rad).T + mark.position_m))
+        bodies += [(one.template.name, one.template.markers_m) for one in carried]
         #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, landmarks, what vehicles carry
-        self.layout = (
-            *((vehicle.template, len(vehicle.markers_m)) for vehicle in vehicles),
-            *((mark.name, len(markers_m)) for mark, markers_m in zip(fleet.landmarks, landmarks_m)),
-            *((one.template.name, len(one.template.markers_m)) for one in carried),
-        )
-        self._first_marker = np.cumsum([0] + [len(vehicle.markers_m) for vehicle in vehicles])
-        self._body_markers_m = np.concatenate(
-            [np.reshape(vehicle.markers_m, (-1, 3)) for vehicle in vehicles] + [np.empty((0, 3))]
-        )
-        self._markers_m = np.concatenate([self._body_markers_m, *landmarks_m, *(c.template.markers_m for c in carried)])
-        self._first_carried = len(self._markers_m) - sum(len(one.template.markers_m) for one in carried)
+        self.layout = tuple((name, len(markers_m)) for name, markers_m in bodies)
+        firsts = np.cumsum([0] + [count for _, count in self.layout])
+        self._first_marker, self._first_carried = firsts[: n + 1], firsts[len(bodies) - len(carried)]
+        self._markers_m = np.concatenate([np.empty((0, 3)), *(markers_m for _, markers_m in bodies)])
+        self._body_markers_m = self._markers_m[: firsts[n]].copy()
         for one in carried:
             one.rest(self._x)
 
@@ -217,15 +207,12 @@ class World:
         self._lifted = self._flags[0]
         self._commands, self._motors = self._u[: U.CLIMB + 1].T, self._u[U.MOTORS]
         self._motions = [functools.partial(self._vertical_motion, i) for i in range(n)]
-        self._wakes_s = [math.inf] * n  # when the on-board logic of each is to be woken,
-        self._wake_s = math.inf  # and the first of them
         self._steps_per_second = max(1, int(round(1.0 / step_s)))
         self._slope, self._thrust_n = np.empty((rows, n)), np.empty(n)
         self._slope_at = -1  # step whose slopes and thrusts these are
 
-        self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n)]
+        self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n if gusts else 0)]
         self._gust_scale = np.array(GUST_STD_M_S) * math.sqrt(1.0 - math.exp(-step_s / GUST_TIME_CONSTANT_S) ** 2)
-        self._gust_block = np.empty((0, 3, n))
         self._load_compiled()
 
     # ------------------------------------------------------------------ time
@@ -244,90 +231,47 @@ class World:
         """Advance to the last grid time that is not after time_s. Never goes back."""
         target = int(math.floor(time_s / self.step_s + 1e-6))
         while self._steps < target:
-            if self._steps >= self._event_step:
-                self._let_happen()
-            self._advance(min(target, self._event_step) - self._steps)
+            time_s = self.time_s
+            while self._agenda and self._agenda[0][0] <= time_s:
+                _, _, i, action = heapq.heappop(self._agenda)
+                self._vehicles[i].firmware.apply(action, time_s, self._motions[i])
+                self._take_over(i)
+            is_second = self._steps % self._steps_per_second == 0
+            for i, vehicle in enumerate(self._vehicles):
+                if is_second:
+                    vehicle.firmware.check_battery(time_s)
+                    self._take_over(i)
+                if vehicle.firmware.wake_s <= time_s:
+                    vehicle.firmware.wake(time_s, self._motions[i])
+                    self._take_over(i)
+            gusts = [self._gust_scale * rng.standard_normal(3) for rng in self._gust_rngs]
+            touching = self._advance(np.reshape(gusts, (-1, 3)))
+            self._steps += 1
+            if touching:
+                for i in np.flatnonzero(self._flags[1]).tolist():
+                    self._meet_wall_or_floor(i)
+            least_m2 = closest(self._x, self._lifted)
+            if least_m2 < self._least_squared_m2:
+                self._least_squared_m2 = least_m2
+            if least_m2 < COLLISION_M2:
+                self._meet_each_other()
 
-    def _let_happen(self):
-        """What is due at world time; then find the step before which nothing will be."""
-        steps, time_s = self._steps, self._steps * self.step_s
-        if self._agenda and self._agenda[0][0] <= time_s:
-            self._run_agenda(time_s)
-        if steps % self._steps_per_second == 0:
-            self._check_batteries(time_s)
-        if self._wake_s <= time_s:
-            self._wake(time_s)
-        if self._gusts and (steps % _GUST_BLOCK == 0 or not len(self._gust_block)):
-            self._gust_block = np.stack(
-                [rng.standard_normal((_GUST_BLOCK, 3)) * self._gust_scale for rng in self._gust_rngs], axis=-1
-            )
-        next_step = min(steps - steps % period + period for period in (self._steps_per_second, _GUST_BLOCK))
-        event_s = min(self._wake_s, self._agenda[0][0] if self._agenda else math.inf)
-        if event_s < next_step * self.step_s:
-            next_step = max(steps + 1, int(event_s / self.step_s))  # rather one too early
-        self._event_step = next_step
-
-    def _advance(self, steps):
-        """Advance by so many steps, or fewer if something happens."""
-        anyone_touches = False
-        x, block, at = self._x, self._gust_block, self._steps % _GUST_BLOCK
+    def _advance(self, gusts):
+        """Move all by a step. Returns whether one of them touches floor or net."""
+        touching, rest = False, (self.step_s, gusts, self._net_m)
         for kind in self._kinds:
-            made, least_m2, touching = kind.advance(
-                x, self._u, self._flags, kind.columns, kind.records, self.step_s, steps, block, at, self._net_m
-            )
-            anyone_touches |= touching
-        self._steps += made
-        if anyone_touches:
-            for i in np.flatnonzero(self._flags[1]).tolist():
-                self._meet_wall_or_floor(i)
-        if anyone_touches or len(self._kinds) > 1:
-            least_m2 = min(least_m2, closest(self._x, self._lifted))
-        if least_m2 < self._least_squared_m2:
-            self._least_squared_m2 = least_m2
-        if least_m2 < COLLISION_M2:
-            self._meet_each_other()
+            touching |= kind.advance(self._x, self._u, self._flags, kind.columns, kind.records, *rest)
+        return touching
 
     def _load_compiled(self):
-        """Call once what is compiled: nothing is loaded in flight."""
-        self._advance(0)
+        """Call once what is compiled: nothing is loaded in flight. Nobody moves: all stand."""
+        self._advance(np.empty((0, 3)))
         self.truth()
         self.markers_m()
         closest(self._x, self._lifted)
         level_motion(self._x[:, 0])
 
-    # ------------------------------------------------------------------ what vehicles are told
-
-    def _schedule(self, time_s, index, action):
-        if not math.isfinite(time_s):
-            raise ValueError("an action needs a finite time, got %r" % (time_s,))
-        self._agenda_count += 1  # equal times keep the order of scheduling
-        heapq.heappush(self._agenda, (time_s, self._agenda_count, index, action))
-        self._event_step = min(self._event_step, max(self._steps, int(time_s / self.step_s)))
-
-    def _run_agenda(self, time_s):
-        while self._agenda and self._agenda[0][0] <= time_s:
-            _, _, i, action = heapq.heappop(self._agenda)
-            firmware = self._vehicles[i].firmware
-            before = _decided(firmware)
-            firmware.apply(action, time_s, self._motions[i])
-            command = firmware.tell()
-            if command is not None:
-                self._commands[i] = command
-            if _decided(firmware) != before:
-                self._take_over(i)
-
-    def _check_batteries(self, time_s):
-        for i, vehicle in enumerate(self._vehicles):
-            before = _decided(vehicle.firmware)
-            vehicle.firmware.check_battery(time_s)
-            if _decided(vehicle.firmware) != before:
-                self._take_over(i)
-
-    def _wake(self, time_s):
-        for i, vehicle in enumerate(self._vehicles):
-            if vehicle.firmware.wake_s <= time_s:
-                vehicle.firmware.wake(time_s, self._motions[i])
-                self._take_over(i)
+    # ------------------------------------------------------------------ what on-board logic decides
 
     def _take_over(self, i):
         """Bring what the firmware decided into the arrays."""
@@ -341,10 +285,6 @@ class World:
         if not firmware.motors_on:
             self._u[U.CLIMB_TRIM, i] = 0.0
         self._lifted[i] = firmware.lifted
-        if firmware.wake_s != self._wakes_s[i]:
-            self._wakes_s[i] = firmware.wake_s
-            self._wake_s = min(self._wakes_s)
-            self._event_step = self._steps
 
     def _vertical_motion(self, i):
         """Height [m] and climb rate [m/s]."""
@@ -375,9 +315,10 @@ class World:
             back_north = math.copysign(NET_REBOUND_M_S, -north) if abs(north) > net.half_x_m else 0.0
             back_east = math.copysign(NET_REBOUND_M_S, -east) if abs(east) > net.half_y_m else 0.0
             if firmware.lifted:
-                self._set_velocity_neu(i, back_north, back_east, min(0.0, climb_m_s))
+                back_m_s = np.array([back_north, -back_east, min(0.0, climb_m_s)])
+                self._x[X.U : X.W + 1, i] = rotation_body_to_cortex(*self._x[X.PHI : X.PSI + 1, i]).T @ back_m_s
         if reason:
-            self._report_crash(i, (north, -east, height), reason)
+            self._report_crash(i, (north, east, height), reason)
         self._take_over(i)
 
     def _meet_each_other(self):
@@ -385,26 +326,19 @@ class World:
         first, second = (in_air[chosen] for chosen in np.triu_indices(len(in_air), 1))
         apart_m = self._x[: X.H + 1, first] - self._x[: X.H + 1, second]
         near = (apart_m**2).sum(axis=0) < COLLISION_M2
-        for i, j in zip(first[near].tolist(), second[near].tolist()):
-            self._collide(i, j)
+        for pair in zip(first[near].tolist(), second[near].tolist()):
+            for this, other in (pair, pair[::-1]):
+                firmware = self._vehicles[this].firmware
+                if firmware.phase is not FlightPhase.EMERGENCY:  # else it falls already, for this reason or another
+                    firmware.crash(self.time_s)
+                    place = self._x[: X.H + 1, this].tolist()
+                    self._report_crash(this, place, "collided with %s" % self._vehicles[other].namespace)
+                    self._take_over(this)
 
-    def _collide(self, i, j):
-        for this, other in ((i, j), (j, i)):
-            firmware = self._vehicles[this].firmware
-            if firmware.phase is FlightPhase.EMERGENCY:
-                continue  # it falls already, for this reason or another
-            firmware.crash(self.time_s)
-            north, east, height = self._x[: X.H + 1, this].tolist()
-            self._report_crash(this, (north, -east, height), "collided with %s" % self._vehicles[other].namespace)
-            self._take_over(this)
-
-    def _report_crash(self, i, position_m, reason):
-        self.crashes.append(Crash(self.time_s, self._vehicles[i].namespace, np.array(position_m), reason))
-
-    def _set_velocity_neu(self, i, north_m_s, east_m_s, up_m_s):
-        phi, theta, psi = self._x[X.PHI : X.PSI + 1, i]
-        velocity_cortex = np.array([north_m_s, -east_m_s, up_m_s])
-        self._x[X.U : X.W + 1, i] = rotation_body_to_cortex(phi, theta, psi).T @ velocity_cortex
+    def _report_crash(self, i, place, reason):
+        north, east, height = place
+        position_m = np.array([north, -east, height])
+        self.crashes.append(Crash(self.time_s, self._vehicles[i].namespace, position_m, reason))
 
     def _place_in_flight(self, i, position_m, yaw_rad):
         (x, y, z), net = (float(value) for value in position_m), self._net
@@ -439,9 +373,10 @@ class World:
         of change [rad/s].
         """
         self._differentiate()
-        rows = np.empty((self._x.shape[1], 12))
-        _tell_truth(self._x, self._slope, self._lifted, rows)
-        return rows
+        x, slope = self._x, self._slope * self._lifted
+        east_is_right = np.array([1.0, -1.0, 1.0])  # the cortex frame's y points left
+        place, velocity = x[: X.U].T * east_is_right, slope[: X.U].T * east_is_right
+        return np.hstack((place, velocity, x[X.PHI : X.P].T, slope[X.PHI : X.P].T))
 
     def _differentiate(self):
         """Slopes and thrusts at world time, once."""
@@ -492,24 +427,6 @@ def _place_markers(x, first_marker, body_markers_m, markers_m):
             markers_m[k, 0] = x[X.P_N, i] + north
             markers_m[k, 1] = -x[X.P_E, i] - east
             markers_m[k, 2] = x[X.H, i] + up
-
-
-@compiled
-def _tell_truth(x, slope, lifted, rows):
-    """See World.truth. East is right, the cortex frame's y points left."""
-    for i in range(x.shape[1]):
-        moves = 1.0 if lifted[i] else 0.0
-        for j in range(3):
-            sign = -1.0 if j == 1 else 1.0
-            rows[i, j] = sign * x[X.P_N + j, i]
-            rows[i, 3 + j] = moves * sign * slope[X.P_N + j, i]
-            rows[i, 6 + j] = x[X.PHI + j, i]
-            rows[i, 9 + j] = moves * slope[X.PHI + j, i]
-
-
-def _decided(firmware):
-    """What World._take_over has to bring into the arrays when it changes, beside the command."""
-    return firmware.phase, firmware.motors_on, firmware.lifted, firmware.wake_s
 
 
 def _motor_pwm(firmware, thrust_fraction):

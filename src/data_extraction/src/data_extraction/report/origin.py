@@ -66,7 +66,8 @@ class Origin:
                 yield node
         for node in parameters.values():
             names = node.get("vehicles") if isinstance(node, dict) else None
-            if namespace in (names.split() if isinstance(names, str) else names or ()):
+            names = names.split() if isinstance(names, str) else names
+            if isinstance(names, (list, dict)) and namespace in names:  # the virtual lab's is a number
                 yield node
 
 

@@ -78,47 +78,33 @@ def runge_kutta(x, inputs, vehicle, step_s, work):
     return k1[X.H]
 
 
-def advance(x, u, flags, columns, vehicles, step_s, steps, gust_block, gust_at, net_m):
-    """Up to so many steps of all systems of this kind; ends with a step in which something has happened.
+def advance(x, u, flags, columns, vehicles, step_s, gusts, net_m):
+    """One step of all systems of this kind. Returns whether one of them touches floor or net.
 
     x (rows, n), u (9, n), flags (2, n; lifted and touches): of all vehicles, those of this kind in `columns` (k,).
-    vehicles (k,): their records.  gust_block: (m, 3, n) innovations of the wind, from row gust_at on; (0, 3, n): none.
+    vehicles (k,): their records.  gusts: (n, 3) innovations of the wind, (0, 3): none.
     net_m: half its extent in x and in y, and its height.
-    Where there are others, too, it makes one step at most, and leaves the distances to the caller.
-    Returns the steps made, the least squared distance of two vehicles in the air [m^2] (inf when there are no two, or
-    nobody looked), and whether any touches: then the distances after the last step are still to be looked at.
     """
     lifted, touches = flags[0], flags[1]
-    alone = len(columns) == len(lifted)
-    if not alone:
-        steps = min(steps, 1)
     work = np.empty((5, ROWS))
     gust_keep = math.exp(-step_s / GUST_TIME_CONSTANT_S)
-    least_m2 = math.inf
-    for k in range(steps):
-        anyone_touches = False
-        for c in range(len(columns)):
-            i = columns[c]
-            inputs, vehicle = u[:, i], vehicles[c]
-            if len(gust_block):
-                for axis in range(3):
-                    inputs[U.WIND_N + axis] = gust_keep * inputs[U.WIND_N + axis] + gust_block[gust_at + k, axis, i]
-            touches[i] = False
-            if lifted[i]:
-                state = x[:, i]
-                before_step(state, inputs, vehicle)
-                climb_m_s = runge_kutta(state, inputs, vehicle, step_s, work)
-                if inputs[U.MOTORS] != 0.0:
-                    after_step(inputs, climb_m_s, vehicle, step_s)
-                touches[i] = is_beyond(state, net_m)
-                anyone_touches |= touches[i]
-        if anyone_touches:
-            return k + 1, least_m2, True
-        if alone:
-            least_m2 = min(least_m2, closest(x, lifted))
-            if least_m2 < COLLISION_M2:
-                return k + 1, least_m2, False
-    return steps, least_m2, False
+    anyone_touches = False
+    for c in range(len(columns)):
+        i = columns[c]
+        inputs, vehicle = u[:, i], vehicles[c]
+        if len(gusts):
+            for axis in range(3):
+                inputs[U.WIND_N + axis] = gust_keep * inputs[U.WIND_N + axis] + gusts[i, axis]
+        touches[i] = False
+        if lifted[i]:
+            state = x[:, i]
+            before_step(state, inputs, vehicle)
+            climb_m_s = runge_kutta(state, inputs, vehicle, step_s, work)
+            if inputs[U.MOTORS] != 0.0:
+                after_step(inputs, climb_m_s, vehicle, step_s)
+            touches[i] = is_beyond(state, net_m)
+            anyone_touches |= touches[i]
+    return anyone_touches
 
 
 def differentiate(x, u, columns, vehicles, x_dot, thrust_n):

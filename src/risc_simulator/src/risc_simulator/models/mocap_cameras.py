@@ -75,7 +75,6 @@ class MocapCameras:
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         self._noise, self._occlusion, self._ghost = (np.random.default_rng(s) for s in sequence.spawn(3))
         self._layout = ()
-        self._hides = []  # (rows of the marker array, until when they are hidden)
         self._hidden_until_s = np.empty(0)
         self._ghosts_m = np.empty((0, 3))
         self._ghosts_until_s = np.empty(0)
@@ -88,7 +87,8 @@ class MocapCameras:
         start = 0
         for name, count in self._layout:
             if name == body:
-                self._hides.append((slice(start, start + count), until_s))
+                hidden_until_s = self._hidden_until_s[start : start + count]
+                np.maximum(hidden_until_s, until_s, out=hidden_until_s)
                 return
             start += count
         known = ", ".join(name for name, _ in self._layout) or "none"
@@ -101,7 +101,7 @@ class MocapCameras:
         Times must not decrease. A change of the layout starts the occlusions anew.
         """
         if layout is not self._layout and layout != self._layout:
-            self._layout, self._hides = layout, []
+            self._layout = layout
             self._hidden_until_s = np.full(sum(count for _, count in layout), -np.inf)
         step_s = max(time_s - self._last_time_s, 0.0) if self._last_time_s > -math.inf else 0.0
         self._last_time_s = time_s
@@ -109,10 +109,6 @@ class MocapCameras:
         if len(exact_m) != len(self._hidden_until_s):
             raise ValueError("the layout has %d markers, got %d" % (len(self._hidden_until_s), len(exact_m)))
         markers_m = self._see(time_s, step_s, exact_m)
-        if self._hides:
-            self._hides = [(rows, until_s) for rows, until_s in self._hides if time_s < until_s]
-            for rows, _ in self._hides:
-                markers_m[rows] = math.nan
         return Observation(time_s, self._layout, markers_m, self._unidentified(time_s, step_s))
 
     def _see(self, time_s, step_s, exact_m):

@@ -1,4 +1,4 @@
-"""What ROS sees of the virtual lab: /ground_truth, diagnostics and fault injection."""
+"""What ROS sees of the virtual lab: its parameters, /ground_truth, diagnostics and fault injection."""
 
 import itertools
 import math
@@ -9,12 +9,35 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64
 
 from risc_lab.frames import wrap_angle
+from risc_lab.lab import load_fleet
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.fleet_messages import CortexArrays
+from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import Fault, WireFault
+from risc_simulator.virtual_lab import LabOptions
 
 _DEG_PER_RAD = math.degrees(1.0)
+
+
+def load_options():
+    """LabOptions of the private parameters. Raises ValueError that names the key."""
+    subnet = rospy.get_param("~subnet", "")
+    if not isinstance(subnet, str):  # a command line makes the number 127.8 of 127.80: what was meant is lost
+        raise ValueError(
+            "parameter ~subnet must be a text, found %r: quote it twice on a command line (_subnet:=\"'...'\"), and "
+            'give it type="str" in a launch file' % (subnet,)
+        )
+    (options,) = load_params(LabOptions)
+    return options
+
+
+def make_lab(options):
+    """The lab that they describe. Raises ValueError or OSError."""
+    fleet = load_fleet(options.fleet) if options.fleet else known_fleet()
+    if fleet is None:
+        raise ValueError("no fleet: set ~fleet to the path of a fleet file, or load one as the parameter /fleet")
+    return options.make_lab(fleet)
 
 
 class VirtualLabNode:

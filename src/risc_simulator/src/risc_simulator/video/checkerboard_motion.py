@@ -9,7 +9,7 @@ import itertools
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from risc_simulator.video.scene import Board
+from risc_simulator.video.scene import CORNERS, Board, subdivided
 
 # The postures: everywhere in the picture, turned to every side, near and far. Near and strongly tilted boards tell the
 # principal point from a turn of the camera, upright ones in the corners tell the distortion.
@@ -21,7 +21,6 @@ POSTURES = [  # (place, direction of the axis of the tilt [deg] from the picture
 ]
 POSTURES += [((x, y), 0.0, 0.2, 0.0) for x in (0.0, 1.0) for y in (0.0, 1.0)]
 POSTURES += [((0.5, 0.5), 0.0, width, 0.0) for width in (0.5, 0.9)]
-_OUTLINE_POINTS = 9  # to a side: the outline is curved in a distorted picture
 _SMALLER = 0.93 ** np.arange(24)  # a board that does not fit is shown smaller, down to a sixth,
 _PULLS = np.linspace(1.0, 0.0, 26)  # and nearer to the middle
 _FACING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # board to camera axes, squarely in front
@@ -72,11 +71,7 @@ class Waving:
     def _outline(self):
         """Points (n, 3) [m] around the squares, board axes."""
         columns, rows, square_m = self._shape
-        half = 0.5 * square_m * np.array([columns + 1.0, rows + 1.0])
-        edge = np.linspace(-1.0, 1.0, _OUTLINE_POINTS)
-        ones = np.ones(_OUTLINE_POINTS)
-        sides = [(edge, ones), (edge, -ones), (ones, edge), (-ones, edge)]
-        points = np.concatenate([np.column_stack(side) for side in sides]) * half
+        points = square_m * subdivided(0.5 * CORNERS * (columns + 1.0, rows + 1.0))
         return np.column_stack((points, np.zeros(len(points))))
 
     def _postures(self):

@@ -4,7 +4,6 @@ from fractions import Fraction
 
 import av
 import cv2
-import numpy as np
 from av.video.reformatter import Interpolation, VideoReformatter
 
 MACROBLOCK_PX = 16
@@ -15,7 +14,7 @@ class H264Encoder:
     """One elementary stream. A new one starts with an IDR frame that carries SPS and PPS."""
 
     def __init__(self, width_px, height_px, rate_hz, bitrate_kbit_s):
-        self.coded_px = _round_up(width_px), _round_up(height_px)
+        self.coded_px = tuple(-(-side_px // MACROBLOCK_PX) * MACROBLOCK_PX for side_px in (width_px, height_px))
         self._padding = (self.coded_px[1] - height_px, self.coded_px[0] - width_px)
         self._frames = 0
         self._reformatter = VideoReformatter()
@@ -55,7 +54,3 @@ class H264Encoder:
         frame.time_base = self._context.time_base
         self._frames += int(self._context.time_base.denominator / self._context.framerate)
         return b"".join(map(bytes, self._context.encode(frame)))
-
-
-def _round_up(size_px):
-    return int(np.ceil(size_px / MACROBLOCK_PX)) * MACROBLOCK_PX

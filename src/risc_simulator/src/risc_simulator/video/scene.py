@@ -24,7 +24,7 @@ from risc_lab.settings import Fraction, Meta, Positive, Settings, between, setti
 CIRCLE_POINTS = 64  # corners of a disc's outline: area and diameter 0.16 % and 0.08 % small, which is mended below
 _CIRCLE_GAIN = math.sqrt(2.0 * math.pi / CIRCLE_POINTS / math.sin(2.0 * math.pi / CIRCLE_POINTS))  # for the true area
 _MAX_EDGE = 0.5  # long edges are cut: a straight line is not straight in a distorted picture [m]; [squares] of boards
-_CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])  # of a square
+CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])  # of a square
 
 Bgr = tuple[float, float, float]
 Hsv = tuple[Annotated[float, Meta(ge=0.0, lt=180.0)], between(0.0, 255.0), between(0.0, 255.0)]
@@ -73,7 +73,7 @@ class Disc:
     def layers(self, scene, eye_m):
         ring, centre = self._outlines
         if (eye_m - self.centre_m) @ self.normal <= 0.0:
-            return [Layer([ring], bgr_of_hsv(scene.style.discs.back))]
+            return [Layer([ring], bgr_of_hsv(scene.style.disc_backs))]
         return [Layer([ring], self.ring_bgr), Layer([centre], self.centre_bgr, ground_bgr=self.ring_bgr)]
 
 
@@ -103,14 +103,14 @@ class Board:
     def layers(self, scene, eye_m):
         paints = scene.style.boards
         half = 0.5 * np.array([self.columns + 1, self.rows + 1])
-        sheet = self.to_cortex(subdivided(_CORNERS * (half + paints.margin_squares)))
+        sheet = self.to_cortex(subdivided(CORNERS * (half + paints.margin_squares)))
         white, black = bgr_of_hsv(paints.white), bgr_of_hsv(paints.black)
         if (self.centre_m - eye_m) @ np.asarray(self.R_board_to_cortex)[:, 2] <= 0.0:  # from behind
             return [Layer([sheet], white)]
         column, row = np.meshgrid(np.arange(self.columns + 1), np.arange(self.rows + 1))
         is_black = (column + row) % 2 == 0
         middles = np.stack((column[is_black], row[is_black]), axis=1) + 0.5 - half
-        squares = self.to_cortex(middles[:, None] + subdivided(0.5 * _CORNERS))
+        squares = self.to_cortex(middles[:, None] + subdivided(0.5 * CORNERS))
         return [Layer([sheet], white), Layer(list(squares), black, ground_bgr=white)]
 
 
@@ -230,13 +230,6 @@ class HullParams(Settings):
 
 
 @dataclass(frozen=True)
-class BackParams(Settings):
-    """Landmarks from behind."""
-
-    back: Hsv
-
-
-@dataclass(frozen=True)
 class BoardParams(Settings):
     """Paints of checkerboards."""
 
@@ -315,7 +308,7 @@ class Style(Settings):
     """Content of config/scene.yaml: what the cameras see, apart from what is where."""
 
     paints: dict[str, Hsv]  # of landmarks
-    discs: BackParams
+    disc_backs: Hsv  # landmarks from behind
     hulls: HullParams
     boards: BoardParams
     room: RoomParams
@@ -505,7 +498,7 @@ def _rectangle(on, centre_m, size_m, room):
         "right": (1, -room.half_y_m),
         "floor": (2, 0.0),
     }[on]
-    return subdivided(np.insert(np.add(centre_m, 0.5 * _CORNERS * size_m), axis, value, axis=1))
+    return subdivided(np.insert(np.add(centre_m, 0.5 * CORNERS * size_m), axis, value, axis=1))
 
 
 def subdivided(outline, closed=True):

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import yaml
+from roslib.packages import find_node
 
 from data_extraction.bags import Bag
 from data_extraction.flatten import seconds
@@ -24,7 +25,7 @@ from data_extraction.progress import Progress
 from data_extraction.report.topics import fits
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.phases import OperatorPhase
-from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes
+from risc_lab.ros.launching import Launch, any_busy, free_tcp_port, marked_processes, wait_until
 from risc_visual.drawing.ros.markers import LABEL_M, TEXT_M
 from risc_visual.drawing.scenery import load_scenery
 from risc_visual.pictures import captions
@@ -235,7 +236,7 @@ def take_pictures(bag_path, views, at_s, out, fleet=None, title="", progress=Non
         for start_s, stop_s, rate in parts:
             if start_s < stop_s:
                 progress.show("playing", "%.1f s to %.1f s of %s" % (start_s, stop_s, bag_path))
-                _play(bag_path, sorted(played), start_s, stop_s, rate, folder, network)
+                _play(bag_path, sorted(played), start_s, stop_s, rate, network)
                 _wait_for_rest(launch)
         pictures = []
         for view, screen in zip(views, screens):
@@ -356,13 +357,14 @@ def _deaf(master, topics, pairs):
 
 def _wait(missing, launch, screens=()):
     """Until missing() is empty. Raises RuntimeError with what is in it when that does not come true."""
-    deadline = time.monotonic() + START_PATIENCE_S
-    while reasons := missing():
+
+    def over():
         for screen in screens:
             screen.check_programs()
-        if not launch.running() or time.monotonic() > deadline:
-            raise RuntimeError("what draws did not start: %s\n%s" % ("; ".join(reasons), launch.log_tail()))
-        time.sleep(0.1)
+        return not missing() or not launch.running()
+
+    if not wait_until(over, START_PATIENCE_S) or missing():
+        raise RuntimeError("what draws did not start: %s\n%s" % ("; ".join(missing()), launch.log_tail()))
 
 
 def _wait_for_rest(launch):
@@ -370,36 +372,29 @@ def _wait_for_rest(launch):
 
     Raises RuntimeError when they do not.
     """
-    deadline = time.monotonic() + REST_PATIENCE_S
-    looks = 0
-    while looks < REST_LOOKS:
-        looks = 0 if any_busy(marked_processes(launch.identity)) else looks + 1
-        if time.monotonic() > deadline:
-            raise RuntimeError("what draws does not come to rest:\n%s" % launch.log_tail())
-        time.sleep(REST_PERIOD_S)
+
+    def rest():
+        for _ in range(REST_LOOKS):
+            if any_busy(marked_processes(launch.identity)):
+                return False
+            time.sleep(REST_PERIOD_S)
+        return True
+
+    if not wait_until(rest, REST_PATIENCE_S):
+        raise RuntimeError("what draws does not come to rest:\n%s" % launch.log_tail())
 
 
-def _play(bag_path, topics, start_s, stop_s, rate, folder, network):
+def _play(bag_path, topics, start_s, stop_s, rate, network):
     """Play a part of a bag; the clock that it publishes stands still from then on."""
-    command = ["setpriv", "--pdeathsig", "TERM", "rosbag", "play", "--quiet", "--clock", "--rate=%g" % rate]
+    # the player itself: the script `rosbag` would leave it behind when it is killed
+    command = ["setpriv", "--pdeathsig", "TERM", *find_node("rosbag", "play"), "--quiet", "--clock", "--rate=%g" % rate]
     command += ["--start=%.3f" % start_s, "--duration=%.3f" % (stop_s - start_s)]
     command += ["--topics", *topics, "--bags", str(bag_path), "__name:=player"]
-    log = folder / "player.log"
-    with log.open("wb") as output:
-        player = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=dict(os.environ, **network),
-            start_new_session=True,  # a Ctrl-C at the terminal is for us
-        )
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     try:
-        if player.wait((stop_s - start_s) / rate + PLAY_MARGIN_S) != 0:
-            raise RuntimeError("rosbag play failed:\n" + log.read_text(errors="replace"))
-    except subprocess.TimeoutExpired:
-        raise RuntimeError("rosbag play does not end:\n" + log.read_text(errors="replace")) from None
-    finally:
-        if player.poll() is None:
-            player.terminate()  # not killed: rosbag passes this on to the program that plays, which would go on
-            player.wait()
+        timeout_s = (stop_s - start_s) / rate + PLAY_MARGIN_S
+        done = subprocess.run(command, env=dict(os.environ, **network), timeout=timeout_s, **pipes)
+    except subprocess.TimeoutExpired as error:
+        raise RuntimeError("rosbag play does not end:\n%s" % (error.stdout or "")) from None
+    if done.returncode:
+        raise RuntimeError("rosbag play failed:\n" + done.stdout)

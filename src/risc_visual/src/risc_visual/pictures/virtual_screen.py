@@ -53,43 +53,29 @@ def save_picture(path, picture):
     pathlib.Path(path).write_bytes(encoded.tobytes())
 
 
-class VirtualScreen:
-    """Xvfb on a display of its own, and the programs that run on it. Use as a context manager, in the main thread."""
+class VirtualScreen(contextlib.ExitStack):
+    """Xvfb on a display of its own, and the programs that run on it. Use as a context manager, in the main thread.
+
+    At its end the programs are ended, the youngest first, and the screen.
+    """
 
     def __init__(self, width_px=1280, height_px=900):
         """Raises ScreenError when Xvfb is missing or does not start."""
-        self._stack = contextlib.ExitStack()
+        super().__init__()
         self._programs = []  # (command, process, log)
-        self._folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="screen-")))
+        self._folder = pathlib.Path(self.enter_context(tempfile.TemporaryDirectory(prefix="screen-")))
         self.display = None
-        number_from, number_to = os.pipe()
-        command = ["Xvfb", "-displayfd", str(number_to), "-screen", "0", "%dx%dx24" % (width_px, height_px)]
+        command = ["Xvfb", "-displayfd", "1", "-screen", "0", "%dx%dx24" % (width_px, height_px)]
         command += ["-noreset", "-nocursor", "-nolisten", "tcp", "+extension", "GLX"]
         try:
-            self.start(command, pass_fds=[number_to])
+            with self.start(command, stdout=subprocess.PIPE).stdout as pipe:
+                number = pipe.readline().strip()  # comes when the server is ready; nothing when it has ended
+            if not number:
+                raise ScreenError("Xvfb did not start: %s" % _tail(self._programs[0][2]))
         except ScreenError:
             self.close()
             raise
-        finally:
-            os.close(number_to)
-        with open(number_from, encoding="ascii") as pipe:
-            number = pipe.readline().strip()  # comes when the server is ready; nothing when it has ended
-        if not number:
-            log = self._programs[0][2]
-            text = "Xvfb did not start: %s" % _tail(log)
-            self.close()
-            raise ScreenError(text)
-        self.display = ":" + number
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exception):
-        self.close()
-
-    def close(self):
-        """End the programs, the youngest first, and the screen."""
-        self._stack.close()
+        self.display = ":" + number.decode()
 
     def environment(self, **more):
         """Environment for a program that is to use this screen; `more` goes on top."""
@@ -103,7 +89,7 @@ class VirtualScreen:
         }
         return dict(os.environ, **ours, **more)
 
-    def start(self, command, log=None, pass_fds=(), **environment):
+    def start(self, command, log=None, stdout=None, **environment):
         """Start a program on this screen; returns its Popen. log: file for what it prints; environment: more variables.
 
         Raises ScreenError when it is not installed.
@@ -115,13 +101,12 @@ class VirtualScreen:
             process = subprocess.Popen(
                 ["setpriv", "--pdeathsig", "TERM", *command],
                 stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
+                stdout=stdout or output,
+                stderr=output,
                 env=self.environment(**environment),
-                pass_fds=pass_fds,
                 start_new_session=True,  # a Ctrl-C at the terminal is for us
             )
-        self._stack.callback(_end, process)
+        self.callback(_end, process)
         self._programs.append((command, process, log))
         return process
 

@@ -5,15 +5,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from risc_lab.ros.diagnostics import Growth, age_text, is_silent, make_updater
-from risc_lab.ros.ticker import Ticker
-
-
-def ticking_updater():
-    """A diagnostic_updater.Updater that reports once a second."""
-    updater = make_updater("none")
-    Ticker(1.0, updater.update, "the diagnostics")
-    return updater
+from risc_lab.ros.diagnostics import Growth, age_text, is_silent, ticking_updater
 
 
 class Health:

@@ -4,6 +4,7 @@ The lens model is ROS' plumb_bob: K and k1, k2, p1, p2, k3. Pixels: x right, y d
 left pixel, as in risc_lab.camera.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -141,11 +142,11 @@ def calibrate(views, board, size_px, name="camera", radial_terms=2):
     while True:
         guess, sigma, errors = _solve(kept, board, size_px, radial_terms, guess)
         rms = np.array([error.rms_px for error in errors])
-        outliers = rms > max(OUTLIER_RATIO * np.median(rms), OUTLIER_FLOOR_PX)
-        if not outliers.any() or np.count_nonzero(~outliers) < MIN_VIEWS:
+        fits = rms <= max(OUTLIER_RATIO * np.median(rms), OUTLIER_FLOOR_PX)
+        if fits.all() or np.count_nonzero(fits) < MIN_VIEWS:
             break
-        dropped += [error for error, out in zip(errors, outliers) if out]
-        kept = [view for view, out in zip(kept, outliers) if not out]
+        dropped += itertools.compress(errors, ~fits)
+        kept = list(itertools.compress(kept, fits))
     K, D = guess
     P, _ = cv2.getOptimalNewCameraMatrix(K, D, size_px, 0.0)
     P = tuple(np.column_stack((P, np.zeros(3))).ravel().tolist())
@@ -170,10 +171,8 @@ def _features(corners_px, board, size_px):
     The tilts are by how much the distance changes from one edge of the board to the other, as a fraction; they are the
     perspective part of the homography and need no focal length.
     """
-    x = np.linspace(-1.0, 1.0, board.columns)
-    y = np.linspace(-1.0, 1.0, board.rows)
-    plane = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    H, _ = cv2.findHomography(plane, corners_px)
+    axes = np.linspace(-1.0, 1.0, board.columns), np.linspace(-1.0, 1.0, board.rows)
+    H, _ = cv2.findHomography(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2), corners_px)
     centre = corners_px.mean(axis=0) / size_px
     size = np.sqrt(cv2.contourArea(cv2.convexHull(corners_px.astype(np.float32))) / (size_px[0] * size_px[1]))
     return np.array([centre[0], centre[1], size, 2.0 * H[2, 0] / H[2, 2], 2.0 * H[2, 1] / H[2, 2]])
@@ -193,10 +192,9 @@ def _solve(views, board, size_px, radial_terms, guess=None):
 
     def start(K, D, fixed):
         flags = radial | fixed | cv2.CALIB_USE_INTRINSIC_GUESS
+        given = points, corners, size_px, K.copy(), D.copy()
         try:
-            solution = cv2.calibrateCameraExtended(
-                points, corners, size_px, K.copy(), D.copy(), flags=flags, criteria=_CONVERGED
-            )
+            solution = cv2.calibrateCameraExtended(*given, flags=flags, criteria=_CONVERGED)
         except cv2.error as error:
             raise ValueError(_UNDETERMINED) from error
         if not (np.isfinite(solution[1]).all() and np.isfinite(solution[2]).all()):
@@ -217,10 +215,7 @@ def _solve(views, board, size_px, radial_terms, guess=None):
         last_px = rms_px
     normals = [cv2.Rodrigues(turn)[0][2, 2] for turn in turns]
     tilts_deg = np.degrees(np.arccos(np.clip(np.abs(normals), 0.0, 1.0)))
-    errors = [
-        ViewError(view.name, float(error), float(tilt))
-        for view, error, tilt in zip(views, errors_px.ravel(), tilts_deg)
-    ]
+    errors = list(map(ViewError, (view.name for view in views), errors_px.ravel().tolist(), tilts_deg.tolist()))
     return guess, dict(zip(_INTRINSICS, deviations.ravel().tolist())), errors
 
 

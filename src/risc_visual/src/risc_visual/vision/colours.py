@@ -33,10 +33,14 @@ class HsvRange(Settings):
 class Planes:
     """Hue, saturation and value of one picture, and its masks; what several paints share is computed once."""
 
-    def __init__(self, bgr):
-        """bgr: (h, w, 3) uint8."""
+    def __init__(self, bgr, shrink=1):
+        """bgr: (h, w, 3) uint8. shrink: by which factor the planes are smaller, which also averages the noise."""
+        if shrink != 1:
+            height, width = (side // shrink for side in bgr.shape[:2])
+            whole = bgr[: height * shrink, : width * shrink]
+            bgr = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
         self._planes = cv2.split(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV))
-        self._within = {}
+        self._ranges = {}
 
     @property
     def hue(self):
@@ -45,21 +49,18 @@ class Planes:
 
     def mask(self, paint):
         """(h, w) uint8: 255 where the picture has this paint (an HsvRange)."""
-        vivid = paint.saturation + paint.value
-        if vivid not in self._within:
-            self._within[vivid] = cv2.bitwise_and(self._range(1, *paint.saturation), self._range(2, *paint.value))
-        return cv2.bitwise_and(self._hue_within(*paint.hue), self._within[vivid])
-
-    def _hue_within(self, first, last):
+        first, last = paint.hue
         if first <= last:
-            return self._range(0, first, last)
-        return cv2.bitwise_or(self._range(0, first, HUES - 1), self._range(0, 0, last))
+            hue = self._range(0, first, last)
+        else:
+            hue = self._range(0, first, HUES - 1) | self._range(0, 0, last)
+        return hue & self._range(1, *paint.saturation) & self._range(2, *paint.value)
 
-    def _range(self, plane, low, high):
-        key = (plane, low, high)
-        if key not in self._within:
-            self._within[key] = cv2.inRange(self._planes[plane], low, high)
-        return self._within[key]
+    def _range(self, *key):
+        if key not in self._ranges:
+            plane, low, high = key
+            self._ranges[key] = cv2.inRange(self._planes[plane], low, high)
+        return self._ranges[key]
 
 
 def as_bgr(image):
@@ -75,14 +76,6 @@ def as_bgr(image):
     if min(image.shape[:2]) < SIDE_MIN_PX or image.ndim == 2 or image.shape[2] == 1:
         return None
     return np.ascontiguousarray(image[:, :, :3])
-
-
-def shrunk(bgr, factor):
-    """The picture in which blobs are searched: smaller, which also averages its noise."""
-    if factor == 1:
-        return bgr
-    height, width = (side // factor for side in bgr.shape[:2])
-    return cv2.resize(bgr[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
 
 
 def check_paints(colours, item, keys):

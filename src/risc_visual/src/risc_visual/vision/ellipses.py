@@ -13,7 +13,6 @@ _POINTS_MIN = 6  # of a fit
 _ROUNDS = 3  # of the robust fit; more change nothing that could be measured
 _LEAST_LIMIT = 0.75  # [px] distances that count in any case
 _PRIOR_PX, _PRIOR_COUNT = 0.05, 10  # what is known of the noise of an edge point beforehand, worth so many points
-
 _SYSTEMATIC = 5e-4  # error of the middle of an outline / its size, however many points there are
 
 
@@ -39,6 +38,12 @@ class Ellipse(NamedTuple):
         """(2, 2) matrix of the semi-axes as columns: centre + axes @ unit circle is the outline."""
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         return np.array([[self.semi_major * c, -self.semi_minor * s], [self.semi_major * s, self.semi_minor * c]])
+
+    def at(self, points):
+        """Where points (..., 2) of a disc with radius 1 are on the disc whose outline this ellipse is."""
+        placed = points.reshape(-1, 2) @ self.axes().T.astype(points.dtype)
+        placed += np.array((self.x, self.y), points.dtype)
+        return placed.reshape(points.shape)
 
     def rectangle(self):
         """(width, height, angle [deg]) of the enclosing rotated rectangle as OpenCV's minAreaRect: 0 < angle <= 90."""
@@ -82,11 +87,11 @@ def unit_circle(count):
     return np.column_stack((np.cos(angles), np.sin(angles)))
 
 
-def fit_ellipse(points, outlier=3.0, least_outlier=0.3):
+def fit_ellipse(points, least_outlier=0.3, outlier=3.0):
     """Ellipse through edge points (n, 2), once without outliers, by OpenCV's direct least squares.
 
-    outlier: distances above this many (robust) standard deviations are left out, but none below least_outlier (unit
-    of the points). Returns (ellipse, distances (n,), with sign, + outside), or (None, None) if there is none.
+    Distances above `outlier` (robust) standard deviations are left out, but none below least_outlier (unit of the
+    points). Returns (ellipse, distances (n,), with sign, + outside), or (None, None) if there is none.
     """
     points = points.astype(np.float32)
     ellipse = direct_ellipse(points)
@@ -110,9 +115,9 @@ def direct_ellipse(points):
     (x, y), (first, second), angle_deg = cv2.fitEllipseDirect(points)
     if not (first > 0.0 and second > 0.0 and math.isfinite(x + y + first + second)):
         return None
-    if first >= second:
-        return Ellipse(x, y, 0.5 * first, 0.5 * second, math.radians(angle_deg))
-    return Ellipse(x, y, 0.5 * second, 0.5 * first, math.radians(angle_deg + 90.0))
+    if first < second:
+        first, second, angle_deg = second, first, angle_deg + 90.0
+    return Ellipse(x, y, 0.5 * first, 0.5 * second, math.radians(angle_deg))
 
 
 def distances(points, ellipse):
@@ -137,107 +142,81 @@ def fit_grown(points, inner, scale):
     """
     if len(points) < _POINTS_MIN:
         return None, None
-    axes = inner.axes()
     a, b = inner.semi_major, inner.semi_minor
-    u, v = ((points - (inner.x, inner.y)) @ (axes / (a * a, b * b))).T  # `inner` is the unit circle
-    shift_u, shift_v, size = 0.0, 0.0, scale
-    rows = np.empty((3, len(u)))
+    u, v = ((points - (inner.x, inner.y)) @ (inner.axes() / (a * a, b * b))).T  # `inner` is the unit circle
+    found = np.array([0.0, 0.0, scale])  # shift of the middle and radius there
     for _ in range(_ROUNDS):
-        du, dv = u - shift_u, v - shift_v
-        radius = np.hypot(du, dv)
+        outwards = np.array((u - found[0], v - found[1], np.ones(len(u))))
+        radius = np.hypot(outwards[0], outwards[1])
         if not radius.all():
             return None, None
-        du, dv = du / radius, dv / radius
-        off = radius - size
-        pixels = 1.0 / np.hypot(du / a, dv / b)  # of one unit across the outline
+        outwards[:2] /= radius
+        off = radius - found[2]
+        pixels = 1.0 / np.hypot(outwards[0] / a, outwards[1] / b)  # of one unit across the outline
         off_px = off * pixels
         limit = max(_LEAST_LIMIT, 4.0 * _median(np.abs(off_px)))
         weight = np.maximum(0.0, 1.0 - np.square(off_px / limit)) * pixels  # Tukey's
-        rows[0], rows[1], rows[2] = du * weight, dv * weight, weight
+        rows = outwards * weight
         solved, step = cv2.solve(rows @ rows.T, rows @ (off * weight), flags=cv2.DECOMP_CHOLESKY)
         if not solved:
             return None, None
-        (step_u,), (step_v,), (step_size,) = step.tolist()
-        shift_u, shift_v, size = shift_u + step_u, shift_v + step_v, size + step_size
-    if not 0.5 * scale < size < 2.0 * scale:
+        found += step[:, 0]
+    if not 0.5 * scale < found[2] < 2.0 * scale:
         return None, None
-    x, y = (axes @ (shift_u, shift_v)).tolist()
-    return inner.grown(size)._replace(x=inner.x + x, y=inner.y + y), off_px
+    x, y = inner.at(found[:2]).tolist()
+    return inner.grown(float(found[2]))._replace(x=x, y=y), off_px
 
 
 def circle_centres(conic, ring_scale):
     """Where the centre of a circle may be seen whose outline in normalised coordinates is this conic.
 
     conic: (3, 3) of the outline in coordinates right, down at depth 1 (C as Ellipse.conic). Two circles have the same
-    outline, tilted to opposite sides. Returns a list of two (image of the circle's centre, middle of the ellipse that
-    the concentric circle `ring_scale` times as large is seen as), each (x, y); equal for a circle seen frontally.
-    Empty if there is none.
+    outline, tilted to opposite sides. Returns (centres, rings), each (2, 2): the images of their centres, and the
+    middles of the ellipses that the concentric circles `ring_scale` times as large are seen as; both rows are equal for
+    a circle seen frontally.
     """
     values, vectors = np.linalg.eigh(conic)  # ascending: one negative, two positive
-    (a, b, c), rows = values.tolist(), vectors.tolist()
-    if not a < 0.0 < b:
-        return []
+    a, b, c = values.tolist()
     across, along = math.sqrt((c - b) / (c - a)), math.sqrt((b - a) / (c - a))
-    (xx, xy, xz), (_, yy, yz), _ = conic.tolist()
-    found = []
-    for sign in (across, -across):
-        # The normal of the circle's plane is also the line that is the image of its line at infinity; the image of
-        # the centre is that line's pole: C^-1 normal, in the axes of the eigenvectors.
-        nx, ny, nz = (along * row[0] + sign * row[2] for row in rows)
-        px, py, pz = (along / a * row[0] + sign / c * row[2] for row in rows)
-        distance = along * along / a + sign * sign / c  # normal' C^-1 normal, which is pole' C pole, too
-        if distance == 0.0 or pz == 0.0:
-            return []
-        # All concentric circles: C + m normal normal'. In the plane, C = diag(1, 1, -r^2) and the pole is (0, 0, 1).
-        grow = (ring_scale**2 - 1.0) / distance
-        rxx, rxy, ryy = xx + grow * nx * nx, xy + grow * nx * ny, yy + grow * ny * ny
-        rxz, ryz = xz + grow * nx * nz, yz + grow * ny * nz
-        determinant = rxx * ryy - rxy * rxy
-        if not determinant > 0.0:  # no ellipse: the larger circle reaches behind the camera
-            return []
-        ring = (rxy * ryz - ryy * rxz) / determinant, (rxy * rxz - rxx * ryz) / determinant
-        found.append(((px / pz, py / pz), ring))
-    return found
+    # The normal n of the circle's plane, (along, 0, +-across) in the axes of the eigenvectors, is also the line that is
+    # the image of the plane's line at infinity; the image of the centre is that line's pole: C^-1 n.
+    poles = np.array(((along / a, 0.0, across / c), (along / a, 0.0, -across / c))) @ vectors.T
+    # All concentric circles: C + m n n'. In the plane C = diag(1, 1, -r^2) and the pole is (0, 0, 1), hence
+    # m n' C^-1 n = ring_scale^2 - 1. The middle of an ellipse is the pole of (0, 0, 1), by Sherman and Morrison:
+    share = (1.0 - ring_scale**-2) / (along * along / a + across * across / c)
+    rings = vectors @ (vectors[2] / values) - share * poles[:, 2:] * poles
+    return poles[:, :2] / poles[:, 2:], rings[:, :2] / rings[:, 2:]
 
 
-def harmonics(directions):
-    """(n, 5) by how much a point at each place of an ellipse moves outwards, in units of the semi-axes.
-
-    directions: (n, 2) unit vectors (cos t, sin t), the places on the unit circle. When the ellipse moves along both
-    axes, grows, and changes its shape in two ways: (cos t, sin t, 1, cos 2t, sin 2t).
-    """
-    u, v = directions.T
-    return np.column_stack((u, v, np.ones_like(u), u * u - v * v, 2.0 * u * v)).astype(float)
-
-
-def centre_covariance(ellipse, rows, rms_px, focal_px, apart, share, turn=None):
+def centre_covariance(ellipse, directions, rms_px, focal_px, apart, share, turn=None):
     """Covariance (xx, xy, yy) [px^2] of where the centre of a tilted circle is seen, `circle_centres` between both.
 
-    ellipse: the outline. rows: (n, 5) `harmonics` of its measured points, rms_px: of their distances from it.
-    focal_px: of the camera. apart: (2,) [px] from the second to the first hypothesis, share: probability of the first.
-    turn: (2, 2) Jacobian of the picture's pixels by undistorted ones (in which `apart` is); None: the same. None for
-    points that do not determine an ellipse.
+    ellipse: the outline. directions: (n, 2) of its measured points, on the unit circle; rms_px: of their distances
+    from it. focal_px: of the camera. apart: (2,) [px] from the second to the first hypothesis, share: probability of
+    the first. turn: (2, 2) Jacobian of the picture's pixels by undistorted ones (in which `apart` is); None: the same.
+    None for points that do not determine an ellipse.
 
-    Three parts. The middle of the outline: sigma^2 (sum h h' w^2)^-1 with h of `harmonics` and w pixels across the
-    outline for a unit there, and what no number of points helps against. The shift to the image of the centre: kappa
-    tau for a tilt with the sine tau, kappa = a b / f, where the shape tells tau^2. Which of both tilts it is: the
-    variance of a choice.
+    Three parts. The middle of the outline: sigma^2 (sum h h' w^2)^-1 with w pixels across the outline for a unit there,
+    and what no number of points helps against; h = (cos t, sin t, 1, cos 2t, sin 2t), by how much the point at t moves
+    outwards when the ellipse moves along both axes, grows, and changes its shape in two ways. The shift to the image of
+    the centre: kappa tau for a tilt with the sine tau, kappa = a b / f, where the shape tells tau^2. Which of both
+    tilts it is: the variance of a choice.
     """
-    count, (a, b) = len(rows), ellipse[2:4]
+    count, (a, b), (u, v) = len(directions), ellipse[2:4], directions.T
     if count <= 5:
         return None
-    weighted = rows / (np.square(rows[:, :2]) @ (a**-2, b**-2))[:, None]
-    solved, inverse = cv2.invert(rows.T @ weighted, flags=cv2.DECOMP_CHOLESKY)
+    rows = np.array((u, v, np.ones(count), u * u - v * v, 2.0 * u * v))
+    solved, inverse = cv2.invert(rows / (u * u / a**2 + v * v / b**2) @ rows.T, flags=cv2.DECOMP_CHOLESKY)
     if not solved:
         return None
     sigma2 = (count * rms_px**2 + _PRIOR_COUNT * _PRIOR_PX**2) / (count - 5 + _PRIOR_COUNT)
     axes = ellipse.axes()
-    covariance = sigma2 * axes @ inverse[:2, :2] @ axes.T
     kappa = a * b / focal_px
     spread = 2.0 * (1.0 + (b / a) ** 2) * math.sqrt(sigma2 * inverse[3, 3])  # of tau^2
     tau = 0.5 * math.hypot(*apart) / kappa
     noise, choice = (kappa * spread) ** 2 / (4.0 * tau**2 + 2.0 * spread), share * (1.0 - share)
-    xx, xy, yy = choice * apart[0] ** 2 + noise, choice * apart[0] * apart[1], choice * apart[1] ** 2 + noise
-    shift = np.array(((xx, xy), (xy, yy)))
-    (xx, xy), (_, yy) = (covariance + (shift if turn is None else turn @ shift @ turn.T)).tolist()
+    x, y = apart
+    shift = np.array(((choice * x * x + noise, choice * x * y), (choice * x * y, choice * y * y + noise)))
+    shift = shift if turn is None else turn @ shift @ turn.T
+    (xx, xy), (_, yy) = (sigma2 * axes @ inverse[:2, :2] @ axes.T + shift).tolist()
     return xx + (_SYSTEMATIC * b) ** 2, xy, yy + (_SYSTEMATIC * b) ** 2

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import yaml
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
 
 from risc_lab.settings import Settings, between
 from risc_visual.vision.colours import HUES, HsvRange, Planes
-from risc_visual.vision.landmark_config import detector_file, landmarks_from_dict
+from risc_visual.vision.landmark_config import detector_file, load_landmarks
 
 _SIGMA_PX = 2.0  # of the blur, as in the original release
 
@@ -64,7 +65,7 @@ def draw_mask(bgr, mask):
 
 
 def save_colour(path, name, paint):
-    """Write an HsvRange into a landmarks file, whose other lines stay as they are; a new file begins as the package's.
+    """Write an HsvRange into a landmarks file, whose rest and comments stay; a new file begins as the package's.
 
     Returns the absolute path: a node that roslaunch starts is not in the user's folder. Raises ValueError with cause
     and cure, and then the file is what it was.
@@ -75,36 +76,18 @@ def save_colour(path, name, paint):
         raise ValueError("%r is no name of a colour: letters, digits and _" % name)
     path = pathlib.Path(path).expanduser().absolute()
     source = path if path.exists() else detector_file()
+    load_landmarks(source)  # else it is no such file
+    limits = CommentedMap((key, list(getattr(paint, key))) for key in ("hue", "saturation", "value"))
+    limits.fa.set_flow_style()
+    file = YAML()
+    file.width = 1000  # wraps no line
     try:
-        text = source.read_text(encoding="utf-8")
-        limits = ", ".join("%s: [%d, %d]" % (key, *getattr(paint, key)) for key in ("hue", "saturation", "value"))
-        text = _with_colour(text, name, "{%s}" % limits)
-        config = landmarks_from_dict(yaml.safe_load(text), str(path))
-        if config.colours.get(name) != paint:
-            raise ValueError(
-                "%s: cannot place '%s' under 'colours': write each colour on a line of its own" % (path, name)
-            )
+        content = file.load(source)
+        content["colours"][name] = limits
         # Under another name first: a full disk must not leave half a file.
         new = path.with_name(path.name + ".new")
-        new.write_text(text, encoding="utf-8")
-        os.replace(str(new), str(path))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ValueError("cannot write %s: %s" % (path, " ".join(str(error).split()))) from error
+        file.dump(content, new)
+        os.replace(new, path)
+    except OSError as error:
+        raise ValueError("cannot write %s: %s" % (path, error)) from error
     return path
-
-
-def _with_colour(text, name, value):
-    """The file's text with this line under `colours`."""
-    block = re.search(r"^colours:[^\n]*\n((?:[ \t]+[^\n]*\n|[ \t]*\n|#[^\n]*\n)*)", text, re.MULTILINE)
-    if block is None:
-        return text
-    lines, count = re.subn(
-        r"^([ \t]+)%s:[ \t]*\{[^}\n]*\}" % re.escape(name),
-        r"\g<1>%s: %s" % (name, value),
-        block.group(1),
-        flags=re.MULTILINE,
-    )
-    if not count:
-        indent = re.match(r"[ \t]*", block.group(1)).group(0) or "  "
-        lines = "%s%s: %s\n%s" % (indent, name, value, block.group(1))
-    return text[: block.start(1)] + lines + text[block.end(1) :]

@@ -52,7 +52,6 @@ ORDER_REST_S = 0.1  # after an order, until the vehicle's phase is believed agai
 ALTITUDE_GAIN_1_S = 0.8  # climb rate allowed per metre below altitude_max; below 1/(4 * 0.3 s): no overshoot
 CLIMB_STEP_M_S = 0.005  # smaller changes by the altitude limit are not worth a command
 FOREVER_S = 1e9  # upper limit of the client's own time-out
-EARLY_S = 1e-6  # what rounding may make of the time at which something is due
 
 MAX_CONTROL_CLIENTS = 16
 MAX_TCP_BACKLOG_BYTES = 256 * 1024
@@ -129,7 +128,6 @@ class ArdroneHost(VehicleHost):
         self._com_watchdog = True  # state bit 30
         self._com_lost_s = None  # since when state bit 13 is set
         self._link_up = True
-        self._due_s = -math.inf  # before this time tick() has nothing to do, while the phase stays the same
 
         # piloting
         self._arriving = deque()  # (time, item) from the radio that is not yet due
@@ -196,16 +194,10 @@ class ArdroneHost(VehicleHost):
         self._obey_configuration()
 
     def _watch_streams(self):
-        """Wait for those listeners and streams that are to be served now."""
-        served = []
-        if self._sockets and not self.link_lost:  # stalled streams would be readable for ever
-            served = [self._sockets["control"], *self._readers.backlogs, self._ftp]
-        datagrams = [self._sockets.get("at"), self._sockets.get("navdata")]
-        for sock in self._waiting:
-            if sock not in datagrams and sock not in served:
-                self._waiting.discard(sock)
-        for sock in served:
-            self._waiting.add(sock)
+        """Wait for the streams while there is a link: stalled, they would be readable for ever."""
+        change = self._waiting.discard if self.link_lost else self._waiting.add
+        for member in (self._sockets["control"], *self._readers.backlogs, self._ftp):
+            change(member)
 
     def on_readable(self, sock, now_s):
         """Take what has come in on one of sockets() at lab time now_s."""
@@ -224,21 +216,18 @@ class ArdroneHost(VehicleHost):
             self._readers.accept()
         else:
             self._readers.drain(sock)
-        self._find_due(self._vehicle.phase)
 
     def tick(self, now_s):
         """To be called once per cycle of the lab, after the world has moved."""
         self._now_s = now_s
         if now_s >= self.wires.due_s:
             self.wires.release(now_s)
-        phase = self._vehicle.phase
-        link_up = now_s >= self._lost_until_s
-        if now_s < self._due_s and phase is self._last_phase and link_up is self._link_up:
-            if phase is FlightPhase.FLYING:
-                self._limit_altitude(now_s)
-            return
+        phase, link_up = self._vehicle.phase, not self.link_lost
         if link_up is not self._link_up:
-            self._switch_link(link_up)
+            self._link_up = link_up
+            self._watch_streams()
+            if self._video is not None:
+                self._video.link_up = link_up
         self._watch_phase(phase)
         self._watch_link(now_s, phase)
         self._pilot(now_s, phase)
@@ -246,26 +235,6 @@ class ArdroneHost(VehicleHost):
             self._readers.flush()
         if self._client is not None and now_s >= self._next_packet_s - 0.1 * FULL_PERIOD_S:
             self._send_navdata(now_s, phase)
-        self._find_due(phase)
-
-    def _find_due(self, phase):
-        """When tick() has something to do again, unless the phase changes or something comes in first."""
-        due_s = self._radio.due_s
-        if self._arriving:
-            due_s = min(due_s, self._arriving[0][0] - LOOK_AHEAD_S)
-        if self._client is not None:
-            due_s = min(due_s, self._next_packet_s - 0.1 * FULL_PERIOD_S)
-        if self._com_lost_s is not None:
-            if phase in _CAN_LAND:
-                due_s = min(due_s, max(self._com_lost_s + LOST_HOVER_S, self._rest_until_s))
-        elif self._last_at_s is not None:
-            due_s = min(due_s, self._last_at_s + (self._patience_s if self._com_watchdog else WATCHDOG_S))
-        if self._start is not None:
-            if (phase is FlightPhase.LANDED and self._armed) if self._start else phase in _CAN_LAND:
-                due_s = min(due_s, self._rest_until_s)
-        if self._link_up and any(self._readers.backlogs.values()):
-            due_s = -math.inf
-        self._due_s = due_s - EARLY_S
 
     def close(self):
         """Close all sockets. May be called twice."""
@@ -281,14 +250,6 @@ class ArdroneHost(VehicleHost):
             "%s (%s) AR.Drone 2.0 at %s: navdata udp %d, video tcp %d, AT commands udp %d, configuration tcp %d, "
             "version by FTP tcp %d" % (self._vehicle.namespace, self._vehicle.name, self.address, *self.ports)
         )
-
-    # --- for the lab's operator -----------------------------------------------------------------------------------
-
-    def _switch_link(self, link_up):
-        self._link_up = link_up
-        self._watch_streams()
-        if self._video is not None:
-            self._video.link_up = link_up
 
     def get(self, key):
         """Typed value of a configuration key in force."""
@@ -319,12 +280,10 @@ class ArdroneHost(VehicleHost):
             self._readers.hang_up(sock)  # asks and never reads
         else:
             backlog += text
-            self._due_s = -math.inf
 
     # --- commands ---------------------------------------------------------------------------------------------------
 
     def _on_at_datagram(self, data, sender, now_s):
-        self._due_s = -math.inf  # one that a fault has kept back comes between two cycles
         self._counts["at_datagrams"] += 1
         commands, malformed = parse_datagram(data)
         if malformed:
@@ -434,11 +393,7 @@ class ArdroneHost(VehicleHost):
         "CTRL": _on_ctrl,
         "COMWDG": _on_comwdg,
         "FTRIM": _on_ftrim,
-        "LED": _on_note,
-        "ANIM": _on_note,
-        "CALIB": _on_note,
-        "PMODE": _on_note,
-        "MISC": _on_note,
+        **dict.fromkeys(("LED", "ANIM", "CALIB", "PMODE", "MISC"), _on_note),
     }
 
     # --- watchdogs --------------------------------------------------------------------------------------------------
@@ -585,7 +540,6 @@ class ArdroneHost(VehicleHost):
     # --- navdata ----------------------------------------------------------------------------------------------------
 
     def _on_wake_up(self, data, sender, now_s):
-        self._due_s = -math.inf
         if not navdata.is_wake_up(data):
             self._counts["not_wake_ups"] += 1
             self._notices.complaint("asks for navdata wrongly", sender, repr(data[:20]))
@@ -658,27 +612,20 @@ class ArdroneHost(VehicleHost):
         )
 
     def _state_bits(self, phase):
-        bits = _BASE_STATE
-        if phase in _IN_FLIGHT:
-            bits |= _BIT.FLYING
-        if self._video is not None and self._video.watchers:
-            bits |= _BIT.VIDEO_ENABLED
-        if self._start:
-            bits |= _BIT.USER_START
-        if self._ack:
-            bits |= _BIT.COMMAND_ACK
-        if self._bootstrap:
-            bits |= _BIT.NAVDATA_DEMO | _BIT.BOOTSTRAP
-        else:
-            bits |= _BIT.CAMERA_READY
-            if self.get("general:navdata_demo"):
-                bits |= _BIT.NAVDATA_DEMO
-        if self._com_lost_s is not None:
-            bits |= _BIT.COM_LOST
-        if self._vehicle.battery_pct <= LOW_BATTERY_PCT:
-            bits |= _BIT.BATTERY_LOW
-        if self._com_watchdog:
-            bits |= _BIT.COM_WATCHDOG
-        if phase is FlightPhase.EMERGENCY:
-            bits |= _BIT.EMERGENCY | (_BIT.USER_EMERGENCY_LANDING if self._user_emergency else _BIT.CUTOUT)
-        return bits
+        in_emergency = phase is FlightPhase.EMERGENCY
+        bits = (
+            (_BIT.FLYING, phase in _IN_FLIGHT),
+            (_BIT.VIDEO_ENABLED, self._video is not None and self._video.watchers),
+            (_BIT.USER_START, self._start),
+            (_BIT.COMMAND_ACK, self._ack),
+            (_BIT.BOOTSTRAP, self._bootstrap),
+            (_BIT.CAMERA_READY, not self._bootstrap),
+            (_BIT.NAVDATA_DEMO, self._bootstrap or self.get("general:navdata_demo")),
+            (_BIT.COM_LOST, self._com_lost_s is not None),
+            (_BIT.BATTERY_LOW, self._vehicle.battery_pct <= LOW_BATTERY_PCT),
+            (_BIT.COM_WATCHDOG, self._com_watchdog),
+            (_BIT.EMERGENCY, in_emergency),
+            (_BIT.USER_EMERGENCY_LANDING, in_emergency and self._user_emergency),
+            (_BIT.CUTOUT, in_emergency and not self._user_emergency),
+        )
+        return _BASE_STATE + sum(bit for bit, is_set in bits if is_set)

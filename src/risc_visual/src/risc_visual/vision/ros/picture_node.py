@@ -13,11 +13,11 @@ from cv_bridge import CvBridge
 from dynamic_reconfigure.server import Server
 from sensor_msgs.msg import Image
 
+from risc_lab.ros.diagnostics import ticking_updater
 from risc_lab.ros.node import run as run_node
 from risc_lab.ros.params import load_params
 from risc_lab.ros.ticker import Ticker
 from risc_msgs.msg import Observed_rois, Risc_roi, Risc_rois
-from risc_visual.ros import node
 from risc_visual.vision.ros.picture_reader import PictureReader
 
 _BRIDGE = CvBridge()
@@ -27,11 +27,12 @@ _LOOK_S = 0.25  # between two looks whether somebody listens
 class PictureNode(abc.ABC):
     """Subscribes to pictures while somebody listens to a result, and calls `process` with the newest one."""
 
-    def __init__(self, topic, outputs, settings_class, config_type=None):
+    def __init__(self, topic, outputs, settings_class, config_type=None, rate_hz=0.0):
         """topic: of the pictures.  outputs: dict topic -> encoding of a picture, or a message class.
 
         settings_class: Settings of private parameters.  config_type: of dynamic_reconfigure, with fields of the same
-        names; None: the settings stand.  Raises ValueError that names a wrong parameter.
+        names; None: the settings stand.  rate_hz: of pictures, at most; 0: all.  Raises ValueError that names a wrong
+        parameter.
         """
         self.lock = threading.Lock()  # held while `process` runs: for what other callbacks share with it
         self._encodings = {name: kind for name, kind in outputs.items() if isinstance(kind, str)}
@@ -43,7 +44,7 @@ class PictureNode(abc.ABC):
                 rospy.set_param("~" + key, value)
             self._server = Server(config_type, self._on_reconfigure)
         name = rospy.get_name().rsplit("/", 1)[-1]
-        self._reader = PictureReader(topic, self._work, node.ticking_updater(), name)
+        self._reader = PictureReader(topic, self._work, ticking_updater(), name, rate_hz)
         self._publishers = {
             name: rospy.Publisher(name, Image if isinstance(kind, str) else kind, queue_size=1)
             for name, kind in outputs.items()

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Image
 
 from risc_lab.images import picture_from_msg
-from risc_lab.ros.diagnostics import Growth, age_text, is_silent
+from risc_lab.ros.diagnostics import Growth, add_all, age_text, is_silent, summarise
 from risc_lab.ros.paced_subscriber import PICTURES_BYTES
 from risc_lab.ros.until_shutdown import until_shutdown
 
@@ -75,21 +75,19 @@ class PictureReader:
         with self._lock:
             new, rates_hz = self._growth(self._counts)
             took_s, self._took_s = self._took_s, []
-        if not self.is_open:
-            status.summary(DiagnosticStatus.OK, "waiting: nobody listens to a result")
-        elif new["refused"]:
-            status.summary(DiagnosticStatus.ERROR, "pictures are refused: the log says why")
-        elif is_silent(self._last_s):
-            status.summary(DiagnosticStatus.WARN, "no pictures on " + self.topic)
-        else:
-            status.summary(DiagnosticStatus.OK, "working")
-        status.add("rate [Hz]", "%.1f" % rates_hz["pictures"])
-        status.add("age of last picture [s]", age_text(self._last_s))
-        status.add("stamp to result [s]", "none yet" if self._age_s is None else "%.3f" % self._age_s)
-        status.add("work on a picture [ms]", "%.2f" % (1e3 * sum(took_s) / max(1, len(took_s))))
-        status.add("longest work on a picture [ms]", "%.2f" % (1e3 * max(took_s, default=0.0)))
-        for key, count in self._counts.items():
-            status.add(key, str(count))
-        for key, text in self._more().items():
-            status.add(key, text)
+        summarise(
+            status,
+            (not self.is_open, DiagnosticStatus.OK, "waiting: nobody listens to a result"),
+            (new["refused"], DiagnosticStatus.ERROR, "pictures are refused: the log says why"),
+            (is_silent(self._last_s), DiagnosticStatus.WARN, "no pictures on " + self.topic),
+            (True, DiagnosticStatus.OK, "working"),
+        )
+        told = {
+            "rate [Hz]": "%.1f" % rates_hz["pictures"],
+            "age of last picture [s]": age_text(self._last_s),
+            "stamp to result [s]": "none yet" if self._age_s is None else "%.3f" % self._age_s,
+            "work on a picture [ms]": "%.2f" % (1e3 * sum(took_s) / max(1, len(took_s))),
+            "longest work on a picture [ms]": "%.2f" % (1e3 * max(took_s, default=0.0)),
+        }
+        add_all(status, {**told, **self._counts, **self._more()})
         return status

@@ -60,8 +60,7 @@ def draw_region(picture, region, colour=YELLOW):
 def outline_rectangle(picture, x, y, width, height, angle_deg, colour):
     """A rotated rectangle; returns its corners (4, 2)."""
     corners = cv2.boxPoints(((x, y), (width, height), angle_deg))
-    rounded = np.round(corners * (1 << SHIFT)).astype(np.int32)
-    cv2.polylines(picture, [rounded], True, colour, 2, cv2.LINE_AA, SHIFT)
+    cv2.polylines(picture, [np.int32(np.round(corners * (1 << SHIFT)))], True, colour, 2, cv2.LINE_AA, SHIFT)
     return corners
 
 

@@ -13,9 +13,7 @@ class EdgeSettings(Settings):
     """Settings of `find_edges`; the defaults are those of the original release."""
 
     blur: between(0, 100) = 2  # [px] radius of the box blur; 0: none
-    threshold: between(0, 100000) = (
-        800  # gradient above which an edge is followed; the sums of a 7 x 7 kernel are large numbers
-    )
+    threshold: between(0, 100000) = 800  # gradient above which an edge is followed; large for a 7 x 7 kernel
     ratio: between(1.0, 100.0) = 3.0  # an edge begins where the gradient is above threshold * ratio
     aperture: Literal[3, 5, 7] = 7  # [px] width of the gradient's kernel
 

@@ -24,9 +24,7 @@ class DenseSettings(Settings):
     window: between(3, 200) = 15  # [px] over which the motion is taken as equal
     iterations: between(1, 50) = 3
     poly_n: between(3, 15) = 5  # [px] neighbourhood that is approximated by a polynomial: 5 or 7
-    full_scale_px: between(0.0, 1e4) = (
-        0.0  # [px/picture] motion that is drawn brightest; 0: the greatest one in the picture
-    )
+    full_scale_px: between(0.0, 1e4) = 0.0  # [px/picture] motion that is drawn brightest; 0: the picture's greatest
 
 
 class DenseFlow:
@@ -46,18 +44,9 @@ class DenseFlow:
         previous, self._previous = self._previous, current
         if previous is None or previous.shape != current.shape:
             return None
-        return cv2.calcOpticalFlowFarneback(
-            previous,
-            current,
-            None,
-            _PYRAMID_SCALE,
-            settings.levels,
-            settings.window,
-            settings.iterations,
-            settings.poly_n,
-            _SIGMA_PER_POLY_N * settings.poly_n,
-            0,
-        )
+        pyramid = _PYRAMID_SCALE, settings.levels, settings.window, settings.iterations
+        smooth = settings.poly_n, _SIGMA_PER_POLY_N * settings.poly_n
+        return cv2.calcOpticalFlowFarneback(previous, current, None, *pyramid, *smooth, 0)
 
 
 def flow_picture(flow, full_scale_px=0.0):

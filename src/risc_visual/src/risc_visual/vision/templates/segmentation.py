@@ -50,14 +50,8 @@ def mask_of_bins(bins, first, last):
     return np.where(inside & (bins >= 1) & (bins <= BINS), 255, 0).astype(np.uint8)
 
 
-def _make_paints():
-    paints = np.zeros((256, 3), np.uint8)
-    hue = ((np.arange(BINS) + 0.5) * 180.0 / BINS).astype(np.uint8)  # the middle of each bin
-    hsv = np.stack((hue, np.full(BINS, 255, np.uint8), np.full(BINS, 255, np.uint8)), axis=1)
-    paints[1 : BINS + 1] = cv2.cvtColor(hsv[None], cv2.COLOR_HSV2BGR)[0]
-    paints[WHITE] = 255
-    return paints
-
-
 _BIN_OF_HUE = (np.arange(256) * BINS // 180 + 1).clip(1, BINS).astype(np.uint8)
-_PAINTS = _make_paints()
+_PAINTS = np.zeros((256, 3), np.uint8)
+_PAINTS[WHITE] = 255
+_MIDDLES = [(int((k + 0.5) * 180.0 / BINS), 255, 255) for k in range(BINS)]  # HSV of each bin
+_PAINTS[1 : BINS + 1] = cv2.cvtColor(np.uint8([_MIDDLES]), cv2.COLOR_HSV2BGR)[0]

@@ -23,9 +23,7 @@ class ShapeSettings(Settings):
     least_px: between(1, 10**8) = 200  # [px^2] smaller areas are noise
     tolerance: between(0.001, 0.2) = 0.03  # of the straight sides, as a fraction of the outline's length
     roundness: between(0.1, 1.0) = 0.88  # 4 pi area / length^2 above which an outline with many corners is a circle
-    solidity: between(0.1, 1.0) = (
-        0.9  # area over that of its convex hull, below which it is nothing that has a name here
-    )
+    solidity: between(0.1, 1.0) = 0.9  # area over that of its convex hull, below which it has no name here
 
 
 class Shape(NamedTuple):
