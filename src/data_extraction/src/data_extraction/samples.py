@@ -38,10 +38,11 @@ class Samples:
             self._numbers = array("d", self.table()[::2].tobytes())
             self.every *= 2
 
-    def forget(self, column, least):
-        """Forget the rows whose number in that column is less."""
+    def forget(self, column, begin, end):
+        """Forget the rows whose number in that column is from `begin` to below `end`."""
         table = self.table()
-        self._numbers = array("d", table[table[:, column] >= least].tobytes())
+        kept = (table[:, column] < begin) | (table[:, column] >= end)
+        self._numbers = array("d", table[kept].tobytes())
 
     def table(self):
         """(n, width) array of the rows, a copy."""

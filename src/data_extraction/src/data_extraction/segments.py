@@ -167,6 +167,14 @@ class Recorder:
         """Names of the parameters' vehicles whose states never came."""
         return tuple(name for name in self._wanted if name not in self._recording.order)
 
+    def take(self, topic, receipt_s, message, seconds):
+        """Take a message of any topic in TOPICS. seconds: makes a number [s] of the times in it."""
+        if topic == SENT:
+            for command in message.commands:
+                self.add(topic, receipt_s, command, seconds(command.sent))
+        else:
+            self.add(topic, receipt_s, message, seconds(message.header.stamp) if topic in _FIELDS else None)
+
     def add(self, topic, receipt_s, message, stamp_s=None):
         """Take a message of any topic in TOPICS; of SENT each command by itself, and when it was sent as its stamp.
 
@@ -188,7 +196,7 @@ class Recorder:
         self._delay_s = 0.0
 
     def ended(self):
-        """How many segments have ended so far, long enough or not."""
+        """How many segments have ended so far, long enough or not. To be asked now and then: memory stays bounded."""
         self._collect(self._clock.newest_s - self._delay_s)
         return self._ended
 
@@ -221,43 +229,49 @@ class Recorder:
             del over[0]
 
     def _collect(self, until_s):
-        """Pair what came up to a time, and forget what belongs to segments that have ended."""
-        recording = self._recording
-        references = recording.parts(REFERENCES, recording.order)
-        commands, sent = (recording.parts(topic, recording.order) for topic in (COMMANDS, SENT))
-        for name, parts in recording.parts(STATES).items():
-            if name not in references or (self._wanted and name not in self._wanted):
-                continue
-            told = sent.get(name) or commands.get(name, [])
-            scale_deg = math.degrees(1.0) if name in sent else self._scales_deg.get(name, self._other_scale_deg)
-            series = recording.series(told) if told else None
-            states, wanted = recording.series(parts), recording.series(references[name])
-            found = list(self._paired(name, states, wanted, series, scale_deg, until_s))
-            if not found:
-                continue
-            for segment in found[:-1]:
-                self._end(segment)
-            self._growing[name] = found[-1]
-            recording.forget(parts, found[-1].start_s)
-            recording.forget(references[name] + told, found[-1].start_s - _GAP_S)
+        """Pair what came up to a time; forget what belongs to segments that have ended, or finds no partner any more:
+        states while nobody says where the vehicle should be, references of a vehicle that is not seen.
+        """
+        recording, order = self._recording, self._recording.order
+        if not order:
+            recording.restart()  # references and commands of nobody
+            return
+        told = {topic: recording.parts(topic, order) for topic in _FIELDS}
+        for name in dict.fromkeys(itertools.chain(*told.values())):
+            states, references, commands, sent = (told[topic].get(name, []) for topic in _FIELDS)
+            scale_deg = math.degrees(1.0) if sent else self._scales_deg.get(name, self._other_scale_deg)
+            begin_s, end_s = -math.inf, -math.inf  # of the segment under way
+            if states and references and (not self._wanted or name in self._wanted):
+                found = list(self._paired(name, states, references, sent or commands, scale_deg, until_s))
+                for segment in found[:-1]:
+                    self._end(segment)
+                if found:
+                    self._growing[name] = found[-1]
+                    begin_s, end_s = found[-1].start_s, found[-1].start_s + found[-1].duration_s
+            recording.forget(states, -math.inf, begin_s)
+            recording.forget(references + commands + sent, -math.inf, begin_s - _GAP_S)
+            recording.forget(states + references + commands + sent, end_s + _GAP_S, until_s - _GAP_S)
 
     def _paired(self, name, states, references, commands, scale_deg, until_s):
         """Segments of a vehicle, of its states up to a time that have a reference before and after them.
 
-        scale_deg: what the commands' roll and pitch [deg] are multiples of.
+        states, references, commands: parts of the recording. scale_deg: what the commands' roll and pitch [deg] are
+        multiples of.
         """
+        states, references = self._recording.series(states), self._recording.series(references)
         near, labels = references.near(states.t_s, _GAP_S)
         near &= states.t_s <= until_s
         t_s, have, labels = states.t_s[near], states.values[near], labels[near]
         references.values[:, 6] = np.unwrap(references.values[:, 6])
         want = references.at(t_s)
-        told = np.full((len(t_s), 2), np.nan)
-        if commands is not None:
-            told = commands.at(t_s) * scale_deg
-            told[~commands.near(t_s, _GAP_S)[0]] = np.nan
+        angles_deg = np.full((len(t_s), 2), np.nan)
+        if commands:
+            commands = self._recording.series(commands)
+            known = commands.near(t_s, _GAP_S)[0]
+            angles_deg[known] = (commands.at(t_s) * scale_deg)[known]
         psi_deg = (np.degrees(want[:, 6:]) + 180.0) % 360.0 - 180.0
         errors = want[:, 3:6] - have[:, 3:6]
-        table = np.hstack((have[:, :3], want[:, :3], told, psi_deg, have[:, 6:], errors, t_s[:, None]))
+        table = np.hstack((have[:, :3], want[:, :3], angles_deg, psi_deg, have[:, 6:], errors, t_s[:, None]))
         courses, phases = self._recording.told(name, states.receipts_s[near])
         courses = np.where(labels == "", courses, labels)
         changes = (courses[1:] != courses[:-1]) | (phases[1:] != phases[:-1])
