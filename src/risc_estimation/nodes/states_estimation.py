@@ -9,7 +9,6 @@ import math
 import threading
 import time
 
-import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from roslib.message import get_message_class
@@ -20,6 +19,7 @@ from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.ros.conversions import EstimateMessages, covariances_to_msg, poses_to_msg
 from risc_estimation.ros.params import NodeParams
 from risc_estimation.state_estimator import StatesEstimator
+from risc_lab.command_history import command_of
 from risc_lab.lab.fleet import MocapEndpoint
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros import low_latency
@@ -98,8 +98,7 @@ class StatesEstimationNode:
     def _on_commands(self, message):
         with self._lock:
             for sent in message.commands:
-                values = np.array((sent.roll_rad, sent.pitch_rad, sent.climb, sent.yaw_rate_rad_s))
-                self._estimator.on_board(sent.name, sent.sent.to_sec(), COMMAND, values)
+                self._estimator.on_board(sent.name, sent.sent.to_sec(), COMMAND, command_of(sent))
 
     @until_shutdown
     def _on_readings(self, message, arguments):

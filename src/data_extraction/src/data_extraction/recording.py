@@ -11,6 +11,7 @@ from data_extraction.samples import Samples
 from risc_lab.phases import phase_words
 
 STATES, TRUTH, REFERENCES, COMMANDS = "/cortex_raw", "/ground_truth", "/trajectory", "/controls"
+ON_COURSE = "course"  # the phase in which the course itself is flown
 _ALONE = -1  # place of an entry that is the only one of its message
 
 

@@ -18,7 +18,8 @@ from risc_doctor.machines import keep_alive, known_hosts, ssh
 
 def begin(experiment, _root, yes):
     """As `check.begin`, to set up every computer, one after the other. yes: write host keys without asking."""
-    return [_own_key(experiment.computers)], lambda computer: set_up(computer, yes)
+    computers = [computer for computer in experiment.computers if computer.needs_login]
+    return [_own_key(computers)], lambda computer: set_up(computer, yes)
 
 
 def set_up(computer, yes):
