@@ -76,6 +76,14 @@ def test_each_type_has_its_driver_and_one_serves_all_ardrones(tmp_path, monkeypa
     assert params["/drivers"].value == {"ardrone": ["risc1", "risc3"], "toy_quad": ["risc2"]}
 
 
+def test_a_home_is_not_needed(tmp_path, monkeypatch):
+    """Services that a computer starts by itself have none."""
+    monkeypatch.delenv("HOME", raising=False)
+    nodes, _ = load(tmp_path, monkeypatch, risc1="ardrone")
+    assert "/ardrone_driver" in nodes
+    assert list((tmp_path / "log").glob("drivers*.launch"))
+
+
 def test_without_an_ardrone_its_driver_is_not_started(tmp_path, monkeypatch):
     nodes, _ = load(tmp_path, monkeypatch, risc2="toy_quad")
     assert nodes == {"/joystick_controller", *TOY_NODES}

@@ -10,7 +10,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 def test_cortex_decoder_survives_a_bounded_run(tmp_path, inputs):
     runs = inputs(30_000, 1_000_000)
     done = subprocess.run(
-        [str(ROOT / "src/cortex_ros/fuzz/run.sh"), str(runs), str(tmp_path)],
+        [str(ROOT / "src/cortex_ros/test/fuzz/run.sh"), str(runs), str(tmp_path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -153,7 +153,7 @@ def computers_of(bag_path):
     with Bag(bag_path) as bag:
         for message in bag.messages(filter(collector.wants, bag.topics)):
             collector(*message)
-    return collector.computers()
+    return collector.result(0.0)
 
 
 @pytest.mark.usefixtures("namespaces")

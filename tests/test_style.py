@@ -116,7 +116,6 @@ PACKAGE_OF.update((module, place.parents[1]) for module, place in MODULES.items(
 OTHER_NAMES = {  # module or C++ library -> what package.xml calls it, where that is not its name
     "cv2": "opencv",
     "camera_info_manager": "camera_info_manager_py",
-    "CLI": "cli11",
     "nlohmann": "nlohmann-json",
 }
 

@@ -11,5 +11,5 @@ sed -e 's/#.*//' -e '/^[[:space:]]*$/d' "$list" | xargs .venv/bin/pip uninstall 
 # which revision it was, as `./maap machines deploy` leaves it
 devel/env.sh python -c '
 import json, risc_doctor.machines.workspace_digest as workspace
-print(json.dumps({"revision": workspace.describe(".")["revision"], "from": "Dockerfile"}))' >.deployed
+print(json.dumps({"revision": workspace.describe(".").revision, "from": "Dockerfile"}))' >.deployed
 rm -rf build logs tests docs .git .catkin_tools

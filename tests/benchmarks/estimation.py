@@ -13,8 +13,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from risc_estimation.filters import DEFAULT, REGISTRY, make_filter
-from risc_estimation.pose_fit import pack_bodies
-from risc_estimation.ros.conversions import FRAME_ID, EstimateMessages, mocap_message
+from risc_estimation.ros.conversions import FRAME_ID, EstimateMessages
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import Template, load_templates
@@ -46,7 +45,7 @@ def hover_frames(templates, frames, rng, hidden=0.0):
         place = np.array([-2.0 + 0.4 * (index % 11), -1.6 + 0.8 * (index // 11), 1.0])
         turn = rotation_body_to_cortex(0.0, 0.0, 0.4 * index) if template.kind == "vehicle" else np.eye(3)
         exact[template.name] = place + template.markers_m @ turn.T
-    layout, exact_m = pack_bodies(exact)
+    layout, exact_m = tuple((name, len(part)) for name, part in exact.items()), np.concatenate(list(exact.values()))
     sampled = [exact_m + rng.normal(0.0, MARKER_NOISE_M, exact_m.shape) for _ in range(frames)]
     if hidden:
         firsts = np.cumsum([0] + [count for _, count in layout[:-1]])
@@ -107,10 +106,12 @@ def time_table(fleet_sizes, frames=1000, seed=1):
 
 def messages_us(layout, frames, estimates):
     """Median time [us] to deserialise a frame, convert both ways and serialise the results."""
-    frame, messages, seconds = MocapArrays(), EstimateMessages(), []
+    frame, messages, seconds, sent = MocapArrays(), EstimateMessages(), [], MocapArrays(layout)
+    sent.header = Header(frame_id=FRAME_ID)
     for markers_m, estimate in zip(frames, estimates):
         wire = io.BytesIO()
-        mocap_message(Header(frame_id=FRAME_ID), layout, markers_m).serialize(wire)
+        sent.markers_m[:] = markers_m
+        sent.serialize(wire)
         data = wire.getvalue()
         start = time.perf_counter()
         frame.deserialize(data)

@@ -28,7 +28,7 @@ LEAD_S = 10.0  # more than planning takes
 
 def manager_of(course, vehicles):
     """TrajectoryManager of vehicles that hover over their starts, about to fly a course."""
-    fleet = default_fleet(vehicles, course, FLEETS)
+    fleet = default_fleet(vehicles, course)
     course = course_for_fleet(course, vehicles, fleet.arena)
     manager = make_manager(fleet.vehicles, course, lead_s=LEAD_S)
     for vehicle in fleet.vehicles:

@@ -1,7 +1,7 @@
 """How long the nodes of a flight take to start: from the command until the last registration with the master.
 
-One node after the other, with nothing to listen to: estimator, controller, trajectory, vehicle node and driver, with
-the parameters of their configuration files and a generated fleet.
+One node after the other, with nothing to listen to: estimator, controller, trajectory, vehicle node and driver, with a
+generated fleet.
 """
 
 import argparse
@@ -17,21 +17,18 @@ import tempfile
 import time
 import xmlrpc.client
 
-import yaml
-
 from risc_lab.lab import generated_fleet
-from risc_lab.lab.yaml_reader import package_file
 from risc_lab.ros.launching import free_tcp_port
 
 COUNTS = (1, 3, 50)
 REPETITIONS = 3
-NODES = {  # name: (package, program, its configuration, topics that it listens to before it is of use)
-    "states_estimation": ("risc_estimation", "states_estimation.py", None, ("/mocap_data",)),
-    "controller": ("risc_control", "generic_DF_controller.py", None, ("/cortex_raw", "/trajectory")),
-    "trajectory": ("risc_control", "circles3_traj.py", None, ("/cortex_raw",)),
-    "vehicles": ("risc_control", "risc_controller.py", None, ("/cortex_raw", "/controls")),
-    "ardrone_driver": ("ardrone_autonomy", "ardrone_driver", None, ("/{last}/cmd_vel",)),
-}  # fmt: skip
+NODES = {  # name: (package, program, topics that it listens to before it is of use)
+    "states_estimation": ("risc_estimation", "states_estimation.py", ("/mocap_data",)),
+    "controller": ("risc_control", "generic_DF_controller.py", ("/cortex_raw", "/trajectory")),
+    "trajectory": ("risc_control", "circles3_traj.py", ("/cortex_raw",)),
+    "vehicles": ("risc_control", "risc_controller.py", ("/cortex_raw", "/controls")),
+    "ardrone_driver": ("ardrone_autonomy", "ardrone_driver", ("/{last}/cmd_vel",)),
+}
 POLL_S = 0.01
 MOST_S = 60.0
 QUIET_S = 0.5  # without another registration: that one was the last
@@ -48,22 +45,19 @@ def program(command, environment):
         process.wait()
 
 
-def parameters(name, config, package, vehicles):
+def parameters(name, vehicles):
     """Private parameters of a node."""
-    values = yaml.safe_load(package_file(package, "config/" + config).read_text()) if config else {}
     names = [vehicle.namespace for vehicle in vehicles]
     if name == "ardrone_driver":
         return {"vehicles": {vehicle.namespace: {"drone_ip": vehicle.address} for vehicle in vehicles}}
-    if name != "states_estimation":
-        values["vehicles"] = names if name == "vehicles" else " ".join(names)
-    return values
+    return {} if name == "states_estimation" else {"vehicles": names if name == "vehicles" else " ".join(names)}
 
 
 def start_s(name, repetition, vehicles, master, environment):
     """How long one start takes [s]."""
-    package, executable, config, topics = NODES[name]
+    package, executable, topics = NODES[name]
     node = "/%s%d" % (name, repetition)  # the master does not notice that the one before has ended
-    master.setParam(node, node, parameters(name, config, package, vehicles))
+    master.setParam(node, node, parameters(name, vehicles))
     path = subprocess.run(
         ["catkin_find", "--first-only", "--libexec", package, executable], capture_output=True, text=True, check=True
     ).stdout.strip()

@@ -3,6 +3,9 @@
 #include <poll.h>
 
 #include <algorithm>
+#include <limits>
+#include <map>
+#include <sstream>
 #include <stdexcept>
 #include <utility>
 
@@ -15,39 +18,47 @@ constexpr Time kRestartHoldOff = std::chrono::seconds(1);  // between two set-up
 constexpr Time kPauseTimeout = std::chrono::milliseconds(100);
 constexpr int kPauseTries = 2;
 constexpr int kQuietPolls = 20;  // this many polls without a new frame: the host is paused
-constexpr Time kQuietPollPeriod = std::chrono::milliseconds(100);
+constexpr double kQuietPollRateHz = 10.0;
 constexpr std::size_t kMaxReports =
     16;  // of each kind: packets from other computers must not fill log and memory
 constexpr double kMinFrameRateHz = 1.0;
 constexpr double kMaxFrameRateHz = 10000.0;
-constexpr double kMinMillimetresPerUnit = 1e-3;  // a micrometre
-constexpr double kMaxMillimetresPerUnit = 1e6;   // a kilometre
+constexpr double kMinMillimetresPerUnit = 1e-3;        // a micrometre
+constexpr double kMaxMillimetresPerUnit = 1e6;         // a kilometre
+const Identity kIdentity{"cortex_ros", {4, 1, 0, 0}};  // program id 4: a client library
 
-// The number in a reply if it lies in [least, most]; a NaN does not.
-std::optional<double> number_within(const GeneralReply* reply, double least, double most) {
-  const std::optional<float> value = reply == nullptr ? std::nullopt : as_float(*reply);
-  const double number = value ? static_cast<double>(*value) : 0.0;
-  return value && number >= least && number <= most ? std::make_optional(number) : std::nullopt;
+// What was told replaces what was known if it lies in [least, most]; a NaN does not.
+void learn_within(std::optional<double>& known, std::optional<float> told, double least, double most) {
+  if (told && *told >= least && *told <= most) {
+    known = *told;
+  }
 }
 
-std::optional<int> axis_number(const GeneralReply* reply) {
-  const std::optional<std::int32_t> value = reply == nullptr ? std::nullopt : as_int(*reply);
-  return value && *value >= 0 && *value <= 2 ? std::make_optional(static_cast<int>(*value)) : std::nullopt;
+std::vector<Position> to_positions(const std::vector<Marker>& markers, double metres_per_unit) {
+  constexpr double kMissing = std::numeric_limits<double>::quiet_NaN();
+  std::vector<Position> positions;
+  positions.reserve(markers.size());
+  for (const Marker& marker : markers) {
+    if (marker.missing()) {
+      positions.push_back({kMissing, kMissing, kMissing});
+    } else {
+      positions.push_back({double{marker.x} * metres_per_unit, double{marker.y} * metres_per_unit,
+                           double{marker.z} * metres_per_unit});
+    }
+  }
+  return positions;
 }
 
 }  // namespace
 
 Mode mode_from_text(const std::string& text) {
-  if (text == "auto") {
-    return Mode::kAuto;
+  static const std::map<std::string, Mode> kModes = {
+      {"auto", Mode::kAuto}, {"stream", Mode::kStream}, {"poll", Mode::kPoll}};
+  const auto found = kModes.find(text);
+  if (found == kModes.end()) {
+    throw std::invalid_argument("mode must be auto, stream or poll, not '" + text + "'");
   }
-  if (text == "stream") {
-    return Mode::kStream;
-  }
-  if (text == "poll") {
-    return Mode::kPoll;
-  }
-  throw std::invalid_argument("mode must be auto, stream or poll, not '" + text + "'");
+  return found->second;
 }
 
 std::string host_from_text(const std::string& text) {
@@ -59,14 +70,26 @@ std::string host_from_text(const std::string& text) {
   return text == "broadcast" ? "" : text;
 }
 
-Client::Client(ClientOptions options, ClientEvents& events, const Clock& clock)
+void to_mocap_frame(const FrameOfData& frame, double metres_per_unit, MocapFrame& out) {
+  out.number = frame.frame;
+  out.delay_s = frame.delay_s;
+  out.bodies.resize(frame.bodies.size());
+  for (std::size_t i = 0; i < frame.bodies.size(); ++i) {
+    out.bodies[i].name = frame.bodies[i].name;
+    out.bodies[i].markers = to_positions(frame.bodies[i].markers, metres_per_unit);
+  }
+  out.unidentified = to_positions(frame.unidentified, metres_per_unit);
+}
+
+Client::Client(ClientOptions options, SourceEvents& events, const Clock& clock)
     : options_(std::move(options)),
       events_(events),
       clock_(clock),
       requests_(options_.request_timeout, options_.request_tries),
       search_began_(clock.monotonic()),
       hello_interval_(options_.hello_interval),
-      next_hello_(search_began_) {
+      next_hello_(search_began_),
+      host_text_(target()) {
   boost::system::error_code error;
   if (!options_.stream_group.empty() &&
       !boost::asio::ip::make_address_v4(options_.stream_group, error).is_multicast()) {
@@ -77,7 +100,6 @@ Client::Client(ClientOptions options, ClientEvents& events, const Clock& clock)
     throw std::invalid_argument("frame rate must be from 1 to 10000 Hz, not " +
                                 std::to_string(options_.frame_rate_hz));
   }
-  statistics_.host = target();
 }
 
 void Client::run() {
@@ -102,15 +124,31 @@ void Client::step(Time max_wait) {
   wait(std::min(max_wait, time_to_next_event(clock_.monotonic())));
 }
 
-Statistics Client::statistics() const {
-  const std::lock_guard<std::mutex> lock(statistics_mutex_);
-  return statistics_;
+SourceStatus Client::status() const {
+  SourceStatus status;
+  status.up = up_;
+  status.mode = polling_ ? "poll" : "stream";
+  if (polling_ && options_.mode != Mode::kPoll) {
+    status.warnings.emplace_back("no stream, polling");
+  }
+  status.counters = {{"before the unit was known", early_},
+                     {"malformed", malformed_, "malformed packets"},
+                     {"faulty optional parts", faulty_items_, "malformed packets"},
+                     {"foreign datagrams", foreign_},
+                     {"stale answers", stale_},
+                     {"poll time-outs", poll_timeouts_},
+                     {"times found", connects_},
+                     {"announcements of the host", announcements_, "the host announced itself again"}};
+  const std::lock_guard<std::mutex> lock(text_mutex_);
+  status.host = host_text_;
+  status.why_down = obstacle_.empty() ? "no answer from " + host_text_ : obstacle_;
+  return status;
 }
 
-template <typename Change>
-void Client::update_statistics(Change change) {
-  const std::lock_guard<std::mutex> lock(statistics_mutex_);
-  change(statistics_);
+void Client::set_host_text(const std::string& text, const std::string& obstacle) {
+  const std::lock_guard<std::mutex> lock(text_mutex_);
+  host_text_ = text;
+  obstacle_ = obstacle;
 }
 
 // ---- receiving
@@ -146,7 +184,7 @@ void Client::handle(const Datagram& datagram, Channel channel) {
     fault = error.what();
   }
   if (!is_from_host(datagram.source, channel)) {
-    update_statistics([](Statistics& s) { ++s.foreign; });
+    ++foreign_;
     if (packet) {
       hint_at_other_host(*packet, datagram.source, channel);
     }
@@ -154,8 +192,8 @@ void Client::handle(const Datagram& datagram, Channel channel) {
   }
   last_heard_ = clock_.monotonic();
   if (!packet) {
-    update_statistics([](Statistics& s) { ++s.malformed; });
-    events_.on_malformed(fault);
+    ++malformed_;
+    events_.on_frequent_log(LogLevel::kWarning, "malformed packet from the Cortex host: " + fault);
   } else if (host_) {
     dispatch(*packet, datagram, channel);
   } else {
@@ -181,38 +219,35 @@ void Client::hint_at_other_host(const Packet& packet, const Endpoint& source, Ch
   }
 }
 
-void Client::handle_answer_to_hello(const Identity& identity, const Endpoint& source) {
-  // Other programs speak the protocol, too. A host that the user has named may be any of them.
-  if (discovering() && identity.version[0] != kCortexProgramId) {
-    update_statistics([](Statistics& s) { ++s.foreign; });
-    hint_once(source, "program '" + identity.name + "' at " + to_string(source) +
-                          " answers the search but is not Cortex (program number " +
-                          std::to_string(identity.version[0]) +
-                          "): ignored. To use it, set the parameter 'host' to its address");
-    return;
-  }
-  connect(source, identity);
-}
-
 void Client::dispatch_while_searching(const Packet& packet, const Datagram& datagram, Channel channel) {
+  const auto* here = std::get_if<HereIAm>(&packet);
   if (channel == Channel::kCommand) {
-    if (const auto* here = std::get_if<HereIAm>(&packet)) {
-      handle_answer_to_hello(here->identity, datagram.source);
+    if (here == nullptr) {
+      return;
     }
+    // Other programs speak the protocol, too. A host that the user has named may be any of them.
+    if (discovering() && here->identity.version[0] != kCortexProgramId) {
+      ++foreign_;
+      hint_once(datagram.source, "program '" + here->identity.name + "' at " + to_string(datagram.source) +
+                                     " answers the search but is not Cortex (program number " +
+                                     std::to_string(here->identity.version[0]) +
+                                     "): ignored. To use it, set the parameter 'host' to its address");
+      return;
+    }
+    connect(datagram.source, here->identity);
   } else if (const auto* frame = std::get_if<FrameOfData>(&packet)) {
     // It streams already, so it is there; whether it answers will be seen.
     if (command_) {
       connect({datagram.source.address(), options_.command_port}, Identity());
     }
     handle_frame(*frame, datagram, channel);
-  } else if (std::holds_alternative<HereIAm>(packet) || std::holds_alternative<HelloWorld>(packet)) {
+  } else if (here != nullptr || std::holds_alternative<HelloWorld>(packet)) {
     next_hello_ = clock_.monotonic();
   }
 }
 
 void Client::dispatch(const Packet& packet, const Datagram& datagram, Channel channel) {
-  const Time now = clock_.monotonic();
-  bool answer = channel == Channel::kCommand && requests_.offer(packet, now);
+  bool answer = channel == Channel::kCommand && requests_.offer(packet, clock_.monotonic());
   const bool unrecognized = std::holds_alternative<UnrecognizedCommand>(packet);
   if (channel == Channel::kCommand && polled_at_ && !answer &&
       (unrecognized || std::holds_alternative<FrameOfData>(packet))) {
@@ -222,7 +257,7 @@ void Client::dispatch(const Packet& packet, const Datagram& datagram, Channel ch
   if (const auto* frame = std::get_if<FrameOfData>(&packet)) {
     handle_frame(*frame, datagram, channel);
   } else if (const auto* comment = std::get_if<Comment>(&packet)) {
-    events_.on_comment(comment->text);
+    events_.on_frequent_log(LogLevel::kInfo, "Cortex says: " + comment->text);
   } else if (const auto* hello = std::get_if<HelloWorld>(&packet)) {
     handle_announcement(hello->identity);
   } else if (const auto* here = std::get_if<HereIAm>(&packet)) {
@@ -230,7 +265,7 @@ void Client::dispatch(const Packet& packet, const Datagram& datagram, Channel ch
       handle_announcement(here->identity);
     }
   } else if (!answer) {
-    update_statistics([](Statistics& s) { ++s.stale; });
+    ++stale_;
   }
 }
 
@@ -241,7 +276,7 @@ void Client::handle_announcement(const Identity& identity) {
   if (identity.version[0] != kCortexProgramId) {
     return;
   }
-  update_statistics([](Statistics& s) { ++s.announcements; });
+  ++announcements_;
   if (phase_ == Phase::kRunning && !setting_up_ && !stop_ &&
       clock_.monotonic() - last_setup_ > kRestartHoldOff) {
     info_.identity = identity;
@@ -249,54 +284,58 @@ void Client::handle_announcement(const Identity& identity) {
   }
 }
 
+// Every frame of the host is handed on as it came: late ones and duplicates, too (see frame_sequence.hpp).
+// Only a poll that finds the frame of the poll before is not one.
 void Client::handle_frame(const FrameOfData& frame, const Datagram& datagram, Channel channel) {
-  const Feed feed = channel == Channel::kStream ? Feed::kStream : Feed::kPoll;
-  if (feed == Feed::kStream) {
+  if (channel == Channel::kStream) {
     last_stream_frame_ = clock_.monotonic();
   }
   if (stop_) {
     return;  // run() is about to end
   }
   if (phase_ != Phase::kRunning) {
-    update_statistics([](Statistics& s) { ++s.early; });
+    ++early_;
     return;
   }
-  if (feed == Feed::kPoll && newest_ == frame.frame) {
+  if (channel == Channel::kCommand && newest_ == frame.frame) {
     ++polls_without_news_;
     return;
   }
   polls_without_news_ = 0;
   newest_ = frame.frame;
-  events_.on_frame({frame, datagram.kernel_time.value_or(clock_.wall()), feed});
+  to_mocap_frame(frame, kMetresPerMillimetre * info_.millimetres_per_unit.value_or(1.0), frame_);
+  frame_.receipt = datagram.kernel_time.value_or(clock_.wall());
+  events_.on_frame(frame_);
   // After the frame: logging may be slow.
   if (!frame.faults.empty()) {
-    update_statistics([&](Statistics& s) { s.faulty_items += frame.faults.size(); });
-    events_.on_malformed("frame " + std::to_string(frame.frame) + ": " + frame.faults.front());
+    faulty_items_ += frame.faults.size();
+    events_.on_frequent_log(LogLevel::kWarning, "malformed packet from the Cortex host: frame " +
+                                                    std::to_string(frame.frame) + ": " +
+                                                    frame.faults.front());
   }
 }
 
 // ---- connection
 
 std::string Client::target() const {
-  const std::string port = ":" + std::to_string(options_.command_port);
-  return (discovering() ? "broadcast" : options_.host) + port;
+  return (discovering() ? "broadcast" : options_.host) + ":" + std::to_string(options_.command_port);
 }
 
 void Client::report_once(const std::string& problem) {
   if (reported_.size() < kMaxReports && reported_.insert(problem).second) {
-    events_.on_problem(problem);
+    events_.on_log(LogLevel::kError, problem);
   }
 }
 
 // Only the address tells senders apart: ports and texts are theirs to choose.
 void Client::hint_once(const Endpoint& about, const std::string& hint) {
   if (hinted_.size() < kMaxReports && hinted_.insert(about.address()).second) {
-    events_.on_problem(hint);
+    events_.on_log(LogLevel::kError, hint);
   }
 }
 
 void Client::send_hello(Time now) {
-  const Bytes hello = encode_hello(options_.identity);
+  const Bytes hello = encode_hello(kIdentity);
   next_probe_ = now + options_.probe_interval;
   if (host_) {
     command_->send(hello, *host_);
@@ -326,11 +365,9 @@ bool Client::ready_to_search() {
     if (error.code() == boost::system::errc::address_not_available) {
       obstacle += ". To fix it, give this computer's network card that address, or correct 'local_address'";
     }
-  }
-  update_statistics([&](Statistics& s) { s.obstacle = obstacle; });
-  if (!obstacle.empty()) {
     report_once("cannot search for the Cortex host yet: " + obstacle);
   }
+  set_host_text(target(), obstacle);
   return obstacle.empty();
 }
 
@@ -342,29 +379,65 @@ void Client::search(Time now) {
     next_hello_ = clock_.monotonic() + hello_interval_;  // resolving a name may have taken its time
     hello_interval_ = std::min(2 * hello_interval_, options_.hello_interval_max);
   }
-  if (!down_reported_ && now - search_began_ >= options_.search_patience) {
-    down_reported_ = true;
-    const std::string obstacle = statistics().obstacle;
-    events_.on_host_down(obstacle.empty() ? "no answer from " + target()
-                                          : "the search for " + target() + " cannot begin: " + obstacle);
+  if (now - search_began_ >= options_.search_patience) {
+    report_down(obstacle_.empty() ? "no answer from " + target()
+                                  : "the search for " + target() + " cannot begin: " + obstacle_);
   }
+}
+
+// Once per absence.
+void Client::report_down(const std::string& why) {
+  if (down_reported_) {
+    return;
+  }
+  down_reported_ = true;
+  events_.on_host_down(why +
+                       ". Check that Cortex runs, the cable and the network; that the parameters host, "
+                       "local_address and command_port match Cortex' network settings; and that its firewall "
+                       "lets UDP port " +
+                       std::to_string(options_.command_port) + " through");
+}
+
+void Client::report_up() {
+  MocapHost host;
+  host.frame_rate_hz = frame_rate_hz();
+  host.up_axis = "xyz"[info_.up_axis.value_or(2)];
+  if (!info_.millimetres_per_unit) {
+    host.remarks.emplace_back("the host does not report its length unit: millimetres are assumed");
+  } else if (*info_.millimetres_per_unit != 1.0) {
+    host.remarks.push_back("the host's length unit is " + std::to_string(*info_.millimetres_per_unit) +
+                           " mm: converted to metres");
+  }
+  if (!info_.up_axis) {
+    host.remarks.emplace_back("the host does not report its up axis: z is assumed");
+  }
+  if (!info_.frame_rate_hz) {
+    host.remarks.push_back("the host does not report its frame rate: " + std::to_string(frame_rate_hz()) +
+                           " Hz is assumed (parameter frame_rate)");
+  }
+  if (options_.live_on_start && !info_.live_mode_accepted) {
+    host.remarks.emplace_back("the host did not accept LiveMode: start live mode in Cortex");
+  }
+  const auto& version = info_.identity.version;
+  std::ostringstream text;
+  text << to_string(*host_) << ", program '" << info_.identity.name << "' " << int{version[1]} << '.'
+       << int{version[2]} << '.' << int{version[3]} << ", " << host.frame_rate_hz << " Hz, " << info_.bodies
+       << " bodies defined";
+  host.description = text.str();
+  events_.on_host_up(host);
 }
 
 void Client::connect(const Endpoint& host, const Identity& identity) {
   const bool known = set_up_host_ == host.address();
-  const Time now = clock_.monotonic();
   if (!known) {
     set_up_host_.reset();
     info_ = HostInfo();
   }
   host_ = host;
-  found_at_ = now;
-  info_.endpoint = host;
+  found_at_ = clock_.monotonic();
   info_.identity = identity;
-  update_statistics([&](Statistics& s) {
-    ++s.connects;
-    s.host = to_string(host);
-  });
+  ++connects_;
+  set_host_text(to_string(host));
   open_stream_socket();
   if (stream_ && !options_.stream_group.empty()) {
     join_group();
@@ -374,16 +447,18 @@ void Client::connect(const Endpoint& host, const Identity& identity) {
   begin_setup();
   if (known) {
     start_running();  // its frames can be read by what is known, while they are read again
-    events_.on_host_up(info_);
+    report_up();
   } else {
     phase_ = Phase::kFirstSetUp;
   }
 }
 
-void Client::ask(const std::string& text, std::function<void(const GeneralReply*)> done) {
+void Client::ask(const std::string& text, std::function<void(const GeneralReply&)> learn) {
   requests_.push(RequestQueue::Kind::kText, encode_text_request(text),
-                 [done = std::move(done)](const Packet* answer) {
-                   done(answer == nullptr ? nullptr : std::get_if<GeneralReply>(answer));
+                 [learn = std::move(learn)](const Packet* answer) {
+                   if (const auto* reply = answer == nullptr ? nullptr : std::get_if<GeneralReply>(answer)) {
+                     learn(*reply);
+                   }
                  });
 }
 
@@ -392,17 +467,15 @@ void Client::ask(const std::string& text, std::function<void(const GeneralReply*
 void Client::begin_setup() {
   setting_up_ = true;
   last_setup_ = clock_.monotonic();
-  const auto learn = [](auto& known, const auto& answer) {
-    if (answer) {
-      known = answer;
-    }
-  };
-  ask("GetConversionToMillimeters", [this, learn](const GeneralReply* reply) {
-    learn(info_.millimetres_per_unit, number_within(reply, kMinMillimetresPerUnit, kMaxMillimetresPerUnit));
+  ask("GetConversionToMillimeters", [this](const GeneralReply& reply) {
+    learn_within(info_.millimetres_per_unit, as_float(reply), kMinMillimetresPerUnit, kMaxMillimetresPerUnit);
   });
-  ask("GetUpAxis", [this, learn](const GeneralReply* reply) { learn(info_.up_axis, axis_number(reply)); });
-  ask("GetContextFrameRate", [this, learn](const GeneralReply* reply) {
-    learn(info_.frame_rate_hz, number_within(reply, kMinFrameRateHz, kMaxFrameRateHz));
+  ask("GetUpAxis", [this](const GeneralReply& reply) {
+    const std::optional<std::int32_t> axis = as_int(reply);
+    info_.up_axis = axis && *axis >= 0 && *axis <= 2 ? axis : info_.up_axis;
+  });
+  ask("GetContextFrameRate", [this](const GeneralReply& reply) {
+    learn_within(info_.frame_rate_hz, as_float(reply), kMinFrameRateHz, kMaxFrameRateHz);
   });
   requests_.push(RequestQueue::Kind::kBodyDefs, encode_request(Command::kRequestBodyDefs),
                  [this](const Packet* answer) {
@@ -411,17 +484,10 @@ void Client::begin_setup() {
                    }
                  });
   if (options_.live_on_start) {
-    ask("LiveMode", [this](const GeneralReply* reply) { info_.live_mode_accepted = reply != nullptr; });
+    requests_.push(RequestQueue::Kind::kText, encode_text_request("LiveMode"), [this](const Packet* answer) {
+      info_.live_mode_accepted = answer != nullptr && std::holds_alternative<GeneralReply>(*answer);
+    });
   }
-}
-
-void Client::finish_setup() {
-  setting_up_ = false;
-  set_up_host_ = host_->address();
-  if (phase_ != Phase::kRunning) {
-    start_running();
-  }
-  events_.on_host_up(info_);
 }
 
 void Client::start_running() {
@@ -431,33 +497,23 @@ void Client::start_running() {
   polls_without_news_ = 0;
   last_stream_frame_ = now;  // the stream gets its time to begin
   next_poll_ = now;
-  feed_ = options_.mode == Mode::kPoll || !stream_ ? Feed::kPoll : Feed::kStream;
-  update_statistics([&](Statistics& s) {
-    s.host_up = true;
-    s.feed = feed_;
-  });
+  polling_ = options_.mode == Mode::kPoll || !stream_;
+  up_ = true;
 }
 
 void Client::lose_host() {
   const std::string name = to_string(*host_);
-  const Time now = clock_.monotonic();
   host_.reset();
   phase_ = Phase::kSearching;
   setting_up_ = false;
   requests_.clear();
   polled_at_.reset();
-  search_began_ = now;
-  next_hello_ = now;
+  search_began_ = next_hello_ = clock_.monotonic();
   hello_interval_ = options_.hello_interval;
-  update_statistics([&](Statistics& s) {
-    s.host_up = false;
-    s.host = target();
-  });
-  if (!down_reported_) {
-    down_reported_ = true;
-    events_.on_host_down("nothing heard from " + name + " for " +
-                         std::to_string(to_seconds(options_.host_timeout)) + " s");
-  }
+  up_ = false;
+  set_host_text(target());
+  report_down("nothing heard from " + name + " for " + std::to_string(to_seconds(options_.host_timeout)) +
+              " s");
 }
 
 void Client::open_stream_socket() {
@@ -500,64 +556,68 @@ void Client::tick() {
     search(now);
     return;
   }
-  watch_host(now);
+  const Time silence = now - last_heard_;
+  if (silence >= options_.host_timeout) {
+    lose_host();
+    return;
+  }
+  if (silence >= options_.probe_interval && now >= next_probe_) {
+    send_hello(now);
+  }
   if (phase_ == Phase::kRunning) {
     choose_feed(now);
     poll_if_due(now);
   }
-  flush(requests_, now);
+  flush(now);
   if (setting_up_ && requests_.idle()) {
-    finish_setup();
-  }
-}
-
-void Client::watch_host(Time now) {
-  const Time silence = now - last_heard_;
-  if (silence >= options_.host_timeout) {
-    lose_host();
-  } else if (silence >= options_.probe_interval && now >= next_probe_) {
-    send_hello(now);
+    setting_up_ = false;
+    set_up_host_ = host_->address();
+    if (phase_ != Phase::kRunning) {
+      start_running();
+    }
+    report_up();
   }
 }
 
 void Client::choose_feed(Time now) {
   const bool no_stream = now - last_stream_frame_ >= options_.stream_timeout;
   const bool poll = options_.mode == Mode::kPoll || !stream_ || (options_.mode == Mode::kAuto && no_stream);
-  const Feed chosen = poll ? Feed::kPoll : Feed::kStream;
-  if (chosen == feed_) {
+  if (poll == polling_) {
     return;
   }
-  feed_ = chosen;
+  polling_ = poll;
   next_poll_ = now;
-  update_statistics([&](Statistics& s) { s.feed = chosen; });
-  events_.on_feed(chosen);
-}
-
-// A paused host need not be asked 200 times a second.
-Time Client::poll_period() const {
-  return polls_without_news_ >= kQuietPolls
-             ? kQuietPollPeriod
-             : from_seconds(1.0 / info_.frame_rate_hz.value_or(options_.frame_rate_hz));
+  if (poll) {
+    events_.on_log(LogLevel::kWarning, "no stream on " + options_.stream_group + ":" +
+                                           std::to_string(options_.stream_port) +
+                                           ": polling. Is Cortex in live mode, and do group, "
+                                           "port and local_address match its settings?");
+  } else {
+    events_.on_log(LogLevel::kInfo, "the stream is back, polling ends");
+  }
 }
 
 void Client::poll_if_due(Time now) {
   if (polled_at_ && now - *polled_at_ >= options_.poll_timeout) {
     polled_at_.reset();
-    update_statistics([](Statistics& s) { ++s.poll_timeouts; });
+    ++poll_timeouts_;
   }
-  if (feed_ != Feed::kPoll || now < next_poll_ || polled_at_) {
+  if (!polling_ || now < next_poll_ || polled_at_) {
     return;
   }
-  next_poll_ += poll_period();
+  // A paused host need not be asked 200 times a second.
+  const double rate_hz = polls_without_news_ >= kQuietPolls ? kQuietPollRateHz : frame_rate_hz();
+  const Time period = from_seconds(1.0 / rate_hz);
+  next_poll_ += period;
   if (next_poll_ <= now) {
-    next_poll_ = now + poll_period();
+    next_poll_ = now + period;
   }
   polled_at_ = now;
   command_->send(encode_request(Command::kRequestFrame), *host_);
 }
 
-void Client::flush(RequestQueue& requests, Time now) {
-  while (const std::optional<Bytes> packet = requests.update(now)) {
+void Client::flush(Time now) {
+  while (const std::optional<Bytes> packet = requests_.update(now)) {
     command_->send(*packet, *host_);
   }
 }
@@ -570,7 +630,7 @@ Time Client::time_to_next_event(Time now) const {
     next = std::min(next, requests_.next_event().value_or(next));
     if (polled_at_) {
       next = std::min(next, *polled_at_ + options_.poll_timeout);
-    } else if (phase_ == Phase::kRunning && feed_ == Feed::kPoll) {
+    } else if (phase_ == Phase::kRunning && polling_) {
       next = std::min(next, next_poll_);
     }
   }
@@ -586,12 +646,11 @@ void Client::wait(Time time) {
 }
 
 void Client::pause_host() {
-  RequestQueue pause(kPauseTimeout, kPauseTries);
-  pause.push(RequestQueue::Kind::kText, encode_text_request("Pause"), nullptr);
-  std::swap(requests_, pause);
+  requests_ = RequestQueue(kPauseTimeout, kPauseTries);
+  ask("Pause", [](const GeneralReply&) {});
   while (!requests_.idle()) {
     receive(*command_, Channel::kCommand);
-    flush(requests_, clock_.monotonic());
+    flush(clock_.monotonic());
     wait(std::chrono::milliseconds(10));
   }
 }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace cortex_ros {
 namespace {
@@ -29,20 +30,14 @@ void ClockFilter::set_period(Time period) {
   locked_ = false;
 }
 
-bool ClockFilter::continues(std::int32_t frame, Time direct) const {
-  return started_ && frame > last_frame_ && direct - last_direct_ <= options_.max_silence;
-}
-
 void ClockFilter::start(std::int32_t frame, Time direct) {
   started_ = true;
   locked_ = false;
-  reference_frame_ = frame;
-  reference_ = direct;
-  last_frame_ = frame;
-  last_direct_ = direct;
+  reference_frame_ = last_frame_ = frame;
+  reference_ = last_direct_ = direct;
   unsupported_.reset();
-  previous_ = Block();
-  current_ = Block{0.0};  // the first frame's own offset
+  previous_ns_.reset();
+  current_ns_ = 0.0;  // the first frame's own offset
   block_end_ns_ = as_ns(options_.block);
 }
 
@@ -50,28 +45,16 @@ double ClockFilter::frame_time_ns(std::int32_t frame) const {
   return static_cast<double>(std::int64_t{frame} - reference_frame_) * period_ns_;
 }
 
-void ClockFilter::age_envelopes(double elapsed_ns) {
-  for (Block* block : {&previous_, &current_}) {
-    if (block->envelope_ns) {
-      *block->envelope_ns += options_.max_drift * elapsed_ns;
-    }
-  }
-}
-
 void ClockFilter::close_block() {
-  if (previous_.envelope_ns && current_.envelope_ns) {
+  if (previous_ns_ && current_ns_) {
     const double allowed = as_ns(options_.agreement) + options_.max_drift * as_ns(options_.block);
-    locked_ = std::abs(*current_.envelope_ns - *previous_.envelope_ns) <= allowed;
+    locked_ = std::abs(*current_ns_ - *previous_ns_) <= allowed;
   }
-  previous_ = current_;
-  current_ = Block();
+  previous_ns_ = std::exchange(current_ns_, std::nullopt);
 }
 
 double ClockFilter::envelope_ns() const {
-  if (!previous_.envelope_ns) {
-    return *current_.envelope_ns;
-  }
-  return std::min(*previous_.envelope_ns, current_.envelope_ns.value_or(*previous_.envelope_ns));
+  return std::min(previous_ns_.value_or(*current_ns_), *current_ns_);
 }
 
 void ClockFilter::check_support(Time direct, double offset_ns) {
@@ -86,19 +69,24 @@ void ClockFilter::check_support(Time direct, double offset_ns) {
   unsupported_->least_offset_ns = std::min(unsupported_->least_offset_ns, offset_ns);
   const Time patience = excess_ns > as_ns(options_.far_up) ? options_.far_up_patience : options_.patience;
   if (direct - unsupported_->since > patience) {
-    previous_ = Block();
-    current_ = Block{unsupported_->least_offset_ns};
+    previous_ns_.reset();
+    current_ns_ = unsupported_->least_offset_ns;
     unsupported_.reset();
   }
 }
 
 Time ClockFilter::filtered(std::int32_t frame, Time direct) {
-  if (!continues(frame, direct)) {
+  if (!started_ || frame <= last_frame_ || direct - last_direct_ > options_.max_silence) {
     start(frame, direct);
     return direct;
   }
   const double now_ns = frame_time_ns(frame);
-  age_envelopes(now_ns - frame_time_ns(last_frame_));
+  const double raise_ns = options_.max_drift * (now_ns - frame_time_ns(last_frame_));
+  for (std::optional<double>* envelope : {&previous_ns_, &current_ns_}) {
+    if (*envelope) {
+      **envelope += raise_ns;
+    }
+  }
   last_frame_ = frame;
   last_direct_ = direct;
   if (now_ns >= block_end_ns_) {
@@ -106,31 +94,25 @@ Time ClockFilter::filtered(std::int32_t frame, Time direct) {
     block_end_ns_ = now_ns + as_ns(options_.block);
   }
   const double offset_ns = as_ns(direct - reference_) - now_ns;
-  current_.envelope_ns = std::min(current_.envelope_ns.value_or(offset_ns), offset_ns);
-
+  current_ns_ = std::min(current_ns_.value_or(offset_ns), offset_ns);
   check_support(direct, offset_ns);
   return locked_ ? reference_ + Time(std::llround(now_ns + envelope_ns())) : direct;
 }
 
-Time ClockFilter::increasing(Time stamp) {
+Time ClockFilter::stamp(std::int32_t frame, Time receipt, Time delay) {
+  Time stamp = receipt - delay;
+  if (period_ns_ > 0.0) {
+    stamp = filtered(frame, stamp);
+  }
   if (last_stamp_ && stamp <= *last_stamp_) {
-    const bool follows = fallen_back_ > 0 && stamp > last_fallen_back_;
-    fallen_back_ = follows ? fallen_back_ + 1 : 1;
+    fallen_back_ = fallen_back_ > 0 && stamp > last_fallen_back_ ? fallen_back_ + 1 : 1;
     last_fallen_back_ = stamp;
     if (fallen_back_ < kAgreeing) {
-      stamp = *last_stamp_ + kLeastStep;
-      last_stamp_ = stamp;
-      return stamp;
+      return *(last_stamp_ = *last_stamp_ + kLeastStep);
     }
   }
   fallen_back_ = 0;
-  last_stamp_ = stamp;
-  return stamp;
-}
-
-Time ClockFilter::stamp(std::int32_t frame, Time receipt, Time delay) {
-  const Time direct = receipt - delay;
-  return increasing(period_ns_ > 0.0 ? filtered(frame, direct) : direct);
+  return *(last_stamp_ = stamp);
 }
 
 }  // namespace cortex_ros

@@ -4,6 +4,7 @@
 #include <risc_maap_msgs/MocapTime.h>
 
 #include <algorithm>
+#include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -18,6 +19,7 @@ constexpr int kQueueSize = 100;
 constexpr double kLogPeriodS = 5.0;
 constexpr double kStaleFrameS = 0.5;
 constexpr double kMaxMaxDelayS = 10.0;
+constexpr double kMinRateHz = 0.1;  // a slower host is one that does not tell its rate
 constexpr char kUpAxis = 'z';
 
 ros::console::Level to_ros_level(LogLevel level) {
@@ -85,23 +87,21 @@ MocapPublisher::~MocapPublisher() {
   worker_.join();
 }
 
-bool MocapPublisher::is_new(const MocapFrame& frame) {
-  const FrameOrder order = sequence_.classify(frame.number);
-  const std::lock_guard<std::mutex> lock(health_mutex_);
-  if (order == FrameOrder::kDuplicate || order == FrameOrder::kLate) {
-    ++(order == FrameOrder::kLate ? health_.late : health_.duplicates);
-    return false;
-  }
-  ++health_.frames;
-  health_.lost += static_cast<std::uint64_t>(sequence_.gap());
-  health_.restarts += order == FrameOrder::kRestart ? 1 : 0;
-  health_.last_frame = clock_.monotonic();
-  health_.unidentified = frame.unidentified.size();
-  return true;
-}
-
 void MocapPublisher::on_frame(const MocapFrame& frame) {
-  if (!is_new(frame) || refused_) {
+  const FrameOrder order = sequence_.classify(frame.number);
+  {
+    const std::lock_guard<std::mutex> lock(health_mutex_);
+    if (order == FrameOrder::kDuplicate || order == FrameOrder::kLate) {
+      ++(order == FrameOrder::kLate ? health_.late : health_.duplicates);
+      return;
+    }
+    ++health_.frames;
+    health_.lost += static_cast<std::uint64_t>(sequence_.gap());
+    health_.restarts += order == FrameOrder::kRestart ? 1 : 0;
+    health_.last_frame = clock_.monotonic();
+    health_.unidentified = frame.unidentified.size();
+  }
+  if (refused_) {
     return;
   }
   const Time delay = from_seconds(believed_delay_s(frame.delay_s, max_delay_s_));
@@ -127,7 +127,7 @@ void MocapPublisher::on_frame(const MocapFrame& frame) {
 }
 
 void MocapPublisher::on_host_up(const MocapHost& host) {
-  const bool filter = filter_stamps_ && host.frame_rate_hz > 0.0;
+  const bool filter = filter_stamps_ && host.frame_rate_hz >= kMinRateHz;
   stamps_.set_period(filter ? from_seconds(1.0 / host.frame_rate_hz) : Time{0});
   if (is_up_) {
     // This thread receives the frames: packets that anyone can send must not keep it busy with logging.
@@ -140,14 +140,13 @@ void MocapPublisher::on_host_up(const MocapHost& host) {
   was_down_ = false;
   refused_ = host.up_axis != kUpAxis;
 
-  std::string remarks;
-  for (const std::string& remark : host.remarks) {
-    remarks += (remarks.empty() ? "" : "; ") + remark;
-  }
+  std::vector<std::string> parts = host.remarks;
   if (refused_) {
-    remarks += (remarks.empty() ? "" : "; ") + std::string("the host's up axis is ") + host.up_axis +
-               ": nothing is published, because every vehicle would lie on its side; set z up in the host";
+    parts.push_back(
+        std::string("the host's up axis is ") + host.up_axis +
+        ": nothing is published, because every vehicle would lie on its side; set z up in the host");
   }
+  const std::string remarks = boost::algorithm::join(parts, "; ");
   if (!remarks.empty() && remarks != logged_remarks_) {
     on_log(refused_ ? LogLevel::kError : LogLevel::kWarning, remarks);
   }
@@ -178,17 +177,12 @@ void MocapPublisher::on_frequent_log(LogLevel level, const std::string& text) {
 }
 
 void MocapPublisher::diagnose(diagnostic_updater::DiagnosticStatusWrapper& status) {
+  using Level = diagnostic_msgs::DiagnosticStatus;
   const SourceStatus source = source_->status();
   const Health health = [this] {
     const std::lock_guard<std::mutex> lock(health_mutex_);
     return health_;
   }();
-  const Time time = clock_.monotonic();
-  const bool first = last_time_ == Time{0};
-  const double rate_hz =
-      first ? 0.0
-            : static_cast<double>(health.frames - last_counts_["frames"]) / to_seconds(time - last_time_);
-  last_time_ = time;
   std::vector<Counter> counters = {{"frames", health.frames},
                                    {"lost", health.lost, "frames lost"},
                                    {"duplicates", health.duplicates},
@@ -196,58 +190,53 @@ void MocapPublisher::diagnose(diagnostic_updater::DiagnosticStatusWrapper& statu
                                    {"frame number restarts", health.restarts}};
   counters.insert(counters.end(), source.counters.begin(), source.counters.end());
 
+  const Time now = clock_.monotonic();
   risc_maap_msgs::MocapStatus told;
   told.header.stamp = ros::Time::now();
   told.up = source.up;
-  told.rate_hz = rate_hz;
+  told.rate_hz = last_time_ == Time{0} ? 0.0
+                                       : static_cast<double>(health.frames - last_counts_["frames"]) /
+                                             to_seconds(now - last_time_);
   told.age_s =
-      health.last_frame ? to_seconds(time - *health.last_frame) : std::numeric_limits<double>::quiet_NaN();
+      health.last_frame ? to_seconds(now - *health.last_frame) : std::numeric_limits<double>::quiet_NaN();
   told.frames = health.frames;
+  last_time_ = now;
+
+  if (source.up) {
+    status.summaryf(Level::OK, "%.0f Hz by %s", told.rate_hz, source.mode.c_str());
+    if (!health.remarks.empty()) {
+      status.mergeSummary(health.refused ? Level::ERROR : Level::WARN, health.remarks);
+    }
+    for (const std::string& warning : source.warnings) {
+      status.mergeSummary(Level::WARN, warning);
+    }
+    if (!(told.age_s <= kStaleFrameS)) {  // NaN: there was none
+      status.mergeSummary(Level::WARN, "no new frames: is the host paused?");
+    }
+  } else {
+    status.summary(Level::ERROR, "host down: " + source.why_down);
+  }
+  status.add("host", source.host);
+  status.add("mode", source.mode);
+  status.addf("rate [Hz]", "%.1f", told.rate_hz);
+  status.add("age of last frame [s]", health.last_frame ? std::to_string(told.age_s) : "none");
   for (const Counter& counter : counters) {
+    status.add(counter.name, counter.count);
+    if (source.up && !counter.warning.empty() && counter.count != last_counts_[counter.name]) {
+      status.mergeSummary(Level::WARN, counter.warning);
+    }
+    last_counts_[counter.name] = counter.count;
     if (counter.name != "frames") {
       told.counters.emplace_back();
       told.counters.back().name = counter.name;
       told.counters.back().count = counter.count;
     }
   }
-  status_.publish(told);
-
-  summarize(status, source, health, rate_hz);
-  status.add("host", source.host);
-  status.add("mode", source.mode);
-  status.addf("rate [Hz]", "%.1f", rate_hz);
-  status.add("age of last frame [s]",
-             health.last_frame ? std::to_string(to_seconds(time - *health.last_frame)) : "none");
-  for (const Counter& counter : counters) {
-    status.add(counter.name, counter.count);
-    if (source.up && !counter.warning.empty() && counter.count != last_counts_[counter.name]) {
-      status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, counter.warning);
-    }
-    last_counts_[counter.name] = counter.count;
-  }
   status.add("unidentified markers", health.unidentified);
   status.addf("reported delay [s]", "%.6f", health.reported_delay_s);
   status.addf("stamp correction [s]", "%.6f", health.stamp_correction_s);
   status.add("stamps filtered", health.stamps_filtered ? "yes" : "no");
-}
-
-void MocapPublisher::summarize(diagnostic_updater::DiagnosticStatusWrapper& status,
-                               const SourceStatus& source, const Health& health, double rate_hz) const {
-  using Level = diagnostic_msgs::DiagnosticStatus;
-  if (!source.up) {
-    status.summary(Level::ERROR, "host down: " + source.why_down);
-    return;
-  }
-  status.summaryf(Level::OK, "%.0f Hz by %s", rate_hz, source.mode.c_str());
-  if (!health.remarks.empty()) {
-    status.mergeSummary(health.refused ? Level::ERROR : Level::WARN, health.remarks);
-  }
-  for (const std::string& warning : source.warnings) {
-    status.mergeSummary(Level::WARN, warning);
-  }
-  if (!health.last_frame || to_seconds(clock_.monotonic() - *health.last_frame) > kStaleFrameS) {
-    status.mergeSummary(Level::WARN, "no new frames: is the host paused?");
-  }
+  status_.publish(told);
 }
 
 }  // namespace cortex_ros

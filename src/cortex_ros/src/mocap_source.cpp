@@ -1,5 +1,7 @@
 #include "cortex_ros/sources/mocap_source.hpp"
 
+#include <boost/algorithm/string/join.hpp>
+#include <boost/range/adaptor/map.hpp>
 #include <map>
 #include <stdexcept>
 
@@ -22,11 +24,8 @@ std::unique_ptr<MocapSource> make_source(const std::string& name, Parameters& pa
                                          SourceEvents& events, const Clock& clock) {
   const auto found = registry().find(name);
   if (found == registry().end()) {
-    std::string names;
-    for (const auto& [known, make] : registry()) {
-      names += (names.empty() ? "" : ", ") + known;
-    }
-    throw std::invalid_argument("parameter source is '" + name + "'; must be one of: " + names);
+    throw std::invalid_argument("parameter source is '" + name + "'; must be one of: " +
+                                boost::algorithm::join(registry() | boost::adaptors::map_keys, ", "));
   }
   return found->second(parameters, events, clock);
 }

@@ -19,8 +19,6 @@ def encode(packet):
         return wire.encode_body_defs(content)
     if packet.command == Command.FRAME_OF_DATA:
         return encode_frame(content)
-    if packet.command == Command.PUSH_BASEPOSITION:
-        return encode_base_position(content)
     return wire.encode_packet(packet.command, content or b"")
 
 
@@ -46,16 +44,6 @@ def encode_frame(frame):
     for tag, data in items:
         parts += [i32(tag, len(data)), data]
     return wire.encode_packet(Command.FRAME_OF_DATA, b"".join(parts))
-
-
-def encode_base_position(base):
-    """With the four spare bytes that public clients append."""
-    hierarchy = i32(len(base.segments)) + b"".join(
-        i32(parent) + name.encode() + b"\0" for name, parent in base.segments
-    )
-    pose = np.asarray(base.pose, "<f8").tobytes() + bytes(4)
-    sizes = struct.pack("<HH", len(hierarchy), len(pose))
-    return wire.encode_packet(Command.PUSH_BASEPOSITION, sizes + hierarchy + pose)
 
 
 def i32(*values):

@@ -193,7 +193,7 @@ class FakeHost {
     }
   }
 
-  const cortex_ros::SystemClock clock_;
+  const cortex_ros::Clock clock_;
   cortex_ros::UdpSocket socket_;
   cortex_ros::UdpSocket stream_;
   bool sent_ = true;

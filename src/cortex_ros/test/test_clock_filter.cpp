@@ -317,17 +317,9 @@ TEST(ClockFilter, TheSamePeriodAgainChangesNothing) {
   EXPECT_FALSE(filter.locked());
 }
 
-TEST(FromSeconds, SaturatesWhatDoesNotFit) {
-  using Limits = std::numeric_limits<double>;
+TEST(FromSeconds, IsInNanoseconds) {
   EXPECT_EQ(from_seconds(0.005), Time(5000000));
   EXPECT_EQ(from_seconds(-1.5), Time(-1500000000));
-  EXPECT_EQ(from_seconds(Limits::denorm_min()), Time{0});
-  EXPECT_EQ(from_seconds(Limits::quiet_NaN()), Time{0});
-  for (double huge : {9.3e9, 1e300, Limits::max(), Limits::infinity()}) {
-    EXPECT_EQ(from_seconds(huge), Time::max()) << huge;
-    EXPECT_EQ(from_seconds(-huge), Time::min()) << huge;
-  }
-  EXPECT_LT(from_seconds(9.2e9), Time::max());
 }
 
 TEST(BelievedDelay, NonsenseIsZero) {

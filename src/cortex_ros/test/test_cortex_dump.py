@@ -3,10 +3,18 @@
 import json
 import os
 import pathlib
+import socket
 import struct
 import subprocess
+import threading
+from collections import namedtuple
+from contextlib import closing
 
+import numpy as np
 import pytest
+
+from cortex_ros import connection, wire
+from cortex_ros.wire import Command
 
 GOLDEN = pathlib.Path(__file__).parent / "golden"
 
@@ -129,6 +137,65 @@ def test_help():
     done = subprocess.run([PROGRAM, "--help"], stdout=subprocess.PIPE, timeout=60)
     assert done.returncode == 0
     assert b"--file" in done.stdout
+
+
+def test_a_host_that_goes_away_while_it_is_polled_is_waited_for_and_then_told():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
+        host.bind(("127.0.0.1", 0))
+        port = host.getsockname()[1]
+
+        def serve():
+            identity = wire.encode_identity(Command.HERE_I_AM, wire.Identity("Cortex", (1, 5, 3, 1)))
+            packet, _ = wire.FrameEncoder([("body", 1)]).encode(7, np.ones((1, 3)))
+            polled = False
+            while not polled:
+                request, client = host.recvfrom(1000)
+                polled = request[0] == Command.REQUEST_FRAME
+                host.sendto(packet if polled else identity, client)
+            host.close()  # from now on its computer refuses
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        code, packets, error = dump(
+            "--host", "127.0.0.1", "--command-port", str(port), "--mode", "poll", "--timeout", "0.5"
+        )
+        thread.join()
+    assert code == 1
+    assert [packet["frame"] for packet in packets] == [7]
+    assert "nothing new from 127.0.0.1:%d for 0.5 s: it has gone" % port in error
+
+
+def test_every_network_is_asked(monkeypatch):
+    card = namedtuple("Card", "family address broadcast")
+    cards = {
+        "lo": [card(socket.AF_INET, "127.0.0.1", None)],
+        "eth0": [card(socket.AF_INET, "10.0.0.2", "10.0.0.255"), card(socket.AF_PACKET, "02:00", "ff:ff:ff:ff:ff:ff")],
+        "eth1": [card(socket.AF_INET, "192.0.2.2", "192.0.2.127")],
+    }
+    monkeypatch.setattr(connection.psutil, "net_if_addrs", lambda: cards)
+    assert connection.broadcast_addresses() == ["255.255.255.255", "10.0.0.255", "192.0.2.127"]
+    assert connection.broadcast_addresses("192.0.2.2") == ["255.255.255.255", "192.0.2.127"]
+    assert connection.broadcast_addresses("127.0.0.1") == ["255.255.255.255", "127.255.255.255"]
+
+
+def test_a_host_is_found_by_broadcast():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
+        host.bind(("", 0))
+        port = host.getsockname()[1]
+
+        def serve():
+            _, client = host.recvfrom(1000)
+            for name, program in (("Other", 7), ("Cortex", 1)):
+                identity = wire.Identity(name, (program, 5, 3, 1))
+                host.sendto(wire.encode_identity(Command.HERE_I_AM, identity), client)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        identity = wire.Identity("test", (4, 1, 0, 0))
+        with closing(connection.CortexConnection(identity, connection.BROADCAST, port, "127.0.0.1")) as found:
+            assert found.hello().name == "Cortex"
+            assert found.address == ("127.0.0.1", port)
+        thread.join()
 
 
 def test_a_host_that_does_not_answer():

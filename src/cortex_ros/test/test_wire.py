@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cortex_encoder import encode, encode_base_position, encode_frame, i32
+from cortex_encoder import encode, encode_frame, i32
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -111,15 +111,6 @@ def test_golden_frame(name):
     else:
         assert (frame.encoders, frame.recording, frame.lenses) == (None, None, None)
     assert not frame.faults
-
-
-def test_skeleton_push_has_the_parent_first_and_survives():
-    base = wire.BasePosition([("Root", -1), ("Arm", 0)], np.arange(14.0).reshape(2, 7))
-    datagram = encode_base_position(base)
-    assert datagram[:8] == struct.pack("<4H", 17, 4 + 21 + 116, 4 + 4 + 5 + 4 + 4, 4 + 2 * 56)
-    assert datagram[8:21] == struct.pack("<ii", 2, -1) + b"Root\0"
-    back = wire.decode_packet(datagram).content
-    assert back.segments == base.segments and np.array_equal(back.pose, base.pose)
 
 
 # --- the fast encoder ---------------------------------------------------------------------------------------------
@@ -276,12 +267,6 @@ MALFORMED_BODY_DEFS = {
     "no force plates": i32(0, 0),
     "negative force plates": i32(0, 0, -1),
 }
-MALFORMED_SKELETONS = {
-    "nothing": b"",
-    "parts longer than the packet": struct.pack("<HH", 4, 8) + bytes(8),
-    "segments that are not there": struct.pack("<HH", 4, 4) + i32(3) + bytes(4),
-    "pose too short": struct.pack("<HH", 10, 55) + i32(1, -1) + b"r\0" + bytes(55),
-}
 
 
 @pytest.mark.parametrize("name", MALFORMED)
@@ -297,7 +282,6 @@ def test_malformed_datagrams(name):
         for command, cases in (
             (Command.FRAME_OF_DATA, MALFORMED_FRAMES),
             (Command.BODYDEFS, MALFORMED_BODY_DEFS),
-            (Command.PUSH_BASEPOSITION, MALFORMED_SKELETONS),
         )
         for name, payload in cases.items()
     ],

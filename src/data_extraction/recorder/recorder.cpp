@@ -1,19 +1,17 @@
-// Node recorder: topics into a bag, as `rosbag record` does.
+// Node recorder: topics into a bag, as `rosbag record -e` does, for less of the processor, and whatever
+// happens to the disk and to the clock.
 //
 // rosbag hands every message from the thread that received it to one that spins, to one that writes: three
 // threads are woken a thousand times a second for a flight. Here the thread that received a message puts it
 // into a chunk of the bag, and another one writes full chunks a few times a second.
 
 #include <diagnostic_updater/diagnostic_updater.h>
-#include <fcntl.h>
 #include <ros/callback_queue_interface.h>
 #include <ros/ros.h>
-#include <sys/file.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
+#include <CLI/CLI.hpp>
 #include <algorithm>
-#include <cerrno>
 #include <chrono>
 #include <condition_variable>
 #include <csignal>
@@ -21,74 +19,29 @@
 #include <ctime>
 #include <deque>
 #include <filesystem>
+#include <functional>
 #include <iostream>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <regex>
 #include <sstream>
-#include <stdexcept>
 #include <string>
 #include <system_error>
 #include <thread>
+#include <typeinfo>
 #include <utility>
 #include <vector>
 
 #include "bag_file.hpp"
 
 namespace data_extraction {
-
-// The bytes of a message of whatever type. topic_tools::ShapeShifter holds type, MD5 sum and definition
-// besides, copied for every message; the connection has them.
-struct AnyMessage {
-  std::string bytes;
-};
-
-}  // namespace data_extraction
-
-namespace ros {
-namespace message_traits {
-
-template <>
-struct MD5Sum<data_extraction::AnyMessage> {
-  static const char* value() { return "*"; }
-};
-
-template <>
-struct DataType<data_extraction::AnyMessage> {
-  static const char* value() { return "*"; }
-};
-
-}  // namespace message_traits
-
-namespace serialization {
-
-template <>
-struct Serializer<data_extraction::AnyMessage> {
-  template <typename Stream>
-  static void read(Stream& stream, data_extraction::AnyMessage& message) {
-    message.bytes.assign(reinterpret_cast<const char*>(stream.getData()), stream.getLength());
-  }
-};
-
-}  // namespace serialization
-}  // namespace ros
-
-namespace data_extraction {
 namespace {
 
 namespace fs = std::filesystem;
-using Clock = std::chrono::steady_clock;  // nobody sets it
-using Event = ros::MessageEvent<AnyMessage const>;
+using Clock = std::chrono::steady_clock;          // nobody sets it
 using Header = boost::shared_ptr<ros::M_string>;  // of a connection, by which its messages know it
 
-constexpr const char* kUsage =
-    "usage: recorder (-O FILE | -o PREFIX) [-b MB] [-l TOPIC=HZ]... REGEX...\n"
-    "  -O FILE       write this bag; .bag is appended where it is missing\n"
-    "  -o PREFIX     write a bag whose name begins so and holds the time\n"
-    "  -b MB         so much may wait for a slow disk, default 512; what comes then is not recorded\n"
-    "  -l TOPIC=HZ   of this topic write at most so many messages a second\n"
-    "  REGEX         topics whose whole name matches one of these are recorded";
 constexpr std::size_t kMegabyte = 1u << 20;
 // A chunk is as large as those of rosbag: small enough to be read as a whole, so large that its index is
 // little. One that fills slowly is written after a second all the same: so much is lost if this process is
@@ -101,7 +54,7 @@ constexpr double kLogPeriodS = 5.0;
 
 struct Options {
   std::string name;  // of the bag, without .bag
-  std::size_t most_bytes = 512 * kMegabyte;
+  double most_bytes;
   std::map<std::string, double> most_hz;  // by topic
   std::vector<std::regex> topics;
 };
@@ -112,55 +65,58 @@ std::string time_text(std::time_t time) {
   return text;
 }
 
-std::string without_suffix(const std::string& name) {
-  const std::string suffix = ".bag";
-  const bool has =
-      name.size() >= suffix.size() && name.compare(name.size() - suffix.size(), suffix.size(), suffix) == 0;
-  return has ? name.substr(0, name.size() - suffix.size()) : name;
-}
-
-double positive(const std::string& option, const std::string& text) {
+// 0 for what is no number.
+double number_of(const std::string& text) {
   char* end = nullptr;
   const double value = std::strtod(text.c_str(), &end);
-  if (text.empty() || *end != '\0' || !(value > 0.0)) {
-    throw std::invalid_argument(option + " needs a number above 0, found '" + text + "'");
-  }
-  return value;
+  return *end == '\0' ? value : 0.0;
 }
 
-Options parse(const std::vector<std::string>& arguments) {
+std::string why_no_size(const std::string& text) {
+  return number_of(text) > 0.0 ? "" : "needs a number above 0, found '" + text + "'";
+}
+
+std::string why_no_limit(const std::string& text) {
+  const std::size_t equals = text.find('=');
+  return equals == std::string::npos ? "needs TOPIC=HZ, found '" + text + "'"
+                                     : why_no_size(text.substr(equals + 1));
+}
+
+std::string why_no_pattern(const std::string& text) try {
+  std::regex{text};
+  return "";
+} catch (const std::regex_error& error) {
+  return "'" + text + "' is no regular expression: " + error.what();
+}
+
+// Throws CLI::Error; app knows the help afterwards.
+Options parse(CLI::App& app, const std::vector<std::string>& arguments) {
   Options options;
-  for (auto argument = arguments.begin(); argument != arguments.end(); ++argument) {
-    if (argument->rfind('-', 0) != 0) {
-      try {
-        options.topics.emplace_back(*argument);
-      } catch (const std::regex_error& error) {
-        throw std::invalid_argument("'" + *argument + "' is no regular expression: " + error.what());
-      }
-      continue;
-    }
-    const std::string option = *argument;
-    if (option.find_first_not_of("-Oobl") != std::string::npos || option.size() != 2) {
-      throw std::invalid_argument("unknown option " + option + "\n" + kUsage);
-    }
-    if (++argument == arguments.end()) {
-      throw std::invalid_argument(option + " needs a value\n" + kUsage);
-    }
-    if (option == "-O") {
-      options.name = without_suffix(*argument);
-    } else if (option == "-o") {
-      options.name = without_suffix(*argument) + time_text(std::time(nullptr));
-    } else if (option == "-b") {
-      options.most_bytes = static_cast<std::size_t>(positive(option, *argument) * kMegabyte);
-    } else {
-      const auto equals = argument->find('=');
-      const std::string hz = equals == std::string::npos ? "" : argument->substr(equals + 1);
-      options.most_hz[argument->substr(0, equals)] = positive("-l TOPIC=HZ", hz);
-    }
+  fs::path file, prefix;
+  std::string most_mb = "512";
+  std::vector<std::string> limits, patterns;
+  CLI::App* name = app.add_option_group("name")->require_option(1);
+  name->add_option("-O", file, "write this bag; .bag is appended where it is missing");
+  name->add_option("-o", prefix, "write a bag whose name begins so and holds the time");
+  app.add_option("-b", most_mb, "[MB] may wait for a slow disk; what comes then is not recorded")
+      ->check(why_no_size)
+      ->capture_default_str();
+  app.add_option("-l", limits, "TOPIC=HZ: of this topic write at most so many messages a second")
+      ->check(why_no_limit)
+      ->allow_extra_args(false);
+  app.add_option("REGEX", patterns, "topics whose whole name matches one of these are recorded")
+      ->required()
+      ->check(why_no_pattern);
+  app.parse(std::vector<std::string>(arguments.rbegin(), arguments.rend()));
+  fs::path& given = file.empty() ? prefix : file;
+  options.name = given.extension() == ".bag" ? given.replace_extension() : given;
+  options.name += file.empty() ? time_text(std::time(nullptr)) : "";
+  options.most_bytes = number_of(most_mb) * kMegabyte;
+  for (const std::string& limit : limits) {
+    const std::size_t equals = limit.find('=');
+    options.most_hz[limit.substr(0, equals)] = number_of(limit.substr(equals + 1));
   }
-  if (options.name.empty() || options.topics.empty()) {
-    throw std::invalid_argument(kUsage);
-  }
+  options.topics = {patterns.begin(), patterns.end()};
   return options;
 }
 
@@ -193,21 +149,12 @@ void set_aside(const std::string& name, const std::string& suffix) {
 // The name of a bag while it is being written, as rosbag has it; its folder is made. What a killed recorder
 // left there is set aside. Throws std::system_error when another recorder is writing it.
 std::string active_name(const std::string& name) {
-  try {
-    fs::create_directories(fs::absolute(name).parent_path());
-  } catch (const fs::filesystem_error& error) {
-    throw std::system_error(error.code(), name + ": no folder for it");
-  }
+  fs::create_directories(fs::absolute(name).parent_path());
   const std::string suffix = ".bag.active";
-  const int file = ::open((name + suffix).c_str(), O_RDONLY | O_CLOEXEC);
-  if (file >= 0) {
-    const bool taken = ::flock(file, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
-    ::close(file);
-    if (taken) {
-      throw std::system_error(EBUSY, std::generic_category(), "another recorder is writing " + name + suffix);
-    }
-    set_aside(name, suffix);
+  if (BagFile::is_being_written(name + suffix)) {
+    throw std::system_error(EBUSY, std::generic_category(), "another recorder is writing it");
   }
+  set_aside(name, suffix);
   return name + suffix;
 }
 
@@ -222,21 +169,26 @@ class AtOnce : public ros::CallbackQueueInterface {
   void removeByID(uint64_t) override {}
 };
 
-// Lets one pass a period. A clock that was set back begins a new one.
-class Limit {
+// Messages of whatever type, as their bytes. topic_tools::ShapeShifter holds type, MD5 sum and definition
+// besides, copied for every message; the connection has them.
+class Raw : public ros::SubscriptionCallbackHelper {
  public:
-  explicit Limit(ros::Duration period) : period_(period) {}
-  bool passes(ros::Time now) {
-    if (last_ <= now && now < last_ + period_) {
-      return false;
-    }
-    last_ = now;
-    return true;
+  using Take = std::function<void(const std::string&, ros::Time received, const Header&)>;
+  explicit Raw(Take take) : take_(std::move(take)) {}
+  ros::VoidConstPtr deserialize(const ros::SubscriptionCallbackHelperDeserializeParams& params) override {
+    return boost::make_shared<std::string>(reinterpret_cast<const char*>(params.buffer), params.length);
   }
+  void call(ros::SubscriptionCallbackHelperCallParams& params) override {
+    const auto& event = params.event;
+    take_(*static_cast<const std::string*>(event.getMessage().get()), event.getReceiptTime(),
+          event.getConnectionHeaderPtr());
+  }
+  const std::type_info& getTypeInfo() override { return typeid(std::string); }
+  bool isConst() override { return true; }
+  bool hasHeader() override { return false; }
 
  private:
-  ros::Duration period_;
-  ros::Time last_ = ros::TIME_MAX;  // so that the first one passes
+  Take take_;
 };
 
 class Recorder {
@@ -281,8 +233,9 @@ class Recorder {
  private:
   struct Source {  // of messages: a topic that is subscribed to
     std::string topic;
-    Limit limit;
-    std::map<Header, std::uint32_t> connections;  // by address, which is fast
+    ros::Duration period;  // lets one pass a period
+    ros::Time last = ros::TIME_MAX;
+    std::map<Header, std::uint32_t> connections{};  // by address, which is fast
   };
   struct Seen {  // a topic that the master knows
     std::string type;
@@ -293,12 +246,13 @@ class Recorder {
   // coming.
   void watch() {
     std::unique_lock<std::mutex> lock(mutex_);
-    do {
+    while (!over_) {
       lock.unlock();
       look();
       diagnostics_.force_update();
       lock.lock();
-    } while (!over_changed_.wait_for(lock, kLookPeriod, [this] { return over_; }));
+      over_changed_.wait_for(lock, kLookPeriod, [this] { return over_; });
+    }
   }
 
   void look() {
@@ -307,9 +261,7 @@ class Recorder {
       return;
     }
     ros::master::V_TopicInfo topics;
-    if (!ros::master::getTopics(topics)) {
-      return;
-    }
+    ros::master::getTopics(topics);
     for (const ros::master::TopicInfo& topic : topics) {
       Seen& seen = seen_[topic.name];
       if (seen.type == topic.datatype) {
@@ -332,31 +284,32 @@ class Recorder {
   ros::Subscriber subscribe(const std::string& topic) {
     const auto limit = options_.most_hz.find(topic);
     const ros::Duration period(limit == options_.most_hz.end() ? 0.0 : 1.0 / limit->second);
-    const auto source = std::make_shared<Source>(Source{topic, Limit(period), {}});
-    ros::SubscribeOptions options;
-    options.topic = topic;
-    options.queue_size = 0;
-    options.md5sum = ros::message_traits::md5sum<AnyMessage>();
-    options.datatype = ros::message_traits::datatype<AnyMessage>();
+    const auto source = std::make_shared<Source>(Source{topic, period});
+    const auto take = [this, source](const std::string& message, ros::Time received, const Header& header) {
+      this->take(*source, message, received, header);
+    };
+    ros::SubscribeOptions options(topic, 0, "*", "*");
+    options.helper = boost::make_shared<Raw>(take);
     options.transport_hints = ros::TransportHints().tcpNoDelay();
     options.callback_queue = &at_once_;
-    options.helper = boost::make_shared<ros::SubscriptionCallbackHelperT<const Event&>>(
-        [this, source](const Event& event) { take(*source, event); });
     return node_.subscribe(options);
   }
 
-  void take(Source& source, const Event& event) {
-    const ros::Time received = std::max(event.getReceiptTime(), ros::TIME_MIN);  // a bag has no time 0
-    const std::string& bytes = event.getMessage()->bytes;
+  void take(Source& source, const std::string& message, ros::Time received, const Header& header) {
+    received = std::max(received, ros::TIME_MIN);  // a bag has no time 0
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (over_ || !source.limit.passes(received)) {
+    // where the clock was set back, a new period begins
+    if (over_ || (source.last <= received && received < source.last + source.period)) {
       return;
     }
-    if (held_bytes_ + filling_.bytes() + bytes.size() + Chunk::kBytesAround > options_.most_bytes) {
+    source.last = received;
+    if (held_bytes_ + filling_.bytes() + message.size() + Chunk::kBytesAround > options_.most_bytes) {
       ++dropped_;
       return;
     }
-    filling_.add_message(connection_of(source, event.getConnectionHeaderPtr()), received, bytes);
+    const std::uint32_t connection = connection_of(source, header);
+    filling_.add_message(connection, received, message);
+    ++taken_;
     if (filling_.bytes() >= kChunkBytes) {
       cut_chunk();
     }
@@ -372,8 +325,7 @@ class Recorder {
     if (is_new) {
       filling_.add_connection(id, source.topic, *header);
     }
-    source.connections.emplace(header, connection->second);
-    return connection->second;
+    return source.connections[header] = connection->second;
   }
 
   void cut_chunk() {
@@ -398,14 +350,11 @@ class Recorder {
       lock.unlock();
       bag_.write(chunk);
       lock.lock();
-      written_ += chunk.messages();
       held_bytes_ -= chunk.bytes();
       full_.pop_front();
     }
-    const std::size_t dropped = dropped_;
-    lock.unlock();
-    if (dropped != 0) {
-      ROS_WARN_THROTTLE(kLogPeriodS, "the disk is too slow: %zu messages were not recorded so far", dropped);
+    if (dropped_ != 0) {
+      ROS_WARN_THROTTLE(kLogPeriodS, "the disk is too slow: %zu messages were not recorded so far", dropped_);
     }
   }
 
@@ -430,10 +379,7 @@ class Recorder {
 
   // What is in the bag and what is not, in words.
   std::string recorded() const {
-    std::size_t lost = written_ - bag_.messages() + filling_.messages();
-    for (const Chunk& chunk : full_) {
-      lost += chunk.messages();
-    }
+    const std::size_t lost = taken_ - bag_.messages();
     std::ostringstream text;
     text << bag_.messages() << " messages, " << bag_.bytes() / kMegabyte << " MB, were recorded";
     if (lost != 0) {
@@ -447,14 +393,13 @@ class Recorder {
 
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (dropped_ == 0) {
-      status.summary(diagnostic_msgs::DiagnosticStatus::OK, "recording");
-    } else {
+    status.summary(diagnostic_msgs::DiagnosticStatus::OK, "recording");
+    if (dropped_ != 0) {
       status.summary(diagnostic_msgs::DiagnosticStatus::WARN,
                      "the disk is too slow: messages were not recorded");
     }
     status.add("file", options_.name + ".bag");
-    status.add("messages recorded", written_);
+    status.add("messages recorded", taken_);
     status.add("messages not recorded", dropped_);
     status.add("bytes waiting for the disk", held_bytes_ + filling_.bytes());
   }
@@ -477,44 +422,43 @@ class Recorder {
   Chunk filling_;
   std::deque<Chunk> full_;
   std::size_t held_bytes_ = 0;  // of full_
-  std::size_t written_ = 0;     // messages
+  std::size_t taken_ = 0;       // messages
   std::size_t dropped_ = 0;
 };
 
-// roscpp handles SIGINT. Process managers send SIGTERM, a terminal that closes SIGHUP (nohup says: ignore
-// it).
 void on_terminate(int) {
   ros::requestShutdown();
-}
-
-void handle_signals() {
-  std::signal(SIGTERM, on_terminate);
-  if (std::signal(SIGHUP, on_terminate) == SIG_IGN) {
-    std::signal(SIGHUP, SIG_IGN);
-  }
-  std::signal(SIGXFSZ, SIG_IGN);  // a file that is as large as it may be is an error of the write
-}
-
-int run_node(int argc, char** argv) {
-  ros::init(argc, argv, "recorder");
-  handle_signals();
-  ros::NodeHandle node;  // outlives the try block: with the last node handle the logging ends too
-  try {
-    std::vector<std::string> arguments;
-    ros::removeROSArgs(argc, argv, arguments);
-    arguments.erase(arguments.begin());
-    return Recorder(node, parse(arguments)).run() ? 0 : 1;
-  } catch (const std::invalid_argument& error) {
-    ROS_FATAL("%s", error.what());
-  } catch (const std::system_error& error) {
-    ROS_FATAL("%s: may you write there?", error.what());
-  }
-  return 1;
 }
 
 }  // namespace
 }  // namespace data_extraction
 
 int main(int argc, char** argv) {
-  return data_extraction::run_node(argc, argv);
+  using namespace data_extraction;
+  ros::init(argc, argv, "recorder");
+  // roscpp handles SIGINT. Process managers send SIGTERM, a terminal that closes SIGHUP (nohup says: ignore
+  // it).
+  std::signal(SIGTERM, on_terminate);
+  if (std::signal(SIGHUP, on_terminate) == SIG_IGN) {
+    std::signal(SIGHUP, SIG_IGN);
+  }
+  std::signal(SIGXFSZ, SIG_IGN);  // a file that is as large as it may be is an error of the write
+  CLI::App app("Topics into a bag, as `rosbag record -e` does.", "recorder");
+  Options options;
+  try {
+    options = parse(app, {argv + 1, argv + argc});
+  } catch (const CLI::CallForHelp&) {
+    std::cout << app.help();
+    return 0;
+  } catch (const CLI::Error& error) {
+    ROS_FATAL_STREAM(error.what() << "\n" << app.help());
+    return 1;
+  }
+  ros::NodeHandle node;  // outlives the recorder: with the last node handle the logging ends too
+  try {
+    return Recorder(node, options).run() ? 0 : 1;
+  } catch (const std::system_error& error) {
+    ROS_FATAL("%s.bag: %s: may you write there?", options.name.c_str(), error.what());
+    return 1;
+  }
 }

@@ -15,6 +15,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from data_extraction.bags import BagError
 from data_extraction.labels import LabelParams, label
+from risc_lab.settings import settings_from
 from risc_msgs.msg import Cortex, Landmark, Landmarks, States
 
 T0_S = 500.0
@@ -236,7 +237,7 @@ def test_pictures_that_cannot_be_used_are_named(tmp_path, damage, reason):
 @pytest.mark.parametrize("bad", [{"every": 0}, {"min_fraction": 0.0}, {"format": "gif"}, {"delay_s": float("nan")}])
 def test_bad_settings_are_refused(bad):
     with pytest.raises(ValueError):
-        LabelParams(**bad)
+        settings_from(LabelParams, bad)
 
 
 def test_the_command_line(bag_file, tmp_path):

@@ -213,7 +213,7 @@ def test_what_fitted_is_a_complete_bag(lab, kind):
 
 def test_a_broken_disk_leaves_what_can_be_indexed(lab):
     path = lab.folder / "flight.bag"
-    recorder = lab.recorder("-O", str(path), "/a", disk={"BAD_DISK_WRITES": "11"})  # two for the header, three a chunk
+    recorder = lab.recorder("-O", str(path), "/a", disk={"BAD_DISK_WRITES": "4"})  # one for the header, one a chunk
     lab.talker()({"/a": STRING}, 500, wait=False, size=10000)
     code, output = finish(recorder, number=None)
     assert code == 1

@@ -9,25 +9,23 @@ Before that it looks for what another launch has left on this host. A launch is 
 parent, the roslaunch of the base station (`-u`; the `--run_id` is the master's and may be equal for two launches). If
 that parent is gone, its processes are ended first; if it answers, we do not start: two drivers of one vehicle must not
 be. RISC_MAAP_ALLOW_SECOND=1 allows it, for launches that share no vehicle.
-
-Only the standard library: it must start quickly, whatever the state of the workspace.
 """
 
 import argparse
 import contextlib
 import fcntl
-import http.client
 import os
-import pathlib
 import select
 import signal
 import socket
 import subprocess
 import sys
 import time
-import urllib.parse
-import xml.parsers.expat
-import xmlrpc.client
+
+import psutil
+
+from risc_doctor.ros_master import MasterError, SilentError, call, host_and_port
+from risc_lab.ros.launching import argument_of, send_signal
 
 MARK = "RISC_MAAP_SESSION"  # every process of a launch inherits it: "<parent's URI> <name of the child>"
 ALLOW = "RISC_MAAP_ALLOW_SECOND"
@@ -43,21 +41,14 @@ def marked_processes():
     session: value of MARK.  node: its ROS name, "" of other processes.
     A host is a network namespace: what runs in a container with addresses of its own is on another one.
     """
-    host = os.readlink("/proc/self/ns/net")
-    found = {}
-    for entry in pathlib.Path("/proc").glob("[0-9]*"):
-        try:
-            environment = (entry / "environ").read_bytes()
-            if MARK.encode() not in environment or os.readlink(str(entry / "ns/net")) != host:
-                continue
-            arguments = (entry / "cmdline").read_bytes()
-        except OSError:
-            continue  # it ended while we looked, or it belongs to another user
-        variables = dict(item.partition("=")[::2] for item in environment.decode(errors="replace").split("\0"))
-        names = [word[8:] for word in arguments.decode(errors="replace").split("\0") if word.startswith("__name:=")]
-        node = "%s/%s" % (variables.get("ROS_NAMESPACE", ""), names[-1]) if names else ""
-        if MARK in variables:
-            found.setdefault(variables[MARK], {})[int(entry.name)] = node
+    host, found = os.readlink("/proc/self/ns/net"), {}
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):  # it ended while we looked, or it belongs to another user
+            environment = process.environ()
+            if MARK in environment and os.readlink("/proc/%d/ns/net" % process.pid) == host:
+                name = argument_of(process.cmdline(), "__name")
+                node = "%s/%s" % (environment.get("ROS_NAMESPACE", ""), name) if name else ""
+                found.setdefault(environment[MARK], {})[process.pid] = node
     return found
 
 
@@ -77,35 +68,23 @@ def end(session):
             return processes
         for pid in processes:
             if elapsed_s > PATIENCE_S:
-                send(pid, signal.SIGKILL)
+                send_signal(pid, signal.SIGKILL)
             elif pid not in interrupted:
-                send(pid, signal.SIGINT)
+                send_signal(pid, signal.SIGINT)
                 interrupted.add(pid)
         time.sleep(POLL_S)
 
 
-def send(pid, number):
-    """Send a signal; a process that has ended meanwhile needs none."""
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, number)
-
-
 def is_alive(uri):
     """Whether a roslaunch serves the URI. One that listens but is too busy, or stopped, is alive."""
-    address = urllib.parse.urlsplit(uri)
     try:
-        socket.create_connection((address.hostname, address.port), PARENT_S).close()
-    except OSError:
-        return False
-    socket.setdefaulttimeout(PARENT_S)
-    try:
-        return xmlrpc.client.ServerProxy(uri).get_pid()[0] == 1
-    except TimeoutError:
+        socket.create_connection(host_and_port(uri), PARENT_S).close()
+        call(uri, "get_pid", caller=(), patience_s=PARENT_S)
+    except SilentError:
         return True
-    except (OSError, http.client.HTTPException, xmlrpc.client.Error, xml.parsers.expat.ExpatError):
-        return False  # another program has got its port
-    finally:
-        socket.setdefaulttimeout(None)
+    except (OSError, ValueError, MasterError):
+        return False  # it is gone, or another program has got its port
+    return True
 
 
 def make_way(uri, name):
@@ -124,8 +103,9 @@ def make_way(uri, name):
         say("ending %s, left behind by a launch that is gone (%s)" % (nodes_text(processes), other_uri))
         remaining = end(session)
         if remaining:
+            pids = ", ".join(map(str, remaining))
             return "cannot end process %s (%s) of a launch that is gone: restart this machine" % (
-                ", ".join(map(str, remaining)),
+                pids,
                 nodes_text(remaining),
             )
     return ""

@@ -24,6 +24,7 @@ from ardrone_autonomy.protocol.navdata import State
 from cortex_ros.connection import stream_socket
 from cortex_ros.wire import BodyDef
 from risc_control.failsafe import SafetyLimits
+from risc_control.vehicles import FlightState, Status
 from risc_doctor import (
     axes,
     clock_agreement,
@@ -400,9 +401,7 @@ def test_batteries_by_the_limit_of_the_loss_ladder():
 
 
 def test_in_a_flight_the_base_station_knows_the_vehicles_by_their_drivers():
-    heard = ros_graph.GraphReport(
-        vehicles={"risc1": ros_graph.HeardVehicle(80.0, True), "risc3": ros_graph.HeardVehicle()}
-    )
+    heard = ros_graph.GraphReport(vehicles={"risc1": Status(FlightState.FLYING, 80.0), "risc3": None})
     situation = types.SimpleNamespace(
         fleet=LAB,
         wanted=(),
@@ -418,7 +417,7 @@ def test_in_a_flight_the_base_station_knows_the_vehicles_by_their_drivers():
 
 
 def test_vehicles_are_not_blamed_for_a_graph_that_cannot_be_heard():
-    deaf = ros_graph.GraphReport(error="the graph did not answer", vehicles={"risc1": ros_graph.HeardVehicle()})
+    deaf = ros_graph.GraphReport(error="the graph did not answer", vehicles={"risc1": None})
     situation = types.SimpleNamespace(fleet=LAB, wanted=(), master=object(), graph=lambda: deaf)
     (finding,) = vehicles.check(situation)
     assert finding.level == YELLOW and "could not be listened to" in finding.text and "`graph`" in finding.cure

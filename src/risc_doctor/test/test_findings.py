@@ -5,9 +5,12 @@ import io
 import json
 import pathlib
 import string
+import sys
 
+import msgspec
 import pytest
 
+from risc_doctor import findings
 from risc_doctor.findings import (
     GREEN,
     LEVELS,
@@ -18,7 +21,7 @@ from risc_doctor.findings import (
     count_text,
     exit_code,
     print_findings,
-    table,
+    to_json,
     worst,
 )
 
@@ -40,8 +43,7 @@ def test_the_worst_one_decides():
 
 
 def test_a_finding_survives_json():
-    text = json.dumps([finding.to_dict() for finding in MIXED], allow_nan=False)
-    back = [Finding.from_dict(item) for item in json.loads(text)]
+    back = msgspec.json.decode(to_json(MIXED), type=list[Finding])
     assert [finding.text for finding in back] == [finding.text for finding in MIXED]
     assert back[0] == MIXED[0] and back[1].data == {"offset_s": None}
 
@@ -60,11 +62,12 @@ def test_a_finding_survives_json():
 )
 def test_what_is_no_finding_is_refused(content):
     with pytest.raises(ValueError):
-        Finding.from_dict(content)
+        msgspec.json.decode(json.dumps(content), type=Finding)
 
 
-def test_the_table_is_aligned_with_the_cure_below():
-    assert table(MIXED) == [
+def test_the_table_is_aligned_with_the_cure_below(capsys):
+    print_findings(MIXED)
+    assert capsys.readouterr().out.splitlines() == [
         "green   network  eth0 has 10.0.0.1/24",
         "yellow  clock    nothing keeps this clock right",
         "                 > sudo apt-get install chrony",
@@ -73,23 +76,26 @@ def test_the_table_is_aligned_with_the_cure_below():
     ]
 
 
-def test_long_texts_are_wrapped_into_their_column_and_commands_stay_whole():
+def test_long_texts_are_wrapped_into_their_column_and_commands_stay_whole(capsys, monkeypatch):
+    monkeypatch.setattr(findings, "_WIDTH", 60)
     address = "http://" + 60 * "a"
-    lines = table([Finding("x", RED, 20 * "word ", "see " + address)], width=60)
+    print_findings([Finding("x", RED, 20 * "word ", "see " + address + "\nor not")])
+    lines = capsys.readouterr().out.splitlines()
     assert all(len(line) <= 60 for line in lines if address not in line)
-    assert sum(address in line for line in lines) == 1
+    assert sum(address in line for line in lines) == 1 and lines[-1].endswith("  or not")
     assert all(line.startswith(" " * len("yellow  x  ")) for line in lines[1:])
 
 
-def test_only_a_terminal_gets_colours():
+def test_only_a_terminal_gets_colours(monkeypatch, capsys):
     class Terminal(io.StringIO):
         def isatty(self):
             return True
 
-    plain, coloured = io.StringIO(), Terminal()
-    print_findings(MIXED, plain)
-    print_findings(MIXED, coloured)
-    assert "\033" not in plain.getvalue() and plain.getvalue().splitlines() == table(MIXED)
+    print_findings(MIXED)
+    assert "\033" not in capsys.readouterr().out
+    coloured = Terminal()
+    monkeypatch.setattr(sys, "stdout", coloured)
+    print_findings(MIXED)
     assert coloured.getvalue().count("\033[0m") == len(MIXED)
 
 

@@ -8,8 +8,10 @@ import paramiko
 import pytest
 
 from risc_doctor.clock_agreement import ClockState
+from risc_doctor.findings import FoundError, guarded
 from risc_doctor.machines import check, clock_offset, known_hosts, setup, ssh, topics, workspace_digest
 from risc_doctor.machines.experiment import Computer, load_experiment
+from risc_doctor.machines.workspace_digest import Workspace
 
 RISC2 = Computer("risc2", "127.0.0.9", user="pilot", env_loader="/ws/devel/coop.sh", nodes=1)
 MASTER = "http://127.0.0.1:5000"
@@ -62,15 +64,15 @@ def test_the_clock_is_judged_by_offset_and_uncertainty(offset_s, uncertainty_s, 
 )  # fmt: skip
 def test_chrony_is_not_believed_against_the_measurement(chrony, measured_s, level, text):
     tracking = ClockState("chrony", True, chrony[0], "127.0.0.1", chrony[1])
-    found = clock_offset.combine(tracking, True, measured_s, "127.0.0.1")
+    found = clock_offset.combine(tracking, measured_s, "127.0.0.1")
     assert found.level == level and text in found.text
 
 
 def test_chrony_that_follows_another_is_told():
     other, nobody = ClockState("chrony", True, 0.0, "127.0.0.7"), ClockState("chrony", False)
     for state, text in ((other, "127.0.0.7"), (nobody, "nobody")):
-        assert "chrony there follows %s" % text in clock_offset.combine(state, False, (0.0, 0.001), "127.0.0.1").text
-    assert "chrony" not in clock_offset.combine(None, False, (0.0, 0.001), "127.0.0.1").text
+        assert "chrony there follows %s" % text in clock_offset.combine(state, (0.0, 0.001), "127.0.0.1").text
+    assert "chrony" not in clock_offset.combine(None, (0.0, 0.001), "127.0.0.1").text
 
 
 def told(**changes):
@@ -127,10 +129,10 @@ CALIBRATION = "src/risc_lab/config/cameras/risc1.yaml"
     ],
 )
 def test_workspaces_are_compared_file_by_file(there, level, text):
-    here = {"revision": "abc", "built": True, "files": {"src/a.py": "1", "devel/b": "2", CALIBRATION: "3"}}
-    found = workspace_digest.compare(here, {"revision": "abc", "built": True, "files": there})
+    here = Workspace("/ws", "abc", True, {"src/a.py": "1", "devel/b": "2", CALIBRATION: "3"})
+    found = workspace_digest.compare(here, Workspace("/ws", "abc", True, there))
     assert found.level == level and text in found.text
-    assert workspace_digest.compare(here, {"revision": "abc", "built": False, "files": {}}).level == "red"
+    assert workspace_digest.compare(here, Workspace("/ws", "abc", False, {})).level == "red"
 
 
 def test_known_hosts_serves_the_name_and_the_address(tmp_path, monkeypatch):
@@ -139,6 +141,7 @@ def test_known_hosts_serves_the_name_and_the_address(tmp_path, monkeypatch):
     lines = known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key, paramiko.RSAKey.generate(1024)])
     assert [line.split()[:2] for line, _ in lines] == [["risc2,127.0.0.9", "ecdsa-sha2-nistp256"]]  # rsa is of no use
     known_hosts.add([line for line, _ in lines])
+    assert (tmp_path / ".ssh/known_hosts").stat().st_mode & 0o777 == 0o600
     assert known_hosts.missing_lines("risc2", "127.0.0.9", 22, [key]) == []
     (line, _) = known_hosts.missing_lines("risc2", "127.0.0.10", 22, [other])[0]
     assert line.startswith("127.0.0.10 ")  # the name is taken
@@ -192,7 +195,7 @@ def test_each_end_of_a_login_is_a_finding(error, text, monkeypatch):
 
     monkeypatch.setattr(ssh, "ssh_check_known_hosts", lambda client, *_: None)
     monkeypatch.setattr(paramiko.SSHClient, "connect", fail)
-    with pytest.raises(ssh.MachineError) as caught:
+    with pytest.raises(FoundError) as caught:
         ssh.connect(RISC2)
     assert caught.value.finding.level == "red" and text in caught.value.finding.text
 
@@ -214,17 +217,16 @@ def test_a_password_is_asked_for_only_where_our_key_is_missing(error, asks, monk
     monkeypatch.setattr(paramiko.SSHClient, "connect", fail)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr(setup.subprocess, "run", lambda words, **_: asked.append(words))
-    with pytest.raises(ssh.MachineError):
+    with pytest.raises(FoundError):
         setup._log_in(RISC2)
     assert asked == ([["ssh-copy-id", "pilot@127.0.0.9"]] if asks else [])
 
 
-def test_a_check_that_breaks_is_one_red_finding(monkeypatch):
-    def fail(*_):
+def test_a_check_that_breaks_is_one_red_finding():
+    def fail():
         raise KeyError("surprise")
 
-    monkeypatch.setattr(check, "check_computer", fail)
-    (found,) = check._guarded(RISC2)
+    (found,) = guarded("nodes", fail)
     assert found.level == "red" and "the check itself failed: KeyError: 'surprise'" in found.text
 
 
@@ -243,7 +245,7 @@ class Talker:
 
 @pytest.mark.parametrize("printed", ["", "5", "null", "{}", "[3]", '{"files": 5}', '{"files": {}}', "[]]"])
 def test_what_is_no_answer_is_a_finding(printed):
-    found = [check._workspace(Talker(printed), {}, "/ws"), *check._doctor(Talker(printed))]
+    found = [check._workspace(Talker(printed), None), *check._doctor(RISC2, Talker(printed).loaded)]
     assert [finding.text[:16] for finding in found] == ["it cannot say wh", "it does not run "]
     assert all("./maap setup on that computer" in finding.cure for finding in found), "it may lack packages"
 
@@ -255,8 +257,8 @@ def test_the_workspace_that_a_link_leads_to_is_the_one_that_is_sourced(tmp_path,
     monkeypatch.setenv("CMAKE_PREFIX_PATH", "%s/ws/devel:/opt/ros" % tmp_path)
     for folder in (tmp_path, tmp_path / "ws"):
         workspace_digest.main(str(folder))
-        found = workspace_digest.from_output(capsys.readouterr().out)
-        assert found["built"] and found["folder"] == str(tmp_path / "ws")
+        found = ssh.Answer(0, capsys.readouterr().out, "").told(Workspace)
+        assert found.built and found.folder == str(tmp_path / "ws")
 
 
 @pytest.mark.parametrize(
@@ -280,8 +282,7 @@ def test_the_disk_that_is_looked_at_is_that_of_the_bag(options, folder, tmp_path
     (computer,) = load_experiment(str(path)).computers
     assert computer.bag_folder == folder
     talker = Talker("[]")
-    talker.computer = computer
-    check._doctor(talker)
+    check._doctor(computer, talker.loaded)
     (command,) = talker.commands
     assert command[-2:] == (["--bag-folder", folder] if folder else ["--only", "disk"])
 
@@ -305,11 +306,10 @@ def test_the_computer_that_listens_to_cortex_is_asked_for_it(more, hosts, checks
         % more
     )
     experiment = load_experiment(str(path))
-    assert experiment.cortex == experiment.only(["risc2"]).cortex == hosts
+    assert [computer.name for computer in load_experiment(str(path), only="risc2").computers] == ["risc2"]
     assert [computer.cortex for computer in experiment.computers] == [(), hosts]
     talker = Talker("[]")
-    talker.computer = experiment.computers[1]
-    check._doctor(talker)
+    check._doctor(experiment.computers[1], talker.loaded)
     (command,) = talker.commands
     assert command[-2:] == ["--only", checks] and command[3] == "my_fleet.yaml"
 
@@ -328,8 +328,7 @@ def test_a_vehicle_is_asked_by_its_address_without_a_fleet_file(param, address, 
     )
     (computer,) = load_experiment(str(path)).computers
     talker = Talker("[]")
-    talker.computer = computer
-    check._doctor(talker)
+    check._doctor(computer, talker.loaded)
     (command,) = talker.commands
     assert command[-2:] == ["--vehicle", address]
     assert command[command.index("--only") + 1] == "disk,subnets,vehicles"
@@ -340,7 +339,7 @@ def test_a_broken_known_hosts_hides_no_key_that_has_changed(tmp_path, monkeypatc
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / ".ssh").mkdir()
     (tmp_path / ".ssh" / "known_hosts").write_text("127.0.0.8 ssh-ed25519 AAAAC!\n")
-    monkeypatch.setattr(known_hosts, "scan", lambda *_: [paramiko.RSAKey.generate(1024)])
-    with pytest.raises(ssh.MachineError) as problem:
-        setup._host_key(RISC2, yes=True, out=None)
+    monkeypatch.setattr(known_hosts, "shown_keys", lambda *_: [paramiko.RSAKey.generate(1024)])
+    with pytest.raises(FoundError) as problem:
+        setup._host_key(RISC2, yes=True)
     assert problem.value.finding.code == "corrupt"

@@ -9,17 +9,17 @@ import math
 import threading
 import time
 
-import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from roslib.message import get_message_class
 
 from risc_estimation import sensors
-from risc_estimation.filters import COMMAND
-from risc_estimation.pose_fit import ARENA_KEYS, PoseFitParams
+from risc_estimation.filters import COMMAND, DEFAULT, REGISTRY
+from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.ros.conversions import EstimateMessages, covariances_to_msg, poses_to_msg
-from risc_estimation.ros.params import NodeParams, load_filter
+from risc_estimation.ros.params import NodeParams
 from risc_estimation.state_estimator import StatesEstimator
+from risc_lab.command_history import command_of
 from risc_lab.lab.fleet import MocapEndpoint
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros import low_latency
@@ -27,7 +27,7 @@ from risc_lab.ros.diagnostics import Growth, add_all, summarise, ticking_updater
 from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
 from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES
-from risc_lab.ros.params import known_fleet, load_params
+from risc_lab.ros.params import known_arena, known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_maap_msgs.msg import BodyPoses, CommandsSent, Counter, EstimatorStatus, StateCovariances
@@ -39,17 +39,18 @@ class StatesEstimationNode:
     """Estimates the frames in order; none is passed over unless the node was held up for longer than queue_s."""
 
     def __init__(self):
-        velocity_filter, keys = load_filter()
-        params, fit_params = load_params(NodeParams, PoseFitParams, known=keys)
-        fleet = known_fleet()
+        name, fleet = rospy.get_param("~filter", DEFAULT), known_fleet()
+        kind = REGISTRY.module(name).Filter
+        params, fit_params, settings = load_params(
+            NodeParams, PoseFitParams().within(known_arena()), REGISTRY.settings(name, kind.PARAMS)
+        )
+        vehicles = fleet.vehicles if fleet else ()
         rate_hz = fleet.mocap.rate_hz if fleet else MocapEndpoint.rate_hz
-        if fleet is not None:
-            fit_params = fit_params.within(fleet.arena, keep=set(ARENA_KEYS).intersection(rospy.get_param("~", {})))
         self._estimator = StatesEstimator(
             load_templates(params.templates_file or None, fleet),
             fit_params,
-            params.vehicles or [v.template for v in (fleet.vehicles if fleet else ())],
-            velocity_filter,
+            params.vehicles or [vehicle.template for vehicle in vehicles],
+            kind(settings),
         )
         self._silence_s = params.silence_s
         self._lock = threading.Lock()  # frames, the silence timer and diagnostics have a thread each
@@ -70,7 +71,7 @@ class StatesEstimationNode:
         ticking_updater("mocap").add("states estimation", self._diagnose)
         if self._silence_s > 0.0:
             Ticker(0.25 * self._silence_s, self._on_check, "the watch for silence")
-        self._listen_on_board(self._estimator.on_board_wanted, fleet.vehicles if fleet else ())
+        self._listen_on_board(self._estimator.on_board_wanted, vehicles)
         rospy.Subscriber(
             "mocap_data",
             MocapArrays.Raw,
@@ -97,8 +98,7 @@ class StatesEstimationNode:
     def _on_commands(self, message):
         with self._lock:
             for sent in message.commands:
-                values = np.array((sent.roll_rad, sent.pitch_rad, sent.climb, sent.yaw_rate_rad_s))
-                self._estimator.on_board(sent.name, sent.sent.to_sec(), COMMAND, values)
+                self._estimator.on_board(sent.name, sent.sent.to_sec(), COMMAND, command_of(sent))
 
     @until_shutdown
     def _on_readings(self, message, arguments):

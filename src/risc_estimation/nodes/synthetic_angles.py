@@ -67,15 +67,15 @@ class SyntheticAnglesNode:
             self._last_s = time.monotonic()
         for stamp_s, pictures in due:
             header = Header(stamp=rospy.Time.from_sec(stamp_s), frame_id=FRAME_ID)
-            named = [(self._called(item.vehicle), item.landmarks, self._renamed(item.quads)) for item in pictures]
+            named = []
+            for item in pictures:
+                quads = [quad._replace(name=self._called(quad.name)) for quad in item.quads]
+                named.append((self._called(item.vehicle), item.landmarks, quads))
             self._pub.publish(observed_angles(header, named))
 
     def _called(self, template):
         """What vision calls a vehicle: its namespace."""
         return self._namespace.get(template, template)
-
-    def _renamed(self, quads):
-        return [item._replace(name=self._called(item.name)) for item in quads]
 
     def _diagnose(self, status):
         with self._lock:

@@ -8,11 +8,10 @@ import unittest
 import numpy as np
 import rospy
 import rostest
+from mocap_frames import mocap_message, pack_bodies
 from std_msgs.msg import Header
 
 from ardrone_autonomy.msg import Navdata
-from risc_estimation.pose_fit import pack_bodies
-from risc_estimation.ros.conversions import mocap_message
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_lab.ros.fleet_messages import MocapArrays

@@ -13,11 +13,10 @@ import numpy as np
 import rosgraph
 import rospy
 import rostest
+from mocap_frames import mocap_message, pack_bodies
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
-from risc_estimation.pose_fit import pack_bodies
-from risc_estimation.ros.conversions import mocap_message
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates
 from risc_maap_msgs.msg import BodyPoses, EstimatorStatus

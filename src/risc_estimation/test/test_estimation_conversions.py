@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("risc_msgs")
 
 import genpy  # noqa: E402
+from mocap_frames import mocap_message  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
 from risc_estimation.ros import conversions  # noqa: E402
@@ -33,7 +34,7 @@ def test_markers_leave_body_by_body():
     layout = (("Raven", 3), ("empty", 0), ("albatross", 2), ("Raven", 1))
     markers_m = np.arange(18.0).reshape(6, 3)
     markers_m[1], markers_m[2, 2] = np.nan, 9999.999
-    message = over_the_wire(conversions.mocap_message(Header(), layout, markers_m), Mocap_data)
+    message = over_the_wire(mocap_message(Header(), layout, markers_m), Mocap_data)
     assert tuple((body.name, len(body.marker)) for body in message.Obj) == layout
     back = [(marker.x, marker.y, marker.z) for body in message.Obj for marker in body.marker]
     np.testing.assert_array_equal(back, markers_m)

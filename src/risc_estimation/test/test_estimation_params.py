@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("rospy")
 
+from risc_estimation.filters import REGISTRY  # noqa: E402
 from risc_estimation.pose_fit import PoseFitParams  # noqa: E402
-from risc_estimation.ros import params  # noqa: E402
 from risc_estimation.ros.params import NodeParams  # noqa: E402
 from risc_lab.lab.arena import Arena  # noqa: E402
 from risc_lab.ros.params import params_from_dict  # noqa: E402
@@ -56,17 +56,15 @@ def test_frames_wait_for_no_longer_at_a_lower_rate(rate_hz, frames):
 def test_the_arena_is_the_net_unless_it_is_set():
     changed = PoseFitParams(arena_y_m=1.0, tilt_max_rad=1.2).within(Arena(6.0, 5.0, 4.0))
     assert (changed.arena_x_m, changed.arena_y_m, changed.arena_z_max_m, changed.tilt_max_rad) == (6.0, 5.0, 4.0, 1.2)
-    changed = PoseFitParams(arena_y_m=1.0).within(Arena(6.0, 5.0, 4.0), keep=("arena_y_m",))
-    assert (changed.arena_x_m, changed.arena_y_m) == (6.0, 1.0)
+    (told,), _ = params_from_dict([PoseFitParams().within(Arena(6.0, 5.0, 4.0))], {"arena_y_m": 1.0})
+    assert (told.arena_x_m, told.arena_y_m) == (6.0, 1.0)
     assert PoseFitParams().within(Arena()) == PoseFitParams()
 
 
-def test_settings_of_the_filter_may_be_private_parameters(monkeypatch):
+def test_settings_of_the_filter_may_be_private_parameters():
+    settings = REGISTRY.settings("thesis", REGISTRY.module("thesis").Filter.PARAMS)
     given = {"filter": "thesis", "max_gap_s": 0.2, "silence_s": 0.3}
-    monkeypatch.setattr(params.rospy, "get_param", lambda *_: given)
-    velocity_filter, keys = params.load_filter()
-    assert (velocity_filter.params.max_gap_s, velocity_filter.params.position_order) == (0.2, 1)
-    assert "max_gap_s" in keys and "silence_s" not in keys
-    given["filter"] = "kalmann"
+    (node, told), unknown = params_from_dict([NodeParams, settings], given)
+    assert (told.max_gap_s, told.position_order, node.silence_s, unknown) == (0.2, 1, 0.3, [])
     with pytest.raises(ValueError, match="known are: .*least_squares, thesis"):
-        params.load_filter()
+        REGISTRY.module("kalmann")

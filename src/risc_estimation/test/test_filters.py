@@ -6,9 +6,9 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from mocap_frames import pack_bodies
 
 from risc_estimation.filters import REGISTRY, Status, VelocityFilter, make_filter
-from risc_estimation.pose_fit import pack_bodies
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates

@@ -61,9 +61,9 @@ def test_a_mount_is_found_from_15_degrees_and_10_cm_away(seed, share):
     assert angle_deg(fit.mount, TRUE) <= ANGLE_MAX_DEG
     assert distance_m(fit.mount, TRUE) <= POSITION_MAX_M
     assert fit.warnings == ()
-    assert 0.8 * share <= 1.0 - fit.right.mean() <= share + 0.01
+    assert 0.8 * share <= 1.0 - fit.misses.right.mean() <= share + 0.01
     # two axes of 0.3 degrees each
-    assert math.degrees(fit.rms_rad) == pytest.approx(0.3 * math.sqrt(2.0), rel=0.1)
+    assert math.degrees(fit.misses.rms_rad) == pytest.approx(0.3 * math.sqrt(2.0), rel=0.1)
 
 
 def test_the_standard_deviations_are_those_of_many_flights():
@@ -113,7 +113,7 @@ def test_hovering_in_one_place_is_told():
     assert len(fit.warnings) == 1 and "x is " in fit.warnings[0], fit.warnings
     assert fit.std[0] > 0.01
     # what the views do tell is right all the same, the rest stays within what the prior allows
-    assert root_mean_square(ray_errors(samples, fit.mount)[fit.right]) < math.radians(0.5)
+    assert root_mean_square(ray_errors(samples, fit.mount)[fit.misses.right]) < math.radians(0.5)
     assert distance_m(fit.mount, TRUE) < 1.0
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from mocap_frames import pack_bodies
 from scipy.spatial.transform import Rotation
 
 from risc_estimation.filters import make_filter
-from risc_estimation.pose_fit import PoseFit, PoseFitParams, pack_bodies
+from risc_estimation.pose_fit import PoseFit, PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mocap_frames import pack_bodies
 
 from risc_estimation import pose_fit
 from risc_estimation.filters import least_squares, make_filter
-from risc_estimation.pose_fit import PoseFitParams, pack_bodies
+from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_lab.frames import rotation_body_to_cortex
 from risc_lab.lab.templates import load_templates

@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from risc_control.vehicles import adapter_class
 from risc_experiments.operator import JOY_RATE_HZ, Operator, OperatorParams
-from risc_lab.phases import OperatorResult
+from risc_lab.phases import OperatorResult, TrajectoryPhase
 from risc_lab.ros.diagnostics import make_updater
 from risc_lab.ros.direct_connection import send_directly
 from risc_lab.ros.fleet_messages import CortexArrays
@@ -37,10 +37,10 @@ class VirtualOperator:
         flown = vehicles()
         wanted = [vehicle.namespace for vehicle in flown]
         self._go_home = rospy.get_param("~trajectory_node", "/trajectory_node") + "/go_home"
-        self._namespaces = {vehicle.template: vehicle.namespace for vehicle in flown}
-        self._operator = Operator(wanted, params, time.monotonic())
         self._lock = threading.Lock()
-        self._calling = False
+        go_home = partial(start, self._call_home)
+        self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing)
+        self._watched = {vehicle.template: self._operator.vehicles[vehicle.namespace] for vehicle in flown}
         self._landing = set()  # vehicles whose service is being called
         self._said = None  # (phase, text, result, reason) of the newest state that was sent
         self._phase = rospy.Publisher("/operator/phase", OperatorState, queue_size=10, latch=True)
@@ -51,16 +51,16 @@ class VirtualOperator:
         rospy.Service("~land", Trigger, self._on_land)
         paced = partial(PacedSubscriber, rate_hz=LOOK_RATE_HZ)
         for vehicle in flown:
-            name, reports = vehicle.namespace, adapter_class(vehicle.vehicle_type)
-            reports.listen("/%s/" % name, partial(self._locked(self._on_report), name), paced)
-            paced("/%s/controller_status" % name, Bool, self._locked(self._on_status), args=(name,))
-            rospy.Subscriber(
-                "/%s/safety" % name, Safety, self._locked(self._on_safety), name, queue_size=10, tcp_nodelay=True
-            )
+            name, watched = vehicle.namespace, self._operator.vehicles[vehicle.namespace]
+            on_report = partial(self._locked(self._on_report), watched)
+            adapter_class(vehicle.vehicle_type).listen("/%s/" % name, on_report, paced)
+            paced("/%s/controller_status" % name, Bool, self._locked(self._on_status), args=(watched,))
+            on_safety = self._locked(self._on_safety)
+            rospy.Subscriber("/%s/safety" % name, Safety, on_safety, watched, queue_size=10, tcp_nodelay=True)
         rospy.Subscriber(
             "/trajectory_phase", TrajectoryPhases, self._locked(self._on_phases), queue_size=10, tcp_nodelay=True
         )
-        PacedSubscriber("/cortex_raw", CortexArrays, self._locked(self._on_states), LOOK_RATE_HZ)
+        paced("/cortex_raw", CortexArrays, self._locked(self._on_states))
         Ticker(1.0 / JOY_RATE_HZ, self._on_tick, "the operator's clock")
         Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
 
@@ -74,24 +74,23 @@ class VirtualOperator:
         return callback
 
     def _on_states(self, message):
-        now_s = time.monotonic()
         for name, visible in zip(message.names, message.visible.tolist()):
-            if visible and name in self._namespaces:
-                self._operator.on_seen(self._namespaces[name], now_s)
+            if visible and name in self._watched:
+                self._watched[name].seen_s = time.monotonic()
 
-    def _on_report(self, name, status, _driver):
-        self._operator.on_navdata(name, status.state, time.monotonic())
+    def _on_report(self, watched, status, _driver):
+        watched.note_report(status.state, time.monotonic())
 
-    def _on_status(self, message, name):
-        self._operator.on_status(name, message.data, time.monotonic())
+    def _on_status(self, message, watched):
+        watched.autonomous, watched.status_s = message.data, time.monotonic()
 
-    def _on_safety(self, message, name):
-        self._operator.on_safety(name, message.level, message.reason)
+    def _on_safety(self, message, watched):
+        watched.safety, watched.safety_reason = message.level, message.reason
 
     def _on_phases(self, message):
         for vehicle in message.vehicles:
-            if vehicle.name in self._namespaces:
-                self._operator.on_trajectory_phase(self._namespaces[vehicle.name], vehicle.phase)
+            if vehicle.name in self._watched:
+                self._watched[vehicle.name].trajectory_phase = TrajectoryPhase(vehicle.phase)
 
     def _on_land(self, _request):
         with self._lock:
@@ -100,22 +99,14 @@ class VirtualOperator:
 
     def _on_tick(self):
         with self._lock:
-            now_s = time.monotonic()
-            self._operator.step(now_s)
+            self._operator.step(time.monotonic())
             pressed = {name: watched.pad.next_buttons(BUTTONS) for name, watched in self._operator.vehicles.items()}
             self._say(self._state())
-            call, self._calling = self._operator.call_home and not self._calling, self._operator.call_home
-            landings = [name for name in self._operator.landings() if name not in self._landing]
-            self._landing.update(landings)
         stamp = rospy.Time.now()
         for name, buttons in pressed.items():
             joy = Joy(axes=[0.0] * AXES, buttons=buttons)
             joy.header.stamp = stamp
             self._joys[name].publish(joy)
-        if call:
-            threading.Thread(target=self._call_home, daemon=True).start()
-        for name in landings:
-            threading.Thread(target=self._call_land, args=(name,), daemon=True).start()
 
     def _state(self):
         """(phase, text, result, reason) now; the caller holds the lock."""
@@ -149,8 +140,14 @@ class VirtualOperator:
         with self._lock:
             self._operator.home_called(problem, time.monotonic())
 
+    def _start_landing(self, name):
+        """Ask a silent vehicle's node to land it, unless it is being asked; the caller holds the lock."""
+        if name not in self._landing:
+            self._landing.add(name)
+            start(self._call_land, name)
+
     def _call_land(self, name):
-        """Ask a silent vehicle's node to land it; the answer may take as long as its network is out."""
+        """The answer may take as long as its network is out."""
         service = "/%s/land" % name
         try:
             rospy.loginfo("operator: %s: %s", service, self._call(service)[1])
@@ -169,6 +166,11 @@ class VirtualOperator:
                 phase = watched.trajectory_phase
                 status.add("%s trajectory phase" % name, "none yet" if phase is None else phase.name.lower())
         return status
+
+
+def start(work, *arguments):
+    """Do it in a thread of its own."""
+    threading.Thread(target=work, args=arguments, daemon=True).start()
 
 
 def state_message(state):

@@ -24,14 +24,14 @@ def members(monkeypatch):
 
 def test_a_controller_of_a_student_flies():
     result = fly(Flight("circle", vehicles=1, seed=1, psi_deg=57.0, duration_s=6.0, controller="toy_pd"))
-    assert result.rmse_m[0] < 0.15 and result.crashes == ()
+    assert result.rmse_m[0] < 0.15
 
 
 def test_a_controller_of_order_six_sees_exact_derivatives(monkeypatch):
     """On a circle the fifth is w^4 times the velocity, the sixth w^4 times the acceleration."""
     monkeypatch.setenv("RISC_MAAP_MEMBERS", str(MEMBERS.parents[2] / "risc_control" / "test" / "members"))
     result = fly(Flight("circle", vehicles=1, seed=1, duration_s=4.0, controller="sixth"))
-    assert result.rmse_m[0] < 0.02 and result.crashes == ()
+    assert result.rmse_m[0] < 0.02
     seen = REGISTRY.module("sixth").SEEN[1:]  # the first loads what is compiled
     w = 2.0 * math.pi / 8.0
     for times, reference in seen[-int(4.0 / FRAME_S) :]:
@@ -50,7 +50,7 @@ def test_a_controller_of_order_six_sees_exact_derivatives(monkeypatch):
 def test_one_controller_flies_a_fleet_of_two_types():
     """Other delays, rates, units on /controls and sticks."""
     result = fly(Flight("circle", vehicles=2, seed=1, psi_deg=115.0, duration_s=8.0, types=("ardrone", "toy_quad")))
-    assert result.rmse_m.max() < 0.03 and result.crashes == ()
+    assert result.rmse_m.max() < 0.03
 
 
 def test_with_the_delay_of_the_other_type_it_flies_worse():

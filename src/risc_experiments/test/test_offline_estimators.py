@@ -8,7 +8,7 @@ import pytest
 
 from risc_experiments import fly as online
 from risc_experiments.estimators import estimator_of
-from risc_experiments.offline import Flight, fly, main
+from risc_experiments.offline import Flight, fly, fly_all, main
 from risc_lab.registry import VARIABLE
 
 MEMBERS = pathlib.Path(__file__).resolve().parents[2] / "risc_estimation" / "test" / "members"
@@ -22,7 +22,7 @@ def test_a_filter_of_one_file_and_one_yaml_flies(monkeypatch, tmp_path):
     toy, ours = (
         fly(Flight("circle", vehicles=2, seed=3, duration_s=5.0, estimator=name)) for name in ("alpha_beta", None)
     )
-    assert toy.crashes == () and toy.rmse_m.max() < 0.06, "its velocities are 43 ms late"
+    assert toy.rmse_m.max() < 0.06, "its velocities are 43 ms late"
     assert not np.array_equal(toy.actual_m[:100], ours.actual_m[:100])
     words = ["--trajectory", "circle", "--vehicles", "1", "--seeds", "1", "--duration", "0.5", "--workers", "1"]
     assert main([*words, "--estimator", "alpha_beta", "--json", str(tmp_path / "figures.json")]) == 0
@@ -35,9 +35,16 @@ def test_the_thesis_controller_flies_with_the_thesis_estimator_unless_another_is
         "least_squares",
         "least_squares",
     )
-    flight = Flight("flat8", vehicles=1, seed=4, psi_deg=115.0, duration_s=10.0, controller=THESIS)
+    flight = Flight("circle", vehicles=1, seed=4, psi_deg=115.0, duration_s=10.0, controller=THESIS)
     own, flattered = fly(flight), fly(Flight(**{**vars(flight), "estimator": "least_squares"}))
     assert own.rmse_m[0] > 1.2 * flattered.rmse_m[0]
+
+
+def test_the_thesis_controller_bears_the_velocities_of_its_own_estimator_which_come_late():
+    """With a larger gain on velocity these perturbed vehicles oscillate until the fence lands them."""
+    results = list(fly_all([Flight("circle", vehicles=1, seed=seed, controller=THESIS) for seed in (2, 3)]))
+    assert [result.landed for result in results] == [(False,), (False,)]
+    assert max(result.rmse_m[0] for result in results) < 0.08
 
 
 def test_the_estimator_is_an_argument_of_the_launch_file(capsys):

@@ -8,11 +8,14 @@ import pytest
 from risc_control.controllers import ControlLoop, guidance
 from risc_control.pursuit_reference import TargetParams, VirtualTarget
 from risc_control.reference_buffer import ReferenceBuffer
+from risc_control.separation import ALONE
 from risc_control.trajectory_manager import Phase, make_manager
+from risc_control.vehicle_pilot import VehicleNodeParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments import offline
 from risc_lab.lab import load_templates
 from risc_lab.states import S, States
+from risc_simulator.faults import Wires
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.world import World
 
@@ -36,7 +39,8 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     controller = ControlLoop("guidance", vehicle_types)
     vehicle = world.vehicles[place.namespace]
     vehicle.fly_at(place.start.position_m[:2] + (1.0,), place.start.yaw_rad)
-    chain, buffer = offline._Chain(vehicle, 0.3), ReferenceBuffer()
+    node = VehicleNodeParams(joystick_timeout=0.0)
+    chain, buffer = offline._Chain(vehicle, 0.3, node, Wires(flight.seed), lambda *_: None), ReferenceBuffer()
 
     let_go_s = home_s = math.inf
     ranges, radii, homing = [], [], []
@@ -68,7 +72,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
         if frame % LOST_EVERY == 0:  # as states_from_msg gives what is not seen
             states = States(~NOW, np.zeros_like(states.x))
         output = controller.update(time_s, now_s, states, present, ahead, NOW, NOW & chain.pilot.autonomous)
-        offline.step_chains([chain], frame, time_s, now_s, states, output.controls)
+        offline.step_chains([chain], frame, time_s, now_s, states, output.controls, [ALONE])
         assert not world.crashes
         truth = vehicle.state.position_m
         if let_go_s + SETTLED_S <= time_s < home_s:

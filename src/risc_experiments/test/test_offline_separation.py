@@ -74,7 +74,7 @@ def test_no_course_makes_anybody_hold():
 def test_neither_changes_of_the_course_nor_ways_home_make_anybody_hold(vehicles):
     """By the references alone, with the noise of motion capture: from each course to the next, and home."""
     names = [name for name in COURSES if not (name == "quadrants" and vehicles > 4)]
-    fleet, rng = default_fleet(vehicles, names[0], FLEETS), np.random.default_rng(vehicles)
+    fleet, rng = default_fleet(vehicles, names[0]), np.random.default_rng(vehicles)
     courses = [make_course(name, vehicles) for name in names]
     manager = make_manager(fleet.vehicles, courses[0])
     separation, visible = Separation(manager.names, LIMITS, manager.names), np.ones(vehicles, bool)

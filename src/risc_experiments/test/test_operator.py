@@ -90,7 +90,10 @@ class Flight:
         params = dict({"duration": 10.0}, **params)
         self.now_s = 100.0
         self.vehicles = {"risc%d" % (k + 1): ModelVehicle() for k in range(count)}
-        self.operator = Operator(list(self.vehicles), OperatorParams(**params), self.now_s)
+        self.landings = []
+        self.operator = Operator(
+            list(self.vehicles), OperatorParams(**params), self.now_s, self.go_home, self.landings.append
+        )
         self.home_problem = ""
         self.home_calls = 0
         self.phases = []
@@ -99,27 +102,29 @@ class Flight:
         self.now_s += STEP_S
         for name, vehicle in self.vehicles.items():
             vehicle.go(self.now_s)
+            watched = self.operator.vehicles[name]
             if vehicle.seen:
-                self.operator.on_seen(name, self.now_s)
+                watched.seen_s = self.now_s
             if vehicle.connected and not vehicle.held_up:
-                self.operator.on_navdata(name, vehicle.state, self.now_s)
+                watched.note_report(vehicle.state, self.now_s)
             if vehicle.node_alive and not vehicle.held_up:
-                self.operator.on_status(name, vehicle.autonomous, self.now_s)
-            self.operator.on_safety(name, *vehicle.safety)
-            self.operator.on_trajectory_phase(name, vehicle.course)
+                watched.autonomous, watched.status_s = vehicle.autonomous, self.now_s
+            watched.safety, watched.safety_reason = vehicle.safety
+            watched.trajectory_phase = vehicle.course
         self.operator.step(self.now_s)
-        if self.operator.call_home:
-            self.home_calls += 1
-            self.operator.home_called(self.home_problem, self.now_s)
-            if not self.home_problem:
-                for vehicle in self.vehicles.values():
-                    vehicle.home(self.now_s)
-        landings = self.operator.landings()
         for name, vehicle in self.vehicles.items():
             buttons = self.operator.vehicles[name].pad.next_buttons(11)
-            vehicle.receive(buttons, name in landings, self.now_s)
+            vehicle.receive(buttons, name in self.landings, self.now_s)
+        self.landings.clear()
         if not self.phases or self.phases[-1] != self.operator.phase:
             self.phases.append(self.operator.phase)
+
+    def go_home(self):
+        self.home_calls += 1
+        self.operator.home_called(self.home_problem, self.now_s)
+        if not self.home_problem:
+            for vehicle in self.vehicles.values():
+                vehicle.home(self.now_s)
 
     def run(self, until, limit_s=300.0):
         """Go on until a Phase is reached or a condition holds."""
@@ -438,7 +443,7 @@ def test_old_reports_that_arrive_before_the_new_ones_make_no_takeoff():
     assert flight.now_s > since_s + 2.0
     vehicle.state = FlightState.LANDED
     for _ in range(5):
-        flight.operator.on_navdata("risc2", FlightState.HOVERING, flight.now_s)
+        flight.operator.vehicles["risc2"].note_report(FlightState.HOVERING, flight.now_s)
         flight.step()
     vehicle.connected = True
     flight.finish()

@@ -57,6 +57,14 @@ def test_each_way_to_fail_is_named(changes, reason):
     assert reasons(**changes)[0].startswith("Raven: ") and reason in reasons(**changes)[0]
 
 
+def test_an_error_that_grows_is_told():
+    t_s = vehicle().t_s
+    path = vehicle().actual_m + np.outer(np.select([t_s < 15.0, t_s < 25.0], [0.1, 0.2], 0.3), [1.0, 0.0, 0.0])
+    path[-1, 2] = 0.08
+    (reason,) = reasons(position_rmse_m=0.2, actual_m=path)
+    assert reason.endswith("(in the three thirds of the course 100, 200, 300 mm)")
+
+
 def test_two_faults_are_both_named():
     assert len(reasons(position_rmse_m=0.2, position_max_m=0.5)) == 2
 

@@ -18,6 +18,15 @@ def test_a_command_holds_until_the_next_and_the_ring_keeps_the_newest():
     assert not history.at(1, end_s).any(), "each vehicle has its own"
 
 
+def test_what_is_held_at_many_times():
+    history = CommandHistory(1, rows=4)
+    for k in range(6):  # the first two are forgotten
+        history.append(0, float(k), np.full(4, 10.0 * k))
+    held = history.held(0, np.array([1.5, 2.0, 4.9, 5.5, 6.1]), longest_s=1.0)[:, 0]
+    assert held.tolist()[1:4] == [20.0, 40.0, 50.0] and np.isnan(held[[0, 4]]).all()
+    assert np.isnan(CommandHistory(1).held(0, np.array([1.0]), longest_s=1.0)).all(), "nothing was sent"
+
+
 def test_a_clock_that_was_set_back_replaces_what_came_after():
     history = CommandHistory(1)
     for time_s in (1.0, 2.0, 3.0, 2.5):

@@ -607,7 +607,6 @@ def test_what_only_hosts_send_is_not_answered(lab, code):
         struct.pack("<HH", 12, 9),
         wire.encode_packet(14),
         wire.encode_packet(14, b"LiveMode"),
-        wire.encode_packet(17, b"\1\2\3"),
         struct.pack("<HH", 14, 65535) + bytes(65503),
     ],
     ids=lambda datagram: "%d bytes" % len(datagram),

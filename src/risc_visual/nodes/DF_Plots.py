@@ -24,6 +24,7 @@ from risc_maap_msgs.msg import CommandsSent, OperatorState, TrajectoryPhases
 from risc_msgs.msg import Controls, Cortex, Trajectories
 from risc_visual.ros.node import Health
 
+_COUNTED = STATES, REFERENCES, COMMANDS  # on /diagnostics
 _LOOK_S = 1.0  # how often the main thread looks whether there is something to draw, or an end
 
 
@@ -47,17 +48,16 @@ class DFPlots:
         self._writer = course_plots.PageWriter(self._folder, params.pdf)
         self._drawing = threading.Lock()  # of the writer
         self._wanted = threading.Event()
-        self._health = Health("DF_Plots", ("/cortex_raw", "/trajectory", "/controls"), done="logged")
-        rospy.Service("~plot", Trigger, self._on_plot)
+        self._health = Health("DF_Plots", _COUNTED, done="logged")
+        rospy.Service("~plot", Trigger, lambda _request: TriggerResponse(*self._plot()))
         joysticks = params.joysticks or ["joy"] + ["/%s/joy" % vehicle.namespace for vehicle in fleet]
         for topic in sorted(set(map(rospy.resolve_name, joysticks))):
             # Of any age: plots move nothing, and a bag that is played is old.
             presses = ButtonPresses((params.plot_button,), math.inf)
             rospy.Subscriber(topic, Joy, self._on_joy, presses, queue_size=10, tcp_nodelay=True)
-        for topic, kind in ((PHASES, TrajectoryPhases), (OPERATOR, OperatorState)):
+        for topic, kind in ((PHASES, TrajectoryPhases), (OPERATOR, OperatorState), (SENT, CommandsSent)):
             rospy.Subscriber(topic, kind, self._on_message, topic, queue_size=10, tcp_nodelay=True)
-        rospy.Subscriber(SENT, CommandsSent, self._on_sent, queue_size=10, tcp_nodelay=True)
-        for topic, kind in ((REFERENCES, Trajectories), (COMMANDS, Controls), (STATES, Cortex)):
+        for topic, kind in zip(_COUNTED, (Cortex, Trajectories, Controls)):
             PacedSubscriber(topic, kind, self._on_message, params.rate_hz, (topic,))
         rospy.loginfo("plots go to %s: those of the course under way on button %d", self._folder, params.plot_button)
 
@@ -80,23 +80,14 @@ class DFPlots:
             self._folder.rmdir()  # nothing but an empty folder lets itself be removed
 
     def _on_message(self, message, topic):
-        is_phase = topic in (PHASES, OPERATOR)
         with self._lock:
-            self._recorder.add(topic, rospy.get_time(), message, None if is_phase else message.header.stamp.to_sec())
-        if not is_phase:
+            self._recorder.take(topic, rospy.get_time(), message, rospy.Time.to_sec)
+        if topic in _COUNTED:
             self._health.drawn(topic)
-
-    def _on_sent(self, message):
-        with self._lock:
-            for command in message.commands:
-                self._recorder.add(SENT, rospy.get_time(), command, command.sent.to_sec())
 
     def _on_joy(self, message, presses):
         if presses.update(message.buttons, sender=origin(message)[1]).in_time:
             self._wanted.set()
-
-    def _on_plot(self, _request):
-        return TriggerResponse(*self._plot())
 
     def _plot(self, growing=True):
         """Write what is new. Returns (whether there is anything, what was done in words)."""

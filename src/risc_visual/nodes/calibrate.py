@@ -7,6 +7,7 @@ import sys
 
 import cv2
 
+from data_extraction.command_line import run
 from risc_lab.lab.calibration import save_calibration
 from risc_visual.vision.checkerboard import MIN_VIEWS, Checkerboard, View, calibrate, find_board, shown_board
 from risc_visual.vision.picture_source import open_pictures
@@ -98,31 +99,30 @@ def main():
     parser.add_argument("--radial", type=int, choices=(2, 3), default=2, help="3: k3 too, for very wide lenses")
     parser.add_argument("--views", action="store_true", help="print the error of every view")
     args = parser.parse_args()
-    out = args.out or pathlib.Path(args.name + ".yaml")
     cv2.setNumThreads(1)
-    try:
-        if args.max_pictures < 1:
-            raise ValueError("--max-pictures must be 1 or more, found %d" % args.max_pictures)
-        board = Checkerboard.from_text(args.size, args.square)
-        if not out.absolute().parent.is_dir():
-            raise ValueError("cannot write %s: there is no folder %s, make it" % (out, out.parent))
-        source, count, pictures = open_pictures(args.source, args.topic, args.max_pictures)
-        views, size_px = find_views(source, count, pictures, board)
-        show_progress("calibrating with %d views ..." % len(views))
-        result = calibrate(views, board, size_px, args.name, args.radial)
-        save_calibration(result.calibration, out)
-    except (OSError, ValueError) as error:
-        show_progress("")
-        print("calibrate.py: %s" % error, file=sys.stderr)
-        return 1
+    return run(parser.prog, lambda _progress: work(args))
+
+
+def work(args):
+    """Calibrate. Raises OSError, ValueError."""
+    out = args.out or pathlib.Path(args.name + ".yaml")
+    if args.max_pictures < 1:
+        raise ValueError("--max-pictures must be 1 or more, found %d" % args.max_pictures)
+    board = Checkerboard.from_text(args.size, args.square)
+    if not out.absolute().parent.is_dir():
+        raise ValueError("cannot write %s: there is no folder %s, make it" % (out, out.parent))
+    source, count, pictures = open_pictures(args.source, args.topic, args.max_pictures)
+    views, size_px = find_views(source, count, pictures, board)
+    show_progress("calibrating with %d views ..." % len(views))
+    result = calibrate(views, board, size_px, args.name, args.radial)
     show_progress("")
+    save_calibration(result.calibration, out)
     report(result, source, len(views), count, args.views)
     print("wrote %s" % out)
     print(
         "Put it where the driver reads it: what `calibration` of the fleet file names (a bare name is a file in\n"
         "risc_lab/config/cameras), without a fleet file ~/.ros/camera_info/%s.yaml" % args.name
     )
-    return 0
 
 
 if __name__ == "__main__":

@@ -44,12 +44,6 @@ def test_calibrator_and_driver_are_about_the_same_camera(file_name, camera, chan
     assert params["/albatross/ardrone_driver/drone_ip"] == "192.168.1.7"
 
 
-def test_board_and_address_have_the_lab_s_defaults():
-    nodes, params = load("risc_camera_setup.launch", "name:=risc2", "fleet:=%s" % FLEET)
-    assert "--size 8x6 --square 0.025" in nodes["/risc2/cameracalibrator"].args
-    assert params["/risc2/ardrone_driver/drone_ip"] == "127.77.1.2"
-
-
 @pytest.mark.parametrize("calibration", ["risc2.yaml", "not_calibrated_yet.yaml", "relative/to/here.yaml", ""])
 def test_what_is_committed_is_what_the_next_flight_reads(tmp_path, calibration):
     content = yaml.safe_load(FLEET.read_text(encoding="utf-8"))

@@ -267,6 +267,53 @@ def test_a_long_flight_is_cut_and_old_segments_are_forgotten():
     assert all(s.duration_s == pytest.approx(2.0, abs=0.05) for s in segments)
 
 
+def rows_kept(recorder):
+    return sum(len(samples) for of_topic in recorder._recording._samples.values() for samples in of_topic.values())
+
+
+def see_none(name, t_s):
+    return state(name, t_s, visible=False)
+
+
+@pytest.mark.parametrize("see", [state, see_none], ids=["states without references", "references without sight"])
+@pytest.mark.parametrize("begin_s", [0.0, 3.5], ids=["from the begin", "after a segment"])
+def test_what_finds_no_partner_does_not_fill_the_memory(see, begin_s):
+    """A vehicle that stands about for a day, or that is lost, beside one that flies."""
+    recorder = Recorder(PlotParams(max_s=2.0))
+    fly(recorder, 0.0, begin_s)
+    kept = []
+    for k in range(round(100 * begin_s), 6000):
+        stamp_s = T0_S + 0.01 * k
+        states = [state("Raven", 0.01 * k), see("fluffy_II", 0.01 * k)]
+        entries = [reference("Raven", 0.01 * k)] + ([reference("fluffy_II", 0.01 * k)] if see is see_none else [])
+        recorder.add(STATES, stamp_s + 0.001, Cortex(Obj=states), stamp_s)
+        recorder.add(REFERENCES, stamp_s + 0.002, Trajectories(Obj=entries), stamp_s)
+        if k % 100 == 0:
+            recorder.ended()
+            kept.append(rows_kept(recorder))
+    assert max(kept) < 1500
+    fly(recorder, 60.0, 62.0)
+    recorder.finish()
+    found = [
+        (round(s.start_s - T0_S), round(2.0 * s.duration_s) / 2.0)
+        for s in recorder.segments()
+        if s.vehicle == "fluffy_II"
+    ]
+    assert found == ([(0, 2), (2, 1.5)] if begin_s else []) + [(60, 2)]
+
+
+def test_references_of_a_laboratory_without_motion_capture_do_not_fill_the_memory():
+    recorder = Recorder(PlotParams())
+    for k in range(3000):
+        recorder.add(REFERENCES, T0_S + 0.01 * k, Trajectories(Obj=[reference("fluffy_II", 0.01 * k)]), T0_S + 0.01 * k)
+        if k % 100 == 0:
+            recorder.ended()
+    assert rows_kept(recorder) <= 100
+    fly(recorder, 30.0, 32.0)
+    recorder.finish()
+    assert [round(s.duration_s) for s in recorder.segments()] == [2]
+
+
 def test_parameters_that_make_no_sense_are_refused():
     for key, wrong in (("rate_hz", 0.0), ("min_s", 0.5), ("min_s", 700.0), ("euler_angle_max", 20.0)):
         with pytest.raises(ValueError, match="'%s'" % key):

@@ -223,10 +223,6 @@ def test_the_picture_need_not_be_shrunk():
     assert np.hypot(*(truth - (found.x, found.y))) < 0.3
 
 
-def test_the_file_names_the_landmarks_of_the_laboratory():
-    assert {kind.roi_name: (kind.centre, kind.ring) for kind in CONFIG.landmarks} == KINDS
-
-
 def spoilt(change):
     wrong = copy.deepcopy(content())
     wrong["detector"] = {}

@@ -9,6 +9,7 @@ from risc_visual.vision.colours import HsvRange
 from risc_visual.vision.landmark_config import load_landmarks
 from risc_visual.vision.mask_tuning import MaskSettings, draw_mask, make_mask, save_colour
 
+OTHERS = "  blue: {hue: [82, 116]}\n  pink: {hue: [140, 179]}\n  orange: {hue: [5, 36]}\n"
 PAINT = HsvRange((170, 5), (80, 255), (40, 250))
 
 
@@ -108,3 +109,14 @@ def test_what_cannot_be_saved_is_told_and_changes_nothing(tmp_path, file, name, 
     with pytest.raises(ValueError, match=told):
         save_colour(tmp_path / file if file else "", name, PAINT)
     assert {path: path.read_text() for path in tmp_path.iterdir()} == before
+
+
+def test_a_file_in_block_style_with_comments_is_saved_into(tmp_path):
+    path = tmp_path / "my.yaml"
+    path.write_text("colours:  # mine\n  green:\n    hue:\n    - 50\n    - 70\n" + OTHERS)
+    save_colour(path, "green", PAINT)
+    assert load_landmarks(path).colours["green"] == PAINT
+    assert "# mine" in path.read_text() and "pink: {hue: [140, 179]}" in path.read_text()
+    path.write_text(path.read_text() + "colours: {}\n")
+    with pytest.raises(ValueError, match="my.yaml"):
+        save_colour(path, "green", PAINT)

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import os
 import re
 import threading
 from dataclasses import replace
@@ -139,7 +140,7 @@ def test_save_needs_a_file_that_the_fleet_names_and_that_can_be_written(tmp_path
     path = tmp_path / "mount.yaml"
     tuner = MountTuner(vehicle_with(path))
     before = path.read_bytes()
-    (tmp_path / "mount.yaml.new").mkdir()  # what it would write first cannot be written
+    (tmp_path / ("mount.yaml.%d" % os.getpid())).mkdir()  # what it would write first cannot be written
     tuner.change({"x": 0.5})
     done, text = tuner.save()
     assert not done and "cannot write %s" % path in text
@@ -148,7 +149,7 @@ def test_save_needs_a_file_that_the_fleet_names_and_that_can_be_written(tmp_path
     tuner = MountTuner(replace(VEHICLE, camera_mount=str(tmp_path / "folder.yaml")), TunerParams(nominal=True))
     done, text = tuner.save()
     assert not done and "cannot write" in text
-    assert not (tmp_path / "folder.yaml.new").exists(), "nothing is left over"
+    assert {path.name for path in tmp_path.glob("folder*")} == {"folder.yaml"}, "nothing is left over"
     assert "the nominal one again" in tuner.reset()[1]
     tuner = MountTuner(replace(VEHICLE, camera_mount="package://no_such_package/mount.yaml"), TunerParams(nominal=True))
     done, text = tuner.save()

@@ -14,6 +14,7 @@
 #include "cortex_ros/net.hpp"
 #include "cortex_ros/protocol.hpp"
 #include "cortex_ros/request_queue.hpp"
+#include "cortex_ros/sources/mocap_source.hpp"
 
 namespace cortex_ros {
 
@@ -29,9 +30,6 @@ Mode mode_from_text(const std::string& text);  // "auto", "stream", "poll"; else
 // host); empty throws std::invalid_argument, since nothing is sent to computers that the user has not named.
 std::string host_from_text(const std::string& text);
 
-// How frames come.
-enum class Feed { kStream, kPoll };
-
 struct ClientOptions {
   std::string host;           // dotted quad or name; empty: the first that answers the broadcast
   std::string local_address;  // own address on the network of the host; empty: the kernel's choice
@@ -42,7 +40,6 @@ struct ClientOptions {
   bool live_on_start = true;     // send LiveMode whenever the host was found (again)
   bool pause_on_exit = false;    // send Pause at the end of run(); stops the stream for other clients too
   double frame_rate_hz = 200.0;  // for polling, when the host does not tell its own; 1 to 10000
-  Identity identity{"cortex_ros", {4, 1, 0, 0}};  // program id 4: a client library
 
   Time hello_interval = std::chrono::milliseconds(100);  // while searching; doubles up to ...
   Time hello_interval_max = std::chrono::seconds(1);
@@ -55,72 +52,27 @@ struct ClientOptions {
   Time host_timeout = std::chrono::seconds(1);           // nothing at all from the host: it is gone
 };
 
-// What a host said about itself. Empty: it did not answer, or not sensibly.
-struct HostInfo {
-  Endpoint endpoint;
-  Identity identity;
-  std::optional<double> millimetres_per_unit;
-  std::optional<int> up_axis;  // 0 x, 1 y, 2 z
-  std::optional<double> frame_rate_hz;
-  std::optional<std::size_t> bodies;  // that it defines
-  bool live_mode_accepted = false;
-};
+constexpr double kMetresPerMillimetre = 0.001;
 
-struct ReceivedFrame {
-  const FrameOfData& frame;
-  Time receipt;  // wall time at which its datagram arrived
-  Feed feed;
-};
+// The one place where host units become metres. Overwrites number, delay, bodies and unidentified markers.
+// Host axes are kept. The product is taken in double precision: 1000.5 mm is 1.0005 m (the original release
+// multiplied in single precision and published 1.0005000829696655).
+void to_mocap_frame(const FrameOfData& frame, double metres_per_unit, MocapFrame& out);
 
-struct Statistics {
-  bool host_up = false;
-  std::string host;  // address:port, or what is being searched for
-  Feed feed = Feed::kStream;
-  std::uint64_t early = 0;         // frames dropped because the host's unit was not known yet
-  std::uint64_t malformed = 0;     // packets of the host that could not be decoded
-  std::uint64_t faulty_items = 0;  // optional parts dropped from good frames
-  std::uint64_t foreign = 0;       // datagrams that did not come from the host
-  std::uint64_t stale = 0;         // answers to no open request
-  std::uint64_t poll_timeouts = 0;
-  std::uint64_t connects = 0;       // times that the host was found
-  std::uint64_t announcements = 0;  // times that it announced itself although it was there
-  std::string obstacle;             // why the search cannot even begin; empty: it can
-};
-
-// All calls come from the thread that runs the client. References are good during the call only.
-class ClientEvents {
- public:
-  virtual ~ClientEvents() = default;
-  // Every frame of the host, as it came: late ones and duplicates, too (see frame_sequence.hpp). Only a poll
-  // that finds the frame of the poll before is not one.
-  virtual void on_frame(const ReceivedFrame& frame) = 0;
-  // Frames follow. Comes again, without an on_host_down() before, when the host was asked again because it
-  // had announced itself; frames went on meanwhile, by what was known.
-  virtual void on_host_up(const HostInfo&) {}
-  virtual void on_host_down(const std::string& /*why*/) {}   // once per absence
-  virtual void on_feed(Feed) {}                              // changed while the host is up
-  virtual void on_comment(const std::string& /*text*/) {}    // text from the host
-  virtual void on_malformed(const std::string& /*what*/) {}  // a packet, or part of a frame, was refused
-  virtual void on_problem(const std::string& /*text*/) {}    // something for the user to fix; each text once
-};
-
-class Client {
+class Client : public MocapSource {
  public:
   // Throws std::invalid_argument for a bad option. What the network does not give, such as a name that does
   // not resolve or an own address that the card does not have yet, is reported as a problem and tried again
   // while searching. `events` and `clock` must outlive the client.
-  Client(ClientOptions options, ClientEvents& events, const Clock& clock);
+  Client(ClientOptions options, SourceEvents& events, const Clock& clock);
 
-  // Works until stop(). One thread at a time may be in run() or step().
-  void run();
+  void run() override;
+  void stop() noexcept override { stop_ = true; }  // ends run() within 50 ms
+  SourceStatus status() const override;
 
-  // One turn: handles what has arrived, does what is due, then waits for the next event, at most max_wait.
+  // One turn of run(): handles what has arrived, does what is due, then waits for the next event, at most
+  // max_wait.
   void step(Time max_wait);
-
-  // Ends run() within 50 ms. May be called from any thread and from a signal handler.
-  void stop() noexcept { stop_ = true; }
-
-  Statistics statistics() const;  // from any thread
 
  private:
   enum class Phase {
@@ -138,7 +90,6 @@ class Client {
   void hint_once(const Endpoint& about, const std::string& hint);
   void dispatch(const Packet& packet, const Datagram& datagram, Channel channel);
   void dispatch_while_searching(const Packet& packet, const Datagram& datagram, Channel channel);
-  void handle_answer_to_hello(const Identity& identity, const Endpoint& source);
   void handle_frame(const FrameOfData& frame, const Datagram& datagram, Channel channel);
   void handle_announcement(const Identity& identity);
 
@@ -149,31 +100,30 @@ class Client {
   void send_hello(Time now);
   void connect(const Endpoint& host, const Identity& identity);
   void begin_setup();
-  void finish_setup();
+  void ask(const std::string& text, std::function<void(const GeneralReply&)> learn);
   void start_running();
+  void report_up();
+  void report_down(const std::string& why);
   void lose_host();
-  void ask(const std::string& text, std::function<void(const GeneralReply*)> done);
   void open_stream_socket();
   void join_group();
 
   // What is due.
   void tick();
-  void watch_host(Time now);
   void choose_feed(Time now);
   void poll_if_due(Time now);
-  Time poll_period() const;
-  void flush(RequestQueue& requests, Time now);
+  double frame_rate_hz() const { return info_.frame_rate_hz.value_or(options_.frame_rate_hz); }
+  void flush(Time now);
   Time time_to_next_event(Time now) const;
   void wait(Time time);
   void pause_host();
 
   void report_once(const std::string& problem);
+  void set_host_text(const std::string& text, const std::string& obstacle = "");
   std::string target() const;
-  template <typename Change>
-  void update_statistics(Change change);
 
   const ClientOptions options_;
-  ClientEvents& events_;
+  SourceEvents& events_;
   const Clock& clock_;
   std::atomic<bool> stop_{false};
 
@@ -181,6 +131,16 @@ class Client {
   std::optional<Address> configured_host_;  // empty while discovering, and until its name resolves
   std::optional<UdpSocket> command_;        // there unless searching; empty until it can be bound
   std::optional<UdpSocket> stream_;
+
+  // What a host said about itself. Empty: it did not answer, or not sensibly.
+  struct HostInfo {
+    Identity identity;
+    std::optional<double> millimetres_per_unit;
+    std::optional<int> up_axis;  // 0 x, 1 y, 2 z
+    std::optional<double> frame_rate_hz;
+    std::size_t bodies = 0;  // that it defines
+    bool live_mode_accepted = false;
+  };
 
   Phase phase_ = Phase::kSearching;
   std::optional<Endpoint> host_;                         // known unless searching
@@ -200,14 +160,27 @@ class Client {
   Time found_at_{0};
   Time last_setup_{0};
   Time last_stream_frame_{0};
-  Feed feed_ = Feed::kStream;
   Time next_poll_{0};
   std::optional<Time> polled_at_;  // and not answered yet; frames do not wait for answers to questions
   int polls_without_news_ = 0;
   std::optional<std::int32_t> newest_;  // frame number
+  MocapFrame frame_;
 
-  mutable std::mutex statistics_mutex_;
-  Statistics statistics_;
+  // What status() tells, from any thread.
+  using Count = std::atomic<std::uint64_t>;
+  Count early_{0};         // frames dropped because the host's unit was not known yet
+  Count malformed_{0};     // packets of the host that could not be decoded
+  Count faulty_items_{0};  // optional parts dropped from good frames
+  Count foreign_{0};       // datagrams that did not come from the host
+  Count stale_{0};         // answers to no open request
+  Count poll_timeouts_{0};
+  Count connects_{0};       // times that the host was found
+  Count announcements_{0};  // times that it announced itself although it was there
+  std::atomic<bool> up_{false};
+  std::atomic<bool> polling_{false};  // how frames come
+  mutable std::mutex text_mutex_;
+  std::string host_text_;  // address:port, or what is being searched for
+  std::string obstacle_;   // why the search cannot even begin; empty: it can
 };
 
 }  // namespace cortex_ros

@@ -59,26 +59,18 @@ class ClockFilter {
   bool locked() const { return locked_; }
 
  private:
-  // Envelope and frame times are nanoseconds since the reference, as doubles: exact over days, and they can
-  // be multiplied by a drift.
-  struct Block {
-    std::optional<double> envelope_ns;
-  };
   // Frames in a row that were all well above the envelope.
   struct Unsupported {
     Time since{0};
     double least_offset_ns = 0.0;
   };
 
-  bool continues(std::int32_t frame, Time direct) const;
   void start(std::int32_t frame, Time direct);
   double frame_time_ns(std::int32_t frame) const;
-  void age_envelopes(double elapsed_ns);
   void close_block();
   double envelope_ns() const;
   void check_support(Time direct, double offset_ns);
   Time filtered(std::int32_t frame, Time direct);
-  Time increasing(Time stamp);
 
   Options options_;
   double period_ns_ = 0.0;
@@ -90,8 +82,9 @@ class ClockFilter {
   std::int32_t last_frame_ = 0;
   Time last_direct_{0};
   std::optional<Unsupported> unsupported_;
-  Block previous_;
-  Block current_;
+  // Envelopes of two blocks and frame times are nanoseconds since the reference, as doubles: exact over days,
+  // and they can be multiplied by a drift.
+  std::optional<double> previous_ns_, current_ns_;
   double block_end_ns_ = 0.0;
 
   std::optional<Time> last_stamp_;

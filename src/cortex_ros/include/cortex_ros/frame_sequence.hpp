@@ -21,16 +21,30 @@ class FrameSequence {
   static constexpr int kLateBeforeRestart = 3;     // this many late ones in a row are a restart
   static constexpr std::int64_t kMaxGap = 100000;  // frames; a larger step ahead is a jump, not a loss
 
-  FrameOrder classify(std::int32_t frame);
+  FrameOrder classify(std::int32_t frame) {
+    const std::int64_t step = newest_ ? std::int64_t{frame} - *newest_ : 1;
+    gap_ = 0;
+    if (step == 0) {
+      return FrameOrder::kDuplicate;
+    }
+    if (step < 0 && step >= -kLateWindow && ++late_in_a_row_ < kLateBeforeRestart) {
+      return FrameOrder::kLate;
+    }
+    newest_ = frame;
+    late_in_a_row_ = 0;
+    if (step < 0 || step > kMaxGap + 1) {
+      return FrameOrder::kRestart;
+    }
+    gap_ = step - 1;
+    return FrameOrder::kNew;
+  }
 
   // Frames missing right before the last one that was kNew.
   std::int64_t gap() const { return gap_; }
 
-  void reset();
+  void reset() { *this = FrameSequence(); }
 
  private:
-  FrameOrder accept(std::int32_t frame, FrameOrder order);
-
   std::optional<std::int64_t> newest_;
   std::int64_t gap_ = 0;
   int late_in_a_row_ = 0;

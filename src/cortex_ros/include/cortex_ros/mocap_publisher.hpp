@@ -61,10 +61,7 @@ class MocapPublisher : private SourceEvents {
   void on_log(LogLevel level, const std::string& text) override;
   void on_frequent_log(LogLevel level, const std::string& text) override;
 
-  bool is_new(const MocapFrame& frame);
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
-  void summarize(diagnostic_updater::DiagnosticStatusWrapper& status, const SourceStatus& source,
-                 const Health& health, double rate_hz) const;
 
   std::string source_name_ = "cortex";
   double max_delay_s_ = 0.5;
@@ -72,7 +69,7 @@ class MocapPublisher : private SourceEvents {
   bool filter_stamps_ = true;
   std::string frame_id_ = "cortex";
 
-  const SystemClock clock_;
+  const Clock clock_;
   ros::Publisher markers_;
   ros::Publisher time_;
   ros::Publisher status_;

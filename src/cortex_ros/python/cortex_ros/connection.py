@@ -3,10 +3,13 @@
 The node `stream_markers` has a client of its own (C++), which looks for the host again and never waits.
 """
 
+import contextlib
 import select
 import socket
 import struct
 import time
+
+import psutil
 
 from cortex_ros import wire
 from cortex_ros.wire import Command
@@ -23,8 +26,10 @@ class CortexConnection:
 
     def __init__(self, identity, host, command_port, interface=""):
         """identity: wire.Identity to say hello with.   host: or BROADCAST.   interface: own address; "" = any."""
-        self._identity, self._host, self._interface = identity, host, interface
-        self._address = (socket.gethostbyname("255.255.255.255" if host == BROADCAST else host), command_port)
+        self._identity, self._interface = identity, interface
+        self._searching = host == BROADCAST
+        addresses = broadcast_addresses(interface) if self._searching else [socket.gethostbyname(host)]
+        self._destinations = [(address, command_port) for address in addresses]
         self.malformed = []  # what was wrong with packets of the host
         self.on_comment = lambda text: None  # what the host says unasked
         self._stream = None
@@ -40,7 +45,7 @@ class CortexConnection:
     @property
     def address(self):
         """(address, port) of the host."""
-        return self._address
+        return self._destinations[0]
 
     def close(self):
         self._command.close()
@@ -49,7 +54,7 @@ class CortexConnection:
 
     def open_stream(self, group, port, group_only=False):
         """Listen to the stream, see `stream_socket`. Raises OSError."""
-        self._stream = stream_socket(self._address[0], group, port, self._interface, group_only)
+        self._stream = stream_socket(self.address[0], group, port, self._interface, group_only)
 
     def hello(self):
         """Identity of the host. Raises OSError: TimeoutError, ConnectionRefusedError, ..."""
@@ -63,7 +68,7 @@ class CortexConnection:
         """Content of the host's answer, None when none comes or the host does not know the request."""
         for _ in range(tries):
             self._drain(self._command)  # what answers an earlier request must not answer this one
-            self._command.sendto(packet, self._address)
+            self._send(packet)
             deadline = time.monotonic() + patience_s
             while (reply := self._next(self._command, deadline)) is not None:
                 if reply.command in (answer, Command.UNRECOGNIZED_REQUEST):
@@ -103,6 +108,17 @@ class CortexConnection:
                 end = start + seconds
                 yield time.monotonic(), packet.content
 
+    def _send(self, packet):
+        """To the host, or while it is searched to every network that can be reached. Raises OSError if none can."""
+        errors = []
+        for destination in self._destinations:
+            try:
+                self._command.sendto(packet, destination)
+            except OSError as error:
+                errors.append(error)
+        if len(errors) == len(self._destinations):
+            raise errors[0]
+
     def _drain(self, sock):
         while select.select([sock], [], [], 0.0)[0]:
             self._receive(sock)
@@ -122,20 +138,36 @@ class CortexConnection:
         except BlockingIOError:  # what waits is only the record of a refusal that has been raised already
             sock.recvmsg(0, _BUFFER_BYTES, socket.MSG_ERRQUEUE | socket.MSG_DONTWAIT)
             return None
-        if self._host != BROADCAST and sender[0] != self._address[0]:
+        if not self._searching and sender[0] != self.address[0]:
             return None
         try:
             packet = wire.decode_packet(data)
         except wire.MalformedPacketError as error:
             self.malformed.append(str(error))
             return None
-        if self._host == BROADCAST:
+        if self._searching:
             if packet.command != Command.HERE_I_AM or packet.content.version[0] != 1:  # other programs speak it, too
                 return None
-            self._host, self._address = sender[0], sender
+            self._searching, self._destinations = False, [sender]
         if packet.command == Command.COMMENT:
             self.on_comment(packet.content)
         return packet
+
+
+def broadcast_addresses(interface=""):
+    """Where all networks of this computer hear a packet, or only that of the card with the address `interface`.
+
+    The limited broadcast address leaves by one card only: that of the default route.
+    """
+    cards = [entry for entries in psutil.net_if_addrs().values() for entry in entries if entry.broadcast]
+    directed = {
+        entry.broadcast
+        for entry in cards
+        if entry.family == socket.AF_INET and interface in ("", "0.0.0.0", entry.address)
+    }
+    if interface.startswith("127."):
+        directed.add("127.255.255.255")  # the kernel has it, although the card does not list it
+    return ["255.255.255.255", *sorted(directed)]
 
 
 def stream_socket(host, group, port, interface="", group_only=False):
@@ -150,8 +182,7 @@ def stream_socket(host, group, port, interface="", group_only=False):
         sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
         sock.bind((group if group_only else "", port))
         if group:
-            own = interface or _source_towards(host)
-            membership = socket.inet_aton(group) + socket.inet_aton(own)
+            membership = socket.inet_aton(group) + socket.inet_aton(interface or _source_towards(host))
             sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
     except OSError:
         sock.close()
@@ -161,9 +192,7 @@ def stream_socket(host, group, port, interface="", group_only=False):
 
 def _source_towards(host):
     """Own address from which the kernel would send to a host; 0.0.0.0 when there is no route."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect((host, _ANY_PORT))
-        except OSError:
-            return "0.0.0.0"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        probe.connect((host, _ANY_PORT))
         return probe.getsockname()[0]
+    return "0.0.0.0"

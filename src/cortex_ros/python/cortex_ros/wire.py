@@ -134,27 +134,19 @@ class Frame(NamedTuple):
     faults: Sequence[str] = ()
 
 
-class BasePosition(NamedTuple):
-    """A skeleton pose pushed by a client: segments (name, parent); pose (s, 7) float64 as in BodyFrame.segments."""
-
-    segments: Sequence[tuple[str, int]]
-    pose: np.ndarray
-
-
 class Packet(NamedTuple):
-    """A decoded datagram. content by command: Identity, BodyDefs, Frame, BasePosition, str (texts), else bytes."""
+    """A decoded datagram. content by command: Identity, BodyDefs, Frame, str (texts), else bytes."""
 
     command: int
-    content: Identity | BodyDefs | Frame | BasePosition | str | bytes
+    content: Identity | BodyDefs | Frame | str | bytes
 
 
 _FRAME_OF_DATA = int(Command.FRAME_OF_DATA)  # struct is slow with enumerations
 _HEADER = struct.Struct("<HH")
 _FRAME_HEAD = struct.Struct("<HHii")
-_F32 = struct.Struct("<f")
+_I32, _F32 = struct.Struct("<i"), struct.Struct("<f")
 _IDENTITY = struct.Struct("<128s4B")
 _NO_SEGMENTS_NO_DOFS = bytes(8)
-_NO_ANALOG_NO_FORCES = bytes(16)
 
 
 # --- encoding -----------------------------------------------------------------------------------------------------
@@ -214,10 +206,9 @@ class FrameEncoder:
         self._starts = np.array(starts, dtype=np.int64)  # where each marker lies in the packet
         self._wire_mm = np.empty((len(starts), 3), "<f4")  # the markers as they go into the packet,
         self._wire_bytes = self._wire_mm.view(np.uint8)  # and their bytes
-        self._end = _end_of_frame(b"")  # of a frame without unidentified markers and recording
-        self._frame = bytearray(b"".join(parts) + self._end)
+        self._bodies_end = size
+        self._frame = bytearray(b"".join(parts) + self._end())
         self._packet = np.frombuffer(self._frame, np.uint8)
-        self._check_size(len(self._frame), 0)
         _put_markers(np.empty((0, 3)), 1.0, self._starts, self._wire_mm, self._wire_bytes, self._packet)  # loads it
 
     def encode(self, number, markers, unidentified=None, delay_s=0.0, recording=None):
@@ -231,34 +222,31 @@ class FrameEncoder:
         if markers.shape != self._wire_mm.shape:
             raise ValueError("the layout has %d markers, got %d" % (self.marker_count, len(markers)))
         _put_markers(markers, self._mm_per_unit, self._starts, self._wire_mm, self._wire_bytes, self._packet)
-        packet = self._frame[:]
-        tail = b""
+        packet, loose, item = self._frame[:], b"", b""
+        if unidentified is not None and len(unidentified):
+            loose = (unidentified * self._mm_per_unit).astype("<f4").tobytes()
         if recording is not None:
             *numbers, name = recording
             data = _i32(*numbers) + _text(name, MAX_FILE_NAME_BYTES)
-            tail = _i32(TAG_RECORDING, len(data)) + data
-        if unidentified is not None and len(unidentified):
-            loose = (unidentified * self._mm_per_unit).astype("<f4").tobytes()
-            packet[-len(self._end) :] = _end_of_frame(loose)
-            self._check_size(len(packet) + len(tail), len(unidentified))
-        packet += tail
+            item = _i32(TAG_RECORDING, len(data)) + data
+        if loose or item:
+            packet[self._bodies_end :] = self._end(loose, item)
         _FRAME_HEAD.pack_into(packet, 0, _FRAME_OF_DATA, len(packet) - 4, number, self._body_count)
-        delay_offset = len(packet) - len(tail) - 4
+        delay_offset = len(packet) - len(item) - 4
         _F32.pack_into(packet, delay_offset, delay_s)
         return packet, delay_offset
 
-    def _check_size(self, packet_bytes, loose_count):
-        if packet_bytes > MAX_DATAGRAM_BYTES:
+    def _end(self, loose=b"", recording=b""):
+        """What follows the bodies: unidentified markers, no analog samples and forces, a delay of 0, an item."""
+        end, loose_count = _i32(len(loose) // 12) + loose + bytes(24) + recording, len(loose) // 12
+        payload_bytes = self._bodies_end + len(end) - 4
+        if payload_bytes > MAX_PAYLOAD_BYTES:
             raise PacketTooLargeError(
                 "a frame of %d bodies, %d markers and %d unidentified markers needs %d payload bytes, one datagram"
                 " holds %d: use fewer"
-                % (self._body_count, self.marker_count, loose_count, packet_bytes - 4, MAX_PAYLOAD_BYTES)
+                % (self._body_count, self.marker_count, loose_count, payload_bytes, MAX_PAYLOAD_BYTES)
             )
-
-
-def _end_of_frame(loose):
-    """End of a frame behind its bodies: unidentified markers, no analog samples, no forces, a delay of 0."""
-    return _i32(len(loose) // 12) + loose + _NO_ANALOG_NO_FORCES + bytes(8)
+        return end
 
 
 @compiled
@@ -324,10 +312,8 @@ def decode_packet(datagram):
 
 def decode_identity(payload):
     """Identity; bytes of later versions behind the 132 are ignored, a name without end is cut at 127 bytes."""
-    if len(payload) < _IDENTITY.size:
-        raise MalformedPacketError("identity of %d bytes, %d needed" % (len(payload), _IDENTITY.size))
-    name, v0, v1, v2, v3 = _IDENTITY.unpack_from(payload)
-    return Identity(_str(name[:MAX_NAME_BYTES].split(b"\0", 1)[0]), (v0, v1, v2, v3))
+    name, *version = _IDENTITY.unpack(_Reader(payload).take(_IDENTITY.size, "identity"))
+    return Identity(_str(name[:MAX_NAME_BYTES].split(b"\0", 1)[0]), tuple(version))
 
 
 def decode_text(payload):
@@ -338,31 +324,28 @@ def decode_text(payload):
 def decode_body_defs(payload):
     """BodyDefs; bytes behind the number of force plates belong to later versions and are ignored."""
     reader = _Reader(payload)
-    bodies = []
-    for _ in range(reader.count("bodies", 13, MAX_BODIES)):
-        name = reader.text("body name")
-        markers = reader.names("marker")
-        segments = [
-            (reader.text("segment name"), reader.i32("segment parent")) for _ in range(reader.count("segments", 5))
-        ]
-        bodies.append(BodyDef(name, markers, segments, reader.names("dof")))
-    channels = reader.names("analog channel")
-    plates = reader.i32("force plates")
-    if plates < 0:
-        raise MalformedPacketError("%d force plates" % plates)
-    return BodyDefs(bodies, channels, plates)
+    bodies = [
+        BodyDef(
+            reader.text("body name"),
+            reader.names("marker"),
+            [(reader.text("segment name"), reader.i32("segment parent")) for _ in range(reader.count("segments", 5))],
+            reader.names("dof"),
+        )
+        for _ in range(reader.count("bodies", 13, MAX_BODIES))
+    ]
+    return BodyDefs(bodies, reader.names("analog channel"), reader.count("force plates", 0))
 
 
 def decode_frame(payload):
     """Frame. The sections up to the forces must be sound; a faulty optional item is dropped and counted in `faults`."""
     reader = _Reader(payload)
     number = reader.i32("frame number")
-    bodies = []
-    for _ in range(reader.count("bodies", 13, MAX_BODIES)):
-        name = reader.text("body name")
-        markers = reader.markers("markers")
-        segments = reader.array("<f8", 7, reader.count("segments", 56)).reshape(-1, 7)
-        bodies.append(BodyFrame(name, markers, segments, reader.array("<f8", 1, reader.count("dofs", 8))))
+    bodies = [
+        BodyFrame(
+            reader.text("body name"), reader.markers("markers"), reader.rows("segments"), reader.rows("dofs", 1).ravel()
+        )
+        for _ in range(reader.count("bodies", 13, MAX_BODIES))
+    ]
     unidentified = reader.markers("unidentified markers")
     analog = reader.samples("analog", "<i2", 1)
     forces = reader.samples("force", "<f4", 7)
@@ -383,30 +366,13 @@ def decode_frame(payload):
                 raise MalformedPacketError("tag %d of %d bytes" % (tag, length))
             window = reader.take(length)
             if tag in _TAG_DECODERS:
-                items[tag] = _TAG_DECODERS[tag](window, len(bodies))
+                items[tag] = _TAG_DECODERS[tag](_Reader(window), len(bodies))
             else:
                 other_tags.append((tag, window))
         except MalformedPacketError as error:
             faults.append(str(error))
     found = (items.get(tag) for tag in (TAG_ENCODERS, TAG_RECORDING, TAG_LENSES))
     return Frame(number, bodies, unidentified, analog, forces, delay_s, *found, other_tags, faults)
-
-
-def decode_base_position(payload):
-    """BasePosition pushed by a client."""
-    if len(payload) < 4:
-        raise MalformedPacketError("skeleton of %d bytes" % len(payload))
-    hierarchy_bytes, pose_bytes = _HEADER.unpack_from(payload)
-    if 4 + hierarchy_bytes + pose_bytes != len(payload):
-        raise MalformedPacketError(
-            "skeleton parts of %d and %d bytes in a payload of %d" % (hierarchy_bytes, pose_bytes, len(payload))
-        )
-    reader = _Reader(payload[4 : 4 + hierarchy_bytes])
-    parents_first = [
-        (reader.i32("segment parent"), reader.text("segment name")) for _ in range(reader.count("segments", 5))
-    ]
-    pose = _Reader(payload[4 + hierarchy_bytes :]).array("<f8", 7, len(parents_first)).reshape(-1, 7)
-    return BasePosition([(name, parent) for parent, name in parents_first], pose)
 
 
 def _str(data):
@@ -424,31 +390,25 @@ class _Reader:
     def left(self):
         return len(self._data) - self._at
 
-    def _step(self, size, what):
+    def take(self, size, what="block"):
         at = self._at
         if size > self.left:
             left, self._at = self.left, len(self._data)  # what is too short ends here
             raise MalformedPacketError("%s at payload byte %d: %d bytes needed, %d left" % (what, at, size, left))
         self._at = at + size
-        return at
+        return self._data[at : self._at]
 
     def i32(self, what):
-        return struct.unpack_from("<i", self._data, self._step(4, what))[0]
+        return _I32.unpack(self.take(4, what))[0]
 
     def f32(self, what):
-        return _F32.unpack_from(self._data, self._step(4, what))[0]
-
-    def take(self, size):
-        at = self._step(size, "block")
-        return self._data[at : at + size]
+        return _F32.unpack(self.take(4, what))[0]
 
     def text(self, what, limit=MAX_NAME_BYTES):
         end = self._data.find(b"\0", self._at)
         if end < 0 or end - self._at > limit:
             raise MalformedPacketError("%s at payload byte %d has no end within %d bytes" % (what, self._at, limit))
-        text = _str(self._data[self._at : end])
-        self._at = end + 1
-        return text
+        return _str(self.take(end + 1 - self._at)[:-1])
 
     def count(self, what, smallest_bytes, limit=None):
         """A count of things that take at least smallest_bytes each: refused when they cannot be there."""
@@ -460,46 +420,43 @@ class _Reader:
     def names(self, what):
         return [self.text(what + " name") for _ in range(self.count(what + " names", 1))]
 
-    def array(self, dtype, width, count):
-        """count * width numbers, flat; a view of the packet."""
-        if not count:
-            return np.empty(0, dtype)
-        at = self._step(count * width * np.dtype(dtype).itemsize, "numbers")
-        return np.frombuffer(self._data, dtype, count * width, at)
+    def numbers(self, dtype, count):
+        return np.frombuffer(self.take(count * np.dtype(dtype).itemsize, "numbers"), dtype)
+
+    def rows(self, what, width=7, dtype="<f8"):
+        """A count and so many rows of numbers."""
+        count = self.count(what, width * np.dtype(dtype).itemsize)
+        return self.numbers(dtype, width * count).reshape(-1, width)
 
     def markers(self, what):
-        markers = self.array("<f4", 3, self.count(what, 12)).reshape(-1, 3).copy()
+        markers = self.rows(what, 3, "<f4").copy()
         # x alone decides, as in the SDK; the comparison is false for NaN and infinities count as missing too
         markers[~(np.isfinite(markers).all(axis=1) & (markers[:, 0] != MISSING_MM))] = np.nan
         return markers
 
     def samples(self, what, dtype, width):
-        channels, samples = self.i32(what + " channels"), self.i32(what + " samples")
-        if channels < 0 or samples < 0:
-            raise MalformedPacketError("%d x %d %s samples" % (channels, samples, what))
-        values = self.array(dtype, width, channels * samples)
+        channels, samples = self.count(what + " channels", 0), self.count(what + " samples", 0)
+        values = self.numbers(dtype, width * channels * samples)
         return Samples(channels, samples, values.reshape(-1, width) if width > 1 else values)
 
 
-def _decode_encoders(window, _body_count):
-    reader = _Reader(window)
+def _decode_encoders(reader, _body_count):
     encoders = reader.samples("encoder", "<f8", 1)
     if reader.left:
         raise MalformedPacketError("%d bytes behind the encoders" % reader.left)
     return encoders
 
 
-def _decode_recording(window, _body_count):
-    reader = _Reader(window)
-    active, first, last = reader.i32("recording"), reader.i32("first frame"), reader.i32("last frame")
-    return Recording(active, first, last, _str(window[12:].split(b"\0", 1)[0]))
+def _decode_recording(reader, _body_count):
+    numbers = [reader.i32(what) for what in ("recording", "first frame", "last frame")]
+    return Recording(*numbers, _str(reader.take(reader.left).split(b"\0", 1)[0]))
 
 
-def _decode_lenses(window, body_count):
-    return _Reader(window).array("<i4", 2, body_count).reshape(-1, 2)
-
-
-_TAG_DECODERS = {TAG_ENCODERS: _decode_encoders, TAG_RECORDING: _decode_recording, TAG_LENSES: _decode_lenses}
+_TAG_DECODERS = {
+    TAG_ENCODERS: _decode_encoders,
+    TAG_RECORDING: _decode_recording,
+    TAG_LENSES: lambda reader, body_count: reader.numbers("<i4", 2 * body_count).reshape(-1, 2),
+}
 _DECODERS = {
     Command.HELLO_WORLD: decode_identity,
     Command.HERE_I_AM: decode_identity,
@@ -507,5 +464,4 @@ _DECODERS = {
     Command.BODYDEFS: decode_body_defs,
     Command.FRAME_OF_DATA: decode_frame,
     Command.GENERAL_REQUEST: decode_text,
-    Command.PUSH_BASEPOSITION: decode_base_position,
 }

@@ -4,14 +4,12 @@ import contextlib
 import heapq
 import io
 import pathlib
-from itertools import accumulate, count
+from itertools import count
 
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag1 import Reader, ReaderError
 from rosbags.rosbag1.reader import Header, RecordType, read_bytes, read_uint32
 from rosbags.serde import SerdeError
-
-_MOST_CHUNKS = 32  # that overlap in time and are held in memory together; recorders write less than 1 MB into one
 
 
 class BagError(ValueError):
@@ -95,16 +93,12 @@ class Bag:
 class _ChunkReader(Reader):
     """Reads a bag chunk by chunk, so that memory does not grow with its length.
 
-    The library's own reader keeps an index of every message: 150 bytes each, a gigabyte for an hour at 200 Hz.
+    The library's own reader keeps an index of every message: 150 bytes each, a gigabyte for an hour at 200 Hz. Chunks
+    that overlap in time, which recorders do not write, are held in memory together.
     """
 
     def read_index_data(self, pos, indexes):
         """Nothing to read: chunks say themselves what is in them, and `open` seeks to the next."""
-
-    def most_overlapping(self):
-        """How many chunks have to be held together to give the messages in order of time."""
-        edges = [edge for chunk in self.chunk_infos for edge in ((chunk.start_time, 1), (chunk.end_time, -1))]
-        return max(accumulate(step for _, step in sorted(edges)), default=0)
 
     def messages(self, connections=(), start=None, stop=None):
         """As Reader.messages: (connection, time [ns], raw message) in the order of time."""
@@ -139,15 +133,10 @@ class _ChunkReader(Reader):
 
 
 def _open(path):
-    """An open reader of a bag; a bag whose chunks were written in a muddle gets one that keeps an index."""
-    any_reader = AnyReader([path])
-    if any_reader.is2:
+    """An open reader of a bag."""
+    reader = AnyReader([path])
+    if reader.is2:
         raise AnyReaderError("its name does not end in .bag")
-    indexed, chunked = any_reader.readers, _ChunkReader(path)
-    any_reader.readers = [chunked]
-    any_reader.open()
-    if chunked.most_overlapping() > _MOST_CHUNKS:
-        any_reader.close()
-        any_reader.readers = indexed
-        any_reader.open()
-    return any_reader
+    reader.readers = [_ChunkReader(path)]
+    reader.open()
+    return reader

@@ -1,11 +1,13 @@
 """Bearing errors: what the vehicles' cameras measured against where things really were."""
 
+from collections import defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from data_extraction.flatten import seconds
 from data_extraction.recording import best_shift
+from data_extraction.report.topics import Collector
 from data_extraction.samples import Samples
 from data_extraction.surroundings import Surroundings
 from risc_estimation.bearings import make_camera
@@ -22,47 +24,46 @@ _DELAY_GAIN_DEG = 0.02  # delays that make no more difference to the errors than
 _LATE_S = 0.01  # stamps that are later than this deserve a remark
 
 
-@dataclass
 class TargetBearings:
     """One vehicle's bearings of one object."""
 
-    name: str  # mocap template
-    is_vehicle: bool = False
-    # of every detection: stamp [s], azimuth, elevation, their errors (measured less true) [deg], whether the object was
-    # fully in the picture, error against covariance (see `_normalised`; NaN without one)
-    rows: list[tuple] = field(default_factory=list)
-    in_view: int = 0  # pictures in which it was fully to be seen; 0 when the camera is not known
-    seen: int = 0  # of these, those in which it was found
-    out_of_view: int = 0  # detections while it was not to be seen at all: false alarms
+    def __init__(self, name, is_vehicle):
+        """name: mocap template."""
+        self.name, self.is_vehicle = name, is_vehicle
+        # of every detection: stamp [s], azimuth, elevation, their errors (measured less true) [deg], whether the object
+        # was fully in the picture (1, else 0), error against covariance (see `_normalised`; NaN without one)
+        self.rows = Samples(7)
+        self.in_view = 0  # pictures in which it was fully to be seen; 0 when the camera is not known
+        self.seen = 0  # of these, those in which it was found
+        self.out_of_view = 0  # detections while it was not to be seen at all: false alarms
 
     @property
-    def table(self):
-        """(n, 7) rows; 1 where it was fully in the picture, else 0."""
-        return np.array(self.rows, dtype=float).reshape(-1, 7)
+    def judged(self):
+        """(n, 7) rows of the fully seen ones."""
+        table = self.rows.table()
+        return table[table[:, 5] > 0.0]
 
     @property
     def judged_deg(self):
         """(n, 2) errors of the fully seen ones."""
-        table = self.table
-        return table[table[:, 5] > 0.0, 3:5]
+        return self.judged[:, 3:5]
 
     def figures(self):
         """Numbers for the summary; None where there is nothing to tell."""
-        table = self.table
-        errors, whole = table[:, 3:5], table[:, 5] > 0.0
-        judged, partial = errors[whole], errors[~whole]
-        normalised = table[whole & (np.abs(errors) <= GROSS_ERROR_DEG).all(axis=1), 6]
-        normalised = normalised[np.isfinite(normalised)]
-        bias = judged.mean(axis=0).tolist() if len(judged) else (None, None)
-        rms, partial_rms = _rms(judged), _rms(partial)
+        table, judged = self.rows.table(), self.judged
+        errors, partial = judged[:, 3:5], table[table[:, 5] == 0.0, 3:5]
+        gross = (np.abs(errors) > GROSS_ERROR_DEG).any(axis=1)
+        normalised = judged[~gross & np.isfinite(judged[:, 6]), 6]
+        bias = errors.mean(axis=0).tolist() if len(errors) else (None, None)
+        rms, partial_rms = _rms(errors), _rms(partial)
         return {
-            "count": len(judged),
+            "count": len(errors),
             "azimuth_bias_deg": bias[0],
             "elevation_bias_deg": bias[1],
             "azimuth_rms_deg": rms[0],
             "elevation_rms_deg": rms[1],
             "normalised_rms": float(np.sqrt(normalised.mean())) if len(normalised) else None,
-            "gross": int((np.abs(judged) > GROSS_ERROR_DEG).any(axis=1).sum()),
+            "gross": int(gross.sum()),
             "in_view": self.in_view,
             "seen_percent": round(100.0 * self.seen / self.in_view, 2) if self.in_view else None,
             "false_alarms": self.out_of_view,
@@ -79,72 +80,61 @@ class BearingStatistics:
     truth: str  # "ground truth" or "mocap"
     landmarks_from: str  # "fleet" or "/states3"
     delay_s: float  # that the stamps were corrected by
-    vehicles: dict[str, dict[str, TargetBearings]]  # observer -> object -> bearings
     best_delay_s: float | None = None  # the correction that explains the errors best; None = cannot be told
     best_delay_rms_deg: float | None = None  # both angles, with that correction
+    vehicles: dict[str, dict[str, TargetBearings]] = field(default_factory=dict)  # observer -> object -> bearings
     notes: list[str] = field(default_factory=list)
 
     @property
     def has_judged(self):
         """Whether anything was fully seen, and hence has an error."""
-        return any(len(target.judged_deg) for targets in self.vehicles.values() for target in targets.values())
+        return any(len(target.judged) for targets in self.vehicles.values() for target in targets.values())
 
     def figures(self):
         """The part `bearings` of summary.json."""
-        return {
-            "truth": self.truth,
-            "landmarks_from": self.landmarks_from,
-            "delay_s": self.delay_s,
-            "best_delay_s": self.best_delay_s,
-            "best_delay_rms_deg": self.best_delay_rms_deg,
-            "vehicles": {
-                vehicle: {name: target.figures() for name, target in sorted(targets.items())}
-                for vehicle, targets in sorted(self.vehicles.items())
-            },
-            "notes": self.notes,
+        vehicles = {
+            vehicle: {name: target.figures() for name, target in sorted(targets.items())}
+            for vehicle, targets in sorted(self.vehicles.items())
         }
+        return vars(self) | {"vehicles": vehicles}
 
 
-class BearingCollector:
+class BearingCollector(Collector):
     """Takes the messages of a bag one by one, keeps what `BearingStatistics` needs."""
 
-    def __init__(self, fleet=None, rectified=True):
-        """fleet: risc_lab.lab.Fleet, see Surroundings. rectified: whether vision worked on rectified pictures.
+    topics = (ANGLES, DETECTIONS)
 
-        Raises ValueError, from Surroundings.
-        """
+    def __init__(self, fleet=None):
+        """fleet: risc_lab.lab.Fleet, see Surroundings. Raises ValueError, from there."""
         self._fleet = fleet
-        self._rectified = rectified
         self._surroundings = Surroundings(fleet, (GROUND_TRUTH, MOCAP_STATES))
-        # observer, as on /angles -> Samples: stamp, index of the name, is a vehicle, visible, azimuth, elevation [deg]
-        self._rows = {}
-        self._regions = self._surroundings.catalogue.template_of_region
+        # observer, as on /angles -> stamp, index of the name, is a vehicle, visible, azimuth, elevation [deg]
+        self._rows = defaultdict(lambda: Samples(6))
+        # the same -> stamp, index of the name, xx, xy, yy [px^2] of its detection
+        self._covariances = defaultdict(lambda: Samples(5))
         self._names = {}  # of objects, as on /angles -> index
-        self._covariances = {}  # observer -> Samples: stamp, index of the name, xx, xy, yy [px^2] of its detection
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
-        if topic == ANGLES:
-            stamp_s = seconds(message.header.stamp)
-            for entry in message.Obj:
-                rows = self._rows.setdefault(entry.name, Samples(6))
-                for is_quad, angles in ((False, entry.landmarks), (True, entry.quads)):
-                    for angle in angles:
-                        index = self._names.setdefault(angle.name, len(self._names))
-                        rows.append((stamp_s, index, is_quad, angle.visible, angle.azim, angle.elev))
-        elif topic == DETECTIONS:
-            stamp_s = seconds(message.header.stamp)
-            rows = self._covariances.setdefault(message.name, Samples(5))
+        if topic not in self.topics:
+            self._surroundings(topic, receipt_s, message)
+            return
+        stamp_s, names = seconds(message.header.stamp), self._names
+        if topic == DETECTIONS:
             for item in (*message.landmarks, *message.quads):
                 if item.visible and item.covariance[0] > 0.0:
-                    index = self._names.setdefault(item.name, len(self._names))
-                    rows.append((stamp_s, index, item.covariance[0], item.covariance[1], item.covariance[3]))
-        else:
-            self._surroundings(topic, receipt_s, message)
+                    index = names.setdefault(item.name, len(names))
+                    self._covariances[message.name].append((stamp_s, index, *item.covariance[[0, 1, 3]]))
+            return
+        for entry in message.Obj:
+            for is_quad, angles in enumerate((entry.landmarks, entry.quads)):
+                for angle in angles:
+                    index = names.setdefault(angle.name, len(names))
+                    self._rows[entry.name].append((stamp_s, index, is_quad, angle.visible, angle.azim, angle.elev))
 
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
-        return topic in (ANGLES, DETECTIONS) or self._surroundings.wants(topic)
+        return super().wants(topic) or self._surroundings.wants(topic)
 
     def landmarks(self):
         """{name: place (3,) [m], cortex frame} of the landmarks that motion capture saw."""
@@ -161,18 +151,14 @@ class BearingCollector:
             return None
         from_fleet = topic == GROUND_TRUTH and bool(self._fleet and self._fleet.landmarks)
         discs = surroundings.discs(from_fleet)
-        result = BearingStatistics(
-            truth="ground truth" if topic == GROUND_TRUTH else "mocap",
-            landmarks_from="fleet" if from_fleet else "/states3",
-            delay_s=delay_s,
-            vehicles={},
-        )
+        truth, landmarks = "ground truth" if topic == GROUND_TRUTH else "mocap", "fleet" if from_fleet else "/states3"
+        result = BearingStatistics(truth, landmarks, delay_s)
         mounts = {}
         for name in sorted(self._rows):
             try:
                 vehicle = surroundings.vehicle(name)
-                calibration, mounts[vehicle] = surroundings.calibration(vehicle), surroundings.mount(vehicle)
-                camera = None if calibration is None else make_camera(calibration, self._rectified)
+                calibration, mounts[vehicle] = surroundings.camera(vehicle)
+                camera = None if calibration is None else make_camera(calibration, rectified=True)
             except ValueError as error:
                 result.notes.append(str(error))
                 continue
@@ -190,8 +176,10 @@ class BearingCollector:
 
     def _template(self, name, is_vehicle):
         """Mocap template of an object on /angles; its name there when nobody knows."""
+        if not is_vehicle:
+            return self._surroundings.catalogue.template_of_region.get(name, name)
         try:
-            return self._surroundings.vehicle(name) if is_vehicle else self._regions.get(name, name)
+            return self._surroundings.vehicle(name)
         except ValueError:
             return name
 
@@ -199,8 +187,7 @@ class BearingCollector:
         """{object: TargetBearings} of one vehicle's bearings, which are told by its name on /angles."""
         rows = self._rows[name].table()
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        covariances = self._covariances[name].table().tolist() if name in self._covariances else []
-        covariances = {(stamp_s, index): numbers for stamp_s, index, *numbers in covariances}
+        covariances = {(stamp, index): px for stamp, index, *px in self._covariances[name].table().tolist()}
         stamps_s, first = np.unique(rows[:, 0], return_index=True)
         poses = self._surroundings.tracks[topic][vehicle].at(stamps_s - delay_s)
         names, targets, unknown = list(self._names), {}, set()
@@ -239,12 +226,13 @@ class BearingCollector:
 
     def _best_delay(self, vehicles, mounts, discs, topic):
         """(delay [s], rms [deg]) that explains the bearings of landmarks best; (None, None) when none stands out."""
-        places = {disc.name: disc.centre_m for disc in discs}
-        samples = []  # of what was fully seen
-        for vehicle, targets in vehicles.items():
-            for name in filter(places.get, targets):
-                table = targets[name].table
-                samples.append((vehicle, np.array(places[name]), table[table[:, 5] > 0.0]))
+        places = {disc.name: np.array(disc.centre_m) for disc in discs}
+        samples = [
+            (vehicle, places[name], target.judged)
+            for vehicle, targets in vehicles.items()
+            for name, target in targets.items()
+            if name in places
+        ]
 
         def rms_deg(delay_s):
             squares = []

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from data_extraction.report.topics import vehicle_of
 from risc_lab.images import MESSAGES
 
 PICTURES = ("image_raw", "image_rect_color")
@@ -22,14 +23,9 @@ def one_topic_each(types):
     best = {}
     for topic, name in picture_topics(types).items():
         rank = (name != "image_rect_color", not topic.endswith(_COMPRESSED), topic)
-        best[namespace_of(topic)] = min(best.get(namespace_of(topic), rank), rank)
+        vehicle = vehicle_of(topic, 2)
+        best[vehicle] = min(best.get(vehicle, rank), rank)
     return {topic for _, _, topic in best.values()}
-
-
-def namespace_of(topic):
-    """Vehicle's namespace of a topic of one of its cameras: /risc1/ardrone/image_raw -> risc1; '' if it has none."""
-    first, _, rest = topic.strip("/").partition("/")
-    return first if "/" in rest else ""
 
 
 def is_bottom(message):

@@ -14,7 +14,7 @@ from data_extraction.flatten import seconds
 from data_extraction.progress import Progress, bar
 from data_extraction.recording import REFERENCES, STATES
 from data_extraction.report.topics import fits
-from data_extraction.segments import COLUMNS, SENT, TOPICS, PlotParams, Recorder
+from data_extraction.segments import COLUMNS, TOPICS, PlotParams, Recorder
 
 _SHOW_EVERY = 2000  # messages
 _COLLECT_EVERY = 100_000  # messages, so that memory does not grow with the bag
@@ -83,12 +83,7 @@ def record(bag, recorder, rate_hz, progress):
             if receipt_s < due_s:
                 continue
             due_s = max(due_s + 1.0 / rate_hz, receipt_s - 1.0 / rate_hz)
-        if topic == SENT:
-            for command in message.commands:
-                recorder.add(topic, receipt_s, command, seconds(command.sent))
-        else:
-            stamp_s = seconds(message.header.stamp) if hasattr(message, "Obj") else None
-            recorder.add(topic, receipt_s, message, stamp_s)
+        recorder.take(topic, receipt_s, message, seconds)
     recorder.finish()
 
 

@@ -17,12 +17,24 @@ def flatten(message):
     - elements without a name are numbered: `ranges[3]`;
     - binary arrays (images) become their length in bytes.
 
-    message: an object as the rosbags library deserialises it (a dataclass). Raises TypeError for anything else.
+    message: an object as the rosbags library deserialises it (a dataclass).
     """
-    if not dataclasses.is_dataclass(message):
-        raise TypeError("flatten takes a deserialised message, got %r" % type(message).__name__)
     row = {}
-    _add_fields(row, "", message)
+    for name in _names(type(message)):
+        value = getattr(message, name)
+        is_message = dataclasses.is_dataclass(value)
+        if is_message and name == "header":
+            row.update(stamp=seconds(value.stamp), seq=getattr(value, "seq", 0), frame_id=value.frame_id)
+        elif is_message and _names(type(value)) == ("sec", "nanosec"):
+            row[name] = seconds(value)
+        elif is_message:
+            row.update(_below(name, flatten(value)))
+        elif isinstance(value, np.ndarray) and value.dtype == np.uint8 and len(value) > 64:
+            row[name + ".bytes"] = len(value)
+        elif isinstance(value, (list, tuple, np.ndarray)):
+            _add_array(row, name, value.tolist() if isinstance(value, np.ndarray) else value)
+        else:
+            row[name] = value
     return row
 
 
@@ -36,47 +48,25 @@ def stamp_or_receipt_s(message, receipt_s):
     return seconds(message.header.stamp) or receipt_s
 
 
-def _add_fields(row, prefix, message):
-    for name in _names(type(message)):
-        _add(row, prefix, name, getattr(message, name))
+def _below(name, row):
+    return {"%s.%s" % (name, column): value for column, value in row.items()}
 
 
-def _add(row, prefix, name, value):
-    if dataclasses.is_dataclass(value):
-        if name == "header":
-            row[prefix + "stamp"] = seconds(value.stamp)
-            row[prefix + "seq"] = getattr(value, "seq", 0)
-            row[prefix + "frame_id"] = value.frame_id
-        elif _names(type(value)) == ("sec", "nanosec"):
-            row[prefix + name] = seconds(value)
-        else:
-            _add_fields(row, prefix + name + ".", value)
-    elif isinstance(value, np.ndarray) and value.dtype == np.uint8 and len(value) > 64:
-        row[prefix + name + ".bytes"] = len(value)
-    elif isinstance(value, (list, tuple, np.ndarray)):
-        _add_array(row, prefix, name, value.tolist() if isinstance(value, np.ndarray) else value)
-    else:
-        row[prefix + name] = value
-
-
-def _add_array(row, prefix, name, items):
+def _add_array(row, name, items):
     seen = set()
     for index, item in enumerate(items):
         if not dataclasses.is_dataclass(item):
-            row["%s%s[%d]" % (prefix, name, index)] = item
+            row["%s[%d]" % (name, index)] = item
             continue
-        own_name = getattr(item, "name", "")
+        inner, own_name = flatten(item), getattr(item, "name", "")
         label = own_name or "%s[%d]" % (name, index)
         if label in seen:
             label = "%s[%d]" % (label, index)
         seen.add(label)
-        inner = {}
-        _add_fields(inner, "", item)
         if own_name:
             del inner["name"]
-        taken = any("%s%s.%s" % (prefix, label, column) in row for column in inner)
-        begin = "%s%s.%s" % (prefix, name, label) if taken else prefix + label
-        row.update({"%s.%s" % (begin, column): number for column, number in inner.items()})
+        columns = _below(label, inner)
+        row.update(columns if row.keys().isdisjoint(columns) else _below(name, columns))
 
 
 @functools.cache

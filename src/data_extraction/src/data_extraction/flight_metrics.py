@@ -1,13 +1,15 @@
 """What a bag says about a flight: tracking errors, lag, latency of every hop, frames lost."""
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from data_extraction.bearing_errors import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
-from data_extraction.recording import REFERENCES, STATES, TRUTH, Recording, Series, best_shift
+from data_extraction.recording import ON_COURSE, REFERENCES, STATES, TRUTH, Recording, Series, best_shift
+from data_extraction.report.topics import Collector
 from data_extraction.samples import Arrivals
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles
@@ -29,7 +31,9 @@ HOPS = {
     "datagram_to_controls": "datagram to /controls",
     "datagram_to_cmd_vel": "datagram to cmd_vel",
 }
+_ANSWERS = ("/mocap_data", STATES, "/controls")
 _POSE = ("x", "y", "z", "psi")
+PERCENTS = {"p50": 50, "p99": 99, "max": 100}
 
 
 @dataclass
@@ -88,8 +92,11 @@ class Flight:
     notes: list[str] = field(default_factory=list)  # what could not be evaluated, and why
 
 
-class FlightCollector:
+class FlightCollector(Collector):
     """Takes the messages of a bag one by one, keeps what `Flight` needs: 8 bytes a number, and no more than so many."""
+
+    topics = ("/mocap_time", "/operator/phase", "/operator/result", REFERENCES, TRUTH, *_ANSWERS)
+    ends = ("/commands_sent", "/cmd_vel_stamped", "/trajectory_phase")
 
     def __init__(self, fleet=None, bearing_delay_s=0.0, with_bearings=True):
         """fleet: risc_lab.lab.Fleet, None = the original laboratory's. Raises ValueError, from BearingCollector.
@@ -103,8 +110,8 @@ class FlightCollector:
         self._with_bearings = with_bearings
         self._recording = Recording(dict.fromkeys((REFERENCES, STATES, TRUTH), _POSE), MOST_ROWS)
         # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
-        self._arrivals = {topic: Arrivals() for topic in ("/mocap_data", STATES, "/controls")}
-        self._commands = {}  # {topic of commands: Arrivals of the states that they answer}
+        self._arrivals = {topic: Arrivals() for topic in _ANSWERS}
+        self._commands = defaultdict(Arrivals)  # topic of commands -> of the states that they answer
         self._namespaces = {v.template: v.namespace for v in (fleet.vehicles if fleet else laboratory_vehicles())}
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
@@ -117,20 +124,19 @@ class FlightCollector:
             self._bearings(topic, receipt_s, message)
         if topic in self._recording.topics:
             self._recording.add(topic, receipt_s, seconds(message.header.stamp), message.Obj)
-        if topic in self._arrivals:
-            self._arrivals[topic].append(_stamp_ns(message), receipt_s)
+        if topic in _ANSWERS:
+            self._arrivals[topic].append(message.header.stamp, receipt_s)
         elif topic == "/mocap_time":
-            self._receipts.append(_stamp_ns(message), seconds(message.receipt))
-            self._frames.append(_stamp_ns(message), message.frame)
+            self._receipts.append(message.header.stamp, seconds(message.receipt))
+            self._frames.append(message.header.stamp, message.frame)
         elif topic == "/commands_sent":
             for command in message.commands:
                 if command.answers.sec:
                     name = "/%s/cmd_vel" % self._namespaces.get(command.name, command.name)
-                    arrivals = self._commands.setdefault(name, Arrivals())
-                    arrivals.append(_nanoseconds(command.answers), seconds(command.sent))
+                    self._commands[name].append(command.answers, seconds(command.sent))
         elif topic.endswith("/cmd_vel_stamped"):  # in bags without that: the stamp answered, and the time of receipt
-            if _stamp_ns(message):
-                self._commands.setdefault(topic, Arrivals()).append(_stamp_ns(message), receipt_s)
+            if message.header.stamp.sec:
+                self._commands[topic].append(message.header.stamp, receipt_s)
         elif topic.endswith("trajectory_phase"):
             self._recording.phases(receipt_s, message)
         elif topic == "/operator/phase":
@@ -141,11 +147,7 @@ class FlightCollector:
 
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
-        return (
-            topic in ("/mocap_time", "/operator/phase", "/operator/result", *self._recording.topics, *self._arrivals)
-            or topic.endswith(("/commands_sent", "/cmd_vel_stamped", "trajectory_phase"))
-            or self._bearings.wants(topic)
-        )
+        return super().wants(topic) or self._bearings.wants(topic)
 
     def flight(self, strict=True):
         """Evaluate what was collected. Raises ValueError when the bag holds no flight.
@@ -195,11 +197,17 @@ class FlightCollector:
                 notes.append("%s: %s" % (name, error))
         if vehicles and whole:
             notes.append("there is no /trajectory_phase in the bag: all of the time with a reference was judged")
+        stamps_ns, receipts_s = self._receipts.first()
+        hops_s = {"exposure_to_datagram": receipts_s - 1e-9 * stamps_ns}
+        for topic, arrivals in self._arrivals.items():
+            hops_s["datagram_to_" + topic.strip("/")] = arrivals.since_s(self._receipts)
+        commands_s = {topic: self._commands[topic].since_s(self._receipts) for topic in sorted(self._commands)}
+        hops_s["datagram_to_cmd_vel"] = np.concatenate([np.zeros(0), *commands_s.values()])
         return Flight(
             start_s=start_s,
             vehicles=vehicles,
-            latency_s=self._latencies(),
-            command_latency_s=self._command_latencies(),
+            latency_s=hops_s,
+            command_latency_s=commands_s,
             mocap=self._mocap(),
             judged_against="ground truth" if source == TRUTH else "mocap",
             bearings=self._bearings.statistics(self._bearing_delay_s),
@@ -211,32 +219,19 @@ class FlightCollector:
 
     def _on_course(self, name):
         """Function of times (n,): whether the trajectory node said that the vehicle is on its course."""
-        return lambda t_s: self._recording.told(name, t_s)[1] == "course"
-
-    def _latencies(self):
-        """{hop: (n,) [s]} from the receipt of each datagram."""
-        stamps_ns, receipts_s = self._receipts.first()
-        latency = {"exposure_to_datagram": receipts_s - 1e-9 * stamps_ns}
-        for topic, arrivals in self._arrivals.items():
-            latency["datagram_to_" + topic.strip("/")] = _since(stamps_ns, receipts_s, arrivals)
-        latency["datagram_to_cmd_vel"] = np.concatenate([np.zeros(0), *self._command_latencies().values()])
-        return latency
-
-    def _command_latencies(self):
-        """{topic of commands: (n,) [s]} from the receipt of the datagram to the sending of the command."""
-        receipts = self._receipts.first()
-        return {topic: _since(*receipts, arrivals) for topic, arrivals in sorted(self._commands.items())}
+        return lambda t_s: self._recording.told(name, t_s)[1] == ON_COURSE
 
     def _mocap(self):
         """Frames from the beginning of the flight to its result: outside of it nodes come and go."""
         stamps_ns, numbers = self._frames.first()
-        estimated_ns, _ = self._arrivals["/cortex_raw"].first()
+        estimated_ns, _ = self._arrivals[STATES].first()
         estimated_ns = estimated_ns[(estimated_ns >= 1e9 * self._begun_s) & (estimated_ns < 1e9 * self._over_s)]
-        if len(estimated_ns):
-            within = (stamps_ns >= estimated_ns[0]) & (stamps_ns <= estimated_ns[-1])
-            stamps_ns, numbers = stamps_ns[within], numbers[within]
-        if len(stamps_ns) < 2 or not len(estimated_ns):
-            return Mocap(frames_received=len(stamps_ns) if len(estimated_ns) else 0)
+        if not len(estimated_ns):
+            return Mocap()
+        within = (stamps_ns >= estimated_ns[0]) & (stamps_ns <= estimated_ns[-1])
+        stamps_ns, numbers = stamps_ns[within], numbers[within]
+        if len(stamps_ns) < 2:
+            return Mocap(frames_received=len(stamps_ns))
         span = int(numbers.max() - numbers.min())
         return Mocap(
             frames_sent=span + 1,
@@ -246,12 +241,11 @@ class FlightCollector:
         )
 
 
-def percentiles_ms(latency_s):
-    """{'p50', 'p99', 'max'} [ms] of latencies [s]; None each when there are none."""
+def percentiles_ms(latency_s, percents=PERCENTS):
+    """{name: percentile [ms]} of latencies [s]; None each when there are none."""
     if len(latency_s) == 0:
-        return {"p50": None, "p99": None, "max": None}
-    p50, p99, largest = np.percentile(1e3 * latency_s, [50, 99, 100])
-    return {"p50": float(p50), "p99": float(p99), "max": float(largest)}
+        return dict.fromkeys(percents)
+    return dict(zip(percents, np.percentile(1e3 * latency_s, list(percents.values())).tolist()))
 
 
 def best_fit_lag(t_s, desired, actual, limit_s=0.5):
@@ -282,21 +276,6 @@ def settling_time(t_s, error, limit=SETTLED_ERROR_M, hold_s=SETTLED_HOLD_S):
         if end > begin and t_s[end - 1] - t_s[begin] >= hold_s:
             return float(t_s[begin] - t_s[0])
     return None
-
-
-def _stamp_ns(message):
-    return _nanoseconds(message.header.stamp)
-
-
-def _nanoseconds(time):
-    return time.sec * 1_000_000_000 + time.nanosec
-
-
-def _since(stamps_ns, receipts_s, arrivals):
-    """(n,) [s] from the receipt of a datagram to the arrival of what answers it; both of the same stamps."""
-    arrived_ns, arrivals_s = arrivals.first()
-    _, ours, theirs = np.intersect1d(stamps_ns, arrived_ns, assume_unique=True, return_indices=True)
-    return arrivals_s[theirs] - receipts_s[ours]
 
 
 def evaluate(desired, actual, on_course, start_s):

@@ -1,5 +1,6 @@
 """Pictures of a bag with labels from motion capture, as a COCO data set (thesis 4.4.4: automatic image labelling)."""
 
+import functools
 import json
 import pathlib
 from dataclasses import dataclass
@@ -13,9 +14,10 @@ from data_extraction import camera_topics
 from data_extraction.bags import Bag, BagError
 from data_extraction.flatten import seconds
 from data_extraction.progress import Progress
+from data_extraction.report.topics import vehicle_of
 from data_extraction.surroundings import LANDMARKS, Surroundings
 from risc_estimation.bearings import make_camera
-from risc_estimation.expected_bearings import LANDMARK, Observer, look
+from risc_estimation.expected_bearings import LANDMARK, VEHICLE, Observer, look
 from risc_lab.images import MESSAGES, picture_from_msg
 from risc_lab.settings import Positive, Settings
 
@@ -32,11 +34,6 @@ class LabelParams(Settings):
     overlay: bool = False  # also write the pictures with their labels drawn in
     format: Literal["jpg", "png"] = "jpg"  # of the pictures
     states_topic: str = "/cortex_raw"
-
-    def __post_init__(self):
-        super().__post_init__()
-        if not np.isfinite(self.delay_s):
-            raise ValueError("'delay_s' must be finite, found %r" % self.delay_s)
 
 
 def label(bag_path, folder, fleet=None, params=None, topics=None, progress=None):
@@ -82,36 +79,36 @@ class _DataSet:
 
     def __init__(self, folder, surroundings, params):
         self._folder, self._surroundings, self._params = folder, surroundings, params
+        self._observer = functools.cache(self._new_observer)
         self._discs = surroundings.discs()
-        self._observers = {}
         self.images, self.annotations, self.without_pose = [], [], 0
         names = [(disc.name, LANDMARK) for disc in self._discs]
-        names += [(name, "vehicle") for name in sorted(surroundings.tracks[params.states_topic])]
-        self._categories = {name: (k, kind) for k, (name, kind) in enumerate(names, start=1)}
-        (folder / "images").mkdir(parents=True, exist_ok=True)
-        if params.overlay:
-            (folder / "overlays").mkdir(exist_ok=True)
+        names += [(name, VEHICLE) for name in sorted(surroundings.tracks[params.states_topic])]
+        self._categories = [{"id": k, "name": name, "supercategory": kind} for k, (name, kind) in enumerate(names, 1)]
+        self._numbers = {category["name"]: category["id"] for category in self._categories}
+        self._folders = [folder / name for name in ("images", "overlays")[: 1 + params.overlay]]
+        for path in self._folders:
+            path.mkdir(parents=True, exist_ok=True)
 
     def add(self, topic, message):
         """Label and write one picture."""
-        params, surroundings = self._params, self._surroundings
+        params, surroundings, stamp = self._params, self._surroundings, message.header.stamp
         picture = picture_from_msg(message)
-        vehicle = surroundings.vehicle(camera_topics.namespace_of(topic))
-        stamp_s = seconds(message.header.stamp)
-        exposure_s = stamp_s - params.delay_s
+        vehicle = surroundings.vehicle(vehicle_of(topic, 2, ""))
+        exposure_s = seconds(stamp) - params.delay_s
         pose = surroundings.tracks[params.states_topic][vehicle].at(exposure_s)
         if not pose.known[0]:
             self.without_pose += 1
             return
         observer = self._observer(topic, vehicle, camera_topics.is_bottom(message), picture.shape)
         targets = self._discs + surroundings.hulls(params.states_topic, exposure_s, without=vehicle)
-        sightings = filter(self._is_labelled, look(observer, pose.positions_m[0], pose.R_body_to_cortex[0], targets))
-        sightings = list(sightings)
-        stamp = message.header.stamp
+        sightings = look(observer, pose.positions_m[0], pose.R_body_to_cortex[0], targets)
+        sightings = [sighting for sighting in sightings if self._is_labelled(sighting)]
         name = "%s_%d%09d.%s" % (topic.strip("/").replace("/", "_"), stamp.sec, stamp.nanosec, params.format)
-        self._save(self._folder / "images" / name, picture)
-        if params.overlay:
-            self._save(self._folder / "overlays" / name, draw(picture, sightings))
+        contents = (picture, draw(picture, sightings)) if params.overlay else (picture,)
+        for folder, content in zip(self._folders, contents):
+            if not cv2.imwrite(str(folder / name), content):
+                raise OSError("cannot write %s" % (folder / name))
         self.images.append(
             {
                 "id": len(self.images) + 1,
@@ -120,53 +117,41 @@ class _DataSet:
                 "height": picture.shape[0],
                 "vehicle": vehicle,
                 "topic": topic,
-                "stamp": round(stamp_s, 9),
+                "stamp": round(seconds(stamp), 9),
                 "exposure": round(exposure_s, 9),
             }
         )
-        self.annotations += [
-            self._annotation(number, sighting)
-            for number, sighting in enumerate(sightings, start=len(self.annotations) + 1)
-        ]
+        for sighting in sightings:
+            self.annotations.append(self._annotation(sighting))
 
     def write(self, bag_path):
         """Write labels.json. Returns its path."""
-        content = {
-            "info": {
-                "description": "labelled from motion capture (%s, %s) by label_images.py"
-                % (self._params.states_topic, LANDMARKS),
-                "bag": str(bag_path),
-                "delay_s": self._params.delay_s,
-                "coordinates": "pixels from the top left corner of the picture; the middle of its first pixel is at "
-                "(0.5, 0.5)",
-            },
-            "images": self.images,
-            "annotations": self.annotations,
-            "categories": [
-                {"id": number, "name": name, "supercategory": kind} for name, (number, kind) in self._categories.items()
-            ],
+        topics = (self._params.states_topic, LANDMARKS)
+        info = {
+            "description": "labelled from motion capture (%s, %s) by label_images.py" % topics,
+            "bag": str(bag_path),
+            "delay_s": self._params.delay_s,
+            "coordinates": "pixels from the top left corner of the picture; the middle of its first pixel is at "
+            "(0.5, 0.5)",
         }
+        content = {"info": info, "images": self.images, "annotations": self.annotations, "categories": self._categories}
         path = self._folder / "labels.json"
         path.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
         return path
 
-    def _observer(self, topic, vehicle, bottom, shape):
-        key = (topic, bottom)
-        if key not in self._observers:
-            calibration = self._surroundings.calibration(vehicle, bottom)
-            if calibration is None:
-                raise ValueError(
-                    "no calibration of this camera: record camera_info beside the pictures, or give a fleet file whose "
-                    "vehicle %s has a `calibration`" % vehicle
-                )
-            if (calibration.height_px, calibration.width_px) != shape[:2]:
-                raise ValueError(
-                    "its pictures are %dx%d, its calibration is for %dx%d: calibrate the camera at the size it is used"
-                    % (shape[1], shape[0], calibration.width_px, calibration.height_px)
-                )
-            camera = make_camera(calibration, "image_rect" in topic)
-            self._observers[key] = Observer(camera, self._surroundings.mount(vehicle, bottom))
-        return self._observers[key]
+    def _new_observer(self, topic, vehicle, bottom, shape):
+        calibration, mount = self._surroundings.camera(vehicle, bottom)
+        if calibration is None:
+            raise ValueError(
+                "no calibration of this camera: record camera_info beside the pictures, or give a fleet file whose "
+                "vehicle %s has a `calibration`" % vehicle
+            )
+        if (calibration.height_px, calibration.width_px) != shape[:2]:
+            raise ValueError(
+                "its pictures are %dx%d, its calibration is for %dx%d: calibrate the camera at the size it is used"
+                % (shape[1], shape[0], calibration.width_px, calibration.height_px)
+            )
+        return Observer(make_camera(calibration, "image_rect" in topic), mount)
 
     def _is_labelled(self, sighting):
         if sighting.fraction < self._params.min_fraction or sighting.distance_m > self._params.max_distance_m:
@@ -174,17 +159,15 @@ class _DataSet:
         x0, y0, x1, y1 = sighting.box_px
         return min(x1 - x0, y1 - y0) >= self._params.min_size_px
 
-    def _annotation(self, number, sighting):
+    def _annotation(self, sighting):
         # COCO counts from the corner of the picture, OpenCV and the messages from the middle of its first pixel
-        outline = sighting.outline_px + 0.5
-        x0, y0 = outline.min(axis=0)
-        width, height = np.ptp(outline, axis=0)
-        centre = sighting.centre_px + 0.5
+        outline, centre = sighting.outline_px + 0.5, sighting.centre_px + 0.5
+        box = (*outline.min(axis=0), *np.ptp(outline, axis=0))
         return {
-            "id": number,
+            "id": len(self.annotations) + 1,
             "image_id": len(self.images),
-            "category_id": self._categories[sighting.name][0],
-            "bbox": _rounded((x0, y0, width, height)),
+            "category_id": self._numbers[sighting.name],
+            "bbox": _rounded(box),
             "segmentation": [_rounded(outline.ravel())],
             "area": round(float(cv2.contourArea(outline.astype(np.float32))), 2),
             "iscrowd": 0,
@@ -194,10 +177,6 @@ class _DataSet:
             "elevation_deg": round(float(np.degrees(sighting.elevation_rad)), 4),
             "fraction": round(sighting.fraction, 4),
         }
-
-    def _save(self, path, picture):
-        if not cv2.imwrite(str(path), picture):
-            raise OSError("cannot write %s" % path)
 
 
 def draw(picture, sightings):

@@ -17,6 +17,7 @@ from matplotlib.ticker import MultipleLocator  # noqa: E402
 from data_extraction.report.drops import cell_edges  # noqa: E402
 from data_extraction.segments import ANGLES, DESIRED_ANGLES, DESIRED_POSITION, POSITION, VELOCITY_ERROR  # noqa: E402
 from risc_control.failsafe import FailsafeLevel  # noqa: E402
+from risc_lab.lab.yaml_reader import package_file  # noqa: E402
 
 _HEIGHT_M = 2.5  # of the arena, as far as it is shown
 _MOST_POINTS = 2500  # of one line: more cannot be told apart on paper
@@ -30,22 +31,11 @@ _STILL_DEG = 2.0  # angles that stay below this are shown on an axis of this siz
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
 DESIRED, ACTUAL = COLOURS[1], COLOURS[0]
-STYLE = {
-    "figure.dpi": 130,
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-}
 
 
 def style():
     """Context in which figures are drawn and saved: the look of all plots."""
-    return plt.rc_context(STYLE)
+    return plt.style.context(package_file("data_extraction", "templates/figures.mplstyle"))
 
 
 def draw_all(flight, folder, title):
@@ -76,15 +66,14 @@ def _figures(flight, title):
 def as_svg(figure):
     """A figure as SVG text, the same for the same figure; the figure is closed."""
     stream = io.StringIO()
-    with plt.rc_context({"svg.hashsalt": "risc_maap"}):
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     plt.close(figure)
     return stream.getvalue()
 
 
 def paths(flight, title):
     """Desired and actual paths of all vehicles in the arena, in 3-D and from above."""
-    figure = plt.figure(figsize=(10.5, 5.2))
+    figure = plt.figure(figsize=(10.5, 5.2), layout="none")
     figure.suptitle(title)
     space = figure.add_axes((0.0, 0.0, 0.58, 0.95), projection="3d")
     plan = figure.add_axes((0.65, 0.17, 0.33, 0.72))
@@ -116,7 +105,7 @@ def _name_in_place(plan, vehicles):
 
 def axes_over_time(name, vehicle, title):
     """Desired and actual x, y, z and yaw of one vehicle over time."""
-    figure, rows = plt.subplots(4, 1, sharex=True, figsize=(9.0, 7.0), layout="constrained")
+    figure, rows = plt.subplots(4, 1, sharex=True, figsize=(9.0, 7.0))
     figure.suptitle(_joined(title, name))
     desired = np.column_stack((vehicle.desired_m, np.degrees(vehicle.desired_psi_rad)))
     actual = np.column_stack((vehicle.actual_m, np.degrees(vehicle.actual_psi_rad)))
@@ -146,7 +135,7 @@ def draw_both(axes, t_s, desired, actual, least, **look):
 
 def errors(flight, title):
     """Position error of each vehicle over time, and its figures."""
-    figure, axes = plt.subplots(figsize=(9.0, 3.6), layout="constrained")
+    figure, axes = plt.subplots(figsize=(9.0, 3.6))
     vehicles = flight.vehicles
     if len(vehicles) > _FEW:
         _draw_spread(axes, vehicles)
@@ -184,7 +173,7 @@ def _draw_spread(axes, vehicles):
 def latency(flight, title):
     """How long after the datagram each hop's message arrives: histogram on a logarithmic axis."""
     hops = {hop: 1e3 * values for hop, values in flight.latency_s.items() if len(values)}
-    figure, rows = plt.subplots(len(hops), 1, sharex=True, figsize=(8.0, 1.3 * len(hops) + 1.0), layout="constrained")
+    figure, rows = plt.subplots(len(hops), 1, sharex=True, figsize=(8.0, 1.3 * len(hops) + 1.0))
     largest = max(values.max() for values in hops.values())
     bins = np.geomspace(0.03, max(largest, 0.1), 90)
     for axes, (hop, values) in zip(np.atleast_1d(rows), hops.items()):
@@ -211,7 +200,7 @@ def bearings(statistics, title):
     ]
     rows = [row for row in rows if row[2]["count"]]
     figure, (cloud, bars) = plt.subplots(
-        1, 2, figsize=(10.5, max(4.6, 1.6 + 0.3 * len(rows))), width_ratios=(1.0, 1.15), layout="constrained"
+        1, 2, figsize=(10.5, max(4.6, 1.6 + 0.3 * len(rows))), width_ratios=(1.0, 1.15)
     )
     earlier = ", stamps less %.0f ms" % (1e3 * statistics.delay_s) if statistics.delay_s else ""
     figure.suptitle(_joined(title, "bearings against %s (fully seen%s)" % (statistics.truth, earlier)))
@@ -230,15 +219,15 @@ def bearings(statistics, title):
     cloud.legend(loc="upper right", markerscale=4.0)
     places = np.arange(len(rows))[::-1]
     for offset, key, alpha in ((0.19, "azimuth_rms_deg", 1.0), (-0.19, "elevation_rms_deg", 0.5)):
-        for place, (vehicle, _, figures) in zip(places, rows):
-            bars.barh(place + offset, figures[key], 0.36, color=colours[vehicle], alpha=alpha)
-    widest = max(max(figures["azimuth_rms_deg"], figures["elevation_rms_deg"]) for _, _, figures in rows)
-    for place, (_, _, figures) in zip(places, rows):
+        widths, paints = zip(*((figures[key], colours[vehicle]) for vehicle, _, figures in rows))
+        bars.barh(places + offset, widths, 0.36, color=paints, alpha=alpha)
+    widths = [max(figures["azimuth_rms_deg"], figures["elevation_rms_deg"]) for _, _, figures in rows]
+    widest = max(widths)
+    for place, width, (_, _, figures) in zip(places, widths, rows):
         seen = "" if figures["seen_percent"] is None else ", found in %.0f %%" % figures["seen_percent"]
-        wide = max(figures["azimuth_rms_deg"], figures["elevation_rms_deg"])
-        text = "n %d%s" % (figures["count"], seen)
         paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}
-        bars.text(wide + 0.03 * widest, place, text, va="center", fontsize=7, bbox=paper)
+        text = "n %d%s" % (figures["count"], seen)
+        bars.text(width + 0.03 * widest, place, text, va="center", fontsize=7, bbox=paper)
     bars.set_yticks(places, ["%s: %s" % (vehicle, target.name) for vehicle, target, _ in rows])
     bars.axvline(0.1, color="#333333", lw=0.9)  # outside, when all are well below it
     line = "; line: 0.1 deg" if 1.55 * widest > 0.1 else ""
@@ -250,7 +239,7 @@ def bearings(statistics, title):
 
 def arena_map(flight):
     """The arena from above: net, landmarks, desired and actual paths, also of vehicles without a reference."""
-    figure, plan = plt.subplots(figsize=(6.6, 7.6), layout="constrained")
+    figure, plan = plt.subplots(figsize=(6.6, 7.6))
     _draw_net(plan, flight.arena)
     for name, place_m in sorted(flight.landmarks.items()):
         plan.plot(place_m[1], place_m[0], "s", color="#555555", ms=6)
@@ -276,7 +265,7 @@ def arena_map(flight):
 def drop_map(drops, arena):
     """Where in the arena markers were lost [%], and where vehicles became invisible. drops: report.drops.Drops."""
     edges_x_m, edges_y_m = cell_edges(arena)
-    figure, plan = plt.subplots(figsize=(6.6, 6.6), layout="constrained")
+    figure, plan = plt.subplots(figsize=(6.6, 6.6))
     total = drops.seen_map + drops.lost_map
     share = np.ma.masked_where(total < drops.least_markers, 100.0 * drops.lost_map / np.maximum(total, 1))
     top = max(1.0, float(share.max())) if share.count() else 1.0
@@ -293,7 +282,7 @@ def drop_map(drops, arena):
 
 def ladder(spans, zero_s):
     """Levels of every vehicle's loss ladder over time. spans: {vehicle: [report.ladder.Span]}; zero_s: time 0."""
-    figure, axes = plt.subplots(figsize=(9.0, 1.2 + 0.4 * len(spans)), layout="constrained")
+    figure, axes = plt.subplots(figsize=(9.0, 1.2 + 0.4 * len(spans)))
     for row, vehicle in enumerate(spans):
         for span in spans[vehicle]:
             colour, width_s = LEVEL_COLOURS[span.level], max(span.end_s - span.begin_s, 0.0)
@@ -311,7 +300,7 @@ def ladder(spans, zero_s):
 
 def battery(batteries, zero_s):
     """Charge of every vehicle over time. batteries: {vehicle: report.battery.Battery}; zero_s: time 0."""
-    figure, axes = plt.subplots(figsize=(9.0, 2.8), layout="constrained")
+    figure, axes = plt.subplots(figsize=(9.0, 2.8))
     for colour, (name, item) in zip(itertools.cycle(COLOURS), batteries.items()):
         t_s, charge_pct = item.samples.table().T
         axes.plot(t_s - zero_s, charge_pct, color=colour, lw=1.2, label=name, drawstyle="steps-post")
@@ -323,7 +312,7 @@ def battery(batteries, zero_s):
 
 def fence_margin(margins, zero_s):
     """Distance of every vehicle from the net over time. margins: {vehicle: report.fence.FenceMargin}."""
-    figure, axes = plt.subplots(figsize=(9.0, 3.2), layout="constrained")
+    figure, axes = plt.subplots(figsize=(9.0, 3.2))
     lowest_m = 0.05
     for colour, (name, item) in zip(itertools.cycle(COLOURS), margins.items()):
         times_s, now_m, ahead_m = item.table.T
@@ -341,7 +330,7 @@ def fence_margin(margins, zero_s):
 
 def course_page(segment):
     """Figure with the path in space, roll and pitch, position and velocity errors of a segment."""
-    figure = plt.figure(figsize=(11.0, 6.6))
+    figure = plt.figure(figsize=(11.0, 6.6), layout="none")
     when = time.strftime("%Y-%m-%d %H:%M:%S", segment.clock)
     figures = "%.0f s, position RMSE %.0f mm" % (segment.duration_s, 1e3 * segment.position_rmse_m)
     figure.suptitle("%s: %s\n%s, %s" % (segment.vehicle, segment.label, when, figures))

@@ -11,6 +11,7 @@ from data_extraction.samples import Samples
 from risc_lab.phases import phase_words
 
 STATES, TRUTH, REFERENCES, COMMANDS = "/cortex_raw", "/ground_truth", "/trajectory", "/controls"
+ON_COURSE = "course"  # the phase in which the course itself is flown
 _ALONE = -1  # place of an entry that is the only one of its message
 
 
@@ -132,10 +133,10 @@ class Recording:
             parts.setdefault(owner, []).append(("" if name == owner or name in states else name, samples))
         return parts
 
-    def forget(self, parts, before_s):
-        """Forget what the [(label, Samples), ...] hold of before a time."""
+    def forget(self, parts, begin_s, end_s):
+        """Forget what the [(label, Samples), ...] hold from one time to before another."""
         for _, samples in parts:
-            samples.forget(self.clock, before_s)
+            samples.forget(self.clock, begin_s, end_s)
 
     def restart(self):
         """Forget all messages, not whose they are nor what was told: another clock, or the same one turned back."""

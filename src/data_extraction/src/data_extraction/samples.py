@@ -38,10 +38,11 @@ class Samples:
             self._numbers = array("d", self.table()[::2].tobytes())
             self.every *= 2
 
-    def forget(self, column, least):
-        """Forget the rows whose number in that column is less."""
+    def forget(self, column, begin, end):
+        """Forget the rows whose number in that column is from `begin` to below `end`."""
         table = self.table()
-        self._numbers = array("d", table[table[:, column] >= least].tobytes())
+        kept = (table[:, column] < begin) | (table[:, column] >= end)
+        self._numbers = array("d", table[kept].tobytes())
 
     def table(self):
         """(n, width) array of the rows, a copy."""
@@ -55,12 +56,18 @@ class Arrivals:
         self._stamps_ns = array("q")
         self._receipts_s = array("d")
 
-    def append(self, stamp_ns, receipt_s):
-        """Take one message: its stamp [ns] and when it was received [s]."""
-        self._stamps_ns.append(stamp_ns)
+    def append(self, stamp, receipt_s):
+        """Take one message: its stamp, as rosbags gives it, and when it was received [s]."""
+        self._stamps_ns.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
         self._receipts_s.append(receipt_s)
 
     def first(self):
         """(stamps (n,) [ns], strictly increasing; receipts (n,) [s]): the first that came of each stamp."""
         stamps_ns, first = np.unique(np.array(self._stamps_ns, dtype=np.int64), return_index=True)
         return stamps_ns, np.array(self._receipts_s)[first]
+
+    def since_s(self, earlier):
+        """(n,) [s] from the receipt of what other Arrivals hold to that of what is here of the same stamps."""
+        (stamps_ns, receipts_s), (earlier_ns, earlier_s) = self.first(), earlier.first()
+        _, ours, theirs = np.intersect1d(stamps_ns, earlier_ns, assume_unique=True, return_indices=True)
+        return receipts_s[ours] - earlier_s[theirs]

@@ -12,9 +12,10 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from data_extraction.recording import COMMANDS, REFERENCES, STATES, Recording
+from data_extraction.recording import COMMANDS, ON_COURSE, REFERENCES, STATES, Recording
 from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
+from risc_lab.command_history import Channel, CommandHistory, command_of
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.phases import OperatorPhase
 from risc_lab.settings import Positive, Settings
@@ -31,16 +32,15 @@ _FIELDS = {
     STATES: ("x", "y", "z", "u", "v", "w", "phi", "theta", "psi"),
     REFERENCES: ("x", "y", "z", "xdot", "ydot", "zdot", "psi"),
     COMMANDS: ("phi", "theta"),
-    SENT: ("roll_rad", "pitch_rad"),
 }
 
 PLOT_BUTTON = 3  # of the original release
-ON_COURSE = "course"  # the phase in which the course itself is flown
 IRIS = "iris"
 IRIS_EULER_ANGLE_MAX_RAD = 0.78537  # of the original release, for its IRIS+ controllers; the AR.Drone's is in its type
 
 _DELAY_S = 0.5  # a state waits so long for the reference and the command before and after it
-_GAP_S = 0.25  # nothing is interpolated over a longer silence
+_GAP_S = 0.25  # nothing is interpolated over a longer silence, and no command holds for longer
+_SENT_ROWS = 2**17  # the longest segment at 200 Hz
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,11 @@ def full_scales_deg(params, fleet_vehicles=()):
 
     def scale(kind, with_gains, overrides=()):
         if kind == IRIS:
-            angle_rad = override or IRIS_EULER_ANGLE_MAX_RAD
-            return math.degrees(angle_rad), math.degrees(angle_rad)
+            return (math.degrees(override or IRIS_EULER_ANGLE_MAX_RAD),) * 2
         limit = {"tilt_max_rad": override} if override else {}
         vehicle_type = load_vehicle_type(kind, {**dict(overrides), **limit})
         if not with_gains:
-            return -math.degrees(vehicle_type.tilt_max_rad), -math.degrees(vehicle_type.tilt_max_rad)
+            return (-math.degrees(vehicle_type.tilt_max_rad),) * 2
         unit = adapter_class(vehicle_type).units(vehicle_type)
         return math.degrees(unit.roll_rad), math.degrees(unit.pitch_rad)
 
@@ -152,6 +151,7 @@ class Recorder:
         template = {vehicle.namespace: vehicle.template for vehicle in fleet_vehicles}
         self._wanted = tuple(template.get(name, name) for name in params.vehicles)
         self._recording = Recording(_FIELDS, only=self._wanted)
+        self._sent = {}  # vehicle -> CommandHistory(1)
         self._clock = ClockGuard(math.inf)  # of the states; they may pause for long
         self._delay_s = _DELAY_S
         self._over, self._growing = {}, {}  # vehicle -> its Segments that have ended; that which has not
@@ -167,6 +167,14 @@ class Recorder:
         """Names of the parameters' vehicles whose states never came."""
         return tuple(name for name in self._wanted if name not in self._recording.order)
 
+    def take(self, topic, receipt_s, message, seconds):
+        """Take a message of any topic in TOPICS. seconds: makes a number [s] of the times in it."""
+        if topic == SENT:
+            for command in message.commands:
+                self.add(topic, receipt_s, command, seconds(command.sent))
+        else:
+            self.add(topic, receipt_s, message, seconds(message.header.stamp) if topic in _FIELDS else None)
+
     def add(self, topic, receipt_s, message, stamp_s=None):
         """Take a message of any topic in TOPICS; of SENT each command by itself, and when it was sent as its stamp.
 
@@ -177,18 +185,23 @@ class Recorder:
             recording.phases(receipt_s, message)
         elif topic == OPERATOR:
             recording.others_phase(receipt_s, OperatorPhase(message.phase).name.lower())
+        elif topic == SENT:
+            if message.name not in self._sent:
+                self._sent[message.name] = CommandHistory(1, _SENT_ROWS)
+            self._sent[message.name].append(0, receipt_s if recording.unstamped else stamp_s, command_of(message))
         elif topic != STATES or self._advances(receipt_s if recording.unstamped else stamp_s):
             was_stamped = not recording.unstamped
-            recording.add(topic, receipt_s, stamp_s, [message] if topic == SENT else message.Obj)
-            if was_stamped and recording.unstamped:
-                self._clock.forget()  # times are those of receipt from now on
+            recording.add(topic, receipt_s, stamp_s, message.Obj)
+            if was_stamped and recording.unstamped:  # times are those of receipt from now on
+                self._clock.forget()
+                self._sent.clear()
 
     def finish(self):
         """Use what still waits for later messages: there will be none."""
         self._delay_s = 0.0
 
     def ended(self):
-        """How many segments have ended so far, long enough or not."""
+        """How many segments have ended so far, long enough or not. To be asked now and then: memory stays bounded."""
         self._collect(self._clock.newest_s - self._delay_s)
         return self._ended
 
@@ -211,6 +224,7 @@ class Recorder:
             for name in list(self._growing):
                 self._end(self._growing.pop(name))
             self._recording.restart()
+            self._sent.clear()
         return step is not Step.REFUSED
 
     def _end(self, segment):
@@ -221,40 +235,46 @@ class Recorder:
             del over[0]
 
     def _collect(self, until_s):
-        """Pair what came up to a time, and forget what belongs to segments that have ended."""
-        recording = self._recording
-        references = recording.parts(REFERENCES, recording.order)
-        commands, sent = (recording.parts(topic, recording.order) for topic in (COMMANDS, SENT))
-        for name, parts in recording.parts(STATES).items():
-            if name not in references or (self._wanted and name not in self._wanted):
-                continue
-            told = sent.get(name) or commands.get(name, [])
-            scale_deg = math.degrees(1.0) if name in sent else self._scales_deg.get(name, self._other_scale_deg)
-            series = recording.series(told) if told else None
-            states, wanted = recording.series(parts), recording.series(references[name])
-            found = list(self._paired(name, states, wanted, series, scale_deg, until_s))
-            if not found:
-                continue
-            for segment in found[:-1]:
-                self._end(segment)
-            self._growing[name] = found[-1]
-            recording.forget(parts, found[-1].start_s)
-            recording.forget(references[name] + told, found[-1].start_s - _GAP_S)
+        """Pair what came up to a time; forget what belongs to segments that have ended, or finds no partner any more:
+        states while nobody says where the vehicle should be, references of a vehicle that is not seen.
+        """
+        recording, order = self._recording, self._recording.order
+        if not order:
+            recording.restart()  # references and commands of nobody
+            return
+        told = {topic: recording.parts(topic, order) for topic in _FIELDS}
+        for name in dict.fromkeys(itertools.chain(*told.values())):
+            states, references, commands = (told[topic].get(name, []) for topic in _FIELDS)
+            begin_s, end_s = -math.inf, -math.inf  # of the segment under way
+            if states and references and (not self._wanted or name in self._wanted):
+                found = list(self._paired(name, states, references, commands, until_s))
+                for segment in found[:-1]:
+                    self._end(segment)
+                if found:
+                    self._growing[name] = found[-1]
+                    begin_s, end_s = found[-1].start_s, found[-1].start_s + found[-1].duration_s
+            recording.forget(states, -math.inf, begin_s)
+            recording.forget(references + commands, -math.inf, begin_s - _GAP_S)
+            recording.forget(states + references + commands, end_s + _GAP_S, until_s - _GAP_S)
 
-    def _paired(self, name, states, references, commands, scale_deg, until_s):
+    def _paired(self, name, states, references, commands, until_s):
         """Segments of a vehicle, of its states up to a time that have a reference before and after them.
 
-        scale_deg: what the commands' roll and pitch [deg] are multiples of.
+        states, references, commands: parts of the recording.
         """
+        states, references = self._recording.series(states), self._recording.series(references)
         near, labels = references.near(states.t_s, _GAP_S)
         near &= states.t_s <= until_s
         t_s, have, labels = states.t_s[near], states.values[near], labels[near]
         references.values[:, 6] = np.unwrap(references.values[:, 6])
         want = references.at(t_s)
         told = np.full((len(t_s), 2), np.nan)
-        if commands is not None:
-            told = commands.at(t_s) * scale_deg
-            told[~commands.near(t_s, _GAP_S)[0]] = np.nan
+        if name in self._sent:
+            told = np.degrees(self._sent[name].held(0, t_s, _GAP_S)[:, [Channel.PHI, Channel.THETA]])
+        if commands and np.isnan(told).all():
+            computed = self._recording.series(commands)
+            known = computed.near(t_s, _GAP_S)[0]
+            told[known] = (computed.at(t_s) * self._scales_deg.get(name, self._other_scale_deg))[known]
         psi_deg = (np.degrees(want[:, 6:]) + 180.0) % 360.0 - 180.0
         errors = want[:, 3:6] - have[:, 3:6]
         table = np.hstack((have[:, :3], want[:, :3], told, psi_deg, have[:, 6:], errors, t_s[:, None]))

@@ -1,14 +1,16 @@
 """summary.json and the table that is printed after a flight."""
 
 import json
+import math
 import pathlib
 
+import jinja2
 import numpy as np
 
 from data_extraction.flight_metrics import HOPS, percentiles_ms
+from risc_lab.lab.yaml_reader import package_file
 
 FIGURES = ("position_rmse_m", "position_max_m", "yaw_rmse_rad", "settle_s", "lag_s")  # of each vehicle
-_MOST_PROGRAMS = 5  # that are named in the table
 
 
 def summarise(flight, experiment, simulated, artefacts, origin=None):
@@ -55,46 +57,17 @@ def write(summary, path):
 
 def table(summary):
     """The summary as text for a terminal."""
-    row, hop_row = "%-14s" + 5 * " %10s", "%-26s" + 3 * " %10s"
-    lines = [row % ("vehicle", "RMSE", "max", "yaw RMSE", "settled", "lag")]
-    units = ((1e3, "mm"), (1e3, "mm"), (np.degrees(1.0), "deg"), (1.0, "s"), (1e3, "ms"))
-    for name, figures in summary["vehicles"].items():
-        lines.append(row % (name, *(_unit(figures[key], *unit) for key, unit in zip(FIGURES, units))))
-    lines += ["", hop_row % ("latency", "p50", "p99", "max")]
-    for hop, figures in summary["latency_ms"].items():
-        cells = (_unit(figures[key], 1.0, "ms", 2) for key in ("p50", "p99", "max"))
-        lines.append(hop_row % (hop.replace("_", " "), *cells))
-    mocap = summary["mocap"]
-    counts = (mocap["frames_sent"], mocap["frames_received"], mocap["frames_passed_over"], mocap["rate_hz"])
-    lines += ["", "mocap: %d frames sent, %d received, %d of them passed over, %.2f Hz" % counts]
-    cores = summary["cpu_cores"]
-    if cores:
-        largest = ", ".join("%s %.2f" % item for item in list(cores.items())[:_MOST_PROGRAMS])
-        lines.append("processor cores: %.2f in all; %s" % (sum(cores.values()), largest))
-    lines.append("positions judged against %s" % summary["judged_against"])
-    if summary["bearings"] is not None:
-        lines += ["", *_bearing_lines(summary["bearings"])]
-    return "\n".join(lines)
+    return templates(autoescape=False).get_template("summary.txt").render(summary).rstrip("\n")
 
 
-def _bearing_lines(bearings):
-    heading = ("bearing", "count", "azimuth", "elevation", "az. RMS", "el. RMS", "/ sigma", "found", "false")
-    yield "%-26s %7s %11s %11s %10s %10s %8s %8s %6s" % heading
-    for vehicle, targets in bearings["vehicles"].items():
-        for name, figures in targets.items():
-            keys = ("azimuth_bias_deg", "elevation_bias_deg", "azimuth_rms_deg", "elevation_rms_deg")
-            yield "%-26s %7d %11s %11s %10s %10s %8s %8s %6d" % (
-                "%s: %s" % (vehicle, name),
-                figures["count"],
-                *(_unit(figures[key], 1.0, "deg", 3) for key in keys),
-                _unit(figures["normalised_rms"], 1.0, "", 2).strip(),
-                _unit(figures["seen_percent"], 1.0, "%", 0),
-                figures["false_alarms"],
-            )
-    sources = bearings["truth"], bearings["landmarks_from"]
-    yield "bearings of what is fully seen, against %s, landmarks from %s" % sources
-    yield from bearings["notes"]
-
-
-def _unit(value, factor, unit, digits=1):
-    return "-" if value is None else "%.*f %s" % (digits, factor * value, unit)
+def templates(autoescape):
+    """Environment of this package's templates."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(package_file("data_extraction", "templates")),
+        autoescape=autoescape,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals["pi"] = math.pi
+    return environment

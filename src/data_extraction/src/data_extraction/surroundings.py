@@ -5,13 +5,14 @@ from collections import defaultdict
 
 import numpy as np
 
-from data_extraction.camera_topics import is_bottom, namespace_of
+from data_extraction.camera_topics import is_bottom
 from data_extraction.flatten import seconds
+from data_extraction.report.topics import Collector, vehicle_of
 from data_extraction.samples import Samples
 from risc_estimation.bearings import calibration_from_info
 from risc_estimation.expected_bearings import Hull
 from risc_estimation.pose_track import PoseTrack
-from risc_lab.lab.calibration import BOTTOM_MOUNT, FRONT_MOUNT, load_calibration, load_mount
+from risc_lab.lab.calibration import BOTTOM_MOUNT, load_calibration, load_mount
 from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.lab.landmark_catalogue import load_landmark_catalogue
 from risc_lab.lab.templates import load_templates
@@ -22,8 +23,10 @@ _MARKER_FRAMES = 200  # enough to average the noise of the markers
 _LANDMARK_ROWS = 60_000  # five minutes at 200 Hz; what stands still needs no more
 
 
-class Surroundings:
+class Surroundings(Collector):
     """Takes the messages of a bag one by one; afterwards it is asked."""
+
+    ends = (CAMERA_INFO,)
 
     def __init__(self, fleet=None, states_topics=("/cortex_raw",)):
         """fleet: risc_lab.lab.Fleet; None = the original laboratory's names, no calibrations.
@@ -31,71 +34,63 @@ class Surroundings:
         states_topics: which topics say where vehicles are. Raises ValueError for calibrations, mounts, templates or a
         landmarks file that are not usable.
         """
+        self.topics = (*states_topics, LANDMARKS, MOCAP)
         vehicles = fleet.vehicles if fleet else laboratory_vehicles()
-        self._fleet = fleet
         self._template = {vehicle.namespace: vehicle.template for vehicle in vehicles}
-        self._namespace = {vehicle.template: vehicle.namespace for vehicle in vehicles}
-        self._fleet_calibrations = {vehicle.namespace: load_calibration(vehicle.calibration) for vehicle in vehicles}
-        self._mounts = {vehicle.namespace: load_mount(vehicle.camera_mount) for vehicle in vehicles}
+        self._cameras = {
+            v.template: (v.namespace, load_calibration(v.calibration), load_mount(v.camera_mount)) for v in vehicles
+        }
+        self._placed = {landmark.name: landmark for landmark in fleet.landmarks} if fleet else {}
         self._templates = load_templates(fleet=fleet)
+        self._others = {name for name, template in self._templates.items() if template.kind != "vehicle"}
         self.catalogue = load_landmark_catalogue()
         self.tracks = {topic: defaultdict(PoseTrack) for topic in states_topics}
         self._landmarks = defaultdict(lambda: Samples(3, _LANDMARK_ROWS))
-        self._rims = {}  # name -> [frames, sum of the markers' positions (n, 3)]
-        self._infos = {}  # (namespace, is bottom) -> CameraInfo
+        self._rims = defaultdict(list)  # name -> positions (n, 3) of the markers in each of its first frames
+        self._infos = {}  # (namespace or "", is bottom) -> CameraInfo
 
     def __call__(self, topic, _receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
         if topic in self.tracks:
             stamp_s = seconds(message.header.stamp)
-            tracks = self.tracks[topic]
             for state in message.Obj:
                 if state.visible:
                     angles_rad = (math.radians(state.phi), math.radians(state.theta), math.radians(state.psi))
-                    tracks[state.name].append(stamp_s, (state.x, state.y, state.z), angles_rad)
+                    self.tracks[topic][state.name].append(stamp_s, (state.x, state.y, state.z), angles_rad)
         elif topic == LANDMARKS:
             for landmark in message.Obj:
                 self._landmarks[landmark.name].append((landmark.x, landmark.y, landmark.z))
         elif topic == MOCAP:
-            self._keep_rims(message)
+            for body in message.Obj:
+                self._keep_rim(body)
         elif topic.endswith(CAMERA_INFO):
-            self._infos[namespace_of(topic), is_bottom(message)] = message
-
-    def wants(self, topic):
-        """Whether messages of this topic say anything here."""
-        return topic in self.tracks or topic in (LANDMARKS, MOCAP) or topic.endswith(CAMERA_INFO)
+            self._infos[vehicle_of(topic, 2, ""), is_bottom(message)] = message
 
     def vehicle(self, name):
         """Mocap template of a vehicle that is named by its namespace or by its template. Raises ValueError.
 
         "" (topics without a namespace) is the only vehicle of a fleet of one.
         """
-        if not name and len(self._template) == 1:
-            return next(iter(self._template.values()))
-        if name in self._namespace:
+        if name in self._cameras:
             return name
-        if name not in self._template:
-            raise ValueError(
-                "no vehicle has the namespace '%s'; known are %s: give the fleet file of this flight"
-                % (name, ", ".join("%s (%s)" % item for item in self._template.items()))
-            )
-        return self._template[name]
+        if name in self._template:
+            return self._template[name]
+        if not name and len(self._template) == 1:
+            return next(iter(self._cameras))
+        raise ValueError(
+            "no vehicle has the namespace '%s'; known are %s: give the fleet file of this flight"
+            % (name, ", ".join("%s (%s)" % item for item in self._template.items()))
+        )
 
-    def calibration(self, name, bottom=False):
-        """CameraCalibration of a vehicle (namespace or template): the bag's camera_info, else the fleet's; or None.
+    def camera(self, vehicle, bottom=False):
+        """(CameraCalibration of a vehicle's camera: the bag's camera_info, else the fleet's; or None, its CameraMount).
 
-        Raises ValueError for a camera_info that is not usable.
+        vehicle: template. Raises ValueError for a camera_info that is not usable.
         """
-        namespace = self._namespace.get(name, name)
+        namespace, calibration, mount = self._cameras[vehicle]
         info = self._infos.get((namespace, bottom))
-        calibration = None if info is None else calibration_from_info(info, namespace)
-        if calibration is None and not bottom:
-            calibration = self._fleet_calibrations.get(namespace)
-        return calibration
-
-    def mount(self, name, bottom=False):
-        """CameraMount of a vehicle's camera (namespace or template)."""
-        return BOTTOM_MOUNT if bottom else self._mounts.get(self._namespace.get(name, name), FRONT_MOUNT)
+        of_bag = calibration_from_info(info, namespace) if info is not None else None
+        return (of_bag, BOTTOM_MOUNT) if bottom else (of_bag or calibration, mount)
 
     def landmarks(self, from_fleet=False):
         """{name: place (3,) [m], cortex frame} of the landmarks.
@@ -104,7 +99,7 @@ class Surroundings:
         motion capture measured.
         """
         if from_fleet:
-            return {landmark.name: np.array(landmark.position_m) for landmark in self._fleet.landmarks}
+            return {name: np.array(landmark.position_m) for name, landmark in self._placed.items()}
         return {name: np.nanmedian(rows.table(), axis=0) for name, rows in self._landmarks.items()}
 
     def discs(self, from_fleet=False):
@@ -114,26 +109,16 @@ class Surroundings:
 
     def hulls(self, topic, time_s, without=""):
         """The vehicles at a time, as a list of Hull; those whose pose is not known then are left out."""
-        hulls = []
-        for name, track in self.tracks[topic].items():
-            template = self._templates.get(name)
-            if name == without or (template is not None and template.kind != "vehicle"):
-                continue
-            poses = track.at(time_s)
-            if poses.known[0]:
-                hulls.append(Hull(name, poses.positions_m[0], poses.R_body_to_cortex[0]))
-        return hulls
+        names = [name for name in self.tracks[topic] if name != without and name not in self._others]
+        poses = ((name, self.tracks[topic][name].at(time_s)) for name in names)
+        return [Hull(name, p.positions_m[0], p.R_body_to_cortex[0]) for name, p in poses if p.known[0]]
 
-    def _keep_rims(self, message):
-        for body in message.Obj:
-            template = self._templates.get(body.name)
-            if template is None or template.kind != "landmark" or len(body.marker) != len(template.markers_m):
-                continue
-            frames, total = self._rims.get(body.name, (0, 0.0))
-            if frames < _MARKER_FRAMES:
-                markers_m = np.array([(marker.x, marker.y, marker.z) for marker in body.marker])
-                if np.all(np.abs(markers_m) < 100.0):  # False for NaN, too
-                    self._rims[body.name] = (frames + 1, total + markers_m)
+    def _keep_rim(self, body):
+        template, rims = self._templates.get(body.name), self._rims[body.name]
+        if template is not None and template.kind == "landmark" and len(rims) < _MARKER_FRAMES:
+            markers_m = np.array([(marker.x, marker.y, marker.z) for marker in body.marker])
+            if markers_m.shape == template.markers_m.shape and np.all(np.abs(markers_m) < 100.0):  # False for NaN, too
+                rims.append(markers_m)
 
     def _normal(self, name, place):
         """Unit vector (3,) out of the painted side, cortex frame; None when nothing tells.
@@ -142,13 +127,12 @@ class Surroundings:
         painted says the fleet file, else it is the one towards the middle of the arena.
         """
         towards = -np.asarray(place, dtype=float) * (1.0, 1.0, 0.0)
-        facing = {landmark.name: landmark.facing_rad for landmark in self._fleet.landmarks} if self._fleet else {}
-        if facing.get(name) is not None:
-            towards = np.array([np.cos(facing[name]), -np.sin(facing[name]), 0.0])
-        if name in self._rims:
-            frames, total = self._rims[name]
-            markers_m = total / frames
-        elif name in facing:
+        facing_rad = self._placed[name].facing_rad if name in self._placed else None
+        if facing_rad is not None:
+            towards = np.array([np.cos(facing_rad), -np.sin(facing_rad), 0.0])
+        if self._rims.get(name):
+            markers_m = np.mean(self._rims[name], axis=0)
+        elif name in self._placed:
             return tuple(towards)
         elif name in self._templates:
             markers_m = self._templates[name].markers_m

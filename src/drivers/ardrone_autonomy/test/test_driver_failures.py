@@ -1,7 +1,7 @@
 """What ardrone_driver does when something in it fails, without ROS around it and without an aircraft."""
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from types import SimpleNamespace
 
 import pytest
@@ -47,7 +47,7 @@ def make_driver(log, monkeypatch):
         driver._is_alone, driver._prefix, driver._period_s = is_alone, "/risc2/", 0.02
         driver._params = SimpleNamespace(realtime_video=True, realtime_navdata=False)
         driver._waiting, driver._arrived, driver._replacing = deque(maxlen=1), threading.Event(), threading.Lock()
-        driver._health = SimpleNamespace(unpublished=0, skipped_packets=0)
+        driver._counts = Counter()
         driver._failing_since_s, driver._telemetry = None, SimpleNamespace()
         driver.udp = Udp(log)
         driver._make_udp = lambda: Udp(log)
@@ -88,7 +88,7 @@ def test_camera_frames_that_cannot_be_published_do_not_end_a_flight(make_driver,
     driver._telemetry.publish_camera_frames = lambda: fail(log)
     driver._tick_video = lambda: None
     driver._publish_until_shutdown()
-    assert driver._health.unpublished == 3
+    assert driver._counts["packets not published"] == 3
 
 
 def test_a_packet_that_comes_while_another_is_published_waits_for_the_next_loop(make_driver, log):
@@ -119,4 +119,4 @@ def test_a_packet_is_there_when_its_arrival_is_told(make_driver):
     for packet in packets:
         driver._on_packet(packet)
     assert found == packets
-    assert driver._health.skipped_packets == 1
+    assert driver._counts["skipped packets"] == 1

@@ -1,6 +1,5 @@
 """The thread on real sockets, against the scripted aircraft on loopback."""
 
-import functools
 import socket
 import threading
 import time
@@ -8,7 +7,7 @@ import time
 import pytest
 from scripted_drone import ScriptedDrone
 
-from ardrone_autonomy.link import DroneLink, Phase
+from ardrone_autonomy.link import Phase
 from ardrone_autonomy.piloting import HOVER, Sticks
 from ardrone_autonomy.protocol.navdata import ControlState
 from ardrone_autonomy.settings import setup_writes, wanted_texts
@@ -26,14 +25,15 @@ def wait_for(condition, limit_s=15.0):
 
 
 def make_thread(address, **arguments):
-    reports, packets = [], []
+    reports, packets, failures = [], [], []
+    callbacks = {"on_packet": packets.append, "on_failure": failures.append, **arguments}
     thread = UdpThread(
         address,
-        functools.partial(
-            DroneLink, setup_writes=setup_writes(wanted_texts({}), SESSION), session_id=SESSION, settle_s=0.0
-        ),
         lambda *item: reports.append(item),
-        **{"on_packet": packets.append, **arguments},
+        **callbacks,
+        setup_writes=setup_writes(wanted_texts({}), SESSION),
+        session_id=SESSION,
+        settle_s=0.0,
     )
     thread.reports, thread.packets = reports, packets
     return thread

@@ -1,6 +1,5 @@
 """Link and thread against the virtual lab's aircraft: physics, radio delay, the vehicle's own rules."""
 
-import functools
 import threading
 import time
 
@@ -10,7 +9,7 @@ pytest.importorskip("risc_simulator.virtual_lab", reason="the virtual lab is not
 
 from scripted_drone import free_address
 
-from ardrone_autonomy.link import DroneLink, Phase
+from ardrone_autonomy.link import Phase
 from ardrone_autonomy.piloting import sticks_from_velocity
 from ardrone_autonomy.settings import setup_writes, wanted_texts
 from ardrone_autonomy.udp import UdpThread
@@ -45,14 +44,12 @@ def lab(tmp_path):
 def make_thread(lab, parameters):
     return UdpThread(
         lab.fleet.vehicles[0].address,
-        functools.partial(
-            DroneLink,
-            setup_writes=setup_writes(wanted_texts(parameters), SESSION),
-            session_id=SESSION,
-            settle_s=0.1,
-            report=lambda *_: None,
-        ),
         lambda *_: None,
+        lambda _packet: None,
+        lambda _error: None,
+        setup_writes=setup_writes(wanted_texts(parameters), SESSION),
+        session_id=SESSION,
+        settle_s=0.1,
     )
 
 

@@ -60,6 +60,18 @@ def test_a_wrong_value_is_named(wrong):
 
 
 @pytest.mark.parametrize(
+    "wrong, cure",
+    [
+        ({"camera_name": "my camera"}, "use letters, digits and underscores"),
+        ({"format_mode": 4}, r"set it to 1 .*, 2 \(YUYV\) or 3 \(MJPEG\)"),
+    ],
+)
+def test_a_wrong_value_is_told_with_its_cure(wrong, cure):
+    with pytest.raises(ValueError, match="parameters: %s is .*%s" % (next(iter(wrong)), cure)):
+        settings_from(CameraSettings, wrong, "parameters")
+
+
+@pytest.mark.parametrize(
     "change, reopen, controls",
     [
         ({}, False, {}),

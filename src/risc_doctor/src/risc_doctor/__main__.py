@@ -1,8 +1,6 @@
 """`./maap doctor`: everything that can keep the vehicles on the ground, in one command."""
 
 import argparse
-import contextlib
-import json
 import os
 import pathlib
 import sys
@@ -10,7 +8,7 @@ import threading
 
 from risc_doctor import by_hand
 from risc_doctor.checks import CHECKS, run
-from risc_doctor.findings import GREEN, RED, count_text, exit_code, print_findings, worst
+from risc_doctor.findings import GREEN, RED, count_text, exit_code, print_findings, to_json, worst
 from risc_doctor.situation import DEFAULT_FLEET, look_around
 
 WRONG_USE = 2
@@ -45,11 +43,8 @@ def arguments(argv):
     add("--live", action="store_true", help="ask Cortex for its live mode first, as stream_markers does")
     add("--axes", metavar="VEHICLE", help="move a vehicle along +x, +y, +z by hand: does motion capture see that?")
     args = parser.parse_args(argv)
-    args.only = (
-        list(CHECKS)
-        if args.only is None
-        else [_ALIASES.get(name, name) for name in args.only.replace(",", " ").split()]
-    )
+    names = list(CHECKS) if args.only is None else args.only.replace(",", " ").split()
+    args.only = [_ALIASES.get(name, name) for name in names]
     unknown = [name for name in args.only if name not in CHECKS]
     if unknown or not args.only:
         parser.error("--only: no check '%s'; choose from %s" % (", ".join(unknown), ", ".join(CHECKS)))
@@ -63,42 +58,32 @@ def arguments(argv):
 def main(argv=None):
     """Returns the exit code: 0 it can fly, 1 it cannot, 2 wrong use."""
     args = arguments(argv)
+    options = {"joysticks": tuple(args.joystick), "wanted": tuple(args.vehicle), "live": args.live}
     try:
-        situation = look_around(
-            args.fleet,
-            dict(os.environ),
-            bag_folder=args.bag_folder,
-            joysticks=tuple(args.joystick),
-            wanted=tuple(args.vehicle),
-            live=args.live,
-        )
+        situation = look_around(args.fleet, dict(os.environ), bag_folder=args.bag_folder, **options)
         situation.vehicles()  # names that the fleet does not have are wrong use
     except ValueError as error:
         print("maap doctor: %s" % error, file=sys.stderr)
         return WRONG_USE
     if args.axes:
         findings = by_hand.look(situation.fleet, args.axes, input)
-        with _told():
-            print_findings(findings)
-        return exit_code(findings)
-    if not args.json:
-        with _told():
-            print("fleet '%s' (%s)" % (situation.fleet.name, situation.fleet_source))
-    findings = run(situation, [name for name in CHECKS if name in args.only])
-    with _told():
-        if args.json:
-            print(json.dumps([found.to_dict() for found in findings]))
-        else:
-            print_findings(findings)
-            print("\n%s (%s)." % (_LAST_LINE[worst(findings)], count_text(findings)))
+    else:
+        if not args.json:
+            _say("fleet '%s' (%s)" % (situation.fleet.name, situation.fleet_source))
+        findings = run(situation, [name for name in CHECKS if name in args.only])
+    if args.json:
+        _say(to_json(findings))
+    else:
+        _say(findings)
+        if not args.axes:
+            _say("\n%s (%s)." % (_LAST_LINE[worst(findings)], count_text(findings)))
     return exit_code(findings)
 
 
-@contextlib.contextmanager
-def _told():
-    """What is printed in here is flushed; a reader that has gone is no error: `maap doctor | head`."""
+def _say(what):
+    """Print a text, or findings, at once; a reader that has gone is no error: `maap doctor | head`."""
     try:
-        yield
+        (print if isinstance(what, str) else print_findings)(what)
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # takes what is left, now and at exit

@@ -88,7 +88,7 @@ def judge_moves(moves):
 
     moves: {"x": (3,) displacement [m] that mocap saw when the operator moved along +x, "y": ..., "z": ...}.
     """
-    found, directions = Findings("axes"), {}
+    found, directions, columns = Findings("axes"), {}, {}
     for axis, seen in moves.items():
         length_m = float(np.linalg.norm(seen))
         if not np.isfinite(length_m):
@@ -101,45 +101,32 @@ def judge_moves(moves):
         else:
             directions[axis] = np.asarray(seen) / length_m
     turn_rad = _turn(directions)
-    if turn_rad is not None and abs(turn_rad) > _TURN_TOLERANCE_RAD:
+    if turn_rad is not None:
         return found.say("turned", degrees=np.degrees(turn_rad))
-    return _judge_directions(directions, found)
-
-
-def _judge_directions(directions, found):
-    """Findings from unit vectors of the moves that were long enough."""
-    columns = {}
     for axis, direction in directions.items():
         if np.abs(direction).max() < _OBLIQUE:
             found.say("oblique", axis=axis, x=direction[0], y=direction[1], z=direction[2])
             continue
         seen = _signed_axis(direction)
-        columns[axis] = np.where(np.abs(direction) == np.abs(direction).max(), np.sign(direction), 0.0)
+        columns[axis] = np.round(direction)  # one is at least cos 30 degrees, the others at most sin 30 degrees
         found.say("right" if seen == "+" + axis else "wrong", axis=axis, way=WAYS[axis], seen=seen)
-    if len(columns) == 3:
-        hand = np.linalg.det([columns[axis] for axis in AXES])
-        if hand == 0.0:
-            found.say("same_axis")
-        elif hand < 0.0:
-            found.say("left_handed")
+    hand = np.linalg.det([columns[axis] for axis in AXES]) if len(columns) == 3 else 1.0
+    if hand <= 0.0:
+        found.say("left_handed" if hand else "same_axis")
     return found
 
 
 def _turn(directions):
-    """Angle [rad] by which x and y are both turned about z, when they agree and lie level; else None."""
-    if "x" not in directions or "y" not in directions:
+    """Angle [rad] by which x and y are both turned about z, when they agree and lie level; else None.
+
+    Quarter turns are none: they are told axis by axis.
+    """
+    if not {"x", "y"} <= set(directions) or directions.get("z", [0.0, 0.0, 1.0])[2] < _OBLIQUE:
         return None
-    if "z" in directions and directions["z"][2] < _OBLIQUE:
+    x, y = (complex(*directions[axis][:2]) for axis in "xy")
+    if min(abs(x), abs(y)) < _OBLIQUE:
         return None
-    turns = []
-    for axis, nominal in (("x", 0.0), ("y", 0.5 * np.pi)):
-        direction = directions[axis]
-        if np.hypot(direction[0], direction[1]) < _OBLIQUE:
-            return None
-        turns.append(np.angle(np.exp(1j * (np.arctan2(direction[1], direction[0]) - nominal))))
-    apart = abs(np.angle(np.exp(1j * (turns[0] - turns[1]))))
-    quarter = abs(turns[0]) % (0.5 * np.pi)
-    whole = min(quarter, 0.5 * np.pi - quarter) < _TURN_TOLERANCE_RAD
-    if apart > 2.0 * _TURN_TOLERANCE_RAD or (whole and abs(turns[0]) > _TURN_TOLERANCE_RAD):
-        return None  # quarter turns are told axis by axis
-    return turns[0] + 0.5 * np.angle(np.exp(1j * (turns[1] - turns[0])))
+    apart = np.angle(y / (1j * x))
+    turn = np.angle(x * np.exp(0.5j * apart))
+    beyond_quarters = abs((turn + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi)
+    return None if abs(apart) > 2.0 * _TURN_TOLERANCE_RAD or beyond_quarters < _TURN_TOLERANCE_RAD else turn

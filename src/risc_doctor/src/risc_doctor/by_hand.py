@@ -6,31 +6,28 @@ import numpy as np
 
 from risc_doctor.axes import WAYS, judge_moves
 from risc_doctor.cortex_probe import EndpointConnection, probe
-from risc_doctor.findings import Findings
+from risc_doctor.findings import Findings, FoundError
 
 _LOOK_S = 0.5  # mean of so many seconds
 _BRIEFLY_S = 0.3  # is the host there at all?
 
 
-class NotSeenError(Exception):
-    """The body cannot be looked at; the text says why."""
-
-
 def position_m(connection, name, metres_per_unit, look_s):
     """Where the body is now: (3,) [m], NaN unless every marker is seen now and then: the middle of fewer is elsewhere.
 
-    Raises NotSeenError when no frame comes.
+    Raises FoundError when no frame comes, or none with it.
     """
     connection.forget_stream()
     frames = [frame for _, frame in connection.stream(look_s, look_s)]
     if len(frames) < 2:
         frames = list(filter(None, (connection.poll() for _ in range(5))))
     if not frames:
-        raise NotSeenError("no frame comes from Cortex")
+        raise FoundError("axes", "body_unseen", error="no frame comes from Cortex")
     shown = [body.markers_mm for frame in frames for body in frame.bodies if body.name == name]
     if not shown:
         names = ", ".join(body.name for body in frames[-1].bodies)
-        raise NotSeenError("Cortex shows no '%s'; it shows %s" % (name, names or "nothing"))
+        error = "Cortex shows no '%s'; it shows %s" % (name, names or "nothing")
+        raise FoundError("axes", "body_unseen", error=error)
     stacked = np.stack([markers for markers in shown if markers.shape == shown[-1].shape])
     if not np.isfinite(stacked).all(axis=2).any(axis=0).all():
         return np.full(3, np.nan)
@@ -58,8 +55,8 @@ def look(fleet, word, wait_for_enter, look_s=_LOOK_S):
                 wait_for_enter("    move it %s (+%s) by half a metre, hold it still, and press Enter. " % (way, axis))
                 moves[axis] = position_m(connection, name, report.metres_per_unit, look_s) - before
                 print("    seen: %+.3f %+.3f %+.3f m" % tuple(moves[axis]))
-    except NotSeenError as error:
-        return found.say("body_unseen", error=error)
+    except FoundError as error:
+        return [error.finding]
     except OSError as error:
         return found.say("host_gone", error=error)
     return judge_moves(moves)

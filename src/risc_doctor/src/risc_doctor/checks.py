@@ -15,7 +15,7 @@ from risc_doctor import (
     sourced_workspace,
     vehicles,
 )
-from risc_doctor.findings import broken, finding
+from risc_doctor.findings import finding, guarded
 from risc_doctor.ros_master import MasterError
 
 # name -> (what it looks at, function of a Situation that returns findings); in the order of the report
@@ -42,14 +42,12 @@ def run(situation, names, checks=None):
     """Findings of the named checks, in their order. One that breaks is a red finding; the others go on."""
     checks = CHECKS if checks is None else checks
     with concurrent.futures.ThreadPoolExecutor(len(checks)) as pool:
-        jobs = [pool.submit(_guarded, name, checks[name][1], situation) for name in names]
+        jobs = [pool.submit(guarded, name, _look, name, checks[name][1], situation) for name in names]
         return [found for job in jobs for found in job.result()]
 
 
-def _guarded(name, function, situation):
+def _look(name, function, situation):
     try:
         return function(situation)
     except MasterError as error:
         return [finding(name, "master_gone", error=error)]
-    except Exception as error:  # of any kind: the other checks are worth having
-        return [broken(name, error)]

@@ -1,5 +1,6 @@
 """Do clocks agree? Ages of messages are differences of stamps and clocks."""
 
+import contextlib
 import csv
 import ctypes
 import subprocess
@@ -30,10 +31,7 @@ class ClockState:
 
 def check(situation):
     """Who keeps the clock; and the age of the stamps when a graph runs."""
-    findings = [judge(read_clock(), situation.simulated)]
-    if situation.master is not None:
-        findings += judge_stamps(situation.graph().topics)
-    return findings
+    return [judge(read_clock(), situation.simulated), *judge_stamps(situation.graph().topics)]
 
 
 def judge(state, one_computer=False):
@@ -66,8 +64,15 @@ def judge_stamps(topics):
 
 
 def read_clock():
-    """ClockState of this computer."""
-    return parse_tracking(_chronyc_tracking()) or _kernel_clock()
+    """ClockState of this computer: what chrony says, else what the kernel was told by who sets its clock."""
+    command, quiet = ["chronyc", "-c", "tracking"], subprocess.DEVNULL
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        told = subprocess.check_output(command, stdin=quiet, stderr=quiet, text=True, timeout=_CHRONYC_PATIENCE_S)
+        if state := parse_tracking(told):
+            return state
+    timex = ctypes.create_string_buffer(_TIMEX_BYTES)  # all zero: only to be read
+    synchronised = ctypes.CDLL(None, use_errno=True).adjtimex(timex) not in (-1, _TIME_ERROR)
+    return ClockState("kernel" if synchronised else "none", synchronised)
 
 
 def parse_tracking(text):
@@ -79,21 +84,3 @@ def parse_tracking(text):
     except (ValueError, IndexError):
         return None
     return ClockState("chrony", synchronised, offset_s, row[1] or row[0], dispersion_s + delay_s / 2.0)
-
-
-def _chronyc_tracking():
-    command = ["chronyc", "-c", "tracking"]
-    try:
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_CHRONYC_PATIENCE_S, check=True
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return done.stdout
-
-
-def _kernel_clock():
-    """What the kernel was told by the program that sets its clock."""
-    timex = ctypes.create_string_buffer(_TIMEX_BYTES)  # all zero: only to be read
-    synchronised = ctypes.CDLL(None, use_errno=True).adjtimex(timex) not in (-1, _TIME_ERROR)
-    return ClockState("kernel" if synchronised else "none", synchronised)

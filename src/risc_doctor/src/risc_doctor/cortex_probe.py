@@ -79,35 +79,23 @@ def probe(endpoint, live=False, listen_s=LISTEN_S):
     try:
         with contextlib.closing(EndpointConnection(endpoint)) as connection:
             report.stream_error, report.listeners = connection.stream_error, connection.listeners
-            report.identity = connection.hello()
-            _interview(connection, report, live, listen_s)
+            report.identity, definitions = connection.hello(), connection.body_defs()
+            report.bodies = definitions and tuple(definitions.bodies)
+            report.told_rate_hz = connection.number("GetContextFrameRate", "<f")
+            report.mm_per_unit = connection.number("GetConversionToMillimeters", "<f")
+            report.up_axis = connection.number("GetUpAxis", "<i")
+            if live:
+                connection.go_live()
+            connection.forget_stream()  # what came meanwhile would come at once now, and spoil the rate
+            report.frames = list(connection.stream(listen_s, _STREAM_PATIENCE_S))
+            for _ in range(2 if len(report.frames) < 2 else 0):
+                report.polled += filter(None, [connection.poll()])
+                time.sleep(_POLL_PAUSE_S)
             report.malformed = len(connection.malformed)
+    except ConnectionRefusedError:
+        report.refused, report.error = True, "refused, as nothing listens on that port"
     except OSError as error:
-        report.refused = isinstance(error, ConnectionRefusedError)
-        report.error = _reason(error)
+        report.error = error.strerror or str(error)
+        if error.errno == errno.EADDRNOTAVAIL:
+            report.error = "this computer does not have the address that the fleet file calls mocap interface"
     return report
-
-
-def _interview(connection, report, live, listen_s):
-    definitions = connection.body_defs()
-    report.bodies = definitions and tuple(definitions.bodies)
-    report.told_rate_hz = connection.number("GetContextFrameRate", "<f")
-    report.mm_per_unit = connection.number("GetConversionToMillimeters", "<f")
-    report.up_axis = connection.number("GetUpAxis", "<i")
-    if live:
-        connection.go_live()
-    connection.forget_stream()  # what came meanwhile would come at once now, and spoil the rate
-    report.frames = list(connection.stream(listen_s, _STREAM_PATIENCE_S))
-    for _ in range(2 if len(report.frames) < 2 else 0):
-        frame = connection.poll()
-        if frame is not None:
-            report.polled.append(frame)
-        time.sleep(_POLL_PAUSE_S)
-
-
-def _reason(error):
-    if isinstance(error, ConnectionRefusedError):
-        return "refused, as nothing listens on that port"
-    if error.errno == errno.EADDRNOTAVAIL:
-        return "this computer does not have the address that the fleet file calls mocap interface"
-    return error.strerror or str(error)

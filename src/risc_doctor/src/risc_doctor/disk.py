@@ -21,7 +21,7 @@ _LONGEST_S = 2.0
 def check(situation):
     """Free space and write speed where the bag goes."""
     found = Findings("disk")
-    folder = situation.root / "flights" if situation.bag_folder is None else situation.bag_folder
+    folder = situation.bag_folder or situation.root / "flights"
     if not os.path.lexists(folder):  # the recorder makes it
         folder = folder.parent
     if not os.path.isdir(folder):  # False as well where it may not be looked at
@@ -55,14 +55,12 @@ def judge_speed(folder, speed_mb_s, need_mb_s):
     return finding("disk", "speed", level, folder=folder, speed_mb_s=speed_mb_s, need_mb_s=need_mb_s)
 
 
-def write_speed_mb_s(folder, size=_TEST_BYTES, longest_s=_LONGEST_S):
+def write_speed_mb_s(folder, size):
     """MB/s of a file that reaches the disk and is removed again. Raises OSError."""
     piece = os.urandom(_PIECE_BYTES)  # nothing that a file system could squeeze
-    written = 0
-    with tempfile.TemporaryFile(dir=folder) as stream:
-        start = time.monotonic()
-        while written < max(size, _PIECE_BYTES) and time.monotonic() - start < longest_s:
+    written, start = 0, time.monotonic()
+    with tempfile.TemporaryFile(dir=folder, buffering=0) as stream:
+        while written < max(size, _PIECE_BYTES) and time.monotonic() - start < _LONGEST_S:
             written += stream.write(piece)
-            stream.flush()
-            os.fdatasync(stream.fileno())
+            os.fdatasync(stream)
         return written / _MB / max(time.monotonic() - start, 1e-6)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from risc_lab.lab.yaml_reader import load_yaml, package_file
-from risc_lab.settings import Settings, settings_from
+from risc_lab.settings import Settings
 
 GREEN, YELLOW, RED = LEVELS = ("green", "yellow", "red")  # from good to bad
 _COLOURS = {GREEN: "\033[32m", YELLOW: "\033[33m", RED: "\033[1;31m"}
@@ -41,14 +41,10 @@ class Finding(Settings):
         if self.level != GREEN and not self.cure:
             raise ValueError("a finding that is %s needs a cure: %s: %s" % (self.level, self.check, self.text))
 
-    def to_dict(self):
-        """Plain values, as for JSON. Numbers that JSON has not (NaN, infinite) become None."""
-        return msgspec.json.decode(msgspec.json.encode(self, enc_hook=str))
 
-    @classmethod
-    def from_dict(cls, content):
-        """The finding of `to_dict`. Raises ValueError when it is none."""
-        return settings_from(cls, content)
+def to_json(findings):
+    """A list of findings as text; numbers that JSON has not (NaN, infinite) become null."""
+    return msgspec.json.encode(findings, enc_hook=str).decode()
 
 
 @functools.cache
@@ -79,11 +75,33 @@ class Findings(list):
         return self
 
 
-def broken(check, error):
-    """The Finding that the check itself has failed, and where."""
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    where = "%s, line %d" % (pathlib.PurePath(place.filename).name, place.lineno)
-    return finding(check, "broken", error="%s: %s" % (type(error).__name__, error), place=where)
+class FoundError(Exception):
+    """Nothing more can be looked at; `finding` says why."""
+
+    def __init__(self, check, code, **values):
+        self.finding = finding(check, code, **values)
+        super().__init__(self.finding.text)
+
+
+def collect(findings):
+    """A list of findings from an iterator, which a FoundError may end: it is the last one."""
+    found = []
+    try:
+        for one in findings:
+            found.append(one)  # noqa: PERF402 - those before an error stay
+    except FoundError as error:
+        found.append(error.finding)
+    return found
+
+
+def guarded(check, function, *arguments):
+    """`collect` of a function's findings; when it breaks, a red one that says where: other checks are worth having."""
+    try:
+        return collect(function(*arguments))
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = "%s, line %d" % (pathlib.PurePath(place.filename).name, place.lineno)
+        return [finding(check, "broken", error="%s: %s" % (type(error).__name__, error), place=where)]
 
 
 def worst(findings):
@@ -102,35 +120,24 @@ def count_text(findings):
     return ", ".join("%d %s" % (count, level) for level, count in counts if count) or "nothing was looked at"
 
 
-def table(findings, width=_WIDTH, coloured=False):
-    """Lines of an aligned table, one finding after the other, the cure below each that is not green."""
+def print_findings(findings):
+    """Print an aligned table, the cure below each finding that is not green; coloured, and as wide as a terminal is."""
+    terminal = sys.stdout.isatty()
     names, levels = max((len(found.check) for found in findings), default=0), max(map(len, LEVELS))
     space = " " * (levels + names + 4)
-    width = max(_NARROWEST + len(space), width)
-    lines = []
+    width = max(_NARROWEST + len(space), shutil.get_terminal_size((_WIDTH, 24)).columns if terminal else _WIDTH)
     for found in findings:
-        first, *others = _wrapped(found.text, "%-*s  %-*s  " % (levels, found.level, names, found.check), space, width)
-        if coloured:
-            first = _COLOURS[found.level] + found.level + _PLAIN + first[len(found.level) :]
-        lines += [first, *others]
+        text = _wrapped(found.text, "%-*s  %-*s  " % (levels, found.level, names, found.check), space, width)
+        print(_COLOURS[found.level] + found.level + _PLAIN + text[len(found.level) :] if terminal else text)
         if found.level != GREEN:
-            lines += _wrapped(found.cure, space + "> ", space + "  ", width)
-    return lines
-
-
-def print_findings(findings, out=None):
-    """Print the table: coloured, and as wide as it is, when `out` is a terminal. out: text stream, None = stdout."""
-    out = sys.stdout if out is None else out
-    width = shutil.get_terminal_size((_WIDTH, 24)).columns if out.isatty() else _WIDTH
-    for line in table(findings, width, out.isatty()):
-        print(line, file=out)
+            print(_wrapped(found.cure, space + "> ", space + "  ", width))
 
 
 def _wrapped(text, first, others, width):
-    """Lines of a text, with what they begin with; commands and addresses are not broken. At least one line."""
-    lines = []
-    for part in text.splitlines():
-        begin = others if lines else first
-        options = {"break_long_words": False, "break_on_hyphens": False}
-        lines += textwrap.wrap(part, width, initial_indent=begin, subsequent_indent=others, **options)
-    return lines or [first]
+    """Lines of a text, with what they begin with; commands and addresses are not broken."""
+    options = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": others}
+    lines = text.splitlines() or [""]
+    return "\n".join(
+        textwrap.fill(line, width, initial_indent=others if number else first, **options) or first
+        for number, line in enumerate(lines)
+    )

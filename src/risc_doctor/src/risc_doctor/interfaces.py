@@ -54,6 +54,11 @@ def read_interfaces():
     return found
 
 
+def leading_out(interfaces):
+    """Those that lead to other computers."""
+    return [card for card in interfaces if card.up and card.addresses and not card.is_loopback]
+
+
 def is_own(interfaces, address):
     """True when this computer has the address (text), on a card that is up."""
     return any(card.up and card.has(address) for card in interfaces)
@@ -71,11 +76,6 @@ def interface_towards(interfaces, address):
     return max(ways, key=lambda way: way[1].network.prefixlen, default=None)
 
 
-def interface_of(interfaces, address):
-    """The card that has the address (text), or None."""
-    return next((card for card in interfaces if card.has(address)), None)
-
-
 def source_towards(address):
     """Own address that the kernel would send from to the address (text); None when it knows no route."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
@@ -84,11 +84,6 @@ def source_towards(address):
         except OSError:
             return None
         return sock.getsockname()[0]
-
-
-def join(sock, group, own):
-    """Let a socket hear a multicast group by the card that has the address. Raises OSError."""
-    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + socket.inet_aton(own))
 
 
 def _read(path):

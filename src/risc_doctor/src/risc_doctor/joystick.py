@@ -5,7 +5,7 @@ import fcntl
 import glob
 import os
 
-from joy.device import device_name
+from joy.device import device_name, open_device
 from risc_control.joystick import Button, JoystickParams
 from risc_doctor.findings import Findings, finding
 
@@ -29,23 +29,21 @@ def needed_indices():
 
 
 def look(path, needed):
-    """Finding about one device."""
-    say, place = "joystick", {"path": path, "pattern": _PATTERN}
+    """Finding about one device. needed: highest index of its buttons and axes."""
+    values = {"path": path, "pattern": _PATTERN, "user": os.environ.get("USER") or "$USER"}
     try:
-        fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    except FileNotFoundError:
-        return finding(say, "missing", **place)
-    except PermissionError:
-        return finding(say, "forbidden", path=path, user=os.environ.get("USER") or "$USER")
+        with open(open_device(path), "rb", buffering=0) as device:
+            name, counts = device_name(device), []
+            if not name:
+                return finding("joystick", "other_device", **values)
+            for request in (_JSIOCGBUTTONS, _JSIOCGAXES):
+                number = array.array("B", [0])
+                fcntl.ioctl(device, request, number)
+                counts.append(number[0])
+            return judge(path, name, *counts, needed)
     except OSError as error:
-        return finding(say, "failed", path=path, error=error.strerror)
-    try:
-        name = device_name(fd)
-        if not name:
-            return finding(say, "other_device", **place)
-        return judge(path, name, _count(fd, _JSIOCGBUTTONS), _count(fd, _JSIOCGAXES), needed)
-    finally:
-        os.close(fd)
+        codes = {FileNotFoundError: "missing", PermissionError: "forbidden"}
+        return finding("joystick", codes.get(type(error), "failed"), error=error.strerror, **values)
 
 
 def judge(path, name, buttons, axes, needed):
@@ -53,9 +51,3 @@ def judge(path, name, buttons, axes, needed):
     button, axis = needed
     code = "short" if buttons <= button or axes <= axis else "good"
     return finding("joystick", code, path=path, name=name, buttons=buttons, axes=axes, button=button, axis=axis)
-
-
-def _count(fd, request):
-    buffer = array.array("B", [0])
-    fcntl.ioctl(fd, request, buffer, True)
-    return buffer[0]

@@ -18,7 +18,7 @@ def check(situation):
 
 def judge(fleet, interfaces, simulated, source_towards):
     """Findings. source_towards: address -> own address that the kernel would send from, None without a route."""
-    found, cards = Findings("network"), _cards(interfaces)
+    found, cards = Findings("network"), net.leading_out(interfaces)
     if not any(card.up and card.is_loopback for card in interfaces):
         found.say("loopback_down")
     if cards:
@@ -51,11 +51,6 @@ def judge(fleet, interfaces, simulated, source_towards):
     return found
 
 
-def _cards(interfaces):
-    """Those that lead to other computers."""
-    return [card for card in interfaces if card.up and card.addresses and not card.is_loopback]
-
-
 def check_subnets(situation):
     """Is each card in a network of its own?"""
     return judge_subnets(situation.interfaces(), [vehicle.address for vehicle in situation.vehicles()])
@@ -67,7 +62,7 @@ def judge_subnets(interfaces, vehicles):
     vehicles: addresses of those that are flown.
     """
     by_network, found = collections.defaultdict(set), Findings("subnets")
-    for card in _cards(interfaces):
+    for card in net.leading_out(interfaces):
         for address in card.addresses:
             if address.network.prefixlen < 31:
                 by_network[address.network].add(card.name)
@@ -85,10 +80,12 @@ def check_multicast(situation):
     own = mocap.interface or net.source_towards(mocap.host)
     if own is None:
         return found.say("no_way", host=mocap.host)
-    card = net.interface_of(interfaces, own)
+    card = next((card for card in interfaces if card.has(own)), None)
     if card is None:
         return found.say("no_card", own=own)
-    return judge_multicast(mocap, own, card, join_error(mocap.stream_group, own), _filters(card.name))
+    paths = {name: pathlib.Path("/proc/sys/net/ipv4/conf", name, "rp_filter") for name in ("all", card.name)}
+    filters = {name: int(path.read_text()) for name, path in paths.items() if path.exists()}
+    return judge_multicast(mocap, own, card, join_error(mocap.stream_group, own), filters)
 
 
 def judge_multicast(mocap, own, card, error, filters):
@@ -108,12 +105,8 @@ def join_error(group, own):
     """Why a group cannot be joined on the card with this address; "" when it can."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         try:
-            net.join(sock, group, own)
+            membership = socket.inet_aton(group) + socket.inet_aton(own)
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
         except OSError as error:
             return error.strerror or str(error)
     return ""
-
-
-def _filters(card):
-    paths = {name: pathlib.Path("/proc/sys/net/ipv4/conf") / name / "rp_filter" for name in ("all", card)}
-    return {name: int(path.read_text()) for name, path in paths.items() if path.exists()}

@@ -1,7 +1,6 @@
 """Ports that our programs need: taken by whom, or not allowed?"""
 
 import errno
-import os
 import pathlib
 import socket
 
@@ -24,25 +23,17 @@ def check(situation):
     return found
 
 
-def bind_error(port):
-    """errno of taking the port as stream_markers does (shared with others who share it); 0 when it works."""
+def _stream_port(port):
+    """The Finding about taking the port as stream_markers does: shared with others who share it."""
+    users = ", ".join(socket_owners.users_of_port(port))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             sock.bind(("", port))
         except OSError as error:
-            return error.errno
-    return 0
-
-
-def _stream_port(port):
-    error, users = bind_error(port), ", ".join(socket_owners.users_of_port(port))
-    if error == errno.EACCES:
-        return finding("ports", "stream_for_root", port=port, first=_UNPRIVILEGED.read_text().strip())
-    if error == errno.EADDRINUSE:
-        return finding("ports", "stream_taken", port=port, users=users or "a program that is gone now")
-    if error:
-        return finding("ports", "stream_refused", port=port, error=os.strerror(error))
+            codes = {errno.EACCES: "stream_for_root", errno.EADDRINUSE: "stream_taken"}
+            values = {"first": _UNPRIVILEGED.read_text().strip(), "users": users or "a program that is gone now"}
+            return finding("ports", codes.get(error.errno, "stream_refused"), port=port, error=error.strerror, **values)
     return finding("ports", "stream_shared" if users else "stream_free", port=port, users=users)
 
 

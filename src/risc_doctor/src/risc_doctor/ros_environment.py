@@ -4,7 +4,7 @@ import socket
 
 from risc_doctor import interfaces as net
 from risc_doctor.findings import Findings
-from risc_doctor.ros_master import MasterError, host_and_port, resolve
+from risc_doctor.ros_master import MasterError, UnknownHostError, host_and_port, resolve
 
 
 def check(situation):
@@ -42,13 +42,14 @@ def judge_own_address(environment, interfaces, master, several, host_name):
     """
     found = Findings("ros")
     ip, name = environment.get("ROS_IP", ""), environment.get("ROS_HOSTNAME", "")
-    cards = [card for card in interfaces if card.up and card.addresses and not card.is_loopback]
+    cards = net.leading_out(interfaces)
     choice = ", ".join(str(address.ip) for card in cards for address in card.addresses) or "127.0.0.1"
     if ip and name:
         found.say("both", name=name, ip=ip)
     told, variable = (name, "ROS_HOSTNAME") if name else (ip, "ROS_IP")
     export = ("unset ROS_HOSTNAME; " if name else "") + "export ROS_IP=%s" % choice
-    far = master is not None and _is_elsewhere(master, interfaces)
+    host = resolve(host_and_port(master.uri)[0]) if master is not None else None
+    far = host is not None and not net.is_own(interfaces, host)
     if not told:
         code = "no_ip_several" if several or far else "no_ip" if resolve(host_name) else "no_ip_unknown"
         return found.say(code, host=host_name, export=export)
@@ -68,26 +69,20 @@ def judge_own_address(environment, interfaces, master, several, host_name):
     return found.say(code, variable=variable, told=told, export=export, address=address)
 
 
-def _is_elsewhere(master, interfaces):
-    """Whether a master runs on another computer."""
-    address = resolve(host_and_port(master.uri)[0])
-    return address is not None and not net.is_own(interfaces, address)
-
-
 def _nodes(situation):
     """Nodes that the master knows but that do not answer."""
     found = Findings("ros")
     if situation.master is None:
         return found
     try:
-        answers = situation.master.ask_nodes(situation.master.nodes())
+        answers = situation.master.ask_nodes()
         simulated_time = situation.master.parameter("/use_sim_time", False)
     except MasterError as error:
         return found.say("master_gone", error=error)
     if simulated_time:
         found.say("simulated_time")
-    gone = sorted(name for name, why in answers.items() if why and "not known here" not in why)
-    unknown = sorted(name for name, why in answers.items() if "not known here" in why)
+    unknown = [name for name, why in answers.items() if isinstance(why, UnknownHostError)]
+    gone = [name for name, why in answers.items() if why and name not in unknown]
     for name in unknown:
         found.say("node_unreachable", node=name, why=answers[name])
     if gone:

@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass, field
 from functools import partial
 
-from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, adapter_class
+from risc_control.vehicles import Status, adapter_class
 from risc_doctor.findings import RED, YELLOW, Findings
 from risc_lab.lab import fleet_from_dict
 
@@ -31,14 +31,19 @@ class Topic:
     publishers: tuple[str, ...] = ()
     rate_hz: float = 0.0
     age_s: float | None = None  # median of arrival less stamp; None without messages
+    heard: list[tuple[float, float]] = field(default_factory=list)  # (monotonic time of arrival, age) of each [s]
 
+    def note(self, message):
+        """Of a message that begins with a header, without unpacking the rest, to be in time."""
+        _, seconds, nanoseconds = _HEADER.unpack_from(message._buff)
+        self.heard.append((time.monotonic(), time.time() - seconds - 1e-9 * nanoseconds))
 
-@dataclass
-class HeardVehicle:
-    """What a vehicle's driver said last."""
-
-    battery_pct: float | None = None  # None: nothing
-    flies: bool = False
+    def sum_up(self):
+        """Rate and age of all that came."""
+        arrivals_s, ages_s = zip(*self.heard) if self.heard else ((), ())
+        if len(arrivals_s) > 1:
+            self.rate_hz = (len(arrivals_s) - 1) / max(arrivals_s[-1] - arrivals_s[0], 1e-6)
+        self.age_s = statistics.median(ages_s) if ages_s else None
 
 
 @dataclass
@@ -47,27 +52,9 @@ class GraphReport:
 
     error: str = ""  # why it could not be listened to
     topics: dict[str, Topic] = field(default_factory=dict)  # those of TOPICS that are published
-    vehicles: dict[str, HeardVehicle] = field(default_factory=dict)  # namespace -> of those with a driver
+    vehicles: dict[str, Status | None] = field(default_factory=dict)  # {namespace: last with a battery} of the driven
     complaints: list[tuple[int, str, str]] = field(default_factory=list)  # (level, name, message) of /diagnostics
     statuses: int = 0  # names on /diagnostics
-
-
-class _Meter:
-    """Counts messages that begin with a header, and their ages; without unpacking the rest, to be in time."""
-
-    def __init__(self):
-        self.arrivals_s, self.ages_s = [], []
-
-    def __call__(self, message):
-        self.arrivals_s.append(time.monotonic())
-        _, seconds, nanoseconds = _HEADER.unpack_from(message._buff)
-        self.ages_s.append(time.time() - seconds - 1e-9 * nanoseconds)
-
-    def fill(self, topic):
-        if len(self.arrivals_s) > 1:
-            topic.rate_hz = (len(self.arrivals_s) - 1) / max(self.arrivals_s[-1] - self.arrivals_s[0], 1e-6)
-        if self.ages_s:
-            topic.age_s = statistics.median(self.ages_s)
 
 
 def listen(master, fleet, listen_s=LISTEN_S):
@@ -78,7 +65,7 @@ def listen(master, fleet, listen_s=LISTEN_S):
     publishers = master.publishers()
     report.topics = {name: Topic(tuple(publishers[name])) for name in TOPICS if name in publishers}
     driven = [vehicle for vehicle in fleet.vehicles if _status_topics(vehicle) & publishers.keys()]
-    report.vehicles = {vehicle.namespace: HeardVehicle() for vehicle in driven}
+    report.vehicles = {vehicle.namespace: None for vehicle in driven}
     report.error = "the graph did not answer within %g s" % (listen_s + _PATIENCE_S)
 
     def work():
@@ -110,30 +97,25 @@ def _listen(report, driven, listen_s):
     from diagnostic_msgs.msg import DiagnosticArray
 
     rospy.init_node("maap_doctor", anonymous=True, disable_signals=True, disable_rostime=True)
-    meters, statuses = {name: _Meter() for name in report.topics}, {}
+    statuses, subscribe = {}, partial(rospy.Subscriber, tcp_nodelay=True)
 
     def on_diagnostics(message):
         for status in message.status:
             statuses[status.name] = (status.level, status.name, status.message)
 
-    def noted_in(heard):
-        def on_status(status, _driver):
-            heard.flies = status.state not in ON_GROUND | NO_EVIDENCE
-            if status.battery_pct is not None:
-                heard.battery_pct = float(status.battery_pct)
+    def on_status(namespace, status, _driver):
+        if status.battery_pct is not None:
+            report.vehicles[namespace] = status
 
-        return on_status
-
-    for name, meter in meters.items():
-        rospy.Subscriber(name, rospy.AnyMsg, meter, tcp_nodelay=True)
-    rospy.Subscriber("/diagnostics", DiagnosticArray, on_diagnostics, tcp_nodelay=True)
+    for name, topic in report.topics.items():
+        subscribe(name, rospy.AnyMsg, topic.note)
+    subscribe("/diagnostics", DiagnosticArray, on_diagnostics)
     for vehicle in driven:
-        subscribe = partial(rospy.Subscriber, queue_size=1, tcp_nodelay=True)
-        _hear(vehicle, noted_in(report.vehicles[vehicle.namespace]), subscribe)
+        _hear(vehicle, partial(on_status, vehicle.namespace), partial(subscribe, queue_size=1))
     time.sleep(listen_s)
     rospy.signal_shutdown("done")
-    for name, meter in meters.items():
-        meter.fill(report.topics[name])
+    for topic in report.topics.values():
+        topic.sum_up()
     report.statuses = len(statuses)
     report.complaints = sorted((s for s in list(statuses.values()) if s[0] != OK), key=lambda s: (-s[0], s[1]))
 

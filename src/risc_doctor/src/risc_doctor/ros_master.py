@@ -24,6 +24,14 @@ class NobodyThereError(MasterError):
     """The computer is there, and no program has the port."""
 
 
+class SilentError(MasterError):
+    """It does not answer in time."""
+
+
+class UnknownHostError(MasterError):
+    """The name of its computer is not known here."""
+
+
 class _PatientTransport(xmlrpc.client.Transport):
     """Gives up when nothing comes."""
 
@@ -37,13 +45,16 @@ class _PatientTransport(xmlrpc.client.Transport):
         return connection
 
 
-def call(uri, method, *arguments, patience_s=CALL_PATIENCE_S):
-    """Value that the slave or master API at a URI answers. Raises MasterError."""
+def call(uri, method, *arguments, caller=(CALLER,), patience_s=CALL_PATIENCE_S):
+    """Value that the slave or master API at a URI answers; roslaunch's has no caller (). Raises MasterError."""
     try:
+        host, _ = host_and_port(uri)
+        if resolve(host) is None:
+            raise UnknownHostError("the host name '%s' of %s is not known here" % (host, uri))
         proxy = xmlrpc.client.ServerProxy(uri, _PatientTransport(patience_s), allow_none=True)
-        code, text, value = getattr(proxy, method)(CALLER, *arguments)
+        code, text, value = getattr(proxy, method)(*caller, *arguments)
     except TimeoutError:
-        raise MasterError("no answer from %s within %g s" % (uri, patience_s)) from None
+        raise SilentError("no answer from %s within %g s" % (uri, patience_s)) from None
     except ConnectionRefusedError:
         raise NobodyThereError("nothing listens at %s" % uri) from None
     except xml.parsers.expat.ExpatError:
@@ -83,9 +94,6 @@ class Master:
     def __init__(self, uri):
         """Raises MasterError when nothing answers there."""
         self.uri = uri
-        problem = _unknown(uri)
-        if problem:
-            raise MasterError(problem)
         call(uri, "getPid")
 
     def parameter(self, name, default=None):
@@ -96,31 +104,16 @@ class Master:
         """{topic: [node, ...]}. Raises MasterError."""
         return {topic: nodes for topic, nodes in call(self.uri, "getSystemState")[0] if nodes}
 
-    def nodes(self):
-        """Names of all nodes that are registered. Raises MasterError."""
+    def ask_nodes(self):
+        """{node: None when it answers, else why not, a MasterError} of all that are registered. Raises MasterError."""
         state = call(self.uri, "getSystemState")
-        return sorted({node for table in state for _, nodes in table for node in nodes if node != CALLER})
-
-    def ask_nodes(self, names):
-        """{node: "" when it answers, else why not}, all at once."""
+        names = sorted({node for table in state for _, nodes in table for node in nodes if node != CALLER})
         with concurrent.futures.ThreadPoolExecutor(min(32, len(names) + 1)) as pool:
             return dict(zip(names, pool.map(self._ask_node, names)))
 
     def _ask_node(self, name):
         try:
-            uri = call(self.uri, "lookupNode", name)
-            problem = _unknown(uri)
-            if not problem:
-                call(uri, "getPid", patience_s=NODE_PATIENCE_S)
+            call(call(self.uri, "lookupNode", name), "getPid", patience_s=NODE_PATIENCE_S)
         except MasterError as error:
-            return str(error)
-        return problem
-
-
-def _unknown(uri):
-    """Why no program can be found at a URI; "" when its host is known."""
-    try:
-        host, _ = host_and_port(uri)
-    except ValueError as error:
-        return str(error)
-    return "" if resolve(host) else "the host name '%s' of %s is not known here" % (host, uri)
+            return error
+        return None

@@ -1,43 +1,34 @@
 """What the checks look at: the fleet, this computer, and what is asked only once although several checks need it."""
 
-import concurrent.futures
 import contextlib
 import functools
 import os
 import pathlib
 import threading
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from risc_doctor import cortex_probe, interfaces, ros_graph
 from risc_doctor.ros_master import DEFAULT_URI, Master, MasterError, NobodyThereError
 from risc_lab.lab import Fleet, fleet_from_dict, load_fleet, load_templates
 
-DEFAULT_FLEET = (
-    "launch/fleets/ardrones3.yaml"  # of the virtual lab: nothing is sent to computers that the user did not name
-)
+# of the virtual lab: nothing is sent to computers that the user did not name
+DEFAULT_FLEET = "launch/fleets/ardrones3.yaml"
 
 
-class Once:
-    """Calls a function at the first call and gives everybody its result, or its error; threads wait for each other."""
+def once(function):
+    """A function without arguments that is done at its first call; threads wait for it, and all get its result."""
+    lock, work = threading.Lock(), functools.cache(function)
 
-    def __init__(self, function, *arguments):
-        self._work = functools.partial(function, *arguments)
-        self._lock, self._outcome = threading.Lock(), None
+    def result():
+        with lock:
+            return work()
 
-    def __call__(self):
-        with self._lock:
-            if self._outcome is None:
-                self._outcome = concurrent.futures.Future()
-                try:
-                    self._outcome.set_result(self._work())
-                except Exception as error:  # of any kind: every check that needs it reports it
-                    self._outcome.set_exception(error)
-        return self._outcome.result()
+    return result
 
 
 @dataclass
 class Situation:
-    """Where and for what the doctor was called."""
+    """Where and for what the doctor was called. templates, interfaces, cortex, graph: functions, see `once`."""
 
     fleet: Fleet
     fleet_source: str  # where the fleet was read, for people
@@ -50,16 +41,12 @@ class Situation:
     joysticks: tuple[str, ...] = ()  # devices; () = all that are there
     wanted: tuple[str, ...] = ()  # namespaces or addresses of vehicles; () = all of the fleet
     live: bool = False  # ask Cortex for its live mode
-    templates: Once = field(init=False)
-    interfaces: Once = field(init=False)
-    cortex: Once = field(init=False)
-    graph: Once = field(init=False)
 
     def __post_init__(self):
-        self.templates = Once(load_templates, None, self.fleet)
-        self.interfaces = Once(interfaces.read_interfaces)
-        self.cortex = Once(cortex_probe.probe, self.fleet.mocap, self.live)
-        self.graph = Once(ros_graph.listen, self.master, self.fleet)
+        self.templates = once(lambda: load_templates(None, self.fleet))
+        self.interfaces = once(interfaces.read_interfaces)
+        self.cortex = once(lambda: cortex_probe.probe(self.fleet.mocap, self.live))
+        self.graph = once(lambda: ros_graph.listen(self.master, self.fleet))
 
     @property
     def simulated(self):
@@ -84,30 +71,26 @@ class Situation:
 
 
 def workspace_root(environment):
-    """The workspace's folder: that of the `maap` that runs, else the one that this file is in, else the sourced one."""
-    prefixes = environment.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
-    candidates = [environment.get("RISC_MAAP_ROOT", ""), str(pathlib.Path(__file__).resolve().parents[5])]
-    candidates += [str(pathlib.Path(prefix).parent) for prefix in prefixes if prefix]
-    for candidate in candidates:
-        if candidate and (pathlib.Path(candidate) / "launch" / "fleets").is_dir():
-            return pathlib.Path(candidate).resolve()
+    """The workspace's folder: that of the `maap` that runs, else the sourced one."""
+    spaces = environment.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
+    for folder in filter(None, [environment.get("RISC_MAAP_ROOT"), *map(os.path.dirname, spaces)]):
+        if os.path.isdir(os.path.join(folder, "launch", "fleets")):
+            return pathlib.Path(folder).resolve()
     return pathlib.Path.cwd()
 
 
 def look_around(fleet_path, environment, **options):
     """The Situation. fleet_path: None = the fleet of the graph that runs, else the virtual lab's. Raises ValueError."""
-    root = workspace_root(environment)
-    master, error, nobody_there = None, "", False
+    root, content = workspace_root(environment), None
     try:
-        master = Master(environment.get("ROS_MASTER_URI") or DEFAULT_URI)
+        options["master"] = master = Master(environment.get("ROS_MASTER_URI") or DEFAULT_URI)
+        if fleet_path is None:
+            with contextlib.suppress(MasterError):  # it has just ended
+                content = master.parameter("/fleet")
     except MasterError as problem:
-        error, nobody_there = str(problem), isinstance(problem, NobodyThereError)
-    content = None
-    if fleet_path is None and master is not None:
-        with contextlib.suppress(MasterError):  # it has just ended
-            content = master.parameter("/fleet")
+        options |= {"master_error": str(problem), "nobody_there": isinstance(problem, NobodyThereError)}
     if content is not None:
         fleet, source = fleet_from_dict(content, "parameter /fleet"), "/fleet of the graph that runs (%s)" % master.uri
     else:
         fleet, source = load_fleet(fleet_path or root / DEFAULT_FLEET), str(fleet_path or DEFAULT_FLEET)
-    return Situation(fleet, source, root, environment, master, error, nobody_there, **options)
+    return Situation(fleet, source, root, environment, **options)

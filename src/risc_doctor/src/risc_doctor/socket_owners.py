@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import pathlib
 from dataclasses import dataclass, field
 
 import psutil
@@ -52,21 +51,15 @@ def _holders(port, kind, from_elsewhere):
 
 def drivers():
     """Processes of vehicle drivers on this computer. Those in containers have other networks, and other vehicles."""
-    found, network = [], _network(os.getpid())
+    found, network = [], os.readlink("/proc/self/ns/net")
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):  # it ended while we looked
-            names = [pathlib.PurePath(word).name for word in process.cmdline()[:2]]
-            if _DRIVER in names and _network(process.pid) in (network, ""):
-                found.append(_process(process))
+            if _DRIVER in map(os.path.basename, process.cmdline()[:2]):
+                place = network
+                with contextlib.suppress(OSError):  # that of another user is not ours to know
+                    place = os.readlink("/proc/%d/ns/net" % process.pid)
+                found += [_process(process)] if place == network else []
     return found
-
-
-def _network(pid):
-    """The network namespace of a process; "" when it is not ours to know."""
-    try:
-        return os.readlink("/proc/%d/ns/net" % pid)
-    except OSError:
-        return ""
 
 
 def _process(process):

@@ -6,16 +6,15 @@ import sys
 
 import risc_lab
 from risc_doctor.findings import Findings
-from risc_doctor.machines.workspace_digest import content_hash, describe
+from risc_doctor.machines.workspace_digest import describe
 
 
 def check(situation):
     """Revision and content of the workspace, to be compared between computers."""
     root, found = situation.root, Findings("workspace")
-    description = describe(root)
-    revision, content = description["revision"], content_hash(description)
-    values = {"revision": revision, "revision_text": revision or "no git revision", "content": content}
-    found.say("content" if description["built"] else "not_built_here", path=str(root), **values)
+    ours = describe(root)
+    values = {"revision": ours.revision, "revision_text": ours.revision or "no git revision", "content": ours.content}
+    found.say("content" if ours.built else "not_built_here", path=str(root), **values)
     _sourced(root, situation.environment, found)
     return found
 

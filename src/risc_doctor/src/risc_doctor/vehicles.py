@@ -4,6 +4,7 @@ import concurrent.futures
 
 from ardrone_autonomy.protocol.navdata import State
 from risc_control.failsafe import SafetyLimits
+from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 from risc_doctor import interfaces as net
 from risc_doctor import navdata_probe
 from risc_doctor.findings import YELLOW, Findings
@@ -21,18 +22,18 @@ _TROUBLE = {
 
 def check(situation):
     """Every vehicle that this computer is to fly, unless a driver does already: then what the driver says."""
-    found, heard = Findings("vehicles"), {}
-    if situation.master is not None:
-        graph = situation.graph()
-        if graph.error and graph.vehicles:  # asking past a driver would take its telemetry
-            return found.say("unheard")
-        heard = graph.vehicles
-    silent = []
+    found, silent, graph = Findings("vehicles"), [], situation.graph()
+    if graph.error and graph.vehicles:  # asking past a driver would take its telemetry
+        return found.say("unheard")
     for vehicle in situation.vehicles():
-        if vehicle.namespace in heard:
-            found += _by_driver(vehicle, heard[vehicle.namespace])
-        else:
+        name = "%s (%s)" % (vehicle.namespace, vehicle.address)
+        if vehicle.namespace not in graph.vehicles:
             silent.append(vehicle)
+        elif (heard := graph.vehicles[vehicle.namespace]) is None:
+            found.say("no_telemetry", name=name)
+        else:
+            flies = heard.state not in ON_GROUND | NO_EVIDENCE
+            found += judge(name, "by its driver", State.FLYING if flies else 0, heard.battery_pct)
     if situation.fleet.own_networks and not situation.wanted:
         if found:  # the others are elsewhere, even if something has their address here
             return found.say("no_driver", names=", ".join(v.namespace for v in silent)) if silent else found
@@ -46,16 +47,6 @@ def check(situation):
         for some in pool.map(lambda vehicle: _ask(situation, vehicle, served), silent):
             found += some
     return found
-
-
-def _by_driver(vehicle, heard):
-    """Findings about a vehicle that a driver of the graph listens to. heard: ros_graph.HeardVehicle."""
-    name = "%s (%s)" % (vehicle.namespace, vehicle.address)
-    if heard.battery_pct is None:
-        return Findings("vehicles").say("no_telemetry", name=name)
-    return judge(
-        name, "by its driver", State.FLYING if heard.flies else 0, heard.battery_pct, SafetyLimits.battery_min_pct
-    )
 
 
 def _ask(situation, vehicle, served):

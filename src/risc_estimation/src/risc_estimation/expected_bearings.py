@@ -76,19 +76,16 @@ def look(observer, position_m, R_body_to_cortex, targets):
     position_m = np.asarray(position_m, dtype=float)
     eye_m = position_m + R_body_to_cortex @ np.asarray(mount.position_m)
     shapes = [_disc_shape(item, eye_m) if isinstance(item, Disc) else _hull_shape(item) for item in targets]
-    # of all targets at once: centres, outlines, and what the least diameter is taken from
-    parts = [np.vstack((shape.centre_m, shape.outline_m, shape.core_m)) for shape in shapes]
-    points = cortex_to_camera(np.concatenate(parts), position_m, R_body_to_cortex, mount)
-    ends = np.cumsum([len(part) for part in parts])[:-1]
+    points = cortex_to_camera(np.concatenate([shape.points_m for shape in shapes]), position_m, R_body_to_cortex, mount)
+    ends = np.cumsum([len(shape.points_m) for shape in shapes])[:-1]
     pixels = np.split(observer.camera.project(points), ends)
     raw = getattr(observer.camera, "raw", None)  # a rectified picture shows nothing that the raw one does not hold
     raw_pixels = pixels if raw is None else np.split(raw.project(points), ends)
     sightings = []
     for item, shape, ours, theirs, place in zip(targets, shapes, pixels, raw_pixels, np.split(points, ends)):
-        outline = slice(1, 1 + len(shape.outline_m))
-        cut, fraction = _cut(ours[outline], observer.camera)
+        cut, fraction = _cut(ours[shape.outline], observer.camera)
         if raw is not None and fraction > 0.0:
-            fraction = min(fraction, _cut(theirs[outline], raw)[1])
+            fraction = min(fraction, _cut(theirs[shape.outline], raw)[1])
         azimuth, elevation = bearings_of_rays(place[0])
         sightings.append(
             Sighting(
@@ -100,21 +97,20 @@ def look(observer, position_m, R_body_to_cortex, targets):
                 centre_px=ours[0],
                 outline_px=cut,
                 fraction=fraction,
-                diameter_px=_least_diameter(ours[outline.stop :] if len(shape.core_m) else ours[outline]),
+                diameter_px=_least_diameter(ours[shape.core]),
                 obliqueness_rad=shape.obliqueness_rad,
             )
         )
     return [
-        item._replace(fraction=_not_hidden(item, sightings) if shape.painted else 0.0)
+        item._replace(fraction=_not_hidden(item, sightings) if shape.obliqueness_rad < 0.5 * np.pi else 0.0)
         for item, shape in zip(sightings, shapes)
     ]
 
 
 class _Shape(NamedTuple):
-    centre_m: np.ndarray  # (3,)
-    outline_m: np.ndarray  # (n, 3)
-    core_m: np.ndarray  # (m, 3) outline of the disc in the middle; m = 0 for hulls
-    painted: bool  # its painted side is towards us
+    points_m: np.ndarray  # (n, 3) first the centre
+    outline: slice  # which of them it is
+    core: slice  # those that the least diameter is taken from: the disc in the middle, or the hull
     obliqueness_rad: float
 
 
@@ -123,15 +119,11 @@ def _disc_shape(disc, eye_m):
     towards = eye_m - centre
     towards /= max(np.linalg.norm(towards), 1e-9)
     normal = tuple(towards) if disc.normal is None else disc.normal
-    cosine = float(np.clip(towards @ normal, -1.0, 1.0))
     circle = _circle_across(normal) if disc.normal is None else _known_circle_across(normal)
-    return _Shape(
-        centre,
-        centre + 0.5 * disc.ring_diameter_m * circle,
-        centre + 0.5 * disc.diameter_m * circle,
-        cosine > 0.0,
-        float(np.arccos(cosine)),
-    )
+    outline_m, core_m = centre + 0.5 * disc.ring_diameter_m * circle, centre + 0.5 * disc.diameter_m * circle
+    ring, core = slice(1, 1 + len(circle)), slice(1 + len(circle), None)
+    obliqueness_rad = float(np.arccos(np.clip(towards @ normal, -1.0, 1.0)))
+    return _Shape(np.vstack((centre, outline_m, core_m)), ring, core, obliqueness_rad)
 
 
 def _circle_across(normal):
@@ -146,8 +138,8 @@ _known_circle_across = functools.lru_cache(maxsize=256)(_circle_across)
 
 def _hull_shape(hull):
     centre = np.array(hull.position_m, dtype=float)
-    outline = _hull_outline(tuple(hull.size_m), hull.corner_m)
-    return _Shape(centre, centre + outline @ np.asarray(hull.R_body_to_cortex).T, np.zeros((0, 3)), True, 0.0)
+    outline_m = centre + _hull_outline(tuple(hull.size_m), hull.corner_m) @ np.asarray(hull.R_body_to_cortex).T
+    return _Shape(np.vstack((centre, outline_m)), slice(1, None), slice(1, None), 0.0)
 
 
 @functools.lru_cache(maxsize=16)

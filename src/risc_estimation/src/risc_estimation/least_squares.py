@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from risc_lab.compiled import compiled, record
+from risc_lab.compiled import compiled, record, with_row
 
 MAX_ORDER = 4
 # Weights are reused while the stamps sit this well on the pattern that the weights were made for. At 1 m/s the
@@ -95,10 +95,7 @@ class Windows:
 
     def add_body(self):
         """Add one body without samples, at the end."""
-        grown = {}
-        for name in _OF_BODIES:
-            old = getattr(self.arrays, name)
-            grown[name] = np.concatenate([old, np.zeros((len(old), 1, *old.shape[2:]), dtype=old.dtype)], axis=1)
+        grown = {name: with_row(getattr(self.arrays, name), axis=1) for name in _OF_BODIES}
         grown["bodies"]["last_s"][:, -1] = -np.inf
         self.arrays = self.arrays._replace(**grown)
 

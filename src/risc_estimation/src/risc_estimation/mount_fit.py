@@ -70,18 +70,35 @@ class Samples(NamedTuple):
         return Samples(*(values[rows] for values in self))
 
 
+class Misses(NamedTuple):
+    """By how much rays miss their landmarks."""
+
+    right: np.ndarray  # (n,) bool: bearings that count; the others are too far off to be believed
+    rms_rad: float  # of the angles between rays and landmarks, of those that count; NaN: none does
+    rms_px: float  # the same in the picture; NaN: none does, or the camera is not known
+
+    @property
+    def wrong_share(self):
+        """Of all bearings; 0 if there are none."""
+        return 1.0 - self.right.mean() if self.right.size else 0.0
+
+    def __str__(self):
+        count, pixels = int(self.right.sum()), "" if math.isnan(self.rms_px) else " (%.1f px)" % self.rms_px
+        wrong = "" if self.right.all() else ", %d wrong left out" % (self.right.size - count)
+        return "%.2f deg%s RMS of %d bearings%s" % (math.degrees(self.rms_rad), pixels, count, wrong)
+
+
 class MountFit(NamedTuple):
     """What the bearings say of a mount."""
 
     mount: CameraMount
-    right: np.ndarray  # (n,) bool: bearings that counted
-    rms_rad: float  # of the angles between rays and landmarks, of those that counted
+    misses: Misses
     std: np.ndarray  # (6,) standard deviations, as VALUES [m, rad]; inf: not known at all
     warnings: tuple[str, ...]  # sentences; empty = nothing to object to
 
 
-def fit_mount(samples, start, params=None):
-    """MountFit of Samples. start: CameraMount, within some 30 degrees and 0.3 m.
+def fit_mount(samples, start, params=None, camera=None):
+    """MountFit of Samples. start: CameraMount, within some 30 degrees and 0.3 m. camera: for misses in pixels.
 
     Raises ValueError with cause and cure when there are too few bearings.
     """
@@ -98,21 +115,26 @@ def fit_mount(samples, start, params=None):
         right = right_ones(ray_errors(samples, _mount(start, x)), params)
         x = _solve(samples.take(right), start, params, x)
     mount = _mount(start, x)
-    errors = ray_errors(samples, mount)
-    right = right_ones(errors, params)
-    rms_rad = root_mean_square(errors[right])
+    found = misses(samples, mount, params, camera)
     # two axes a bearing, six values are taken from them
-    freedom = max(2 * int(right.sum()) - len(VALUES), 1)
-    noise_rad = rms_rad * math.sqrt(right.sum() / freedom)
-    std = standard_deviations(samples.take(right), mount, params, noise_rad)
+    count = int(found.right.sum())
+    noise_rad = found.rms_rad * math.sqrt(count / max(2 * count - len(VALUES), 1))
+    std = standard_deviations(samples.take(found.right), mount, params, noise_rad)
     warnings = weak_values(std, params)
-    wrong = 1.0 - right.mean()
-    if wrong > params.wrong_max:
+    if found.wrong_share > params.wrong_max:
         warnings += (
             "%.0f %% of the bearings do not fit: landmarks may be taken for each other, or stamps be late"
-            % (100.0 * wrong),
+            % (100.0 * found.wrong_share),
         )
-    return MountFit(mount, right, rms_rad, std, warnings)
+    return MountFit(mount, found, std, warnings)
+
+
+def misses(samples, mount, params, camera=None):
+    """Misses of Samples with a mount. camera: risc_lab.camera.Camera of their pictures, for those in pixels."""
+    errors = ray_errors(samples, mount)
+    right = right_ones(errors, params)
+    errors_px = pixel_errors(samples.take(right), mount, camera) if camera is not None and right.any() else ()
+    return Misses(right, root_mean_square(errors[right]), root_mean_square(errors_px))
 
 
 def directions(samples, mount):

@@ -35,12 +35,7 @@ class BearingWindow:
         self._track = PoseTrack(span_s=self._params.late_max_s + 1.0)
         self._waiting = deque()  # (stamp, landmark, ray) of bearings whose pose may still come
         self._rows = deque()  # (stamp, landmark, point in body axes, ray)
-        self._newest_s = None
-
-    @property
-    def last_pose_s(self):
-        """Stamp [s] of the newest pose, None before the first."""
-        return self._track.last_stamp_s
+        self._newest_s = -np.inf
 
     def restart(self):
         """Forget every bearing: what comes from now on is recorded."""
@@ -59,7 +54,7 @@ class BearingWindow:
         """The vehicle's pose: (3,) [m] cortex; roll, pitch, yaw [rad]. Only while it is seen."""
         if self._track.append(stamp_s, position_m, euler_rad) is Step.NEW_CLOCK:
             self._forget()
-            self._newest_s = None
+            self._newest_s = -np.inf
         self._advance(stamp_s)
         if self._waiting and self._waiting[0][0] <= stamp_s:
             self._place()
@@ -69,11 +64,10 @@ class BearingWindow:
 
         stamp: of its exposure; 0 = not stamped (bags of the original release): then it is that of the newest pose.
         """
-        if not stamp_s:
-            if self.last_pose_s is None:
-                self.refused.update(["the vehicle was not seen"] * len(bearings))
-                return
-            stamp_s = self.last_pose_s
+        stamp_s = stamp_s or self._track.last_stamp_s
+        if stamp_s is None:
+            self.refused.update(["the vehicle was not seen"] * len(bearings))
+            return
         self._advance(stamp_s)
         for name, bearing_rad in bearings.items():
             if not np.all(np.isfinite(bearing_rad)):
@@ -92,11 +86,10 @@ class BearingWindow:
 
     def latest(self, duration_s):
         """Samples of the last so many seconds."""
-        begin_s = -np.inf if self._newest_s is None else self._newest_s - duration_s
-        return self._samples([row for row in self._rows if row[0] >= begin_s])
+        return self._samples([row for row in self._rows if row[0] >= self._newest_s - duration_s])
 
     def _advance(self, stamp_s):
-        self._newest_s = stamp_s if self._newest_s is None else max(self._newest_s, stamp_s)
+        self._newest_s = max(self._newest_s, stamp_s)
         while self._rows and self._rows[0][0] < self._newest_s - self._params.window_s:
             self._rows.popleft()
 

@@ -13,13 +13,11 @@ import numpy as np
 
 from risc_estimation.landmark_positions import LANDMARK, locate_landmark
 from risc_estimation.rigid_fit import MIN_MARKERS, POSE, WORK, fit_pose, fit_pose_without_worst
-from risc_lab.compiled import compiled, record
+from risc_lab.compiled import compiled, record, with_row
 from risc_lab.frames import euler_of_body_in_cortex
 from risc_lab.lab import templates as kinds
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, NET_HEIGHT_M
 from risc_lab.settings import NotNegative, Positive, Settings
-
-ARENA_KEYS = ("arena_x_m", "arena_y_m", "arena_z_max_m")  # settings that are those of the net, unless set
 
 
 @dataclass(frozen=True)
@@ -40,10 +38,9 @@ class PoseFitParams(Settings):
     arena_z_max_m: float = NET_HEIGHT_M
     arena_margin_m: float = 0.05  # [m] so far outside still counts as inside
 
-    def within(self, arena, keep=()):
-        """The same settings for another Arena, but for the fields named in `keep`."""
-        net = zip(ARENA_KEYS, (arena.half_x_m, arena.half_y_m, arena.height_m))
-        return replace(self, **{name: value for name, value in net if name not in keep})
+    def within(self, arena):
+        """The same settings for another Arena."""
+        return replace(self, arena_x_m=arena.half_x_m, arena_y_m=arena.half_y_m, arena_z_max_m=arena.height_m)
 
     def limits(self):
         """(1,) LIMITS."""
@@ -62,20 +59,12 @@ class PoseFitParams(Settings):
 
 
 LIMITS = record(
-    ("marker_m", float),
-    ("residual_max_m", float),
-    ("min_spread_m", float),
-    ("cos_tilt_max", float),
+    "marker_m residual_max_m min_spread_m cos_tilt_max",
     ("lower_m", float, (3,)),  # corners of the arena
     ("upper_m", float, (3,)),
 )
-REFUSALS = record(  # how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
-    ("markers_left_out", int),
-    ("misfits", int),
-    ("collinear", int),
-    ("tilted", int),
-    ("outside", int),
-)
+# how often a gate has refused; the fields of `risc_estimation.state_estimator.EstimatorCounts`
+REFUSALS = record(*[(gate, int) for gate in ("markers_left_out", "misfits", "collinear", "tilted", "outside")])
 BODY = record(
     ("markers", int),  # of its template
     ("has_attitude", bool),  # not of an attached body
@@ -168,13 +157,6 @@ class Poses:
         inverse = np.linalg.inv(np.einsum("nk,nkij,nkil->njl", used, J, J))
         covariances[here] = variance_m2[:, None, None] * 0.5 * (inverse + inverse.swapaxes(1, 2))
         return covariances
-
-
-def pack_bodies(bodies):
-    """(layout, markers_m) as `PoseFit.update` takes them, from a dict name -> (k, 3) markers [m]."""
-    parts = [np.reshape(markers, (-1, 3)) for markers in bodies.values()]
-    layout = tuple((name, len(part)) for name, part in zip(bodies, parts))
-    return layout, np.concatenate([np.zeros((0, 3)), *parts])
 
 
 class PoseFit:
@@ -287,14 +269,8 @@ class PoseFit:
 
 
 def _with_row(table):
-    """A NamedTuple of arrays with one more row of zeros; that is their first axis, but for flags and measured."""
-    grown = []
-    for name, array in zip(table._fields, table):
-        shape = list(array.shape)
-        shape[1 if name in ("flags", "measured") else 0] += 1
-        grown.append(np.zeros(shape, dtype=array.dtype))
-        grown[-1][tuple(map(slice, array.shape))] = array
-    return table._make(grown)
+    """A NamedTuple of arrays with one more row; that is their first axis, but for flags and measured."""
+    return table._make([with_row(a, 1 if name in ("flags", "measured") else 0) for name, a in table._asdict().items()])
 
 
 # --- compiled: all bodies of a frame in one call

@@ -23,6 +23,8 @@ POSE = record(
 WORK = record(  # what a fit needs beside its result
     ("axes", float, (3, 3)),
     ("turns", float, (3, 3)),
+    ("template_m", float, (3,)),
+    ("measured_m", float, (3,)),
 )
 
 
@@ -33,35 +35,26 @@ def fit_pose(template, measured, visible, work, pose):
     With fewer than three visible markers, or markers on one line, the spread is (nearly) zero and the rotation means
     nothing.
     """
-    count = 0
-    tx = ty = tz = mx = my = mz = 0.0  # centroids
+    t, m, axes = work.template_m, work.measured_m, work.axes  # centroids; cross-covariance, measured by template
+    t[:], m[:], axes[:, :], count = 0.0, 0.0, 0.0, 0
     for i in range(len(visible)):
         if visible[i]:
             count += 1
-            tx += template[i, 0]
-            ty += template[i, 1]
-            tz += template[i, 2]
-            mx += measured[i, 0]
-            my += measured[i, 1]
-            mz += measured[i, 2]
-    tx, ty, tz, mx, my, mz = tx / count, ty / count, tz / count, mx / count, my / count, mz / count
-
-    axes = work.axes  # cross-covariance, measured by template
-    axes[:, :] = 0.0
+            for axis in range(3):
+                t[axis] += template[i, axis]
+                m[axis] += measured[i, axis]
+    for axis in range(3):
+        t[axis], m[axis] = t[axis] / count, m[axis] / count
     for i in range(len(visible)):
         if visible[i]:
-            x, y, z = template[i, 0] - tx, template[i, 1] - ty, template[i, 2] - tz
             for row in range(3):
-                arm = measured[i, row] - (mx, my, mz)[row]
-                axes[row, 0] += arm * x
-                axes[row, 1] += arm * y
-                axes[row, 2] += arm * z
+                for column in range(3):
+                    axes[row, column] += (measured[i, row] - m[row]) * (template[i, column] - t[column])
     pose.spread_m = math.sqrt(_rotation_of(axes, work.turns, pose.rotation))
 
     R, p = pose.rotation, pose.position_m
-    p[0] = mx - (R[0, 0] * tx + R[0, 1] * ty + R[0, 2] * tz)
-    p[1] = my - (R[1, 0] * tx + R[1, 1] * ty + R[1, 2] * tz)
-    p[2] = mz - (R[2, 0] * tx + R[2, 1] * ty + R[2, 2] * tz)
+    for row in range(3):
+        p[row] = m[row] - (R[row, 0] * t[0] + R[row, 1] * t[1] + R[row, 2] * t[2])
     squares = 0.0
     for i in range(len(visible)):
         if visible[i]:

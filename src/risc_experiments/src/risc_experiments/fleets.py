@@ -1,17 +1,22 @@
 """Which fleet flies when none is named: one of launch/fleets, or a generated one where they hold too few vehicles."""
 
+import os
+import pathlib
 from dataclasses import replace
 
 from risc_control.trajectories import FEW_VEHICLES, course_for_fleet
 from risc_lab.lab import generated_fleet, load_fleet
+from risc_lab.lab.yaml_reader import package_file
 
 _FILES = ((3, "ardrones3.yaml"), (FEW_VEHICLES, "ardrones5.yaml"))
 _ROOMS_M = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)  # from the outermost start to a generated net: the first that will do
 _ONE_LAYER_M = 2.0  # in a net no higher than this: no vehicle has to fly above another
 
 
-def default_fleet(vehicles, trajectory, folder):
-    """Fleet of so many vehicles with room for a course. folder: pathlib.Path of the fleet files. Raises ValueError."""
+def default_fleet(vehicles, trajectory):
+    """Fleet of so many vehicles with room for a course. Raises ValueError."""
+    root = os.environ.get("RISC_MAAP_ROOT")  # of the workspace that ./maap names; else this package's sources are in it
+    folder = pathlib.Path(root, "launch/fleets") if root else package_file("..", "launch/fleets")
     for most, name in _FILES:
         if vehicles <= most:
             return load_fleet(folder / name).with_vehicles(vehicles)

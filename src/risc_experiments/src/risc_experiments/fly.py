@@ -145,7 +145,7 @@ def prepare_fleet(args, subnet, folder):
     """
     trajectory = args.trajectory or "circles3"
     if args.fleet is None:
-        fleet = default_fleet(args.vehicles, trajectory, ROOT / "launch" / "fleets")
+        fleet = default_fleet(args.vehicles, trajectory)
     else:
         fleet = load_fleet(args.fleet).with_vehicles(args.vehicles)
     counts = len(fleet.vehicles), len(fleet.landmarks)

@@ -9,7 +9,6 @@ JUDGED_S = 3.3  # [s] of it that are judged, enough for the reports of a node th
 RATES_HZ = (200.0, 150.0, 100.0, 75.0, 50.0)  # tried one after the other; the last leaves room for two lost frames
 MOST_USE = 0.85  # of all cores by the flight: the rest is for take-off, video and the system
 MOST_AGE_MS = 30.0  # of the oldest state that the controller answers: beyond, frames wait for processors
-LEAST_IDLE = 0.1  # of the processors' time: with less, who wakes has to wait
 MOST_PASSED_OVER = 0.005  # of the frames: one in 200 may be a hiccup
 _REPORTS = 3  # of a node's diagnostics, once a second, that must agree: a second of something else touches two
 _LEAST_CORES = 0.1  # that are worth a word
@@ -63,21 +62,29 @@ def judge(figures, ages_ms, passed_over):
     return "; ".join([problem, *(_others(figures) if figures else ())]) if problem else ""
 
 
-def want_of_time(result):
-    """That a flight may have missed its limits for want of processor time, and who took it; "" when nothing says so.
+def verdict(result):
+    """Whether a flight that missed its limits had processor time enough: a sentence with what was measured.
 
-    result: summary of the flight.
+    A busy computer is not blamed as long as nothing was late: flight programs go first.  result: summary of the
+    flight.  "" when nothing was measured.
     """
-    computer, mocap, signs, who = result["computer"], result["mocap"], [], ["unknown what took it"]
-    if computer:
-        who = [*_others(result), _flight(result)]
-        if computer["idle"] < LEAST_IDLE or computer["steal"] >= _LEAST_STEAL:
-            signs.append("%.0f %% idle" % (100.0 * computer["idle"]))
-    if mocap["frames_passed_over"] > MOST_PASSED_OVER * mocap["frames_received"]:
-        signs.append("%d frames passed over" % mocap["frames_passed_over"])
-    if result["on_schedule"] is False:
-        signs.append("the virtual lab was late")
-    return "for want of processor time: %s (%s)" % (", ".join(who), ", ".join(signs)) if signs else ""
+    mocap, age_ms, lab_ms = result["mocap"], result["latency_ms"]["datagram_to_controls"]["p99"], result["lab_late_ms"]
+    measured = []  # (whether it is too much, what it is)
+    if mocap["frames_received"]:
+        share = mocap["frames_passed_over"] / mocap["frames_received"]
+        measured.append((share > MOST_PASSED_OVER, "%d frames passed over" % mocap["frames_passed_over"]))
+    if age_ms is not None:
+        measured.append((age_ms > MOST_AGE_MS, "controls up to %.0f ms after the frame" % age_ms))
+    if result["on_schedule"] is not None:
+        text = "the virtual lab up to %.0f ms late, its pictures %.0f ms"
+        measured.append((not result["on_schedule"], text % (lab_ms["p99"], result["video_late_ms"] or 0.0)))
+    signs = ", ".join(text for too_much, text in measured if too_much)
+    if not signs:
+        seen = ", ".join(text for _, text in measured)
+        return seen and "processor time was not the reason (%s)" % seen
+    who = [*_others(result), _flight(result)] if result["computer"] else ["unknown what took it"]
+    idle = ", %.0f %% idle" % (100.0 * result["computer"]["idle"]) if result["computer"] else ""
+    return "for want of processor time: %s (%s%s)" % (", ".join(who), signs, idle)
 
 
 def _flight(figures):

@@ -55,7 +55,10 @@ def _judge_vehicle(vehicle, limits, arena):
         yield "never settled on its course"
     else:
         if vehicle.position_rmse_m > limits.position_rmse_m:
-            yield "RMSE %.0f mm is over %.0f mm" % (1e3 * vehicle.position_rmse_m, 1e3 * limits.position_rmse_m)
+            # an error that grows is a loop that oscillates
+            parts = [1e3 * np.sqrt((part**2).mean()) for part in np.array_split(vehicle.error_m[vehicle.judged], 3)]
+            text = "RMSE %.0f mm is over %.0f mm (in the three thirds of the course %.0f, %.0f, %.0f mm)"
+            yield text % (1e3 * vehicle.position_rmse_m, 1e3 * limits.position_rmse_m, *parts)
         if vehicle.position_max_m > limits.position_max_m:
             yield "largest error %.0f mm is over %.0f mm" % (1e3 * vehicle.position_max_m, 1e3 * limits.position_max_m)
         if vehicle.yaw_rmse_rad > limits.yaw_rmse_rad:

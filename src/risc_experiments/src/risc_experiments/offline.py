@@ -10,7 +10,6 @@ processes, sockets and the scheduler's jitter; the time from exposure to the con
 import argparse
 import json
 import math
-import os
 import pathlib
 import sys
 import time
@@ -19,6 +18,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from ardrone_autonomy.link import LOST_S
 from cortex_ros.wire import FrameEncoder
@@ -40,7 +40,6 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.on_board import OnBoardReadings
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
-from risc_lab.lab.yaml_reader import package_file
 from risc_lab.states import S, States
 from risc_simulator.faults import Wires
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
@@ -113,7 +112,6 @@ class Result(NamedTuple):
     rmse_m: np.ndarray  # (n,) position against truth, on the course after settling
     max_m: np.ndarray  # (n,)
     closest_m: float  # smallest distance between two vehicles from take-over to the end
-    crashes: tuple
     saturated: float  # fraction of the commands that a limit cut
     flown_s: float
     took_s: float
@@ -146,7 +144,7 @@ def fly(flight):
         velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
     )
     yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
-    course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
+    course = course_for_fleet(flight.trajectory, len(names), fleet.arena, **flight.course).with_yaw(yaw)
     own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
     loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
     manager = make_manager(fleet.vehicles, course, order=loop.controller.ORDER)
@@ -204,13 +202,14 @@ def fly(flight):
         present, ahead = loop.pick(buffer.at(loop.times_s(stamp_s, now_s)))
         if hears:
             output = loop.update(stamp_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
-        looks = {}
+        looks = {}  # {name: separation.Look}
         if frame % TICK_EVERY == 0:
             separation.see(estimate.names[: len(names)], states.visible, states.x, stamp_s)
-            separation.refer(estimate.names[: len(names)], _by_vehicle(reference.derivatives[:3]), time_s)
+            course_m = np.ascontiguousarray(reference.derivatives[:3].transpose(1, 0, 2))  # as on /trajectory
+            separation.refer(estimate.names[: len(names)], course_m, time_s)
             looks = separation.look(now_s)
-        looks = [looks.get(name, ALONE) for name in names]
-        step_chains(chains, frame, stamp_s, now_s, states, output.controls if hears else None, looks)
+        controls, looks = output.controls if hears else None, [looks.get(name, ALONE) for name in names]
+        step_chains(chains, frame, stamp_s, now_s, states, controls, looks)
         if flying:
             saturated += np.count_nonzero(output.saturated) if hears else 0
             if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
@@ -235,16 +234,12 @@ def fly(flight):
 
     references, truths, judged = np.array(references), np.array(truths), np.array(judged)
     errors = np.sqrt(((references - truths) ** 2).sum(axis=2))[judged]
-    # one vehicle after the other: all pairs at once of fifty vehicles would be a gigabyte a minute
-    between = [
-        np.sqrt(((truths[:, i + 1 :] - truths[:, i : i + 1]) ** 2).sum(axis=2)).min() for i in range(len(names) - 1)
-    ]
+    between = [pdist(positions_m).min() for positions_m in truths] if len(names) > 1 else []
     return Result(
         names=tuple(names),
         rmse_m=np.sqrt((errors**2).mean(axis=0)),
         max_m=errors.max(axis=0),
         closest_m=float(min(between, default=math.inf)),
-        crashes=tuple(world.crashes),
         saturated=saturated / (len(names) * (frame + 1)),
         flown_s=time_s,
         safety=tuple(sorted((said_s, name, text) for name, chain in zip(names, chains) for said_s, text in chain.said)),
@@ -281,19 +276,18 @@ def _record_command(history, estimator, i, time_s, command):
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
 
-    def __init__(self, vehicle, phase, params=None, wires=None, on_sent=lambda *_: None):
-        """phase: of the radio's clock, a fraction.  params: VehicleNodeParams; None: the defaults, without joystick.
+    def __init__(self, vehicle, phase, params, wires, on_sent):
+        """phase: of the radio's clock, a fraction.  params: VehicleNodeParams.
         on_sent: takes the time and the command, as `CommandHistory.append`, of whatever is sent.
         """
         self._on_sent = on_sent
         self._vehicle = vehicle
-        self._type = vehicle.type
-        self.pilot = VehiclePilot(params or VehicleNodeParams(joystick_timeout=0.0), vehicle.type, 0.0)
+        self.pilot = VehiclePilot(params, vehicle.type, 0.0)
         self.said = []  # (time [s], text) of its ladder, from the first trouble on
         self.lost = None  # "controls" or "laptop"
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
-        self._wire = (wires or Wires()).wire("%s/commands" % vehicle.namespace)
+        self._wire = wires.wire("%s/commands" % vehicle.namespace)
 
     def press_autonomous(self, now_s):
         """The operator presses the button, and lets go."""
@@ -314,7 +308,7 @@ class _Chain:
         """Whether the vehicle stands on the floor by its own report."""
         return self._vehicle.phase is FlightPhase.LANDED
 
-    def see(self, visible, state, stamp_s, now_s, frame, look=ALONE):
+    def see(self, visible, state, stamp_s, now_s, frame, look):
         """What the vehicle node looks at once a tick. state: list of 12, columns `S`."""
         pilot = self.pilot
         if frame % NAVDATA_EVERY == 0:
@@ -331,40 +325,33 @@ class _Chain:
             self._vehicle.schedule(now_s + self._vehicle.plant.command_delay_s, FlightAction.LAND)
         if orders.command is not None:
             self._on_sent(now_s, orders.command.settles_at)
-            self._wire.carry(self._setpoint(orders.command.sticks), None, now_s, self._submit)
-
-    def _submit(self, setpoint, _, now_s):
-        self._radio.submit(now_s, setpoint)
+            setpoint = _setpoint(self._vehicle.type, orders.command.sticks)
+            self._wire.carry(setpoint, None, now_s, lambda what, _, when_s: self._radio.submit(when_s, what))
 
     def deliver(self, now_s):
         """Give the vehicle what the radio brings."""
         for arrival_s, setpoint in self._radio.collect(now_s):
             self._vehicle.schedule(arrival_s, setpoint)
 
-    def _setpoint(self, sticks):
-        """What the vehicle makes of the fractions of cmd_vel, in NED senses."""
-        return Setpoint(
-            roll_rad=-sticks.left * self._type.tilt_max_rad,
-            pitch_rad=-sticks.forward * self._type.tilt_max_rad,
-            climb_m_s=sticks.up * self._type.climb_max_m_s,
-            yaw_rate_rad_s=-sticks.turn_left * self._type.yaw_rate_max_rad_s,
-            hover=not any(sticks),
-        )
+
+def _setpoint(vehicle_type, sticks):
+    """What a vehicle makes of the fractions of cmd_vel, in NED senses."""
+    return Setpoint(
+        roll_rad=-sticks.left * vehicle_type.tilt_max_rad,
+        pitch_rad=-sticks.forward * vehicle_type.tilt_max_rad,
+        climb_m_s=sticks.up * vehicle_type.climb_max_m_s,
+        yaw_rate_rad_s=-sticks.turn_left * vehicle_type.yaw_rate_max_rad_s,
+        hover=not any(sticks),
+    )
 
 
-def _by_vehicle(derivatives):
-    """(3, n, 4) -> (n, 3, 4), as on /trajectory."""
-    return np.ascontiguousarray(derivatives.transpose(1, 0, 2))
-
-
-def step_chains(chains, frame, stamp_s, now_s, states, controls, looks=None):
+def step_chains(chains, frame, stamp_s, now_s, states, controls, looks):
     """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
 
     states: States at stamp_s.  controls: the controller's answer; None: no frame has come.
-    looks: `separation.Look` of each vehicle; None: no other is near.
+    looks: `separation.Look` of each vehicle.
     """
-    ticks = frame % TICK_EVERY == 0
-    commands = None
+    ticks, commands = frame % TICK_EVERY == 0, None
     if ticks:
         visible, x = states.visible.tolist(), states.x.tolist()
     for i, chain in enumerate(chains):
@@ -372,7 +359,7 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks=None):
         if chain.lost == "laptop":
             continue
         if ticks:
-            chain.see(visible[i], x[i], stamp_s, now_s, frame, looks[i] if looks else ALONE)
+            chain.see(visible[i], x[i], stamp_s, now_s, frame, looks[i])
         sends = now_s >= pilot.next_command_s
         if (sends or ticks) and chain.lost is None and controls is not None:
             if commands is None:
@@ -387,18 +374,12 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks=None):
         chain.deliver(now_s)
 
 
-def _fleet_files():
-    """Folder of the shipped fleet files: in the workspace that ./maap names, or around this package's sources."""
-    root = os.environ.get("RISC_MAAP_ROOT")
-    return pathlib.Path(root, "launch/fleets") if root else package_file("..", "launch/fleets")
-
-
 def _lab(flight):
     """(Fleet, types by name, VehicleType of each vehicle) of a flight."""
     if flight.fleet:
         fleet = load_fleet(flight.fleet).with_vehicles(flight.vehicles)
     else:
-        fleet = default_fleet(flight.vehicles, flight.trajectory, _fleet_files())
+        fleet = default_fleet(flight.vehicles, flight.trajectory)
     if flight.psi_deg is not None:
         turned = [replace(v, start=replace(v.start, yaw_deg=flight.psi_deg)) for v in fleet.vehicles]
         fleet = replace(fleet, vehicles=tuple(turned))
@@ -415,60 +396,35 @@ def main(argv=None):
         prog="python3 -m risc_experiments.offline",
         description="Accuracy of whole flights, offline: position RMSE against truth, on the course after settling.",
     )
-    parser.add_argument("--trajectory", nargs="+", choices=sorted(COURSES), default=["circle", "flat8", "slanted8"])
-    parser.add_argument("--vehicles", type=int, default=3, metavar="N")
-    parser.add_argument("--fleet", default="", metavar="FILE", help="fleet file (default: one of the shipped ones)")
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds 1 to N (default: 5)")
-    parser.add_argument("--delay", type=float, nargs="+", metavar="S", help="link delay (default: that of the type)")
-    parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="judged time (default: 20 s)")
-    parser.add_argument("--psi", type=float, metavar="DEG", help="constant yaw (default: another for every seed)")
-    parser.add_argument("--controller", choices=CONTROLLERS.names(), default=Flight.controller)
-    add_option(parser.add_argument)
-    parser.add_argument("--ideal", action="store_true", help="the plant is exactly the nominal model")
-    parser.add_argument("--gusts", action="store_true")
-    parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
-    parser.add_argument("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
-    parser.add_argument("--compile", action="store_true", help="only compile what flies (see risc_lab.compiled)")
+    add = parser.add_argument
+    add("--trajectory", nargs="+", choices=sorted(COURSES), default=["circle", "flat8", "slanted8"])
+    add("--vehicles", type=int, default=3, metavar="N")
+    add("--fleet", default="", metavar="FILE", help="fleet file (default: one of the shipped ones)")
+    add("--seeds", type=int, default=5, metavar="N", help="seeds 1 to N (default: 5)")
+    add("--delay", type=float, nargs="+", metavar="S", help="link delay (default: that of the type)")
+    add("--duration", type=float, default=20.0, metavar="S", help="judged time (default: 20 s)", dest="duration_s")
+    add("--psi", type=float, metavar="DEG", help="constant yaw (default: another for every seed)")
+    add("--controller", choices=CONTROLLERS.names(), default=Flight.controller)
+    add_option(add)
+    add("--ideal", action="store_false", help="the plant is exactly the nominal model", dest="perturbed")
+    add("--gusts", action="store_true")
+    add("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
+    add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
+    add("--compile", action="store_true", help="only compile what flies (see risc_lab.compiled)")
     args = parser.parse_args(argv)
     if args.compile:
-        fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
-        for name in CONTROLLERS.names():
-            ControlLoop(name, [load_vehicle_type("ardrone")])
-        FrameEncoder((("body", 1),))  # the virtual lab's
-        clip_polygons(np.zeros((3, 3)), np.array([3]), np.zeros((1, 4)))  # its cameras'
-        coverage([np.zeros((3, 2))], (0, 0, 1, 1))
-        from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
-        from risc_estimation.ros.conversions import EstimateMessages
-
-        StatesReader(())
-        ControlsMessage(())
-        EstimateMessages()
+        _compile()
         return 0
-    common = {
-        "vehicles": args.vehicles,
-        "fleet": args.fleet,
-        "duration_s": args.duration,
-        "controller": args.controller,
-        "estimator": args.estimator,
-        "perturbed": not args.ideal,
-        "gusts": args.gusts,
-    }
+    common = ("vehicles", "fleet", "duration_s", "controller", "estimator", "perturbed", "gusts")
+    common = {name: getattr(args, name) for name in common}
     flights = [
-        Flight(
-            trajectory,
-            seed=seed,
-            delay_s=delay_s,
-            psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
-            **common,
-        )
-        for trajectory in args.trajectory
-        for delay_s in args.delay or [None]
-        for seed in range(1, args.seeds + 1)
-    ]
-    progress = Progress()
+        Flight(course, seed=seed, delay_s=delay_s, psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
+               **common)
+        for course in args.trajectory for delay_s in args.delay or [None] for seed in range(1, args.seeds + 1)
+    ]  # fmt: skip
+    progress, rows, everyone = Progress(), [], {}
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
           "worst", "closest", "speed"))  # fmt: skip
-    failed, rows, everyone = False, [], {}
     try:
         outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
         for flight, result in zip(flights, outcomes):
@@ -476,25 +432,16 @@ def main(argv=None):
             progress.clear()
             if isinstance(result, RuntimeError):
                 print("%s %5d  %s" % (group, flight.seed, result))
-                failed = True
             elif any(result.landed):  # an error from a course that was left on purpose says nothing
                 said = "; ".join("%.1f s: %s: %s" % item for item in result.safety[:2])
                 print("%s %5d  %d landed (%s)" % (group, flight.seed, sum(result.landed), said))
-                failed = True
             else:
                 rmse_mm, speed = 1e3 * result.rmse_m, result.flown_s / result.took_s
                 everyone.setdefault(group, []).extend(rmse_mm)
                 closest_m = result.closest_m if math.isfinite(result.closest_m) else None
-                rows.append(
-                    {
-                        "course": flight.trajectory,
-                        "delay_s": flight.delay_s,
-                        "seed": flight.seed,
-                        "rmse_m": result.rmse_m.tolist(),
-                        "closest_m": closest_m,
-                        "times_real_time": speed,
-                    }
-                )
+                rows.append({"course": flight.trajectory, "delay_s": flight.delay_s, "seed": flight.seed,
+                             "rmse_m": result.rmse_m.tolist(), "closest_m": closest_m,
+                             "times_real_time": speed})  # fmt: skip
                 print("%s %5d  %-28s %6.1f %6.1f %5.2f m %4.1fx" % (
                     group, flight.seed, " ".join("%.1f" % value for value in rmse_mm), np.median(rmse_mm),
                     rmse_mm.max(), result.closest_m, speed), flush=True)  # fmt: skip
@@ -507,16 +454,26 @@ def main(argv=None):
         progress.say("offline: %s" % (error if str(error) else "interrupted"))
         return 130 if isinstance(error, KeyboardInterrupt) else 1
     if args.json:
-        estimator = estimator_of(args.controller, args.estimator)
-        figures = {
-            "simulated": True,
-            "controller": args.controller,
-            "estimator": estimator,
-            "perturbed": not args.ideal,
-            "flights": rows,
-        }
+        figures = {"controller": args.controller, "estimator": estimator_of(args.controller, args.estimator)}
+        figures |= {"simulated": True, "perturbed": args.perturbed, "flights": rows}
         args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    return 1 if failed else 0
+    return 0 if len(rows) == len(flights) else 1
+
+
+def _compile():
+    """Have numba compile and keep all that runs in every frame of a flight."""
+    from risc_control.ros.conversions import ControlsMessage, StatesReader  # the nodes', with ROS only
+    from risc_estimation.ros.conversions import EstimateMessages
+
+    fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
+    for name in CONTROLLERS.names():
+        ControlLoop(name, [load_vehicle_type("ardrone")])
+    FrameEncoder((("body", 1),))  # the virtual lab's
+    clip_polygons(np.zeros((3, 3)), np.array([3]), np.zeros((1, 4)))  # its cameras'
+    coverage([np.zeros((3, 2))], (0, 0, 1, 1))
+    StatesReader(())
+    ControlsMessage(())
+    EstimateMessages()
 
 
 if __name__ == "__main__":

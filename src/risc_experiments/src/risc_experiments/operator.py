@@ -112,11 +112,10 @@ class Watched:
         self._in_air = False  # by the newest report that says anything about it
         self._ground_s = -math.inf  # when it reported last that it stands
         self.takeoff_s = self.toggle_s = self.land_s = -math.inf  # when it was told so last
-        self.call_land = False  # its service is to be called; `landings` takes it back
 
     def note_report(self, state, now_s):
         """It reports its state number."""
-        self.flight_state, self.reported_s = state, now_s
+        self.flight_state, self.reported_s = int(state), now_s
         if state in ON_GROUND:
             self._in_air, self._ground_s = False, now_s
         elif state not in NO_EVIDENCE:
@@ -144,51 +143,25 @@ class Watched:
 
 
 class Operator:
-    """The sequence for all vehicles. Feed it what is heard, call `step` at the rate of the joystick messages.
+    """The sequence for all vehicles. Tell `vehicles` what is heard, call `step` at the rate of the joystick messages.
 
-    vehicles: their namespaces. `call_home` is True from the moment on that the trajectory node is to bring all home
-    (or to hold, when there is no such node) until `home_called` is told how that went. `landings` names the vehicles
-    whose service to land is to be called now.
+    vehicles: their namespaces.  go_home: function that has the trajectory node bring all home (or hold, when there is
+    no such node), and `home_called` told how that went.  land: function of a namespace that calls its service to land.
+    Neither of them waits.
     """
 
-    def __init__(self, vehicles, params, now_s):
+    def __init__(self, vehicles, params, now_s, go_home, land):
         self.vehicles = {name: Watched() for name in vehicles}
-        self.call_home = False
         self.phase = Phase.WAITING
         self.text = ""  # detail of the phase
         self.result, self.reason = OperatorResult.RUNNING, ""  # reason: why it failed
-        self._params = params
+        self._params, self._call_home, self._call_land = params, go_home, land
         self._since_s = now_s  # begin of the phase
         self._ready_since_s = None
         self._course_since_s = None
         self._step_since_s = None
         self._steps_left = 0
-        self._homing = False
         self._failure = ""  # why the whole flight failed, beside what single vehicles did
-
-    # --- what is heard ------------------------------------------------------------------------------------------
-
-    def on_seen(self, name, now_s):
-        """Mocap sees the vehicle."""
-        self.vehicles[name].seen_s = now_s
-
-    def on_navdata(self, name, state, now_s):
-        """The vehicle reports its state number."""
-        self.vehicles[name].note_report(int(state), now_s)
-
-    def on_status(self, name, autonomous, now_s):
-        """The joystick node says who flies."""
-        watched = self.vehicles[name]
-        watched.autonomous, watched.status_s = autonomous, now_s
-
-    def on_safety(self, name, level, reason):
-        """The vehicle's loss ladder changed levels. level: FailsafeLevel or its number."""
-        watched = self.vehicles[name]
-        watched.safety, watched.safety_reason = level, reason
-
-    def on_trajectory_phase(self, name, phase):
-        """The trajectory node says where the vehicle is on its way. phase: of trajectory_manager, or its number."""
-        self.vehicles[name].trajectory_phase = Trajectory(phase)
 
     def request_landing(self, reason, now_s):
         """Land everything now; the flight counts as failed."""
@@ -197,11 +170,8 @@ class Operator:
 
     def home_called(self, problem, now_s):
         """The trajectory node was asked to bring all home; problem: why that failed, "" when it did not."""
-        self.call_home = False
         if problem and self.phase == Phase.HOME:
             self._fail("cannot fly home: " + problem, now_s)
-
-    # --- what is done -------------------------------------------------------------------------------------------
 
     @property
     def finished(self):
@@ -216,42 +186,24 @@ class Operator:
         """Look, decide, press."""
         if self.phase in (Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME):
             self._note_failures(now_s)
-            self._land_failed(now_s)
-            if self.phase != Phase.LAND and not self._taking_part():
+            # an order may meet a dead joystick node or a lost link: those that are out are told until they stand
+            self._order_landings([name for name, w in self.vehicles.items() if w.failure], now_s)
+            if not self._taking_part():
                 self._fail("no vehicle flies any more", now_s)
-        {
-            Phase.WAITING: self._wait,
-            Phase.TAKEOFF: self._take_off,
-            Phase.SETTLE: self._settle,
-            Phase.FLY: self._fly,
-            Phase.HOME: self._go_home,
-            Phase.LAND: self._land,
-            Phase.DONE: self._rest,
-            Phase.ABORTED: self._rest,
-        }[self.phase](now_s)
+        getattr(self, "_" + self.phase.name.lower())(now_s)
 
-    def landings(self):
-        """Namespaces of the vehicles whose service to land is to be called now; each is named once a call."""
-        names = [name for name, w in self.vehicles.items() if w.call_land]
-        for name in names:
-            self.vehicles[name].call_land = False
-        return names
-
-    def _wait(self, now_s):
+    def _waiting(self, now_s):
         missing = {name: w.not_ready(self._params, now_s) for name, w in self.vehicles.items()}
-        problems = ["%s %s" % item for item in missing.items() if item[1]]
-        self.text = "; ".join(problems)
-        if problems:
+        self.text = "; ".join("%s %s" % item for item in missing.items() if item[1])
+        if self.text:
             self._ready_since_s = None
-            if now_s - self._since_s > self._params.waiting_timeout:
-                self._fail("not ready within %g s: %s" % (self._params.waiting_timeout, self.text), now_s)
+            self._give_up_after(self._params.waiting_timeout, "not ready", self.text, now_s)
             return
-        if self._ready_since_s is None:
-            self._ready_since_s = now_s
+        self._ready_since_s = now_s if self._ready_since_s is None else self._ready_since_s
         if now_s - self._ready_since_s >= self._params.ready:
             self._enter(Phase.TAKEOFF, now_s)
 
-    def _take_off(self, now_s):
+    def _takeoff(self, now_s):
         waiting = [name for name, w in self._taking_part() if w.flight_state not in TAKES_COMMANDS]
         if not waiting:
             self._enter(Phase.SETTLE, now_s)
@@ -261,11 +213,10 @@ class Operator:
             if w.flight_state == FlightState.LANDED and now_s - w.takeoff_s > _TAKEOFF_AGAIN_S:
                 if w.pad.press(self._params.TakeoffLand):
                     w.takeoff_s = now_s
-        if self._overdue(self._params.takeoff_timeout, now_s):
-            self._fail("no hover within %g s: %s" % (self._params.takeoff_timeout, self.text), now_s)
+        self._give_up_after(self._params.takeoff_timeout, "no hover", self.text, now_s)
 
     def _settle(self, now_s):
-        if self._overdue(self._params.settle, now_s):
+        if now_s - self._since_s > self._params.settle:
             self._enter(Phase.FLY, now_s)
 
     def _fly(self, now_s):
@@ -286,14 +237,12 @@ class Operator:
                 w = self.vehicles[name]
                 if now_s - w.toggle_s > _TOGGLE_AGAIN_S and w.pad.press(params.JoytoWay):
                     w.toggle_s = now_s
-            if self._overdue(params.autonomous_timeout, now_s):
-                self._fail("no autonomous mode within %g s: %s" % (params.autonomous_timeout, ", ".join(manual)), now_s)
+            self._give_up_after(params.autonomous_timeout, "no autonomous mode", ", ".join(manual), now_s)
             return
         away = [name for name, w in self._taking_part() if w.trajectory_phase != Trajectory.COURSE]
         if away and not params.bumper_steps:
             self.text = "%s on the way to the course" % ", ".join(away)
-            if self._overdue(params.course_timeout, now_s):
-                self._fail("not on course within %g s: %s" % (params.course_timeout, ", ".join(away)), now_s)
+            self._give_up_after(params.course_timeout, "not on course", ", ".join(away), now_s)
             return
         self._course_since_s = self._step_since_s = now_s
         self._steps_left = params.bumper_steps
@@ -317,49 +266,47 @@ class Operator:
             self._step_since_s = now_s
             self.text = "figure %d" % (done // 2 + 1) if not on_figure else "at the origin"
 
-    def _go_home(self, now_s):
-        if not self._homing:
-            self._homing = self.call_home = True
+    def _home(self, now_s):
         away = [name for name, w in self._taking_part() if w.trajectory_phase != Trajectory.HOMED]
         if not away:
             self._enter(Phase.LAND, now_s)
             return
         self.text = ", ".join(away)
-        if self._overdue(self._params.home_timeout, now_s):
-            self._fail("not home within %g s: %s" % (self._params.home_timeout, self.text), now_s)
+        self._give_up_after(self._params.home_timeout, "not home", self.text, now_s)
 
     def _land(self, now_s):
-        flying = [name for name, w in self.vehicles.items() if w.may_fly()]
-        for w in self.vehicles.values():
-            self._order_landing(w, now_s)
-        if not flying:
-            self._finish(now_s)
-        elif self._overdue(self._params.land_timeout, now_s):
-            for name in flying:
-                w = self.vehicles[name]
-                w.failure = w.failure or "did not land within %g s" % self._params.land_timeout
+        flying = [w for w in self.vehicles.values() if w.may_fly()]
+        self._order_landings(self.vehicles, now_s)
+        overdue = now_s - self._since_s > self._params.land_timeout
+        for w in flying if overdue else ():
+            w.failure = w.failure or "did not land within %g s" % self._params.land_timeout
+        if overdue or not flying:
             self._finish(now_s)
 
-    def _rest(self, now_s):
-        """Finished. Vehicles that did not land in time are still told to."""
-        for w in self.vehicles.values():
-            self._order_landing(w, now_s)
+    def _done(self, now_s):
+        """Vehicles that did not land in time are still told to."""
+        self._order_landings(self.vehicles, now_s)
 
-    def _order_landing(self, w, now_s):
-        """Tell it to land now and then, but press the button only when it is known to fly: else it means take-off.
+    _aborted = _done
+
+    def _order_landings(self, names, now_s):
+        """Tell them to land now and then, but press the button only where one is known to fly: else it means take-off.
 
         After an outage its reports of before come first, as if they were new. So one that is out, or was told already,
         is told by its service, which never means take-off.
         """
-        if not w.may_fly() or now_s - w.land_s <= _LAND_AGAIN_S:
-            return
-        heard = now_s - w.reported_s <= _SURE_S
-        if heard and (w.flight_state in ON_GROUND or w.flight_state == FlightState.LANDING):
-            return
-        if not heard or w.failure or w.land_s > -math.inf:
-            w.call_land, w.land_s = True, now_s
-        elif w.pad.press(self._params.TakeoffLand):
-            w.land_s = now_s
+        for name in names:
+            w = self.vehicles[name]
+            if not w.may_fly() or now_s - w.land_s <= _LAND_AGAIN_S:
+                continue
+            heard = now_s - w.reported_s <= _SURE_S
+            if heard and (w.flight_state in ON_GROUND or w.flight_state == FlightState.LANDING):
+                continue
+            if not heard or w.failure or w.land_s > -math.inf:
+                w.land_s = now_s
+                self._call_land(name)
+            elif w.pad.press(self._params.TakeoffLand):
+                w.land_s = now_s
 
     def _note_failures(self, now_s):
         """Take out the vehicles that land, fell or fell back to manual mode without being told to."""
@@ -380,20 +327,18 @@ class Operator:
             if w.failure:
                 self.text = "%s: %s; the others fly on" % (name, w.failure)
 
-    def _land_failed(self, now_s):
-        """Those that are out are told until they stand: an order may meet a dead joystick node or a lost link."""
-        for w in self.vehicles.values():
-            if w.failure:
-                self._order_landing(w, now_s)
-
     def _taking_part(self):
         return [(name, w) for name, w in self.vehicles.items() if not w.failure]
 
-    def _overdue(self, limit_s, now_s):
-        return now_s - self._since_s > limit_s
+    def _give_up_after(self, limit_s, what, details, now_s):
+        """Land all when the phase has lasted longer than its limit."""
+        if now_s - self._since_s > limit_s:
+            self._fail("%s within %g s: %s" % (what, limit_s, details), now_s)
 
     def _enter(self, phase, now_s):
         self.phase, self._since_s, self.text = phase, now_s, ""
+        if phase == Phase.HOME:
+            self._call_home()
 
     def _fail(self, reason, now_s):
         self._failure = self._failure or reason

@@ -9,7 +9,7 @@ from data_extraction.progress import bar
 from data_extraction.report import page
 from data_extraction.report.collector import ReportCollector
 from data_extraction.report.origin import read_beside
-from risc_experiments.headroom import want_of_time
+from risc_experiments.headroom import verdict
 from risc_experiments.judge import Limits, judge
 from risc_lab.lab import load_fleet
 from risc_simulator.models.mocap_cameras import CameraParams
@@ -52,7 +52,7 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
         reasons = judge(flight, failure, with_cameras=args.experiment in WITH_CAMERAS)
     reasons = [reason for reason in reasons if reason]
     if reasons:
-        reasons += filter(None, [want_of_time(result)])
+        reasons += filter(None, [verdict(result)])
     result.update(passed=not reasons, reasons=reasons, limits=dict(vars(Limits())))
     summary.write(result, folder / "summary.json")
     page.write(page_path, material, result)

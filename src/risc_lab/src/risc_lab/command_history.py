@@ -25,16 +25,27 @@ class Channel(IntEnum):
 
 CHANNELS = len(Channel)
 
-# Command k is in row k % ROWS; oldest and newest are such k.
-HISTORY = record(("times_s", float, (ROWS,)), ("commands", float, (ROWS, CHANNELS)), ("oldest", int), ("newest", int))
+
+def history_of(rows):
+    """Record of a vehicle: command k is in row k % rows; oldest and newest are such k."""
+    fields = ("times_s", float, (rows,)), ("commands", float, (rows, CHANNELS)), ("oldest", int), ("newest", int)
+    return record(*fields)
+
+
+HISTORY = history_of(ROWS)
+
+
+def command_of(message):
+    """(4,) command of a CommandSent of risc_maap_msgs, rospy's or one that rosbags reads."""
+    return np.array((message.roll_rad, message.pitch_rad, message.climb, message.yaw_rate_rad_s))
 
 
 class CommandHistory:
-    """The newest ROWS commands of each vehicle of a fleet. Times: one clock, that of the sender."""
+    """The newest commands of each vehicle of a fleet. Times: one clock, that of the sender."""
 
-    def __init__(self, vehicles):
-        """vehicles: how many."""
-        self.vehicles = np.zeros(vehicles, HISTORY)
+    def __init__(self, vehicles, rows=ROWS):
+        """vehicles: how many. rows: so many commands of each are kept."""
+        self.vehicles = np.zeros(vehicles, history_of(rows))
         if vehicles:  # loads what is compiled
             self.append(0, 0.0, np.zeros(CHANNELS))
             self.at(0, 0.0)
@@ -59,24 +70,33 @@ class CommandHistory:
     def at(self, vehicle, time_s):
         """(4,) command in force at a time."""
         history = self.vehicles[vehicle]
-        return history.commands[last_by(history, time_s, history.newest) % ROWS].copy()
+        return history.commands[last_by(history, time_s, history.newest) % len(history.times_s)].copy()
+
+    def held(self, vehicle, times_s, longest_s):
+        """(n, 4) commands in force at times (n,); NaN where the last one was sent longer ago, or nobody knows it."""
+        history = self.vehicles[vehicle]
+        rows = np.arange(history.oldest, history.newest + 1) % len(history.times_s)
+        sent_s = history.times_s[rows]
+        last = np.searchsorted(sent_s, times_s, side="right") - 1
+        known = (last >= 0) & (times_s - sent_s[last] <= longest_s)
+        return np.where(known[:, None], history.commands[rows[last]], np.nan)
 
 
 @compiled
 def append_command(history, time_s, command):
     """See `CommandHistory.append`."""
-    k = last_before(history, time_s) + 1
-    history.times_s[k % ROWS] = time_s
+    k, rows = last_before(history, time_s) + 1, len(history.times_s)
+    history.times_s[k % rows] = time_s
     for channel in range(len(command)):
-        history.commands[k % ROWS, channel] = command[channel]
-    history.oldest, history.newest = max(history.oldest, k - ROWS + 1), k
+        history.commands[k % rows, channel] = command[channel]
+    history.oldest, history.newest = max(history.oldest, k - rows + 1), k
 
 
 @compiled
 def last_before(history, time_s):
     """k of the last command before time_s, that of the oldest when there is none."""
-    k = history.newest
-    while k > history.oldest and history.times_s[k % ROWS] >= time_s:
+    k, rows = history.newest, len(history.times_s)
+    while k > history.oldest and history.times_s[k % rows] >= time_s:
         k -= 1
     return k
 
@@ -84,6 +104,7 @@ def last_before(history, time_s):
 @compiled
 def last_by(history, time_s, k):
     """k of the last command, of k and those before it, that was sent by time_s."""
-    while k > history.oldest and history.times_s[k % ROWS] > time_s:
+    rows = len(history.times_s)
+    while k > history.oldest and history.times_s[k % rows] > time_s:
         k -= 1
     return k

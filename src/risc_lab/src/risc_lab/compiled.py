@@ -31,3 +31,9 @@ def record(*fields):
     """
     parts = ([(name, float) for name in item.split()] if isinstance(item, str) else [item] for item in fields)
     return np.dtype((np.record, [field for part in parts for field in part]))
+
+
+def with_row(array, axis=0):
+    """An array with one more row of zeros along an axis."""
+    shape = (*array.shape[:axis], 1, *array.shape[axis + 1 :])
+    return np.concatenate([array, np.zeros(shape, dtype=array.dtype)], axis=axis)

@@ -36,11 +36,10 @@ def picture_from_msg(message):
     Of 16 bits the upper 8 are kept.
     """
     if hasattr(message, "format"):
-        damaged = "a compressed picture (%s) is damaged" % message.format
-        if not len(message.data):
-            raise PictureError(damaged)
+        damaged, picture = "a compressed picture (%s) is damaged" % message.format, None
         try:
-            picture = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
+            if len(message.data):
+                picture = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
         except cv2.error as error:  # e.g. its header says that it is larger than OpenCV takes
             raise PictureError("%s: %s" % (damaged, error.err)) from error
         if picture is None:

@@ -32,9 +32,7 @@ class Registry:
         """Names of all members, sorted. Raises ValueError for a folder that is not there, or a name that is twice."""
         folders = [str(folder / self.kind) for folder in member_folders()]
         self._package.__path__[:] = self._own_path + folders
-        found = [module.name for module in pkgutil.iter_modules(self._own_path)]
-        for folder in folders:
-            found += [module.name for module in pkgutil.iter_modules([folder])]
+        found = [module.name for folder in self._package.__path__ for module in pkgutil.iter_modules([folder])]
         names = sorted(name for name in found if not name.startswith("_"))
         check_once(self.kind, names)
         return names

@@ -306,8 +306,7 @@ class CortexHost(SocketHost):
             elif command == Command.GENERAL_REQUEST:
                 self._on_text_request(wire.decode_text(payload), sender)
             elif command == Command.PUSH_BASEPOSITION:
-                wire.decode_base_position(payload)  # the protocol has no answer to it
-                self._count_request("PUSH_BASEPOSITION", sender)
+                self._count_request("PUSH_BASEPOSITION", sender)  # the protocol has no answer to it
             elif command in _HOST_COMMANDS:
                 # what only a host sends; answering could start an endless exchange between two hosts
                 self._counts["unexpected"] += 1

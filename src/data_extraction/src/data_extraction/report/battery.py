@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from data_extraction.report.topics import Collector, vehicle_of
+from data_extraction.report.topics import PerName, vehicle_of
 from data_extraction.samples import Samples
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND
 
@@ -26,16 +26,13 @@ class Battery:
         return self.samples.first[1]
 
 
-class BatteryCollector(Collector):
+class BatteryCollector(PerName):
     """Its memory does not grow."""
 
     ends = ("/vehicle_status",)
 
-    def __init__(self):
-        self._vehicles = {}
-
     def __call__(self, topic, receipt_s, message):
-        vehicle = self._vehicles.setdefault(vehicle_of(topic), Battery())
+        vehicle = self.found.setdefault(vehicle_of(topic), Battery())
         if vehicle.flying and receipt_s - vehicle.last_s < _GAP_S:
             vehicle.air_s += receipt_s - vehicle.last_s
         vehicle.flying, vehicle.last_s = message.state not in ON_GROUND | NO_EVIDENCE, receipt_s
@@ -43,6 +40,6 @@ class BatteryCollector(Collector):
             vehicle.last_pct = message.battery_pct
             vehicle.samples.append((receipt_s, vehicle.last_pct))
 
-    def batteries(self):
+    def result(self, end_s):
         """{vehicle: Battery} of those that reported a charge."""
-        return {name: item for name, item in sorted(self._vehicles.items()) if item.last_pct is not None}
+        return {name: item for name, item in super().result(end_s).items() if item.last_pct is not None}

@@ -25,22 +25,20 @@ class ReportCollector:
         self._bag, self._origin = bag, origin
         self.flight = FlightCollector(origin.fleet, with_bearings=bool(bag.topics.get(ANGLES)))
         arena = origin.fleet.arena if origin.fleet else Arena()
-        self._drops = DropCollector(arena)
-        self._gates = GateCollector()
-        self._computers = ComputerCollector()
-        self._ladder = LadderCollector()
-        self._batteries = BatteryCollector()
-        self._fence = FenceCollector(origin.fence_limits(), SafetyLimits(**fence_of(arena)))
-        self._events = EventCollector()
-        self._snapshots = SnapshotCollector(bag.types, bag.start_s, bag.duration_s)
-        parts = (
-            self.flight, self._drops, self._gates, self._computers, self._ladder, self._batteries, self._fence,
-            self._events, self._snapshots,
-        )  # fmt: skip
+        self._parts = {  # by their name in the material
+            "drops": DropCollector(arena),
+            "gates": GateCollector(),
+            "computers": ComputerCollector(),
+            "ladder": LadderCollector(),
+            "batteries": BatteryCollector(),
+            "margins": FenceCollector(origin.fence_limits(), SafetyLimits(**fence_of(arena))),
+            "events": EventCollector(),
+            "snapshots": SnapshotCollector(bag.types, bag.start_s, bag.duration_s),
+        }
+        parts = (self.flight, *self._parts.values())
         takers = {topic: [part for part in parts if part.wants(topic)] for topic in bag.topics}
-        wanted = [topic for topic in takers if takers[topic]]
-        self._foreign = [topic for topic in wanted if not fits(topic, bag.types[topic])]
-        self._takers = {topic: takers[topic] for topic in wanted if topic not in self._foreign}
+        self._foreign = [topic for topic in takers if takers[topic] and not fits(topic, bag.types[topic])]
+        self._takers = {topic: takers[topic] for topic in takers if takers[topic] and topic not in self._foreign}
         self.wanted = list(self._takers)  # the topics of the bag that say anything to the report
 
     def __call__(self, topic, receipt_s, message):
@@ -55,8 +53,7 @@ class ReportCollector:
         the virtual lab: nothing else knows a ground truth.  foreign: topics with the lab's names and other types.
         """
         bag, flight = self._bag, flight or self.flight.flight(strict=False)
-        snapshots, snapshot_notes = self._snapshots.snapshots()
-        end_s = bag.start_s + bag.duration_s
+        found = {name: part.result(bag.start_s + bag.duration_s) for name, part in self._parts.items()}
         return SimpleNamespace(
             bag=bag,
             origin=self._origin,
@@ -64,15 +61,6 @@ class ReportCollector:
             zero_s=bag.start_s if flight.start_s is None else flight.start_s,
             is_simulated=bool(self._origin.lab or bag.topics.get("/ground_truth")),
             flight=flight,
-            drops=self._drops.drops(end_s),
-            gates=self._gates.counts(),
-            computers=self._computers.computers(),
-            ladder=self._ladder.spans(end_s),
-            ladder_left_out=self._ladder.left_out,
-            batteries=self._batteries.batteries(),
-            margins=self._fence.margins(),
-            snapshots=snapshots,
-            snapshot_notes=snapshot_notes,
-            events=self._events.events,
-            events_left_out=self._events.left_out,
+            parts=self._parts,
+            **found,
         )

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from data_extraction.report.topics import Collector, vehicle_of
+from data_extraction.report.topics import PerName, vehicle_of
 
 
 @dataclass
@@ -14,20 +14,13 @@ class Computer:
     behind_ms: float = 0.0  # by how much its clock is behind that of the stamps, at least; the largest that was told
 
 
-class ComputerCollector(Collector):
+class ComputerCollector(PerName):
     """Keeps the worst figures of each vehicle's computer."""
 
     ends = ("/node_status",)
 
-    def __init__(self):
-        self._computers = {}
-
     def __call__(self, topic, _receipt_s, message):
-        computer = self._computers.setdefault(vehicle_of(topic), Computer(message.computer))
+        computer = self.found.setdefault(vehicle_of(topic), Computer(message.computer))
         computer.name = message.computer
         computer.oldest_ms = max(computer.oldest_ms, 1e3 * message.oldest_state_s)
         computer.behind_ms = max(computer.behind_ms, 1e3 * message.clock_behind_s)
-
-    def computers(self):
-        """{vehicle's namespace: Computer} of those that reported."""
-        return dict(sorted(self._computers.items()))

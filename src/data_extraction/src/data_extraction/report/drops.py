@@ -1,7 +1,8 @@
 """What motion capture lost, and where in the arena: markers, whole vehicles, frames."""
 
 import math
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,10 +39,9 @@ class Invisibility:
     since_s: float | None = None  # stamp [s] since when it is not seen; None = it is seen
 
     def until(self, stamp_s):
-        """The same when nothing comes before that stamp [s]."""
-        if self.since_s is None:
-            return self
-        return replace(self, longest_s=max(self.longest_s, stamp_s - self.since_s))
+        """Nothing comes before that stamp [s]."""
+        if self.since_s is not None:
+            self.longest_s = max(self.longest_s, stamp_s - self.since_s)
 
 
 @dataclass
@@ -50,8 +50,8 @@ class Drops:
 
     seen_map: np.ndarray  # (x, y) markers seen in each cell of the arena, cortex frame; see `cell_edges`
     lost_map: np.ndarray  # (x, y) markers lost there: by the object's other markers, else by its last known place
-    markers: dict[str, MarkerLoss] = field(default_factory=dict)  # object -> its markers
-    vehicles: dict[str, Invisibility] = field(default_factory=dict)
+    markers: dict[str, MarkerLoss] = field(default_factory=lambda: defaultdict(MarkerLoss))  # object -> its markers
+    vehicles: dict[str, Invisibility] = field(default_factory=lambda: defaultdict(Invisibility))
     unplaced: int = 0  # markers lost of objects that were never seen before
     lost_places_m: list[tuple] = field(default_factory=list)  # (x, y) [m] where vehicles became invisible
     frames: int = 0  # of the stream
@@ -86,76 +86,69 @@ class DropCollector(Collector):
         shape = [len(edges) - 1 for edges in cell_edges(arena or Arena())]
         self._drops = Drops(np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64))
         self._places = {}  # object -> (x, y) [m] where it was last
-        self._last_frame_s = None
+        self._gaps = 0  # before the newest frame
+        self._last_frame_s = math.nan
         self._late_s = math.inf  # least time from a stamp to its receipt: what the clocks differ by
 
     def __call__(self, topic, receipt_s, message):
         stamp_s = stamp_or_receipt_s(message, receipt_s)
         self._late_s = min(self._late_s, receipt_s - stamp_s)
-        if topic == STATES:
-            for state in message.Obj:
-                self._note_state(state, stamp_s)
-            return
-        drops = self._drops
-        drops.frames += 1
-        gap_s = 0.0 if self._last_frame_s is None else stamp_s - self._last_frame_s
-        drops.gaps += gap_s > GAP_S
-        drops.longest_gap_s = max(drops.longest_gap_s or 0.0, gap_s)
-        self._last_frame_s = stamp_s
-        for body in message.Obj:
-            self._note_markers(body)
+        for item in message.Obj:
+            self._note_state(item, stamp_s) if topic == STATES else self._note_markers(item)
+        if topic == MOCAP:
+            drops = self._drops
+            drops.frames += 1
+            gap_s = stamp_s - self._last_frame_s
+            self._gaps += gap_s > GAP_S
+            drops.longest_gap_s = max(drops.longest_gap_s or 0.0, gap_s)
+            self._last_frame_s = stamp_s
 
-    def drops(self, end_s):
+    def result(self, end_s):
         """Drops of what was collected; None when the bag held no motion capture.
 
-        end_s: time of receipt at which the bag ends. What is lost then is lost until then, and so is the stream.
+        What is lost at the end of the bag is lost until then, and so is the stream.
         """
         drops = self._drops
         if not drops.frames and not drops.vehicles:
             return None
         end_s -= self._late_s  # on the clock of the stamps
-        vehicles = {name: item.until(end_s) for name, item in sorted(drops.vehicles.items())}
-        drops = replace(drops, markers=dict(sorted(drops.markers.items())), vehicles=vehicles)
+        for item in drops.vehicles.values():
+            item.until(end_s)
         if drops.frames:
             drops.silent_end_s = max(0.0, end_s - self._last_frame_s)
             drops.longest_gap_s = max(drops.longest_gap_s, drops.silent_end_s)
-            drops.gaps += drops.silent_end_s > GAP_S
+            drops.gaps = self._gaps + (drops.silent_end_s > GAP_S)
         return drops
 
     def _note_markers(self, body):
-        drops = self._drops
-        loss = drops.markers.setdefault(body.name, MarkerLoss())
-        seen, sum_x, sum_y = 0, 0.0, 0.0
-        for marker in body.marker:
-            if abs(marker.x) < MARKER_LIMIT_M:  # False for NaN, too
-                seen, sum_x, sum_y = seen + 1, sum_x + marker.x, sum_y + marker.y
-        lost = len(body.marker) - seen
+        drops, loss = self._drops, self._drops.markers[body.name]
+        seen = [(marker.x, marker.y) for marker in body.marker if abs(marker.x) < MARKER_LIMIT_M]  # False for NaN, too
+        lost = len(body.marker) - len(seen)
         loss.frames += 1
-        loss.markers += seen + lost
+        loss.markers += len(body.marker)
         loss.lost += lost
         loss.blind_frames += not seen
         if seen:
-            self._places[body.name] = (sum_x / seen, sum_y / seen)
+            self._places[body.name] = tuple(sum(values) / len(seen) for values in zip(*seen))
         elif body.name not in self._places:
             drops.unplaced += lost
             return
         # what is outside counts at the border
         place_m, counts = self._places[body.name], drops.seen_map.shape
         cell = tuple(min(max(int(m // CELL_M) + n // 2, 0), n - 1) for m, n in zip(place_m, counts))
-        drops.seen_map[cell] += seen
+        drops.seen_map[cell] += len(seen)
         drops.lost_map[cell] += lost
 
     def _note_state(self, state, stamp_s):
-        item = self._drops.vehicles.setdefault(state.name, Invisibility())
-        if not state.visible and not item.frames:
-            return
-        item.frames += 1
-        item.invisible += not state.visible
-        if not state.visible and item.since_s is None:
-            item.since_s = stamp_s
-            item.times += 1
-            if item.times <= _MOST_PLACES:
-                self._drops.lost_places_m.append((state.x, state.y))
-        item.longest_s = item.until(stamp_s).longest_s
-        if state.visible:
-            item.since_s = None
+        item = self._drops.vehicles[state.name]
+        if state.visible or item.frames:
+            item.frames += 1
+            item.invisible += not state.visible
+            if not state.visible and item.since_s is None:
+                item.since_s = stamp_s
+                item.times += 1
+                if item.times <= _MOST_PLACES:
+                    self._drops.lost_places_m.append((state.x, state.y))
+            item.until(stamp_s)
+            if state.visible:
+                item.since_s = None

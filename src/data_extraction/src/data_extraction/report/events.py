@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 
 from data_extraction.report.topics import Collector, vehicle_of
-from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
+from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
 
 _MOST = 400  # events that are kept; twice as many while the bag is read
 _AGAIN_S = 3.0  # the same event within so long is the same one, repeated
@@ -26,11 +26,8 @@ class Event:
 
 def head_and_tail(events, most):
     """Of a list of events `most`, in their order: minor ones are left out first, then those in the middle."""
-    places = {False: [], True: []}
-    for place, event in enumerate(events):
-        places[event.is_minor].append(place)
-    kept = _ends(places[False], most)
-    kept += _ends(places[True], most - len(kept))
+    kept = _ends([place for place, event in enumerate(events) if not event.is_minor], most)
+    kept += _ends([place for place, event in enumerate(events) if event.is_minor], most - len(kept))
     return [events[place] for place in sorted(kept)]
 
 
@@ -53,15 +50,14 @@ class EventCollector(Collector):
         self._pressed = {}  # source -> buttons held
         self._said = {}  # source -> what it said last: modes, phases
 
-    @property
-    def events(self):
+    def result(self, _end_s=None):
         """[Event, ...] in the order of time: those that were kept."""
         return head_and_tail(self._events, _MOST)
 
     @property
     def left_out(self):
         """How many events there were beyond those that were kept."""
-        return self._count - len(self.events)
+        return self._count - len(self.result())
 
     def __call__(self, topic, receipt_s, message):
         last, source = topic.rpartition("/")[2], vehicle_of(topic)
@@ -75,9 +71,8 @@ class EventCollector(Collector):
         elif topic == "/operator/result":
             self._add(receipt_s, "operator", "result: " + _joined(OperatorResult(message.result), message.reason))
         elif topic == "/trajectory_phase":
-            for vehicle in message.vehicles:
-                phase = TrajectoryPhase(vehicle.phase).name.lower()
-                self._note_change(receipt_s, vehicle.name, "trajectory: ", phase)
+            for name, word in phase_words(message.vehicles).items():
+                self._note_change(receipt_s, name, "trajectory: ", word)
         elif last == "joy":
             held = {index for index, value in enumerate(message.buttons) if value}
             for index in sorted(held - self._pressed.get(source, set())):
@@ -98,24 +93,21 @@ class EventCollector(Collector):
         """Enter an event. key: what makes it the same as another one; None = its text."""
         key = key or text
         event, times_s = self._newest.get(key, (None, {}))
-        if event is not None:
-            if source in times_s and time_s - times_s[source] < _AGAIN_S:
-                times_s[source] = time_s
-                if source == event.source.partition(",")[0]:
-                    event.count += 1
-                return
-            if source not in times_s and time_s - event.time_s < _TOGETHER_S:
-                times_s[source] = time_s
-                event.source = "%s, %s" % (event.source, source)
-                return
-        event = Event(time_s, source, text, is_minor=is_minor)
-        self._count += 1
-        self._events.append(event)
-        self._newest[key] = (event, {source: time_s})
-        if len(self._events) > 2 * _MOST:
-            self._events = self.events
-            kept = {id(event) for event in self._events}
-            self._newest = {key: newest for key, newest in self._newest.items() if id(newest[0]) in kept}
+        is_again = source in times_s and time_s - times_s[source] < _AGAIN_S
+        is_shared = event is not None and source not in times_s and time_s - event.time_s < _TOGETHER_S
+        if is_again and source == event.source.partition(",")[0]:
+            event.count += 1
+        elif is_shared:
+            event.source = "%s, %s" % (event.source, source)
+        elif not is_again:
+            self._count += 1
+            self._events.append(Event(time_s, source, text, is_minor=is_minor))
+            self._newest[key] = (self._events[-1], times_s := {})
+            if len(self._events) > 2 * _MOST:
+                self._events = self.result()
+                kept = {id(event) for event in self._events}
+                self._newest = {key: newest for key, newest in self._newest.items() if id(newest[0]) in kept}
+        times_s[source] = time_s
 
 
 def _joined(word, text):

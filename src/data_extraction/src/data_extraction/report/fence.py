@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data_extraction.flatten import stamp_or_receipt_s
-from data_extraction.report.topics import Collector
+from data_extraction.report.topics import PerName
 from data_extraction.samples import Samples
 from risc_control.failsafe import SafetyLimits
 
@@ -44,27 +44,22 @@ class FenceMargin:
         self.block = [stamp_s, now_m, ahead_m]
 
 
-class FenceCollector(Collector):
+class FenceCollector(PerName):
     """Its memory does not grow."""
 
     topics = ("/cortex_raw",)
 
     def __init__(self, limits=None, default=None):
         """limits: {vehicle's template: SafetyLimits}.  default: of the others, None = that of SafetyLimits."""
+        super().__init__()
         self._limits, self._default = limits or {}, default or SafetyLimits()
-        self._vehicles = {}
 
     def __call__(self, topic, receipt_s, message):
         stamp_s = stamp_or_receipt_s(message, receipt_s)
         for state in message.Obj:
             if state.visible:
-                if state.name not in self._vehicles:
-                    self._vehicles[state.name] = FenceMargin(self._limits.get(state.name, self._default))
-                self._vehicles[state.name].note(stamp_s, state)
-
-    def margins(self):
-        """{vehicle: FenceMargin}."""
-        return dict(sorted(self._vehicles.items()))
+                limits = self._limits.get(state.name, self._default)
+                self.found.setdefault(state.name, FenceMargin(limits)).note(stamp_s, state)
 
 
 def margin(limits, position_m, velocity_m_s):

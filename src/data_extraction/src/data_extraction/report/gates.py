@@ -1,11 +1,9 @@
 """What the estimator and the mocap client refused, and why: from the counters that they publish."""
 
-from collections import Counter, defaultdict
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 
-from data_extraction.report.topics import Collector
-
-_FRAMES = "frames"
+from data_extraction.report.topics import PerName
 
 # How the topic of a node's status ends -> those of its counters that are decisions (words: templates/sections.html).
 GATES = {
@@ -18,41 +16,29 @@ GATES = {
 
 @dataclass
 class GateCounts:
-    """Counters of one node over the bag."""
+    """Counters of one node over the bag. They grow while the node lives; after a restart they are added."""
 
-    frames: int  # that it worked on
-    refused: dict[str, int]  # counter -> how often; every gate, also those that refused nothing
+    frames: int = 0  # that it worked on
+    refused: Counter = field(default_factory=Counter)  # how often; every gate, also those that refused nothing
     unknown: str = ""  # bodies without a template
+    newest: Counter = field(default_factory=Counter)  # as the node told them last
+
+    def grown(self, name, value):
+        """How much a counter has grown when it is `value` now: less than before is another life of the node."""
+        newest, self.newest[name] = self.newest[name], value
+        return value - newest if value >= newest else value
 
 
-class GateCollector(Collector):
-    """Counters grow while their node lives; after a restart they are added."""
+class GateCollector(PerName):
+    """By the end of the topic's name."""
 
     ends = tuple("/" + gate for gate in GATES)
 
-    def __init__(self):
-        self._newest = defaultdict(dict)  # gate -> {counter: value}
-        self._before = defaultdict(Counter)  # the same, of lives of the node that have ended
-        self._unknown = {}
-
     def __call__(self, topic, _receipt_s, message):
         gate = topic.rpartition("/")[2]
-        counts = {counter.name: counter.count for counter in message.counters if counter.name in GATES[gate]}
-        counts[_FRAMES] = message.frames
-        newest = self._newest[gate]
-        for name, value in counts.items():
-            if value < newest.get(name, 0):
-                self._before[gate][name] += newest[name]
-            newest[name] = value
-        unknown = getattr(message, "unknown_bodies", ())
-        if unknown:
-            self._unknown[gate] = ", ".join(unknown)
-
-    def counts(self):
-        """{gate: GateCounts} of the nodes that reported."""
-        result = {}
-        for gate in filter(self._newest.get, GATES):
-            values = {name: value + self._before[gate][name] for name, value in self._newest[gate].items()}
-            refused = {name: values[name] for name in GATES[gate] if name in values}
-            result[gate] = GateCounts(values[_FRAMES], refused, self._unknown.get(gate, ""))
-        return result
+        counts = self.found.setdefault(gate, GateCounts())
+        counts.frames += counts.grown("frames", message.frames)
+        counts.unknown = ", ".join(getattr(message, "unknown_bodies", ())) or counts.unknown
+        told = {counter.name: counter.count for counter in message.counters}
+        for name in filter(told.__contains__, GATES[gate]):
+            counts.refused[name] += counts.grown(name, told[name])

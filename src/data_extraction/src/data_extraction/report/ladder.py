@@ -1,8 +1,8 @@
 """The loss ladder of every vehicle over time, from its safety topic."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from data_extraction.report.topics import Collector, vehicle_of
+from data_extraction.report.topics import PerName, vehicle_of
 from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule
 
 _MOST_SPANS = 2000  # of one vehicle; of more only landings are kept
@@ -20,14 +20,14 @@ class Span:
     reason: str  # with the numbers of the moment; "" when OK
 
 
-class LadderCollector(Collector):
-    """Keeps the changes."""
+class LadderCollector(PerName):
+    """Keeps the changes: {vehicle: [Span, ...]} in the order of time."""
 
     ends = ("/safety",)
 
     def __init__(self):
+        super().__init__()
         self._said = {}  # vehicle -> (level, rule, reason) of its newest message
-        self._spans = {}  # vehicle -> its Spans
         self.left_out = 0  # changes to a higher level, or to another reason there, beyond those that were kept
 
     def __call__(self, topic, receipt_s, message):
@@ -36,7 +36,7 @@ class LadderCollector(Collector):
         said = level, Rule(message.rule), reason
         if self._said.get(name) == said:
             return
-        self._said[name], spans = said, self._spans.setdefault(name, [])
+        self._said[name], spans = said, self.found.setdefault(name, [])
         lasting = spans[-1] if spans and spans[-1].end_s is None else None
         if len(spans) >= _MOST_SPANS and lasting and level == lasting.level == FailsafeLevel.LAND:
             self.left_out += 1  # another reason for the same landing
@@ -48,12 +48,12 @@ class LadderCollector(Collector):
         else:
             self.left_out += level != FailsafeLevel.OK
 
-    def spans(self, end_s):
-        """{vehicle: [Span, ...]} in the order of time; what lasts does so until the end of the bag, at end_s."""
-        return {
-            name: [span if span.end_s is not None else replace(span, end_s=end_s) for span in spans]
-            for name, spans in sorted(self._spans.items())
-        }
+    def result(self, end_s):
+        """What lasts does so until the end of the bag."""
+        for spans in self.found.values():
+            if spans[-1].end_s is None:
+                spans[-1].end_s = end_s
+        return super().result(end_s)
 
 
 def raised(spans_of):

@@ -66,7 +66,8 @@ class Origin:
                 yield node
         for node in parameters.values():
             names = node.get("vehicles") if isinstance(node, dict) else None
-            if namespace in (names.split() if isinstance(names, str) else names or ()):
+            names = names.split() if isinstance(names, str) else names
+            if isinstance(names, (list, dict)) and namespace in names:  # the virtual lab's is a number
                 yield node
 
 
@@ -77,14 +78,14 @@ def read_beside(bag_path, fleet_path=None):
     """
     bag_path = pathlib.Path(bag_path)
     folder = bag_path.parent
-    parameters = folder / PARAMETERS
+    flight = _mapping(folder / FLIGHT, ("arguments", "versions"))
     return Origin(
-        flight=_flight(folder / FLIGHT),
-        parameters=_mapping(parameters, yaml.safe_load) if parameters.exists() else None,
+        flight={key: value for key, value in flight.items() if value is not None},
+        parameters=_mapping(folder / PARAMETERS) if (folder / PARAMETERS).exists() else None,
         fleet=fleet_of(bag_path, fleet_path),
-        summary=_mapping(folder / SUMMARY, json.loads),
-        lab=_mapping(folder / LAB, json.loads),
-        processors=_mapping(folder / PROCESSORS, json.loads),
+        summary=_mapping(folder / SUMMARY),
+        lab=_mapping(folder / LAB),
+        processors=_mapping(folder / PROCESSORS),
     )
 
 
@@ -107,26 +108,23 @@ def _canonical(value):
     return value
 
 
-def _flight(path):
-    """Content of flight.yaml; keys without a value are left out. Raises ValueError, as _mapping."""
-    flight = {key: value for key, value in _mapping(path, yaml.safe_load).items() if value is not None}
-    for key in ("arguments", "versions"):
-        if not isinstance(flight.get(key, {}), dict):
-            raise ValueError(
-                "%s: %s must be a mapping of names to values: mend it or move it away from the bag" % (path, key)
-            )
-    return flight
+def _mapping(path, mappings=()):
+    """Content of a YAML or JSON file that holds a mapping; {} when there is no such file.
 
-
-def _mapping(path, load):
-    """Content of a YAML or JSON file that holds a mapping; {} when there is no such file."""
+    mappings: its keys that must hold one, too, or nothing.
+    """
     if not path.exists():
         return {}
     try:
-        content = load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
     except (OSError, UnicodeDecodeError, yaml.YAMLError, json.JSONDecodeError) as error:
-        reason = " ".join(str(error).split())  # a parser's takes several lines
-        raise ValueError("%s cannot be read (%s): mend it or move it away from the bag" % (path, reason)) from error
+        reason = "cannot be read (%s)" % " ".join(str(error).split())  # a parser's takes several lines
+        raise ValueError("%s %s: mend it or move it away from the bag" % (path, reason)) from error
     if not isinstance(content, dict):
         raise ValueError("%s holds no mapping of names to values: mend it or move it away from the bag" % path)
+    for key in mappings:
+        if not isinstance(content.get(key) or {}, dict):
+            words = "%s: %s must be a mapping of names to values: mend it or move it away from the bag"
+            raise ValueError(words % (path, key))
     return content

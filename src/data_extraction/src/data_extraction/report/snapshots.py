@@ -1,13 +1,13 @@
 """A few pictures of every camera, with what was found in them."""
 
-from collections import OrderedDict, deque
+from collections import OrderedDict, defaultdict, deque
 from typing import NamedTuple
 
 import cv2
 
-from data_extraction.camera_topics import GREEN, YELLOW, draw_outline, is_bottom, namespace_of, one_topic_each
+from data_extraction.camera_topics import GREEN, YELLOW, draw_outline, is_bottom, one_topic_each
 from data_extraction.flatten import seconds
-from data_extraction.report.topics import Collector
+from data_extraction.report.topics import Collector, vehicle_of
 from risc_lab.images import picture_from_msg
 
 REGIONS = "/land_rois"
@@ -29,15 +29,6 @@ class Snapshot(NamedTuple):
     has_regions: bool  # False: nobody looked at this picture
 
 
-class _Kept(NamedTuple):
-    message: object
-    regions: object  # Risc_rois of the picture; None = none came
-
-    @property
-    def score(self):
-        return (self.regions is not None, len(_found(self.regions)))
-
-
 class SnapshotCollector(Collector):
     """Holds only the chosen pictures and the newest few."""
 
@@ -45,50 +36,47 @@ class SnapshotCollector(Collector):
         """types: {topic: message type}; start_s, duration_s: of the bag."""
         pictures = one_topic_each(types)
         self.topics = {*pictures, REGIONS} if pictures else pictures
+        self.notes = []  # what went wrong
         self._start_s = start_s
         self._slot_s = max(duration_s / _SLOTS, 1e-3)
-        self._kept = {}  # (vehicle, camera) -> {slot: _Kept}
-        self._recent = {}  # (vehicle, camera) -> deque of (slot, message)
+        self._kept = {}  # (vehicle, camera, slot) -> (picture, its Risc_rois; None = none came)
+        self._recent = defaultdict(lambda: deque(maxlen=_RECENT))  # (vehicle, camera) -> (slot, picture)
         self._regions = OrderedDict()  # (vehicle, stamp) -> Risc_rois
 
     def __call__(self, topic, receipt_s, message):
-        stamp = _stamp(message)
         if topic != REGIONS:
-            vehicle = namespace_of(topic)
-            camera = (vehicle, "bottom" if is_bottom(message) else "front")
+            camera = (vehicle_of(topic, 2, ""), "bottom" if is_bottom(message) else "front")
             slot = min(max(int((receipt_s - self._start_s) / self._slot_s), 0), _SLOTS - 1)
-            self._recent.setdefault(camera, deque(maxlen=_RECENT)).append((slot, message))
-            self._offer(camera, slot, _Kept(message, self._regions.get((vehicle, stamp))))
+            self._recent[camera].append((slot, message))
+            self._offer((*camera, slot), message, self._regions.get((camera[0], _stamp(message))))
             return
         for regions in message.Obj:
-            self._regions[regions.name, stamp] = regions
+            self._regions[regions.name, _stamp(message)] = regions
             if len(self._regions) > _RECENT_REGIONS:
                 self._regions.popitem(last=False)
             for camera, recent in self._recent.items():
                 for slot, picture in recent:
-                    if camera[0] == regions.name and _stamp(picture) == stamp:
-                        self._offer(camera, slot, _Kept(picture, regions))
+                    if camera[0] == regions.name and _stamp(picture) == _stamp(message):
+                        self._offer((*camera, slot), picture, regions)
 
-    def snapshots(self):
-        """([Snapshot, ...] by vehicle and time, [what went wrong])."""
-        snapshots, notes = [], []
-        for (vehicle, camera), slots in sorted(self._kept.items()):
-            for _, (message, regions) in sorted(slots.items()):
-                try:
-                    jpeg = _jpeg(draw_regions(picture_from_msg(message), regions))
-                except ValueError as error:
-                    notes.append("%s, %s camera: %s" % (vehicle, camera, error))
-                    continue
-                found = [region.name for region in _found(regions)]
-                stamp_s = seconds(message.header.stamp)
-                snapshots.append(Snapshot(vehicle, camera, stamp_s, jpeg, found, regions is not None))
-        return snapshots, notes
+    def result(self, _end_s):
+        """[Snapshot, ...] by vehicle and time."""
+        snapshots, self.notes = [], []
+        for (vehicle, camera, _), (picture, regions) in sorted(self._kept.items(), key=lambda item: item[0]):
+            try:
+                jpeg = _jpeg(draw_regions(picture_from_msg(picture), regions))
+            except ValueError as error:
+                self.notes.append("%s, %s camera: %s" % (vehicle, camera, error))
+                continue
+            found = [region.name for region in _found(regions)]
+            stamp_s = seconds(picture.header.stamp)
+            snapshots.append(Snapshot(vehicle, camera, stamp_s, jpeg, found, regions is not None))
+        return snapshots
 
-    def _offer(self, camera, slot, offered):
+    def _offer(self, place, picture, regions):
         """Keep a picture when more was found in it than in the one that its slot has."""
-        slots = self._kept.setdefault(camera, {})
-        if slot not in slots or offered.score > slots[slot].score:
-            slots[slot] = offered
+        if place not in self._kept or _score(regions) > _score(self._kept[place][1]):
+            self._kept[place] = (picture, regions)
 
 
 def draw_regions(picture, regions):
@@ -103,6 +91,10 @@ def draw_regions(picture, regions):
 
 def _found(regions):
     return [item for item in (*regions.landmarks, *regions.quads) if item.visible] if regions is not None else []
+
+
+def _score(regions):
+    return regions is not None, len(_found(regions))
 
 
 def _stamp(message):

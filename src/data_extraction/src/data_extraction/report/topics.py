@@ -33,7 +33,10 @@ TYPES = {
 
 
 class Collector:
-    """Takes the messages of a bag one by one, as (topic, time of receipt [s], message), of the topics that it wants."""
+    """Takes the messages of a bag one by one, as (topic, time of receipt [s], message), of the topics that it wants.
+
+    Afterwards it is asked for its `result(end_s)`; end_s: time of receipt [s] at which the bag ends.
+    """
 
     topics = ()  # their names
     ends = ()  # how the names of others end
@@ -41,6 +44,17 @@ class Collector:
     def wants(self, topic):
         """Whether messages of this topic say anything here."""
         return topic in self.topics or ("/" + topic).endswith(self.ends)
+
+
+class PerName(Collector):
+    """Keeps what is said of each vehicle, or of each of other things that have names, which is the result."""
+
+    def __init__(self):
+        self.found = {}
+
+    def result(self, _end_s):
+        """{name: what was found}."""
+        return dict(sorted(self.found.items()))
 
 
 def expected(topic):
@@ -54,10 +68,10 @@ def fits(topic, kind):
     return name is None or (kind is not None and kind.rpartition("/")[2] == name)
 
 
-def vehicle_of(topic, levels=1):
-    """Vehicle's namespace of a topic: /risc1/safety -> risc1; "vehicle" for the only one, whose topics have none.
+def vehicle_of(topic, levels=1, alone="vehicle"):
+    """Vehicle's namespace of a topic: /risc1/safety -> risc1; `alone` for the only one, whose topics have none.
 
     levels: of the topic below the namespace, e.g. 2 for ardrone/navdata.
     """
     parts = topic.strip("/").split("/")
-    return parts[0] if len(parts) > levels else "vehicle"
+    return parts[0] if len(parts) > levels else alone

@@ -33,9 +33,8 @@ class Odometry:
     """
 
     def __init__(self):
-        self._x_m = 0.0
-        self._y_m = 0.0
-        self._last_s = None
+        self._x_m = self._y_m = 0.0
+        self._last_s = -math.inf
 
     def update(self, demo, received_s):
         """OdometryState after one packet.
@@ -44,12 +43,11 @@ class Odometry:
         """
         roll_rad, pitch_rad, yaw_rad = (math.radians(angle * 1e-3) for angle in (demo.phi, -demo.theta, -demo.psi))
         forward, left, up = demo.vx * 1e-3, -demo.vy * 1e-3, -demo.vz * 1e-3
-        if self._last_s is not None and 0.0 < received_s - self._last_s <= MAX_GAP_S:
-            dt_s = received_s - self._last_s
+        dt_s, self._last_s = received_s - self._last_s, received_s
+        if 0.0 < dt_s <= MAX_GAP_S:
             cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
             self._x_m += (cos_yaw * forward - sin_yaw * left) * dt_s
             self._y_m += (sin_yaw * forward + cos_yaw * left) * dt_s
-        self._last_s = received_s
         return OdometryState(
             (self._x_m, self._y_m, demo.altitude * 1e-3),
             quaternion_xyzw(roll_rad, pitch_rad, yaw_rad),

@@ -46,6 +46,7 @@ _ACK, _BOOTSTRAP, _COM_WATCHDOG, _EMERGENCY, _FLYING = map(
 )
 _MOMENTOUS = _BOOTSTRAP | _EMERGENCY  # a packet in which one of these changes must be sound to its last byte
 
+_NEVER_S = float("inf")
 _FIRST_OPTION = struct.Struct("<HHI")  # tag, size, first word of the payload; every packet has at least these
 _NOT_IN_FLIGHT = (ControlState.LANDED, ControlState.LANDING)
 
@@ -59,10 +60,7 @@ class Phase(Enum):
     READY = "ready"
 
 
-class _Write(Enum):
-    IDLE = 0
-    AWAIT_ACK = 1
-    AWAIT_CLEAR = 2
+_Write = Enum("_Write", "IDLE AWAIT_ACK AWAIT_CLEAR")
 
 
 class DroneLink:
@@ -108,7 +106,7 @@ class DroneLink:
         self._navdata_sequence = -1
         self._heard_s = float("-inf")
         self._next_wake_up_s = float("-inf")
-        self._settled_s = float("inf")
+        self._settled_s = _NEVER_S
         self._configured_before = False
         self._setup_started_s = float("-inf")
         self._watchdog_reset = False
@@ -131,7 +129,7 @@ class DroneLink:
         self._take_off_ordered = False
         self._land_ordered = False
         self._closing = False
-        self._next_tick_s = float("inf")  # no commands before the first packet
+        self._next_tick_s = _NEVER_S  # no commands before the first packet
         self._last_tick_s = float("-inf")
 
     # --- what is known -------------------------------------------------------------------------------------------
@@ -327,16 +325,16 @@ class DroneLink:
                 self._next_wake_up_s = self._heard_s + WAKE_UP_PERIOD_S
         if self.phase is Phase.SETTLING and now_s >= self._settled_s:
             self._start_configuration(now_s)
-        due_s = self._next_wake_up_s
+        next_step_s = _NEVER_S
         if self.phase is Phase.SETTLING:
-            due_s = min(due_s, self._settled_s)
+            next_step_s = self._settled_s
         elif self.connected:
             self._advance_writes(now_s)
             if self._write_state is not _Write.IDLE:
-                due_s = min(due_s, self._write_retry_s)
+                next_step_s = self._write_retry_s
         if now_s >= self._next_tick_s:
             self._tick(now_s)
-        self.due_s = min(due_s, self._next_tick_s)
+        self.due_s = min(self._next_wake_up_s, next_step_s, self._next_tick_s)
 
     def _on_lost(self):
         self._report("error", "nothing received for %.1f s: landing is ordered, looking for the vehicle" % LOST_S)
@@ -347,7 +345,7 @@ class DroneLink:
 
     def _hurry(self, now_s):
         """Send at once what has changed, MIN_SPACING_S after the last datagram at the earliest."""
-        if self._next_tick_s != float("inf"):
+        if self._next_tick_s != _NEVER_S:
             self._next_tick_s = min(self._next_tick_s, max(now_s, self._last_tick_s + MIN_SPACING_S))
             self.due_s = min(self.due_s, self._next_tick_s)
 
@@ -367,12 +365,10 @@ class DroneLink:
             self._sticks = self._fresh_sticks(now_s)
         if self._select and now_s >= self._select_until_s:
             self._select = False
-            self._report(
-                "warn",
-                "the reset had no effect: the cause of the emergency persists, or the link is bad"
-                if self.connected
-                else "the reset was sent for %.1f s without telemetry, nobody knows its effect" % RESET_TIMEOUT_S,
-            )
+            text = "the reset had no effect: the cause of the emergency persists, or the link is bad"
+            if not self.connected:
+                text = "the reset was sent for %.1f s without telemetry, nobody knows its effect" % RESET_TIMEOUT_S
+            self._report("warn", text)
         self._pilot(self._sticks, self._start, self._select)
         if self._watchdog_reset:
             self._watchdog_reset = False
@@ -394,61 +390,44 @@ class DroneLink:
     def _advance_writes(self, now_s):
         """One step of: acknowledge bit clear -> write -> bit set -> ask to clear it -> bit clear -> next write."""
         acknowledged = bool(self.state_bits & _ACK)
-        if self._write_state is _Write.AWAIT_CLEAR:
-            if not acknowledged:
-                self._write_state = _Write.IDLE
-            elif now_s >= self._write_retry_s:
-                if self._write_tries >= MAX_CLEAR_TRIES:
-                    self._write_now(now_s)  # the bit is stuck: go on without it
-                else:
-                    self._ask_to_clear(now_s)
-        elif self._write_state is _Write.AWAIT_ACK:
+        is_due = now_s >= self._write_retry_s
+        if self._write_state is _Write.AWAIT_ACK:
             if acknowledged:
                 self._writes.popleft()
-                self._write_state = _Write.AWAIT_CLEAR
-                self._write_tries = 0
-                self._ask_to_clear(now_s)
-            elif now_s >= self._write_retry_s:
-                if self._write_tries >= MAX_WRITE_TRIES:
-                    self.unanswered_writes += 1
-                    self._report("error", "the vehicle did not acknowledge %s = %s" % self._writes.popleft())
-                    self._write_state = _Write.IDLE
-                else:
-                    if self.phase is Phase.CONFIGURING:
-                        # A vehicle that still counts from a client before us ignores all but number 1, which was lost
-                        self._numbers = itertools.count(1)
-                    self._send_write(now_s)
+                self._await(_Write.AWAIT_CLEAR)
+            elif is_due and self._write_tries >= MAX_WRITE_TRIES:
+                self.unanswered_writes += 1
+                self._report("error", "the vehicle did not acknowledge %s = %s" % self._writes.popleft())
+                self._await(_Write.IDLE)
+        elif self._write_state is _Write.AWAIT_CLEAR:
+            if is_due and self._write_tries >= MAX_CLEAR_TRIES:
+                acknowledged = False  # the bit is stuck: go on without it
+            if not acknowledged:
+                self._await(_Write.IDLE)
         if self._write_state is _Write.IDLE:
-            self._write_tries = 0
             if self._writes:
-                if acknowledged:
-                    self._write_state = _Write.AWAIT_CLEAR
-                    self._ask_to_clear(now_s)
-                else:
-                    self._write_now(now_s)
+                self._await(_Write.AWAIT_CLEAR if acknowledged else _Write.AWAIT_ACK)
             elif self.phase is Phase.CONFIGURING:
                 self.phase = Phase.READY
                 self._configured_before = True
                 self._report("info", "the vehicle is configured")
+        if self._write_state is not _Write.IDLE and (is_due or not self._write_tries):
+            self._try_write(now_s)
 
-    def _write_now(self, now_s):
-        self._write_tries = 0
-        if self._writes:
-            self._write_state = _Write.AWAIT_ACK
-            self._send_write(now_s)
-        else:
-            self._write_state = _Write.IDLE
+    def _await(self, write_state):
+        self._write_state, self._write_tries = write_state, 0
 
-    def _send_write(self, now_s):
-        key, text = self._writes[0]
+    def _try_write(self, now_s):
+        self._write_tries += 1
+        if self._write_state is _Write.AWAIT_CLEAR:
+            self._send("CTRL", CtrlMode.CLEAR_ACK, 0)
+            self._write_retry_s = now_s + CLEAR_PERIOD_S
+            return
+        if self._write_tries > 1 and self.phase is Phase.CONFIGURING:
+            # A vehicle that still counts from a client before us ignores all but number 1, which was lost
+            self._numbers = itertools.count(1)
         self._send_command(
             at.encode("CONFIG_IDS", next(self._numbers), self._session_id, USER_ID, APPLICATION_ID)
-            + at.encode("CONFIG", next(self._numbers), key, text)
+            + at.encode("CONFIG", next(self._numbers), *self._writes[0])
         )
-        self._write_tries += 1
         self._write_retry_s = now_s + ACK_TIMEOUT_S
-
-    def _ask_to_clear(self, now_s):
-        self._send("CTRL", CtrlMode.CLEAR_ACK, 0)
-        self._write_tries += 1
-        self._write_retry_s = now_s + CLEAR_PERIOD_S

@@ -10,7 +10,7 @@ old value of theirs survives.
 """
 
 from ardrone_autonomy.protocol import at, config
-from ardrone_autonomy.protocol.config import Category, Kind
+from ardrone_autonomy.protocol.config import Category
 from ardrone_autonomy.protocol.navdata import ALL_OPTIONS_MASK
 
 APPLICATION_NAME = "ardrone_driver"  # names both the application and the user profile
@@ -36,7 +36,7 @@ def wire_text(key, value):
     kind of the key; strings are cut at MAX_STRING_CHARS.  ValueError when that is not possible.
     """
     try:
-        if key.kind is Kind.STRING:
+        if key.kind is str:
             text = str(value)[:MAX_STRING_CHARS]
         else:
             text = config.format_value(key.kind, float(value))
@@ -44,7 +44,7 @@ def wire_text(key, value):
     except (ValueError, TypeError) as error:
         raise ValueError(
             "parameter ~%s: %r cannot be written as %s (%s): correct it in the launch file"
-            % (key.name, value, key.kind.value, error)
+            % (key.name, value, key.kind.__name__, error)
         ) from None
     return text
 

@@ -5,13 +5,14 @@ Other threads never touch the sockets or the DroneLink: they `post` orders into 
 
 import contextlib
 import functools
+import math
 import select
 import socket
 import threading
 import time
 from collections import deque, namedtuple
 
-from ardrone_autonomy.link import TICK_S
+from ardrone_autonomy.link import TICK_S, DroneLink
 from ardrone_autonomy.protocol import AT_PORT, NAVDATA_PORT
 
 MAX_DATAGRAM_BYTES = 8192  # the largest packet known has 2.4 kB
@@ -36,20 +37,19 @@ class UdpThread:
     """Runs a DroneLink on real sockets.
 
     address: IPv4 address of the vehicle, which has the standard ports.
-    make_link: function (send_command, send_wake_up) -> DroneLink.
+    report: function (level, text).
     on_packet: called in the thread with every newest Packet; must be short.
     on_failure: called in the thread with the exception that ended it, after the last orders (hover and land).
-    report: function (level, text).
+    link_options: of DroneLink.
     """
 
-    def __init__(self, address, make_link, report, on_packet=None, on_failure=None, clock=time.monotonic):
+    def __init__(self, address, report, on_packet, on_failure, **link_options):
         self.address = address
         self.send_errors = 0
         self.foreign = 0  # datagrams from elsewhere than the vehicle's navdata port
         self._report = report
         self._on_packet = on_packet
         self._on_failure = on_failure
-        self._clock = clock
         self._last_send_error = None
         self._mailbox = deque()
         self._navdata, self._command = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
@@ -57,11 +57,13 @@ class UdpThread:
         self._sockets = self._navdata, self._command, self._bell_in, self._bell_out
         for sock in self._sockets:
             sock.setblocking(False)
-        self._closing_since_s = None
+        self._closing_since_s = math.inf
         self._navdata_source = (address, NAVDATA_PORT)
-        self.link = make_link(
+        self.link = DroneLink(
             functools.partial(self._send, self._command, (address, AT_PORT)),
             functools.partial(self._send, self._navdata, self._navdata_source),
+            report=report,
+            **link_options,
         )
         self._thread = threading.Thread(target=self._run, name="ardrone_udp", daemon=True)
 
@@ -77,7 +79,7 @@ class UdpThread:
 
     def begin_to_stop(self):
         """Hover, land if flying; obey nothing from now on."""
-        if self._thread.is_alive() and self._closing_since_s is None:
+        if self._thread.is_alive():
             self.post(self._close)
 
     def stop(self):
@@ -89,15 +91,8 @@ class UdpThread:
             sock.close()
 
     def _close(self, now_s):
-        if self._closing_since_s is None:
-            self._closing_since_s = now_s
-            self.link.close(now_s)
-
-    def _closed(self, now_s):
-        if self._closing_since_s is None:
-            return False
-        elapsed_s = now_s - self._closing_since_s
-        return elapsed_s >= (LANDING_CONFIRMATION_S if self.link.in_flight else CLOSING_S)
+        self._closing_since_s = min(self._closing_since_s, now_s)
+        self.link.close(now_s)
 
     def _send(self, sock, destination, data):
         try:
@@ -117,8 +112,6 @@ class UdpThread:
             self._loop()
         except Exception as error:  # whatever it is: without this thread nobody pilots, the node must end
             self._give_last_orders()
-            if self._on_failure is None:
-                raise
             self._on_failure(error)
 
     def _give_last_orders(self):
@@ -131,11 +124,11 @@ class UdpThread:
             self._report("error", "the last orders could not be given: %r" % error)
 
     def _loop(self):
-        link, clock, navdata, bell = self.link, self._clock, self._navdata, self._bell_out
+        link, clock, navdata, bell = self.link, time.monotonic, self._navdata, self._bell_out
         waitables = (navdata, bell)
         mailbox = self._mailbox
         now_s = clock()
-        while not self._closed(now_s):
+        while now_s - self._closing_since_s < (LANDING_CONFIRMATION_S if link.in_flight else CLOSING_S):
             readable, _, _ = select.select(waitables, (), (), max(0.0, min(link.due_s - now_s, 1.0)))
             now_s = clock()
             if navdata in readable:
@@ -156,5 +149,5 @@ class UdpThread:
             return  # spurious wake-up, or an ICMP error of an earlier datagram
         if source != self._navdata_source:
             self.foreign += 1
-        elif self.link.on_navdata(data, now_s) and self._on_packet is not None:
+        elif self.link.on_navdata(data, now_s):
             self._on_packet(Packet(data, now_s))

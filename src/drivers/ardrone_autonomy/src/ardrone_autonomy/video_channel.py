@@ -50,17 +50,9 @@ class CameraTracker:
             self._connection, self._stream_id, self._codec = connection, header.stream_id, header.codec
             if not self._pending:
                 return self._camera
-            settled = now_s - self._ordered_s >= SETTLE_S
-            if (is_new_connection or is_idr) and settled:
-                self._obeyed()
-            elif is_new_connection:
-                self._camera = None
-            elif is_new_stream and self._pending == 1:
-                self._obeyed()
-            elif is_new_stream:
+            settled = now_s - self._ordered_s >= SETTLE_S and (is_new_connection or is_idr)
+            if settled or (is_new_stream and not is_new_connection and self._pending == 1):
+                self._camera, self._pending = self._ordered, 0
+            elif is_new_connection or is_new_stream:
                 self._camera = None
             return self._camera
-
-    def _obeyed(self):
-        self._camera = self._ordered
-        self._pending = 0

@@ -30,12 +30,10 @@ _WRAP_MS = 1 << 32
 class ExposureClock:
     """Feed every picture that arrives, also those that are not shown.
 
-    latency_s: from exposure to reception when nothing holds the picture up [s], >= 0.  ValueError otherwise.
+    latency_s: from exposure to reception when nothing holds the picture up [s], >= 0.
     """
 
     def __init__(self, latency_s=0.0):
-        if not 0.0 <= latency_s < float("inf"):
-            raise ValueError("the latency of the video must be a time >= 0 s, got %r" % (latency_s,))
         self.restarts = 0  # of the aircraft's clock
         self._latency_s = latency_s
         self._timestamp_ms = None  # of the last picture
@@ -51,33 +49,20 @@ class ExposureClock:
         timestamp_ms: of the PaVE header, wraps at 2**32.  received_s: monotonic, not decreasing.  The results
         increase from picture to picture, unless the pictures arrive in less than LEAST_STEP_S.
         """
-        if self._timestamp_ms is None or not self._advance(timestamp_ms):
-            self._start(timestamp_ms, received_s)
+        step_ms = 0 if self._timestamp_ms is None else (timestamp_ms - self._timestamp_ms) % _WRAP_MS
+        if 0 < step_ms < _WRAP_MS // 2:
+            self._elapsed_ms += step_ms
+            self._offset_s += MAX_DRIFT * (received_s - self._last_received_s)
+        else:  # the first picture, or the aircraft's clock has started anew
+            self.restarts += self._timestamp_ms is not None
+            self._elapsed_ms, self._offset_s, self._unsupported = 0, received_s, None
+        self._timestamp_ms, self._last_received_s = timestamp_ms, received_s
         offset_s = received_s - 1e-3 * self._elapsed_ms
-        raised_s = self._offset_s + MAX_DRIFT * (received_s - self._last_received_s)
-        self._last_received_s = received_s
-        self._offset_s = min(raised_s, offset_s)
+        self._offset_s = min(self._offset_s, offset_s)
         self._check_support(offset_s, received_s)
         exposure_s = 1e-3 * self._elapsed_ms + self._offset_s
         self._last_s = min(max(exposure_s, self._last_s + LEAST_STEP_S), received_s)
         return self._last_s - self._latency_s
-
-    def _advance(self, timestamp_ms):
-        """Count on to this time of the aircraft; False when its clock has not advanced: it has started anew."""
-        step_ms = (timestamp_ms - self._timestamp_ms) % _WRAP_MS
-        if not 0 < step_ms < _WRAP_MS // 2:
-            return False
-        self._timestamp_ms = timestamp_ms
-        self._elapsed_ms += step_ms
-        return True
-
-    def _start(self, timestamp_ms, received_s):
-        self.restarts += self._timestamp_ms is not None
-        self._timestamp_ms = timestamp_ms
-        self._elapsed_ms = 0
-        self._last_received_s = received_s
-        self._offset_s = received_s
-        self._unsupported = None
 
     def _check_support(self, offset_s, received_s):
         if offset_s - self._offset_s <= HELD_UP_S:

@@ -7,6 +7,8 @@ go on, with smears where the missing one had changed something, and whoever meas
 smears.  So it waits for the next key picture, which decodes by itself, as it does when it joins in the middle.
 """
 
+import contextlib
+
 import av
 import numpy as np
 from av.codec.context import Flags
@@ -54,7 +56,10 @@ class PictureDecoder:
             return None
         stream = header.stream_id, header.codec, header.encoded_px
         if stream != self._stream:
-            self._start(stream, _DECODERS[header.codec])
+            self._stream = stream
+            self._frame_number = self._headers = None
+            self.waiting = True
+            self._open()
         elif self._frame_number is not None and header.frame_number != self._frame_number:
             self.missing += max(0, header.frame_number - self._frame_number)
             self.waiting = True
@@ -81,15 +86,9 @@ class PictureDecoder:
         if self._frame_number is not None:
             self._frame_number = header.frame_number + 1
 
-    def _start(self, stream, decoder):
-        self._stream = stream
-        self._frame_number = None
-        self._headers = None
-        self.waiting = True
-        self._open(decoder)
-
-    def _open(self, decoder):
-        self._context = av.CodecContext.create(decoder, "r")
+    def _open(self):
+        _, codec, _ = self._stream
+        self._context = av.CodecContext.create(_DECODERS[codec], "r")
         self._context.flags |= Flags.low_delay
         self._context.thread_count = 1  # more would hold pictures back, and the other core has its own work
         self._context.options = {"max_pixels": "%d" % MAX_PIXELS}
@@ -97,10 +96,8 @@ class PictureDecoder:
 
     def _feed_headers(self, payload):
         self._headers = payload
-        try:
+        with contextlib.suppress(av.FFmpegError):  # "no picture in it", which is true; what it holds is remembered
             self._context.decode(av.Packet(payload))
-        except av.FFmpegError:
-            return  # "no picture in it", which is true; what it holds is remembered
 
     def _decode(self, payload, header):
         """Frame of this very picture; None when it is damaged.
@@ -115,7 +112,7 @@ class PictureDecoder:
         except av.FFmpegError:
             return None
         if not frames or frames[-1].pts != header.frame_number:
-            self._open(_DECODERS[header.codec])
+            self._open()
             if self._headers is not None:
                 self._feed_headers(self._headers)
             return None
@@ -125,7 +122,6 @@ class PictureDecoder:
         rgb = self._reformatter.reformat(frame, format="rgb24", threads=1)
         plane = rgb.planes[0]
         rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
-        width_px, height_px = (
-            min(decoded, shown or decoded) for decoded, shown in zip((rgb.width, rgb.height), header.display_px)
-        )
+        width_px = min(rgb.width, header.display_width_px or rgb.width)
+        height_px = min(rgb.height, header.display_height_px or rgb.height)
         return rows[:height_px, : _CHANNELS * width_px].reshape(height_px, width_px, _CHANNELS)

@@ -6,7 +6,6 @@ reachable, or sends nothing that can be shown.
 
 import contextlib
 import os
-import select
 import socket
 import struct
 import threading
@@ -23,8 +22,7 @@ CONNECT_TIMEOUT_S = 3.0
 SILENCE_S = 3.0  # a connection on which nothing comes for so long is given up
 UNUSABLE_S = 10.0  # so is one whose pictures cannot be decoded; the next key picture may take some seconds
 MAX_BACKLOG = 4  # pictures that may wait; of more only the newest are shown
-_READ_BYTES = 1 << 16
-_MAX_ROUND_BYTES = 1 << 20  # read at once, before decoding
+_READ_BYTES = 1 << 20  # at once, before decoding
 # Linux stamps what arrives when it arrives, not when a busy computer reads it; Python has no names for these.
 _SO_TIMESTAMPNS = _SCM_TIMESTAMPNS = 35
 _TIMESPEC = struct.Struct("@qq")
@@ -72,7 +70,7 @@ class VideoStream:
         self._heard_s = 0.0  # when the connection was made, or its last packet came
         self._decoded_s = 0.0  # when the connection was made, or its last picture could be decoded
         self._stopping = False
-        self._changed = threading.Condition()  # of wanted or _stopping
+        self._changed = threading.Event()  # wanted or _stopping
         self._thread = threading.Thread(target=self._run, name="ardrone_video", daemon=True)
 
     def start(self):
@@ -92,31 +90,29 @@ class VideoStream:
             self._thread.join()
 
     def _change(self, wanted):
-        with self._changed:
-            self.wanted = wanted
-            self._changed.notify()
-            if not wanted and self._socket is not None:
-                self.connected = False
-                with contextlib.suppress(OSError):  # it was not connected yet
-                    self._socket.shutdown(socket.SHUT_RDWR)  # wakes the thread that waits for it
+        self.wanted = wanted
+        self._changed.set()
+        connection = self._socket
+        if not wanted and connection is not None:
+            self.connected = False
+            with contextlib.suppress(OSError):  # not connected yet, or no longer
+                connection.shutdown(socket.SHUT_RDWR)  # wakes the thread that waits for it
 
     # --- the thread -------------------------------------------------------------------------------------------------
     def _run(self):
         while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self.wanted or self._stopping)
+            self._changed.clear()
             if self._stopping:
                 return
             try:
-                problem = self._stream()
+                problem = self._stream() if self.wanted else ""
             except Exception as error:  # whatever it is: the vehicle flies without pictures, and they may come back
                 problem = ""
                 self._say("error", "the video has failed and starts again: %r" % error)
-            with self._changed:
-                if problem and self.wanted:
-                    where = (*self._target, problem, RETRY_S)
-                    self._say("warn", "no video from %s:%d: %s; trying on every %g s" % where)
-                self._changed.wait_for(lambda: not self.wanted, RETRY_S)
+            if problem and self.wanted:
+                where = (*self._target, problem, RETRY_S)
+                self._say("warn", "no video from %s:%d: %s; trying on every %g s" % where)
+            self._changed.wait(RETRY_S if self.wanted else None)
 
     def _say(self, level, text):
         if text != self._said:
@@ -124,79 +120,52 @@ class VideoStream:
             self._report(level, text)
 
     def _stream(self):
-        """One connection, until pictures are no longer wanted (""), or it is of no use: returns why."""
+        """Receive until pictures are no longer wanted or something is wrong, which is returned ("" = nothing)."""
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as sock:
-            with self._changed:
-                self._socket = sock
+            self._socket = sock
             try:
                 sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
                 sock.settimeout(CONNECT_TIMEOUT_S)
                 sock.connect(self._target)
-                sock.setblocking(False)
                 self.connections += 1
                 self.connected = True
                 self._heard_s = self._decoded_s = self._now_s()
                 self.parser.reset()
                 self.assembler = FrameAssembler()
                 self.decoder.waiting = True
-                return self._receive(self.decoder.foreign)
+                return self._receive(sock, self.decoder.foreign)
             except TimeoutError:
-                return "it does not answer"
+                return "nothing comes" if self.connected else "it does not answer"
             except OSError as error:
                 return os.strerror(error.errno)
             finally:
                 self.connected = False
-                with self._changed:
-                    self._socket = None
+                self._socket = None
 
-    # --- reception ----------------------------------------------------------------------------------------------------
-    def _receive(self, foreign_before):
+    def _receive(self, sock, foreign_before):
         """Show whatever arrives, see _stream. foreign_before: pictures of other codecs before this connection."""
         while self.wanted:
-            remaining_s = self._heard_s + SILENCE_S - self._now_s()
-            if select.select([self._socket], (), (), max(0.0, remaining_s))[0]:
-                pictures, is_open = self._read()
-                self._show(pictures)
-                if not is_open:
-                    return "the vehicle has closed the connection"
-            now_s = self._now_s()
-            if now_s - self._heard_s >= SILENCE_S:
-                return "nothing comes"
-            if now_s - self._decoded_s >= UNUSABLE_S:
+            sock.settimeout(max(self._heard_s + SILENCE_S - self._now_s(), 1e-3))
+            data, extras, _, _ = sock.recvmsg(_READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
+            if not data:
+                return "the vehicle has closed the connection"
+            received_s = max(self._heard_s, self._now_s() - _age_s(extras))
+            packets = self.parser.feed(data)
+            if packets:
+                self._heard_s = received_s
+            self._show([whole for whole in map(self.assembler.add, packets) if whole is not None], received_s)
+            if self._now_s() - self._decoded_s >= UNUSABLE_S:
                 if self.decoder.foreign > foreign_before:
                     return "its pictures are neither H.264 nor MPEG-4 (set ~video_codec to 129)"
                 return "no picture can be decoded"
         return ""
 
-    def _read(self):
-        """([(Packet, time of reception)], whether the connection is still open)."""
-        pictures = []
-        budget = _MAX_ROUND_BYTES
-        while budget > 0:
-            try:
-                data, extras, _, _ = self._socket.recvmsg(_READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
-            except BlockingIOError:
-                return pictures, True
-            except OSError:
-                return pictures, False
-            if not data:
-                return pictures, False
-            budget -= len(data)
-            received_s = max(self._heard_s, self._now_s() - _age_s(extras))
-            for packet in self.parser.feed(data):
-                self._heard_s = received_s
-                whole = self.assembler.add(packet)
-                if whole is not None:
-                    pictures.append((whole, received_s))
-        return pictures, True
-
-    def _show(self, pictures):
+    def _show(self, pictures, received_s):
         first_shown = len(pictures) - MAX_BACKLOG
         begin = 0
         if first_shown > 0:
-            keys = [i for i, (packet, _) in enumerate(pictures) if is_key(packet.header)]
-            begin = keys[-1] if keys else 0
-        for i, (packet, received_s) in enumerate(pictures):
+            begin = max((i for i, packet in enumerate(pictures) if is_key(packet.header)), default=0)
+        for i, packet in enumerate(pictures):
             exposure_s = self.clock.exposure_s(packet.header.timestamp_ms, received_s)
             if i < begin:
                 self.decoder.pass_over(packet.header)

@@ -27,19 +27,6 @@ class JoyEvent(NamedTuple):
     type: int
     number: int
 
-    @property
-    def is_initial(self):
-        """True for the synthetic records that the kernel sends after opening."""
-        return bool(self.type & _INIT)
-
-    @property
-    def is_button(self):
-        return self.type & ~_INIT == _BUTTON
-
-    @property
-    def is_axis(self):
-        return self.type & ~_INIT == _AXIS
-
 
 class RecordReader:
     """Cuts a byte stream into records; a read may end in the middle of one."""
@@ -112,17 +99,18 @@ class JoyState:
 
     def apply(self, event):
         """Take one event over; returns its `Urgency`."""
-        if event.is_button:
+        kind, is_initial = event.type & ~_INIT, event.type & _INIT  # the latter of the kernel's records after opening
+        if kind == _BUTTON:
             self._grow(self.buttons, event.number, 0)
             if not self._settings.sticky_buttons:
                 self.buttons[event.number] = 1 if event.value else 0
             elif event.value == 1:
                 self.buttons[event.number] = 1 - self.buttons[event.number]
-            return Urgency.SOON if event.is_initial else Urgency.NOW
-        if event.is_axis:
+            return Urgency.SOON if is_initial else Urgency.NOW
+        if kind == _AXIS:
             self._grow(self.axes, event.number, 0.0)
             # Triggers announce 0 until first touched, which would read as half pressed: keep 0 unless told otherwise.
-            if not event.is_initial or self._settings.default_trig_val:
+            if not is_initial or self._settings.default_trig_val:
                 self.axes[event.number] = self.axis_value(event.value)
             return Urgency.SOON
         return Urgency.NEVER
@@ -140,32 +128,26 @@ class PublishClock:
 
     def __init__(self, settings):
         self._coalesce_s = settings.coalesce_interval
-        self._repeat_s = 1.0 / settings.autorepeat_rate if settings.autorepeat_rate > 0.0 else None
-        self._soon_s = None  # when the coalesced events are due
-        self._repeat_at_s = None  # when the next repetition is due
+        self._repeat_s = 1.0 / settings.autorepeat_rate if settings.autorepeat_rate > 0.0 else math.inf
+        self._is_pending = False  # events are being coalesced
+        self._due_s = None  # when they, or the next repetition, go out; None: that has to be found
 
     def event(self, urgency, now_s):
         """An event came in: True when the state must be published now."""
-        if urgency == Urgency.NOW:
-            return True
-        if urgency == Urgency.SOON and self._soon_s is None:
-            self._soon_s = now_s + self._coalesce_s
-        return False
+        if urgency == Urgency.SOON and not self._is_pending:
+            self._is_pending, self._due_s = True, now_s + self._coalesce_s
+        return urgency == Urgency.NOW
 
     def due(self, now_s):
         """True when a coalesced or repeated message is due."""
-        if self._repeat_s is not None and self._repeat_at_s is None:
-            self._repeat_at_s = now_s + self._repeat_s
-        if self._soon_s is not None:
-            return now_s >= self._soon_s
-        return self._repeat_at_s is not None and now_s >= self._repeat_at_s
+        return self.wait_s(now_s, math.inf) == 0.0
 
     def published(self, now_s):
         """The state went out: everything pending went with it."""
-        self._soon_s = None
-        self._repeat_at_s = None if self._repeat_s is None else now_s + self._repeat_s
+        self._is_pending, self._due_s = False, now_s + self._repeat_s
 
     def wait_s(self, now_s, longest_s):
         """How long to wait for the next event, [0, longest_s]."""
-        pending = self._soon_s if self._soon_s is not None else self._repeat_at_s
-        return longest_s if pending is None else min(max(pending - now_s, 0.0), longest_s)
+        if self._due_s is None:
+            self._due_s = now_s + self._repeat_s
+        return min(max(self._due_s - now_s, 0.0), longest_s)

@@ -1,9 +1,7 @@
 """Parameters of uvc_cam_node, and what a change of them asks of the camera."""
 
-import typing
+import re
 from dataclasses import dataclass, fields
-
-from msgspec import Meta
 
 from risc_lab.settings import Name, Settings, between
 
@@ -26,8 +24,8 @@ class CameraSettings(Settings):
     """Names and defaults of the original; cfg/UVCCam.cfg has the same."""
 
     device: Name = "/dev/video0"  # camera (path or number), video file, or folder of pictures
-    camera_name: typing.Annotated[str, Meta(pattern="^[A-Za-z0-9_]+$")] = "camera"
-    format_mode: between(1, 3) = 1  # 1 RGB, 2 YUYV, 3 MJPEG
+    camera_name: str = "camera"
+    format_mode: int = 1  # 1 RGB, 2 YUYV, 3 MJPEG
     width: between(1, 16384) = 640  # [px] asked of a camera; files keep their own size
     height: between(1, 16384) = 480
     frame_rate: between(1.875, 240.0) = 15.0  # [Hz] asked of a camera; at which files are played
@@ -44,6 +42,19 @@ class CameraSettings(Settings):
     saturation: int = 50
     contrast: int = 50
     brightness: int = 66
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not re.fullmatch("[A-Za-z0-9_]+", self.camera_name):
+            raise ValueError(
+                "camera_name is %r, which cannot name a calibration file: use letters, digits and underscores only"
+                % self.camera_name
+            )
+        if self.format_mode not in FORMATS:
+            raise ValueError(
+                "format_mode is %d, which is no format: set it to 1 (whatever the camera has), 2 (YUYV) or 3 (MJPEG)"
+                % self.format_mode
+            )
 
 
 def changed_controls(before, after):

@@ -123,21 +123,34 @@ class FolderSource(Source):
         return self._picture
 
 
-class VideoSource(Source):
+class _CaptureSource(Source):
+    """What OpenCV captures. complaint: about a picture that cannot be decoded."""
+
+    def __init__(self, path, capture, complaint):
+        super().__init__()
+        self._path, self._capture, self._complaint = path, capture, complaint
+
+    def picture(self):
+        there, picture = self._capture.retrieve()
+        if not there or picture is None or not picture.size:
+            raise SourceError("%s %s" % (self._path, self._complaint))
+        return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+
+    def close(self):
+        self._capture.release()
+
+
+class VideoSource(_CaptureSource):
     """A video file at the frame rate, whatever rate it was taken at."""
 
     def __init__(self, path, settings):
-        super().__init__()
-        self._path, self._loop = path, settings.loop
-        self._pace = _Pace(settings.frame_rate)
-        self._capture = self._open()
-        self._read_any = False
-
-    def _open(self):
-        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        super().__init__(path, capture, "holds a picture that cannot be decoded: the file is damaged")
         if not capture.isOpened():
-            raise SourceError("%s is no video that OpenCV can read: give it an .avi, .mp4 or .mkv" % self._path)
-        return capture
+            raise SourceError("%s is no video that OpenCV can read: give it an .avi, .mp4 or .mkv" % path)
+        self._loop = settings.loop
+        self._pace = _Pace(settings.frame_rate)
+        self._read_any = False
 
     def wait(self):
         self._pace.wait()
@@ -152,52 +165,38 @@ class VideoSource(Source):
                 raise SourceError("the video %s cannot be read any more" % self._path)
         self._read_any = True
 
-    def picture(self):
-        return _retrieved(self._capture, "%s holds a picture that cannot be decoded: the file is damaged" % self._path)
 
-    def close(self):
-        self._capture.release()
-
-
-class CameraSource(Source):
+class CameraSource(_CaptureSource):
     """A camera by V4L2, at its own pace. Controls that the camera has not are noted."""
 
     def __init__(self, path, settings, capture_class=cv2.VideoCapture, ioctl=fcntl.ioctl):
         """capture_class, ioctl: replaced in tests."""
-        super().__init__()
-        self._path, self._ioctl = path, ioctl
         if not os.access(str(path), os.R_OK | os.W_OK):
             raise SourceError("%s may not be opened by this user: add the user to the group video, log in anew" % path)
-        self._capture = capture_class(str(path), cv2.CAP_V4L2)
-        if not self._capture.isOpened():
+        capture = capture_class(str(path), cv2.CAP_V4L2)
+        super().__init__(path, capture, "sent a picture that cannot be decoded: try another format_mode")
+        self._ioctl = ioctl
+        if not capture.isOpened():
             raise SourceError(
                 "%s cannot be opened as a camera: is another program using it, or is it the camera's second device "
                 "(v4l2-ctl --list-devices lists them)?" % path
             )
         if FORMATS[settings.format_mode]:
-            self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter_fourcc(*FORMATS[settings.format_mode]))
-        self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, settings.width)
-        self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, settings.height)
-        self._capture.set(cv2.CAP_PROP_FPS, settings.frame_rate)
-        given = (
-            round(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
-            round(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
-        )
+            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter_fourcc(*FORMATS[settings.format_mode]))
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, settings.width)
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, settings.height)
+        capture.set(cv2.CAP_PROP_FPS, settings.frame_rate)
+        given = tuple(round(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         if given != (settings.width, settings.height):
             self.notes.append(
                 "%s gives %d x %d instead of %d x %d: set width and height to a size that it has "
-                "(v4l2-ctl --list-formats-ext)" % ((path,) + given + (settings.width, settings.height))
+                "(v4l2-ctl --list-formats-ext)" % (path, *given, settings.width, settings.height)
             )
         self.set_controls(changed_controls(CameraSettings(), settings))
 
     def wait(self):
         if not self._capture.grab():
             raise SourceError("%s sends no more pictures: is it unplugged?" % self._path)
-
-    def picture(self):
-        return _retrieved(
-            self._capture, "%s sent a picture that cannot be decoded: try another format_mode" % self._path
-        )
 
     def set_controls(self, controls):
         for name in (*_PROPERTIES, "power_line_frequency"):
@@ -217,13 +216,3 @@ class CameraSource(Source):
         except OSError:
             return False
         return True
-
-    def close(self):
-        self._capture.release()
-
-
-def _retrieved(capture, complaint):
-    there, picture = capture.retrieve()
-    if not there or picture is None or not picture.size:
-        raise SourceError(complaint)
-    return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)

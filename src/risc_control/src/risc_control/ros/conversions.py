@@ -121,8 +121,3 @@ def derivatives_message(stamp, names, derivatives):
 def command_sent(name, sent, answers, command):
     """CommandSent of an array (4,), columns `command_history.Channel`."""
     return CommandSent(name, sent, answers, *command.tolist())
-
-
-def settles_at(message):
-    """Its inverse."""
-    return np.array((message.roll_rad, message.pitch_rad, message.climb, message.yaw_rate_rad_s))

@@ -7,10 +7,12 @@ import signal
 import subprocess
 import sys
 
+from risc_doctor.findings import collect, count_text, exit_code, print_findings
 from risc_doctor.machines import check, deploy, setup
 from risc_doctor.machines.experiment import ExperimentError, load_experiment
 
 DEFAULT_FILE = "launch/Multi_Machine_Experiment.launch"
+ACTIONS = {"check": check.begin, "setup": setup.begin, "deploy": deploy.begin}
 _ABOUT = """The computers of a launch file with <machine> tags, as roslaunch sees them.
 
   check   is every one of them ready? Says what is not, why, and what to do; changes nothing
@@ -39,7 +41,7 @@ def arguments(argv):
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("action", choices=("check", "setup", "deploy"), help="see above")
+    parser.add_argument("action", choices=ACTIONS, help="see above")
     parser.add_argument(
         "file", nargs="*", metavar="FILE ARG:=VALUE", help="launch file and its arguments (default: %s)" % DEFAULT_FILE
     )
@@ -56,27 +58,40 @@ def arguments(argv):
     return args
 
 
+def run(experiment, action, root, yes=False):
+    """Do an action with every computer and print what was found, in the order of the file. Returns the exit code."""
+    computers = [c for c in experiment.computers if action == "check" or c.needs_login]
+    if not computers:
+        print("nothing to do: no node of %s runs on another computer" % experiment.path)
+        return 0
+    findings, work = ACTIONS[action](experiment, root, yes)
+    if findings:
+        print("this computer")
+        print_findings(findings)
+        print()
+    for computer in computers:
+        print("%s (%s)" % (computer.name, "this computer" if computer.local else computer.login), flush=True)
+        found = collect(work(computer))
+        print_findings(found)
+        print(flush=True)
+        findings += found
+    print("%d machines: %s" % (len(computers), count_text(findings)))
+    if action == "check" and exit_code(findings) == 0:
+        print("start it with\n  " + check.launch_line(experiment))
+    return exit_code(findings)
+
+
 def main(argv=None):
     """Command line. Returns the exit code."""
     args = arguments(argv)
-    root = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
+    root = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", ".")).resolve()
     try:
-        experiment = load_experiment(args.file or str(root / DEFAULT_FILE), args.arguments)
-        if args.only:
-            experiment = experiment.only(args.only.split(","))
-    except ExperimentError as problem:
+        experiment = load_experiment(args.file or str(root / DEFAULT_FILE), args.arguments, args.only)
+        return run(experiment, args.action, root, args.yes)
+    except (ExperimentError, OSError, RuntimeError, subprocess.CalledProcessError) as problem:
+        # the others: something is missing here, no file to write, no rosmaster, no rsync, no ssh-keygen
         print("maap machines: %s" % problem, file=sys.stderr)
-        return 2
-    try:
-        if args.action == "check":
-            return check.run(experiment, root)
-        if args.action == "setup":
-            return setup.run(experiment, args.yes)
-        return deploy.run(experiment, root)
-    except (OSError, RuntimeError, subprocess.CalledProcessError) as problem:
-        # something is missing here: no file to write, no rosmaster, no rsync, no ssh-keygen
-        print("maap machines: %s" % problem, file=sys.stderr)
-        return 1
+        return 2 if isinstance(problem, ExperimentError) else 1
 
 
 if __name__ == "__main__":
@@ -85,4 +100,5 @@ if __name__ == "__main__":
     try:
         sys.exit(main())
     except (KeyboardInterrupt, EOFError):
-        sys.exit("\nmaap machines: interrupted")
+        print("\nmaap machines: interrupted", file=sys.stderr, flush=True)
+        os._exit(1)  # not waiting for what still asks; what runs on the other computers ends by its own limits

@@ -1,18 +1,17 @@
 """`./maap machines check`: would roslaunch start this file on all of its computers, and would it fly?"""
 
+import concurrent.futures
 import contextlib
-import json
 import os
 import shlex
 import socket
-import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit
 
 from rosgraph.network import get_local_addresses
 
-from risc_doctor.findings import RED, Finding, Findings, broken, count_text, exit_code, finding, print_findings
+from risc_doctor.findings import RED, Finding, FoundError, finding, guarded
+from risc_doctor.interfaces import source_towards
 from risc_doctor.machines import clock_offset, keep_alive, ssh, topics, workspace_digest
 
 _LOADER_S = 15.0
@@ -20,51 +19,18 @@ _MANIFEST_S = 30.0
 _DOCTOR_S = 45.0
 
 
-def run(experiment, root, out=None):
-    """Check every computer, print what was found in the order of the file. Returns the exit code.
+def begin(experiment, root, _yes):
+    """([Finding about this computer], function of a computer that returns those about it); all are asked at once.
 
-    experiment: experiment.Experiment; root: folder of the workspace here; out: text stream, None = stdout.
+    experiment: experiment.Experiment; root: folder of the workspace here.
     """
-    out = sys.stdout if out is None else out
-    here = own_address(experiment)
-    remote = any(map(needs_login, experiment.computers))
-    description = workspace_digest.describe(root) if remote else None
-    findings = []
-    if remote and here is not None:
-        findings.append(check_shell(os.environ, here))
-        print("this computer", file=out)
-        print_findings(findings, out)
-        print(file=out, flush=True)
-    with ThreadPoolExecutor(max(len(experiment.computers), 1)) as pool:
-        arguments = root, description, here
-        jobs = {computer: pool.submit(_guarded, computer, *arguments) for computer in experiment.computers}
-        try:
-            findings += visit_each(jobs, lambda computer: jobs[computer].result(), out)
-        except KeyboardInterrupt:  # what runs on the other computers ends by its own limits
-            print("\nmaap machines: interrupted", file=sys.stderr, flush=True)
-            os._exit(1)
-    print("%d machines: %s" % (len(experiment.computers), count_text(findings)), file=out)
-    if exit_code(findings) == 0:
-        print("start it with\n  " + launch_line(experiment, here), file=out)
-    return exit_code(findings)
-
-
-def visit_each(computers, work, out):
-    """Findings of work(computer) for each of them, printed under its name."""
-    findings = []
-    for computer in computers:
-        place = "this computer" if computer.local else computer.login
-        print("%s (%s)" % (computer.name, place), file=out, flush=True)
-        found = work(computer)
-        print_findings(found, out)
-        print(file=out, flush=True)
-        findings += found
-    return findings
-
-
-def needs_login(computer):
-    """Whether roslaunch goes there by ssh."""
-    return computer.nodes > 0 and not computer.local and not computer.unresolved
+    here, found, description = own_address(experiment), [], None
+    if any(computer.needs_login for computer in experiment.computers):
+        description = workspace_digest.describe(root)
+        found = [check_shell(os.environ, here)] if here is not None else []
+    pool = concurrent.futures.ThreadPoolExecutor(max(len(experiment.computers), 1))
+    jobs = {c: pool.submit(guarded, "nodes", check_computer, c, description, here) for c in experiment.computers}
+    return found, lambda computer: jobs[computer].result()
 
 
 def check_shell(environment, here):
@@ -93,43 +59,32 @@ def _is_ours(name, here):
     return name == here or (address in get_local_addresses() and not address.startswith("127."))
 
 
-def _guarded(computer, *arguments):
-    """check_computer; an exception in it is a red finding: the other computers are still checked."""
-    try:
-        return check_computer(computer, *arguments)
-    except Exception as error:
-        return [broken("nodes", error)]
+def check_computer(computer, description, here):
+    """Yields findings about one computer, from the network up to its vehicle. Raises FoundError: the last one.
 
-
-def check_computer(computer, root, description, here):
-    """Findings about one computer, from the network up to its vehicle; stops at the first that hides the others.
-
-    root, description: folder and content of the workspace here; here: our address.
+    description: of the workspace here; here: our address.
     """
-    found = []
     if computer.nodes == 0:
-        return [finding("nodes", "none")]
+        yield finding("nodes", "none")
+        return
     if computer.password is not None:
-        found.append(finding("password", "in_file" if computer.password else "empty", machine=computer.name))
-    try:
-        if computer.unresolved:
-            raise ssh.unreachable(socket.gaierror(), computer.unresolved, computer.port)
-        if computer.local:
-            return found + _doctor(ssh.Here(computer))
-        ssh.reach(computer)
-        found.append(finding("network", "answers", where="%s port %d" % (computer.address, computer.port)))
-        with contextlib.closing(ssh.connect(computer)) as session:
-            how = "with the password of the file or a key" if computer.password else "without a password"
-            found.append(finding("login", "good", login=computer.login, how=how))
-            found.append(keep_alive.check(session))
-            found.append(_env_loader(session))
-            found.append(_workspace(session, description, root))
-            found += topics.check(session, here or session.here)
-            found.append(clock_offset.check(session))
-            found += _doctor(session)
-    except ssh.MachineError as problem:
-        found.append(problem.finding)
-    return found
+        yield finding("password", "in_file" if computer.password else "empty", machine=computer.name)
+    if computer.unresolved:
+        raise ssh.unreachable(socket.gaierror(), computer.unresolved, computer.port)
+    if computer.local:
+        yield from _doctor(computer, ssh.loaded_here)
+        return
+    ssh.reach(computer)
+    yield finding("network", "answers", where="%s port %d" % (computer.address, computer.port))
+    with contextlib.closing(ssh.connect(computer)) as session:
+        how = "with the password of the file or a key" if computer.password else "without a password"
+        yield finding("login", "good", login=computer.login, how=how)
+        yield keep_alive.check(session)
+        yield _env_loader(session)
+        yield _workspace(session, description)
+        yield from topics.check(session, here or session.here)
+        yield clock_offset.check(session)
+        yield from _doctor(computer, session.loaded)
 
 
 def own_address(experiment):
@@ -143,60 +98,57 @@ def own_address(experiment):
                 address = socket.gethostbyname(computer.address)
                 if not address.startswith("127."):
                     return address
-    for computer in filter(needs_login, experiment.computers):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
-            probe.connect((computer.address, computer.port))  # sends nothing
-            return probe.getsockname()[0]
-    return None
+    ways = (source_towards(computer.address) for computer in experiment.computers if computer.needs_login)
+    return next(filter(None, ways), None)
 
 
-def launch_line(experiment, here):
+def launch_line(experiment):
     """The command that starts the experiment from any terminal of this computer."""
     inner = shlex.join(["roslaunch", experiment.path, *experiment.arguments])
-    if any(map(needs_login, experiment.computers)):
+    if any(computer.needs_login for computer in experiment.computers):
         # the others are told the master's address literally: it must not be localhost
         hostname = "env -u ROS_HOSTNAME " if "ROS_HOSTNAME" in os.environ else ""
+        here = own_address(experiment)
         inner = "%sROS_MASTER_URI=http://%s:%d ROS_IP=%s %s" % (hostname, here, ssh.MASTER_PORT, here, inner)
     return "./maap shell -c %s" % shlex.quote(inner)
 
 
 def _env_loader(session):
-    """The Finding that it works. Raises MachineError when it does not: nothing else could run there."""
+    """The Finding that it works. Raises FoundError when it does not: nothing else could run there."""
     loader = session.computer.loader_file
     begin_s = time.monotonic()
     answer = session.loaded(["true"], _LOADER_S)
     took_s, limit_s = time.monotonic() - begin_s, session.computer.timeout_s
-    if answer.code == 0 and took_s > limit_s / 2.0:  # roslaunch itself has to start in the other half
-        times = {"took_s": took_s, "limit_s": limit_s, "wanted_s": max(20.0, 4.0 * took_s)}
-        return finding("env-loader", "slow", loader=loader, **times)
     if answer.code == 0:
-        return finding("env-loader", "works", loader=loader)
-    quoted = shlex.quote(loader)
-    code = "fails"
+        code = "slow" if took_s > limit_s / 2.0 else "works"  # roslaunch itself has to start in the other half
+        wanted_s = max(20.0, 4.0 * took_s)
+        return finding("env-loader", code, loader=loader, took_s=took_s, limit_s=limit_s, wanted_s=wanted_s)
+    quoted, code = shlex.quote(loader), "fails"
     if session.shell("test -f %s" % quoted, _LOADER_S).code != 0:
         code = "missing"
     elif session.shell("test -x %s" % quoted, _LOADER_S).code != 0:
         code = "not_executable"
-    raise ssh.MachineError("env-loader", code, loader=loader, quoted=quoted, reason=answer.reason())
+    raise FoundError("env-loader", code, loader=loader, quoted=quoted, reason=answer.reason())
 
 
-def _workspace(session, here, root):
+def _workspace(session, here):
     folder = session.computer.workspace
     answer = session.loaded(["python", "-m", "risc_doctor.machines.workspace_digest", folder], _MANIFEST_S)
     try:
-        there = workspace_digest.from_output(answer.out)
+        there = answer.told(workspace_digest.Workspace)
     except ValueError:
         return finding("workspace", "mute", reason=answer.reason())
-    folder = there.get("folder", folder)
     found = workspace_digest.compare(here, there)
-    if found.level != RED and os.path.realpath(folder) != os.path.realpath(root):
-        return finding("workspace", "other_folder", here=root, there=folder)
+    if found.level != RED and os.path.realpath(there.folder) != os.path.realpath(here.folder):
+        return finding("workspace", "other_folder", here=here.folder, there=there.folder)
     return found
 
 
-def _doctor(place):
-    """Findings of the doctor there: disk, and what the launch file says is connected to that computer."""
-    computer = place.computer
+def _doctor(computer, loaded):
+    """Findings of the doctor there: disk, and what the launch file says is connected to that computer.
+
+    loaded: function of a command and its limit [s] that runs it there and returns an Answer.
+    """
     checks, options = ["disk"], []
     if computer.cortex and computer.local and computer.fleet:  # the fleet file says where the stream comes in
         checks += ["subnets", "multicast", "ports", "cortex"]
@@ -211,8 +163,9 @@ def _doctor(place):
     command = ["python", "-m", "risc_doctor", "--json", "--only", ",".join(dict.fromkeys(checks)), *options]
     if computer.local and computer.fleet:  # another computer need not have it: what is asked there is said in full
         command.insert(3, computer.fleet)
-    answer = place.loaded(command, _DOCTOR_S)
-    found = []
-    with contextlib.suppress(ValueError, IndexError, TypeError):
-        found = [Finding.from_dict(content) for content in json.loads(answer.out.splitlines()[-1])]
-    return found or Findings("doctor").say("fails", reason=answer.reason())
+    answer = loaded(command, _DOCTOR_S)
+    with contextlib.suppress(ValueError):
+        found = answer.told(list[Finding])
+        if found:
+            return found
+    return [finding("doctor", "fails", reason=answer.reason())]

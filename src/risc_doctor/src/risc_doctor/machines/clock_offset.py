@@ -1,5 +1,6 @@
 """How far another computer's clock is from ours: what chrony says there, and what is measured over ssh."""
 
+import contextlib
 import time
 
 from risc_doctor.clock_agreement import BAD_S, GOOD_S, parse_tracking
@@ -14,11 +15,9 @@ _TELLER = "timeout -k 1 10 python3 -uc 'import sys, time; [print(repr(time.time(
 def measure(session):
     """(offset [s], its uncertainty [s]) of the far clock, + = ahead of ours: half of the shortest of many round trips.
 
-    Raises OSError or ValueError when the far side does not answer, MachineError when the connection is lost.
+    Raises OSError or ValueError when the far side does not answer, FoundError when the connection is lost.
     """
-    channel = session.channel(_TELLER)
-    channel.settimeout(_LIMIT_S)
-    try:
+    with contextlib.closing(session.channel(_TELLER, _LIMIT_S)) as channel:
         lines, trips = channel.makefile("r"), []
         for _ in range(_ROUND_TRIPS + 1):  # the first one waits for python3 to start
             sent = time.time()
@@ -28,8 +27,6 @@ def measure(session):
             trips.append((received - sent, float(line) - (sent + received) / 2.0))
         round_trip_s, offset_s = min(trips)
         return offset_s, round_trip_s / 2.0
-    finally:
-        channel.close()
 
 
 def judge(offset_s, uncertainty_s, how, server):
@@ -46,23 +43,23 @@ def check(session):
     """The Finding about a machine's clock."""
     answer = session.limited("PATH=$PATH:/usr/sbin chronyc -c -n tracking", _LIMIT_S)
     tracking = parse_tracking(answer.out) if answer.code == 0 else None
-    follows_us = tracking is not None and tracking.synchronised and tracking.reference == session.here
     try:
         measured = measure(session)
     except (OSError, ValueError):
-        if not follows_us:
-            return finding("clock", "mute")
-        measured = tracking.offset_s, tracking.error_s
-    return combine(tracking, follows_us, measured, session.here)
+        measured = None
+    return combine(tracking, measured, session.here)
 
 
-def combine(tracking, follows_us, measured, server):
-    """The Finding from what chrony says there (None: nothing) and what was measured: (offset [s], uncertainty [s]).
+def combine(tracking, measured, server):
+    """The Finding from what chrony says there and what was measured: (offset [s], uncertainty [s]). None: nothing.
 
-    When they agree, the more certain one counts (chrony's bound contains the way from our own clock to its server);
-    else the measurement.
+    server: our address.  When they agree, the more certain one counts (chrony's bound contains the way from our own
+    clock to its server); else the measurement.
     """
-    offset_s, uncertainty_s = measured
+    follows_us = tracking is not None and tracking.synchronised and tracking.reference == server
+    if measured is None and not follows_us:
+        return finding("clock", "mute")
+    offset_s, uncertainty_s = measured or (tracking.offset_s, tracking.error_s)
     how = "measured over ssh"
     if follows_us:
         agree = abs(tracking.offset_s - offset_s) <= tracking.error_s + uncertainty_s

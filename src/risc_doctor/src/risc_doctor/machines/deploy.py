@@ -11,9 +11,9 @@ import subprocess
 import sys
 import time
 
-from risc_doctor.findings import count_text, exit_code, finding
+from risc_doctor.findings import FoundError, finding
 from risc_doctor.machines import ssh, workspace_digest
-from risc_doctor.machines.check import needs_login, visit_each
+from risc_doctor.machines.experiment import ExperimentError
 
 _COMMAND_S = 20.0
 _NO_ANSWER_S = 20  # of the network, then rsync gives up; what arrived is kept for the next time
@@ -32,68 +32,49 @@ _MIRRORED = "/src", "/launch", "/devel", "/install", "/.venv"
 _RUNNING = "pgrep -f -a -- %s"
 
 
-def run(experiment, root, out=None):
-    """Bring the workspace to every computer, one after the other. Returns the exit code.
-
-    root: folder of the workspace here; out: text stream, None = stdout.
-    """
-    out = sys.stdout if out is None else out
-    root = pathlib.Path(root).resolve()
-    computers = list(filter(needs_login, experiment.computers))
-    if not computers:
-        print("nothing to deploy: no node of %s runs on another computer" % experiment.path, file=out)
-        return 0
+def begin(_experiment, root, _yes):
+    """As `check.begin`, to bring the workspace to every computer, one after the other."""
     description = workspace_digest.describe(root)
-    if not description["built"]:
-        print("maap machines: %s is not built: ./maap build" % root, file=sys.stderr)
-        return 2
-    findings = visit_each(computers, lambda computer: deploy(computer, root, description), out)
-    print(count_text(findings), file=out)
-    return exit_code(findings)
+    if not description.built:
+        raise ExperimentError("%s is not built: ./maap build" % root)
+    return [], lambda computer: deploy(computer, root, description)
 
 
 def deploy(computer, root, description):
-    """Findings about one computer, after the workspace was sent there. description: of workspace_digest.describe."""
-    found, computer = [], dataclasses.replace(computer, password=None)  # rsync has none to give
-    try:
-        if computer.workspace != str(root):
-            raise ssh.MachineError("folder", "elsewhere", here=root, there=computer.workspace)
-        ssh.reach(computer)
-        with contextlib.closing(ssh.connect(computer)) as session:
-            _prepare(session, root)
-            found.append(_send(session, root))
-            _stamp(session, root, description)
-            found += _packages(session, root)
-            found.append(_verify(session, description))
-    except ssh.MachineError as problem:
-        found.append(problem.finding)
-    return found
+    """Yields findings about one computer, after the workspace was sent there. Raises FoundError."""
+    computer = dataclasses.replace(computer, password=None)  # rsync has none to give
+    if computer.workspace != str(root):
+        raise FoundError("folder", "elsewhere", here=root, there=computer.workspace)
+    ssh.reach(computer)
+    with contextlib.closing(ssh.connect(computer)) as session:
+        _prepare(session, root)
+        yield _send(session, root, description)
+        yield _packages(session, root)
+        yield _verify(session, description)
 
 
 def _prepare(session, root):
-    """A folder to write into, rsync, a processor like ours, and nothing of ours that runs. Raises MachineError."""
+    """A folder to write into, rsync, a processor like ours, and nothing of ours that runs. Raises FoundError."""
     folder = shlex.quote(str(root))
     if session.limited("mkdir -p %s && test -w %s" % (folder, folder), _COMMAND_S).code != 0:
         user = session.computer.user or "$USER"
-        raise ssh.MachineError("folder", "not_writable", folder=root, user=user, quoted=folder)
+        raise FoundError("folder", "not_writable", folder=root, user=user, quoted=folder)
     if session.limited("command -v rsync", _COMMAND_S).code != 0:
-        raise ssh.MachineError("rsync", "missing")
+        raise FoundError("rsync", "missing")
     answer = session.limited("uname -m", _COMMAND_S)
     if answer.code == 0 and answer.out.strip() != os.uname().machine:
-        raise ssh.MachineError("processor", "other", there=answer.out.strip(), here=os.uname().machine)
+        raise FoundError("processor", "other", there=answer.out.strip(), here=os.uname().machine)
     pattern = "".join("[%s]" % c if c in "[]()*+?{}|$." else c for c in str(root)) + "/.* [_]_name:="
     running = session.limited(_RUNNING % shlex.quote(pattern), _COMMAND_S)
     if running.code == 0:
         nodes = sorted({word[len("__name:=") :] for word in running.out.split() if word.startswith("__name:=")})
-        raise ssh.MachineError("running", "nodes", nodes=", ".join(nodes))
+        raise FoundError("running", "nodes", nodes=", ".join(nodes))
     if running.code != 1:
-        raise ssh.MachineError("running", "unknown", reason=running.reason())
+        raise FoundError("running", "unknown", reason=running.reason())
 
 
-def _send(session, root):
-    computer = session.computer
-    if session.limited("rm -f %s" % shlex.quote(str(root / workspace_digest.DEPLOYED)), _COMMAND_S).code != 0:
-        raise ssh.MachineError("folder", "not_owned", folder=root)
+def _send(session, root, description):
+    computer, quoted = session.computer, shlex.quote(str(root))
     backup = "%s/%s" % (_BACKUPS, time.strftime("%Y%m%d-%H%M%S"))
     command = ["rsync", "--archive", "--compress", "--partial-dir=.rsync-partial", "--timeout=%d" % _NO_ANSWER_S]
     command += ["--backup", "--backup-dir=" + backup, "--delete", "--rsh", _remote_shell(computer)]
@@ -102,18 +83,19 @@ def _send(session, root):
     command += ["--include=" + pattern for pattern in _COMPILED]
     command += ["--exclude=" + pattern for pattern in _NOT_SENT]
     command += ["--filter=protect %s" % pattern for pattern in workspace_digest.KEPT_THERE]
-    mirrored = [folder for folder in _MIRRORED if os.path.isdir(str(root) + folder)]
-    command += ["--filter=risk %s/***" % folder for folder in mirrored] + ["--filter=protect /***"]
-    where = computer.address if computer.user is None else "%s@%s" % (computer.user, computer.address)
+    command += ["--filter=risk %s/***" % folder for folder in _MIRRORED if os.path.isdir(str(root) + folder)]
+    command += ["--filter=protect /***", "%s/" % root, "%s:%s/" % (computer.login, root)]
     done = subprocess.run(
-        [*command, "%s/" % root, "%s:%s/" % (where, root)],
-        stdin=subprocess.DEVNULL, stdout=sys.stderr, stderr=subprocess.PIPE, text=True, check=False,
-    )  # fmt: skip
-    quoted = shlex.quote(str(root))
+        command, stdin=subprocess.DEVNULL, stdout=sys.stderr, stderr=subprocess.PIPE, text=True, check=False
+    )
     if done.returncode != 0:
         lines = [line for line in done.stderr.splitlines() if line.strip()] or ["exit code %d" % done.returncode]
         code = "no_room" if "No space left" in done.stderr else "stopped"
-        raise ssh.MachineError("send", code, reason=lines[0], quoted=quoted, backups=root / _BACKUPS)
+        raise FoundError("send", code, reason=lines[0], quoted=quoted, backups=root / _BACKUPS)
+    stamp = shlex.quote(json.dumps({"revision": description.revision, "from": socket.gethostname()}))
+    answer = session.limited("printf '%%s\\n' %s > %s/%s" % (stamp, quoted, workspace_digest.DEPLOYED), _COMMAND_S)
+    if answer.code != 0:
+        raise FoundError("send", "no_stamp", file=workspace_digest.DEPLOYED, reason=answer.reason())
     kept = session.limited("cd %s && find %s -type f | wc -l" % (quoted, shlex.quote(backup)), _COMMAND_S)
     count = int(kept.out) if kept.code == 0 and kept.out.strip().isdigit() else 0
     return finding("send", "done_with_backup" if count else "done", count=count, folder=root / backup)
@@ -121,44 +103,24 @@ def _send(session, root):
 
 def _remote_shell(computer):
     """ssh for rsync, with the files that roslaunch's login uses: ssh alone ignores $HOME."""
-    folder = pathlib.Path(os.path.expanduser("~/.ssh"))
+    folder = pathlib.Path("~/.ssh").expanduser()
     words = ["ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=%d" % ssh.CONNECT_S, "-p", str(computer.port)]
     words += ["-o", "ServerAliveInterval=2", "-o", "UserKnownHostsFile=%s" % (folder / "known_hosts")]
-    if (folder / "config").exists():
-        words += ["-F", str(folder / "config")]
-    for name in ssh.KEY_FILES:
-        if (folder / name).exists():
-            words += ["-i", str(folder / name)]
-    return " ".join(map(shlex.quote, words))
-
-
-def _stamp(session, root, description):
-    content = {
-        "revision": description["revision"],
-        "hash": workspace_digest.content_hash(description),
-        "time": time.strftime("%Y-%m-%d %H:%M:%S %z"),
-        "from": socket.gethostname(),
-    }
-    stamp = shlex.quote(json.dumps(content)), shlex.quote(str(root / workspace_digest.DEPLOYED))
-    answer = session.limited("printf '%%s\\n' %s > %s" % stamp, _COMMAND_S)
-    if answer.code != 0:
-        raise ssh.MachineError("send", "no_stamp", file=workspace_digest.DEPLOYED, reason=answer.reason())
+    files = [("-F", folder / "config"), *(("-i", folder / name) for name in ssh.KEY_FILES)]
+    return shlex.join([*words, *(word for option, path in files if path.exists() for word in (option, str(path)))])
 
 
 def _packages(session, root):
-    """Findings about the Debian packages that the workspace needs and that computer lacks."""
-    path = root / "apt-packages.txt"
-    if not path.exists():
-        return []
-    lines = path.read_text(encoding="utf-8").splitlines()
+    """The Finding about the Debian packages that the workspace needs."""
+    lines = (root / "apt-packages.txt").read_text(encoding="utf-8").splitlines()
     wanted = [name for name in (line.partition("#")[0].strip() for line in lines) if name]
     script = "dpkg-query -W -f '${Package} ${db:Status-Status}\\n' %s 2>/dev/null" % shlex.join(wanted)
     found = session.limited(script, _COMMAND_S).out.splitlines()
     missing = [name for name in wanted if "%s installed" % name not in found]
     if not missing:
-        return [finding("packages", "all", count=len(wanted))]
+        return finding("packages", "all", count=len(wanted))
     names = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
-    return [finding("packages", "missing", count=len(missing), names=names, folder=shlex.quote(str(root)))]
+    return finding("packages", "missing", count=len(missing), names=names, folder=shlex.quote(str(root)))
 
 
 def _verify(session, description):
@@ -170,6 +132,6 @@ def _verify(session, description):
         return finding("env-loader", "fails_after_deploy", **values)
     answer = session.loaded(["python", "-m", workspace_digest.__name__, computer.workspace], _COMMAND_S)
     try:
-        return workspace_digest.compare(description, workspace_digest.from_output(answer.out))
+        return workspace_digest.compare(description, answer.told(workspace_digest.Workspace))
     except ValueError:
         return finding("workspace", "python_fails", reason=answer.reason(), folder=computer.workspace)

@@ -4,7 +4,7 @@ import os
 import posixpath
 import re
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import roslaunch
 from roslaunch.arg_dump import get_args
@@ -12,12 +12,15 @@ from roslaunch.core import RLException, is_machine_local
 
 from ardrone_autonomy.protocol import DEFAULT_ADDRESS
 
-_VIRTUAL_LAB = "virtual_lab"  # node types that begin so bring the vehicles and the Cortex of a launch file with them
+_VIRTUAL_LAB = (
+    "virtual_lab"  # node types that begin so bring vehicles and Cortex with them: they are there only when it runs
+)
+_RECORDERS = ("data_extraction", "recorder"), ("rosbag", "record")
 _BAG_OPTIONS = "-O", "--output-name", "-o", "--output-prefix"  # of rosbag record
 
 
 class ExperimentError(Exception):
-    """The launch file cannot be used; the text says why and what to do."""
+    """The experiment cannot be used; the text says why and what to do."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,11 @@ class Computer:
         return self.address if self.user is None else "%s@%s" % (self.user, self.address)
 
     @property
+    def needs_login(self):
+        """Whether roslaunch goes there by ssh."""
+        return self.nodes > 0 and not self.local and not self.unresolved
+
+    @property
     def loader_file(self):
         """The file that the env-loader is; before it there may be "env VARIABLE=VALUE"."""
         return shlex.split(self.env_loader)[-1]
@@ -63,31 +71,28 @@ class Experiment:
     path: str
     arguments: tuple  # "NAME:=VALUE"
     computers: tuple
-    cortex: tuple = ()  # addresses of the Cortex hosts that are asked, wherever the nodes run
-
-    def only(self, names):
-        """The same with some of its computers. Raises ExperimentError for a name that the file has not."""
-        known = [computer.name for computer in self.computers]
-        unknown = [name for name in names if name not in known]
-        if unknown:
-            raise ExperimentError("%s has no machine %s: it has %s" % (self.path, unknown[0], ", ".join(known)))
-        return replace(self, computers=tuple(c for c in self.computers if c.name in names))
 
 
-def load_experiment(path, arguments=()):
-    """Read a launch file. arguments: texts "NAME:=VALUE". Raises ExperimentError."""
+def load_experiment(path, arguments=(), only=None):
+    """Read a launch file. Raises ExperimentError.
+
+    arguments: texts "NAME:=VALUE".  only: names of the computers that matter, "risc2,risc3"; None = all of them.
+    """
     if not os.path.isfile(path):
         raise ExperimentError("there is no launch file %s" % path)
     try:
-        _check_arguments(path, arguments)
+        known = get_args([path])
+        for name in (argument.partition(":=")[0] for argument in arguments):
+            if name not in known:  # roslaunch ignores these: a misspelt address would go unnoticed
+                raise ExperimentError("%s has no argument %s: it has %s" % (path, name, ", ".join(sorted(known))))
         config = roslaunch.config.ROSLaunchConfig()
         loader = roslaunch.xmlloader.XmlLoader()
         loader.ignore_unset_args = False  # roslaunch has no default for it here
-        loader.load(str(path), config, argv=list(arguments), verbose=False)
+        loader.load(path, config, argv=list(arguments), verbose=False)
+        if config.config_errors:
+            raise RLException(config.config_errors[0])
     except (RLException, roslaunch.xmlloader.XmlParseException) as problem:
         raise ExperimentError("roslaunch cannot read %s: %s" % (path, " ".join(str(problem).split()))) from None
-    if config.config_errors:
-        raise ExperimentError("roslaunch cannot read %s: %s" % (path, config.config_errors[0]))
     machines = {name: machine for name, machine in config.machines.items() if name}
     if not machines:
         raise ExperimentError("%s has no <machine> tags: all of it runs on this computer (./maap doctor)" % path)
@@ -95,33 +100,34 @@ def load_experiment(path, arguments=()):
         if node.machine_name and node.machine_name not in machines:
             raise ExperimentError("%s: node %s is for machine %s, which no <machine> tag declares"
                                   % (path, node.name, node.machine_name))  # fmt: skip
+    for name in only.split(",") if only else ():
+        if name not in machines:
+            raise ExperimentError("%s has no machine %s: it has %s" % (path, name, ", ".join(machines)))
     fleet = loader.root_context.resolve_dict.get("arg", {}).get("fleet", "")
-    computers = tuple(_computer(machine, config, fleet) for machine in machines.values())
-    return Experiment(str(path), tuple(arguments), computers, _cortex(config, config.nodes))
-
-
-def _check_arguments(path, arguments):
-    """roslaunch ignores arguments that a file has not: a misspelt address would go unnoticed."""
-    known = get_args([str(path)])
-    for argument in arguments:
-        name = argument.partition(":=")[0]
-        if name not in known:
-            raise ExperimentError("%s has no argument %s: it has %s" % (path, name, ", ".join(sorted(known))))
-
-
-_RECORDERS = {("data_extraction", "recorder"), ("rosbag", "record")}
+    wanted = [machine for name, machine in machines.items() if not only or name in only.split(",")]
+    computers = tuple(_computer(machine, config, fleet) for machine in wanted)
+    return Experiment(path, tuple(arguments), computers)
 
 
 def _computer(machine, config, fleet):
     nodes = [node for node in config.nodes if node.machine_name == machine.name]
-    local, unresolved = False, ""
+    lab = any(node.type.startswith(_VIRTUAL_LAB) for node in config.nodes)
+    local, unresolved, joysticks, vehicles, cortex, bags = False, "", [], [], [], []
     try:
         local = is_machine_local(machine)
     except RLException:
         unresolved = machine.address
-    joysticks = [_value(config, node, "dev") for node in nodes if node.type == "joy_node"]
-    drivers = [node for node in nodes if node.type == "ardrone_driver" and not _with_lab(config)]
-    bags = [_bag_folder(node.args) for node in nodes if (node.package, node.type) in _RECORDERS]
+    for node in nodes:
+        own = _parameters(config, node)
+        if node.type == "joy_node":
+            joysticks.append(own.get("dev"))
+        elif node.type == "ardrone_driver" and not lab:
+            each = [value for key, value in own.items() if re.fullmatch("(vehicles/.*/)?drone_ip", key)]
+            vehicles += each or [DEFAULT_ADDRESS]
+        elif node.type == "stream_markers" and not lab:
+            cortex.append(own.get("host"))
+        elif (node.package, node.type) in _RECORDERS:
+            bags.append(_bag_folder(node.args))
     return Computer(
         name=machine.name,
         address=machine.address,
@@ -133,28 +139,17 @@ def _computer(machine, config, fleet):
         local=local,
         unresolved=unresolved,
         nodes=len(nodes),
-        joysticks=tuple(dict.fromkeys(filter(None, joysticks))),
-        vehicles=tuple(dict.fromkeys(address for node in drivers for address in _vehicle_addresses(config, node))),
-        cortex=_cortex(config, nodes),
+        joysticks=_different(joysticks),
+        vehicles=_different(vehicles),
+        cortex=_different(cortex),
         bag_folder=next(filter(None, bags), ""),
         fleet=fleet,
     )
 
 
-def _with_lab(config):
-    """Whether the launch file starts the virtual lab: then vehicles and Cortex are there only when it runs."""
-    return any(node.type.startswith(_VIRTUAL_LAB) for node in config.nodes)
-
-
-def _cortex(config, nodes):
-    """The Cortex hosts that these nodes ask."""
-    readers = [node for node in nodes if node.type == "stream_markers" and not _with_lab(config)]
-    return tuple(dict.fromkeys(filter(None, (_value(config, node, "host") for node in readers))))
-
-
-def _value(config, node, name):
-    """Value of a node's own parameter as text, "" when the launch file gives none."""
-    return str(_parameters(config, node).get(name, ""))
+def _different(values):
+    """Texts of what is not empty, each once."""
+    return tuple(dict.fromkeys(str(value) for value in values if value))
 
 
 def _parameters(config, node):
@@ -162,13 +157,6 @@ def _parameters(config, node):
     prefix = node.namespace + node.name + "/"
     values = {key[len(prefix) :]: param.value for key, param in config.params.items() if key.startswith(prefix)}
     return {**values.get("mocap", {}), **values}
-
-
-def _vehicle_addresses(config, driver):
-    """Addresses of the vehicles that a driver node is for."""
-    own = _parameters(config, driver)
-    each = [str(value) for key, value in own.items() if re.fullmatch("(vehicles/.*/)?drone_ip", key)]
-    return each or [DEFAULT_ADDRESS]
 
 
 def _bag_folder(arguments):

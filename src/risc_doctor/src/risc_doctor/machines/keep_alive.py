@@ -11,9 +11,10 @@ _SOON_S = 6
 _LIMIT_S = 15.0
 _NOT_ROOT = 77
 _ILL = "sshd there does not notice dead connections: the nodes of a lost launch may run on"
-_AS_ROOT = 'sudo=; [ "$(id -u)" -eq 0 ] || { sudo -n true 2>/dev/null && sudo=sudo; } || exit %d;' % _NOT_ROOT
-# The sshd that listens is an ancestor of this very login, so it is found without systemd, too. $sshd: its command.
-_LISTENER = """
+# Beginning of each script: $sudo. The sshd that listens is an ancestor of this very login, so it is found without
+# systemd, too. $sshd: its command.
+_AS_ROOT = """
+sudo=; [ "$(id -u)" -eq 0 ] || { sudo -n true 2>/dev/null && sudo=sudo; } || exit %d;
 sshd=/usr/sbin/sshd;
 listener=;
 pid=$$;
@@ -24,28 +25,26 @@ while [ "$pid" -gt 1 ]; do
     "sshd: "*" [listener]"*)
       listener=$pid;
       sshd=${words#sshd: };
-      sshd=${sshd%% \\[listener]*};
+      sshd=${sshd%%%% \\[listener]*};
       break;;
   esac;
 done;
-"""
-# As root: what sshd makes of all its files for a login like this. Whether the listener has read them cannot be asked.
+""" % _NOT_ROOT  # fmt: skip
+# What sshd makes of all its files for a login like this. Whether the listener has read them cannot be asked.
 _READ = """
 set -- $SSH_CONNECTION;
 $sudo $sshd -T -C "user=$(id -un),host=$1,addr=$1,laddr=$3,lport=$4"
 """
-# As root: let the listener read its files (the HUP is what `systemctl reload ssh` sends). Sessions that are open stay
-# open. As that does, ask sshd first: with a mistake in its settings, the listener would end: no more logins.
-_RELOAD = """
-$sudo $sshd -t || { $undo; exit 1; };
-[ -z "$listener" ] || $sudo kill -HUP "$listener"
-"""
-_READ_AGAIN = "undo=:;" + _RELOAD
 _WRITE = """
 set -e;
-undo=:;
 [ -e %s ] || undo="$sudo rm %s";
 printf '%s' | $sudo tee %s >/dev/null;
+"""
+# Let the listener read its files (the HUP is what `systemctl reload ssh` sends). Sessions that are open stay open. As
+# that does, ask sshd first: with a mistake in its settings, the listener would end: no more logins.
+_RELOAD = """
+$sudo $sshd -t || { ${undo:-:}; exit 1; };
+[ -z "$listener" ] || $sudo kill -HUP "$listener"
 """
 
 
@@ -59,17 +58,15 @@ def write(session):
     """Write the settings when they are missing, and have them read, where the login may. Returns the Finding."""
     good, state = _look(session)
     content = TEXT.replace("\n", "\\n")
-    if good:  # by the files; the setup that wrote them may have been cut off before it told sshd
-        answer = _run(session, _READ_AGAIN)
-        if answer.code in (0, _NOT_ROOT):
-            return finding("keep-alive", "good", state=state)
-        state += ", but could not be told to read its settings"
-    else:
-        answer = _run(session, _WRITE % (FILE, FILE, content, FILE) + _RELOAD)
+    # good by the files: the setup that wrote them may have been cut off before it told sshd
+    answer = _run(session, _RELOAD if good else _WRITE % (FILE, FILE, content, FILE) + _RELOAD)
+    if good and answer.code in (0, _NOT_ROOT):
+        return finding("keep-alive", "good", state=state)
     if answer.code == 0:
         good, state = _look(session)
         return finding("keep-alive", "written" if good else "without_effect", file=FILE, state=state)
     why = "this login is not root there" if answer.code == _NOT_ROOT else answer.reason()
+    state += ", but could not be told to read its settings" if good else ""
     return finding("keep-alive", "not_written", file=FILE, state=state, why=why, content=content)
 
 
@@ -93,4 +90,4 @@ def _look(session):
 
 def _run(session, script):
     """Run a script as root, with what it needs to know of sshd. Where the login is not root: an Answer _NOT_ROOT."""
-    return session.limited(" ".join((_AS_ROOT + _LISTENER + script).split("\n")), _LIMIT_S)  # csh quotes no line ends
+    return session.limited(" ".join((_AS_ROOT + script).split("\n")), _LIMIT_S)  # csh quotes no line ends

@@ -1,38 +1,43 @@
-"""Would topics flow between this computer and another one, in both directions? Connections as nodes make them tell."""
+"""Would topics flow between this computer and another one, in both directions? Connections as nodes make them tell.
+
+`python -m risc_doctor.machines.topics SECONDS` is the far end and stands for a node on that computer: it prints one
+line of JSON, whether it reaches the master, and where others would find its topics; there it waits for a connection.
+"""
 
 import contextlib
 import json
+import os
 import socket
+import sys
 from urllib.parse import urlsplit
 
-from risc_doctor.findings import Findings
-from risc_doctor.machines.echo import trouble_with
+from rosgraph.network import get_host_name
 
+from risc_doctor.findings import Findings
+
+_REACH_S = 2.0
 _START_S = 15.0  # for Python to start on a slow laptop
-_ECHO = ["python", "-m", "risc_doctor.machines.echo", "5"]
+_FAR_END = ["python", "-m", "risc_doctor.machines.topics", "5"]
 
 
 def check(session, here):
     """Findings: one for each direction that fails. here: our address for all machines."""
     with socket.create_server(("", 0)) as ours:  # in place of the master and of nodes here
         uri = "http://%s:%d" % (here, ours.getsockname()[1])
-        channel = session.channel(session.loaded_line(_ECHO, 2.0 * _START_S, uri))
-        channel.settimeout(_START_S)
-        try:
-            lines = channel.makefile("r")
-            there = next(filter(None, map(outcome, lines)), None)
-            if there is None:
-                last = channel.makefile_stderr("r").read().strip().splitlines()
-                return Findings("topics").say("no_program", reason=last[-1] if last else "it prints nothing")
-            return judge(session.computer, uri, there, trouble_with(there["uri"]))
-        except TimeoutError:
-            return Findings("topics").say("no_program", reason="it takes too long")
-        finally:
-            channel.close()
+        line = session.loaded_line(_FAR_END, 2.0 * _START_S, uri)
+        with contextlib.closing(session.channel(line, _START_S)) as channel:
+            try:
+                there = next(filter(None, map(outcome, channel.makefile("r"))), None)
+                if there is None:
+                    last = channel.makefile_stderr("r").read().strip().splitlines() or ["it prints nothing"]
+                    return Findings("topics").say("no_program", reason=last[-1])
+                return judge(session.computer, uri, there, trouble_with(there["uri"]))
+            except TimeoutError:
+                return Findings("topics").say("no_program", reason="it takes too long")
 
 
 def outcome(line):
-    """What echo printed, None when it is no such line. An env-loader may have printed before."""
+    """What the far end printed, None when it is no such line. An env-loader may have printed before."""
     with contextlib.suppress(ValueError):
         found = json.loads(line)
         if isinstance(found, dict) and "master_uri" in found:
@@ -60,3 +65,32 @@ def _addresses(name):
     with contextlib.suppress(OSError):
         return {name} | {info[4][0] for info in socket.getaddrinfo(name, None)}
     return {name}
+
+
+def trouble_with(uri):
+    """Why no program answers at http://HOST:PORT/ as seen from this computer; "" when one does."""
+    parts = urlsplit(uri)
+    try:
+        socket.create_connection((parts.hostname, parts.port), _REACH_S).close()
+    except socket.gaierror:
+        return "the name %s cannot be resolved" % parts.hostname
+    except TimeoutError:
+        return "no answer from %s" % parts.netloc
+    except OSError as error:
+        return "%s: %s" % (parts.netloc, error.strerror or error)
+    return ""
+
+
+def main(limit_s):
+    """Stand for a node."""
+    with socket.create_server(("", 0)) as server:
+        master_uri = os.environ["ROS_MASTER_URI"]
+        own_uri = "http://%s:%d" % (get_host_name(), server.getsockname()[1])  # as a node tells it to its master
+        print(json.dumps({"master_uri": master_uri, "trouble": trouble_with(master_uri), "uri": own_uri}), flush=True)
+        server.settimeout(limit_s)
+        with contextlib.suppress(TimeoutError):
+            server.accept()[0].close()
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]))

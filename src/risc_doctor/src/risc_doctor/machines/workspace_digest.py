@@ -1,7 +1,7 @@
 """Is the workspace on two computers the same? What it is made of, file by file, and what it was made from.
 
-`python -m risc_doctor.machines.workspace_digest FOLDER` prints that of a workspace, and its folder, as JSON.
-When there is none in FOLDER (a link from outside the workspace led to coop.sh), it is the one that is sourced.
+`python -m risc_doctor.machines.workspace_digest FOLDER` prints that of a workspace as JSON. When there is none in
+FOLDER (a link from outside the workspace led to coop.sh), it is the one that is sourced.
 """
 
 import fnmatch
@@ -10,11 +10,14 @@ import json
 import os
 import pathlib
 import sys
+from dataclasses import dataclass
+
+import msgspec
 
 from risc_doctor.findings import finding
 from risc_lab.revision import revision
 
-DEPLOYED = ".deployed"  # what `machines deploy` leaves there: JSON with revision, hash, time, from
+DEPLOYED = ".deployed"  # what `machines deploy` leaves there: JSON with the revision
 _PARTS = "src", "launch", "devel", "install", "maap", "requirements.txt", ".venv/.requirements"
 _BUILT = "devel/", "install/"
 # made by running or editing it, or nothing that runs
@@ -26,53 +29,48 @@ KEPT_THERE = "*.yaml", "*.bag", "*.ini", "*.csv"  # what people and programs put
 _NAMED = 3  # how many differing files a sentence names
 
 
+@dataclass(frozen=True)
+class Workspace:
+    """What a workspace is made of."""
+
+    folder: str
+    revision: str | None  # None: not known
+    built: bool
+    files: dict[str, str]  # {path: hash}
+
+    @property
+    def content(self):
+        """One text for all files."""
+        lines = "\n".join("%s %s" % item for item in sorted(self.files.items()))
+        return hashlib.sha256(lines.encode()).hexdigest()[:12]
+
+
 def describe(root):
-    """What a workspace is made of: {"revision", "built", "files": {path: hash}}. root: its folder."""
+    """The Workspace in a folder."""
     root = pathlib.Path(root)
-    return {
-        "revision": revision(root) or _deployed(root).get("revision"),
-        "built": _is_built(root),
-        "files": {str(path.relative_to(root)): _hash(path) for path in _files(root)},
-    }
-
-
-def from_output(printed):
-    """What the program printed last: a description with its "folder". Raises ValueError when it is none."""
-    try:
-        found = json.loads(printed.splitlines()[-1])
-        if isinstance(found["files"], dict) and {"revision", "built"} <= set(found):
-            return found
-    except (IndexError, KeyError, TypeError):
-        pass
-    raise ValueError("no description of a workspace: %r" % printed[-200:])
-
-
-def content_hash(description):
-    """One text for all files of a workspace."""
-    lines = "\n".join("%s %s" % item for item in sorted(description["files"].items()))
-    return hashlib.sha256(lines.encode()).hexdigest()[:12]
+    files = {str(path.relative_to(root)): _hash(path) for path in _files(root)}
+    return Workspace(str(root), revision(root) or _deployed(root).get("revision"), _is_built(root), files)
 
 
 def compare(here, there):
-    """The Finding about the workspace of another computer. here, there: of `describe`."""
-    differing = {path for path, value in here["files"].items() if there["files"].get(path) != value}
-    extra = {path for path in there["files"] if path not in here["files"]}
-    own = {path for path in differing if fnmatch.fnmatch(path, CALIBRATIONS) and path in there["files"]}
+    """The Finding about the Workspace of another computer."""
+    differing = {path for path, value in here.files.items() if there.files.get(path) != value}
+    extra = there.files.keys() - here.files.keys()
+    own = {path for path in differing if fnmatch.fnmatch(path, CALIBRATIONS) and path in there.files}
     own |= {path for path in extra if _matches(path, KEPT_THERE)}
     strange = (differing | extra) - own
-    revision = "revision %s" % (there["revision"] or "unknown")
-    if not there["built"]:
-        return finding("workspace", "not_built", revision=revision)
-    if here["revision"] != there["revision"]:
-        revision += ", here %s" % (here["revision"] or "unknown")
     source = {path for path in strange if not path.startswith(_BUILT)}
-    if source:
-        return finding("workspace", "another", revision=revision, files=_differ(source))
-    if strange:
-        return finding("workspace", "another_build", revision=revision, files=_differ(strange))
-    if own & differing:
-        return finding("workspace", "own_calibration", revision=revision, files=", ".join(sorted(own & differing)))
-    return finding("workspace", "same", revision=revision, content=content_hash(here))
+    text = "revision %s" % (there.revision or "unknown")
+    if here.revision != there.revision and there.built:
+        text += ", here %s" % (here.revision or "unknown")
+    code, files = "same", ""
+    if not there.built:
+        code = "not_built"
+    elif strange:
+        code, files = "another" if source else "another_build", _differ(source or strange)
+    elif own & differing:
+        code, files = "own_calibration", ", ".join(sorted(own & differing))
+    return finding("workspace", code, revision=text, files=files, content=here.content)
 
 
 def _differ(paths):
@@ -87,11 +85,9 @@ def _files(root):
         path = root / part
         if path.is_file():
             yield path
-        for folder, folders, names in os.walk(str(path)):
+        for folder, folders, names in os.walk(path):
             folders[:] = [name for name in folders if not _matches(name, _NOT_COMPARED)]
-            for name in names:
-                if not _matches(name, _NOT_COMPARED):
-                    yield pathlib.Path(folder) / name
+            yield from (pathlib.Path(folder, name) for name in names if not _matches(name, _NOT_COMPARED))
 
 
 def _matches(name, patterns):
@@ -100,7 +96,7 @@ def _matches(name, patterns):
 
 def _hash(path):
     if path.is_symlink():
-        return "-> " + os.readlink(str(path))
+        return "-> " + os.readlink(path)
     return hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
 
 
@@ -120,7 +116,7 @@ def main(folder):
     root, sourced = pathlib.Path(folder), os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)[0]
     if sourced and not _is_built(root):
         root = pathlib.Path(sourced).parent
-    print(json.dumps(dict(describe(root), folder=str(root))))
+    print(msgspec.json.encode(describe(root)).decode())
 
 
 if __name__ == "__main__":

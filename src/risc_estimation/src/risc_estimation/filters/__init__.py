@@ -10,6 +10,7 @@ import enum
 
 import numpy as np
 
+from risc_lab.compiled import with_row
 from risc_lab.registry import Registry
 from risc_lab.settings import settings_from
 from risc_lab.states import S
@@ -44,8 +45,7 @@ class VelocityFilter:
 
     def add_body(self, template):
         """One more row. template: risc_lab.lab.templates.Template; of an attached body the attitude means nothing."""
-        self.states = np.concatenate([self.states, np.zeros((1, len(S)))])
-        self.visible = np.append(self.visible, False)
+        self.states, self.visible = with_row(self.states), with_row(self.visible)
 
     def reset(self):
         """Forget all measurements: their times mean nothing on the clock that the next frame has."""

@@ -27,7 +27,7 @@ class VehicleCameras:
         self._default = default_calibration
         self._lock = threading.Lock()  # every camera_info has a thread of its own
         self._namespace = {vehicle.template: vehicle.namespace for vehicle in fleet}
-        self._calibrations, self._cameras, self._sources, self._problems = {}, {}, {}, {}
+        self._known, self._problems = {}, {}  # namespace: (CameraCalibration, Camera, where from); what is wrong
         self._subscribers, self._first_asked_s = {}, {}
         for vehicle in fleet:
             calibration = load_calibration(vehicle.calibration or default_calibration)
@@ -41,7 +41,7 @@ class VehicleCameras:
         namespace = self._namespace.get(name, name)
         self._listen(namespace)
         with self._lock:
-            camera = self._cameras.get(namespace)
+            _, camera, _ = self._known.get(namespace, (None, None, ""))
             first_s = self._first_asked_s.setdefault(namespace, time.monotonic())
         if camera is None and time.monotonic() - first_s > _PATIENCE_S:
             self._complain(
@@ -54,12 +54,12 @@ class VehicleCameras:
     def sources(self):
         """{namespace: where its camera comes from}, for diagnostics."""
         with self._lock:
-            return dict(self._sources)
+            return {name: source for name, (_, _, source) in self._known.items()}
 
     def problems(self):
         """{namespace: what is wrong}, for diagnostics; only of vehicles that have no camera."""
         with self._lock:
-            return {name: text for name, text in self._problems.items() if name not in self._cameras}
+            return {name: text for name, text in self._problems.items() if name not in self._known}
 
     def _listen(self, namespace):
         with self._lock:
@@ -81,15 +81,12 @@ class VehicleCameras:
 
     def _accept(self, namespace, calibration, source):
         with self._lock:
-            if self._calibrations.get(namespace) == calibration:
-                self._sources[namespace] = source
-                return
-        camera = make_camera(calibration, self._rectified)
+            before, camera, _ = self._known.get(namespace, (None, None, ""))
+        if before != calibration:
+            camera = make_camera(calibration, self._rectified)
+            rospy.loginfo("%s: camera from %s (%s)", namespace, source, calibration.name)
         with self._lock:
-            self._calibrations[namespace] = calibration
-            self._cameras[namespace] = camera
-            self._sources[namespace] = source
-        rospy.loginfo("%s: camera from %s (%s)", namespace, source, calibration.name)
+            self._known[namespace] = calibration, camera, source
 
     def _complain(self, namespace, text):
         with self._lock:

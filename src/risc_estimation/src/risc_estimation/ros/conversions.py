@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from risc_lab.compiled import compiled
-from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays, MocapArrays
+from risc_lab.ros.fleet_messages import CortexArrays, LandmarksArrays
 from risc_lab.states import S
 from risc_maap_msgs.msg import BodyPose, BodyPoses, StateCovariance, StateCovariances
 
@@ -26,14 +26,6 @@ def frame_id_for(frame_id):
 def header_for(header):
     """Header of a message derived from one with `header`: same stamp."""
     return Header(stamp=header.stamp, frame_id=frame_id_for(header.frame_id))
-
-
-def mocap_message(header, layout, markers_m):
-    """Mocap_data of ((name, number of markers), ...) and (markers, 3) of all bodies [m], cortex frame."""
-    message = MocapArrays(layout)
-    message.header = header
-    message.markers_m[:] = markers_m
-    return message
 
 
 def poses_to_msg(header, poses):

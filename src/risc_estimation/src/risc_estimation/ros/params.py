@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-import rospy
-
-from risc_estimation.filters import DEFAULT, REGISTRY, make_filter
+from risc_estimation.filters import DEFAULT
 from risc_lab.settings import Name, NotNegative, Positive, Settings
 
 
@@ -24,17 +22,6 @@ class NodeParams(Settings):
     def queue_frames(self, rate_hz):
         """How many frames may wait at a rate of motion capture [Hz]."""
         return max(int(self.queue_s * rate_hz + 1e-6), 1)
-
-
-def load_filter():
-    """(velocity filter of the parameter ~filter, names of its settings). Private parameters come before its YAML file.
-
-    Raises ValueError for an unknown filter or a bad value.
-    """
-    told = rospy.get_param("~", {})
-    name = told.get("filter", DEFAULT)
-    keys = REGISTRY.settings(name)
-    return make_filter(name, {key: told[key] for key in keys if key in told}), keys
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import yaml
 
-from risc_lab.lab.yaml_reader import errors_of, load_yaml, package_file
+from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Count, Settings, Vector, between, settings_from
 
 DISTORTION_MODEL = "plumb_bob"
@@ -155,8 +155,11 @@ def load_calibration(url):
     if not url:
         return None
     path = resolve_url(url)
-    with errors_of(path):
-        return read_calibration(path).usable()
+    calibration = read_calibration(path)
+    try:
+        return calibration.usable()
+    except ValueError as error:
+        raise ValueError("%s: %s" % (path, error)) from error
 
 
 def save_calibration(calibration, path):
@@ -173,14 +176,8 @@ def save_calibration(calibration, path):
     for (key, shape), data in zip(_SHAPES.items(), (calibration.K, calibration.D, calibration.R, calibration.P)):
         rows, cols = shape or (1, len(data))
         content[key] = {"rows": rows, "cols": cols, "data": [float(value) for value in data]}
-    path = pathlib.Path(path).resolve()  # a link stays a link
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name("%s.%d" % (path.name, os.getpid()))
-    try:
-        temporary.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None), encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    pathlib.Path(path).resolve().parent.mkdir(parents=True, exist_ok=True)
+    _replace(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
 
 
 def load_mount(url):
@@ -196,7 +193,7 @@ def load_mount(url):
 
 
 def save_mount(mount, path):
-    """Write a camera mount that load_mount reads. Raises OSError."""
+    """Write a camera mount that load_mount reads; the old file stays whole until then. Raises OSError."""
     degrees = map(math.degrees, (mount.roll_rad, mount.pitch_rad, mount.yaw_rad))
     content = {
         "position_m": [float(value) for value in mount.position_m],
@@ -204,4 +201,18 @@ def save_mount(mount, path):
     }
     text = "# Front camera in body axes (x nose, y right wing, z belly).\n"
     text += yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    pathlib.Path(path).write_text(text, encoding="utf-8")
+    _replace(path, text)
+
+
+def _replace(path, text):
+    """At one go: half a file is never there, not even when the computer is switched off."""
+    path = pathlib.Path(path).resolve()  # a link stays a link
+    temporary = path.with_name("%s.%d" % (path.name, os.getpid()))
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

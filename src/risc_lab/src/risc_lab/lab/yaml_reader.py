@@ -1,6 +1,5 @@
 """Reading YAML files strictly: every problem is one ValueError that names the file, the key and the cure."""
 
-import contextlib
 import os
 import pathlib
 import re
@@ -79,13 +78,3 @@ def load_yaml(path):
     if not isinstance(content, dict):
         raise ValueError("%s must hold `key: value` lines, found %s" % (path, type(content).__name__))
     return content
-
-
-@contextlib.contextmanager
-def errors_of(where):
-    """Begins a ValueError from within with `where`, e.g. the path of a file, unless it begins so already."""
-    try:
-        yield
-    except ValueError as error:
-        text = str(error)
-        raise ValueError(text if text.startswith(str(where)) else "%s: %s" % (where, text)) from error

@@ -140,11 +140,10 @@ def all_marked_processes():
 def end_processes(identity):
     """End what is left of a flight. Returns {process id: command} of what that was."""
     leftovers = marked_processes(identity)
-    for pid in leftovers:
-        send_signal(pid, signal.SIGTERM)
-    wait_until(lambda: not marked_processes(identity), 3.0)
-    for pid in marked_processes(identity):
-        send_signal(pid, signal.SIGKILL)
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        for pid in marked_processes(identity):
+            send_signal(pid, number)
+        wait_until(lambda: not marked_processes(identity), 3.0)
     return leftovers
 
 

@@ -57,6 +57,8 @@ class Eye:
         if camera.by_fleet:
             calibration = fleet_vehicle.calibration or calibration
             self.mount = load_mount(fleet_vehicle.camera_mount) if fleet_vehicle.camera_mount else self.mount
+        if not calibration:
+            raise ValueError("the camera %s of type %s names no calibration file" % (camera.name, fleet_vehicle.type))
         self.camera = Camera(load_calibration(calibration))
         self._scene, self._seed = scene, seed
 

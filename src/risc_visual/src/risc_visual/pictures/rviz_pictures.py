@@ -357,14 +357,17 @@ def _deaf(master, topics, pairs):
 
 def _wait(missing, launch, screens=()):
     """Until missing() is empty. Raises RuntimeError with what is in it when that does not come true."""
+    reasons = []
 
     def over():
         for screen in screens:
             screen.check_programs()
-        return not missing() or not launch.running()
+        reasons[:] = missing()
+        return not reasons or not launch.running()
 
-    if not wait_until(over, START_PATIENCE_S) or missing():
-        raise RuntimeError("what draws did not start: %s\n%s" % ("; ".join(missing()), launch.log_tail()))
+    wait_until(over, START_PATIENCE_S)
+    if reasons:
+        raise RuntimeError("what draws did not start: %s\n%s" % ("; ".join(reasons), launch.log_tail()))
 
 
 def _wait_for_rest(launch):
@@ -391,10 +394,10 @@ def _play(bag_path, topics, start_s, stop_s, rate, network):
     command += ["--start=%.3f" % start_s, "--duration=%.3f" % (stop_s - start_s)]
     command += ["--topics", *topics, "--bags", str(bag_path), "__name:=player"]
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    timeout_s = (stop_s - start_s) / rate + PLAY_MARGIN_S
     try:
-        timeout_s = (stop_s - start_s) / rate + PLAY_MARGIN_S
         done = subprocess.run(command, env=dict(os.environ, **network), timeout=timeout_s, **pipes)
-    except subprocess.TimeoutExpired as error:
-        raise RuntimeError("rosbag play does not end:\n%s" % (error.stdout or "")) from None
+    except subprocess.TimeoutExpired:
+        raise RuntimeError("rosbag play of %s does not end within %g s" % (bag_path, timeout_s)) from None
     if done.returncode:
         raise RuntimeError("rosbag play failed:\n" + done.stdout)

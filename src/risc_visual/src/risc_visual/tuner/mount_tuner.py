@@ -3,25 +3,13 @@
 A mount as six numbers, x, y, z [m] and roll, pitch, yaw [deg], is what sliders show and texts say.
 """
 
-import contextlib
 import math
-import os
 import threading
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from risc_estimation.mount_fit import (
-    FitParams,
-    fit_mount,
-    pixel_errors,
-    ray_errors,
-    right_ones,
-    root_mean_square,
-    standard_deviations,
-    weak_values,
-)
+from risc_estimation.mount_fit import FitParams, fit_mount, misses, standard_deviations, weak_values
 from risc_estimation.mount_samples import BearingWindow
 from risc_lab.lab.calibration import CameraMount, load_mount, resolve_url, save_mount
 from risc_lab.settings import Positive, Settings
@@ -44,25 +32,6 @@ class TunerParams(Settings):
     camera: str = "ardrone"  # namespace of the pictures below the vehicle's
 
 
-class Misses(NamedTuple):
-    """By how much rays miss their landmarks."""
-
-    rms_deg: float  # NaN: no bearings
-    rms_px: float  # NaN: no bearings, or the camera is not known
-    count: int  # bearings that count
-    wrong: int  # others, too far off to be believed
-
-    @property
-    def wrong_share(self):
-        """Of all of them; 0 if there are none."""
-        return self.wrong / max(self.wrong + self.count, 1)
-
-    def __str__(self):
-        pixels = "" if math.isnan(self.rms_px) else " (%.1f px)" % self.rms_px
-        wrong = ", %d wrong left out" % self.wrong if self.wrong else ""
-        return "%.2f deg%s RMS of %d bearings%s" % (self.rms_deg, pixels, self.count, wrong)
-
-
 class MountTuner:
     """One vehicle's camera. What is done is answered by (whether it was done, a sentence with figures).
 
@@ -71,7 +40,7 @@ class MountTuner:
 
     def __init__(self, vehicle, params=None, window_params=None, fit_params=None):
         """vehicle: FleetVehicle. Raises ValueError for a mount file that is not usable, unless params.nominal."""
-        self.vehicle = vehicle
+        self.vehicle, self.name, self.template = vehicle, vehicle.namespace, vehicle.template
         self._params = params or TunerParams()
         self._fit_params = fit_params or FitParams()
         self._from_file = bool(vehicle.camera_mount) and not self._params.nominal
@@ -79,8 +48,9 @@ class MountTuner:
         self.mount = self._first  # replaced as a whole
         self._lock = threading.Lock()  # held to replace it: `change` keeps some of its numbers
         self.window = BearingWindow(window_params)
-
-    # -------- what sliders and handles do
+        self.acting = threading.Lock()  # for whoever calls: one action at a time
+        self.seen_s = self.answered_s = -math.inf  # when it was seen last, and answered last [s]
+        self.answer = ""  # the last one
 
     @property
     def numbers(self):
@@ -90,7 +60,7 @@ class MountTuner:
     def change(self, numbers):
         """Take {some of NUMBERS: value}; beyond the sliders' ends they stop there. Raises ValueError for NaN."""
         if not np.all(np.isfinite(list(numbers.values()))):
-            raise ValueError("%s: not moved: a mount needs finite numbers, got %r" % (self._name, numbers))
+            raise ValueError("%s: not moved: a mount needs finite numbers, got %r" % (self.name, numbers))
         with self._lock:
             self.mount = mount_of([numbers.get(key, value) for key, value in self.numbers.items()])
 
@@ -98,49 +68,44 @@ class MountTuner:
         """Whether such numbers are those of the mount."""
         return all(abs(numbers[key] - value) < _STEP for key, value in self.numbers.items())
 
-    # -------- what menu entries and services do
-
     def record(self):
         """Begin a new window."""
         self.window.restart()
-        return True, "%s: recording; fly where the camera sees landmarks, near and far, then solve" % self._name
+        return True, "%s: recording; fly where the camera sees landmarks, near and far, then solve" % self.name
 
     def solve(self, samples, camera=None):
         """Find the mount. samples: the first of window.samples(); camera: risc_lab.camera.Camera, for pixels."""
         start = self.mount
         try:
-            fit = fit_mount(samples, start, self._fit_params)
+            fit = fit_mount(samples, start, self._fit_params, camera)
         except ValueError as error:
-            return False, "%s: not solved: %s" % (self._name, error)
-        mount = mount_of(numbers_of(fit.mount))
+            return False, "%s: not solved: %s" % (self.name, error)
         with self._lock:
-            self.mount = mount
-        before, after = self._misses(start, samples, camera), self._misses(mount, samples, camera)
+            self.mount = mount_of(numbers_of(fit.mount))
+        was_deg = math.degrees(misses(samples, start, self._fit_params).rms_rad)
         std_mm = ", ".join("%.1f" % (1e3 * value) for value in fit.std[:3])
         std_deg = ", ".join("%.2f" % math.degrees(value) for value in fit.std[3:])
         sentences = [
-            "%s: solved: %s, was %.2f deg" % (self._name, after, before.rms_deg),
-            "%s; standard deviations %s mm, %s deg" % (text_of(mount), std_mm, std_deg),
+            "%s: solved: %s, was %.2f deg" % (self.name, fit.misses, was_deg),
+            "%s; standard deviations %s mm, %s deg" % (text_of(self.mount), std_mm, std_deg),
+            *("WARNING: " + text for text in fit.warnings),
         ]
-        sentences += ["WARNING: " + text for text in fit.warnings]
         return True, ". ".join(sentences)
 
     def check(self, samples, camera=None):
         """Judge the mount. samples: the second of window.samples(), which no solution has seen."""
-        if len(samples.times_s) < self._fit_params.samples_min:
-            return False, "%s: not checked: %d bearings were kept aside, %d are needed: record more" % (
-                self._name,
-                len(samples.times_s),
-                self._fit_params.samples_min,
-            )
-        misses = self.misses(samples, camera)
+        count, needed = len(samples.times_s), self._fit_params.samples_min
+        if count < needed:
+            text = "%s: not checked: %d bearings were kept aside, %d are needed: record more"
+            return False, text % (self.name, count, needed)
+        found = misses(samples, self.mount, self._fit_params, camera)
         faults = []
-        if not misses.rms_deg <= self._params.rms_good_deg:
+        if not math.degrees(found.rms_rad) <= self._params.rms_good_deg:
             faults.append("more than %.2f deg" % self._params.rms_good_deg)
-        if misses.wrong_share > self._fit_params.wrong_max:
+        if found.wrong_share > self._fit_params.wrong_max:
             faults.append("more than %.0f %% wrong" % (100.0 * self._fit_params.wrong_max))
         verdict = "NOT good, " + " and ".join(faults) if faults else "good"
-        return not faults, "%s: %s: %s kept aside" % (self._name, verdict, misses)
+        return not faults, "%s: %s: %s kept aside" % (self.name, verdict, found)
 
     def save(self):
         """Write the mount where the fleet says that it is; `reset` goes back to it from now on."""
@@ -148,72 +113,39 @@ class MountTuner:
         if not url:
             return False, (
                 "%s: not saved: the fleet file names no camera_mount for %s: add one, e.g. camera_mount: "
-                "%s_mount.yaml with its folder, and start again" % (self._name, self.vehicle.namespace, self._name)
+                "%s_mount.yaml with its folder, and start again" % (self.name, self.vehicle.namespace, self.name)
             )
         mount = self.mount
         try:
             path = resolve_url(url).resolve()
-            _write(mount, path)
+            save_mount(mount, path)
         except (OSError, ValueError) as error:
-            return False, "%s: not saved: cannot write %s: %s" % (self._name, url, error)
+            return False, "%s: not saved: cannot write %s: %s" % (self.name, url, error)
         with self._lock:
             self._first, self._from_file = mount, True
-        return True, "%s: saved to %s: %s" % (self._name, path, text_of(mount))
+        return True, "%s: saved to %s: %s" % (self.name, path, text_of(mount))
 
     def reset(self):
         """Back to the mount that was saved last, or that it began with."""
         with self._lock:
             mount = self.mount = self._first
             origin = "the file's" if self._from_file else "the nominal one"
-        return True, "%s: the mount is %s again: %s" % (self._name, origin, text_of(mount))
-
-    # -------- what the view shows
-
-    def misses(self, samples, camera=None):
-        """Misses of Samples with the present mount."""
-        return self._misses(self.mount, samples, camera)
-
-    def _misses(self, mount, samples, camera):
-        errors = ray_errors(samples, mount)
-        right = right_ones(errors, self._fit_params)
-        rms_px = math.nan
-        if camera is not None and right.any():
-            rms_px = root_mean_square(pixel_errors(samples.take(right), mount, camera))
-        return Misses(math.degrees(root_mean_square(errors[right])), rms_px, int(right.sum()), int((~right).sum()))
+        return True, "%s: the mount is %s again: %s" % (self.name, origin, text_of(mount))
 
     def lines(self, latest, to_solve, to_check, camera=None, seen=True):
         """Lines of the text beside the camera. latest: Samples of the last while; seen: by motion capture, now."""
         if not seen:
-            return ["%s: not seen by motion capture" % self._name]
-        misses = self.misses(latest, camera)
-        lines = ["%s: %s" % (self._name, misses if misses.count else "no landmark in view")]
+            return ["%s: not seen by motion capture" % self.name]
+        mount, params = self.mount, self._fit_params
+        found = misses(latest, mount, params, camera)
+        lines = ["%s: %s" % (self.name, found if found.right.size else "no landmark in view")]
         lines.append("window: %d bearings to solve on, %d to check on" % (len(to_solve.times_s), len(to_check.times_s)))
-        if len(to_solve.times_s) < self._fit_params.samples_min:
+        if len(to_solve.times_s) < params.samples_min:
             lines.append("too few to solve")
         else:
-            right = right_ones(ray_errors(to_solve, self.mount), self._fit_params)
-            std = standard_deviations(to_solve.take(right), self.mount, self._fit_params)
-            lines += weak_values(std, self._fit_params)
-        lines += ["left out: %d, %s" % (n, why) for why, n in sorted(self.window.refused.items())]
-        return lines
-
-    @property
-    def _name(self):
-        return self.vehicle.namespace
-
-
-def _write(mount, path):
-    """At one go: half a file is never there, not even when the computer is switched off. Raises OSError."""
-    new = path.with_name(path.name + ".new")
-    try:
-        save_mount(mount, new)
-        with new.open("rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(str(new), str(path))
-    except OSError:
-        with contextlib.suppress(OSError):  # what went wrong first is told
-            new.unlink()
-        raise
+            right = misses(to_solve, mount, params).right
+            lines += weak_values(standard_deviations(to_solve.take(right), mount, params), params)
+        return lines + ["left out: %d, %s" % (n, why) for why, n in sorted(self.window.refused.items())]
 
 
 def numbers_of(mount):

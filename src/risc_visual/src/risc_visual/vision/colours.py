@@ -33,8 +33,12 @@ class HsvRange(Settings):
 class Planes:
     """Hue, saturation and value of one picture, and its masks; what several paints share is computed once."""
 
-    def __init__(self, bgr):
-        """bgr: (h, w, 3) uint8."""
+    def __init__(self, bgr, shrink=1):
+        """bgr: (h, w, 3) uint8. shrink: by which factor the planes are smaller, which also averages the noise."""
+        if shrink != 1:
+            height, width = (side // shrink for side in bgr.shape[:2])
+            whole = bgr[: height * shrink, : width * shrink]
+            bgr = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
         self._planes = cv2.split(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV))
         self._ranges = {}
 
@@ -72,14 +76,6 @@ def as_bgr(image):
     if min(image.shape[:2]) < SIDE_MIN_PX or image.ndim == 2 or image.shape[2] == 1:
         return None
     return np.ascontiguousarray(image[:, :, :3])
-
-
-def shrunk(bgr, factor):
-    """The picture in which blobs are searched: smaller, which also averages its noise."""
-    if factor == 1:
-        return bgr
-    height, width = (side // factor for side in bgr.shape[:2])
-    return cv2.resize(bgr[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
 
 
 def check_paints(colours, item, keys):

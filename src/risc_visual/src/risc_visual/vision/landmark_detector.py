@@ -13,7 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from risc_visual.vision.colours import Planes, as_bgr, shrunk
+from risc_visual.vision.colours import Planes, as_bgr
 from risc_visual.vision.ellipses import (
     Ellipse,
     centre_covariance,
@@ -113,7 +113,7 @@ class LandmarkDetector:
         bgr = as_bgr(image)
         if bgr is None:
             return []
-        planes = planes or Planes(shrunk(bgr, self._limits.shrink))
+        planes = planes or Planes(bgr, self.shrink)
         kinds, colours = self._config.landmarks, self._config.colours
         masks = {paint: planes.mask(colours[paint]) for kind in kinds for paint in (kind.centre, kind.ring)}
         found = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, YAMLError
 from ruamel.yaml.comments import CommentedMap
 
 from risc_lab.settings import Settings, between
@@ -88,6 +88,6 @@ def save_colour(path, name, paint):
         new = path.with_name(path.name + ".new")
         file.dump(content, new)
         os.replace(new, path)
-    except OSError as error:
+    except (OSError, YAMLError) as error:
         raise ValueError("cannot write %s: %s" % (path, error)) from error
     return path

@@ -9,7 +9,7 @@ import numpy as np
 
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Name, Settings, between, settings_from
-from risc_visual.vision.colours import HsvRange, Planes, as_bgr, check_paints, shrunk
+from risc_visual.vision.colours import HsvRange, Planes, as_bgr, check_paints
 
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
@@ -108,7 +108,7 @@ class VehicleDetector:
         which can decide whose hull it is when only one of two paints is seen. Raises ValueError for no picture.
         """
         bgr = as_bgr(image)
-        return [] if bgr is None else self.detect_in(Planes(shrunk(bgr, self._limits.shrink)), observer)
+        return [] if bgr is None else self.detect_in(Planes(bgr, self.shrink), observer)
 
     def detect_in(self, planes, observer=None):
         """Same, from the colours.Planes of the shrunk picture, which other detectors may share."""

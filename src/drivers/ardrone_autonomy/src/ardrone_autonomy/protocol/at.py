@@ -65,21 +65,19 @@ class CtrlMode(IntEnum):
 # -200; turnaround, turnaround down; yaw shake; dances in yaw, phi, theta, vz, a wave, two mixed ones; four flips.
 FLIGHT_ANIMATIONS_MS = 6 * (1000,) + 2 * (5000,) + (2000,) + 7 * (5000,) + 4 * (15,)
 
-_INT32 = struct.Struct("<i")
 _UINT32 = struct.Struct("<I")
 _FLOAT32 = struct.Struct("<f")
+# The arguments of commands without strings as numbers, and the same bytes as integers.
+_NUMBERS = {
+    name: (
+        struct.Struct("<" + kinds),
+        struct.Struct("<%di" % len(kinds)),
+        b"AT*%s=%%d%s\r" % (name.encode(), b",%d" * len(kinds)),
+    )
+    for name, kinds in SIGNATURES.items()
+    if "s" not in kinds
+}
 _PADDING, _START, _SELECT = map(int, (Ref.PADDING, Ref.START, Ref.SELECT))  # IntFlag's operators are slow
-_STICKS, _PATTERNS = struct.Struct("<6f"), struct.Struct("<6i")  # the same bytes as floats and as integers
-
-
-def float_to_int(value):
-    """Signed integer with the bit pattern of a single-precision float; -0.0 becomes 0. ValueError if not finite."""
-    if not math.isfinite(value):
-        raise ValueError("an AT command cannot carry the float %r: send a finite number" % (value,))
-    try:
-        return _INT32.unpack(_FLOAT32.pack(value + 0.0))[0]  # + 0.0 turns -0.0 into 0.0
-    except OverflowError:
-        raise ValueError("%r does not fit a 32-bit float" % (value,)) from None
 
 
 def int_to_float(pattern):
@@ -99,40 +97,34 @@ def encode(name, sequence, *arguments):
     name: key of SIGNATURES.  sequence: one count for all commands of a socket; 1 resets the aircraft's.  arguments:
     ints, floats and strings as the signature says.  ValueError on a wrong count, kind or length.
     """
-    fields = ["%d" % sequence]
-    for kind, argument in zip(SIGNATURES[name], arguments, strict=True):
-        if kind == "s":
-            if any(c in '"\r\n\0' for c in argument):
-                raise ValueError("a string argument may not hold quotes, line ends or zeros: %r" % (argument,))
-            fields.append('"%s"' % argument)
-        elif kind == "f":
-            fields.append("%d" % float_to_int(argument))
-        else:
-            fields.append("%d" % argument)
+    if name not in _NUMBERS:
+        return _encode_strings(name, sequence, arguments)
+    numbers, integers, text = _NUMBERS[name]
     try:
-        command = ("AT*%s=%s\r" % (name, ",".join(fields))).encode("ascii")
-    except UnicodeEncodeError:
-        raise ValueError("AT commands are ASCII, got %r" % (arguments,)) from None
-    if len(command) > MAX_COMMAND_CHARS:
-        raise ValueError("an AT command has at most %d characters, got %d" % (MAX_COMMAND_CHARS, len(command)))
-    return command
+        if not all(map(math.isfinite, arguments)):
+            raise ValueError("not a finite number")
+        packed = numbers.pack(*[argument + 0 for argument in arguments])  # + 0 turns -0.0 into 0.0
+    except (struct.error, OverflowError, TypeError, ValueError) as error:
+        raise ValueError("the AT command %s cannot carry %r: %s" % (name, arguments, error)) from None
+    return text % (sequence, *integers.unpack(packed))
+
+
+def _encode_strings(name, sequence, arguments):
+    if len(arguments) != len(SIGNATURES[name]) or any(c in '"\r\n\0' for argument in arguments for c in argument):
+        raise ValueError(
+            "%s takes %d strings without quotes, line ends or zeros, got %r" % (name, len(SIGNATURES[name]), arguments)
+        )
+    text = "AT*%s=%d%s\r" % (name, sequence, "".join(',"%s"' % argument for argument in arguments))
+    if not text.isascii() or len(text) > MAX_COMMAND_CHARS:
+        raise ValueError("an AT command has at most %d characters of ASCII, got %r" % (MAX_COMMAND_CHARS, text))
+    return text.encode()
 
 
 def ref(sequence, start=False, select=False):
     """Take off / keep flying (start), land (not start); a rising edge of select toggles the emergency state."""
-    return b"AT*REF=%d,%d\r" % (sequence, _PADDING + _START * bool(start) + _SELECT * bool(select))
+    return encode("REF", sequence, _PADDING + _START * bool(start) + _SELECT * bool(select))
 
 
-def pcmd_mag(sequence, flags=0, roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, psi=0.0, psi_accuracy=0.0):
-    """Sticks in [-1, 1], clipped: roll + right, pitch + nose up (backward), gaz + up, yaw + clockwise from above.
-
-    psi, psi_accuracy: the pilot's magnetic heading and its error as fractions of 180 degrees.
-    """
-    sticks = [_stick(value) for value in (roll, pitch, gaz, yaw, psi, psi_accuracy)]
-    return b"AT*PCMD_MAG=%d,%d,%d,%d,%d,%d,%d,%d\r" % (sequence, flags, *_PATTERNS.unpack(_STICKS.pack(*sticks)))
-
-
-def _stick(value):
-    if not math.isfinite(value):
-        raise ValueError("a stick must be a finite number in [-1, 1], got %r" % (value,))
-    return min(1.0, max(-1.0, value)) + 0.0  # which turns -0.0 into 0.0
+def pcmd_mag(sequence, flags=0, roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0):
+    """Sticks in [-1, 1]: roll + right, pitch + nose up (backward), gaz + up, yaw + clockwise from above."""
+    return encode("PCMD_MAG", sequence, flags, roll, pitch, gaz, yaw, 0.0, 0.0)

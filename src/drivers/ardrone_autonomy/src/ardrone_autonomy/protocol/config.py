@@ -22,26 +22,11 @@ class ConfigError(ValueError):
     """A value or text that does not fit the configuration format."""
 
 
-class Category(Enum):
-    """Where a value is kept."""
-
-    COMMON = "common"
-    APPLICATION = "application"
-    USER = "user"
-    SESSION = "session"
+# Where a value is kept.
+Category = Enum("Category", "COMMON APPLICATION USER SESSION")
 
 
-class Kind(Enum):
-    """Format of a value on the wire."""
-
-    BOOL = "bool"  # TRUE / FALSE
-    INT = "int"  # decimal
-    FLOAT = "float"  # %f: six decimals, a dot
-    STRING = "string"  # as is
-    VECTOR = "vector"  # { a b c }
-
-
-class ConfigKey(namedtuple("ConfigKey", "section name kind default category read_only")):
+class ConfigKey(namedtuple("ConfigKey", "section name default category read_only")):
     """One key; default is typed (bool, int, float, str, tuple of floats)."""
 
     __slots__ = ()
@@ -51,14 +36,17 @@ class ConfigKey(namedtuple("ConfigKey", "section name kind default category read
         """section:name"""
         return "%s:%s" % (self.section, self.name)
 
+    @property
+    def kind(self):
+        """Type of its values."""
+        return type(self.default)
+
 
 def _keys():
-    kinds = {bool: Kind.BOOL, int: Kind.INT, float: Kind.FLOAT, str: Kind.STRING, tuple: Kind.VECTOR}
     table = []
 
     def add(section, category=Category.COMMON, read_only=False, **defaults):
-        for name, default in defaults.items():
-            table.append(ConfigKey(section, name, kinds[type(default)], default, category, read_only))
+        table.extend(ConfigKey(section, name, default, category, read_only) for name, default in defaults.items())
 
     common, appli, user, session = Category.COMMON, Category.APPLICATION, Category.USER, Category.SESSION
     # Units: angles rad, control_vz_max mm/s, control_yaw rad/s, altitudes mm, times s, bit rates kbit/s, vbat mV.
@@ -111,7 +99,7 @@ def _keys():
     add("custom", appli, application_id=DEFAULT_ID, application_desc="Default application configuration")
     add("custom", user, profile_id=DEFAULT_ID, profile_desc="Default profile configuration")
     add("custom", session, session_id=DEFAULT_ID, session_desc="Default session configuration")
-    return tuple(table)
+    return table
 
 
 KEYS = {key.key: key for key in _keys()}  # by "section:name", in readback order
@@ -122,43 +110,43 @@ FLIGHT_LIMITS = ("euler_angle_max", "control_vz_max", "control_yaw")
 
 # --- values ------------------------------------------------------------------------------------------------------
 def format_value(kind, value):
-    """Wire text of a typed value. ConfigError when the value does not fit the kind."""
+    """Wire text of a value: TRUE, 12, 0.500000, { 1.0000000e+00 ... }. ConfigError when it is not of the kind."""
     try:
-        if kind is Kind.BOOL:
+        if kind is bool:
             return "TRUE" if value else "FALSE"
-        if kind is Kind.INT:
+        if kind is int:
             return "%d" % value
-        if kind is Kind.FLOAT and math.isfinite(value):
+        if kind is float and math.isfinite(value):
             return "%f" % value
-        if kind is Kind.VECTOR:
+        if kind is tuple:
             return "{ %s }" % " ".join("%.7e" % x for x in value)
-        if kind is Kind.STRING:
+        if kind is str:
             return str(value)
     except (TypeError, ValueError, OverflowError):  # as for what is not finite
         pass
-    raise ConfigError("%r is not of the kind %s" % (value, kind.value))
+    raise ConfigError("%r is not of the kind %s" % (value, kind.__name__))
 
 
 def parse_value(kind, text):
     """Typed value of a wire text, tolerant in spelling (TRUE/true/1, "3000.0" for an int). ConfigError otherwise."""
     text = text.strip()
     try:
-        if kind is Kind.VECTOR:
+        if kind is tuple:
             return tuple(float(x) for x in text.strip("{} \t").split())
-        if kind is Kind.STRING:
+        if kind is str:
             if any(c in text for c in "\0\r\n"):
                 raise ValueError("it cannot stand in a line")
             return text
-        if kind is Kind.BOOL and text.lower() in ("true", "false"):
+        if kind is bool and text.lower() in ("true", "false"):
             return text.lower() == "true"
-        if kind is Kind.INT and text.lstrip("+-").isdecimal():
+        if kind is int and text.lstrip("+-").isdecimal():
             return int(text)  # of any size
         number = float(text)
         if not math.isfinite(number):
             raise ValueError("it must be finite")
-        return {Kind.BOOL: bool, Kind.INT: int, Kind.FLOAT: float}[kind](number)
+        return kind(number)
     except ValueError as error:
-        raise ConfigError("%r is not a configuration value of the kind %s: %s" % (text, kind.value, error)) from None
+        raise ConfigError("%r is not a configuration value of the kind %s: %s" % (text, kind.__name__, error)) from None
 
 
 # --- text on TCP 5559 --------------------------------------------------------------------------------------------

@@ -83,20 +83,18 @@ class Layout:
     def __init__(self, name, spec):
         self.name = name
         self.fields = ()
+        self._ends = []  # of each field [bytes]
         self._places = []  # of each field among the numbers of the struct: one, or a slice
-        self.required_bytes = None
         offset = elements = 0
-        for item in spec.split():
-            if item == "|":
-                self.required_bytes = offset
-                continue
+        for item in spec.replace("|", "").split():
             field_name, kind = item.split(":")
             count = int(kind[:-1] or 1)
             self.fields += (Field(field_name, kind[-1], count, offset),)
             self._places.append(elements if count == 1 else slice(elements, elements + count))
             offset += struct.calcsize("<" + kind)
             elements += count
-        self.required_bytes = self.required_bytes or offset
+            self._ends.append(offset)
+        self.required_bytes = self._ends[len(spec.partition("|")[0].split()) - 1]
         self.index = {field.name: i for i, field in enumerate(self.fields)}
         self.size = OPTION_HEADER.size + offset  # as on the wire
         self.value_type = namedtuple(name, self.index)
@@ -109,7 +107,10 @@ class Layout:
                 "navdata option %s has %d bytes, at least %d are needed"
                 % (self.name, len(payload) + 4, self.required_bytes + 4)
             )
-        flat = self._struct.unpack(payload[: self._struct.size].ljust(self._struct.size, b"\0"))
+        if len(payload) < self._struct.size:
+            whole = max(end for end in self._ends if end <= len(payload))  # half a field is worth nothing
+            payload = payload[:whole].ljust(self._struct.size, b"\0")
+        flat = self._struct.unpack_from(payload)
         return self.value_type._make([flat[place] for place in self._places])
 
 
@@ -211,14 +212,8 @@ _LAYOUTS = (
     Layout("zimmu_3000", "vzimmuLSB:i vzfind:f"),
 )
 
-# Tag 27 on firmware 2.4.  Field list as public clients print it, types chosen to fill the 216 bytes seen on the wire.
-GPS_LAYOUT = Layout(
-    "gps",
-    "latitude:d longitude:d elevation:d | hdop:d data_available:i zero_validated:i wpt_validated:i lat0:d lon0:d "
-    "lat_fuse:d lon_fuse:d gps_state:I x_traj:f x_ref:f y_traj:f y_ref:f theta_p:f phi_p:f theta_i:f phi_i:f "
-    "theta_d:f phi_d:f vdop:d pdop:d speed:f last_frame_timestamp:I degree:f degree_mag:f ehpe:f ehve:f c_n0:f "
-    "nb_satellites:I channels:24B gps_plugged:i ephemeris_status:I vx_traj:f vy_traj:f firmware_status:I",
-)
+# Tag 27 on firmware 2.4; of its 216 bytes public clients agree on the first fields.
+GPS_LAYOUT = Layout("gps", "latitude:d longitude:d elevation:d | more:188B")
 
 LAYOUTS = {int(Tag[layout.name.upper()]): layout for layout in _LAYOUTS}  # by tag
 

@@ -125,72 +125,57 @@ class StreamParser:
         self.broken_payloads = 0  # announced longer than they were
         self.skipped_bytes = 0  # that belong to no packet
         self._buffer = bytearray()
-        self._header = None  # at the beginning of the buffer
-        self._searched = 0  # its payload holds no header before this byte of the buffer
 
     def reset(self):
         """Forget the bytes of a connection that has ended."""
         self._buffer.clear()
-        self._header = None
 
     def feed(self, data):
         """List of the Packets that these bytes complete, in order."""
         self._buffer += data
         packets = []
-        while (self._header is not None or self._find_header()) and self._check_payload():
-            if self._header is None:
-                continue
-            begin, end = self._header.header_bytes, self._header.header_bytes + self._header.following_bytes
-            if len(self._buffer) < end:
+        while (header := self._find_header()) is not None:
+            begin, end = header.header_bytes, header.header_bytes + header.following_bytes
+            inner = self._find_inner_header(header, end)
+            if inner is None or (inner == 0 and len(self._buffer) < end):
                 break
-            packets.append(Packet(self._header, bytes(self._buffer[begin:end])))
+            if inner:
+                self.broken_payloads += 1
+                self._skip(inner)
+                continue
+            packets.append(Packet(header, bytes(self._buffer[begin:end])))
             self.packets += 1
-            self._header = None
             del self._buffer[:end]
         return packets
 
     def _find_header(self):
-        """Bring the next sound header to the beginning of the buffer. False: more bytes are needed."""
+        """The next sound header, which then begins the buffer; None: more bytes are needed."""
         buffer = self._buffer
-        while True:
-            begin = buffer.find(MAGIC)
-            if begin < 0:
-                # The end may be the beginning of the magic
-                keep = next((n for n in (3, 2, 1) if buffer.endswith(MAGIC[:n])), 0)
-                self._skip(len(buffer) - keep)
-                return False
+        while (begin := buffer.find(MAGIC)) >= 0:
             self._skip(begin)
             if len(buffer) < MIN_HEADER_BYTES:
-                return False
+                return None
             try:
-                self._header = parse_header(buffer)
+                return parse_header(buffer)
             except PaveError:
                 self.bad_headers += 1
                 self._skip(len(MAGIC))
-                continue
-            self._searched = self._header.header_bytes
-            return True
+        # The end may be the beginning of the magic
+        self._skip(len(buffer) - next((n for n in (3, 2, 1) if buffer.endswith(MAGIC[:n])), 0))
+        return None
 
-    def _check_payload(self):
-        """Look for a header inside the payload; go on with that one. False: more bytes are needed to tell."""
-        buffer, header = self._buffer, self._header
-        end = header.header_bytes + header.following_bytes
-        while True:
-            begin = buffer.find(MAGIC, self._searched, end)
-            if begin < 0:
-                self._searched = max(self._searched, min(len(buffer), end) - len(MAGIC) + 1)
-                return True
-            if len(buffer) < begin + MIN_HEADER_BYTES:
-                self._searched = begin
-                return False
-            self._searched = begin + len(MAGIC)
+    def _find_inner_header(self, header, end):
+        """Where another sound header lies inside the payload; 0: nowhere, None: more bytes are needed to tell."""
+        begin = self._buffer.find(MAGIC, header.header_bytes, end)
+        while begin >= 0:
+            if len(self._buffer) < begin + MIN_HEADER_BYTES:
+                return None
             with contextlib.suppress(PaveError):
-                inner = parse_header(buffer, begin)
+                inner = parse_header(self._buffer, begin)
                 if (inner.version, inner.codec) == (header.version, header.codec):
-                    self.broken_payloads += 1
-                    self._header = None
-                    self._skip(begin)
-                    return True
+                    return begin
+            begin = self._buffer.find(MAGIC, begin + len(MAGIC), end)
+        return 0
 
     def _skip(self, count):
         self.skipped_bytes += count
@@ -207,21 +192,19 @@ class FrameAssembler:
     def add(self, packet):
         """The Packet of a whole picture that this one completes (header of its first part), or None."""
         header = packet.header
-        if header.is_first_part:
-            self._give_up()
-            if header.is_last_part:
-                return packet
-            self._parts.append(packet)
-            return None
-        if not self._parts or not self._continues(header):
-            self._give_up()
-            return None
+        if not (self._parts and self._continues(header)):
+            self.incomplete += bool(self._parts)
+            self._parts = []
+            if not header.is_first_part:
+                return None
         self._parts.append(packet)
         if not header.is_last_part:
             return None
-        first, payload = self._parts[0].header, b"".join(part.payload for part in self._parts)
-        self._parts = []
-        return Packet(first._replace(payload_bytes=len(payload)), payload)
+        parts, self._parts = self._parts, []
+        if len(parts) == 1:
+            return packet
+        payload = b"".join(part.payload for part in parts)
+        return Packet(parts[0].header._replace(payload_bytes=len(payload)), payload)
 
     def _continues(self, header):
         last = self._parts[-1].header
@@ -229,8 +212,3 @@ class FrameAssembler:
             (header.slice_index, header.chunk_index)
             in ((last.slice_index, last.chunk_index + 1), (last.slice_index + 1, 0))
         )
-
-    def _give_up(self):
-        if self._parts:
-            self.incomplete += 1
-            self._parts = []

@@ -3,7 +3,6 @@
 `packet` is a protocol.navdata.Navdata.  An option that the packet lacks leaves its fields zero.
 """
 
-import itertools
 import math
 
 import rospy
@@ -73,9 +72,8 @@ def imu_message(packet, navdata, covariances):
     """
     message = Imu(header=navdata.header)
     message.linear_acceleration = Vector3(*[a * STANDARD_GRAVITY_M_S2 for a in (navdata.ax, navdata.ay, navdata.az)])
-    message.orientation = Quaternion(
-        *quaternion_xyzw(math.radians(navdata.rotX), math.radians(navdata.rotY), math.radians(navdata.rotZ))
-    )
+    angles_rad = map(math.radians, (navdata.rotX, navdata.rotY, navdata.rotZ))
+    message.orientation = Quaternion(*quaternion_xyzw(*angles_rad))
     physical = packet.option(Tag.PHYS_MEASURES)
     if physical is not None:
         x, y, z = physical.phys_gyros  # deg/s
@@ -89,7 +87,7 @@ def imu_message(packet, navdata, covariances):
 def mag_message(navdata):
     """geometry_msgs/Vector3Stamped of length 1 along the magnetic field, None when there is no field."""
     field = (navdata.magX, navdata.magY, navdata.magZ)
-    norm = math.sqrt(sum(value * value for value in field))
+    norm = math.hypot(*field)
     if norm < MIN_FIELD_NORM:
         return None
     return Vector3Stamped(header=navdata.header, vector=Vector3(*[value / norm for value in field]))
@@ -124,11 +122,8 @@ class OptionConverter:
         """name: of the option, e.g. "demo"."""
         self.name, self.tag = name, int(Tag[name.upper()])
         self.message_type = getattr(messages, "navdata_" + name)
-        self._copies = []  # (field, function of the option's value or None)
-        for field, ros_type in itertools.islice(
-            zip(self.message_type.__slots__, self.message_type._slot_types), 4, None
-        ):
-            self._copies.append((field, _maker(ros_type)))
+        fields = zip(self.message_type.__slots__[4:], self.message_type._slot_types[4:])
+        self._copies = [(field, _maker(ros_type)) for field, ros_type in fields]
 
     def convert(self, packet, header):
         """The message, or None when the packet does not carry the option (or another one under its number)."""

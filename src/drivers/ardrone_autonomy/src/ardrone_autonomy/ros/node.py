@@ -81,7 +81,7 @@ def run(drivers):
         rospy.spin()
     finally:
         for driver in drivers:
-            driver.begin_to_stop()
+            driver.udp.begin_to_stop()  # hover, and land if flying; the next one waits for it
         for driver in drivers:
             driver.stop()
 
@@ -122,7 +122,15 @@ class ArdroneDriver:
         self._video_configured = 0  # the configuration of the vehicle that the video knows of
         self._telemetry = None
         self._failing_since_s = None  # publishing has failed without a success since then
-        self._health = _Health(self, self._video)
+        # what /diagnostics counts: cmd_vel that is not finite; realtime_navdata faster than it can be published;
+        # header sound, content not; failures to convert or publish
+        self._counts = dict.fromkeys(("refused cmd_vel", "skipped packets", "bad packets", "packets not published"), 0)
+        self._battery_pct = self._flight_state = self._link_quality = "unknown"
+        self._growth = Growth()
+        updater = make_updater("AR.Drone %s" % self._address)
+        updater.add(self.label("vehicle"), self._diagnose)
+        updater.add(self.label("video"), self._video.fill)
+        Ticker(1.0, updater.force_update, "the diagnostics")
         self._subscribe()
 
     def label(self, what):
@@ -141,17 +149,13 @@ class ArdroneDriver:
         params, session_id = self._params, secrets.token_hex(4)
         return UdpThread(
             self._address,
-            functools.partial(
-                DroneLink,
-                setup_writes=setup_writes(self._configuration.texts, session_id),
-                session_id=session_id,
-                settle_s=params.settle_time,
-                command_timeout_s=params.cmd_timeout,
-                report=self._report,
-            ),
             self._report,
-            on_packet=self._on_packet,
-            on_failure=self._on_failure,
+            self._on_packet,
+            self._on_failure,
+            setup_writes=setup_writes(self._configuration.texts, session_id),
+            session_id=session_id,
+            settle_s=params.settle_time,
+            command_timeout_s=params.cmd_timeout,
         )
 
     def start(self):
@@ -159,16 +163,12 @@ class ArdroneDriver:
         rospy.loginfo("%slooking for the vehicle at %s", self._who, self._address)
         threading.Thread(target=self._publish_loop, name="ardrone_publish", daemon=True).start()
         self.udp.start()
-        self._video.start()
-
-    def begin_to_stop(self):
-        """Hover, and land if flying; `stop` waits for it."""
-        self.udp.begin_to_stop()
+        self._video.stream.start()
 
     def stop(self):
         """End what `start` has begun."""
         self.udp.stop()
-        self._video.stop()
+        self._video.stream.stop()
 
     # --- orders: handed over, nothing else ------------------------------------------------------------------------
     def _subscribe(self):
@@ -214,7 +214,7 @@ class ArdroneDriver:
             sticks = sticks_from_velocity((linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z))
         except ValueError as error:
             sticks = HOVER
-            self._health.refused_commands += 1
+            self._counts["refused cmd_vel"] += 1
             rospy.logerr_throttle(REPEAT_WARNING_S, "%s: refused, hovering until a sound command comes" % error)
         self._post(DroneLink.steer, sticks)
 
@@ -231,7 +231,7 @@ class ArdroneDriver:
     def _select_channel(self, channel):
         self._channel = channel % CHANNELS
         self._channel_set_in = self._link.configurations
-        self._video.on_order(self._channel)
+        self._video.tracker.order(self._channel, time.monotonic())
         self._write("video_channel", "%d" % self._channel)
 
     def _on_led_animation(self, request):
@@ -289,7 +289,7 @@ class ArdroneDriver:
         if self._telemetry is None:
             return
         if self._params.realtime_navdata and len(self._waiting) == REALTIME_BACKLOG:
-            self._health.skipped_packets += 1
+            self._counts["skipped packets"] += 1
         self._waiting.append(packet)
         self._arrived.set()
 
@@ -297,7 +297,10 @@ class ArdroneDriver:
     def _publish_loop(self):
         while not rospy.is_shutdown():
             try:
-                self._wait_until_ready()
+                while self._link.phase is not Phase.READY:
+                    if rospy.is_shutdown():
+                        return
+                    time.sleep(LOOPS_PER_CAMERA_FRAME * self._period_s)
                 self._telemetry = self._telemetry or _Telemetry(self._configuration, self._prefix)
                 self._publish_until_shutdown()
             except Exception as error:  # noqa: PERF203  whatever it is: without telemetry nobody must fly on in silence
@@ -306,10 +309,6 @@ class ArdroneDriver:
                     return
                 self._failing_since_s = None
                 self._begin_again(self.udp)
-
-    def _wait_until_ready(self):
-        while not rospy.is_shutdown() and self._link.phase is not Phase.READY:
-            time.sleep(LOOPS_PER_CAMERA_FRAME * self._period_s)
 
     def _publish_until_shutdown(self):
         loop_s = camera_s = time.monotonic()
@@ -334,17 +333,17 @@ class ArdroneDriver:
         is_ready = self._link.phase is Phase.READY
         if is_ready and self._video_configured != self._link.configurations:
             self._video_configured = self._link.configurations
-            self._video.on_configured(self._current_channel())
+            self._video.tracker.reset(self._current_channel())
         self._video.tick(is_ready)
 
     def _publish(self, packet):
         try:
             navdata = Navdata(packet.data)
-            self._health.on_packet(navdata)
+            self._note(navdata)
             self._telemetry.publish(navdata, packet.received_s)
             self._failing_since_s = None
         except NavdataError as error:
-            self._health.bad_packets += 1
+            self._counts["bad packets"] += 1
             rospy.logwarn_throttle(REPEAT_WARNING_S, "packet dropped: %s" % error)
 
     def _tolerate(self, work, *arguments):
@@ -356,8 +355,53 @@ class ArdroneDriver:
             self._failing_since_s = self._failing_since_s or now_s
             if rospy.core.is_shutdown_requested() or now_s - self._failing_since_s > PUBLISH_PATIENCE_S:
                 raise
-            self._health.unpublished += 1
+            self._counts["packets not published"] += 1
             rospy.logerr_throttle(REPEAT_WARNING_S, "telemetry could not be published: %r" % error)
+
+    # --- diagnostics ------------------------------------------------------------------------------------------------
+    def _note(self, packet):
+        """Remember what a packet says about the vehicle."""
+        demo, wifi = packet.option(Tag.DEMO), packet.option(Tag.WIFI)
+        if demo is not None:
+            self._battery_pct = demo.vbat_flying_percentage
+            state = demo.ctrl_state >> 16
+            self._flight_state = ControlState(state).name.lower() if state < len(ControlState) else state
+        if wifi is not None:
+            self._link_quality = wifi.link_quality
+
+    def _diagnose(self, status):
+        udp, link, counts = self.udp, self._link, self._counts
+        _, rates_hz = self._growth({"navdata": link.accepted})
+        if not link.connected:
+            status.summary(DiagnosticStatus.ERROR, "no vehicle at %s" % udp.address)
+        elif link.emergency:
+            status.summary(DiagnosticStatus.ERROR, "emergency: motors stopped")
+        elif link.state_bits & State.BATTERY_LOW:
+            status.summary(DiagnosticStatus.WARN, "battery low")
+        elif link.phase is not Phase.READY:
+            status.summary(DiagnosticStatus.WARN, link.phase.value)
+        else:
+            status.summary(DiagnosticStatus.OK, "connected")
+        for item in (
+            ("connected", link.connected),
+            ("phase", link.phase.value),
+            ("navdata rate [Hz]", "%.1f" % rates_hz["navdata"]),
+            ("battery [%]", self._battery_pct),
+            ("state", self._flight_state),
+            ("state bits", "0x%08x" % link.state_bits),
+            ("emergency", link.emergency),
+            ("link quality", self._link_quality),
+            ("reconnects", max(0, link.connections - 1)),
+            ("late packets", link.stale),
+            ("foreign or bad packets", udp.foreign + link.refused + counts["bad packets"]),
+            ("skipped packets", counts["skipped packets"]),
+            ("packets not published", counts["packets not published"]),
+            ("send errors", udp.send_errors),
+            ("unanswered configuration writes", link.unanswered_writes),
+            ("refused cmd_vel", counts["refused cmd_vel"]),
+        ):
+            status.add(*item)
+        return status
 
 
 class _Telemetry:
@@ -379,12 +423,10 @@ class _Telemetry:
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=QUEUE_SIZE)
         converters = [conversions.OptionConverter(name) for name in configuration.options]
         self._selective = [(each, publisher("navdata_" + each.name, each.message_type)) for each in converters]
-        cameras = zip(CAMERA_FRAMES, (conversions.FRONT_CAMERA, conversions.BOTTOM_CAMERA))
+        frames = [tf_frame(params.drone_frame_id + suffix) for suffix in CAMERA_FRAMES]
+        cameras = (conversions.FRONT_CAMERA, conversions.BOTTOM_CAMERA)
         self._camera_frames = TFMessage(
-            [
-                conversions.camera_transform(base, tf_frame(params.drone_frame_id + suffix), camera)
-                for suffix, camera in cameras
-            ]
+            [conversions.camera_transform(base, *camera) for camera in zip(frames, cameras)]
         )
 
     def publish(self, packet, received_s):
@@ -428,64 +470,3 @@ class _Telemetry:
             for transform in self._camera_frames.transforms:
                 transform.header.stamp = rospy.Time.now()
             self._tf.publish(self._camera_frames)
-
-
-class _Health:
-    """What /diagnostics says, once a second."""
-
-    def __init__(self, driver, video):
-        """driver: the ArdroneDriver."""
-        self.refused_commands = 0  # cmd_vel that is not finite
-        self.skipped_packets = 0  # realtime_navdata faster than it can be published
-        self.bad_packets = 0  # header sound, content not
-        self.unpublished = 0  # failures to convert or publish
-        self._driver = driver
-        self._battery_pct = self._state = self._link_quality = "unknown"
-        self._growth = Growth()
-        self._updater = make_updater("AR.Drone %s" % driver.udp.address)
-        self._updater.add(driver.label("vehicle"), self._fill)
-        self._updater.add(driver.label("video"), video.fill)
-        Ticker(1.0, self._updater.force_update, "the diagnostics")
-
-    def on_packet(self, packet):
-        """Remember what a packet says about the vehicle's health."""
-        demo = packet.option(Tag.DEMO)
-        if demo is not None:
-            self._battery_pct = demo.vbat_flying_percentage
-            state = demo.ctrl_state >> 16
-            self._state = ControlState(state).name.lower() if state < len(ControlState) else state
-        wifi = packet.option(Tag.WIFI)
-        if wifi is not None:
-            self._link_quality = wifi.link_quality
-
-    def _fill(self, status):
-        udp = self._driver.udp
-        link = udp.link
-        _, rates_hz = self._growth({"navdata": link.accepted})
-        if not link.connected:
-            status.summary(DiagnosticStatus.ERROR, "no vehicle at %s" % udp.address)
-        elif link.emergency:
-            status.summary(DiagnosticStatus.ERROR, "emergency: motors stopped")
-        elif link.state_bits & State.BATTERY_LOW:
-            status.summary(DiagnosticStatus.WARN, "battery low")
-        elif link.phase is not Phase.READY:
-            status.summary(DiagnosticStatus.WARN, link.phase.value)
-        else:
-            status.summary(DiagnosticStatus.OK, "connected")
-        status.add("connected", link.connected)
-        status.add("phase", link.phase.value)
-        status.add("navdata rate [Hz]", "%.1f" % rates_hz["navdata"])
-        status.add("battery [%]", self._battery_pct)
-        status.add("state", self._state)
-        status.add("state bits", "0x%08x" % link.state_bits)
-        status.add("emergency", link.emergency)
-        status.add("link quality", self._link_quality)
-        status.add("reconnects", max(0, link.connections - 1))
-        status.add("late packets", link.stale)
-        status.add("foreign or bad packets", udp.foreign + link.refused + self.bad_packets)
-        status.add("skipped packets", self.skipped_packets)
-        status.add("packets not published", self.unpublished)
-        status.add("send errors", udp.send_errors)
-        status.add("unanswered configuration writes", link.unanswered_writes)
-        status.add("refused cmd_vel", self.refused_commands)
-        return status

@@ -63,11 +63,8 @@ def parse_params(tree, arguments=()):
             raise ValueError("unknown arguments %r: the driver takes -ip A.B.C.D" % " ".join(arguments))
         tree = dict(tree, drone_ip=arguments[1])
     (params, enabled), unknown = params_from_dict((DriverParams, _Enabled), tree, lenient=True)
-    warnings = [
-        "parameter ~%s has no effect: neither the driver nor the vehicle knows it" % name
-        for name in unknown
-        if name not in _READ_ELSEWHERE
-    ]
+    unknown = [name for name in unknown if name not in _READ_ELSEWHERE]
+    warnings = ["parameter ~%s has no effect: neither the driver nor the vehicle knows it" % name for name in unknown]
     covariances = [_covariance(tree.get("cov"), name, warnings) for name in ("imu_la", "imu_av", "imu_or")]
     options = [name for name in OPTION_NAMES if getattr(enabled, "enable_navdata_" + name)]
     return Configuration(params, options, covariances, wanted_texts(tree), warnings)

@@ -6,6 +6,7 @@ from collections import deque, namedtuple
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 
 from ardrone_autonomy.video_channel import CameraTracker
 from ardrone_autonomy.video_stream import VideoStream
@@ -22,10 +23,8 @@ _Topics = namedtuple("_Topics", "image info")
 
 
 def _advertise(name):
-    return _Topics(
-        rospy.Publisher(name + "/image_raw", Image, queue_size=QUEUE_SIZE),
-        rospy.Publisher(name + "/camera_info", CameraInfo, queue_size=QUEUE_SIZE),
-    )
+    types = (("/image_raw", Image), ("/camera_info", CameraInfo))
+    return _Topics(*[rospy.Publisher(name + topic, kind, queue_size=QUEUE_SIZE) for topic, kind in types])
 
 
 class Video:
@@ -45,7 +44,7 @@ class Video:
         self._frames = frames
         self._realtime = realtime
         self._waiting = deque(maxlen=1)  # (Picture, channel) that is not published yet
-        self._tracker = CameraTracker(channel)
+        self.tracker = CameraTracker(channel)  # to be told what the vehicle is told
         self._selected = _advertise(prefix + "ardrone")
         self._cameras = tuple(_advertise(prefix + "ardrone/" + name) for name in CAMERA_NAMES)
         self._managers = tuple(
@@ -61,40 +60,24 @@ class Video:
         self._superseded = 0  # a newer picture came before the loop did
         self._of_unknown_camera = 0
         self._growth = Growth()
-        self._stream = VideoStream(address, self._on_picture, report, latency_s)
-
-    def start(self):
-        """Start the thread of the stream."""
-        self._stream.start()
-
-    def stop(self):
-        """End it."""
-        self._stream.stop()
-
-    def on_order(self, channel):
-        """The vehicle is being told to send this channel."""
-        self._tracker.order(channel, time.monotonic())
-
-    def on_configured(self, channel):
-        """The vehicle was configured anew and sends this channel."""
-        self._tracker.reset(channel)
+        self.stream = VideoStream(address, self._on_picture, report, latency_s)  # to be started and stopped
 
     def tick(self, is_ready):
         """Once per loop: open or close the stream as subscribers come and go, publish the newest picture.
 
         is_ready: the vehicle is configured; before, nobody knows which camera it would send.
         """
-        self._stream.want(is_ready and any(topic.get_num_connections() for topics in self._all() for topic in topics))
+        self.stream.want(
+            is_ready
+            and any(topic.get_num_connections() for topics in (self._selected, *self._cameras) for topic in topics)
+        )
         if self._waiting:
             self._publish(*self._waiting.popleft())
-
-    def _all(self):
-        return (self._selected, *self._cameras)
 
     # --- pictures -------------------------------------------------------------------------------------------------
     def _on_picture(self, picture):
         """In the thread of the stream."""
-        channel = self._tracker.camera(picture.header, picture.is_key, picture.connection, picture.received_s)
+        channel = self.tracker.camera(picture.header, picture.is_key, picture.connection, picture.received_s)
         if channel is None:
             self._of_unknown_camera += 1
         elif self._realtime:
@@ -114,20 +97,17 @@ class Video:
     def _send(self, picture, channel):
         height, width, _ = picture.rgb.shape
         stamp = rospy.Time.now() - rospy.Duration.from_sec(time.monotonic() - picture.exposure_s)
+        header = Header(stamp=stamp, frame_id=self._frames[channel])
         outputs = (self._cameras[channel], self._selected)
         self._channel = channel
         self._published += 1
         if any(topics.image.get_num_connections() for topics in outputs):
-            image = Image(height=height, width=width, encoding="rgb8", step=_CHANNELS_PER_PIXEL * width)
-            image.header.stamp = stamp
-            image.header.frame_id = self._frames[channel]
-            image.data = picture.rgb.tobytes()
+            image = Image(header, height, width, "rgb8", 0, _CHANNELS_PER_PIXEL * width, picture.rgb.tobytes())
             for topics in outputs:
                 topics.image.publish(image)
         if any(topics.info.get_num_connections() for topics in outputs):
             info = self._camera_info(channel, width, height)
-            info.header.stamp = stamp
-            info.header.frame_id = self._frames[channel]
+            info.header = header
             for topics in outputs:
                 topics.info.publish(info)
 
@@ -149,7 +129,7 @@ class Video:
     # --- diagnostics ------------------------------------------------------------------------------------------------
     def fill(self, status):
         """A task of diagnostic_updater."""
-        stream, decoder = self._stream, self._stream.decoder
+        stream, decoder = self.stream, self.stream.decoder
         _, rates_hz = self._growth({"pictures": self._published})
         if not stream.wanted:
             status.summary(DiagnosticStatus.OK, "not received: nobody listens, or the vehicle is not ready")

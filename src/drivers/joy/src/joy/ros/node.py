@@ -8,7 +8,7 @@ import rospy
 from sensor_msgs.msg import Joy, JoyFeedback, JoyFeedbackArray
 
 from joy.device import Rumble, device_name, find_by_name, open_device
-from joy.events import JoySettings, JoyState, PublishClock, RecordReader
+from joy.events import JoySettings, JoyState, PublishClock, RecordReader, Urgency
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.params import load_params
 
@@ -44,27 +44,22 @@ class JoyNode:
             try:
                 fd = open_device(path)
             except OSError as error:
-                if not complained:
-                    cure = "plug it in, or set ~dev; trying again every second"
-                    rospy.logerr("joy: cannot open joystick %s (%s): %s", path, error.strerror, cure)
-                    complained = True
-                self._diagnostics.update()
-                select.select([self._wake_read], [], [], RETRY_S)
-                continue
-            name = device_name(fd) or "no name"
-            rospy.loginfo("joy: opened joystick %s (%s), dead zone %g", path, name, self._settings.deadzone)
-            self._is_open = True
-            self._diagnostics.force_update()
-            try:
-                self._read(fd, path)
-            finally:
-                os.close(fd)
-                self._is_open = False
-            if rospy.is_shutdown():
-                break
-            rospy.logerr("joy: connection to joystick %s lost; trying again every second", path)
-            self._diagnostics.force_update()
+                problem = "cannot open joystick %s (%s): plug it in, or set ~dev" % (path, error.strerror)
+            else:
+                problem, complained = "connection to joystick %s lost" % path, False
+                name = device_name(fd) or "no name"
+                rospy.loginfo("joy: opened joystick %s (%s), dead zone %g", path, name, self._settings.deadzone)
+                self._is_open = True
+                self._diagnostics.force_update()
+                try:
+                    self._read(fd, path)
+                finally:
+                    os.close(fd)
+                    self._is_open = False
+            if not complained and not rospy.is_shutdown():
+                rospy.logerr("joy: %s; trying again every second", problem)
             complained = True
+            self._diagnostics.force_update()
             select.select([self._wake_read], [], [], RETRY_S)
 
     def _choose_device(self):
@@ -97,13 +92,11 @@ class JoyNode:
                     return
                 for event in reader.feed(data):
                     self._counts["joystick event"] += 1
-                    if not event.is_button and not event.is_axis:
-                        rospy.logwarn_throttle(
-                            10.0,
-                            "joy: %s sends records of type %d, which is no button and no "
-                            "axis: is ~dev a joystick?" % (path, event.type),
-                        )
-                    if clock.event(state.apply(event), time.monotonic()):
+                    urgency = state.apply(event)
+                    if urgency is Urgency.NEVER:
+                        text = "joy: %s sends records of type %d, which is no button and no axis: is ~dev a joystick?"
+                        rospy.logwarn_throttle(10.0, text % (path, event.type))
+                    if clock.event(urgency, time.monotonic()):
                         self._publish(state, clock, path)
             self._diagnostics.update()
 
@@ -140,17 +133,19 @@ class JoyNode:
         settings = self._settings
         _, rates_hz = self._growth(self._counts)
         status.summary(*((0, "OK") if self._is_open else (2, "Joystick not open.")))
-        status.add("topic", self._pub.resolved_name)
-        status.add("device", settings.dev)
-        status.add("device name", settings.dev_name)
-        status.add("dead zone", settings.deadzone)
-        status.add("autorepeat rate (Hz)", settings.autorepeat_rate)
-        status.add("coalesce interval (s)", settings.coalesce_interval)
-        for what, rate_hz in rates_hz.items():
-            status.add("recent %s rate (Hz)" % what, rate_hz)
-        status.add("subscribers", self._pub.get_num_connections())
-        status.add("default trig val", settings.default_trig_val)
-        status.add("sticky buttons", settings.sticky_buttons)
+        for item in (
+            ("topic", self._pub.resolved_name),
+            ("device", settings.dev),
+            ("device name", settings.dev_name),
+            ("dead zone", settings.deadzone),
+            ("autorepeat rate (Hz)", settings.autorepeat_rate),
+            ("coalesce interval (s)", settings.coalesce_interval),
+            *(("recent %s rate (Hz)" % what, rate_hz) for what, rate_hz in rates_hz.items()),
+            ("subscribers", self._pub.get_num_connections()),
+            ("default trig val", settings.default_trig_val),
+            ("sticky buttons", settings.sticky_buttons),
+        ):
+            status.add(*item)
         return status
 
     def _wake(self):

@@ -176,8 +176,6 @@ class LiveView:
         self._scene.clear()
         self._panel.status.content = ""  # nobody is to meet old news
 
-    # --- what arrives -------------------------------------------------------------------------------------------
-
     def _on_markers(self, topic, message):
         self._not_shown |= self._scene.note(topic, getattr(message, "markers", [message]), time.monotonic())
 

@@ -13,7 +13,7 @@ from visualization_msgs.msg import InteractiveMarker, InteractiveMarkerControl, 
 from risc_lab.camera import rotation_camera_to_body
 from risc_lab.frames import euler_from_body_to_ned
 from risc_lab.vehicle_frames import body_frame
-from risc_visual.drawing.ros.markers import ORIGIN, Pen
+from risc_visual.drawing.ros.markers import ORIGIN, Pen, pyramid
 from risc_visual.tuner.mount_tuner import NUMBERS
 
 _SCALE_M = 0.45  # radius of the rings
@@ -60,9 +60,7 @@ def mount_marker(name, template, mount, actions):
         pose=pose_of(mount),
         name=name,
         scale=_SCALE_M,
-        menu_entries=[
-            MenuEntry(id=k, title=title, command_type=MenuEntry.FEEDBACK) for k, title in enumerate(actions, start=1)
-        ],
+        menu_entries=[MenuEntry(id=k, title=title) for k, title in enumerate(actions, start=1)],
         controls=controls,
     )
 
@@ -84,12 +82,9 @@ def numbers_from_pose(pose):
 def _camera_parts():
     """Housing, the edges of what it sees, and a pane across them: easily hit with a mouse, in front of the vehicle."""
     far, wide, high = VIEW_M
-    corners = [(far, y, z) for y, z in ((-wide, -high), (wide, -high), (wide, high), (-wide, high))]
-    lines = [end for corner in corners for end in (ORIGIN, corner)]
-    lines += [end for pair in zip(corners, corners[1:] + corners[:1]) for end in pair]
     pen = Pen(0.0, Header())  # without a frame: in that of the control
     return [
         pen.marker("", 0, Marker.CUBE, ORIGIN, _BODY_M, _BODY_RGBA),
-        pen.line("", 0, lines, _LINE_M, _BODY_RGBA, Marker.LINE_LIST),
+        pen.line("", 0, pyramid(*VIEW_M), _LINE_M, _BODY_RGBA, Marker.LINE_LIST),
         pen.marker("", 0, Marker.CUBE, (far, 0.0, 0.0), (_PANE_M, 2.0 * wide, 2.0 * high), _PANE_RGBA),
     ]

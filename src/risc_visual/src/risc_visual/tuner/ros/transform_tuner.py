@@ -93,18 +93,6 @@ class Sliders:
         return config
 
 
-class Tuned:
-    """One vehicle: its tuner, its sliders, when it was last seen, and the last answer."""
-
-    def __init__(self, tuner):
-        self.tuner = tuner
-        self.name, self.template = tuner.vehicle.namespace, tuner.vehicle.template
-        self.sliders = None
-        self.acting = threading.Lock()  # one action at a time
-        self.seen_s = self.answered_s = float("-inf")  # monotonic clock
-        self.answer = ""
-
-
 class TransformTunerNode:
     """/cortex_raw, /states3, /angles -> tf as `transforms`; transform_tuner/...: handles, sliders, text, services."""
 
@@ -113,22 +101,18 @@ class TransformTunerNode:
         fleet = fleet_vehicles()
         if not fleet:
             raise ValueError("there is no fleet in /fleet: start it beside a flight, or give its fleet file")
-        tuners = [MountTuner(vehicle, self._params, window_params, fit_params) for vehicle in fleet]
-        self._tuned = [Tuned(tuner) for tuner in tuners]
-        self._by_name = {name: item for item in self._tuned for name in (item.template, item.name)}
+        self._tuners = [MountTuner(vehicle, self._params, window_params, fit_params) for vehicle in fleet]
+        self._by_name = {name: tuner for tuner in self._tuners for name in (tuner.template, tuner.name)}
         self._template_of_region = load_landmark_catalogue().template_of_region
         self._cameras = VehicleCameras(fleet, self._params.rectified, self._params.camera)
         self._lock = threading.Lock()  # windows and frames: handles, sliders, services and topics have a thread each
         namespace = rospy.resolve_name(NAMESPACE)
-        mounts = {item.template: item.tuner.mount for item in self._tuned}
         self._text = MarkerPublisher(namespace + "/text", MarkerArray, queue_size=1)
         self._handles = HandleServer(namespace)
         self._health = Health("transform_tuner", ("/cortex_raw", "/states3", "/angles"))
-        self._frames = VehicleTransforms(mounts)
+        self._frames = VehicleTransforms({tuner.template: tuner.mount for tuner in self._tuners})
         self._frames_due_s = 0.0
-        self._services = []
-        for item in self._tuned:
-            self._offer(item, "%s/%s" % (namespace, item.name))
+        self._sliders = [self._offer(tuner, "%s/%s" % (namespace, tuner.name)) for tuner in self._tuners]
         self._handles.applyChanges()
         # Every pose counts, also when this node is late: between two of them that are far apart nobody knows the third.
         rospy.Subscriber(
@@ -139,20 +123,17 @@ class TransformTunerNode:
         for period_s, callback in ((_FOLLOW_S, self._on_follow), (1.0 / self._params.text_hz, self._on_text)):
             on_ros_time(period_s, callback, "the transform tuner")
 
-    def _offer(self, item, namespace):
-        """Handles, sliders and services of one vehicle."""
+    def _offer(self, tuner, namespace):
+        """Handles and services of one vehicle. Returns its sliders."""
         titles = [action.capitalize() for action in ACTIONS]
-        marker = mount_marker(item.name, item.template, item.tuner.mount, titles)
-        self._handles.insert(marker, self._on_handle)
-        item.sliders = Sliders(namespace, item.tuner, lambda numbers: self._change(item, numbers))
+        self._handles.insert(mount_marker(tuner.name, tuner.template, tuner.mount, titles), self._on_handle)
         for action in ACTIONS:
 
             def serve(_request, action=action):
-                return TriggerResponse(*self._do(item, action))
+                return TriggerResponse(*self._do(tuner, action))
 
-            self._services.append(rospy.Service("%s/%s" % (namespace, action), Trigger, serve))
-
-    # -------- what is measured
+            rospy.Service("%s/%s" % (namespace, action), Trigger, serve)
+        return Sliders(namespace, tuner, lambda numbers: self._change(tuner, numbers))
 
     @until_shutdown
     def _on_states(self, msg):
@@ -162,96 +143,87 @@ class TransformTunerNode:
             self._frames.send(msg)
         with self._lock:
             for name, (position_m, euler_rad) in states_from_msg(msg).items():
-                item = self._by_name.get(name)
-                if item is not None:
-                    item.seen_s = now_s
-                    item.tuner.window.see_pose(stamp_s, position_m, euler_rad)
+                tuner = self._by_name.get(name)
+                if tuner is not None:
+                    tuner.seen_s = now_s
+                    tuner.window.see_pose(stamp_s, position_m, euler_rad)
         self._health.drawn("/cortex_raw")
 
     def _on_landmarks(self, msg):
         with self._lock:
-            for item in self._tuned:
-                item.tuner.window.see_landmarks({entry.name: (entry.x, entry.y, entry.z) for entry in msg.Obj})
+            for tuner in self._tuners:
+                tuner.window.see_landmarks({entry.name: (entry.x, entry.y, entry.z) for entry in msg.Obj})
         self._health.drawn("/states3")
 
     def _on_angles(self, msg):
+        templates = self._template_of_region
         with self._lock:
             for entry in msg.Obj:
-                item = self._by_name.get(entry.name)
-                if item is not None:
+                tuner = self._by_name.get(entry.name)
+                if tuner is not None:
                     seen = [bearing for bearing in bearings_from_msg(entry.landmarks) if bearing.visible]
-                    bearings = {self._landmark(b.name): (b.azimuth_rad, b.elevation_rad) for b in seen}
-                    item.tuner.window.see_bearings(msg.header.stamp.to_sec(), bearings)
+                    bearings = {templates.get(b.name, b.name): (b.azimuth_rad, b.elevation_rad) for b in seen}
+                    tuner.window.see_bearings(msg.header.stamp.to_sec(), bearings)
         self._health.drawn("/angles")
 
-    def _landmark(self, region):
-        return self._template_of_region.get(region, region)
-
-    # -------- what people do
-
     def _on_handle(self, feedback):
-        item = self._by_name[feedback.marker_name]
+        tuner = self._by_name[feedback.marker_name]
         if feedback.event_type == InteractiveMarkerFeedback.MENU_SELECT:
-            self._do(item, ACTIONS[feedback.menu_entry_id - 1])
+            self._do(tuner, ACTIONS[feedback.menu_entry_id - 1])
         elif feedback.event_type == InteractiveMarkerFeedback.POSE_UPDATE:
-            self._change(item, numbers_from_pose(feedback.pose))
+            self._change(tuner, numbers_from_pose(feedback.pose))
 
-    def _change(self, item, numbers):
+    def _change(self, tuner, numbers):
         try:
             with self._lock:
-                item.tuner.change(numbers)
-                self._show(item)
+                tuner.change(numbers)
+                self._show(tuner)
         except ValueError as error:
             rospy.logwarn("%s", error)
 
-    def _do(self, item, action):
+    def _do(self, tuner, action):
         """Run one of ACTIONS, after one that runs already. Returns (whether it was done, a sentence)."""
-        tuner = item.tuner
-        with item.acting:
+        with tuner.acting:
             with self._lock:
                 given = dict(zip(("solve", "check"), tuner.window.samples()))
                 if action == "record":
                     done, answer = tuner.record()
             if action in given:  # without the lock: frames go on meanwhile
-                done, answer = getattr(tuner, action)(given[action], self._cameras[item.name])
+                done, answer = getattr(tuner, action)(given[action], self._cameras[tuner.name])
             elif action != "record":
                 done, answer = getattr(tuner, action)()
             with self._lock:
-                self._show(item)
-            item.answer, item.answered_s = answer, time.monotonic()
+                self._show(tuner)
+            tuner.answer, tuner.answered_s = answer, time.monotonic()
         (rospy.loginfo if done else rospy.logwarn)("%s", answer)
         return done, answer
 
-    def _show(self, item):
+    def _show(self, tuner):
         """Everybody is told where the camera sits now; sliders follow soon."""
-        self._frames.move_camera(item.template, item.tuner.mount)
-        self._handles.setPose(item.name, pose_of(item.tuner.mount))
+        self._frames.move_camera(tuner.template, tuner.mount)
+        self._handles.setPose(tuner.name, pose_of(tuner.mount))
         self._handles.applyChanges()
 
     @until_shutdown
     def _on_follow(self):
         try:
-            for item in self._tuned:
-                item.sliders.follow()
+            for sliders in self._sliders:
+                sliders.follow()
         except (OSError, xmlrpc.client.Error) as error:
             rospy.logwarn_throttle(_COMPLAIN_S, "the sliders cannot follow, the master does not answer: %s" % error)
 
     @until_shutdown
     def _on_text(self):
         found = []
-        for number, item in enumerate(self._tuned):
-            camera = self._cameras[item.name]
+        for number, tuner in enumerate(self._tuners):
             with self._lock:
-                windows = item.tuner.window.samples()
-                latest = item.tuner.window.latest(self._params.live_s)
+                windows, latest = tuner.window.samples(), tuner.window.latest(self._params.live_s)
             now_s = time.monotonic()
-            lines = item.tuner.lines(latest, *windows, camera=camera, seen=now_s - item.seen_s < _SEEN_S)
-            if now_s - item.answered_s < _ANSWER_S:
-                lines += textwrap.wrap(item.answer, _TEXT_COLUMNS)
-            pen = Pen(
-                3.0 / self._params.text_hz, header(frame_id=body_frame(item.template))
-            )  # where the vehicle is now
+            lines = tuner.lines(latest, *windows, self._cameras[tuner.name], now_s - tuner.seen_s < _SEEN_S)
+            if now_s - tuner.answered_s < _ANSWER_S:
+                lines += textwrap.wrap(tuner.answer, _TEXT_COLUMNS)
+            pen = Pen(3.0 / self._params.text_hz, header(frame_id=body_frame(tuner.template)))  # where it is now
             lines_below = 0.5 * len(lines) + _APART_LINES * number
             at_m = (0.0, 0.0, -_TEXT_ABOVE_M - _LINE * _TEXT_M * lines_below)  # body axes
-            found.append(pen.text(item.name, 0, "\n".join(lines), at_m, _TEXT_M, _TEXT_RGBA))
+            found.append(pen.text(tuner.name, 0, "\n".join(lines), at_m, _TEXT_M, _TEXT_RGBA))
         self._text.publish(found)

@@ -13,7 +13,7 @@ from risc_lab.settings import Name, NotNegative, Settings
 from risc_maap_msgs.msg import Detections
 from risc_msgs.msg import Observed_rois
 from risc_visual.ros.conversions import detections_of_picture, rois_of_picture
-from risc_visual.vision.colours import SIDE_MIN_PX, Planes, shrunk
+from risc_visual.vision.colours import SIDE_MIN_PX, Planes
 from risc_visual.vision.landmark_config import load_landmarks
 from risc_visual.vision.landmark_detector import LandmarkDetector
 from risc_visual.vision.overlay import draw_landmarks, draw_vehicles
@@ -92,7 +92,7 @@ class Lookout:
         detector = self._detector_for(name, picture)
         landmarks, vehicles, planes = [], [], None
         if self._vehicles is not None and min(picture.shape[:2]) >= SIDE_MIN_PX:
-            planes = Planes(shrunk(picture, self._vehicles.shrink))
+            planes = Planes(picture, self._vehicles.shrink)
             vehicles = self._vehicles.detect_in(planes, observer=name)
         if detector is not None:
             landmarks = detector.detect(

@@ -87,7 +87,7 @@ class CamshiftTracker:
 
 def _clipped(rectangle, shape):
     """The part of (x, y, width, height) that lies in a picture of this shape."""
-    x, y, width, height = (int(value) for value in rectangle)
-    left, top = min(max(x, 0), shape[1]), min(max(y, 0), shape[0])
-    right, bottom = min(max(x + width, left), shape[1]), min(max(y + height, top), shape[0])
+    x, y, width, height = map(int, rectangle)
+    left, right = np.clip((x, x + max(0, width)), 0, shape[1]).tolist()
+    top, bottom = np.clip((y, y + max(0, height)), 0, shape[0]).tolist()
     return left, top, right - left, bottom - top

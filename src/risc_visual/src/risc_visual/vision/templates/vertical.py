@@ -1,5 +1,6 @@
 """A picture turned so that what is vertical in the world is vertical in it, however the vehicle rolls."""
 
+import collections
 import math
 
 import cv2
@@ -15,8 +16,7 @@ class RollHistory:
 
     def __init__(self):
         self._stamps = ClockGuard(math.inf)
-        self._times_s = []
-        self._rolls_rad = []
+        self._samples = collections.deque()  # (time [s], roll [rad])
 
     def add(self, time_s, roll_rad):
         """A measurement; a new clock (a bag that is played again) begins anew."""
@@ -24,18 +24,16 @@ class RollHistory:
         if step is Step.REFUSED:
             return
         if step is Step.NEW_CLOCK:
-            self._times_s.clear()
-            self._rolls_rad.clear()
-        self._times_s.append(time_s)
-        self._rolls_rad.append(roll_rad)
-        while self._times_s[-1] - self._times_s[0] > KEPT_S:
-            del self._times_s[0], self._rolls_rad[0]
+            self._samples.clear()
+        self._samples.append((time_s, roll_rad))
+        while time_s - self._samples[0][0] > KEPT_S:
+            self._samples.popleft()
 
     def at(self, time_s):
         """Roll [rad] at a time, interpolated; None when nothing was measured within a second of it."""
-        if not self._times_s or not self._times_s[0] - KEPT_S <= time_s <= self._times_s[-1] + KEPT_S:
+        if not self._samples or not self._samples[0][0] - KEPT_S <= time_s <= self._samples[-1][0] + KEPT_S:
             return None
-        return float(np.interp(time_s, self._times_s, self._rolls_rad))
+        return float(np.interp(time_s, *zip(*self._samples)))
 
 
 def level(picture, roll_rad):

@@ -19,7 +19,7 @@ esac
 compiler=$(command -v clang++ || command -v clang++-14) ||
   fail "clang++ is missing: apt-get install clang libclang-rt-14-dev"
 
-package=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+package=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 if [ $# -ge 2 ]; then
   mkdir -p "$2"
   build=$(cd "$2" && pwd)
@@ -31,9 +31,9 @@ mkdir -p "$build"/{seeds,corpus,findings}
 
 flags=(-std=c++17 -g -O2 -fno-omit-frame-pointer -Wall -Wextra -I "$package/include" -I "$package/test")
 sanitizers=address,undefined,float-cast-overflow
-"$compiler" "${flags[@]}" "$package"/fuzz/make_corpus.cpp "$package"/{src/protocol,test/encode}.cpp -o "$build/make_corpus"
+"$compiler" "${flags[@]}" "$package"/test/fuzz/make_corpus.cpp "$package"/{src/protocol,test/encode}.cpp -o "$build/make_corpus"
 "$compiler" "${flags[@]}" -fsanitize=fuzzer,$sanitizers -fno-sanitize-recover=all \
-  "$package"/fuzz/fuzz_protocol.cpp "$package"/{src/protocol,test/encode}.cpp -o "$build/fuzz_protocol"
+  "$package"/test/fuzz/fuzz_protocol.cpp "$package"/{src/protocol,test/encode}.cpp -o "$build/fuzz_protocol"
 
 "$build/make_corpus" "$build/seeds"
 cp "$package"/test/golden/*.bin "$build/seeds/"
