@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """The figures of chapter 6 with one vehicle: trajectory and controller in one node, figures chosen by the bumpers."""
 
-import sys
 from dataclasses import fields
 
 import numpy as np
@@ -24,7 +23,7 @@ class ExperimentNode(ControllerNode):
         fleet_vehicles = vehicles(only_one=True)
         kinds = TrajectoryParams, BumperParams
         params, bumpers = load_params(*kinds, known=None, lenient=True)
-        courses = [make_course(name, 1, params.yaw) for name in FIGURES]
+        courses = [make_course(name, 1).with_yaw(params.yaw) for name in FIGURES]
         self._wiring = ManagerWiring(fleet_vehicles, courses[0], params, listens=False)
         self._selector = CourseSelector(self._wiring, courses, bumpers)
         self._reference_message = TrajectoriesMessage(self._wiring.manager.names)
@@ -51,4 +50,4 @@ class ExperimentNode(ControllerNode):
 
 
 if __name__ == "__main__":
-    sys.exit(main("LQR_controller", ExperimentNode))
+    main("LQR_controller", ExperimentNode)

@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """Pursues a virtual target (virtual_target.py) by nonlinear guidance, as soon as that runs; until then flies to it."""
 
-import sys
-
 import numpy as np
 import rospy
 from std_msgs.msg import Float64
@@ -33,4 +31,4 @@ class GuidanceNode(ControllerNode):
 
 
 if __name__ == "__main__":
-    sys.exit(main("Hows_Controller", GuidanceNode))
+    main("Hows_Controller", GuidanceNode)

@@ -1,9 +1,7 @@
 #!/usr/bin/env python3
 """LQR on a double integrator and flatness, as the thesis describes it: for teaching and comparison."""
 
-import sys
-
 from risc_control.ros.controller_node import ControllerNode, main
 
 if __name__ == "__main__":
-    sys.exit(main("LQR_controller", lambda: ControllerNode("thesis_lqr")))
+    main("LQR_controller", lambda: ControllerNode("thesis_lqr"))

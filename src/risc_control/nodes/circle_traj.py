@@ -4,4 +4,4 @@
 from risc_control.ros.trajectory_node import main
 
 if __name__ == "__main__":
-    raise SystemExit(main("circular_trajectory", "circle", radius_m=0.7, period_s=5.0))
+    main("circular_trajectory", "circle", radius_m=0.7, period_s=5.0)

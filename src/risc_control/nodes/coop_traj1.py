@@ -4,4 +4,4 @@
 from risc_control.ros.trajectory_node import main
 
 if __name__ == "__main__":
-    raise SystemExit(main("topology_trajectory", "spin"))
+    main("topology_trajectory", "spin")

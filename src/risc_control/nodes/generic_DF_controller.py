@@ -1,9 +1,7 @@
 #!/usr/bin/env python3
 """Differential flatness controller of several vehicles (thesis 6; Appendix C); ~controller: another one by its name."""
 
-import sys
-
 from risc_control.ros.controller_node import ControllerNode, main
 
 if __name__ == "__main__":
-    sys.exit(main("Differential_Flatness", lambda: ControllerNode("differential_flatness")))
+    main("Differential_Flatness", lambda: ControllerNode("differential_flatness"))

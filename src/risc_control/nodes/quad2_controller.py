@@ -4,4 +4,4 @@
 from risc_control.ros.vehicle_node import main
 
 if __name__ == "__main__":
-    raise SystemExit(main("quad2"))
+    main("quad2")

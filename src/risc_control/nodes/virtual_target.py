@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """References for Hows_controller.py: a place to wait at, and, after a button, a target that runs on a circle."""
 
-import sys
 from dataclasses import dataclass
 
 import rospy
@@ -53,4 +52,4 @@ class VirtualTargetNode(ReferenceNode):
 
 
 if __name__ == "__main__":
-    sys.exit(main("virtual_target", VirtualTargetNode))
+    main("virtual_target", VirtualTargetNode)

@@ -148,11 +148,13 @@ class ControllerNodeTest(unittest.TestCase):
         self.lab.offset_m = dict.fromkeys(NAMES, (0.05, 0.0, 0.0))
         controls = self.newest("/controls")
         self.assertAlmostEqual(controls["albatross"].theta, controls["fluffy_II"].theta, delta=1e-6)
+        client = Client("/thesis", timeout=TIMEOUT_S)
+        before = client.get_configuration()["q_position"]
         for q_position, ratio in ((2.0, 2.0), (0.5, 4.0)):  # those of all; the gain is the root of a weight
-            Client("/thesis", timeout=TIMEOUT_S).update_configuration({"q_position": q_position})
+            client.update_configuration({"q_position": q_position})
             controls = self.newest("/thesis_controls")
             self.assertAlmostEqual(controls["albatross"].theta / controls["fluffy_II"].theta, ratio, delta=0.05)
-        Client("/thesis", timeout=TIMEOUT_S).update_configuration({"q_position": 2.0})
+        client.update_configuration({"q_position": before})
 
     def test_who_is_not_seen_gets_no_command_and_the_others_fly_on(self):
         self.lab.offset_m = dict.fromkeys(NAMES, (0.1, 0.1, 0.1))

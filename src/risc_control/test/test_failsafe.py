@@ -34,7 +34,7 @@ class Flight:
                 self.ladder.note_state(self.position, self.velocity, 0.004, self.now_s)
                 self.ladder.note_look(self.look, self.now_s)
             if "controls" in self.alive:
-                self.ladder.note_controls(0.006, self.now_s)
+                self.ladder.controls.note(0.006, self.now_s)
             if "navdata" in self.alive:
                 self.ladder.note_navdata(self.battery, self.now_s)
             if "joystick" in self.alive:
@@ -95,7 +95,7 @@ def test_old_stamps_are_losses_even_when_messages_arrive():
     ladder = SafetyLadder(SafetyLimits(), 9.9)
     ladder.note_navdata(90.0, 10.0)
     ladder.note_state(INSIDE, AT_REST, 0.3, 10.0)  # a network that delivers late
-    ladder.note_controls(0.3, 10.0)
+    ladder.controls.note(0.3, 10.0)
     assert ladder.update(10.0, True, True).level == FailsafeLevel.HOLD
     ladder.note_state(INSIDE, AT_REST, 150.0, 10.1)  # the backlog after a cable was pulled
     assert ladder.update(10.1, True, True).level == FailsafeLevel.LAND
@@ -117,7 +117,7 @@ def test_before_the_first_message():
     assert ladder.autonomy_problem(1.0) == "no state yet"
     ladder.note_state(INSIDE, AT_REST, 0.0, 1.0)
     assert ladder.autonomy_problem(1.0) == "no controls yet"
-    ladder.note_controls(0.0, 1.0)
+    ladder.controls.note(0.0, 1.0)
     assert ladder.autonomy_problem(1.0) == "no navdata yet"
     assert ladder.autonomy_problem(1.0, needs_navdata=False) == ""
     ladder.note_navdata(50.0, 1.0)
@@ -462,6 +462,6 @@ def test_a_clock_that_is_behind_makes_no_state_younger():
     ladder = SafetyLadder(SafetyLimits(), 0.0)
     for k in range(20):  # 2 ms on the way, our clock 50 ms behind
         ladder.note_state((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), -0.048, 0.005 * k)
-    assert ladder.state.clock_behind_s == pytest.approx(0.048)
+    assert ladder.state.ages.behind_s == pytest.approx(0.048)
     ladder.note_state((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.06, 0.2)  # 110 ms on the way
     assert ladder.state.age_s(0.2) == pytest.approx(0.108)

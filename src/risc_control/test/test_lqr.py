@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
-from risc_control.lqr import lqr_gain, with_integral
+from risc_control.lqr import lqi_gain, lqr_gain
 
 DOUBLE = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
 
@@ -33,9 +33,10 @@ def test_gain_is_optimal_and_stable():
 
 
 def test_integral_removes_a_constant_disturbance():
-    A, B = with_integral(*DOUBLE, [[1.0, 0.0]])
-    assert A.tolist() == [[0, 1, 0], [0, 0, 1], [0, 0, 0]] and B.tolist() == [[0], [0], [1]]
-    K = lqr_gain(A, B, [1.0, 2.0, 1.0], [1.0])
+    A, B = np.array([[0, 1, 0], [0, 0, 1], [0, 0, 0]]), np.array([[0], [0], [1]])
+    K = lqi_gain(*DOUBLE, 1.0, [2.0, 1.0], [1.0])
+    assert np.array_equal(K, lqr_gain(A, B, [1.0, 2.0, 1.0], [1.0]))
+    assert lqi_gain(*DOUBLE, 0.0, [2.0, 1.0], [1.0]).tolist() == [[0.0, *lqr_gain(*DOUBLE, [2.0, 1.0], [1.0])[0]]]
     at_rest = np.linalg.solve(A - B @ K, -np.array([0.0, 0.0, 0.7]))  # disturbance on the acceleration
     assert at_rest[1] == pytest.approx(0.0, abs=1e-12) and abs(at_rest[0]) > 0.1
 

@@ -93,7 +93,7 @@ def test_what_is_over_or_still_to_come_can_be_forgotten():
     assert len(second.since(3.5).links) == 2
     assert second.since(3.5).at(times) == pytest.approx(second.at(times))
     assert second.until(4.0).at(times) == pytest.approx(first.at(times))
-    assert [second.blends_after(time_s) for time_s in (0.0, 4.0, 8.0)] == [2, 1, 0]
+    assert [int((second.links["end_s"] > time_s).sum()) for time_s in (0.0, 4.0, 8.0)] == [2, 1, 0]
 
 
 def test_fleet_and_single_vehicle_are_evaluated_by_the_same_code():

@@ -265,7 +265,7 @@ def fly(controller, course, psi, duration_s=13.0, steps_late=26):
 @pytest.mark.parametrize("psi_deg", [0, 100, -135])
 def test_follows_courses_at_any_yaw_to_millimetres_on_the_nominal_vehicle(name, psi_deg):
     psi = math.radians(psi_deg)
-    course = make_course(name, 2, YawProgram(psi, 0.2 if psi_deg == 100 else 0.0))
+    course = make_course(name, 2).with_yaw(YawProgram(psi, 0.2 if psi_deg == 100 else 0.0))
     controller = flatness([ARDRONE] * 2)
     errors = fly(controller, course, psi, steps_late=round(controller.controller.delay_s[0] / DT_S))
     assert errors[-1000:].max() < 0.006

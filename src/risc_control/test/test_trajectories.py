@@ -45,7 +45,7 @@ def test_every_derivative_is_the_central_difference_of_the_one_before(name, vehi
 
 @pytest.mark.parametrize("name", ["circle", "flat8", "slanted8", "knot"])
 def test_yaw_along_the_path_is_exact_and_points_forward(name):
-    course, step_s = make_course(name, 2, YawProgram(along_path=True)), 1e-5
+    course, step_s = make_course(name, 2).with_yaw(YawProgram(along_path=True)), 1e-5
     for time_s in np.linspace(0.1, course.period_s, 37):
         derivatives = course.at(time_s, 6)
         yaw = derivatives[..., 3]
@@ -138,7 +138,7 @@ def test_copies_are_side_by_side_and_then_above_each_other():
     flat, high = (course_for_fleet("flat8", 10, arena) for arena in (Arena(4.0, 4.0), Arena(3.0, 2.0, 4.0)))
     assert np.ptp([corner[2] for corner in extent(flat)]) == 0.0
     assert extent(high)[1][0] == pytest.approx(1.5) and np.ptp([corner[2] for corner in extent(high)]) == 1.2
-    turned = course_for_fleet("flat8", 10, Arena(4.0, 4.0), YawProgram(0.4, along_path=True))
+    turned = course_for_fleet("flat8", 10, Arena(4.0, 4.0)).with_yaw(YawProgram(0.4, along_path=True))
     for time_s in np.linspace(0.0, 20.0, 7):
         path = flat.at(time_s)
         assert path[1:, :5] == pytest.approx(path[1:, 5:]), "five and five, the same figure"

@@ -6,6 +6,7 @@ pytest.importorskip("rospy")
 
 from risc_control.ros.vehicle_node import _chosen  # noqa: E402
 from risc_lab.lab import generated_fleet  # noqa: E402
+from risc_lab.lab.fleet import fleet_from_dict  # noqa: E402
 
 FLEET = generated_fleet(3)
 
@@ -33,3 +34,44 @@ def test_a_type_that_is_set_is_that_of_one_vehicle_and_of_several():
 def test_names_that_cannot_be_meant(names):
     with pytest.raises(ValueError, match="namespaces of /fleet"):
         _chosen({"vehicles": names}, "", FLEET)
+
+
+def one(wanted, namespace, fleet):
+    """(mocap template, type) of the only one."""
+    ((vehicle, _, is_alone),) = _chosen({"vehicle": wanted}, namespace, fleet)
+    assert is_alone
+    return vehicle.template, vehicle.type
+
+
+def fleet(*vehicles):
+    return fleet_from_dict(
+        {
+            "name": "test",
+            "mocap": {"host": "127.0.0.1"},
+            "vehicles": [
+                {
+                    "namespace": namespace,
+                    "template": template,
+                    "type": kind,
+                    "address": "127.0.0.%d" % (k + 2),
+                    "start": {"position_m": [0, 0, 0]},
+                }
+                for k, (namespace, template, kind) in enumerate(vehicles)
+            ],
+        }
+    )
+
+
+def test_vehicle_is_found_by_name():
+    two = fleet(("risc1", "Raven", "ardrone"), ("risc2", "iris_1", "iris"))
+    assert one("", "risc1", two) == ("Raven", "ardrone"), "the fleet overrides the lab's table"
+    assert one("", "risc2", two) == ("iris_1", "iris")
+    assert one("iris_1", "risc1", two) == ("iris_1", "iris")
+    assert one("condor", "risc1", two) == ("condor", "ardrone")
+    assert one("", "", fleet(("risc1", "Raven", "ardrone"))) == ("Raven", "ardrone")
+    assert one("", "risc1", None) == ("fluffy_II", "ardrone")
+    assert one("", "risc2", None) == ("albatross", "ardrone")
+    assert one("", "risc3", None) == ("Raven", "ardrone")
+    for namespace, known in (("risc3", two), ("", two), ("", None), ("risc4", None)):
+        with pytest.raises(ValueError, match="~vehicle"):
+            one("", namespace, known)

@@ -15,14 +15,12 @@ from risc_control.vehicle_pilot import (
     SlotClock,
     VehicleNodeParams,
     VehiclePilot,
-    choose_vehicle,
 )
 from risc_control.vehicles import Controls, FlightState, Status
 from risc_control.vehicles.ardrone import climb_ahead, status
 from risc_lab.command_history import CommandHistory
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab.arena import Arena
-from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.lab.vehicle_types import load_vehicle_type
 from risc_lab.settings import settings_from
 
@@ -374,7 +372,7 @@ def test_last_orders_are_level_and_land_and_nothing_follows():
     desk = Desk().fly(autonomous=True)
     orders = desk.pilot.on_shutdown(desk.now_s)
     assert orders.land
-    assert orders.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
+    assert orders.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), None)
     assert desk.run(1.0) == [], "controls still arrive while the node ends"
     assert not desk.press(TAKEOFF_LAND).takeoff
     assert desk.press(EMERGENCY).reset
@@ -458,7 +456,7 @@ def test_manual_commands_go_out_at_30_hz_and_follow_the_sticks():
     sent = desk.run(3.0)
     assert len(sent) == pytest.approx(90, abs=1)
     for _, sticks, stamp_s in sent:
-        assert (sticks, stamp_s) == (Sticks(-1.0, 0.25, 1.0, 0.25), 0.0)
+        assert (sticks, stamp_s) == (Sticks(-1.0, 0.25, 1.0, 0.25), None)
 
 
 def test_a_silent_joystick_centres_its_sticks():
@@ -761,9 +759,9 @@ def test_packets_without_a_battery_are_no_empty_battery():
 
 def request(desk):
     """Ask for a landing. Returns (done, what happens)."""
-    orders, done, text = desk.pilot.on_land_request(desk.now_s)
+    orders = desk.pilot.on_land_request(desk.now_s)
     desk.take(orders)
-    return done, text
+    return orders.answer
 
 
 @pytest.mark.parametrize("autonomous", [True, False])
@@ -777,7 +775,7 @@ def test_a_request_lands_in_both_modes_until_it_stands(autonomous):
     assert request(desk) == (True, "landing (landing was requested)")
     asked = desk.orders[-1][1]
     assert asked.land and (asked.safety.level, asked.safety.rule) == (FailsafeLevel.LAND, Rule.REQUEST), "at once"
-    assert asked.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), 0.0)
+    assert asked.command[:2] == (Sticks(0.0, 0.0, 0.0, 0.0), None)
     sent = desk.run(1.0)
     assert desk.count("land", since) == pytest.approx(6, abs=1), "ordered again every 0.2 s"
     assert all(sticks == Sticks(0.0, 0.0, 0.0, 0.0) for _, sticks, _ in sent)
@@ -912,42 +910,3 @@ def test_a_controller_with_other_full_scales_is_not_obeyed():
     desk.pilot.disagreement, since = "as before", len(desk.orders)
     desk.run(0.7)
     assert desk.count("land", since) > 0, "as if it were silent"
-
-
-def fleet(*vehicles):
-    return fleet_from_dict(
-        {
-            "name": "test",
-            "mocap": {"host": "127.0.0.1"},
-            "vehicles": [
-                {
-                    "namespace": namespace,
-                    "template": template,
-                    "type": kind,
-                    "address": "127.0.0.%d" % (k + 2),
-                    "start": {"position_m": [0, 0, 0]},
-                }
-                for k, (namespace, template, kind) in enumerate(vehicles)
-            ],
-        }
-    )
-
-
-def chosen(*what):
-    vehicle = choose_vehicle(*what)
-    return vehicle.template, vehicle.type
-
-
-def test_vehicle_is_found_by_name():
-    two = fleet(("risc1", "Raven", "ardrone"), ("risc2", "iris_1", "iris"))
-    assert chosen("", "risc1", two) == ("Raven", "ardrone"), "the fleet overrides the lab's table"
-    assert chosen("", "risc2", two) == ("iris_1", "iris")
-    assert chosen("iris_1", "risc1", two) == ("iris_1", "iris")
-    assert chosen("condor", "risc1", two) == ("condor", "ardrone")
-    assert chosen("", "", fleet(("risc1", "Raven", "ardrone"))) == ("Raven", "ardrone")
-    assert chosen("", "risc1", None) == ("fluffy_II", "ardrone")
-    assert chosen("", "risc2", None) == ("albatross", "ardrone")
-    assert chosen("", "risc3", None) == ("Raven", "ardrone")
-    for namespace, known in (("risc3", two), ("", two), ("", None), ("risc4", None)):
-        with pytest.raises(ValueError, match="~vehicle"):
-            choose_vehicle("", namespace, known)

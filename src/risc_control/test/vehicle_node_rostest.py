@@ -212,7 +212,7 @@ class VehicleNodeTest(unittest.TestCase):
         rospy.Subscriber("/risc4/controller_status", Bool, statuses.append)
         wait_for(lambda: statuses, "controller_status")
         (vehicle,) = node._vehicles
-        pilot, good = vehicle._pilot, vehicle._pilot.tick
+        pilot, good = vehicle.pilot, vehicle.pilot.tick
         node.controllers_s["/other"] = time.monotonic()
         vehicle.compare({"climb_max_m_s": 0.2}, "/other")
         self.assertIn("climb_max_m_s", pilot.disagreement)

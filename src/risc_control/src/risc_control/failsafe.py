@@ -128,7 +128,7 @@ class Freshness:
         self._tolerance_s = clock_tolerance_s
         self._arrival_s = -math.inf
         self._age_at_arrival_s = 0.0
-        self._ages = MessageAges()
+        self.ages = MessageAges()
         self._clock_error_s = 0.0  # how far the newest stamp was in the future, when too far
 
     def note(self, age_at_arrival_s, now_s):
@@ -138,12 +138,7 @@ class Freshness:
             return
         self._clock_error_s = 0.0
         self._arrival_s = now_s
-        self._age_at_arrival_s = self._ages.corrected(age_at_arrival_s, now_s)
-
-    @property
-    def clock_behind_s(self):
-        """By how much our clock is behind that of the stamps, at least [s]."""
-        return self._ages.behind_s
+        self._age_at_arrival_s = self.ages.corrected(age_at_arrival_s, now_s)
 
     def age_s(self, now_s):
         """Age now; infinite before the first good message."""
@@ -262,10 +257,6 @@ class SafetyLadder:
             return None
         stops = now_s - self._apart_since_s < self.limits.separation_land_s
         return self._look._replace(aside=ALONE.aside) if stops else self._look
-
-    def note_controls(self, age_at_arrival_s, now_s):
-        """A command for this vehicle came in."""
-        self.controls.note(age_at_arrival_s, now_s)
 
     def note_navdata(self, battery_pct, now_s):
         """The vehicle reported itself; battery_pct: None when the report holds none."""

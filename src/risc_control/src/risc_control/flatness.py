@@ -7,21 +7,13 @@ The triple is left-handed; (7.25) needs its third entry down (errata 25), which 
 import math
 from typing import NamedTuple
 
+from risc_control.vehicles import Command
 from risc_lab.compiled import compiled
 from risc_lab.frames import GRAVITY_M_S2
 
 MIN_UP_M_S2 = 0.3 * GRAVITY_M_S2  # a vehicle that asks for less falls, and its tilt is ill-defined
 MIN_COS_TILT = 0.5  # beyond 60 degrees no thrust holds the height: do not ask for more than twice
 _MIN_HORIZONTAL_M_S2 = 1e-9  # less than this has no direction
-
-
-class FlatInputs(NamedTuple):
-    """Inputs of the general quadrotor model (7.23)."""
-
-    thrust_n: float
-    phi_rad: float  # roll, + right wing down
-    theta_rad: float  # pitch, + nose up
-    yaw_rate_rad_s: float  # + clockwise from above
 
 
 class Acceleration(NamedTuple):
@@ -34,7 +26,7 @@ class Acceleration(NamedTuple):
 
 @compiled
 def flat_inputs(f, psi_rad, yaw_rate_rad_s, mass_kg):
-    """FlatInputs that give the `Acceleration` f at yaw psi.
+    """`Command`, the inputs of the general quadrotor model (7.23), that gives the `Acceleration` f at yaw psi.
 
     The thrust is (7.24), exact for a vehicle that already has the attitude; see `thrust_at_tilt`.
     Raises ValueError for |f| = 0 (free fall has no attitude) and for numbers that are not finite.
@@ -49,7 +41,7 @@ def flat_inputs(f, psi_rad, yaw_rate_rad_s, mass_kg):
     z_3 = f.up / norm
     phi_rad = math.asin(min(max(-z_2, -1.0), 1.0))  # (7.26)
     theta_rad = math.atan2(z_1, z_3)  # (7.27)
-    return FlatInputs(mass_kg * norm, phi_rad, theta_rad, yaw_rate_rad_s)
+    return Command(phi_rad, theta_rad, yaw_rate_rad_s, mass_kg * norm)
 
 
 @compiled

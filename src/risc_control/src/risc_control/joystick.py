@@ -156,18 +156,6 @@ class Joystick:
         return values[index]
 
 
-def button_conflict(claims, others):
-    """Which button two nodes use for different things, in a sentence; "" when there is none.
-
-    claims: [(topic, function, index), ...] of the one; others: of the other.
-    """
-    for topic, function, index in claims:
-        for their_topic, their_function, their_index in others:
-            if (topic, index) == (their_topic, their_index) and function != their_function:
-                return "button %d of %s is both %s and %s" % (index, topic, function, their_function)
-    return ""
-
-
 class ButtonPresses:
     """When a few buttons go down, for nodes that listen for nothing else.
 

@@ -31,14 +31,16 @@ def lqr_gain(A, B, Q, R):
         raise ValueError("LQR has no solution for these weights (%s)" % error) from error
 
 
-def with_integral(A, B, C):
-    """(A, B) of the plant with the integrals of y = C x as its first states: the plant of an LQI design.
+def lqi_gain(A, B, q_integral, Q, R):
+    """As `lqr_gain` with the integral of the first state, of weight q_integral, before the states; (m, 1 + n).
 
-    A: (n, n).  B: (n, m).  C: (k, n).  Returns (n + k, n + k) and (n + k, m).
+    Q: a diagonal (n,).  With q_integral = 0 there is no integral: its gain is 0.
     """
-    k, n = np.shape(C)
-    A_integral = np.block([[np.zeros((k, k)), np.asarray(C)], [np.zeros((n, k)), np.asarray(A)]])
-    return A_integral, np.vstack([np.zeros((k, np.shape(B)[1])), B])
+    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
+    if q_integral == 0.0:
+        return np.insert(lqr_gain(A, B, Q, R), 0, 0.0, axis=1)
+    with_integral = np.block([[np.zeros((1, 1)), np.eye(1, len(A))], [np.zeros((len(A), 1)), A]])
+    return lqr_gain(with_integral, np.vstack([np.zeros((1, B.shape[1])), B]), [q_integral, *Q], R)
 
 
 def _check_modes(A, B, concerned, what):

@@ -233,10 +233,6 @@ class Motion:
         end = max(1, int((self.links["begin_s"] <= time_s).sum()))
         return Motion(self.links[:end], self.rows[:end])
 
-    def blends_after(self, time_s):
-        """How many of its blends have not ended by then."""
-        return int((self.links["end_s"] > time_s).sum())
-
     def followed_by(self, other, **fields):
         """This chain and the last link of another motion after it; fields: of that link."""
         chain = Motion(np.concatenate([self.links, other.links[-1:]]), [*self.rows, other.rows[-1]])

@@ -41,9 +41,8 @@ class TargetParams(Settings):
     def target_course(self):
         """Course of the target."""
         period_s = 2.0 * math.pi * self.radius_m / self.target_speed_m_s
-        course = make_course(
-            "circle", 1, self._yaw(), radius_m=self.radius_m, period_s=period_s, height_m=self.height_m
-        )
+        numbers = {"radius_m": self.radius_m, "period_s": period_s, "height_m": self.height_m}
+        course = make_course("circle", 1, **numbers).with_yaw(self._yaw())
         return replace(course, name="NGC", paths=(on_course(course, 0, -self.phase_deg / 360.0 * period_s),))
 
     def _yaw(self):

@@ -32,6 +32,7 @@ _REFERENCE_S = 0.5  # [s] a reference that much older, or newer, than the positi
 _LEVEL_M = 0.05  # vehicles whose heights differ by less: the order of the fleet decides who is the upper one
 _PIECES = 4  # straight ones, of a bent path
 _FLOOR_M = AIRBORNE_M + 0.2  # nobody moves down below this
+_STILL = (0.0, 0.0, 0.0)
 _BESIDE = 1.2  # times separation_m: so far from the one that stands below a vehicle lands
 
 
@@ -175,30 +176,17 @@ class Separation:
 @compiled
 def _see(vehicles, rows, visible, states, seen_s):
     for k in range(len(rows)):
-        if rows[k] < 0 or not visible[k]:
-            continue
-        total = 0.0
-        for column in range(2 * 3):
-            total += states[k, column]
-        if not math.isfinite(total):
+        if rows[k] < 0 or not visible[k] or not math.isfinite(states[k, :6].sum()):
             continue
         vehicle = vehicles[rows[k]]
-        for axis in range(3):
-            vehicle.position_m[axis] = states[k, axis]
-            vehicle.velocity_m_s[axis] = states[k, 3 + axis]
+        vehicle.position_m[:], vehicle.velocity_m_s[:] = states[k, :3], states[k, 3:6]
         vehicle.seen_s = seen_s
 
 
 @compiled
 def _refer(vehicles, rows, derivatives, referred_s, course_m):
     for k in range(len(rows)):
-        if rows[k] < 0:
-            continue
-        total = 0.0
-        for order in range(3):
-            for axis in range(3):
-                total += derivatives[k, order, axis]
-        if not math.isfinite(total):
+        if rows[k] < 0 or not math.isfinite(derivatives[k, :, :3].sum()):
             continue
         vehicle = vehicles[rows[k]]
         # Who is sent elsewhere by a jump of its reference has not left its course.
@@ -208,12 +196,10 @@ def _refer(vehicles, rows, derivatives, referred_s, course_m):
             if 0.0 <= step_s < _REFERENCE_S:
                 went_m -= 0.5 * step_s * (derivatives[k, 1, axis] + vehicle.reference_m_s[axis])
             square += went_m * went_m
-            vehicle.reference_m[axis] = derivatives[k, 0, axis]
-            vehicle.reference_m_s[axis] = derivatives[k, 1, axis]
-            vehicle.reference_m_s2[axis] = derivatives[k, 2, axis]
         if square > 0.25 * course_m * course_m:
             vehicle.on_course = False
-        vehicle.referred_s = referred_s
+        vehicle.reference_m[:], vehicle.reference_m_s[:] = derivatives[k, 0, :3], derivatives[k, 1, :3]
+        vehicle.reference_m_s2[:], vehicle.referred_s = derivatives[k, 2, :3], referred_s
 
 
 @compiled
@@ -249,13 +235,17 @@ def _nearest(x, y, z, u, v, w, within_s):
 
 
 @compiled
-def _nearest_straight(one, other, is_unseen, within_s):
-    """Smallest distance of two vehicles within a time at their velocities; is_unseen: the other one is."""
+def _velocity(vehicle):
+    return vehicle.velocity_m_s[0], vehicle.velocity_m_s[1], vehicle.velocity_m_s[2]
+
+
+@compiled
+def _nearest_straight(one, velocity, other, other_velocity, is_unseen, within_s):
+    """Smallest distance of two vehicles within a time at such velocities; is_unseen: the other one is."""
     x = other.position_m[0] - one.position_m[0]
     y = other.position_m[1] - one.position_m[1]
     z = other.position_m[2] - one.position_m[2]
-    u, v, w = one.velocity_m_s[0], one.velocity_m_s[1], one.velocity_m_s[2]
-    other_u, other_v, other_w = other.velocity_m_s[0], other.velocity_m_s[1], other.velocity_m_s[2]
+    (u, v, w), (other_u, other_v, other_w) = velocity, other_velocity
     if not is_unseen:
         return _nearest(x, y, z, other_u - u, other_v - v, other_w - w, within_s)
     # it stopped, or flew on, and will come down
@@ -304,7 +294,7 @@ def _judge(vehicles, apart_m, now_s, limits):
     for i in range(n):
         _note_course(vehicles[i], now_s, limits)
     for i in range(n):
-        one, spare_m = vehicles[i], 0.0
+        one, velocity, spare_m = vehicles[i], _velocity(vehicles[i]), 0.0
         one.holds = False
         apart_m[i, :] = np.inf
         if now_s - one.seen_s > limits.state_hold_s or not _flies(one):
@@ -315,11 +305,12 @@ def _judge(vehicles, apart_m, now_s, limits):
             if i == j or unseen_s > limits.separation_forget_s or not _flies(other):
                 continue
             is_unseen = unseen_s > limits.state_hold_s
-            apart_m[i, j] = nearest_m = _nearest_straight(one, other, is_unseen, limits.separation_lookahead_s)
+            both = one, velocity, other, _velocity(other), is_unseen
+            apart_m[i, j] = nearest_m = _nearest_straight(*both, limits.separation_lookahead_s)
             limit_m = limits.separation_stray_m if other.strays else limits.separation_m
             if nearest_m < limit_m and one.follows and other.follows:
                 nearest_m = max(
-                    _nearest_straight(one, other, is_unseen, limits.separation_follow_s),
+                    _nearest_straight(*both, limits.separation_follow_s),
                     _nearest_bent(one, other, limits.separation_follow_s),
                 )
             if nearest_m - limit_m < spare_m:
@@ -357,7 +348,6 @@ def _avoid(vehicles, i, now_s, limits):
         if i == j or unseen_s > limits.separation_forget_s:
             continue
         x, y = one.position_m[0] - other.position_m[0], one.position_m[1] - other.position_m[1]
-        z = one.position_m[2] - other.position_m[2]
         level_m = math.hypot(x, y)
         if level_m < beside_m and not _is_above(other, one):
             beside_m, above = level_m, True
@@ -365,10 +355,8 @@ def _avoid(vehicles, i, now_s, limits):
         if not _flies(other):
             continue
         # will it come too near even to one that stops at once?
-        u, v, w = -other.velocity_m_s[0], -other.velocity_m_s[1], -other.velocity_m_s[2]
-        if unseen_s > limits.state_hold_s:
-            z, w = max(z, 0.0), 0.0
-        alone_m = _nearest(x, y, z, u, v, w, limits.separation_lookahead_s)
+        is_unseen, ahead_s = unseen_s > limits.state_hold_s, limits.separation_lookahead_s
+        alone_m = _nearest_straight(one, _STILL, other, _velocity(other), is_unseen, ahead_s)
         if alone_m < closest_m:
             closest_m = alone_m
             climb = 1 if _is_above(one, other) else -1
@@ -387,18 +375,16 @@ def _is_free(vehicles, i, aside, distance_m, now_s, limits):
         end_m = one.position_m[axis] + distance_m * aside[axis]
         if end_m < limits.low_m[axis] or end_m > limits.high_m[axis]:
             return False
+    velocity = speed_m_s * aside[0], speed_m_s * aside[1], 0.0
     within_s = distance_m / speed_m_s + limits.separation_lookahead_s if speed_m_s > 0.0 else 0.0
     for j in range(len(vehicles)):
         other = vehicles[j]
         unseen_s = now_s - other.seen_s
         if i == j or unseen_s > limits.separation_forget_s or not _flies(other):
             continue
-        x, y = other.position_m[0] - one.position_m[0], other.position_m[1] - one.position_m[1]
-        z = other.position_m[2] - one.position_m[2]
-        if unseen_s > limits.state_hold_s:
-            z = min(z, 0.0)
-        u, v = -speed_m_s * aside[0], -speed_m_s * aside[1]
-        here_m = math.sqrt(x * x + y * y + z * z)
-        if _nearest(x, y, z, u, v, 0.0, within_s) < min(here_m - 1e-9, limits.separation_stray_m):
+        is_unseen = unseen_s > limits.state_hold_s
+        here_m = _nearest_straight(one, _STILL, other, _STILL, is_unseen, 0.0)
+        nearest_m = _nearest_straight(one, velocity, other, _STILL, is_unseen, within_s)
+        if nearest_m < min(here_m - 1e-9, limits.separation_stray_m):
             return False
     return True

@@ -74,7 +74,9 @@ class Course:
         return replace(self, paths=tuple(self.paths[i] for i in order))
 
     def with_yaw(self, yaw):
-        """The same course with a YawProgram instead of its own."""
+        """The same course with a YawProgram instead of its own; None = its own."""
+        if yaw is None:
+            return self
         fields = {"yaw_rad": yaw.offset_rad, "yaw_rate_rad_s": yaw.rate_rad_s, "along_path": yaw.along_path}
         return replace(self, paths=tuple(path.with_fields(**fields) for path in self.paths))
 
@@ -246,17 +248,16 @@ COURSES = {course.__name__: course for course in (circle, circles3, flat8, knot,
 # ------------------------------------------------------------------------------------------------ courses by name
 
 
-def make_course(name, vehicles, yaw=None, **options):
+def make_course(name, vehicles, **options):
     """The Course of that name for so many vehicles.
 
-    yaw: YawProgram instead of the course's own.  options: the keyword arguments of the function in COURSES.
+    options: the keyword arguments of the function in COURSES.
     Raises ValueError for an unknown name or option, or a course that is not for so many vehicles.
     """
     if vehicles < 1:
         raise ValueError("a course needs at least one vehicle, got %r" % (vehicles,))
     numbers = settings_from(course_settings(name), options, "trajectory '%s'" % name)
-    course = COURSES[name](vehicles, **vars(numbers))
-    return course if yaw is None else course.with_yaw(yaw)
+    return COURSES[name](vehicles, **vars(numbers))
 
 
 def course_settings(name):
@@ -268,23 +269,23 @@ def course_settings(name):
     return make_dataclass(name, numbers, bases=(Settings,), frozen=True)
 
 
-def course_for_fleet(name, vehicles, arena, yaw=None, **options):
+def course_for_fleet(name, vehicles, arena, **options):
     """As `make_course`; where one figure cannot keep so many apart inside an Arena, they fly copies of it.
 
     Copies are side by side first, then above each other. Raises ValueError when there is no room. Up to FEW_VEHICLES
     fly one figure in any case.
     """
     if vehicles <= FEW_VEHICLES:
-        return make_course(name, vehicles, yaw, **options)
-    copied = make_course(name, 1, yaw, **options)  # whatever else is wrong is said here
-    whole = _if_for(name, vehicles, yaw, options)
+        return make_course(name, vehicles, **options)
+    copied = make_course(name, 1, **options)  # whatever else is wrong is said here
+    whole = _if_for(name, vehicles, options)
     if whole and _room(whole, arena):
         return whole
     most, course = 0, copied
     while course and course_separation(course, 400) >= _WITHIN_COPIES_M:
         if _room(course, arena):
             most, copied = len(course), course
-        course = _if_for(name, len(course) + 1, yaw, options) if len(course) < vehicles else None
+        course = _if_for(name, len(course) + 1, options) if len(course) < vehicles else None
     offsets = _places_for_copies(copied, arena) if most else []
     if most * len(offsets) < vehicles:
         raise ValueError(
@@ -293,7 +294,7 @@ def course_for_fleet(name, vehicles, arena, yaw=None, **options):
                most * max(1, len(offsets)))
         )  # fmt: skip
     copies = math.ceil(vehicles / most)
-    courses = [make_course(name, vehicles // copies + (k < vehicles % copies), yaw, **options) for k in range(copies)]
+    courses = [make_course(name, vehicles // copies + (k < vehicles % copies), **options) for k in range(copies)]
     paths = [
         path.with_fields(position_m=path.links["position_m"][0] + offset)
         for course, offset in zip(courses, offsets)
@@ -302,10 +303,10 @@ def course_for_fleet(name, vehicles, arena, yaw=None, **options):
     return replace(copied, paths=tuple(paths))
 
 
-def _if_for(name, vehicles, yaw, options):
+def _if_for(name, vehicles, options):
     """The course, None when it is not for so many vehicles."""
     try:
-        return make_course(name, vehicles, yaw, **options)
+        return make_course(name, vehicles, **options)
     except ValueError:
         return None
 

@@ -239,7 +239,7 @@ class TrajectoryManager:
     def _start(self, i, now_s, begin_s):
         """The motion that a vehicle is in, to blend from."""
         motion = self._motion(i).since(now_s).until(begin_s)
-        if motion.blends_after(begin_s) >= _DEEPEST:
+        if np.count_nonzero(motion.links["end_s"] > begin_s) >= _DEEPEST:
             position, velocity = motion.at(np.array([begin_s]), Order.VELOCITY)[:, 0]
             drifting = coasting(position[: Axis.PSI], velocity[: Axis.PSI], position[Axis.PSI], begin_s)
             motion = motion.followed_by(drifting, begin_s=begin_s, end_s=begin_s, yaw_end_s=begin_s)

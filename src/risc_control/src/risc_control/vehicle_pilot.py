@@ -16,20 +16,23 @@ from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sti
 from risc_control.separation import ALONE
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState, adapter_class, state_text
 from risc_lab.command_history import CommandHistory
-from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
-from risc_lab.settings import NotNegative, Positive, Settings
+from risc_lab.settings import NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
-_SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `PilotParams.command_rate_hz`
+_SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `VehicleNodeParams.command_rate_hz`
 
 
 @dataclass(frozen=True)
-class PilotParams(Settings):
-    """Everything of the node that is neither the joystick's mapping nor the ladder's."""
+class VehicleNodeParams(JoystickParams, SafetyLimits):
+    """All parameters of the vehicle node, by their names on the parameter server; of its own those that are neither the
+    joystick's mapping nor the ladder's.
+
+    Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`).
+    """
 
     Simulation: bool = False  # send commands without navdata, for simulators that have none
     # [Hz] 0 or negative: a sixtieth slower than the vehicle takes them (29.5 of 30). At the same rate commands that
@@ -48,34 +51,6 @@ class PilotParams(Settings):
         return self.command_rate_hz if self.command_rate_hz > 0.0 else _SLOWER * vehicle_type.command_rate_hz
 
 
-@dataclass(frozen=True)
-class VehicleNodeParams(PilotParams, JoystickParams, SafetyLimits):
-    """All parameters of the vehicle node, by their names on the parameter server.
-
-    Those of `vehicle_types.LEGACY_PARAMETERS` are the vehicle type's (`told_vehicle_type`).
-    """
-
-
-def choose_vehicle(wanted, namespace, fleet):
-    """FleetVehicle that a node flies.
-
-    wanted: the parameter ~vehicle, "" when not set.  namespace: e.g. "risc1", "" for none.  fleet: a `Fleet` or None.
-    Raises ValueError when it cannot be known.
-    """
-    vehicles = laboratory_vehicles() if fleet is None else fleet.vehicles
-    for vehicle in vehicles:
-        if wanted == vehicle.template or (not wanted and namespace == vehicle.namespace):
-            return vehicle
-    if wanted:
-        return unplaced_vehicle(namespace, wanted)
-    if fleet is not None and not namespace and len(vehicles) == 1:
-        return vehicles[0]
-    raise ValueError(
-        "cannot tell which vehicle '%s' is: start the node inside the vehicle's group (%s), or set ~vehicle to its "
-        "mocap template" % (namespace or "/", ", ".join(vehicle.namespace for vehicle in vehicles))
-    )
-
-
 class OwnState(NamedTuple):
     """Own entry of /cortex_raw, as far as the node needs it; cortex frame (z up)."""
 
@@ -90,7 +65,7 @@ class SentCommand(NamedTuple):
     """A command to send."""
 
     sticks: Sticks
-    answers_s: float  # stamp of the /controls answered [s]; 0 = of none
+    answers: object  # the stamp of the /controls that it answers, as `on_controls` was given it; None = it answers none
     settles_at: np.ndarray  # (4,) what the vehicle makes of it: see `command_history.Channel`
 
 
@@ -107,6 +82,7 @@ class Orders:
     simulator_reset = None  # value for the parameter RESET of simulators
     safety = None  # Verdict, when it has just changed
     shut_down = False
+    answer = None  # (done, what happens in a sentence) to who asked for a landing
     log = ()  # of (level "info" | "warn" | "error", sentence)
 
     def say(self, level, sentence):
@@ -120,23 +96,18 @@ class SlotClock:
     def __init__(self, rate_hz, begin_s=0.0):
         """begin_s: when a slot begins; clocks with the same one let the same tick through."""
         self._period_s = 1.0 / rate_hz
-        self._next_s = begin_s
+        self.next_s = begin_s  # when the next slot begins that was not used
 
     def due(self, now_s):
         """True when a slot has begun that was not used; uses it."""
-        if now_s < self._next_s:
+        if now_s < self.next_s:
             return False
-        self._next_s += self._period_s * (1 + (now_s - self._next_s) // self._period_s)
+        self.next_s += self._period_s * (1 + (now_s - self.next_s) // self._period_s)
         return True
-
-    @property
-    def next_s(self):
-        """When the next slot begins that was not used."""
-        return self._next_s
 
     def restart(self, now_s):
         """A slot was used out of turn: the next one is half a period away or more."""
-        self._next_s += self._period_s * math.ceil((now_s - self._next_s) / self._period_s + 0.5)
+        self.next_s += self._period_s * math.ceil((now_s - self.next_s) / self._period_s + 0.5)
 
 
 class VehiclePilot:
@@ -246,11 +217,11 @@ class VehiclePilot:
         """
         is_finite = math.isfinite(sum(own))
         if is_finite and not self.disagreement:
-            self.ladder.note_controls(age_s, now_s)
+            self.ladder.controls.note(age_s, now_s)
         return is_finite
 
-    def on_controls(self, own, stamp_s, age_s, now_s):
-        """A command of the controller (`vehicles.Controls`) with the stamp of the state it answers."""
+    def on_controls(self, own, stamp, age_s, now_s):
+        """A command of the controller (`vehicles.Controls`) with the stamp of the state it answers, of any type."""
         orders = Orders()
         if not self.hear_controls(own, age_s, now_s):
             orders.say("warn", "the controller sent a command that is not finite: ignored")
@@ -260,7 +231,7 @@ class VehiclePilot:
         self._judge(orders, now_s)
         if self.ladder.verdict.level == _OK and self._takes_commands() and self._slots.due(now_s):
             sent = self._sent.vehicles[0]
-            self._send(self._adapter.answer(own, self._state, self._state_s, now_s, sent), stamp_s, orders, now_s)
+            self._send(self._adapter.answer(own, self._state, self._state_s, now_s, sent), stamp, orders, now_s)
         return orders
 
     def tick(self, now_s):
@@ -278,25 +249,27 @@ class VehiclePilot:
         return orders
 
     def on_land_request(self, now_s):
-        """Somebody who has no joystick wants the vehicle down. Returns (`Orders`, done, what happens, in a sentence).
+        """Somebody who has no joystick wants the vehicle down.
 
         The ladder lands it, whoever flies, until it reports that it stands or the operator takes over.
         """
         orders = Orders()
         silent = not self.ladder.navdata_is_fresh(now_s)
         if self._ended:
-            return orders, False, "the vehicle node is ending; it has ordered a landing itself"
-        if self.airborne:
+            orders.answer = False, "the vehicle node is ending; it has ordered a landing itself"
+        elif self.airborne:
             self._judge(orders, now_s, land=True)
-            reason = self.ladder.verdict.reason
-            return orders, not silent, "landing (%s)%s" % (reason, ", but the vehicle is silent" if silent else "")
-        if silent or self.flight_state not in ON_GROUND:
+            unsure = ", but the vehicle is silent" if silent else ""
+            orders.answer = not silent, "landing (%s)%s" % (self.ladder.verdict.reason, unsure)
+        elif silent or self.flight_state not in ON_GROUND:
             # Nothing says that it stands, and an order to land does no harm to one that does.
             orders.land = True
             why = "the vehicle is silent" if silent else "it does not say that it stands (%s)" % self._state_text()
             orders.say("warn", "landing was requested: ordered once, but %s" % why)
-            return orders, False, "landing ordered once, but %s: whether it flies is not known" % why
-        return orders, True, "it stands: not airborne (%s)" % self._state_text()
+            orders.answer = False, "landing ordered once, but %s: whether it flies is not known" % why
+        else:
+            orders.answer = True, "it stands: not airborne (%s)" % self._state_text()
+        return orders
 
     def on_shutdown(self, now_s):
         """One round of the last orders: level and, whatever is known of it, land. Nothing but a reset follows."""
@@ -304,7 +277,7 @@ class VehiclePilot:
         orders = Orders()
         orders.land = True
         level = CENTRED if self._adapter.HOLDS_POSITION else self._adapter.move(0.0, 0.0, 0.0, self._state)
-        self._send(level, 0.0, orders, now_s)
+        self._send(level, None, orders, now_s)
         return orders
 
     def needs_landing(self, now_s):
@@ -438,7 +411,7 @@ class VehiclePilot:
             sticks = self._adapter.by_hand(self._sticks(), self._state)
         else:
             sticks = CENTRED if itself else self._adapter.move(0.0, 0.0, 0.0, self._state)
-        self._send(sticks, 0.0, orders, now_s)
+        self._send(sticks, None, orders, now_s)
 
     def _avoid(self, look):
         """Sticks that stop the vehicle where it is, except where a `separation.Look` sends it."""
@@ -452,6 +425,6 @@ class VehiclePilot:
         )
         return self._adapter.move(forward_rad, left_rad, look.climb * speed_m_s, self._state)
 
-    def _send(self, sticks, stamp_s, orders, now_s):
-        orders.command = SentCommand(sticks, stamp_s, self._adapter.settles_at(sticks))
+    def _send(self, sticks, answers, orders, now_s):
+        orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks))
         self._sent.append(0, now_s, orders.command.settles_at)

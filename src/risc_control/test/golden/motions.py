@@ -18,10 +18,10 @@ def sampled():
     result = {}
     for name in sorted(COURSES):
         for kind, yaw in YAWS.items():
-            course = make_course(name, 3, yaw)
+            course = make_course(name, 3).with_yaw(yaw)
             times = np.array([-1.7, 0.0, 3.3, 7.001, 100.0])
             result["%s %s" % (name, kind)] = np.concatenate([_rows(course.at(time_s)) for time_s in times])
-    eight = on_course(make_course("flat8", 3, YAWS["along"]), 1, 4.0)
+    eight = on_course(make_course("flat8", 3).with_yaw(YAWS["along"]), 1, 4.0)
     tour = on_course(make_course("quadrants", 3), 2, 4.5)
     circle = on_course(make_course("circles3", 3), 0, 6.0)
     drifting = coasting([1.5, -1.0, 0.8], [0.2, 0.1, -0.1], 3.0, 4.0)

@@ -144,7 +144,7 @@ def fly(flight):
         velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
     )
     yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
-    course = course_for_fleet(flight.trajectory, len(names), fleet.arena, yaw, **flight.course)
+    course = course_for_fleet(flight.trajectory, len(names), fleet.arena, **flight.course).with_yaw(yaw)
     own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
     loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
     manager = make_manager(fleet.vehicles, course, order=loop.controller.ORDER)

@@ -26,7 +26,7 @@ from risc_control.delay_prediction import (
     tilt_observer,
 )
 from risc_control.flatness import Acceleration, flat_inputs, limit_tilt, thrust_at_tilt
-from risc_control.lqr import lqr_gain, with_integral
+from risc_control.lqr import lqi_gain, lqr_gain
 from risc_control.reference_buffer import Axis, Order
 from risc_control.vehicles import Command, climb_acceleration, climb_command, clipped, floats, greatest_command
 from risc_lab.command_history import CHANNELS, Channel, CommandHistory, append_command
@@ -191,11 +191,11 @@ def _step(
             return False
         f, shortened = limit_tilt(Acceleration(forward, right, GRAVITY_M_S2 + up), limit.tilt_rad)
         wanted = flat_inputs(f, 0.0, wanted_rate, plant.mass_kg)
-        roll, pitch = clipped(wanted.phi_rad, limit.roll_rad), clipped(wanted.theta_rad, limit.pitch_rad)
+        roll, pitch = clipped(wanted.roll_rad, limit.roll_rad), clipped(wanted.pitch_rad, limit.pitch_rad)
         yaw_rate = clipped(wanted_rate, limit.yaw_rate_rad_s)
         commands[0, i], commands[1, i], commands[2, i] = roll, pitch, yaw_rate
         commands[3, i] = thrust_at_tilt(f.up, motion.phi_rad, motion.theta_rad, plant.mass_kg)
-        integral.tilt_was_cut = shortened or roll != wanted.phi_rad or pitch != wanted.theta_rad
+        integral.tilt_was_cut = shortened or roll != wanted.roll_rad or pitch != wanted.pitch_rad
         integral.climb_was_cut = climb_cut
         saturated[i] = integral.tilt_was_cut or climb_cut or yaw_rate != wanted_rate
         if autonomous[i]:
@@ -319,7 +319,7 @@ def _gains(vehicle_types, weights):
     """(k,) _GAINS of VehicleTypes."""
     A, B = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
     height = [weights.q_height, weights.q_climb]
-    vertical = _gain_with_integral(A, B, weights.q_height_integral, height, weights.r_vertical)
+    vertical = lqi_gain(A, B, weights.q_height_integral, height, [weights.r_vertical])[0]
     gains = np.zeros(len(vehicle_types), _GAINS)
     for gain, vehicle_type in zip(gains, vehicle_types):
         A, b = loops(vehicle_type)
@@ -338,17 +338,9 @@ def _horizontal_gain(A_loop, b_loop, drag_1_s, weights):
     A[1, 1] = -drag_1_s
     A[2:, 2:], B[2:, 0] = A_loop, b_loop
     Q = [weights.q_position, weights.q_velocity, weights.q_tilt, weights.q_tilt_rate]
-    feedback = _gain_with_integral(A, B, weights.q_integral, Q, weights.r_horizontal)
+    feedback = lqi_gain(A, B, weights.q_integral, Q, [weights.r_horizontal])[0]
     # the command that makes the loop a'' = wn^2 (u - a) - 2 zeta wn a' follow a given a(t)
     return (*feedback, -A_loop[1, 1] / b_loop[1], 1.0 / b_loop[1])
-
-
-def _gain_with_integral(A, B, q_integral, Q, r):
-    """Gain on [integral of the first state, states]; the integral's is 0 when its weight is."""
-    if q_integral == 0.0:
-        return np.concatenate([[0.0], lqr_gain(A, B, Q, [r])[0]])
-    A, B = with_integral(A, B, np.eye(1, len(A)))
-    return lqr_gain(A, B, [q_integral] + list(Q), [r])[0]
 
 
 @compiled

@@ -104,7 +104,7 @@ def _step(vehicles, gains, error_max_m, x, usable, present, commands, saturated)
         if not math.isfinite(f.north + f.east + f.up + yaw_rate):
             return False
         f, saturated[i] = limit_tilt(f, vehicles[i].tilt_max_rad)
-        inputs = flat_inputs(f, psi, yaw_rate, vehicles[i].mass_kg)
-        commands[0, i], commands[1, i] = inputs.phi_rad, inputs.theta_rad
-        commands[2, i], commands[3, i] = inputs.yaw_rate_rad_s, inputs.thrust_n
+        commands[0, i], commands[1, i], commands[2, i], commands[3, i] = flat_inputs(
+            f, psi, yaw_rate, vehicles[i].mass_kg
+        )
     return True

@@ -20,11 +20,11 @@ from risc_lab.lab.templates import attached_bodies, load_templates
 from risc_lab.lab.vehicle_types import FULL_SCALES, LEGACY_PARAMETERS
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
-from risc_lab.ros.diagnostics import Growth, make_updater
+from risc_lab.ros.diagnostics import Growth, add_all, summarise, ticking_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type, vehicles
-from risc_lab.ros.ticker import Ticker
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_lab.settings import Positive, Settings
 from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives
@@ -81,9 +81,7 @@ class ControllerNode:
         self._trajectories = TrajectoriesArrays()
         self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
         self._report = rospy.Publisher("/controller_report", ControllerReport, queue_size=10, tcp_nodelay=True)
-        self._diagnostics = make_updater(", ".join(self.names))
-        self._diagnostics.add("controller", self._diagnose)
-        Ticker(1.0, self._diagnostics.force_update, "the diagnostics")
+        ticking_updater(", ".join(self.names)).add("controller", self._diagnose)
         self._server = Server(_config(params), self._on_reconfigure)
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
@@ -231,24 +229,23 @@ class ControllerNode:
             _, rates = self._growth(self._counts)
             cycle_s, age_s, answered = self._cycle_max_s, self._age_max_s, self._answered
             self._cycle_max_s = self._age_max_s = 0.0
-        if rates["states"] == 0.0:
-            status.summary(1, "no states on /cortex_raw")
-        elif rates["without command"] > 0.0:
-            status.summary(1, "a vehicle is not seen or has no fresh reference: no command for it")
-        else:
-            status.summary(0, "controlling")
-        for what, rate in rates.items():
-            status.add("%s (Hz)" % what, "%.1f" % rate)
-        status.add("oldest state answered (ms)", "%.1f" % (1e3 * age_s))
-        status.add("longest cycle (ms)", "%.2f" % (1e3 * cycle_s))
+        summarise(
+            status,
+            (rates["states"] == 0.0, 1, "no states on /cortex_raw"),
+            (rates["without command"] > 0.0, 1, "a vehicle is not seen or has no fresh reference: no command for it"),
+            (True, 0, "controlling"),
+        )
         errors_m = _errors_m(*answered) if answered else [np.nan] * len(self.names)
         report = ControllerReport(oldest_state_s=age_s)
         report.header.stamp = rospy.Time.now()
         report.vehicles = [TrackingError(*item) for item in zip(self.names, errors_m)]
         self._report.publish(report)
-        for name, error_m in zip(self.names, errors_m):
-            status.add("position error of %s (mm)" % name, "%.1f" % (1e3 * error_m))
-        status.add("autonomous", ", ".join(np.array(self.names)[self._autonomous].tolist()) or "none")
+        values = {"%s (Hz)" % what: "%.1f" % rate for what, rate in rates.items()}
+        values["oldest state answered (ms)"] = "%.1f" % (1e3 * age_s)
+        values["longest cycle (ms)"] = "%.2f" % (1e3 * cycle_s)
+        values |= {"position error of %s (mm)" % name: "%.1f" % (1e3 * m) for name, m in zip(self.names, errors_m)}
+        values["autonomous"] = ", ".join(np.array(self.names)[self._autonomous].tolist()) or "none"
+        add_all(status, values)
         return status
 
 
@@ -285,13 +282,5 @@ def _errors_m(reference, states, known):
 
 
 def main(name, make_node):
-    """Run a node until shutdown; wrong parameters end it with one line. Returns the exit code."""
-    low_latency.start(name)
-    try:
-        node = make_node()
-    except ValueError as error:
-        rospy.logfatal("%s: %s", rospy.get_name(), error)
-        return 1
-    low_latency.spin()
-    del node
-    return 0
+    """Run a node between frame and command until shutdown; wrong parameters end it with one line."""
+    run(name, make_node, low_latency.start, low_latency.spin)

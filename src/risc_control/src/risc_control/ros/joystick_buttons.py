@@ -6,12 +6,13 @@ import threading
 import time
 import urllib.parse
 from dataclasses import dataclass
+from itertools import product
 
 import rosgraph
 import rospy
 from sensor_msgs.msg import Joy
 
-from risc_control.joystick import LATE_S, ButtonPresses, button_conflict
+from risc_control.joystick import LATE_S, ButtonPresses
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.ticker import guarded
 from risc_lab.settings import Positive, Settings
@@ -46,11 +47,14 @@ def claim_buttons(functions, topics=("joy",)):
     place = _CLAIMS + own.replace("/", "_")
     rospy.set_param(place, {"node": own, "buttons": claims})  # first: of two that start together one sees the other
     for other in rospy.get_param(_CLAIMS, {}).values():
-        if other["node"] != own:
-            text = button_conflict(claims, other["buttons"])
-            if text and _runs(other["node"]):
+        for (topic, name, index), (their_topic, their_name, their_index) in product(claims, other["buttons"]):
+            is_same = (topic, index) == (their_topic, their_index) and name != their_name
+            if other["node"] != own and is_same and _runs(other["node"]):
                 rospy.delete_param(place)
-                raise ValueError("%s (of %s): set one of the two parameters to another button" % (text, other["node"]))
+                raise ValueError(
+                    "button %d of %s is both %s and %s (of %s): set one of the two parameters to another button"
+                    % (index, topic, name, their_name, other["node"])
+                )
 
 
 def _runs(node):

@@ -234,14 +234,14 @@ class TrajectoryNode(ReferenceNode):
         params, numbers, *self.more = load_params(
             TrajectoryParams, numbers, *kinds, known=("course", *VEHICLE_KEYS), lenient=True
         )
-        course = course_for_fleet(name, len(fleet_vehicles), known_arena(), params.yaw, **vars(numbers))
+        course = course_for_fleet(name, len(fleet_vehicles), known_arena(), **vars(numbers)).with_yaw(params.yaw)
         check_course(course, fleet_vehicles)
         super().__init__(ManagerWiring(fleet_vehicles, course, params))
 
 
 def main(name, course, **options):
-    """Run a TrajectoryNode until shutdown. Returns the exit code."""
-    return controller_node.main(name, lambda: TrajectoryNode(course, **options))
+    """Run a TrajectoryNode until shutdown."""
+    controller_node.main(name, lambda: TrajectoryNode(course, **options))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import socket
 import threading
 import time
 import traceback
+from collections import defaultdict
 from dataclasses import replace
 from functools import partial, wraps
 
@@ -24,14 +25,16 @@ from risc_control.joystick import Button
 from risc_control.ros.conversions import command_sent
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.separation import ALONE, Separation
-from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot, choose_vehicle
+from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, adapter_class
 from risc_lab.lab.arena import Arena
+from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
 from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
 from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import ControlsArrays, CortexArrays, TrajectoriesArrays
+from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
@@ -51,6 +54,7 @@ _GONE_S = 5.0  # after so long what is known of its full scales counts no more
 _VEHICLES_A_TURN = 5  # that one message of the controller commands;
 _MOST_GROUPS = 6  # more of them in a large fleet: a 200 Hz controller sends 6.8 messages in a command period
 _NONE = rospy.Time()
+_LOGS = {"info": rospy.loginfo, "warn": partial(rospy.logwarn_throttle_identical, 2.0), "error": rospy.logerr}
 
 
 class VehicleNode:
@@ -74,7 +78,9 @@ class VehicleNode:
         types = [told_vehicle_type(vehicle, values) for vehicle, _, _ in chosen]
         rates_hz = [params.rate_hz(vehicle_type) for vehicle_type in types]
         turns_s = _turns_s([1.0 / rate_hz for rate_hz in rates_hz])
-        self.sent = _Sent()
+        self.sent = queue.SimpleQueue()  # of CommandSent: those that have their turn together share a message
+        self._sent_lock = threading.Lock()
+        self._sent_publisher = rospy.Publisher("/commands_sent", CommandsSent, queue_size=100, tcp_nodelay=True)
         self.controllers_s = {}  # {node of a controller: when it was heard last}
         self._vehicles = [_Vehicle(self, *who, kind, turn_s) for who, kind, turn_s in zip(chosen, types, turns_s)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
@@ -83,7 +89,7 @@ class VehicleNode:
         self._separation = Separation(self._by_name, params, everybody)
         tick_hz = _TICKS_PER_COMMAND * max(rates_hz)
         self._tick_s = 1.0 / tick_hz
-        self._streams = {}  # {sender of /controls: ControllerStream}
+        self._streams = defaultdict(lambda: ControllerStream(self._tick_s))  # {sender of /controls: its stream}
         self._heard = {}  # {topic: {sender: names of its messages}}
         self._complete = set()  # topics that have all vehicles
         self._answering, self._looking = threading.Lock(), threading.Lock()  # senders have threads of their own
@@ -133,16 +139,14 @@ class VehicleNode:
             )
             rows = zip(map(self._by_name.get, controls.names), controls.controls.tolist())
             flown = [(vehicle, row) for vehicle, row in rows if vehicle is not None]
-            stream = self._streams.get(who)
-            if stream is None:
-                stream = self._streams[who] = ControllerStream(self._tick_s)
             if _begins(who, self.controllers_s):
                 self.errands.put(lambda: self._compare(who))
             is_due = time.monotonic() >= _next_command_s(flown)
+            stream = self._streams[who]
             answers = stream.answers(stamp_s, age_s, is_due)
             for vehicle, row in flown:
-                vehicle.on_controls(Controls(*row), stamp if answers else None, stamp_s, age_s)
-            self.sent.publish()
+                vehicle.on_controls(Controls(*row), stamp if answers else None, age_s)
+            self._tell_sent()
             return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
     def _on_states(self, message):
@@ -188,7 +192,16 @@ class VehicleNode:
     def _on_tick(self):
         for vehicle in self._vehicles:
             vehicle.on_tick()
-        self.sent.publish()
+        self._tell_sent()
+
+    def _tell_sent(self):
+        """What was sent since the last time, in the order of sending."""
+        with self._sent_lock:
+            commands = [self.sent.get() for _ in range(self.sent.qsize())]
+            if commands:
+                message = CommandsSent(commands=commands)
+                message.header.stamp = commands[-1].sent
+                self._sent_publisher.publish(message)
 
     def _compare(self, controller):
         """A controller says what full scales it reckons with; one that says nothing is believed."""
@@ -209,7 +222,7 @@ class VehicleNode:
         for ticker in self._tickers:
             ticker.stop()
         land(self._vehicles)
-        self.sent.publish()
+        self._tell_sent()
         time.sleep(_FLUSH_S)
 
 
@@ -220,28 +233,6 @@ def land(vehicles):
         if not vehicles:
             return
         time.sleep(_LAND_ROUND_S)
-
-
-class _Sent:
-    """/commands_sent of all vehicles of the node: those that have their turn together share a message."""
-
-    def __init__(self):
-        self._commands, self._lock = [], threading.Lock()
-        self._publisher = rospy.Publisher("/commands_sent", CommandsSent, queue_size=100, tcp_nodelay=True)
-
-    def add(self, command):
-        """A CommandSent went out."""
-        with self._lock:
-            self._commands.append(command)
-
-    def publish(self):
-        """Tell what was added; in the order of sending."""
-        with self._lock:
-            commands, self._commands = self._commands, []
-            if commands:
-                message = CommandsSent(commands=commands)
-                message.header.stamp = commands[-1].sent
-                self._publisher.publish(message)
 
 
 def _contained(method):
@@ -267,7 +258,7 @@ class _Vehicle:
         self.name = fleet_vehicle.template
         self._node, self._type, self._prefix, self._is_alone = node, vehicle_type, prefix, is_alone
         self._turn_s = turn_s
-        self._pilot = VehiclePilot(node.params, vehicle_type, time.monotonic(), turn_s)
+        self.pilot = VehiclePilot(node.params, vehicle_type, time.monotonic(), turn_s)
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()
@@ -295,11 +286,6 @@ class _Vehicle:
         where = rospy.get_name(), self.name, self._type.name, self._link.topic
         rospy.loginfo("%s flies %s (%s), commands on %s", *where)
 
-    @property
-    def next_command_s(self):
-        """When the vehicle takes the next command of the controller [s]; infinite while it takes none."""
-        return self._pilot.next_command_s
-
     def on_error(self, error):
         """Something failed. An autonomous vehicle must not fly on with it; in manual mode its operator decides."""
         if rospy.core.is_shutdown_requested():
@@ -311,7 +297,7 @@ class _Vehicle:
             % (self.name, type(error).__name__, error, traceback.format_exc()),
         )
         now_s = time.monotonic()
-        if self._pilot.autonomous and now_s - self._error_land_s >= _ERROR_LAND_S:
+        if self.pilot.autonomous and now_s - self._error_land_s >= _ERROR_LAND_S:
             self._error_land_s = now_s
             self._link.land()
             rospy.logerr_throttle(_ERROR_LOG_S, "%s: landing: %s" % (self.name, error))
@@ -319,23 +305,17 @@ class _Vehicle:
     @_contained
     def _on_joy(self, message):
         age_s, who = origin(message)
-        with self._lock:
-            orders = self._pilot.on_joy(message.buttons, message.axes, time.monotonic(), age_s, who)
-            self._carry_out(orders)
-        self._report(orders)
+        self._act(lambda pilot, now_s: pilot.on_joy(message.buttons, message.axes, now_s, age_s, who))
 
     @_contained
     def _on_status(self, status, driver):
         if _begins(driver, self._drivers_s):
             self._node.errands.put(lambda: self.compare(self._link.driver_overrides(driver), driver))
-        with self._lock:
-            orders = self._pilot.on_status(status, time.monotonic())
-            self._carry_out(orders)
-            self._tell(status)
-        self._report(orders)
+        self._act(lambda pilot, now_s: pilot.on_status(status, now_s))
+        self._tell(status)
 
     def _tell(self, status):
-        """Tell a vehicles.Status when it is due. With the lock held."""
+        """Tell a vehicles.Status when it is due."""
         told, now_s = self._told, time.monotonic()
         if status.battery_pct is not None:
             told.battery_pct = status.battery_pct
@@ -356,7 +336,7 @@ class _Vehicle:
         """Whose full scales differ, of those that are still there. With the lock held."""
         since_s, heard_s = time.monotonic() - _GONE_S, {**self._node.controllers_s, **self._drivers_s}
         self._disagreements = {n: text for n, text in self._disagreements.items() if text and heard_s[n] > since_s}
-        self._pilot.disagreement = next(iter(self._disagreements.values()), "")
+        self.pilot.disagreement = next(iter(self._disagreements.values()), "")
 
     @_contained
     def on_state(self, visible, row, age_s, look):
@@ -369,45 +349,44 @@ class _Vehicle:
         own = OwnState(row[:3], row[3:6], *(_RAD_PER_DEG * angle for angle in row[6:9]))
         with self._lock:
             self._counts["states"] += 1
-            self._pilot.on_state(own, age_s, time.monotonic(), look)
+            self.pilot.on_state(own, age_s, time.monotonic(), look)
 
     @_contained
-    def on_controls(self, own, stamp, stamp_s, age_s):
+    def on_controls(self, own, stamp, age_s):
         """Its entry of /controls, with the stamp of the message; None: no command may follow."""
-        with self._lock:
-            self._counts["controls"] += 1
-            if stamp is None:
-                self._pilot.hear_controls(own, age_s, time.monotonic())
-                return
-            orders = self._pilot.on_controls(own, stamp_s, age_s, time.monotonic())
-            self._carry_out(orders, stamp)
-        self._report(orders)
+        self._counts["controls"] += 1
+        if stamp is None:
+            with self._lock:
+                self.pilot.hear_controls(own, age_s, time.monotonic())
+        else:
+            self._act(lambda pilot, now_s: pilot.on_controls(own, stamp, age_s, now_s))
 
     def _on_land_request(self, _request):
-        with self._lock:
-            orders, done, text = self._pilot.on_land_request(time.monotonic())
-            self._carry_out(orders)
-        self._report(orders)
-        return TriggerResponse(done, text)
+        return TriggerResponse(*self._act(lambda pilot, now_s: pilot.on_land_request(now_s)).answer)
 
     @_contained
     def on_tick(self):
         """Twice for each command that the vehicle takes."""
-        with self._lock:
-            if self._disagreements:
+        if self._disagreements:
+            with self._lock:
                 self._agree()
-            orders = self._pilot.tick(time.monotonic())
-            self._carry_out(orders)
-        self._report(orders)
+        self._act(lambda pilot, now_s: pilot.tick(now_s))
 
     def last_orders(self):
         """Level and land, once. Returns whether that was enough."""
         with self._lock:
-            self._carry_out(self._pilot.on_shutdown(time.monotonic()))
-            return not self._pilot.needs_landing(time.monotonic())
+            self._carry_out(self.pilot.on_shutdown(time.monotonic()))
+            return not self.pilot.needs_landing(time.monotonic())
 
-    def _carry_out(self, orders, stamp=None):
-        """Publish what was ordered; inside the lock, so that an older command never overtakes a newer one."""
+    def _act(self, decide):
+        """Let the pilot decide at a time (decide: function of both), and do what it orders. Returns its Orders."""
+        with self._lock:  # also while it is published, so that an older command never overtakes a newer one
+            orders = decide(self.pilot, time.monotonic())
+            self._carry_out(orders)
+        self._report(orders)
+        return orders
+
+    def _carry_out(self, orders):
         if orders.reset:
             self._link.reset()
         if orders.takeoff:
@@ -418,10 +397,10 @@ class _Vehicle:
             command = orders.command
             self._link.send(command.sticks, orders.level_only)
             sent = rospy.Time.from_sec(ros_time_s())
-            answers = stamp if command.answers_s and stamp is not None else _NONE
+            answers = command.answers or _NONE
             if answers:
                 self._answer_max_s = max(self._answer_max_s, (sent - answers).to_sec())
-            self._node.sent.add(command_sent(self.name, sent, answers, command.settles_at))
+            self._node.sent.put(command_sent(self.name, sent, answers, command.settles_at))
             self._counts["commands"] += 1
         if orders.status is not None:
             self._status.publish(orders.status)
@@ -435,13 +414,7 @@ class _Vehicle:
         if orders.simulator_reset is not None:
             self._node.errands.put(partial(rospy.set_param, "/RESET", orders.simulator_reset))
         for level, text in orders.log:
-            text = "%s: %s" % (self.name, text)
-            if level == "info":
-                rospy.loginfo(text)
-            elif level == "warn":
-                rospy.logwarn_throttle_identical(2.0, text)
-            else:
-                rospy.logerr(text)
+            _LOGS[level]("%s: %s" % (self.name, text))
         if orders.shut_down:
             end = (lambda: rospy.signal_shutdown("shut-down button")) if self._is_alone else self._begin_again
             threading.Thread(target=end, daemon=True).start()
@@ -450,8 +423,8 @@ class _Vehicle:
         """What the shut-down button means beside other vehicles: land, then be as a node that has just started."""
         land([self])
         with self._lock:
-            before, now_s = self._pilot, time.monotonic()
-            self._pilot = VehiclePilot(self._node.params, self._type, now_s, self._turn_s, before)
+            before, now_s = self.pilot, time.monotonic()
+            self.pilot = VehiclePilot(self._node.params, self._type, now_s, self._turn_s, before)
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):
@@ -459,11 +432,9 @@ class _Vehicle:
         with self._lock:
             now_s, (_, rates) = time.monotonic(), self._growth(self._counts)
             answer_max_s, self._answer_max_s = self._answer_max_s, 0.0
-            pilot = self._pilot
-            verdict, reactions = pilot.ladder.verdict, list(pilot.ladder.reactions)
-            ages_s = pilot.ladder.state.age_s(now_s), pilot.ladder.controls.age_s(now_s)
-            behind_s = pilot.ladder.state.clock_behind_s
-            autonomous, flight_state = pilot.autonomous, pilot.flight_state
+            autonomous, flight_state, ladder = self.pilot.autonomous, self.pilot.flight_state, self.pilot.ladder
+            verdict, reactions, behind_s = ladder.verdict, list(ladder.reactions), ladder.state.ages.behind_s
+            ages_s = ladder.state.age_s(now_s), ladder.controls.age_s(now_s)
         told = VehicleNodeStatus(name=self.name, computer=socket.gethostname())
         told.header.stamp = rospy.Time.now()
         told.oldest_state_s, told.clock_behind_s = answer_max_s, behind_s
@@ -508,7 +479,7 @@ def _begins(who, heard_s):
 
 def _next_command_s(flown):
     """When the first of [(_Vehicle, its control)] takes a command [s]; infinite when none does."""
-    return min((vehicle.next_command_s for vehicle, _ in flown), default=math.inf)
+    return min((vehicle.pilot.next_command_s for vehicle, _ in flown), default=math.inf)
 
 
 def _turns_s(periods_s):
@@ -523,33 +494,37 @@ def _chosen(values, namespace, fleet):
 
     values: private parameters.  fleet: Fleet or None.  Raises ValueError when it cannot be known.
     """
-    wanted = values.get("vehicles", "")
-
-    def told(vehicle):
-        return replace(vehicle, type=values.get("type", vehicle.type))
-
-    if not wanted:
-        group = namespace or rospy.get_namespace().strip("/").split("/")[-1]
-        vehicle = choose_vehicle(values.get("vehicle", ""), group, fleet)
-        return [(told(vehicle), "/%s/" % namespace if namespace else "", True)]
-    names = wanted.split() if isinstance(wanted, str) else wanted
-    known = {vehicle.namespace: vehicle for vehicle in fleet.vehicles} if fleet is not None else {}
-    unknown = [name for name in names if name not in known]
-    if unknown or len(set(names)) < len(names):
-        raise ValueError(
-            "parameter ~vehicles must be namespaces of /fleet (%s), each once; found %s"
-            % (", ".join(known) or "there is none: load a fleet file", ", ".join(map(str, names)))
-        )
-    return [(told(known[name]), "/%s/" % name, len(names) == 1) for name in names]
+    known = laboratory_vehicles() if fleet is None else fleet.vehicles
+    names = values.get("vehicles", "")
+    names = names.split() if isinstance(names, str) else names
+    if names:
+        found = [vehicle for name in names for vehicle in known if fleet is not None and vehicle.namespace == name]
+        if len(found) < len(names) or len(set(names)) < len(names):
+            raise ValueError(
+                "parameter ~vehicles must be namespaces of /fleet (%s), each once; found %s"
+                % (
+                    ", ".join(vehicle.namespace for vehicle in known) if fleet else "there is none: load a fleet file",
+                    ", ".join(map(str, names)),
+                )
+            )
+        prefixes = ["/%s/" % name for name in names]
+    else:
+        wanted, group = values.get("vehicle", ""), namespace or rospy.get_namespace().strip("/").split("/")[-1]
+        found = [v for v in known if wanted == v.template or (not wanted and group == v.namespace)]
+        if not found and wanted:
+            found = [unplaced_vehicle(group, wanted)]
+        if not found and fleet is not None and not group and len(known) == 1:
+            found = known
+        if not found:
+            raise ValueError(
+                "cannot tell which vehicle '%s' is: start the node inside the vehicle's group (%s), or set ~vehicle to "
+                "its mocap template" % (group or "/", ", ".join(vehicle.namespace for vehicle in known))
+            )
+        prefixes = ["/%s/" % namespace if namespace else ""]
+    found = [replace(vehicle, type=values.get("type", vehicle.type)) for vehicle in found]
+    return [(vehicle, prefix, len(found) == 1) for vehicle, prefix in zip(found, prefixes)]
 
 
 def main(namespace=""):
-    """Run the node until shutdown; returns the exit code."""
-    low_latency.start("risc_hand_controller")
-    try:
-        VehicleNode(namespace)
-    except ValueError as error:
-        rospy.logfatal("%s: %s", rospy.get_name(), error)
-        return 1
-    low_latency.spin()
-    return 0
+    """Run the node until shutdown; wrong parameters end it with one line."""
+    run("risc_hand_controller", lambda: VehicleNode(namespace), low_latency.start, low_latency.spin)

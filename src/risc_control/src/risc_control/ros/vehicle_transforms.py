@@ -12,6 +12,7 @@ from geometry_msgs.msg import TransformStamped
 
 from risc_lab.lab.calibration import load_mount
 from risc_lab.lab.templates import attached_bodies, load_templates
+from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, known_fleet, load_params
 from risc_lab.settings import Positive, Settings
@@ -59,18 +60,14 @@ class VehicleTransforms:
 
 
 def main(name):
-    """Run the node of the fleet's frames until ROS shuts down. Returns the exit code."""
-    rospy.init_node(name)
-    try:
+    """Run the node of the fleet's frames until ROS shuts down."""
+
+    def make():
         (params,) = load_params(TransformParams, lenient=True)
         mounts = {v.template: load_mount(v.camera_mount) for v in fleet_vehicles()}
-        transforms = VehicleTransforms(mounts)
-    except ValueError as error:
-        rospy.logfatal("%s: %s", name, error)
-        return 1
-    PacedSubscriber("/cortex_raw", Cortex, transforms.send, params.rate)
-    rospy.spin()
-    return 0
+        return PacedSubscriber("/cortex_raw", Cortex, VehicleTransforms(mounts).send, params.rate)
+
+    run(name, make)
 
 
 def _message(transform, stamp):
