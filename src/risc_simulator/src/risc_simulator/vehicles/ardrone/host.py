@@ -87,7 +87,7 @@ STANDARD_PORTS = Ports(
 # One set of piloting values as received: flags of PCMD, the four sticks in [-1, 1], the pilot's heading (fractions of
 # 180 degrees) and its accuracy, the sequence number and the time of reception.
 Sticks = namedtuple("Sticks", "flags roll pitch gaz yaw psi psi_accuracy sequence time_s")
-_NO_STICKS = Sticks(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0)
+NO_STICKS = Sticks(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0)
 
 
 class ArdroneHost(VehicleHost):
@@ -140,7 +140,7 @@ class ArdroneHost(VehicleHost):
         self._rest_until_s = -math.inf  # an order is under way
         self._user_emergency = False
         self._last_phase = vehicle.phase
-        self._sticks = _NO_STICKS
+        self._sticks = NO_STICKS
         self._wanted = Setpoint(hover=True)  # before the altitude limit
         self._scheduled = self._wanted
         self._ref_sequence = 0
