@@ -200,6 +200,17 @@ def test_a_body_added_later_starts_empty_and_leaves_the_others_alone():
     assert value[:, 0] == pytest.approx([60 * DT_S, 4.0])
 
 
+def test_a_body_that_appears_when_nobody_was_seen_for_long():
+    fit = SlidingFit(0.25, 2, 1, max_gap_s=0.1)
+    fit.add_body()
+    for k in range(300):
+        here = k >= 100  # the pattern of a full window comes first without anybody
+        fit.push(k * DT_S, [[1.0 + 2.0 * k * DT_S]], np.array([here]))
+        value, rate, samples, _ = fit.estimate(np.arange(1 if here else 0))
+        if here and samples[0] > 1:
+            assert (value[0, 0], rate[0, 0]) == pytest.approx((1.0 + 2.0 * k * DT_S, 2.0), abs=1e-6)
+
+
 def test_reset_forgets():
     fit = SlidingFit(0.25, 1, 1, max_gap_s=0.1)
     fit.add_body()

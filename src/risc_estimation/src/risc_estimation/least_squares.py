@@ -141,7 +141,7 @@ def estimate_newest(window, wanted):
     their weights; where one that is wanted misses some, each has weights of its own.
     """
     start, end = _newest_stretch(window)
-    complete = True
+    complete = wanted.any()  # without a body nothing is weighed, so nothing may be noted as weighed
     for i in range(len(wanted)):
         if wanted[i] and window.bodies[i].gapless < end - start:
             complete = False
