@@ -79,10 +79,11 @@ def test_the_table_is_aligned_with_the_cure_below(capsys):
 def test_long_texts_are_wrapped_into_their_column_and_commands_stay_whole(capsys, monkeypatch):
     monkeypatch.setattr(findings, "_WIDTH", 60)
     address = "http://" + 60 * "a"
-    print_findings([Finding("x", RED, 20 * "word ", "see " + address + "\nor not")])
+    print_findings([Finding("x", RED, 20 * "word ", "see " + address + "\n\nor not")])
     lines = capsys.readouterr().out.splitlines()
     assert all(len(line) <= 60 for line in lines if address not in line)
     assert sum(address in line for line in lines) == 1 and lines[-1].endswith("  or not")
+    assert sum("> " in line for line in lines) == 1, "an empty line is left out"
     assert all(line.startswith(" " * len("yellow  x  ")) for line in lines[1:])
 
 

@@ -136,7 +136,7 @@ def print_findings(findings):
 def _wrapped(text, first, others, width):
     """Lines of a text, with what they begin with; commands and addresses are not broken."""
     options = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": others}
-    lines = text.splitlines() or [""]
+    lines = [line for line in text.splitlines() if line.strip()] or [""]
     return "\n".join(
         textwrap.fill(line, width, initial_indent=others if number else first, **options) or first
         for number, line in enumerate(lines)
