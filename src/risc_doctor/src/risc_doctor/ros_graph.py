@@ -52,7 +52,7 @@ class GraphReport:
 
     error: str = ""  # why it could not be listened to
     topics: dict[str, Topic] = field(default_factory=dict)  # those of TOPICS that are published
-    vehicles: dict[str, Status | None] = field(default_factory=dict)  # {namespace: last with a battery} of the driven
+    vehicles: dict[str, Status | None] = field(default_factory=dict)  # {namespace: newest} of those with a driver
     complaints: list[tuple[int, str, str]] = field(default_factory=list)  # (level, name, message) of /diagnostics
     statuses: int = 0  # names on /diagnostics
 
@@ -104,8 +104,10 @@ def _listen(report, driven, listen_s):
             statuses[status.name] = (status.level, status.name, status.message)
 
     def on_status(namespace, status, _driver):
-        if status.battery_pct is not None:
-            report.vehicles[namespace] = status
+        before = report.vehicles[namespace]
+        if status.battery_pct is None and before is not None:
+            status = status._replace(battery_pct=before.battery_pct)
+        report.vehicles[namespace] = status
 
     for name, topic in report.topics.items():
         subscribe(name, rospy.AnyMsg, topic.note)
