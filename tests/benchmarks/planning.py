@@ -17,7 +17,6 @@ from risc_control.trajectory_manager import make_manager
 from risc_control.transitions import plan_ways
 from risc_experiments.fleets import default_fleet
 
-FLEETS = pathlib.Path(__file__).resolve().parents[2] / "launch" / "fleets"
 COURSES = ("circles3", "circle")  # with many vehicles: where they hover, and across each other's ways
 VEHICLES = (1, 3, 5, 8, 14, 30, 50)
 PERIOD_S = 0.005

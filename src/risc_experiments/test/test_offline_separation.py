@@ -20,8 +20,7 @@ from risc_lab.states import S
 LIMITS = SafetyLimits()
 OFF = {"separation_m": 0.0}
 CONTACT_M = 0.5
-LAUNCH = pathlib.Path(__file__).parents[3] / "launch"
-FLEETS, MULTI_MACHINE = LAUNCH / "fleets", LAUNCH / "Multi_Machine_Experiment.launch"
+MULTI_MACHINE = pathlib.Path(__file__).parents[3] / "launch/Multi_Machine_Experiment.launch"
 
 
 @pytest.mark.parametrize(
