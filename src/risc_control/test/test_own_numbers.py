@@ -1,6 +1,7 @@
 """Numbers of a controller that a vehicle, or a type of vehicle, has for itself."""
 
 import shutil
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from risc_control.controllers import ControlLoop, own_params
 from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.lab.vehicle_types import load_vehicle_type, vehicle_type_file
 from risc_lab.registry import VARIABLE
+from risc_lab.settings import Count, Settings
 from risc_lab.states import S, States
 
 WEAK = {"q_position": 20.0, "error_max_m": 0.2}
@@ -109,6 +111,16 @@ def test_a_wrong_number_of_a_type_is_said_with_its_file(heavy):
     (heavy / "heavy.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match="heavy.yaml: controllers: differential_flatness: 'q_yaw' must be"):
         own_params("differential_flatness", fleet(("heavy", {})), "my.yaml")
+
+
+def test_whole_numbers_are_whole_for_the_controller(monkeypatch):
+    @dataclass(frozen=True)
+    class Counting(Settings):
+        samples: Count = 3
+
+    monkeypatch.setattr(controllers, "default_params", lambda name: Counting())
+    (own,) = own_params("thesis_lqr", fleet(("ardrone", {"thesis_lqr": {"samples": 5}})), "my.yaml")
+    assert repr(replace(Counting(), **own).samples) == "5"
 
 
 def test_too_high_an_order_is_refused_when_the_controller_is_loaded():
