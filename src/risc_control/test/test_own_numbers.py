@@ -131,6 +131,15 @@ def test_too_high_an_order_is_refused_when_the_controller_is_loaded():
         ControlLoop(Thirteen, [load_vehicle_type("ardrone")])
 
 
+def test_sliders_have_the_limits_of_the_class():
+    pytest.importorskip("rospy")
+    from risc_control.ros.controller_node import reconfigurable
+
+    config = reconfigurable(controllers.default_params("thesis_lqr"))
+    assert set(config.min) == set(config.max) == set(config.defaults) and "q_position" in config.defaults
+    assert set(config.min.values()) == {0.0} and set(config.max.values()) == {np.inf}
+
+
 def test_numbers_that_are_not_the_files_are_told():
     pytest.importorskip("rospy")
     from risc_control.ros.controller_node import other_numbers
