@@ -1,6 +1,7 @@
 """Numbers of a controller that a vehicle, or a type of vehicle, has for itself."""
 
 import shutil
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from risc_control.controllers import ControlLoop, own_params
 from risc_lab.lab.fleet import fleet_from_dict
 from risc_lab.lab.vehicle_types import load_vehicle_type, vehicle_type_file
 from risc_lab.registry import VARIABLE
+from risc_lab.settings import Count, Settings
 from risc_lab.states import S, States
 
 WEAK = {"q_position": 20.0, "error_max_m": 0.2}
@@ -111,12 +113,31 @@ def test_a_wrong_number_of_a_type_is_said_with_its_file(heavy):
         own_params("differential_flatness", fleet(("heavy", {})), "my.yaml")
 
 
+def test_whole_numbers_are_whole_for_the_controller(monkeypatch):
+    @dataclass(frozen=True)
+    class Counting(Settings):
+        samples: Count = 3
+
+    monkeypatch.setattr(controllers, "default_params", lambda name: Counting())
+    (own,) = own_params("thesis_lqr", fleet(("ardrone", {"thesis_lqr": {"samples": 5}})), "my.yaml")
+    assert repr(replace(Counting(), **own).samples) == "5"
+
+
 def test_too_high_an_order_is_refused_when_the_controller_is_loaded():
     class Thirteen(controllers.Controller):
         ORDER = 13
 
     with pytest.raises(ValueError, match="order 13 of its reference.* 12"):
         ControlLoop(Thirteen, [load_vehicle_type("ardrone")])
+
+
+def test_sliders_have_the_limits_of_the_class():
+    pytest.importorskip("rospy")
+    from risc_control.ros.controller_node import reconfigurable
+
+    config = reconfigurable(controllers.default_params("thesis_lqr"))
+    assert set(config.min) == set(config.max) == set(config.defaults) and "q_position" in config.defaults
+    assert set(config.min.values()) == {0.0} and set(config.max.values()) == {np.inf}
 
 
 def test_numbers_that_are_not_the_files_are_told():

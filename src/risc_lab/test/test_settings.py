@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from risc_lab.settings import Name, Positive, Settings, between, settings_from
+from risc_lab.settings import Fraction, Name, Positive, Settings, between, limits_of, settings_from
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,18 @@ def test_a_whole_number_may_be_written_with_a_point():
     assert repr(settings_from(_Wheel, {"name": "left", "spokes": 3.0}).spokes) == "3"
     assert repr(settings_from(_Cart, {"wheels": [], "teeth": [3.0, 4]}).teeth) == "(3, 4)"
     assert repr(settings_from(_Cart, {"wheels": [], "load_kg": 3.0}).load_kg) == "3.0"
+
+
+def test_limits_can_be_asked_for():
+    @dataclass(frozen=True)
+    class Slider(Settings):
+        gain: Positive = 1.0
+        part: Fraction = 0.5
+        steps: between(1, 9) = 3
+        place: float = 0.0
+
+    anywhere = -math.inf, math.inf
+    assert limits_of(Slider) == {"gain": (0.0, math.inf), "part": (0.0, 1.0), "steps": (1.0, 9.0), "place": anywhere}
 
 
 def test_an_optional_value_is_named_in_words():

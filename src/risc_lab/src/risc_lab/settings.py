@@ -157,6 +157,17 @@ def _hints(kind):
     return {item.name: hints[item.name] for item in fields(kind)}
 
 
+def limits_of(kind):
+    """{field: (least, greatest)} of a dataclass, infinite where there is none; of `Positive` the least is 0."""
+    limits = {}
+    for key, hint in _hints(kind).items():
+        metas = [meta for meta in getattr(hint, "__metadata__", ()) if isinstance(meta, Meta)]
+        least = [float(limit) for meta in metas for limit in (meta.ge, meta.gt) if limit is not None]
+        greatest = [float(limit) for meta in metas for limit in (meta.le, meta.lt) if limit is not None]
+        limits[key] = max(least, default=-math.inf), min(greatest, default=math.inf)
+    return limits
+
+
 def check_different(items, key, what):
     """Raises ValueError when two items have the same value of a field. what: the items, e.g. "vehicles"."""
     values = [getattr(item, key) for item in items]

@@ -238,8 +238,8 @@ def own_params(name, vehicles, where):
                 text = "%s: controllers: there is no '%s'; known are: %s (is RISC_MAAP_MEMBERS set?)"
                 raise ValueError(text % (place, "', '".join(unknown), ", ".join(known)))
             own.update(controllers.get(name, {}))
-            settings_from(type(defaults), {**vars(defaults), **own}, "%s: controllers: %s" % (place, name))
-        found.append(own)
+            params = settings_from(type(defaults), {**vars(defaults), **own}, "%s: controllers: %s" % (place, name))
+        found.append({key: getattr(params, key) for key in own})  # whole numbers are whole, as the class wants them
     return found
 
 

@@ -26,7 +26,7 @@ from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type, vehicles
 from risc_lab.ros.until_shutdown import until_shutdown
-from risc_lab.settings import Positive, Settings
+from risc_lab.settings import Positive, Settings, limits_of, settings_from
 from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
@@ -82,7 +82,10 @@ class ControllerNode:
         self._publisher = rospy.Publisher("/controls", ControlsArrays, queue_size=1, tcp_nodelay=True)
         self._report = rospy.Publisher("/controller_report", ControllerReport, queue_size=10, tcp_nodelay=True)
         ticking_updater(", ".join(self.names)).add("controller", self._diagnose)
-        self._server = Server(_config(params), self._on_reconfigure)
+        config = reconfigurable(params)
+        for name, value in config.defaults.items():
+            rospy.set_param("~" + name, value)  # where the server looks; a text there would end it
+        self._server = Server(config, self._on_reconfigure)
         for i, vehicle in enumerate(fleet_vehicles):
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
@@ -119,7 +122,7 @@ class ControllerNode:
         params = self._loop.params
         numbers = {item.name: config[item.name] for item in fields(params) if item.name in config}
         try:
-            self._loop.set_params(replace(params, **numbers))
+            self._loop.set_params(settings_from(type(params), {**vars(params), **numbers}))  # which must be finite
         except ValueError as error:
             rospy.logerr("numbers of the controller not taken: %s", error)
             config.update({name: getattr(params, name) for name in numbers})
@@ -260,18 +263,20 @@ def other_numbers(params, defaults):
     return text % ", ".join(others) if others else ""
 
 
-def _config(params):
-    """What dynamic_reconfigure is to know of the numbers of a controller: what a .cfg file would generate. Their limits
-    are those of the class, which refuses instead of limiting.
+def reconfigurable(params):
+    """What dynamic_reconfigure is to know of the numbers of a controller: what a .cfg file would generate.
+
+    Ranges are the limits of the class; a limit that it does not allow itself, as the 0 of `Positive`, it refuses.
     """
+    limits = limits_of(type(params))
     numbers = {name: value for name, value in vars(params).items() if isinstance(value, float)}
     parameter = {"type": "double", "level": 0, "description": "", "edit_method": ""}
     group = {"name": "Default", "type": "", "state": True, "id": 0, "parent": 0, "groups": []}
     return SimpleNamespace(
         config_description={**group, "parameters": [{"name": name, **parameter} for name in numbers]},
         defaults=numbers,
-        min=dict.fromkeys(numbers, -np.inf),
-        max=dict.fromkeys(numbers, np.inf),
+        min={name: limits[name][0] for name in numbers},
+        max={name: limits[name][1] for name in numbers},
     )
 
 

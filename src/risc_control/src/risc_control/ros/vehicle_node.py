@@ -319,8 +319,9 @@ class _Vehicle:
         told, now_s = self._told, time.monotonic()
         if status.battery_pct is not None:
             told.battery_pct = status.battery_pct
-        if status.state != told.state or now_s - self._told_s >= _VEHICLE_STATUS_S:
-            self._told_s, told.state, told.header.stamp = now_s, status.state, rospy.Time.now()
+        state = status.state if 0 <= status.state < 256 else VehicleStatus.UNKNOWN  # an error here lands it
+        if state != told.state or now_s - self._told_s >= _VEHICLE_STATUS_S:
+            self._told_s, told.state, told.header.stamp = now_s, state, rospy.Time.now()
             self._vehicle_status.publish(told)
 
     def compare(self, full_scales, node):
