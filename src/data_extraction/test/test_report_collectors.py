@@ -418,7 +418,13 @@ def test_what_lies_beside_a_bag_is_read(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [("flight.yaml", "{"), ("flight.yaml", "- 1"), ("flight.yaml", "arguments: 7"), ("summary.json", "{'a'}")],
+    [
+        ("flight.yaml", "{"),
+        ("flight.yaml", "- 1"),
+        ("flight.yaml", "arguments: 7"),
+        ("flight.yaml", "versions: []"),
+        ("summary.json", "{'a'}"),
+    ],
 )
 def test_a_file_that_cannot_be_read_is_named(tmp_path, name, text):
     (tmp_path / name).write_text(text)
