@@ -353,8 +353,10 @@ class Recorder {
       held_bytes_ -= chunk.bytes();
       full_.pop_front();
     }
-    if (dropped_ != 0) {
-      ROS_WARN_THROTTLE(kLogPeriodS, "the disk is too slow: %zu messages were not recorded so far", dropped_);
+    const std::size_t dropped = dropped_;
+    lock.unlock();  // a log on the same slow disk must not hold up what arrives
+    if (dropped != 0) {
+      ROS_WARN_THROTTLE(kLogPeriodS, "the disk is too slow: %zu messages were not recorded so far", dropped);
     }
   }
 

@@ -111,7 +111,7 @@ class _ChunkReader(Reader):
             return connection, time_ns, raw
 
         for info in sorted(chunks, key=lambda info: info.start_time):
-            while held and held[0][0] < info.start_time:
+            while held and held[0][0] <= info.start_time:  # equal: those held were read first
                 yield popped()
             for time_ns, identity, raw in self._records(info):
                 if identity in wanted and (start is None or time_ns >= start) and (stop is None or time_ns < stop):

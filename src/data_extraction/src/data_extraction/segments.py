@@ -152,6 +152,7 @@ class Recorder:
         self._wanted = tuple(template.get(name, name) for name in params.vehicles)
         self._recording = Recording(_FIELDS, only=self._wanted)
         self._sent = {}  # vehicle -> CommandHistory(1)
+        CommandHistory(1, _SENT_ROWS)  # loads what is compiled for so many rows: not in flight
         self._clock = ClockGuard(math.inf)  # of the states; they may pause for long
         self._delay_s = _DELAY_S
         self._over, self._growing = {}, {}  # vehicle -> its Segments that have ended; that which has not

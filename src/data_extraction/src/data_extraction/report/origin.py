@@ -124,7 +124,7 @@ def _mapping(path, mappings=()):
     if not isinstance(content, dict):
         raise ValueError("%s holds no mapping of names to values: mend it or move it away from the bag" % path)
     for key in mappings:
-        if not isinstance(content.get(key) or {}, dict):
+        if not isinstance(content.get(key), (dict, type(None))):
             words = "%s: %s must be a mapping of names to values: mend it or move it away from the bag"
             raise ValueError(words % (path, key))
     return content

@@ -112,7 +112,7 @@ class MarkerScene:
         with self._lock:
             for group in self._groups.values():
                 group.end(list(group.members))
-        self.draw(0.0, None)
+        self.draw(0.0, lambda _frame, _stamp: None)  # what came meanwhile may ask for a frame
 
 
 class _Group:

@@ -81,13 +81,13 @@ class MountTuner:
         except ValueError as error:
             return False, "%s: not solved: %s" % (self.name, error)
         with self._lock:
-            self.mount = mount_of(numbers_of(fit.mount))
-        was_deg = math.degrees(misses(samples, start, self._fit_params).rms_rad)
+            mount = self.mount = mount_of(numbers_of(fit.mount))
+        found, was = misses(samples, mount, self._fit_params, camera), misses(samples, start, self._fit_params)
         std_mm = ", ".join("%.1f" % (1e3 * value) for value in fit.std[:3])
         std_deg = ", ".join("%.2f" % math.degrees(value) for value in fit.std[3:])
         sentences = [
-            "%s: solved: %s, was %.2f deg" % (self.name, fit.misses, was_deg),
-            "%s; standard deviations %s mm, %s deg" % (text_of(self.mount), std_mm, std_deg),
+            "%s: solved: %s, was %.2f deg" % (self.name, found, math.degrees(was.rms_rad)),
+            "%s; standard deviations %s mm, %s deg" % (text_of(mount), std_mm, std_deg),
             *("WARNING: " + text for text in fit.warnings),
         ]
         return True, ". ".join(sentences)
