@@ -15,6 +15,7 @@ from geometry_msgs.msg import Twist, TwistStamped, Vector3
 from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from ardrone_autonomy.msg import Navdata
 from risc_maap_msgs.msg import Safety, VehicleStatus
 from risc_msgs.msg import (
     Angle,
@@ -46,6 +47,8 @@ INPUTS = {
     "/risc2/controller_status": Bool,
     "/risc2/safety": Safety,
     "/risc2/vehicle_status": VehicleStatus,
+    "/risc1/ardrone/navdata": Navdata,
+    "/risc2/ardrone/navdata": Navdata,
     "/risc2/position_cov": TwistStamped,
     "/angles": Observed_angles,
     "/waypoints": Waypoints,
@@ -204,6 +207,10 @@ class DrawNodesTest(unittest.TestCase):
             ("/Battery_Status", "battery_status", "Raven: 60%"),
         ):
             self.fly_until(lambda topic=topic, wanted={ns: text}: self.texts(topic) == wanted, text)
+        for vehicle in ("risc1", "risc2"):  # a bag of the original release; risc2 has told its status already
+            self.publishers["/%s/ardrone/navdata" % vehicle].publish(Navdata(batteryPercent=40.0))
+        batteries = {"fluffy_II: 40%", "Raven: 60%"}
+        self.fly_until(lambda: {m.text for found in self.taken("/Battery_Status") for m in found} == batteries, "both")
         hold = Safety(level=Safety.HOLD, rule=Safety.STATE, reason="state 120 ms old")
         self.publishers["/risc2/safety"].publish(hold)
         wanted = {"controller_status": "Raven: hold: state 120 ms old"}
