@@ -139,6 +139,16 @@ def test_help():
     assert b"--file" in done.stdout
 
 
+def test_a_reader_that_leaves_is_no_trouble_with_a_host(tmp_path):
+    packets = tmp_path / "packets.bin"
+    packets.write_bytes(2000 * next(GOLDEN.glob("*.bin")).read_bytes())
+    with subprocess.Popen([PROGRAM, "--file", str(packets)], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
+        assert program.stdout.readline()
+        program.stdout.close()
+        assert program.stderr.read() == b""
+    assert program.returncode == 1
+
+
 def test_a_host_that_goes_away_while_it_is_polled_is_waited_for_and_then_told():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
         host.bind(("127.0.0.1", 0))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from risc_simulator.video import polygons
 from risc_simulator.video.polygons import clip_polygons, coverage
 
 BOX = (0, 0, 8, 6)
@@ -90,6 +91,14 @@ def test_no_polygon():
 def test_long_edges():
     mask = cover([square(-0.5, -0.5, 29999.5, 0.5)], (29990, 0, 30010, 2))
     assert np.allclose(mask[0], [1.0] * 10 + [0.0] * 10) and not mask[1].any()
+
+
+def test_the_plain_function_gives_what_the_compiled_one_does(monkeypatch):
+    rng = np.random.default_rng(3)
+    shapes = [square(1.75, 0.75, 3.25, 1.25), *rng.uniform(-3.0, 9.0, (5, 3, 2))]  # the first has level edges
+    compiled = [cover([shape]) for shape in shapes]
+    monkeypatch.setattr(polygons, "_cover", getattr(polygons._cover, "py_func", polygons._cover))
+    assert np.allclose([cover([shape]) for shape in shapes], compiled, rtol=0.0, atol=1e-6)
 
 
 X_MIN, Y_MAX = (1.0, 0.0, 0.0, 0.0), (0.0, -1.0, 0.0, 1.0)  # x >= 0, y <= 1

@@ -74,6 +74,8 @@ def _cover(points, counts, weight, shares):
             doubled += x[i - 1] * y[i] - x[i] * y[i - 1]
         for i in range(count):
             down = y[i] > y[i - 1]
+            if y[i] == y[i - 1]:  # a level edge covers nothing
+                continue
             top, bottom = (i - 1, i) if down else (i, i - 1)
             amount = weight if down == (doubled < 0.0) else -weight
             for row in range(max(math.floor(y[top]), 0), min(math.ceil(y[bottom]), height)):
