@@ -114,6 +114,7 @@ MODULES = {init.parent.name: init.parent for path in MANIFESTS for init in path.
 PACKAGE_OF = {path.parent.name: path.parent for path in MANIFESTS}
 PACKAGE_OF.update((module, place.parents[1]) for module, place in MODULES.items())
 OTHER_NAMES = {  # module or C++ library -> what package.xml calls it, where that is not its name
+    "CLI": "cli11",
     "cv2": "opencv",
     "camera_info_manager": "camera_info_manager_py",
     "nlohmann": "nlohmann-json",

@@ -41,12 +41,14 @@ EARLY = (3, 5, 8, 15, 19, 21, 25)  # and frames with few samples
 OTHER = differential_flatness.Params(
     q_position=20.0, q_velocity=8.0, q_tilt=0.1, q_height=10.0, q_integral=0.0, q_yaw_rate=0.5
 )
-CASES = {  # controller, what the vehicles have otherwise, other parameters
-    "full": (differential_flatness, {}, OTHER),
-    "late": (differential_flatness, {"command_delay_s": 0.3, "tilt_max_rad": 0.2, "climb_max_m_s": 0.5}, OTHER),
+FIRST = differential_flatness.Params()
+CASES = {  # controller, what the vehicles have otherwise, parameters, other parameters
+    "full": (differential_flatness, {}, FIRST, OTHER),
+    "late": (differential_flatness, {"command_delay_s": 0.3, "tilt_max_rad": 0.2, "climb_max_m_s": 0.5}, FIRST, OTHER),
     "thesis": (
         thesis_lqr,
         {},
+        thesis_lqr.Params(q_position=2.0, q_velocity=4.0),
         thesis_lqr.Params(q_position=20.0, q_velocity=8.0, q_height=10.0, q_climb=8.0, q_yaw=4.0),
     ),
 }
@@ -134,8 +136,9 @@ def frames(seconds, seed=15):
 
 def commands(case, seconds=SECONDS):
     """(commands (k, 4, 3), saturated (k, 3)) of a case."""
-    module, overrides, other = CASES[case]
-    loop = ControlLoop(module.Controller, [replace(vehicle_type, **overrides) for vehicle_type in VEHICLE_TYPES])
+    module, overrides, params, other = CASES[case]
+    types = [replace(vehicle_type, **overrides) for vehicle_type in VEHICLE_TYPES]
+    loop = ControlLoop(module.Controller, types, params)
     found, saturated = [], []
     for k, (t, stamp_s, now_s, visible, x, usable, autonomous) in enumerate(frames(seconds)):
         if t >= 4.0 and loop.params is not other:

@@ -874,8 +874,9 @@ def test_what_was_sent_before_a_link_loss_arrives_once(fake_lab, loss_s):
     host = lab.host
     for channel in ("risc9/commands", "risc9/navdata"):
         host.wires.add(WireFault("delay", channel, 0.2, lab.now_s))
-    heard, deliver = [], host._on_at_datagram
-    host._on_at_datagram = lambda data, sender, now_s: (heard.append(data), deliver(data, sender, now_s))
+    heard, (wire, deliver) = [], host._heard[host._sockets["at"]]
+    take = lambda data, sender, now_s: (heard.append(data), deliver(data, sender, now_s))  # noqa: E731
+    host.hear(host._sockets["at"], wire, take)
     lab.run(0.1)  # navdata on its way
     lab.client.raw(stick(901))
     lab.run(0.05)

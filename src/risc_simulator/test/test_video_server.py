@@ -77,7 +77,7 @@ class Bench:
         client = socket.create_connection(self.listeners[index].getsockname(), PATIENCE_S)
         self.clients.append(client)
         assert select.select([self.listeners[index]], (), (), PATIENCE_S)[0]
-        self.server.on_readable(self.listeners[index], 0.0)
+        self.server.serve(0.0)
         parser = StreamParser()
 
         def headers(count):
@@ -100,7 +100,7 @@ class Bench:
         self.process.sendall(self._cameras[self.orders[-1].index].take(self.orders[-1], ()))
         while self.server._taking is not None:
             self.server.on_readable(self.server._link, now_s)
-            if len(self.orders) and self.server._taking is not None and not self.server._heard:
+            if self.server._taking is not None and not self.server._received:
                 return  # it has the next order
 
     def close(self):
@@ -208,8 +208,7 @@ def test_the_first_watcher_gets_a_new_stream_and_others_what_comes(make_bench):
     first, second = headers(2)
     assert first.frame_type == 1 and second.frame_type == 3
     bench.clients[0].close()
-    (sock,) = bench.stations[0].backlogs
-    bench.server.on_readable(sock, 3.0)
+    bench.server.serve(3.0)
     headers = bench.connect()
     picture(4.0)
     (again,) = headers(1)

@@ -49,7 +49,7 @@ class DFPlots:
         self._drawing = threading.Lock()  # of the writer
         self._wanted = threading.Event()
         self._health = Health("DF_Plots", _COUNTED, done="logged")
-        rospy.Service("~plot", Trigger, self._on_plot)
+        rospy.Service("~plot", Trigger, lambda _request: TriggerResponse(*self._plot()))
         joysticks = params.joysticks or ["joy"] + ["/%s/joy" % vehicle.namespace for vehicle in fleet]
         for topic in sorted(set(map(rospy.resolve_name, joysticks))):
             # Of any age: plots move nothing, and a bag that is played is old.
@@ -88,9 +88,6 @@ class DFPlots:
     def _on_joy(self, message, presses):
         if presses.update(message.buttons, sender=origin(message)[1]).in_time:
             self._wanted.set()
-
-    def _on_plot(self, _request):
-        return TriggerResponse(*self._plot())
 
     def _plot(self, growing=True):
         """Write what is new. Returns (whether there is anything, what was done in words)."""

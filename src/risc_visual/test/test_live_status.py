@@ -28,7 +28,7 @@ class Panel:
             self.values["mode", name] = True
             self.values["vehicle", name] = Report(FLYING, 87.0)
             self.values["safety", name] = Verdict(FailsafeLevel.OK, "")
-            self.values["error_m", name] = 0.0234
+            self.values["error_m", template] = 0.0234
             self.values["course", template] = "course"
         self.now_s = 300.0
 
@@ -108,7 +108,7 @@ def test_errors_and_phases_of_a_silent_trajectory_are_not_shown():
 
 def test_an_error_that_is_none_is_not_shown():
     panel = Panel()
-    panel.values["error_m", "risc1"] = math.nan
+    panel.values["error_m", "fluffy_II"] = math.nan
     assert panel.hear().vehicle(0).endswith("| course")
 
 

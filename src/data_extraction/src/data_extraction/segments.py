@@ -126,12 +126,11 @@ def full_scales_deg(params, fleet_vehicles=()):
 
     def scale(kind, with_gains, overrides=()):
         if kind == IRIS:
-            angle_rad = override or IRIS_EULER_ANGLE_MAX_RAD
-            return math.degrees(angle_rad), math.degrees(angle_rad)
+            return (math.degrees(override or IRIS_EULER_ANGLE_MAX_RAD),) * 2
         limit = {"tilt_max_rad": override} if override else {}
         vehicle_type = load_vehicle_type(kind, {**dict(overrides), **limit})
         if not with_gains:
-            return -math.degrees(vehicle_type.tilt_max_rad), -math.degrees(vehicle_type.tilt_max_rad)
+            return (-math.degrees(vehicle_type.tilt_max_rad),) * 2
         unit = adapter_class(vehicle_type).units(vehicle_type)
         return math.degrees(unit.roll_rad), math.degrees(unit.pitch_rad)
 

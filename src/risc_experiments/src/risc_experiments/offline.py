@@ -330,9 +330,8 @@ class _Chain:
 
     def deliver(self, now_s):
         """Give the vehicle what the radio brings."""
-        if now_s >= self._radio.due_s:
-            for arrival_s, setpoint in self._radio.collect(now_s):
-                self._vehicle.schedule(arrival_s, setpoint)
+        for arrival_s, setpoint in self._radio.collect(now_s):
+            self._vehicle.schedule(arrival_s, setpoint)
 
 
 def _setpoint(vehicle_type, sticks):

@@ -25,13 +25,16 @@ from risc_simulator.notices import Notices
 from risc_simulator.socket_host import SocketHost, open_socket
 
 IDENTITY = wire.Identity("Cortex", (1, 5, 3, 1))  # program id 1 says: this is Cortex
-UP_AXIS_Z = 2
 MM_PER_M = 1000.0
 MULTICAST_TTL = 2  # as the SDK's own sockets
 COMMAND_RECEIVE_BUFFER_BYTES = 1 << 20  # as the SDK's own sockets
 TAKE_FRAMES = 12000  # a recording keeps its last minute at 200 Hz for playback
-ANALOG_RATE_HZ = 0.0  # no analog board
-ANALOG_BIT_DEPTH = 16
+NUMBERS = {  # answers to text requests
+    "GetConversionToMillimeters": ("<f", 1.0),
+    "GetUpAxis": ("<i", 2),  # z
+    "GetContextAnalogSampleRate": ("<f", 0.0),  # no analog board
+    "GetContextAnalogBitDepth": ("<i", 16),
+}
 CLIENTS_REMEMBERED = 64
 FRAME_NUMBER_MASK = 0x7FFFFFFF  # the wire's frame number is signed
 
@@ -75,7 +78,7 @@ class CortexHost(SocketHost):
     ):
         super().__init__("cortex", wires)
         self._world, self._endpoint, self._cameras, self._clock = world, endpoint, cameras, clock
-        self._last_now_s = world.time_s
+        self._now_s = world.time_s
 
         self._number = 0  # of the newest frame
         self.live = live_on_start  # live mode is on
@@ -91,10 +94,9 @@ class CortexHost(SocketHost):
         self._request_counts = Counter()
         self._clients = {}  # (address, port) of those who asked something: an ordered set
         self._notices = Notices(_LOG, "Cortex host")
-        self._asking = None  # (address, port) of the client whose request is served
 
         layout, markers_m = world.layout, world.markers_m()
-        self._encoder, self._encoder_layout = None, None
+        self._encoder = wire.FrameEncoder(layout, MM_PER_M)
         self._body_names = [name for name, _ in layout]
         self._body_defs = self._encode_body_defs(layout, templates or {})
         exact = Observation(world.time_s, layout, markers_m, np.empty((0, 3)))
@@ -102,26 +104,6 @@ class CortexHost(SocketHost):
         # what the operator's screen shows before anything was live
         self._shown = self._encode(0, self._cameras.observe(world.time_s, layout, markers_m))
         self._shown.dated(world.time_s + endpoint.reported_delay_s)
-
-        self._request_handlers = {
-            "LiveMode": self._request_live_mode,
-            "Pause": self._request_pause,
-            "GetContextFrameRate": lambda _: _reply(struct.pack("<f", endpoint.rate_hz)),
-            "GetConversionToMillimeters": lambda _: _reply(struct.pack("<f", 1.0)),
-            "GetUpAxis": lambda _: _reply(struct.pack("<i", UP_AXIS_Z)),
-            "GetContextAnalogSampleRate": lambda _: _reply(struct.pack("<f", ANALOG_RATE_HZ)),
-            "GetContextAnalogBitDepth": lambda _: _reply(struct.pack("<i", ANALOG_BIT_DEPTH)),
-            "GetFrameOfData": self._request_frame_of_data,
-            "SetOutputName": self._request_set_output_name,
-            "StartRecording": self._request_start_recording,
-            "StopRecording": self._request_stop_recording,
-            "ResetIDs": self._request_reset_ids,
-            "PostForward": lambda _: self._play(1),
-            "PostBackward": lambda _: self._play(-1),
-            "PostPause": lambda _: self._play(0),
-            "PostGetPlayMode": lambda _: _reply(struct.pack("<i", self._play_mode)),
-        }
-        self._requests_with_argument = {"GetFrameOfData", "SetOutputName", "ResetIDs"}
 
         self._stream_socket = None
         self._broadcast_addresses = []
@@ -134,15 +116,9 @@ class CortexHost(SocketHost):
 
     # --- the host interface of the virtual lab --------------------------------------------------------------------
 
-    def on_readable(self, sock, now_s):
-        """Answer what has come in on one of sockets() at lab time now_s."""
-        self._last_now_s = now_s
-        for datagram, sender in self.receive(sock):
-            self._requests.carry(datagram, sender, now_s, self._on_datagram)
-
     def tick(self, now_s):
         """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
-        self._last_now_s = now_s
+        self._now_s = now_s
         periods = self._periods_entered()
         if periods and self.live:
             self._counts["exposures_skipped"] += periods - 1
@@ -194,7 +170,7 @@ class CortexHost(SocketHost):
         self._command_socket = open_socket(
             socket.SOCK_DGRAM, endpoint.host, endpoint.command_port, "Cortex host, commands"
         )
-        self._waiting.add(self._command_socket)
+        self.hear(self._command_socket, self._requests, self._on_datagram)
         self.address = self._command_socket.getsockname()  # (address, port) for commands
         self._command_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, COMMAND_RECEIVE_BUFFER_BYTES)
         # clients drop a stream that comes from another address than the replies do
@@ -227,13 +203,13 @@ class CortexHost(SocketHost):
             except OSError as error:
                 _LOG.warning("%s: clients that broadcast their hello will not find this host", error)
                 continue
-            self._waiting.add(sock)
+            self.hear(sock, self._requests, self._on_datagram)
             self._broadcast_addresses.append("%s:%d" % (address, self.address[1]))
 
     def _announce(self):
         """Tell clients that are already there that the host is back; they watch the stream for it."""
         if self._stream_target:
-            self._send_stream(wire.encode_identity(Command.HERE_I_AM, IDENTITY), self._stream_target, self._last_now_s)
+            self._send_stream(wire.encode_identity(Command.HERE_I_AM, IDENTITY), self._stream_target, self._now_s)
 
     def _send(self, datagram, address, sock):
         """True when it went out."""
@@ -253,10 +229,10 @@ class CortexHost(SocketHost):
         self._counts["replies"] += self._send(datagram, address, self._command_socket)
 
     def _reply_to(self, address, datagram):
-        self._replies.carry(datagram, address, self._last_now_s, self._send_reply)
+        self._replies.carry(datagram, address, self._now_s, self._send_reply)
 
-    def _now_s(self):
-        return self._last_now_s if self._clock is None else self._clock()
+    def _clock_s(self):
+        return self._now_s if self._clock is None else self._clock()
 
     # --- frames ---------------------------------------------------------------------------------------------------
 
@@ -271,9 +247,6 @@ class CortexHost(SocketHost):
         return wire.encode_body_defs(wire.BodyDefs(definitions))
 
     def _encode(self, number, observation):
-        layout = observation.layout
-        if layout is not self._encoder_layout and layout != self._encoder_layout:
-            self._encoder, self._encoder_layout = wire.FrameEncoder(layout, MM_PER_M), layout
         packet, delay_offset = self._encoder.encode(
             number, observation.markers_m, observation.unidentified_m, recording=self._recording
         )
@@ -300,7 +273,7 @@ class CortexHost(SocketHost):
             self._counts["oversize_frames"] += 1
             return
         self._shown = frame
-        now_s = self._now_s()
+        now_s = self._clock_s()
         packet = frame.dated(now_s)
         if self._recording is not None and self._recording.active:
             self._take.append(frame)
@@ -360,10 +333,7 @@ class CortexHost(SocketHost):
 
     def _on_text_request(self, text, sender):
         name, equals, argument = text.partition("=")
-        handler, reply = self._request_handlers.get(name), None
-        if handler is not None and (not equals or name in self._requests_with_argument):
-            self._asking = sender
-            reply = handler(argument if equals else None)
+        reply = self._reply_to_text(name, argument if equals else None, sender)
         if reply is None:
             self._counts["unrecognized_requests"] += 1
             self._notices.complaint("asks what is not understood", sender, repr(text[:60]))
@@ -373,49 +343,56 @@ class CortexHost(SocketHost):
 
     def _frame_shown(self):
         """The newest live frame with its age; paused, the frame on the screen as it was sent."""
-        return self._shown.dated(self._now_s(), self._shown.packet[:]) if self.live else self._shown.packet
+        return self._shown.dated(self._clock_s(), self._shown.packet[:]) if self.live else self._shown.packet
 
-    def _request_frame_of_data(self, argument):
-        if argument is None:
-            return self._frame_shown()
-        return self._base_positions.packet if argument == "BasePositions" else None
-
-    def _request_live_mode(self, _argument):
-        if not self.live:
-            self._notices.event("starts the stream", self._asking)
-        self.set_live(True)
-        return _reply()
-
-    def _request_pause(self, _argument):
-        if self.live:
-            self._notices.complaint("pauses the stream of all clients", self._asking)
-        self.set_live(False)
-        return _reply()
-
-    def _request_set_output_name(self, argument):
-        if not argument or len(argument.encode("utf-8", "surrogateescape")) > wire.MAX_FILE_NAME_BYTES - len(".cap"):
+    def _reply_to_text(self, name, argument, sender):
+        """Obey a request. argument: what it says after "=", None without one. Returns None if it is not understood."""
+        if argument is not None and name not in ("GetFrameOfData", "SetOutputName", "ResetIDs"):
             return None
-        self._output_name = argument
+        match name:
+            case "LiveMode":
+                if not self.live:
+                    self._notices.event("starts the stream", sender)
+                self.set_live(True)
+            case "Pause":
+                if self.live:
+                    self._notices.complaint("pauses the stream of all clients", sender)
+                self.set_live(False)
+            case "GetContextFrameRate":
+                return _reply(struct.pack("<f", self._endpoint.rate_hz))
+            case _ if name in NUMBERS:
+                return _reply(struct.pack(*NUMBERS[name]))
+            case "GetFrameOfData" if argument is None:
+                return self._frame_shown()
+            case "GetFrameOfData":
+                return self._base_positions.packet if argument == "BasePositions" else None
+            case "SetOutputName":
+                longest = wire.MAX_FILE_NAME_BYTES - len(".cap")
+                if not argument or len(argument.encode("utf-8", "surrogateescape")) > longest:
+                    return None
+                self._output_name = argument
+            case "StartRecording" if self._recording is None or not self._recording.active:  # clients repeat requests
+                next_number = (self._number + 1) & FRAME_NUMBER_MASK
+                self._recording = wire.Recording(1, next_number, 0, self._output_name + ".cap")
+                self._take.clear()
+                self._play_mode = 0
+            case "StopRecording" if self._recording is not None and self._recording.active:
+                # one that was ended before its first frame was none: it has no last frame
+                stopped = self._recording._replace(active=0, last_frame=self._number)
+                self._recording = stopped if self._take else None
+                self._take_at = max(len(self._take) - 1, 0)
+            case "StartRecording" | "StopRecording":
+                pass
+            case "ResetIDs":  # nothing to do: the camera model never mistakes one marker for another
+                if argument is not None and argument not in self._body_names:
+                    return None
+            case "PostForward" | "PostBackward" | "PostPause":
+                self._play({"PostForward": 1, "PostBackward": -1, "PostPause": 0}[name])
+            case "PostGetPlayMode":
+                return _reply(struct.pack("<i", self._play_mode))
+            case _:
+                return None
         return _reply()
-
-    def _request_start_recording(self, _argument):
-        if self._recording is None or not self._recording.active:  # clients repeat requests
-            self._recording = wire.Recording(1, (self._number + 1) & FRAME_NUMBER_MASK, 0, self._output_name + ".cap")
-            self._take.clear()
-            self._play_mode = 0
-        return _reply()
-
-    def _request_stop_recording(self, _argument):
-        if self._recording is not None and self._recording.active:
-            # one that was ended before its first frame was none: it has no last frame
-            stopped = self._recording._replace(active=0, last_frame=self._number)
-            self._recording = stopped if self._take else None
-            self._take_at = max(len(self._take) - 1, 0)
-        return _reply()
-
-    def _request_reset_ids(self, argument):
-        # nothing to do: the camera model never mistakes one marker for another
-        return _reply() if argument is None or argument in self._body_names else None
 
     def _play(self, mode):
         """Playback shows the recorded take to clients that poll; it needs live mode to be off and a take."""
@@ -428,7 +405,6 @@ class CortexHost(SocketHost):
                 elif mode < 0 and self._take_at <= 0:
                     self._take_at = last + 1
             self._play_mode = mode
-        return _reply()
 
 
 _HOST_COMMANDS = {

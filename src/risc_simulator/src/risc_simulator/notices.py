@@ -26,7 +26,11 @@ class Notices:
 
     def statistics(self):
         """{"events": {what: {"address:port": times}}, "complaints": the same}, for JSON; "others": too many to name."""
-        return {"events": _by_what(self._events), "complaints": _by_what(self._complaints)}
+        result = {"events": {}, "complaints": {}}
+        for kind, counts in zip(result.values(), (self._events, self._complaints)):
+            for (what, sender), times in counts.items():
+                kind.setdefault(what, {})["others" if sender is None else "%s:%d" % sender[:2]] = times
+        return result
 
     def _count(self, counts, level, what, sender, detail):
         key = what, sender
@@ -39,10 +43,3 @@ class Notices:
                 if said == MAX_SAID - 1:
                     self._logger.warning("%s: what other clients do is only counted", self._whose)
         counts[key] += 1
-
-
-def _by_what(counts):
-    result = {}
-    for (what, sender), times in counts.items():
-        result.setdefault(what, {})["others" if sender is None else "%s:%d" % sender[:2]] = times
-    return result

@@ -42,19 +42,57 @@ def reset(sock):
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
-class TcpClients:
-    """Clients of a TCP listener to whom is only written: what they say is of no interest, that they hang up is."""
+class SocketSet(selectors.EpollSelector):
+    """Waits for members that have a fileno(), by epoll: a wake costs what can be read, not what is waited for.
 
-    def __init__(self, listener, stream, notices, asks, most, arrive, waiting=None):
+    A set has a fileno() itself, which can be read when a member can: sets nest. Closed, it has no members.
+    """
+
+    def __iter__(self):
+        return iter([key.fileobj for key in (self.get_map() or {}).values()])
+
+    def add(self, member):
+        """Wait for this one, too; nothing happens when it is a member."""
+        if member not in self.get_map():
+            self.register(member, selectors.EVENT_READ)
+
+    def discard(self, member):
+        """Do not wait for this one any longer. To be called before it is closed."""
+        if member in self.get_map():
+            self.unregister(member)
+
+    def readable(self):
+        """Members that can be read now."""
+        return [key.fileobj for key, _ in self.select(0)]
+
+
+class TcpClients:
+    """Clients of a TCP listener to whom is only written: what they say is of no interest, that they hang up is.
+
+    A member of its host's SocketSet.
+    """
+
+    def __init__(self, listener, stream, notices, asks, most, arrive):
         """stream: faults.Stream that all passes.  notices: Notices.  asks: what it means that one comes.
 
         most: at a time.  arrive: called with (data, socket) when something written has come through, to be added to
-        its backlog.  waiting: SocketSet that the clients are to join.
+        its backlog.
         """
         self._listener, self._stream, self._notices, self._asks, self._most = listener, stream, notices, asks, most
-        self._arrive, self._waiting = arrive, waiting
+        self._arrive, self._waiting = arrive, SocketSet()
+        if listener is not None:
+            self._waiting.add(listener)
+        self.fileno = self._waiting.fileno
         self.backlogs = {}  # socket -> what it has still to get
         self.refused = 0
+
+    def serve(self, _now_s):
+        """Look who comes, says something or goes."""
+        for sock in self._waiting.readable():
+            if sock is self._listener:
+                self.accept()
+            else:
+                self._drain(sock)
 
     def accept(self):
         """Somebody has come."""
@@ -71,11 +109,9 @@ class TcpClients:
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.backlogs[client] = bytearray()
-        if self._waiting is not None:
-            self._waiting.add(client)
+        self._waiting.add(client)
 
-    def drain(self, sock):
-        """Somebody says something, or has gone."""
+    def _drain(self, sock):
         try:
             gone = not sock.recv(4096)
         except BlockingIOError:
@@ -104,15 +140,15 @@ class TcpClients:
     def hang_up(self, sock):
         """Close a connection."""
         if self.backlogs.pop(sock, None) is not None:
-            if self._waiting is not None:
-                self._waiting.discard(sock)
+            self._waiting.discard(sock)
             self._stream.forget(sock)
             sock.close()
 
     def close(self):
-        """Hang up on everybody."""
+        """Hang up on everybody. May be called twice."""
         for sock in list(self.backlogs):
             self.hang_up(sock)
+        self._waiting.close()
 
     def _come_through(self, data, sock, _now_s):
         if sock in self.backlogs:
@@ -124,32 +160,8 @@ class TcpClients:
             self.hang_up(sock)
 
 
-class SocketSet(selectors.EpollSelector):
-    """Waits for members that have a fileno(), by epoll: a wake costs what can be read, not what is waited for.
-
-    A set has a fileno() itself, which can be read when a member can: sets nest. Closed, it has no members.
-    """
-
-    def __iter__(self):
-        return iter([key.fileobj for key in (self.get_map() or {}).values()])
-
-    def add(self, member):
-        """Wait for this one, too; nothing happens when it is a member."""
-        if member not in self.get_map():
-            self.register(member, selectors.EVENT_READ)
-
-    def discard(self, member):
-        """Do not wait for this one any longer. To be called before it is closed."""
-        if member in self.get_map():
-            self.unregister(member)
-
-    def readable(self):
-        """Members that can be read now."""
-        return [key.fileobj for key, _ in self.select(0)]
-
-
 class SocketHost:
-    """A host: on_readable(sock, now_s) of the subclass serves what comes in on the sockets of self._waiting.
+    """A host: on_readable() serves what comes in on the members of self._waiting: sockets, and what serves itself.
 
     Each datagram that it hears or says passes one of its wires, and what it writes to TCP clients one of its streams,
     where faults may act on it.
@@ -160,6 +172,8 @@ class SocketHost:
         self._waiting = SocketSet()
         self._counts = Counter()
         self._name, self.wires = name, Wires() if wires is None else wires
+        self._heard = {}  # socket -> the wire that its datagrams pass, who takes them
+        self._now_s = 0.0  # lab time that it was last told
 
     def wire(self, what):
         """faults.Wire of one of its channels, which it makes in its constructor. what: its name without the host's."""
@@ -168,6 +182,11 @@ class SocketHost:
     def stream(self, what):
         """faults.Stream of one of its channels, which it makes in its constructor."""
         return self.wires.stream("%s/%s" % (self._name, what))
+
+    def hear(self, sock, wire, take):
+        """Let what comes in on a datagram socket pass a wire to take(datagram, sender, time)."""
+        self._heard[sock] = wire, take
+        self._waiting.add(sock)
 
     def fileno(self):
         """Descriptor to wait on: when it can be read call serve()."""
@@ -190,9 +209,18 @@ class SocketHost:
 
     def serve(self, now_s):
         """Take all that has come in, at lab time now_s."""
-        for sock in self._waiting.readable():
-            if sock.fileno() >= 0:  # an earlier one of this round may have closed it
-                self.on_readable(sock, now_s)
+        for member in self._waiting.readable():
+            self.on_readable(member, now_s)
+
+    def on_readable(self, member, now_s):
+        """Something has come in on a member of self._waiting."""
+        self._now_s = now_s
+        if member in self._heard:
+            wire, take = self._heard[member]
+            for datagram, sender in self.receive(member):
+                wire.carry(datagram, sender, now_s, take)
+        else:
+            member.serve(now_s)
 
 
 class VehicleHost(SocketHost):
@@ -200,8 +228,8 @@ class VehicleHost(SocketHost):
 
     vehicle: world.Vehicle.  address: IPv4 address of this computer to listen on.  Raises OSError naming the cause and
     the cure when that cannot be used; nothing that arrives later raises.
-    Beside on_readable() and close() a type gives tick(now_s), called once per cycle after the world has moved, and
-    describe(): a line for people.
+    Beside close(), and on_readable() unless hear() says all, a type gives tick(now_s), called once per cycle after the
+    world has moved, and describe(): a line for people.
     """
 
     video_listener = None  # the TCP listener for video, bound; None: it has no camera
@@ -209,7 +237,6 @@ class VehicleHost(SocketHost):
     def __init__(self, vehicle, wires=None):
         super().__init__(vehicle.namespace, wires)
         self._vehicle = vehicle
-        self._now_s = 0.0  # lab time that it was last told
         self._lost_until_s = -math.inf  # injected
 
     def attach_video(self, video):

@@ -37,7 +37,7 @@ from risc_simulator.faults import WireFault, Wires, load_wire_faults
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.socket_host import SocketSet
 from risc_simulator.video.server import VideoServer
-from risc_simulator.world import World
+from risc_simulator.world import World, look_up
 
 MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
 MAX_CATCH_UP_S = 1.0  # a computer that slept longer than this stops the lab's clock meanwhile
@@ -311,11 +311,11 @@ class VirtualLab:
 
     def lose_link(self, namespace, duration_s):
         """Take a vehicle's link off the air. Raises ValueError for an unknown vehicle."""
-        self._look_up(self.vehicle_hosts, namespace).lose_link(duration_s)
+        look_up(self.vehicle_hosts, namespace, "vehicle").lose_link(duration_s)
 
     def set_battery_pct(self, namespace, pct):
         """Give a vehicle a battery with this charge. Raises ValueError for an unknown vehicle."""
-        self._look_up(self.world.vehicles, namespace).set_battery_pct(pct)
+        look_up(self.world.vehicles, namespace, "vehicle").set_battery_pct(pct)
 
     def set_light(self, brightness):
         """Light of the room for the vehicles' cameras: 1 = normal. Raises ValueError unless it is from 0 to 10."""
@@ -325,12 +325,8 @@ class VirtualLab:
 
     def wave_board(self, namespace, duration_s):
         """Wave a checkerboard in front of a vehicle's camera, from now on. Raises ValueError for an unknown vehicle."""
-        self._look_up(self._video.stations, namespace).board_s = self._served_s, self._served_s + duration_s
-
-    def _look_up(self, of_vehicles, namespace):
-        if namespace not in of_vehicles:
-            raise ValueError("no vehicle '%s'; known are: %s" % (namespace, ", ".join(of_vehicles)))
-        return of_vehicles[namespace]
+        station = look_up(self._video.stations, namespace, "vehicle")
+        station.board_s = self._served_s, self._served_s + duration_s
 
     def statistics(self):
         """Everything worth keeping of the run, as plain numbers and texts (for JSON)."""

@@ -150,7 +150,7 @@ class World:
         self._net_m = net.half_x_m, net.half_y_m, net.height_m
         n = len(fleet.vehicles)
         types = [
-            replace(_look_up(vehicle_types, vehicle.type, "vehicle type"), **dict(vehicle.overrides))
+            replace(look_up(vehicle_types, vehicle.type, "vehicle type"), **dict(vehicle.overrides))
             for vehicle in fleet.vehicles
         ]
         kinds = {}  # {(name of the type, of what it carries): columns}
@@ -164,7 +164,7 @@ class World:
         vehicles = []
         for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
             virtual = virtual_type(vehicle_type.name)
-            markers_m = _look_up(templates, fleet_vehicle.template, "mocap template").markers_m
+            markers_m = look_up(templates, fleet_vehicle.template, "mocap template").markers_m
             plant = draw_plant(vehicle_type, _rng(seed, i, _PLANT_STREAM), perturbed)
             firmware = virtual.Firmware(vehicle_type, _rng(seed, i, _FIRMWARE_STREAM), perturbed, REST_HEIGHT_M)
             vehicles.append(Vehicle(self, i, fleet_vehicle, vehicle_type, virtual, markers_m, plant, firmware))
@@ -183,7 +183,7 @@ class World:
             for c, i in enumerate(kind.columns):
                 vehicles[i].firmware.configure(kind.records[c : c + 1])
         carried = [
-            _Carried(kind, c, _look_up(templates, vehicles[i].attached.template, "mocap template"))
+            _Carried(kind, c, look_up(templates, vehicles[i].attached.template, "mocap template"))
             for kind in self._kinds
             if kind.body
             for c, i in enumerate(kind.columns)
@@ -191,7 +191,7 @@ class World:
         self._carried = {one.column: one for one in carried}
         bodies = [(vehicle.template, vehicle.markers_m) for vehicle in vehicles]
         for mark in fleet.landmarks:
-            markers_m = _look_up(templates, mark.name, "mocap template").markers_m
+            markers_m = look_up(templates, mark.name, "mocap template").markers_m
             bodies.append((mark.name, markers_m @ _turned(mark.facing_rad).T + mark.position_m))
         bodies += [(one.template.name, one.template.markers_m) for one in carried]
         #: ((name, number of markers), ...) of all bodies: vehicles in fleet order, landmarks, what vehicles carry
@@ -448,7 +448,8 @@ def _rng(seed, vehicle_index, stream):
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(vehicle_index, stream)))
 
 
-def _look_up(mapping, name, what):
+def look_up(mapping, name, what):
+    """Item of a mapping. Raises ValueError that names the known ones. what: the items, e.g. "vehicle"."""
     if name not in mapping:
         raise ValueError("no %s '%s'; known are: %s" % (what, name, ", ".join(sorted(mapping))))
     return mapping[name]

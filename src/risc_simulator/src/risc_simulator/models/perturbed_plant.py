@@ -39,7 +39,7 @@ class PlantParams(Settings):
     yaw_rate_time_constant_s: Positive
     climb_time_constant_s: Positive
     command_delay_s: NotNegative  # from sending to effect, beside the wait for the radio slot
-    drag_n_s_m: NotNegative
+    drag_n_s_m: NotNegative  # linear drag force per velocity relative to the air
     thrust_min_n: NotNegative
     thrust_max_n: Positive
 
@@ -47,14 +47,14 @@ class PlantParams(Settings):
 def nominal_plant(vehicle_type):
     """PlantParams of a vehicle that is exactly what its type says."""
     weight_n = vehicle_type.mass_kg * GRAVITY_M_S2
-    own = {
-        "nominal_mass_kg": vehicle_type.mass_kg,
-        "thrust_scale": 1.0,
-        "thrust_min_n": IDLE_THRUST_TO_WEIGHT * weight_n,
-        "thrust_max_n": MAX_THRUST_TO_WEIGHT * weight_n,
-    }
-    names = [item.name for item in fields(PlantParams) if item.name not in own]
-    return PlantParams(**own, **{name: getattr(vehicle_type, name) for name in names})
+    names = [item.name for item in fields(PlantParams) if hasattr(vehicle_type, item.name)]
+    return PlantParams(
+        nominal_mass_kg=vehicle_type.mass_kg,
+        thrust_scale=1.0,
+        thrust_min_n=IDLE_THRUST_TO_WEIGHT * weight_n,
+        thrust_max_n=MAX_THRUST_TO_WEIGHT * weight_n,
+        **{name: getattr(vehicle_type, name) for name in names},
+    )
 
 
 def draw_plant(vehicle_type, rng, perturbed=True):

@@ -46,25 +46,13 @@ class U(IntEnum):
     WIND_UP = 8
 
 
-QUADROTOR_FIELDS = (
-    ("mass_kg", float),  # true mass
-    ("nominal_mass_kg", float),  # mass that the on-board climb loop believes in
-    ("thrust_scale", float),  # true thrust / demanded thrust
-    ("inertia_x_kg_m2", float),
-    ("inertia_y_kg_m2", float),
-    ("inertia_z_kg_m2", float),
-    ("roll_natural_frequency_rad_s", float),
-    ("roll_damping_ratio", float),
-    ("roll_gain", float),
-    ("pitch_natural_frequency_rad_s", float),
-    ("pitch_damping_ratio", float),
-    ("pitch_gain", float),
-    ("yaw_rate_time_constant_s", float),
-    ("climb_time_constant_s", float),
-    ("drag_n_s_m", float),  # linear drag force per velocity relative to the air
-    ("thrust_min_n", float),  # range of the demanded thrust while the motors run
-    ("thrust_max_n", float),
-    ("tumble_damping_1_s", float),  # air damping of the body rates while the motors stand
+QUADROTOR_FIELDS = (  # floats, see risc_lab.compiled.record; those of the true vehicle: perturbed_plant.PlantParams
+    "mass_kg nominal_mass_kg thrust_scale inertia_x_kg_m2 inertia_y_kg_m2 inertia_z_kg_m2",
+    "roll_natural_frequency_rad_s roll_damping_ratio roll_gain",
+    "pitch_natural_frequency_rad_s pitch_damping_ratio pitch_gain",
+    "yaw_rate_time_constant_s climb_time_constant_s drag_n_s_m",
+    "thrust_min_n thrust_max_n",  # range of the demanded thrust while the motors run
+    "tumble_damping_1_s",  # air damping of the body rates while the motors stand
 )
 
 

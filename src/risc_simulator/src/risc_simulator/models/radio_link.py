@@ -9,8 +9,6 @@ order, and a lost slot only makes them late, as it does for commands that the cl
 import math
 from collections import namedtuple
 
-_EARLY_S = 1e-6  # what rounding may make of the end of a slot
-
 _Entry = namedtuple("_Entry", "slot item must_arrive")
 
 
@@ -32,7 +30,6 @@ class RadioLink:
         self._phase_s = phase_s
         self._pending = []  # entries in order of submission
         self._collected_s = -math.inf  # what has ended by then is closed
-        self.due_s = math.inf  # collect() has nothing to give before this time
 
     def submit(self, time_s, item, must_arrive=False):
         """Hand an item over at time_s (not decreasing from call to call)."""
@@ -40,7 +37,6 @@ class RadioLink:
         if self._collected_s > -math.inf:
             slot = max(slot, self._slots_ended(self._collected_s))
         self._pending.append(_Entry(slot, item, must_arrive))
-        self._find_due()
 
     def collect(self, time_s):
         """Items of all slots that ended at or before time_s: list of (arrival time [s], item), in order.
@@ -50,8 +46,6 @@ class RadioLink:
         if time_s > self._collected_s:
             self._collected_s = time_s
         delivered = []
-        if time_s < self.due_s:
-            return delivered
         closed = self._slots_ended(time_s)
         while self._pending and self._pending[0].slot < closed:
             slot = self._pending[0].slot
@@ -70,11 +64,7 @@ class RadioLink:
                     delivered.append((arrival_s, entry.item))
                 else:
                     self.items_superseded += 1
-        self._find_due()
         return delivered
-
-    def _find_due(self):
-        self.due_s = self._slot_end(self._pending[0].slot) - _EARLY_S if self._pending else math.inf
 
     def _slots_ended(self, time_s):
         """Slots below this index have ended at time_s."""

@@ -10,7 +10,7 @@ from std_msgs.msg import Float64
 
 from risc_lab.frames import wrap_angle
 from risc_lab.lab import load_fleet
-from risc_lab.ros.diagnostics import make_updater
+from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
@@ -47,7 +47,7 @@ class VirtualLabNode:
         self._lab = lab
         self._orders = queue.SimpleQueue()
         self._last_crash = None
-        self._diagnosed = (0, lab.now_s())  # frame, lab time of the last report
+        self._growth = Growth()
 
         self._vehicles = list(lab.world.vehicles.values())
         self._message = CortexArrays([vehicle.name for vehicle in self._vehicles])
@@ -118,15 +118,14 @@ class VirtualLabNode:
 
     def _diagnose(self, status):
         lab = self._lab
-        frame, now_s = lab.frame, lab.now_s()
-        rate_hz = (frame - self._diagnosed[0]) / max(now_s - self._diagnosed[1], 1e-3)
-        self._diagnosed = frame, now_s
+        _, rates_hz = self._growth({"frames": lab.frame})
+        rate_hz = rates_hz["frames"]
         on_time = rate_hz > 0.95 * lab.fleet.mocap.rate_hz
         status.summary(
             DiagnosticStatus.OK if on_time else DiagnosticStatus.WARN,
             "on schedule" if on_time else "behind its schedule: the computer is too busy",
         )
-        status.add("frames", frame)
+        status.add("frames", lab.frame)
         status.add("rate (Hz)", "%.1f" % rate_hz)
         status.add("late p99 (ms)", "%.2f" % (1e3 * lab.lateness.percentile_s(99.0)))
         status.add("late max (ms)", "%.2f" % (1e3 * lab.lateness.max_s))

@@ -247,7 +247,7 @@ class Renderer:
         return (((np.arange(count) + 0.5) / count) - 0.5) * self.imaging.exposure_s
 
     def _is_moving(self, pose):
-        return self.imaging.exposure_s > 0.0 and bool(np.any(pose.velocity_m_s) or np.any(pose.rate_rad_s))
+        return self.imaging.exposure_s > 0.0 and _moves(pose)
 
     def _flow(self, points_m, pose):
         """Motion (n, 2) [px] of points (n, 3), cortex frame, during the exposure."""
@@ -264,16 +264,13 @@ class Renderer:
         The same model as Camera.project, without OpenCV's derivatives, which take most of its time.
         """
         pixels = self._distorted(points)
-        if self.imaging.rolling_s > 0.0 and self._is_rolling(pose):
+        if self.imaging.rolling_s > 0.0 and _moves(pose):
             height = self.camera.height_px
             for _ in range(2):  # the row depends on the time and the time on the row: converges at once
                 row = np.clip(pixels[:, 1], -0.5 * height, 1.5 * height)
                 time_s = (row / (height - 1.0) - 0.5) * self.imaging.rolling_s
                 pixels = self._distorted(_moved(points, pose, time_s))
         return pixels
-
-    def _is_rolling(self, pose):
-        return bool(np.any(pose.velocity_m_s) or np.any(pose.rate_rad_s))
 
     def _distorted(self, points):
         K = self.camera.K
@@ -292,6 +289,10 @@ class Renderer:
         pixels[:, 0] = K[0, 0] * (x * radial + p1 * product + p2 * (square + 2.0 * x * x)) + K[0, 2]
         pixels[:, 1] = K[1, 1] * (y * radial + p2 * product + p1 * (square + 2.0 * y * y)) + K[1, 2]
         return pixels
+
+
+def _moves(pose):
+    return bool(np.any(pose.velocity_m_s) or np.any(pose.rate_rad_s))
 
 
 def to_camera(pose, points_m, time_s=0.0):

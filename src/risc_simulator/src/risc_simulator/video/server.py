@@ -52,13 +52,13 @@ class Order(NamedTuple):
 class Station(TcpClients):
     """The video of one vehicle, as its host and the lab see it."""
 
-    def __init__(self, vehicle, channels, listener, stream, waiting):
+    def __init__(self, vehicle, channels, listener, stream):
         """vehicle: FleetVehicle. channels: how many cameras it has. listener: bound TCP socket; None without cameras.
 
-        stream: faults.Stream that the pictures pass on their way to each client. waiting: see TcpClients.
+        stream: faults.Stream that the pictures pass on their way to each client.
         """
         notices = Notices(_LOG, vehicle.namespace)
-        super().__init__(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive, waiting)
+        super().__init__(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive)
         self._channels, self._latency_s = channels or 1, load_vehicle_type(vehicle.type).video_latency_s
         self.configure(0, RATES_HZ[1], 4000.0, True)
         self.link_up = True  # False: nothing passes
@@ -87,11 +87,6 @@ class Station(TcpClients):
         """
         late_s = float(np.percentile(self._lateness_s, LATE_PERCENT)) if self._lateness_s else 0.0
         return {"pictures": self.pictures, "skipped": self.skipped, "late_ms": 1e3 * late_s}
-
-    @property
-    def watchers(self):
-        """How many clients are connected."""
-        return len(self.backlogs)
 
     def accept(self):
         is_first = not self.backlogs
@@ -165,29 +160,24 @@ class VideoServer(SocketHost):
         self._world, self._job = world, (fleet, seed)
         self.light = 1.0  # of the room
         self.stations = {}  # by namespace
-        self._listeners = {}  # listener -> its Station
         for vehicle, listener in zip(fleet.vehicles, listeners):
             stream = wires.stream("%s/video" % vehicle.namespace) if listener else None
             channels = len(world.vehicles[vehicle.namespace].virtual.cameras)
-            station = Station(vehicle, channels, listener, stream, self._waiting)
-            self.stations[vehicle.namespace] = station
-            if listener:
-                listener.setblocking(False)
-                self._listeners[listener] = station
-                self._waiting.add(listener)
+            self.stations[vehicle.namespace] = Station(vehicle, channels, listener, stream)
         self._all = list(self.stations.values())
+        for station in self._all:
+            self._waiting.add(station)
+        self._has_cameras = any(listeners)
         self._process = self._link = None
-        self._heard = bytearray()
+        self._received = bytearray()  # of the picture in the making
         self._taking = None  # Station whose picture is in the making
         self._rest_until_s = -math.inf
-        self._said_ready = False
         self.ready = False  # the camera process is up: a client is served at once
         self.due_s = math.inf  # before this time send() has nothing to do
-        self._now_s = 0.0
 
     def start(self):
         """Start the camera process if it does not run. A computer that cannot start it now is asked again later."""
-        if self._process is not None or not self._listeners or self._now_s < self._rest_until_s:
+        if self._process is not None or not self._has_cameras or self._now_s < self._rest_until_s:
             return
         link, theirs = socket.socketpair()
         with link, theirs:
@@ -203,14 +193,12 @@ class VideoServer(SocketHost):
         self._waiting.add(self._link)
         self._send_to_process(self._job)
 
-    def on_readable(self, sock, now_s):
+    def on_readable(self, member, now_s):
         self._now_s = now_s
-        if sock is self._link:
-            self._hear()
-        elif sock in self._listeners:
-            self._listeners[sock].accept()
+        if member is self._link:
+            self._receive_picture()
         else:
-            next(station for station in self._all if sock in station.backlogs).drain(sock)
+            super().on_readable(member, now_s)
 
     def tick(self, now_s):
         """To be called once per cycle of the lab, after the world has moved."""
@@ -261,7 +249,7 @@ class VideoServer(SocketHost):
         with contextlib.suppress(ConnectionError):  # it has ended: its socket will tell
             self._link.sendall(pickle.dumps(what))
 
-    def _hear(self):
+    def _receive_picture(self):
         try:
             data = self._link.recv(1 << 18)
         except ConnectionError:
@@ -269,18 +257,16 @@ class VideoServer(SocketHost):
         if not data:
             self._hang_up()
             return
-        self._heard += data
+        self._received += data
         if not self.ready:
-            del self._heard[: len(READY)]
+            del self._received[: len(READY)]
             self.ready = True
-            if not self._said_ready:
-                self._said_ready = True
-                _LOG.info("cameras are ready: video is sent as soon as a client connects")
-        elif len(self._heard) >= MIN_HEADER_BYTES:
-            header = parse_header(self._heard)
-            if len(self._heard) == header.header_bytes + header.payload_bytes:
-                self._taking.take(bytes(self._heard), header)
-                self._heard.clear()
+            _LOG.info("cameras are ready: video is sent as soon as a client connects")
+        elif len(self._received) >= MIN_HEADER_BYTES:
+            header = parse_header(self._received)
+            if len(self._received) == header.header_bytes + header.payload_bytes:
+                self._taking.take(bytes(self._received), header)
+                self._received.clear()
                 self.due_s = min(self.due_s, self._taking.due_s)
                 self._taking = None
                 self._order_picture()
@@ -291,25 +277,16 @@ class VideoServer(SocketHost):
             self._link.close()
             self._link = None
         self.ready, self._taking = False, None
-        self._heard.clear()
+        self._received.clear()
 
     def _bury(self):
         """Say that the camera process has ended, and when it is started again."""
         code, self._process = self._process.returncode, None
+        rest_s, cure = START_REST_S, "it is started again, in %g s" % START_REST_S
         if code == BAD_FILES:
-            rest_s = math.inf
-            _LOG.error(
-                "vehicles send no video: the camera process cannot use what its last line names. Mend that and start "
-                "the lab again"
-            )
-        else:
-            rest_s = START_REST_S
-            _LOG.error(
-                "the camera process has ended (code %s), its last lines say why: vehicles send no video until it is "
-                "started again, in %g s",
-                code,
-                rest_s,
-            )
+            rest_s, cure = math.inf, "you mend what they name and start the lab again"
+        text = "the camera process has ended (code %s), its last lines say why: vehicles send no video until %s"
+        _LOG.error(text, code, cure)
         self._rest_until_s = self._now_s + rest_s
         for station in self._all:
             station.next_s = None

@@ -64,9 +64,9 @@ class LiveStatus:
         self._asked = ("", {})  # time of day of the last press on a land button; who was asked -> (class, text)
 
     def note(self, what, whose, value, now_s):
-        """Something was heard: "mode" (autonomous?), "vehicle" (VehicleStatus), "safety" (Verdict), "error_m" of a
-        vehicle by its namespace; "course" (phase) of one by its template; "mocap" (EstimatorStatus), "references" and
-        "operator" (text of its phase) of "".
+        """Something was heard: "mode" (autonomous?), "vehicle" (VehicleStatus), "safety" (Verdict) of a vehicle
+        by its namespace; "course" (phase), "error_m" of one by its template; "mocap" (EstimatorStatus), "references"
+        and "operator" (text of its phase) of "".
         """
         self._heard[what, whose] = (value, now_s)
 
@@ -136,7 +136,7 @@ class LiveStatus:
         found = []
         if self._news("references", "", now_s):
             found = [html.escape(self._news("course", vehicle.template, now_s) or "")]
-            error_m = self._news("error_m", vehicle.namespace, now_s)
+            error_m = self._news("error_m", vehicle.template, now_s)
             if error_m is not None and math.isfinite(error_m):
                 found.append("%.0f mm from its reference" % (1e3 * error_m))
         return ", ".join(filter(None, found)) or _span("small", "no reference")

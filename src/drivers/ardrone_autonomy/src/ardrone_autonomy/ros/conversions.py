@@ -123,9 +123,7 @@ class OptionConverter:
         self.name, self.tag = name, int(Tag[name.upper()])
         self.message_type = getattr(messages, "navdata_" + name)
         fields = zip(self.message_type.__slots__[4:], self.message_type._slot_types[4:])
-        self._copies = [
-            (field, _maker(ros_type)) for field, ros_type in fields
-        ]  # maker: of the option's value, or None
+        self._copies = [(field, _maker(ros_type)) for field, ros_type in fields]
 
     def convert(self, packet, header):
         """The message, or None when the packet does not carry the option (or another one under its number)."""

@@ -423,12 +423,10 @@ class _Telemetry:
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=QUEUE_SIZE)
         converters = [conversions.OptionConverter(name) for name in configuration.options]
         self._selective = [(each, publisher("navdata_" + each.name, each.message_type)) for each in converters]
-        cameras = zip(CAMERA_FRAMES, (conversions.FRONT_CAMERA, conversions.BOTTOM_CAMERA))
+        frames = [tf_frame(params.drone_frame_id + suffix) for suffix in CAMERA_FRAMES]
+        cameras = (conversions.FRONT_CAMERA, conversions.BOTTOM_CAMERA)
         self._camera_frames = TFMessage(
-            [
-                conversions.camera_transform(base, tf_frame(params.drone_frame_id + suffix), camera)
-                for suffix, camera in cameras
-            ]
+            [conversions.camera_transform(base, *camera) for camera in zip(frames, cameras)]
         )
 
     def publish(self, packet, received_s):

@@ -22,7 +22,6 @@ import math
 import socket
 from collections import deque, namedtuple
 from dataclasses import replace
-from types import SimpleNamespace
 from zlib import crc32
 
 import numpy as np
@@ -56,14 +55,15 @@ FOREVER_S = 1e9  # upper limit of the client's own time-out
 MAX_CONTROL_CLIENTS = 16
 MAX_TCP_BACKLOG_BYTES = 256 * 1024
 
-_BIT = SimpleNamespace(**{bit.name: int(bit) for bit in State})  # IntFlag arithmetic would cost more than a packet
-_BASE_STATE = (
-    _BIT.ALTITUDE_CONTROL
-    | _BIT.PIC_VERSION_OK
-    | _BIT.AT_THREAD
-    | _BIT.NAVDATA_THREAD
-    | _BIT.VIDEO_THREAD
-    | _BIT.ACQUISITION_THREAD
+_BASE_STATE = sum(
+    (
+        State.ALTITUDE_CONTROL,
+        State.PIC_VERSION_OK,
+        State.AT_THREAD,
+        State.NAVDATA_THREAD,
+        State.VIDEO_THREAD,
+        State.ACQUISITION_THREAD,
+    )
 )
 _SELECT, _START = int(at.Ref.SELECT), int(at.Ref.START)
 _PROGRESSIVE, _ABSOLUTE = int(at.PcmdFlag.PROGRESSIVE), int(at.PcmdFlag.ABSOLUTE)
@@ -87,7 +87,7 @@ STANDARD_PORTS = Ports(
 # One set of piloting values as received: flags of PCMD, the four sticks in [-1, 1], the pilot's heading (fractions of
 # 180 degrees) and its accuracy, the sequence number and the time of reception.
 Sticks = namedtuple("Sticks", "flags roll pitch gaz yaw psi psi_accuracy sequence time_s")
-_NO_STICKS = Sticks(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0)
+NO_STICKS = Sticks(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0)
 
 
 class ArdroneHost(VehicleHost):
@@ -107,7 +107,7 @@ class ArdroneHost(VehicleHost):
 
     def __init__(self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, wires=None):
         super().__init__(vehicle, wires)
-        self._commands, self._wake_ups, self._navdata = map(self.wire, ("commands", "wake_ups", "navdata"))
+        self._navdata = self.wire("navdata")
         control, ftp = map(self.stream, ("control", "ftp"))
         self.address = address
         rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
@@ -140,7 +140,7 @@ class ArdroneHost(VehicleHost):
         self._rest_until_s = -math.inf  # an order is under way
         self._user_emergency = False
         self._last_phase = vehicle.phase
-        self._sticks = _NO_STICKS
+        self._sticks = NO_STICKS
         self._wanted = Setpoint(hover=True)  # before the altitude limit
         self._scheduled = self._wanted
         self._ref_sequence = 0
@@ -169,15 +169,13 @@ class ArdroneHost(VehicleHost):
                 kind = socket.SOCK_DGRAM if name in ("navdata", "at") else socket.SOCK_STREAM
                 self._sockets[name] = open_socket(kind, address, getattr(ports, name), vehicle.namespace)
             asks, most = "reads the configuration", MAX_CONTROL_CLIENTS
-            self._readers = TcpClients(
-                self._sockets["control"], control, self._notices, asks, most, self._write, self._waiting
-            )
+            self._readers = TcpClients(self._sockets["control"], control, self._notices, asks, most, self._write)
             self._ftp = FtpServer(self._sockets["ftp"], self._notices, ftp)
         except OSError:
             self.close()
             raise
-        for sock in (self._sockets["at"], self._sockets["navdata"]):
-            self._waiting.add(sock)
+        self.hear(self._sockets["at"], self.wire("commands"), self._on_at_datagram)
+        self.hear(self._sockets["navdata"], self.wire("wake_ups"), self._on_wake_up)
         self._watch_streams()
         self.ports = Ports(*[self._sockets[name].getsockname()[1] for name in Ports._fields])
         self._obey_configuration()
@@ -196,26 +194,15 @@ class ArdroneHost(VehicleHost):
     def _watch_streams(self):
         """Wait for the streams while there is a link: stalled, they would be readable for ever."""
         change = self._waiting.discard if self.link_lost else self._waiting.add
-        for member in (self._sockets["control"], *self._readers.backlogs, self._ftp):
-            change(member)
+        change(self._readers)
+        change(self._ftp)
 
-    def on_readable(self, sock, now_s):
-        """Take what has come in on one of sockets() at lab time now_s."""
+    def on_readable(self, member, now_s):
         self._now_s = now_s
-        if sock is self._sockets.get("at"):
-            for data, sender in self.receive(sock):
-                self._commands.carry(data, sender, now_s, self._on_at_datagram)
-        elif sock is self._sockets.get("navdata"):
-            for data, sender in self.receive(sock):
-                self._wake_ups.carry(data, sender, now_s, self._on_wake_up)
-        elif self.link_lost:
-            self._watch_streams()  # a loss that has just begun: streams stall
-        elif sock is self._ftp:
-            self._ftp.serve(now_s)
-        elif sock is self._sockets.get("control"):
-            self._readers.accept()
+        if member in self._heard or not self.link_lost:
+            super().on_readable(member, now_s)
         else:
-            self._readers.drain(sock)
+            self._watch_streams()  # a loss that has just begun
 
     def tick(self, now_s):
         """To be called once per cycle of the lab, after the world has moved."""
@@ -368,10 +355,8 @@ class ArdroneHost(VehicleHost):
             # without a listener nothing is acknowledged, so the client asks again
             self._ack = True
             self._counts["config_readbacks"] += 1
-            text = (
-                self.configuration.text() if mode == at.CtrlMode.SEND_CONFIG else self.configuration.custom_ids_text()
-            )
-            self._readers.write(text, now_s)
+            whole = mode == at.CtrlMode.SEND_CONFIG
+            self._readers.write(self.configuration.text() if whole else self.configuration.custom_ids_text(), now_s)
 
     def _on_comwdg(self, _command, _now_s):
         self._com_watchdog = False
@@ -447,20 +432,17 @@ class ArdroneHost(VehicleHost):
     def _obey_ref(self, time_s, bits, phase):
         select = bool(bits & _SELECT)
         if select and not self._select:
-            self._toggle_emergency(time_s, phase)
+            self._armed = False  # whatever bit 9 said during the emergency, it counts from now on
+            if phase is FlightPhase.EMERGENCY:
+                self._order(time_s, FlightAction.CLEAR_EMERGENCY)
+            else:
+                self._user_emergency = True
+                self._order(time_s, FlightAction.CUT_MOTORS)
         self._select = select
         start = bool(bits & _START)
         if not start:
             self._armed, self._refused = True, False
         self._start = start
-
-    def _toggle_emergency(self, time_s, phase):
-        self._armed = False  # whatever bit 9 said during the emergency, it counts from now on
-        if phase is FlightPhase.EMERGENCY:
-            self._order(time_s, FlightAction.CLEAR_EMERGENCY)
-        else:
-            self._user_emergency = True
-            self._order(time_s, FlightAction.CUT_MOTORS)
 
     def _obey_start_level(self, now_s, phase):
         """REF bit 9 is a level: it is compared with what the vehicle does on every cycle."""
@@ -614,18 +596,18 @@ class ArdroneHost(VehicleHost):
     def _state_bits(self, phase):
         in_emergency = phase is FlightPhase.EMERGENCY
         bits = (
-            (_BIT.FLYING, phase in _IN_FLIGHT),
-            (_BIT.VIDEO_ENABLED, self._video is not None and self._video.watchers),
-            (_BIT.USER_START, self._start),
-            (_BIT.COMMAND_ACK, self._ack),
-            (_BIT.BOOTSTRAP, self._bootstrap),
-            (_BIT.CAMERA_READY, not self._bootstrap),
-            (_BIT.NAVDATA_DEMO, self._bootstrap or self.get("general:navdata_demo")),
-            (_BIT.COM_LOST, self._com_lost_s is not None),
-            (_BIT.BATTERY_LOW, self._vehicle.battery_pct <= LOW_BATTERY_PCT),
-            (_BIT.COM_WATCHDOG, self._com_watchdog),
-            (_BIT.EMERGENCY, in_emergency),
-            (_BIT.USER_EMERGENCY_LANDING, in_emergency and self._user_emergency),
-            (_BIT.CUTOUT, in_emergency and not self._user_emergency),
+            (State.FLYING, phase in _IN_FLIGHT),
+            (State.VIDEO_ENABLED, self._video is not None and self._video.backlogs),
+            (State.USER_START, self._start),
+            (State.COMMAND_ACK, self._ack),
+            (State.BOOTSTRAP, self._bootstrap),
+            (State.CAMERA_READY, not self._bootstrap),
+            (State.NAVDATA_DEMO, self._bootstrap or self.get("general:navdata_demo")),
+            (State.COM_LOST, self._com_lost_s is not None),
+            (State.BATTERY_LOW, self._vehicle.battery_pct <= LOW_BATTERY_PCT),
+            (State.COM_WATCHDOG, self._com_watchdog),
+            (State.EMERGENCY, in_emergency),
+            (State.USER_EMERGENCY_LANDING, in_emergency and self._user_emergency),
+            (State.CUTOUT, in_emergency and not self._user_emergency),
         )
         return _BASE_STATE + sum(bit for bit, is_set in bits if is_set)

@@ -134,12 +134,8 @@ class ConfigurationStore:
 
     def custom_ids_text(self):
         """Readback for CTRL 6, bytes."""
-        return config.encode_custom_ids(
-            *[
-                {
-                    identity: profile.get(key, config.KEYS[key].default)
-                    for identity, profile in self._profiles[c].items()
-                }
-                for c, key in _DESCRIPTION_KEYS.items()
-            ]
-        )
+        descriptions = [
+            {identity: values.get(key, config.KEYS[key].default) for identity, values in self._profiles[kind].items()}
+            for kind, key in _DESCRIPTION_KEYS.items()
+        ]
+        return config.encode_custom_ids(*descriptions)

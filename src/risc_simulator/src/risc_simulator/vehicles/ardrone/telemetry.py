@@ -5,13 +5,20 @@ from zlib import crc32
 import numpy as np
 
 from ardrone_autonomy.protocol.navdata import DEMO_PERIOD, FULL_RATE_HZ, Navdata, NavdataError, Tag
+from risc_simulator.vehicles.ardrone.host import NO_STICKS
 from risc_simulator.vehicles.ardrone.navdata import Frame, NavdataWriter
 from risc_simulator.vehicles.ardrone.profiles import ConfigurationStore
 from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
 
 # What the driver's message is made of; no reading depends on what the aircraft was told.
 _OPTIONS = Tag.DEMO, Tag.TIME, Tag.PHYS_MEASURES, Tag.PWM, Tag.PRESSURE_RAW, Tag.MAGNETO, Tag.WIND_SPEED
-_NOT_TOLD = {"sticks": None, "command": (0.0, 0.0, 0.0, 0.0), "ref_sequence": 0, "ref_gap_ms": 0.0, "picture": (0, 0)}
+_NOT_TOLD = {
+    "sticks": NO_STICKS,
+    "command": (0.0, 0.0, 0.0, 0.0),
+    "ref_sequence": 0,
+    "ref_gap_ms": 0.0,
+    "picture": (0, 0),
+}
 
 
 class Telemetry:

@@ -141,7 +141,6 @@ class LiveView:
     def _begin(self):
         """Somebody looks."""
         self._turns.update(due_s=0.0, panel_due_s=0.0)
-
         note = self._note
 
         def every(topic, kind, callback):
@@ -187,10 +186,8 @@ class LiveView:
             self._note("course", template, phase)
 
     def _on_controller(self, message):
-        namespaces = {vehicle.template: vehicle.namespace for vehicle in self._vehicles}
         for vehicle in message.vehicles:
-            if vehicle.name in namespaces:
-                self._note("error_m", namespaces[vehicle.name], vehicle.position_error_m)
+            self._note("error_m", vehicle.name, vehicle.position_error_m)
 
     def _diagnose(self, status):
         turns = self._turns
