@@ -49,9 +49,13 @@ _MISFIT_PX = 0.5  # that any outline may have
 _SCALE_TOLERANCE = 0.15  # of the ratio of both outlines
 _RING_SIGMA_PX = 0.15  # of the middle of the ring's outline
 
+# A camera that is not known.
+_FOCAL = 0.95  # focal length / width of the picture: 56 degrees from side to side
+_SHIFT = 0.5  # deviation of a centre's shift from the one by this focal length / (semi-major axis^2 / focal length)
+
 # Slope of the light: deviations that are expected.
 _LIGHT_SLOPE = 0.0008  # [1/px] of its slope across the picture
-_LIGHT_NOISE = 0.03  # of one sample
+_LIGHT_NOISE = 0.003  # of one sample at least
 _LIGHT_FROM_PX = 12.0  # radius of the discs in which it is looked for: it moves smaller ones by 0.01 px at most
 
 
@@ -89,7 +93,7 @@ class LandmarkDetector:
         """config: LandmarksConfig. camera: risc_lab.camera.Camera that takes the pictures, None if not known.
 
         With a camera, outlines are undistorted before they are measured, and its focal length tells how far the
-        disc's centre is from the middle of its outline; without, only the ring does.
+        disc's centre is from the middle of its outline; without, the ring and a usual focal length do.
         """
         self._config = config
         self._limits = config.detector
@@ -101,8 +105,6 @@ class LandmarkDetector:
         # Points (rays, radii, 2) of a disc with radius 1: on the ring, and of the centre.
         self._ring = _on_rays(self._circle, 1.0 + (self._scale - 1.0) * np.array(_RING_RADII))
         self._core = _on_rays(self._circle[::2], np.array(_CENTRE_RADII))
-        places = np.concatenate((self._ring, self._core)).reshape(-1, 2)
-        self._rows = np.column_stack((places, np.ones(len(places), np.float32)))
 
     def detect(self, image, planes=None):
         """List of Detection, the best first; the same landmark can be among them more than once.
@@ -198,7 +200,7 @@ class LandmarkDetector:
             sure = inner.misfit <= 0.5 and vivid >= 0.5 * (1.0 + limits.vivid_min)
             if count == _RAYS or not sure or ellipse.semi_minor < limits.diameter_min_px:
                 return None
-        (x, y), covariance = self._centre(inner, circle, outer)
+        (x, y), covariance = self._centre(bgr.shape, inner, circle, outer)
         if not math.isfinite(x + y):  # outside of what the lens model describes
             (x, y), covariance = ellipse[:2], None
         score = share * inner.arc * (1.0 - 0.5 * inner.misfit) * (1.0 if outer is not None else 0.8)
@@ -231,14 +233,16 @@ class LandmarkDetector:
 
         Without that, a brighter half of a disc would look larger. colours, means, painted: of ring and centre: colours
         of their points, mean ones (3,), masks of the points that have them. A disc of a few pixels tells little of the
-        light, and neighbours' colours blur into it: a flat light is expected.
+        light, and neighbours' colours blur into it: a flat light is expected. What has a paint's hue but is none of it,
+        as a panel before the ring, scatters that paint's samples, which then count the less.
         """
-        seen = [bgr.reshape(-1, 3) @ (mean / (mean @ mean)) for bgr, mean in zip(colours, means)]
-        weighted = self._rows * (np.concatenate([mask.ravel() for mask in painted]) != 0)[:, None]
-        square = weighted.T @ self._rows
-        square[[0, 1], [0, 1]] += (_LIGHT_NOISE / (_LIGHT_SLOPE * size_px)) ** 2
-        slope = cv2.solve(square, weighted.T @ (np.concatenate(seen) - 1.0), flags=cv2.DECOMP_CHOLESKY)[1]
-        return 1.0 + self._circle @ slope[:2]
+        square, along = np.eye(2) / (_LIGHT_SLOPE * size_px) ** 2, np.zeros(2)
+        for places, bgr, mean, mask in zip((self._ring, self._core), colours, means, painted):
+            places, seen = places[mask != 0], bgr[mask != 0] @ (mean / (mean @ mean)) - 1.0
+            weighted = (places - places.mean(axis=0)) / max(_LIGHT_NOISE**2, seen @ seen / len(seen))
+            square += weighted.T @ places
+            along += weighted.T @ seen
+        return 1.0 + self._circle @ np.linalg.solve(square, along).astype(np.float32)[:, None]
 
     def _centre_outline(self, bgr, start, core, ring):
         """_Outline of the centre near the ellipse `start`; None if there is none. core, ring: (rays, 3) colours."""
@@ -303,19 +307,17 @@ class LandmarkDetector:
         good &= (square > _CONTRAST_MIN**2) & _inside(points + 0.5 * reach * directions, bgr.shape)
         return points, good
 
-    def _centre(self, inner, circle, ring):
+    def _centre(self, shape, inner, circle, ring):
         """((x, y) [px] where the centre of the disc is seen, its covariance as Detection's).
 
-        NaN outside of what the lens model describes. inner: _Outline of the centre; circle, ring: Ellipses of centre
-        and ring, without distortion; ring may be None.
+        NaN outside of what the lens model describes. shape: of the picture; inner: _Outline of the centre; circle,
+        ring: Ellipses of centre and ring, without distortion; ring may be None.
         """
         if self._camera is None:
-            if ring is None:
-                return circle[:2], None
-            # Shifts by perspective and by distortion grow with the square of a circle's size.
-            part = 1.0 / (self._scale**2 - 1.0)
-            return (circle.x + part * (circle.x - ring.x), circle.y + part * (circle.y - ring.y)), None
-        K = self._camera.K
+            focal_px = _FOCAL * shape[1]
+            K = np.array(((focal_px, 0.0, 0.5 * shape[1]), (0.0, focal_px, 0.5 * shape[0]), (0.0, 0.0, 1.0)))
+        else:
+            K, focal_px = self._camera.K, math.sqrt(self._camera.K[0, 0] * self._camera.K[1, 1])
         found = circle_centres(K.T @ circle.conic() @ K, self._scale)
         centres, rings = (places @ K[:2, :2].T + K[:2, 2] for places in found)
         share = 0.5  # probability of the first
@@ -323,14 +325,21 @@ class LandmarkDetector:
             off = np.square(rings - ring[:2]).sum(axis=1)
             share = 1.0 / (1.0 + math.exp(min(0.5 * (off[0] - off[1]) / _RING_SIGMA_PX**2, 700.0)))
         centre = share * centres[0] + (1.0 - share) * centres[1]
+        if self._camera is None:
+            if ring is None:
+                return circle[:2], None
+            # Shifts by perspective and by distortion grow with the square of a circle's size.
+            middle, spread_px = np.array(circle[:2]), _SHIFT * circle.semi_major**2 / focal_px
+            told = middle + (middle - ring[:2]) / (self._scale**2 - 1.0)
+            centre += (told - centre) / (1.0 + (_RING_SIGMA_PX / spread_px) ** 2)
+            return centre.tolist(), None
         turn = None  # from pixels without distortion to those of the picture
         if self._distorted:
             right, down = np.linalg.solve(K[:2, :2], (centre + ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)) - K[:2, 2]).T)
             pixels = self._camera.project(np.column_stack((np.ones(3), right, down)))
             centre, turn = pixels[0], (pixels[1:] - pixels[0]).T
-        focal_px, apart = math.sqrt(K[0, 0] * K[1, 1]), centres[0] - centres[1]
-        shape = inner.start, inner.directions, inner.rms_px
-        return centre.tolist(), centre_covariance(*shape, focal_px, apart, share, turn)
+        measured = inner.start, inner.directions, inner.rms_px
+        return centre.tolist(), centre_covariance(*measured, focal_px, centres[0] - centres[1], share, turn)
 
     def _ideal(self, points):
         """Where a camera without distortion would see what is at points (n, 2) px."""
