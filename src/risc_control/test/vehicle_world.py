@@ -162,7 +162,8 @@ class World:
         return [command for command in self.told[self.templates[vehicle]] if not command.answers.is_zero()]
 
     def wait(self, vehicle, topic, fits=lambda message: True):
-        wait_for(lambda: any(map(fits, self.messages(vehicle, topic))), "%s of %s" % (topic, vehicle))
+        found = within(lambda: any(map(fits, self.messages(vehicle, topic))), TIMEOUT_S)
+        assert found, "%s of %s, of\n%s" % (topic, vehicle, self.messages(vehicle, topic)[:20])
 
     def wait_for_state(self, vehicle, state):
         """Until the vehicle's node knows by navdata that the vehicle is in this state."""

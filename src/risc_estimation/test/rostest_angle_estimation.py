@@ -59,6 +59,11 @@ class AngleEstimationNodeTest(unittest.TestCase):
             kept.append(msg)
             cls.arrived.notify_all()
 
+    @staticmethod
+    def answered(header):
+        """Whether an image with this header is among the messages kept."""
+        return lambda kept: any(msg.header.stamp == header.stamp for msg in kept)
+
     def ask(self, *entries):
         """Send regions; the answers of both nodes, rectified and raw."""
         type(self).stamp_s += 0.033
@@ -120,9 +125,18 @@ class AngleEstimationNodeTest(unittest.TestCase):
     def test_exact_detections_are_not_rounded_and_every_image_has_one_answer(self):
         type(self).stamp_s += 10.0
         pixels = [(300.37 + 0.013 * k, 120.61) for k in range(20)]
+
+        def detections(header, x, y):
+            return Detections(header, "risc1", [Detection(name="green", visible=True, x=x, y=y)], [])
+
+        before = Header(stamp=rospy.Time.from_sec(self.stamp_s - 1.0), frame_id="risc1/camera")
+        self.exact.publish(detections(before, 100.0, 100.0))
+        with self.arrived:  # from now on the nodes know that there are exact ones
+            both = self.arrived.wait_for(lambda: all(map(self.answered(before), (self.angles, self.raw))), PATIENCE_S)
+            self.assertTrue(both, "no answer")
         for k, (x, y) in enumerate(pixels):
             header = Header(stamp=rospy.Time.from_sec(self.stamp_s + 0.033 * k), frame_id="risc1/camera")
-            exact = Detections(header, "risc1", [Detection(name="green", visible=True, x=x, y=y)], [])
+            exact = detections(header, x, y)
             rounded = Observed_rois(header, [Risc_rois("risc1", [roi("green", round(x), round(y))], [])])
             messages = [(self.exact, exact), (self.pub, rounded)]
             for publisher, message in reversed(messages) if k % 2 else messages:
