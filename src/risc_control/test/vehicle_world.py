@@ -184,7 +184,9 @@ class World:
         self.flight_state = dict.fromkeys(self.templates, FLYING)
         self.forget()
         for vehicle in self.templates:
-            self.wait(vehicle, "cmd_vel")  # commands are for vehicles that fly: the node knows it
+            # Commands are for vehicles that fly: the node knows it. These are level: after so many no climb that was
+            # commanded before is under way any more, which the prediction of the climb rate would begin with.
+            wait_for(lambda v=vehicle: len(self.messages(v, "cmd_vel")) >= 10, "manual commands of %s" % vehicle)
             wait_for(lambda v=vehicle: self._switches_to_autonomous(v), "autonomous mode of %s" % vehicle)
 
     def fly_by_controls(self):
