@@ -189,8 +189,9 @@ def test_a_toy_flies_by_its_own_driver_beside_an_ardrone(tmp_path):
         stick.press(UP, 1)
         wait_until(lambda: toy.height_m > rest_m + 0.3, RISEN_S, launch.log_tail)
         stick.press(UP, 0)
-        told = said("rostopic", "echo", "-n1", "/risc2/vehicle_status")
-        assert re.search(r'name: "albatross"\nstate: \d\nbattery_pct: [1-9]', told), told
+        for vehicle in fleet.vehicles:
+            told = said("rostopic", "echo", "-n1", "/%s/vehicle_status" % vehicle.namespace)
+            assert re.search(r'name: "%s"\nstate: \d\nbattery_pct: [1-9]' % vehicle.template, told), told
         listed = said(sys.executable, "-m", "risc_doctor", str(tmp_path / "fleet.yaml"), "--only", "vehicles")
         for name in ("risc1", "risc2"):
             assert re.search(r"%s \(\S+\) answers \(by its driver.*\), battery \d+ %%" % name, listed), listed
