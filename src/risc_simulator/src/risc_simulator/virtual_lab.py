@@ -10,7 +10,7 @@ drift; after a delay of the computer the missed frames follow at once, each with
 is too slow for that leaves frames out, so that what is seen and what is commanded stay near real time; while it sleeps,
 lab time stands still.
 
-One process serves all vehicles: 50 in flight take 0.25 of a core (./maap bench world), ten take 0.10, so
+One process serves all vehicles: 50 in flight take 0.27 of a core (./maap bench world), ten take 0.11, so
 dividing the hosts among processes would gain less than it costs.
 """
 
