@@ -122,6 +122,15 @@ def make_bench():
         bench.close()
 
 
+def watched(make_bench):
+    """A Bench whose only camera has a client, and its station; its first picture was ordered at 100 s."""
+    bench = make_bench()
+    (station,) = bench.stations
+    bench.connect()
+    assert bench.tick(100.0) == 1
+    return bench, station
+
+
 def test_nothing_is_made_before_somebody_watches(make_bench):
     bench = make_bench()
     assert bench.tick(1.0) == 0
@@ -130,10 +139,7 @@ def test_nothing_is_made_before_somebody_watches(make_bench):
 
 
 def test_the_rhythm_is_absolute_and_what_the_computer_missed_is_counted(make_bench):
-    bench = make_bench()
-    (station,) = bench.stations
-    bench.connect()
-    assert bench.tick(100.0) == 1
+    bench, station = watched(make_bench)
     bench.draw(100.001)
     assert bench.tick(100.045) == 0
     assert bench.tick(100.06) == 1 and station.next_s == pytest.approx(100.1)
@@ -171,10 +177,7 @@ def test_cameras_take_turns_and_what_is_due_waits_for_none_that_draws(make_bench
 
 
 def test_a_camera_that_is_off_misses_nothing(make_bench):
-    bench = make_bench()
-    (station,) = bench.stations
-    bench.connect()
-    assert bench.tick(100.0) == 1
+    bench, station = watched(make_bench)
     bench.draw(100.01)
     station.configure(FRONT, RATE_HZ, 4000.0, False)
     assert bench.tick(103.0) == 0

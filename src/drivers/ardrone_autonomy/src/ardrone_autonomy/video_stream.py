@@ -144,7 +144,7 @@ class VideoStream:
 
     def _receive(self, sock, foreign_before):
         """Show whatever arrives, see _stream. foreign_before: pictures of other codecs before this connection."""
-        while self.wanted:
+        while self.wanted and not self._stopping:
             sock.settimeout(max(self._heard_s + SILENCE_S - self._now_s(), 1e-3))
             data, extras, _, _ = sock.recvmsg(_READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
             if not data:
