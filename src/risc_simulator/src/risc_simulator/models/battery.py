@@ -10,6 +10,11 @@ class Battery:
         self._life_s, self._load = life_s, GROUND_LOAD
         self._pct, self._time_s = 100.0, 0.0
 
+    @property
+    def drain_pct_s(self):
+        """Percent a second."""
+        return 100.0 * self._load / self._life_s
+
     def pct(self, time_s):
         """Charge in percent, never below 0."""
         return max(0.0, self._pct - 100.0 * (time_s - self._time_s) / (self._life_s / self._load))

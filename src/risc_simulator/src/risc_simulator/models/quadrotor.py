@@ -66,7 +66,7 @@ def slope(x, inputs, body, x_dot):
 
 @compiled
 def climb_thrust(x, inputs, body):
-    """The climb loop: thrust [N] for its vertical acceleration, of a vehicle as it should be, within the motors' range."""
+    """The climb loop: thrust [N], within the motors' range, that gives a vehicle as it should be its acceleration."""
     sf, cf = math.sin(x[X.PHI]), math.cos(x[X.PHI])
     st, ct = math.sin(x[X.THETA]), math.cos(x[X.THETA])
     climb_m_s = x[X.U] * st - x[X.V] * sf * ct - x[X.W] * cf * ct

@@ -3,8 +3,9 @@
 Channels are times of the RC link in microseconds, in ArduCopter's order: roll, pitch, throttle, yaw. The loops that it
 commands run in every step (on_board.py). It looks around fifty times a second.
 
-For who speaks for it (mavlink.py), beside Firmware: `armed`, `mode`, `set_mode`, `arm`, `disarm` (each says why not, or
-""), `channels_us`, `override`, `radio_failsafe`, `texts`. What it is asked takes effect with the next step.
+Who speaks for it (mavlink.py) uses, beside Firmware: `vehicle`, `armed`, `mode`, `set_mode`, `arm`, `disarm` (each says
+why not, or ""), `arming_trouble`, `channels_us`, `override`, `radio_failsafe`, `texts`. What it is asked takes effect
+with the next step.
 """
 
 import math
@@ -38,6 +39,7 @@ STOPPING_TIME_S = 0.3  # height is held where the climb loop can stop
 HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
 LOW_BATTERY_PCT = 15.0  # says so, and does not arm
 CRITICAL_BATTERY_PCT = 8.0  # lands by itself
+_SILENT_US = (0,) * CHANNELS
 
 
 class Mode(IntEnum):
@@ -65,9 +67,12 @@ class RcFrame(NamedTuple):
 class IrisFirmware(Firmware):
     """One autopilot.
 
-    command: (roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n or climb_m_s).  armed: the rotors turn.
+    command: (roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n or climb_m_s).
+    vehicle: world.Vehicle that it is in; its host says so.
     texts: (Severity, text) that it says to ground stations, oldest first; whoever speaks for it takes them out.
     """
+
+    vehicle = None
 
     def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
         super().__init__(vehicle_type, rng, perturbed, rest_height_m)
@@ -123,7 +128,12 @@ class IrisFirmware(Firmware):
 
     @property
     def channels_us(self):
-        """(CHANNELS,) what it goes by: the receiver's, with what is overridden; 0 for one that nobody sends."""
+        """(CHANNELS,) what it goes by: the receiver's, with what is overridden; 0 for one that nobody sends.
+
+        () before anything was heard.
+        """
+        if not self._received_us and not self._overrides:
+            return ()
         channels = list(self._received_us) + [0] * (CHANNELS - len(self._received_us))
         for channel, (us, since_s) in self._overrides.items():
             if self._time_s - since_s <= OVERRIDE_LIFE_S:
@@ -134,11 +144,20 @@ class IrisFirmware(Firmware):
         """Throttle in [-1, 1] at which this vehicle, as it really is, hovers with this charge."""
         return self._nominal_hover(battery_pct) + self._balance_n / self._nominal_n - 1.0
 
+    @property
+    def drain_pct_s(self):
+        """What its battery loses in a second [%]."""
+        return self._battery.drain_pct_s
+
     def battery_pct(self, time_s):
         return self._battery.pct(time_s)
 
     def set_battery_pct(self, pct, time_s):
         self._battery.set_pct(pct, time_s)
+
+    @property
+    def _channels(self):
+        return self.channels_us or _SILENT_US
 
     # ------------------------------------------------------------------ what it is asked
 
@@ -153,11 +172,24 @@ class IrisFirmware(Firmware):
     def arm(self, by_force=False):
         """Start the rotors. by_force: unchecked. Returns why not, or ""."""
         if not self.armed:
-            problem = "" if by_force else self._arming_problem()
-            if problem:
-                return self._refuse(problem)
+            trouble = "" if by_force else self.arming_trouble()
+            if trouble:
+                return self._refuse(trouble)
             self._start()
         return ""
+
+    def arming_trouble(self):
+        """Why it would not arm now, or ""."""
+        channels = self._channels
+        if self.mode is Mode.LAND:
+            return "Arm: Land mode not armable"
+        if self.radio_failsafe:
+            return "PreArm: Radio failsafe on"
+        if not _throttle_is_at_its_end(channels):
+            return "Arm: Throttle too high"
+        if self.battery_pct(self._time_s) <= LOW_BATTERY_PCT:
+            return "PreArm: Battery below minimum arming capacity"
+        return "Arm: not landed" if self.lifted else ""
 
     def disarm(self, by_force=False):
         """Stop the rotors; by_force: in the air, too. Returns why not, or ""."""
@@ -167,14 +199,14 @@ class IrisFirmware(Firmware):
             self._stop()
         return ""
 
-    def override(self, channels_us):
+    def override(self, channels_us, now_s):
         """RC_CHANNELS_OVERRIDE, of a station that may: microseconds for each channel, RELEASE_US or LEAVE_US."""
         for channel, us in enumerate(channels_us[:CHANNELS]):
             if us == RELEASE_US:
                 self._overrides.pop(channel, None)
             elif us != LEAVE_US:
-                self._overrides[channel] = us, self._time_s
-                self._override_s = self._time_s
+                self._overrides[channel] = us, now_s
+                self._override_s = now_s
         self._hurry()
 
     def _refuse(self, reason):
@@ -205,7 +237,7 @@ class IrisFirmware(Firmware):
         self._overrides = {
             channel: item for channel, item in self._overrides.items() if time_s - item[1] <= OVERRIDE_LIFE_S
         }
-        channels = self.channels_us
+        channels = self._channels
         self._watch_radio()
         if not self.radio_failsafe:
             self._watch_gesture(channels)
@@ -294,18 +326,6 @@ class IrisFirmware(Firmware):
             self._grounded_s = self._time_s
         elif self._time_s - self._grounded_s >= IDLE_DISARM_S:
             self._stop()
-
-    def _arming_problem(self):
-        channels = self.channels_us
-        if self.mode is Mode.LAND:
-            return "Arm: Land mode not armable"
-        if self.radio_failsafe:
-            return "PreArm: Radio failsafe on"
-        if not _throttle_is_at_its_end(channels):
-            return "Arm: Throttle too high"
-        if self.battery_pct(self._time_s) <= LOW_BATTERY_PCT:
-            return "PreArm: Battery below minimum arming capacity"
-        return "Arm: not landed" if self.lifted else ""
 
     # ------------------------------------------------------------------ what it does
 

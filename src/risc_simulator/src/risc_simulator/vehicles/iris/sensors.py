@@ -6,7 +6,6 @@ Axes are the aircraft's: x nose, y right, z down; roll + right side down, pitch 
 import math
 from typing import NamedTuple
 
-from risc_lab.frames import GRAVITY_M_S2
 from risc_simulator.models.noise import normal_numbers
 
 # One standard deviation of each reading.
@@ -95,7 +94,7 @@ class IrisSensors:
             pressure_pa=GROUND_PRESSURE_PA - PRESSURE_PER_METRE_PA * altitude_m,
             battery_pct=state.battery_pct,
             battery_mv=EMPTY_MV + MV_PER_PCT * state.battery_pct + n(VOLTAGE_NOISE_MV),
-            current_a=vehicle.firmware.current_a,
+            current_a=36.0 * CAPACITY_AH * vehicle.firmware.drain_pct_s,
             thrust_fraction=pwm * pwm,
             motor_us=tuple(round(1000 + 1000 * motor / 255.0) for motor in state.motor_pwm) if flies else (1000,) * 4,
         )
