@@ -91,8 +91,8 @@ class ControllerNode:
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
             if adapter_class(vehicle_type).NEEDS_BATTERY:
-                topic = "/%s/vehicle_status" % vehicle.namespace
-                rospy.Subscriber(topic, VehicleStatus, self._on_vehicle_status, callback_args=i, queue_size=1)
+                topic, take = "/%s/vehicle_status" % vehicle.namespace, self._on_vehicle_status
+                rospy.Subscriber(topic, VehicleStatus, take, callback_args=i, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands_sent, queue_size=None, tcp_nodelay=True)
         self._subscribe()
         rospy.loginfo(
