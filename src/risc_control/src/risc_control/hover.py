@@ -40,7 +40,7 @@ _SPIN_UP_S, _SPIN_UP_FROM, _SPIN_UP_TO = 1.0, 0.2, 0.9  # thrust while it still 
 _LIFTED_M, _FLOOR_M = 0.08, 0.2  # higher than it stood: it flies; lower: what stops it is the floor
 _IN_AIR_M = 0.3  # an armed vehicle of which nothing else is known flies when it is higher
 _STILL_M_S, _SINKS_M_S = 0.08, 0.1
-_NEARLY_M = 0.1  # below the height of a take-off it is up
+_NEARLY_M, _THERE_M = 0.1, 0.03  # below the height of a take-off it is up, when the place that is held is as near
 
 # The hold: acceleration by error, its rate and its integral.
 _POSITION_1_S2, _VELOCITY_1_S, _INTEGRAL_1_S3, _INTEGRAL_M_S2 = 3.0, 2.8, 0.7, 0.8
@@ -49,7 +49,6 @@ _YAW_1_S, _YAW_RATE_RAD_S = 1.0, 0.5
 _TILT_RAD, _UP_M_S2 = math.radians(15.0), 2.0
 _PLACE_M_S2, _PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held
 _FAR_M = 0.5  # larger errors count as this one
-_SLOWS_1_S = 1.5  # of the climb, before it is up
 _LEASH_M = 0.3  # the place is no farther above or below the vehicle on the way up or down
 _BLIND_1_S, _BLIND_M_S2 = 2.0, 1.0  # of the climb rate that is reckoned, without states
 
@@ -140,8 +139,6 @@ class Hover:
         """The vehicle reported its `vehicles.Status`; of states it knows LANDED (motors off), FLYING (takes our
         commands), LANDING (by itself) and others, in which it does not take them.
         """
-        if status.wire:
-            self._wire_s = now_s
         if status.words:
             self._words, self._words_s = status.words, now_s
         state = status.state
@@ -159,6 +156,10 @@ class Hover:
             self._enter(Phase.LANDING, now_s)
         elif self.phase is Phase.STANDING and self._flies(now_s):  # this node is new, or is given a vehicle that flies
             self._enter(Phase.LANDING if state == FlightState.LANDING else Phase.HOLDING, now_s)
+
+    def on_wire(self, now_s):
+        """What sends our commands to it reports that it does."""
+        self._wire_s = now_s
 
     def on_state(self, own, measured_s):
         """The vehicle was seen (`vehicle_pilot.OwnState`)."""
@@ -203,6 +204,11 @@ class Hover:
     def airborne(self):
         """It may be in the air."""
         return self.phase in _IN_AIR
+
+    @property
+    def landing(self):
+        """It was told to come down."""
+        return self.phase is Phase.LANDING
 
     def flight_state(self, autonomous):
         """FlightState for everybody; None before the first report. autonomous: a controller flies where it may."""
@@ -251,7 +257,8 @@ class Hover:
             orders.disarm = True  # an order to arm may be under way still
             self._enter(Phase.STANDING, now_s)
         elif self.phase is Phase.CLIMBING:
-            if self._is_seen(now_s) and self._own.position_m[2] > self._top_m() - _NEARLY_M:
+            is_m, place_m = self._own.position_m[2], self._place_m[2]
+            if self._is_seen(now_s) and min(is_m + _NEARLY_M, place_m + _THERE_M) > self._top_m():
                 self._enter(Phase.HOLDING, now_s)
             elif lasts_s > UP_WITHIN_S:
                 orders.say("warn", "take-off given up: it is not up within %g s" % UP_WITHIN_S)
@@ -287,8 +294,8 @@ class Hover:
         if self.phase is Phase.LANDING:
             return -SLOW_DESCENT_M_S if self._reckoned_m < SLOW_BELOW_M else -DESCENT_M_S
         if self.phase is Phase.CLIMBING:
-            return min(CLIMB_M_S, _SLOWS_1_S * (self._top_m() - self._place_m[2]))
-        return max(wanted_m_s, 0.0) if self._place_m[2] < LEAST_HEIGHT_M else wanted_m_s
+            return min(CLIMB_M_S, _stops_m_s(self._top_m() - self._place_m[2]))
+        return max(wanted_m_s, -_stops_m_s(self._place_m[2] - LEAST_HEIGHT_M))
 
     def _blind(self, now_s, step_s, climb_m_s):
         """`Command` without states: level, and this climb rate by the model."""
@@ -371,6 +378,11 @@ _STATES = {  # FlightState of each Phase but those that depend on more
     Phase.LANDING: FlightState.LANDING,
     Phase.STOPPED: FlightState.UNKNOWN,
 }
+
+
+def _stops_m_s(way_m):
+    """Speed at which the place that is held comes to a stop within this way, up or down."""
+    return math.sqrt(_PLACE_UP_M_S2 * max(0.0, way_m))  # at half of its acceleration
 
 
 def _within(value, most):

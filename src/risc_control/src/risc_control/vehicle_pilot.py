@@ -146,7 +146,7 @@ class VehiclePilot:
         self._told = None  # the newest Verdict of the orders
         self._simulator_reset = False
         self._ended = False
-        self._land_s = -math.inf
+        self._land_s = self._land_itself_s = -math.inf
         self._slots = SlotClock(rate_hz, slot_s)
         self._status_slots = SlotClock(params.status_rate_hz, slot_s)
 
@@ -176,6 +176,7 @@ class VehiclePilot:
             orders.say("warn", "emergency button: reset sent")
             if self._hover is not None:
                 self._hover.stop(now_s)
+                self._note_hover(orders)
                 self._fly_hover(orders, now_s)
         if self._ended:
             return orders
@@ -206,6 +207,10 @@ class VehiclePilot:
         self._hover.on_status(status, now_s)
         self._note_hover(orders)
         return orders
+
+    def on_wire(self, now_s):
+        """Of a vehicle that does not fly itself: what sends our commands to it reports that it does."""
+        self._hover.on_wire(now_s)
 
     def _note_state(self, state, orders, now_s):
         """The vehicle says that it does this."""
@@ -283,6 +288,9 @@ class VehiclePilot:
         if self._hover is not None:  # which commands a vehicle that stands or lands, too
             if orders.command is None and (safe or not self._takes_commands()) and self._slots.due(now_s):
                 self._fly_hover(orders, now_s)
+            lands = self._hover.landing and self._hover.must_land_itself(now_s)
+            if lands and now_s - self._land_itself_s >= self._params.land_repeat_s:
+                self._land_itself_s, orders.land = now_s, True
         elif orders.command is None and safe and self._takes_commands() and self._slots.due(now_s):
             self._send_safe(orders, now_s)
         return orders
@@ -404,7 +412,6 @@ class VehiclePilot:
             orders.land = True
             return
         self._hover.land(now_s)
-        orders.land = orders.land or (self.airborne and self._hover.must_land_itself(now_s))
         self._note_hover(orders)
 
     def _toggle(self, orders, now_s):
@@ -486,7 +493,11 @@ class VehiclePilot:
         self._send(sticks, None, orders, now_s)
 
     def _fly_hover(self, orders, now_s):
-        """The command of a vehicle that does not fly itself, while the controller does not fly it."""
+        """The command of a vehicle that does not fly itself, while the controller does not fly it; none before it has
+        said what it does.
+        """
+        if self._hover.reported is None:
+            return
         holds, look, psi_rad = self.autonomous or self.ladder.verdict.level > _OK, self.ladder.apart(now_s), 0.0
         if self._state is not None:
             psi_rad = self._state.psi_rad

@@ -74,7 +74,6 @@ class Status(NamedTuple):
 
     state: int  # FlightState, or another number that its type has
     battery_pct: float | None  # None: this report has none
-    wire: bool = False  # of a type that does not fly itself: this report says that our commands are sent to it
     words: str = ""  # what it says to people with this report
 
 
@@ -163,8 +162,12 @@ class Adapter:
     # --- of a type that does not fly itself --------------------------------------------------------------------------
 
     MODE_CURE = ""  # what to do when it is in another mode than the one that takes our commands
-
     trim_m_s2 = 0.0  # to add to the thrust of every command, as an upward acceleration: what was learnt in flight
+
+    @staticmethod
+    def listen_to_wire(prefix, on_wire, subscribe):
+        """Call on_wire() for each report of what stands between us and the vehicle that commands go through."""
+        raise NotImplementedError
 
     def tell_battery(self, battery_pct, now_s):
         """The vehicle has told its charge."""
