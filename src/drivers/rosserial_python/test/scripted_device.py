@@ -1,5 +1,6 @@
 """A board with a rosserial sketch, as far as its line can see: on a pseudo-terminal or a TCP connection."""
 
+import contextlib
 import io
 import os
 import select
@@ -97,10 +98,8 @@ class Board:
         """Bytes onto the line, as they are."""
         with self._lock:
             if self._end is not None and not self.is_silent:
-                try:
+                with contextlib.suppress(OSError):  # the host has closed the line
                     os.write(self._end, data)
-                except OSError:
-                    pass  # the host has closed the line
 
     def of_topic(self, topic_id):
         """Payloads that came on a topic."""

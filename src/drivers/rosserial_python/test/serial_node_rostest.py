@@ -31,6 +31,7 @@ from rosserial_msgs.srv import RequestParamRequest, RequestParamResponse
 from rosserial_python.protocol import Id, encode
 
 LIMIT_S = 30.0
+MAX_AGE_S = 0.25  # ~max_age
 CONTROLS, NUMBERS, STATUS = 100, 101, 125  # ids of the board's topics
 TOPICS = {
     Id.PUBLISHER: [topic_of(STATUS, "board_status", UInt32)],
@@ -54,10 +55,15 @@ def commands(number, vehicles=1, stamp=None):
     return Controls(header, [Control("IRIS", number, 0.0, 0.0, -1.0)] * vehicles)
 
 
+def reasons(status):
+    """Those of refused topics in a DiagnosticStatus."""
+    return [item.value for item in status.values if item.key.startswith("refused ") and item.value]
+
+
 class Node:
     """serial_node in its own process and namespace, as `arduino`."""
 
-    def __init__(self, *arguments, **params):
+    def __init__(self, *arguments, output=None, **params):
         self.namespace = next(_namespaces)
         self.name = self.namespace + "/arduino"
         rospy.set_param(self.name, params)
@@ -70,7 +76,11 @@ class Node:
         self._publishers = {}
         executable = roslib.packages.find_node("rosserial_python", "serial_node.py")[0]
         self.process = subprocess.Popen(
-            [executable, *arguments, "__name:=arduino"], env=dict(os.environ, ROS_NAMESPACE=self.namespace)
+            [executable, *arguments, "__name:=arduino"],
+            env=dict(os.environ, ROS_NAMESPACE=self.namespace),
+            stdout=output,
+            stderr=subprocess.STDOUT if output else None,
+            text=True,
         )
 
     def _on_log(self, message):
@@ -81,11 +91,12 @@ class Node:
         self.status += [status for status in message.status if status.name.startswith(self.name.lstrip("/") + ":")]
 
     def listen(self, topic, kind):
-        """All messages from now on."""
+        """All messages of the node's topic from now on."""
         messages = []
-        self._subscribers.append(
-            rospy.Subscriber(self.namespace + "/" + topic, kind, messages.append, queue_size=1000, tcp_nodelay=True)
-        )
+        name = self.namespace + "/" + topic
+        subscriber = rospy.Subscriber(name, kind, messages.append, queue_size=1000, tcp_nodelay=True)
+        self._subscribers.append(subscriber)
+        wait_for(subscriber.get_num_connections, "the node to publish " + topic)
         return messages
 
     def publisher(self, topic, kind):
@@ -157,17 +168,32 @@ def works(board, node, number=1.0):
     wait_for(came, "messages in both directions")
 
 
+def connected(port):
+    """A connection to a node that is about to listen."""
+    made = []
+
+    def attempt():
+        with contextlib.suppress(OSError):
+            made.append(socket.create_connection(("127.0.0.1", port), 1.0))
+        return made
+
+    wait_for(attempt, "the node to listen")
+    made[0].setblocking(False)
+    return made[0]
+
+
 class SerialNodeTest(unittest.TestCase):
     def test_both_directions(self):
         for is_network in (False, True):
             with scene(is_network) as (board, _, node):
-                heard = node.listen("board_status", UInt32)
+                heard, publisher = node.listen("board_status", UInt32), node.publisher("controls", Controls)
                 message = commands(0.25)
-                node.publisher("controls", Controls).publish(message)
-                wait_for(lambda: board.of_topic(CONTROLS) and heard, "messages in both directions")
+                message.header.stamp = rospy.Time()  # a slow computer makes it no older
+                publisher.publish(message)
+                wait_for(lambda b=board, h=heard: b.of_topic(CONTROLS) and h, "messages in both directions")
                 self.assertEqual(board.of_topic(CONTROLS), [serialised(message)])
                 self.assertEqual({m.data for m in heard}, {7})
-                self.assertEqual(rospy.get_published_topics(node.namespace)[0][1][:0], "")
+                self.assertIn([node.namespace + "/board_status", "std_msgs/UInt32"], rospy.get_published_topics())
                 wait_for(lambda: any(s.level == DiagnosticStatus.OK for s in node.status), "diagnostics")
                 self.assertEqual(node.status[-1].name, node.name.lstrip("/") + ": rosserial_python")
 
@@ -295,9 +321,12 @@ class SerialNodeTest(unittest.TestCase):
                 wait_for(lambda c=connection: port._connection is not c and board.is_configured, "the next connection")
 
     def test_after_a_stall_no_old_command_comes(self):
-        """The board stops to read for a second, at 200 commands a second; the last one before it reads again counts."""
+        """The board stops to read, at 200 commands a second, and begins again when the link has been lost for 1 s.
 
-        def oldest_after_a_stall(**params):
+        What the line's buffer took before the loss was noticed comes late, what was published later does not.
+        """
+
+        def old_ones(**params):
             with scene(**params) as (board, _, node):
                 publisher = node.publisher("controls", Controls)
                 works(board, node)
@@ -313,26 +342,32 @@ class SerialNodeTest(unittest.TestCase):
                     wait_for(lambda: len(board.of_topic(CONTROLS)) > 20, "commands")
                     with board._lock:
                         board.is_stalled = board.is_silent = True
-                    begin = rospy.Time.now().to_sec()
-                    wait_for(lambda: rospy.Time.now().to_sec() - begin > 1.5, "the stall's end")
-                    board.received.clear()
+                    if not params:
+                        node.wait_state(SerialLink.WAITING)
+                    lost = rospy.Time.now()
+                    wait_for(lambda: rospy.Time.now() - lost > rospy.Duration(1.0), "the stall's end")
+                    begin = rospy.Time.now()
                     with board._lock:
+                        board.received.clear()
                         board.is_stalled = board.is_silent = False
-                    wait_for(lambda: len(board.of_topic(CONTROLS)) > 20, "commands again")
-                    ages_s = []
-                    for payload in board.of_topic(CONTROLS):
-                        message = Controls()
-                        message.deserialize(payload)
-                        ages_s.append(message.header.stamp.to_sec() - begin)
-                    return min(ages_s), sum(age_s < 1.2 for age_s in ages_s)
+                    stamps = []
+
+                    def fresh():
+                        for payload in board.of_topic(CONTROLS)[len(stamps) :]:
+                            message = Controls()
+                            message.deserialize(payload)
+                            stamps.append(message.header.stamp)
+                        return stamps and stamps[-1] > begin
+
+                    wait_for(fresh, "commands of now")
+                    return sum(lost < stamp < begin - rospy.Duration(MAX_AGE_S) for stamp in stamps)
                 finally:
                     over.set()
                     thread.join()
 
-        _, old = oldest_after_a_stall()
-        self.assertEqual(old, 0, "commands of before the stall's end")
-        _, old = oldest_after_a_stall(silence=1e3, max_age=1e3, baud=12000000)
-        self.assertGreater(old, 10, "with the protections off there are old ones, or this test shows nothing")
+        self.assertEqual(old_ones(), 0)
+        without = old_ones(silence=1e3, max_age=1e3, baud=12000000)
+        self.assertGreater(without, 10, "with the protections off there are old ones, or this test shows nothing")
 
     def test_a_message_that_is_old_when_it_comes_is_not_sent(self):
         with scene() as (board, _, node):
@@ -361,7 +396,7 @@ class SerialNodeTest(unittest.TestCase):
             node.wait_state(SerialLink.UP, SerialLink.SIZE)
             self.assertEqual(node.links[-1].oversized_topics, ["controls"])
             wait_for(lambda: node.said("own vehicle's commands"), "the cure")
-            self.assertEqual(board.of_topic(CONTROLS), [])
+            self.assertNotIn(serialised(message), board.of_topic(CONTROLS))
 
     def test_other_definitions_are_refused_and_the_rest_works(self):
         topics = {
@@ -371,7 +406,7 @@ class SerialNodeTest(unittest.TestCase):
         with scene(topics=topics) as (board, _, node):
             node.wait_state(SerialLink.UP, SerialLink.TYPES)
             wait_for(lambda: node.links[-1].refused_topics == ["texts", "x"], "both to be refused")
-            wait_for(lambda: node.said("ros_lib anew") and node.said("build its package"), "the cures")
+            wait_for(lambda: any(len(reasons(status)) == 2 for status in node.status), "the reasons")
             works(board, node)
 
     def test_a_service_of_the_board_and_one_that_it_calls(self):
@@ -430,10 +465,11 @@ class SerialNodeTest(unittest.TestCase):
             ((), {"port": "socket://nowhere"}, "socket://HOST:PORT"),
             ((), {"port": "rfc2217://127.0.0.1:1"}, "must be a device file"),
         ):
-            node = Node(*arguments, **params)
-            self.assertEqual(node.process.wait(LIMIT_S), 1)
-            wait_for(lambda n=node, t=text: n.said(t), text)
-            node.end()
+            node = Node(*arguments, output=subprocess.PIPE, **params)
+            wait_for(lambda n=node: n.process.poll() is not None, "the end")
+            output = node.process.stdout.read()
+            self.assertEqual(node.end(), 1)
+            self.assertEqual([text in line for line in output.splitlines() if "[INFO]" not in line], [True], output)
 
     def test_listening_and_several_devices(self):
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -447,14 +483,7 @@ class SerialNodeTest(unittest.TestCase):
                     board = Board(topics)
                     boards.append(board)
 
-                    def connected():
-                        with contextlib.suppress(OSError):
-                            connections.append(socket.create_connection(("127.0.0.1", number), 1.0))
-                            return True
-                        return False
-
-                    wait_for(connected, "the node to listen")
-                    connections[-1].setblocking(False)
+                    connections.append(connected(number))
                     board.plug(connections[-1].fileno())
                 for k, board in enumerate(boards):
                     node.publisher("board%d/numbers" % k, UInt32).publish(k)

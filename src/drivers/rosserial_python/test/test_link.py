@@ -7,7 +7,7 @@ import pytest
 
 from rosserial_python import protocol
 from rosserial_python.link import Link, State
-from rosserial_python.protocol import GROOVY_REQUEST, REQUEST_TOPICS, Decoder, Id, Topic, encode
+from rosserial_python.protocol import GROOVY_REQUEST, Decoder, Id, Topic, encode
 
 BYTE_S = 10 / 57600
 CONTROLS = Topic(100, "controls", "risc_msgs/Controls", 32 * "0", 512)

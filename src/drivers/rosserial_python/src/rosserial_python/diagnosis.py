@@ -43,12 +43,12 @@ TEXTS = {
     Cause.SPEED: "bytes come, but no packet: set ~baud to that of the sketch; is it a rosserial device, is no other "
     "program reading the port?",
     Cause.SILENT: "not one byte comes: wrong port, wrong USB socket of the board (USE_USBCON), or no sketch in it",
-    Cause.STOPPED: "the device answers no more: power, reset, or its loop() blocks; is another program reading the port?",
+    Cause.STOPPED: "the device answers no more: power, reset, or a loop() that blocks; or another reader of the port",
     Cause.TYPES: "topics are refused: build the sketch with a ros_lib that was made from this workspace's messages",
-    Cause.SIZE: "messages are refused: they are larger than the device's buffer; publish less, or enlarge it in the sketch",
+    Cause.SIZE: "messages do not fit into the device's buffer: publish shorter ones, or enlarge it in the sketch",
     Cause.BREAKS: "it is lost and comes back, again and again: power supply, loose cable, or a loop() that blocks",
-    Cause.DAMAGE: "damaged packets: cable and ground, Serial.print in the sketch, another reader, or more bytes than the "
-    "line carries",
+    Cause.DAMAGE: "damaged packets: cable and ground, Serial.print in the sketch, another reader, or too many "
+    "bytes for the line",
 }
 WARNINGS = frozenset((Cause.TYPES, Cause.SIZE, Cause.BREAKS, Cause.DAMAGE))  # it works, more or less; the others: no
 

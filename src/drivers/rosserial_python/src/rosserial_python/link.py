@@ -15,7 +15,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from rosserial_python import protocol
-from rosserial_python.protocol import Decoder, Id
+from rosserial_python.protocol import Decoder
 
 _IN_FLIGHT_BYTES = 256  # that may wait in the kernel or for an acknowledgement when the next packet is written
 _FULL_LINE_S = 0.002  # until it is looked at again

@@ -38,13 +38,18 @@ class Line:
 
     def read(self):
         """What has arrived, b"" when there is nothing. Raises OSError when the line is gone."""
-        try:
+        with contextlib.suppress(BlockingIOError):
             data = os.read(self._file.fileno(), _READ_BYTES)
-        except BlockingIOError:
-            return b""
-        if not data:
+            # of a terminal nothing may as well be the end, which is the case when it can be read all the same
+            if not data and self._is_terminal and self._is_readable():
+                data = os.read(self._file.fileno(), _READ_BYTES)
+            if data or (self._is_terminal and not self._is_readable()):
+                return data
             raise OSError(errno.ENODEV, "the other end has closed the line, or the device is gone")
-        return data
+        return b""
+
+    def _is_readable(self):
+        return bool(select.select([self._file], [], [], 0.0)[0])
 
     def write(self, data):
         """How many bytes the line took. Raises OSError when it is gone."""

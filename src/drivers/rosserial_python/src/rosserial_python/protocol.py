@@ -98,7 +98,7 @@ class Decoder:
         self.speaks_groovy = False  # a device of ROS groovy or before was heard
 
     def feed(self, data, now_s):
-        """Packets that are complete with these bytes, which came now [s]. Call it at least as often as `wait_s` says."""
+        """Packets that are complete with these bytes, which came now [s]; by `due_s` call it again."""
         if not data:
             return self._give_up(now_s) if now_s >= self.due_s else []
         if not self._bytes:

@@ -90,6 +90,8 @@ class Session:
                     self.link.closed(self._clock())
                     line.close()
                     self._on_change()
+                if self.error is not None:
+                    self._wait([], _RETRY_S)
         finally:
             self.port.close()
             self._wake_end.close()

@@ -39,8 +39,8 @@ def known_class(topic, half=None):
     kind = getattr(found, half) if half else found
     if kind._md5sum != topic.md5sum:
         raise TypesError(
-            "%s: %s has other fields in the device (md5 %s) than here (%s): make its ros_lib anew from this workspace's "
-            "messages, and load the sketch again" % (topic.name, topic.type, topic.md5sum, kind._md5sum)
+            "%s: %s has other fields in the device (md5 %s) than here (%s): make its ros_lib anew from this "
+            "workspace's messages, and load the sketch again" % (topic.name, topic.type, topic.md5sum, kind._md5sum)
         )
     return found
 
@@ -50,11 +50,11 @@ def read_message(message_class, payload):
     message = message_class()
     try:
         message.deserialize(payload)
-        size = len(serialised(message))
+        again = serialised(message)
     except (genpy.MessageException, ValueError, MemoryError) as error:
         raise PayloadError("%s: %s" % (message_class._type, error)) from None
-    if size != len(payload):
-        raise PayloadError("%s: %d bytes, and the message in them has %d" % (message_class._type, len(payload), size))
+    if again != payload:  # genpy reads what is too long, too short, or no text
+        raise PayloadError("%s: %d bytes that are no such message" % (message_class._type, len(payload)))
     return message
 
 

@@ -24,6 +24,7 @@ from rosserial_python.settings import LISTEN, SerialParams
 
 STATUS = "rosserial_python"  # on /diagnostics, as the original's
 _TCP_PORT, _FORK = "/rosserial_embeddedlinux/tcp_port", "/rosserial_embeddedlinux/fork_server"
+_STATES = {State.CLOSED: "closed", State.WAITING: "open, asking for topics", State.UP: "the device answers"}
 _REPORT_S = 1.0
 _LOOK_S = 0.2
 
@@ -82,12 +83,7 @@ class Device:
         name = self.session.port.name
         if cause in (Cause.NONE, Cause.TYPES, Cause.SIZE):  # of the latter two each topic has its own line
             if state != before[0]:
-                texts = {
-                    State.CLOSED: "closed",
-                    State.WAITING: "open, asking for topics",
-                    State.UP: "the device answers",
-                }
-                rospy.loginfo("%s: %s", name, texts[state])
+                rospy.loginfo("%s: %s", name, _STATES[state])
         else:
             error = self.session.error
             log = rospy.logwarn if cause in WARNINGS else rospy.logerr

@@ -31,7 +31,7 @@ _REPEAT_S = 5.0  # between equal complaints
 _STAMP = struct.Struct("<4xII")  # of std_msgs/Header
 _LOG = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr, rospy.logfatal)
 _TOO_LARGE = {  # what helps, by type
-    "risc_msgs/Controls": "give it its own vehicle's commands alone (NAMESPACE/controls), not those of a fleet (/controls)",
+    "risc_msgs/Controls": "give it its own vehicle's commands alone (NAMESPACE/controls), not a fleet's (/controls)",
 }
 
 
