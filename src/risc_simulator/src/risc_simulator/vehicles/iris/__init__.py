@@ -1,0 +1,1 @@
+"""The IRIS+: a Pixhawk with ArduCopter."""
