@@ -496,7 +496,7 @@ def test_lines_of_a_graph_and_of_a_fleet():
     vehicle = types.SimpleNamespace(namespace="iris1", devices={"arduino": "/dev/ttyACM9", "telemetry": "/dev/none"})
     situation = types.SimpleNamespace(graph=lambda: graph, vehicles=lambda: (vehicle,))
     found = serial_lines.check(situation)
-    assert [finding.code for finding in found] == ["speed", "mute", "missing"], "the device that a node serves is told once"
+    assert [finding.code for finding in found] == ["speed", "mute", "missing"], "a device that is served is told once"
     nothing = types.SimpleNamespace(graph=ros_graph.GraphReport, vehicles=tuple)
     assert [finding.code for finding in serial_lines.check(nothing)] == ["none"]
 
