@@ -99,6 +99,20 @@ def test_a_type_may_take_the_driver_of_another(tmp_path, monkeypatch):
     assert params["/ardrone_driver/vehicles/risc2/drone_ip"].value == "127.77.1.2"
 
 
+def test_a_driver_is_told_what_to_open(tmp_path, monkeypatch):
+    folder = tmp_path / "vehicle_types"
+    folder.mkdir()
+    content = yaml.safe_load((MEMBERS / "vehicle_types/toy_quad.yaml").read_text(encoding="utf-8"))
+    content.update(name="wired", devices={"line": "socket://{address}:11411"})
+    (folder / "wired.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    (folder / "wired.launch").write_text(
+        "<launch><arg name='namespace'/><arg name='line'/>"
+        "<param name='/$(arg namespace)/line' type='str' value='$(arg line)'/></launch>"
+    )
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", str(tmp_path))
+    assert load(tmp_path, monkeypatch, risc1="wired")[1]["/risc1/line"].value == "socket://127.77.1.1:11411"
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [(None, "no lone.launch in"), ("<launch><arg name='baud'/></launch>", "lone.launch asks for 'baud'")],

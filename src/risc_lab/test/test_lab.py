@@ -11,7 +11,7 @@ from risc_lab.lab import Arena, fleet_from_dict, generated_fleet, load_fleet, lo
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M
 from risc_lab.lab.generated_fleet import MOST_VEHICLES, rows
 from risc_lab.lab.templates import TemplateSet, attached_bodies
-from risc_lab.lab.vehicle_types import VehicleType
+from risc_lab.lab.vehicle_types import VehicleType, vehicle_type_file
 from risc_lab.settings import settings_from
 
 FLEETS = pathlib.Path(__file__).resolve().parents[3] / "launch" / "fleets"
@@ -54,6 +54,52 @@ def test_vehicles_share_an_address_only_in_networks_of_their_own(fleet_dict):
     assert fleet_from_dict(fleet.to_dict()) == fleet
     with pytest.raises(ValueError, match="own_networks.*yes"):
         fleet_from_dict(dict(fleet_dict, own_networks="yes"))
+
+
+@pytest.fixture()
+def radio_type(tmp_path, monkeypatch):
+    """Name of a type whose driver opens two devices."""
+    content = yaml.safe_load(vehicle_type_file("ardrone").read_text(encoding="utf-8"))
+    content.update(name="radio", devices={"telemetry": "udpout:{address}:14550", "arduino": "socket://{address}:11411"})
+    (tmp_path / "vehicle_types").mkdir()
+    (tmp_path / "vehicle_types/radio.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    monkeypatch.setenv("RISC_MAAP_MEMBERS", str(tmp_path))
+    return "radio"
+
+
+def test_links_are_at_the_address_or_at_devices(fleet_dict, radio_type):
+    vehicle = fleet_dict["vehicles"][0]
+    vehicle.update(type=radio_type, address="127.77.1.1")
+    at_address = {"telemetry": "udpout:127.77.1.1:14550", "arduino": "socket://127.77.1.1:11411"}
+    assert fleet_from_dict(fleet_dict).vehicles[0].links == at_address
+    vehicle["devices"] = {"arduino": "/dev/ttyACM0"}
+    assert fleet_from_dict(fleet_dict).vehicles[0].links == {**at_address, "arduino": "/dev/ttyACM0"}
+    vehicle["devices"]["telemetry"] = "/dev/ttyUSB0"
+    vehicle["address"] = ""
+    fleet = fleet_from_dict(fleet_dict)
+    assert fleet.vehicles[0].links == vehicle["devices"]
+    assert fleet_from_dict(fleet.to_dict()) == fleet
+    moved = fleet.in_subnet("127.99").vehicles[0]
+    assert (moved.address, moved.devices) == ("127.99.1.1", {}), "no virtual lab opens a real device"
+    assert fleet.vehicles[1].links == {}
+
+
+@pytest.mark.parametrize(
+    ("kind", "devices", "message"),
+    [
+        ("radio", {}, "'address' is not written yet"),
+        ("radio", {"arduino": "/dev/ttyACM0"}, "'risc1' has no address, and no telemetry in its `devices`"),
+        ("radio", {"arduno": "/dev/ttyACM0"}, "no device arduno; it has arduino, telemetry"),
+        ("ardrone", {"arduino": "/dev/ttyACM0"}, "no device arduino; it is reached by its address alone"),
+        ("radio", {"arduino": 3}, "devices.arduino' must be a text"),
+        ("radio", {"arduino": ""}, "devices.arduino' must be .*length"),
+        ("radio", {"arduino": "/dev/ttyACM0", "telemetry": "/dev/ttyACM0"}, "device twice: /dev/ttyACM0"),
+    ],
+)
+def test_a_link_that_is_nowhere_is_named(fleet_dict, radio_type, kind, devices, message):
+    fleet_dict["vehicles"][0].update(type=kind, address="", devices=devices)
+    with pytest.raises(ValueError, match=message):
+        assert fleet_from_dict(fleet_dict).vehicles[0].links
 
 
 def test_subnet_moves_every_address_and_nothing_else(fleet_dict):

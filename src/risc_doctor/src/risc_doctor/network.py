@@ -32,7 +32,7 @@ def judge(fleet, interfaces, simulated, source_towards):
         found.say("wrong_interface", interface=fleet.mocap.interface)
     ways = [("the Cortex host", fleet.mocap.host, "routed_host")]
     if not fleet.own_networks:  # else `vehicles` says which of the networks this computer has joined
-        addresses = [vehicle.address for vehicle in fleet.vehicles]
+        addresses = [vehicle.address for vehicle in fleet.vehicles if vehicle.address]
         outside = [address for address in addresses if not net.interface_towards(interfaces, address)]
         ways += [("vehicle", address, "routed_vehicle") for address in outside]
     for what, address, routed in ways:
@@ -46,14 +46,14 @@ def judge(fleet, interfaces, simulated, source_towards):
             found.say("no_way", what=what, address=address)
         else:
             found.say(routed, what=what, address=address, source=source)
-    if not fleet.own_networks and not outside:
+    if not fleet.own_networks and addresses and not outside:
         found.say("vehicles_near", count=len(addresses))
     return found
 
 
 def check_subnets(situation):
     """Is each card in a network of its own?"""
-    return judge_subnets(situation.interfaces(), [vehicle.address for vehicle in situation.vehicles()])
+    return judge_subnets(situation.interfaces(), [v.address for v in situation.vehicles() if v.address])
 
 
 def judge_subnets(interfaces, vehicles):

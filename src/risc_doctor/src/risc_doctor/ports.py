@@ -53,7 +53,7 @@ def _master_port(situation, found):
 def _vehicle_clients(situation, found):
     """Other programs that steer or listen to one of the vehicles from this computer."""
     served = driven_addresses()
-    for address in {vehicle.address for vehicle in situation.vehicles()}:
+    for address in {vehicle.address for vehicle in situation.vehicles() if vehicle.address}:
         here = [process for process, driven in served if driven == address]
         if len(here) > 1:
             names, pids = ", ".join(p.describe() for p in here), " ".join(str(p.pid) for p in here)

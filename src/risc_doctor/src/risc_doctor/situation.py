@@ -51,6 +51,8 @@ class Situation:
     @property
     def simulated(self):
         """Everything of the fleet is on this computer: the virtual lab."""
+        if any(vehicle.devices for vehicle in self.fleet.vehicles):
+            return False
         return all(map(interfaces.is_loopback, [self.fleet.mocap.host] + [v.address for v in self.fleet.vehicles]))
 
     def vehicles(self):
@@ -64,9 +66,9 @@ class Situation:
             if word in (vehicle.namespace, vehicle.template) or [vehicle] == at_address:
                 return vehicle
         try:
-            return replace(self.fleet.vehicles[0], namespace="", template=word, address=word)
+            return replace(self.fleet.vehicles[0], namespace="", template=word, address=word, devices={})
         except ValueError:
-            known = ", ".join("%s (%s)" % (v.namespace, v.address) for v in self.fleet.vehicles)
+            known = ", ".join("%s (%s)" % (v.namespace, v.place) for v in self.fleet.vehicles)
             raise ValueError("--vehicle: the fleet has no '%s', it has %s" % (word, known)) from None
 
 

@@ -26,7 +26,7 @@ def check(situation):
     if graph.error and graph.vehicles:  # asking past a driver would take its telemetry
         return found.say("unheard")
     for vehicle in situation.vehicles():
-        name = "%s (%s)" % (vehicle.namespace, vehicle.address)
+        name = "%s (%s)" % (vehicle.namespace, vehicle.place)
         if vehicle.namespace not in graph.vehicles:
             silent.append(vehicle)
         elif (heard := graph.vehicles[vehicle.namespace]) is None:
@@ -39,9 +39,9 @@ def check(situation):
             return found.say("no_driver", names=", ".join(v.namespace for v in silent)) if silent else found
         # the factory address of all is one vehicle from here
         cards = situation.interfaces()
-        silent = list({v.address: v for v in silent if net.interface_towards(cards, v.address)}.values())
+        silent = list({v.place: v for v in silent if not v.address or net.interface_towards(cards, v.address)}.values())
         if not silent:
-            return found.say("not_joined", addresses=", ".join(sorted({v.address for v in situation.vehicles()})))
+            return found.say("not_joined", addresses=", ".join(sorted({v.place for v in situation.vehicles()})))
     served = driven_addresses()
     with concurrent.futures.ThreadPoolExecutor(max(1, len(silent))) as pool:
         for some in pool.map(lambda vehicle: _ask(situation, vehicle, served), silent):
@@ -51,9 +51,9 @@ def check(situation):
 
 def _ask(situation, vehicle, served):
     """Findings about a vehicle of which the graph says nothing."""
-    found, name = Findings("vehicles"), "%s (%s)" % (vehicle.namespace, vehicle.address)
-    if sum(other.address == vehicle.address for other in situation.fleet.vehicles) > 1 or not vehicle.namespace:
-        name = "the vehicle at %s" % vehicle.address  # one of several with one address has no name from here
+    found, name = Findings("vehicles"), "%s (%s)" % (vehicle.namespace, vehicle.place)
+    if sum(other.place == vehicle.place for other in situation.fleet.vehicles) > 1 or not vehicle.namespace:
+        name = "the vehicle at %s" % vehicle.place  # one of several with one address has no name from here
     kind = vehicle.vehicle_type
     if (kind.driver or kind.name) != "ardrone":
         return found.say("other_wire", name=name, type=kind.name)

@@ -164,6 +164,9 @@ class VirtualLab:
             self._hosts.append(self.cortex_host)
             self.vehicle_hosts = {}
             for vehicle in fleet.vehicles:
+                if vehicle.devices:
+                    text = "vehicle '%s' has `devices`, which are a real laboratory's: give it an address instead"
+                    raise ValueError(text % vehicle.namespace)
                 body = self.world.vehicles[vehicle.namespace]
                 host = body.virtual.Host(body, vehicle.address, seed=seed, radio_loss=told.radio_loss, wires=self.wires)
                 self.vehicle_hosts[vehicle.namespace] = host

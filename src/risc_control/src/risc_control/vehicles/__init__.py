@@ -56,6 +56,7 @@ class FlightState(IntEnum):
     GOTO = 7
     LANDING = 8
     LOOPING = 9
+    OTHER_MODE = 32  # not of Navdata: its pilot's, in which it takes no commands of ours
 
 
 ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
@@ -73,6 +74,7 @@ class Status(NamedTuple):
 
     state: int  # FlightState, or another number that its type has
     battery_pct: float | None  # None: this report has none
+    words: str = ""  # what it says to people with this report
 
 
 # How a vehicle climbs, around hover: acceleration = gain * command - damping * climb rate, |command| <= most.
@@ -83,10 +85,15 @@ class Adapter:
     """One vehicle of a type, as its vehicle node flies it.
 
     own: `vehicle_pilot.OwnState`, the newest state of the vehicle; None before the first.  Sticks: what it takes, as
-    fractions of its full scales; the meaning of `up` is the type's.
+    fractions of its full scales; the meaning of `up` is the type's. Of a type that does not fly itself nobody calls
+    `move` and `by_hand`, and of the others nobody `fly`.
     """
 
+    FLIES_ITSELF = True  # takes off, hovers and lands when told to; False: its vehicle node does all that, see `hover`
     HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture
+    SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
+    NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
+    THRUST_MOST = math.inf  # of T on /controls, + and -
 
     def __init__(self, vehicle_type, command_rate_hz):
         """vehicle_type: VehicleType.  command_rate_hz: at which the vehicle is sent commands."""
@@ -96,6 +103,11 @@ class Adapter:
     def units(vehicle_type):
         """The `Command` that 1 means on /controls, in phi, theta, psi and T."""
         return Command(1.0, 1.0, 1.0, 1.0)
+
+    @staticmethod
+    def zero_thrust(vehicle_type, battery_pct):
+        """What a thrust of 0 N is in T on /controls, at this charge; None: nobody knows it."""
+        return 0.0
 
     @staticmethod
     def climb_loop(vehicle_type):
@@ -114,7 +126,7 @@ class Adapter:
         """Sticks for those of an operator; its `up` is a climb rate."""
         return sticks
 
-    def settles_at(self, sticks):
+    def settles_at(self, sticks, own):
         """(4,) what the vehicle settles at when it is sent these: see `command_history.Channel`."""
         raise NotImplementedError
 
@@ -126,9 +138,42 @@ class Adapter:
         """
         raise NotImplementedError
 
+    @classmethod
+    def watch(cls, prefix, on_status, subscribe):
+        """The same for others than its vehicle node, who want to know whether it hovers: of a type that does not fly
+        itself, only that node knows.
+        """
+        if cls.FLIES_ITSELF:
+            cls.listen(prefix, on_status, subscribe)
+            return
+        from risc_maap_msgs.msg import VehicleStatus  # the rest needs no ROS
+
+        def on_message(message):
+            battery_pct = message.battery_pct if math.isfinite(message.battery_pct) else None
+            on_status(Status(message.state, battery_pct), message._connection_header.get("callerid", ""))
+
+        subscribe(prefix + "vehicle_status", VehicleStatus, on_message)
+
     @staticmethod
-    def connect(prefix):
-        """Link to the vehicle by ROS, e.g. `ardrone.Link`. prefix: of its topics, with the last "/"."""
+    def connect(prefix, name):
+        """Link to the vehicle by ROS, e.g. `ardrone.Link`. prefix: of its topics, with the last "/".  name: its own."""
+        raise NotImplementedError
+
+    # --- of a type that does not fly itself --------------------------------------------------------------------------
+
+    MODE_CURE = ""  # what to do when it is in another mode than the one that takes our commands
+    trim_m_s2 = 0.0  # to add to the thrust of every command, as an upward acceleration: what was learnt in flight
+
+    @staticmethod
+    def listen_to_wire(prefix, on_wire, subscribe):
+        """Call on_wire() for each report of what stands between us and the vehicle that commands go through."""
+        raise NotImplementedError
+
+    def tell_battery(self, battery_pct, now_s):
+        """The vehicle has told its charge."""
+
+    def fly(self, command):
+        """Sticks for a `Command`; None: those of a vehicle that stands, and on which it drops."""
         raise NotImplementedError
 
 
@@ -149,7 +194,7 @@ def climb_loops(vehicle_types):
 
 _COMMAND = record(" ".join(Command._fields))
 # What commands of a type are limited to, and what 1 on /controls means.
-_CONVERSION = record(("most", _COMMAND), ("unit", _COMMAND), "hover_n")
+_CONVERSION = record(("most", _COMMAND), ("unit", _COMMAND), "hover_n zero_thrust greatest_thrust")
 
 
 def greatest_command(vehicle_type):
@@ -166,19 +211,51 @@ def greatest_command(vehicle_type):
 floats = partial(np.ascontiguousarray, dtype=float)
 
 
+_CHARGE_S = 3.0  # time constant
+
+
+class Charge:
+    """A battery's charge, smooth between the whole percents that are reported: each is a step of the throttle."""
+
+    def __init__(self):
+        self.pct = None  # None before the first report
+        self._noted_s = 0.0
+
+    def note(self, battery_pct, now_s):
+        """A report."""
+        if self.pct is None:
+            self.pct = battery_pct
+        else:
+            self.pct += (battery_pct - self.pct) * -math.expm1(-max(0.0, now_s - self._noted_s) / _CHARGE_S)
+        self._noted_s = now_s
+
+
 class ControlsConverter:
     """Commands of a fleet -> its entries of /controls."""
 
     def __init__(self, vehicle_types):
         """vehicle_types: of each vehicle."""
-        self._conversions = np.zeros(len(vehicle_types), _CONVERSION)
-        for conversion, vehicle_type in zip(self._conversions, vehicle_types):
+        self._types = tuple(vehicle_types)
+        self._charges = [Charge() for _ in self._types]
+        self._conversions = np.zeros(len(self._types), _CONVERSION)
+        for i, vehicle_type in enumerate(self._types):
+            conversion, adapter = self._conversions[i], adapter_class(vehicle_type)
             conversion.most = greatest_command(vehicle_type)
-            conversion.unit = adapter_class(vehicle_type).units(vehicle_type)
+            conversion.unit = adapter.units(vehicle_type)
             conversion.hover_n = vehicle_type.mass_kg * GRAVITY_M_S2
-        n = len(vehicle_types)
+            conversion.zero_thrust = adapter.zero_thrust(vehicle_type, None)
+            conversion.greatest_thrust = adapter.THRUST_MOST
+        n = len(self._types)
         nobody = np.zeros(n, dtype=bool)
         self(Command(*np.zeros((4, n))), nobody, nobody)  # loads what is compiled
+
+    def tell_battery(self, i, battery_pct, now_s):
+        """The charge [%] that vehicle i has told; NaN: it has told none."""
+        charge, vehicle_type = self._charges[i], self._types[i]
+        if math.isfinite(battery_pct):
+            charge.note(battery_pct, now_s)
+            zero_thrust = adapter_class(vehicle_type).zero_thrust(vehicle_type, charge.pct)
+            self._conversions[i].zero_thrust = zero_thrust
 
     def __call__(self, command, known, saturated):
         """(`Controls` of arrays (n,), (n,) bool: a limit of the vehicle cut its command, or `saturated` said so).
@@ -202,15 +279,17 @@ def _convert(roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n, known, conversions, 
         if not known[i]:
             cut[i] = False
             controls[0, i] = controls[1, i] = controls[2, i] = 0.0
-            controls[3, i] = conversions[i].hover_n / unit.thrust_n
+            controls[3, i] = conversions[i].hover_n / unit.thrust_n + conversions[i].zero_thrust
             continue
         if not math.isfinite(roll_rad[i] + pitch_rad[i] + yaw_rate_rad_s[i] + thrust_n[i]):
             return False
         roll, pitch = clipped(roll_rad[i], most.roll_rad), clipped(pitch_rad[i], most.pitch_rad)
         rate = clipped(yaw_rate_rad_s[i], most.yaw_rate_rad_s)
-        cut[i] |= roll != roll_rad[i] or pitch != pitch_rad[i] or rate != yaw_rate_rad_s[i]
+        thrust = thrust_n[i] / unit.thrust_n + conversions[i].zero_thrust
+        controls[3, i] = clipped(thrust, conversions[i].greatest_thrust)
+        cut[i] |= roll != roll_rad[i] or pitch != pitch_rad[i] or rate != yaw_rate_rad_s[i] or controls[3, i] != thrust
         controls[0, i], controls[1, i] = roll / unit.roll_rad, pitch / unit.pitch_rad
-        controls[2, i], controls[3, i] = rate / unit.yaw_rate_rad_s, thrust_n[i] / unit.thrust_n
+        controls[2, i] = rate / unit.yaw_rate_rad_s
     return True
 
 

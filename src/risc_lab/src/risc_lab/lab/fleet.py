@@ -69,17 +69,19 @@ class FleetVehicle(Settings):
     namespace: str  # ROS namespace, e.g. risc1
     template: Name  # mocap template and hence the vehicle's name on every topic, e.g. fluffy_II
     type: Name  # file name in config/vehicle_types
-    address: str | None
+    address: str | None  # "" = it is in no network, and all its links are `devices`
     start: Start
     calibration: str = ""  # of the front camera, see lab.calibration.resolve_url; "" = none
     camera_mount: str = ""  # where the front camera sits, see lab.calibration; "" = the type's nominal place
     overrides: dict[str, NotNegative] = field(default_factory=dict)  # what it has otherwise than its type: OVERRIDABLE
     controllers: dict[str, dict[str, float]] = field(default_factory=dict)  # numbers of its own, by controller
     attached: AttachedBody | None = None
+    devices: dict[str, Name] = field(default_factory=dict)  # where links are that are not at its address: see `links`
 
     def __post_init__(self):
         super().__post_init__()
-        _check_address(self, "address", "this vehicle")
+        if self.address or not self.devices:
+            _check_address(self, "address", "this vehicle")
         unknown = sorted(set(self.overrides) - set(OVERRIDABLE))
         if unknown:
             raise ValueError(
@@ -90,6 +92,29 @@ class FleetVehicle(Settings):
     def vehicle_type(self):
         """Its VehicleType. Raises ValueError when there is no such type."""
         return load_vehicle_type(self.type, self.overrides)
+
+    @property
+    def links(self):
+        """{device of its type: what its driver opens}: those of `devices`, the others at its address.
+
+        Raises ValueError for a device that its type has not, and for one that is nowhere.
+        """
+        known = self.vehicle_type.devices
+        unknown = sorted(set(self.devices) - set(known))
+        if unknown:
+            text = "vehicle '%s': type '%s' has no device %s; %s"
+            has = "it has %s" % ", ".join(known) if known else "it is reached by its address alone: leave `devices` out"
+            raise ValueError(text % (self.namespace, self.type, ", ".join(unknown), has))
+        missing = [name for name in known if name not in self.devices]
+        if missing and not self.address:
+            text = "vehicle '%s' has no address, and no %s in its `devices`: write one of the two into the fleet file"
+            raise ValueError(text % (self.namespace, ", ".join(missing)))
+        return {name: self.devices.get(name) or at.format(address=self.address) for name, at in known.items()}
+
+    @property
+    def place(self):
+        """Where it is reached, for people."""
+        return self.address or ", ".join(self.devices.values())
 
     def with_overrides(self, **overrides):
         """The same vehicle with other numbers of its type; None = as they are."""
@@ -139,9 +164,14 @@ class Fleet(Settings):
         for vehicle in self.vehicles:
             if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", vehicle.namespace):
                 raise ValueError("namespace %r is no ROS name (letter, then letters, digits, _)" % vehicle.namespace)
-        # a second driver at an address would fly another driver's vehicle
-        for key in ("namespace", "template") + (() if self.own_networks else ("address",)):
+        for key in ("namespace", "template"):
             check_different(self.vehicles, key, "vehicles")
+        if not self.own_networks:  # a second driver at an address, or a device, would fly another driver's vehicle
+            check_different([vehicle for vehicle in self.vehicles if vehicle.address], "address", "vehicles")
+            devices = [device for vehicle in self.vehicles for device in vehicle.devices.values()]
+            twice = sorted({device for device in devices if devices.count(device) > 1})
+            if twice:
+                raise ValueError("the same device twice: %s" % ", ".join(twice))
         attached = [vehicle.attached for vehicle in self.vehicles if vehicle.attached]
         check_different([*self.vehicles, *attached], "template", "vehicles or attached bodies")
         check_different(self.landmarks, "name", "landmarks")
@@ -162,11 +192,14 @@ class Fleet(Settings):
     def in_subnet(self, subnet):
         """The same fleet with the host at <subnet>.0.1 and vehicle k at <subnet>.1.k, e.g. subnet '127.77'.
 
-        Several virtual labs fit on one computer this way. Raises ValueError for anything but two address bytes.
+        Several virtual labs fit on one computer this way. Devices are a real laboratory's: nobody has any afterwards.
+        Raises ValueError for anything but two address bytes.
         """
         if not re.fullmatch(r"\d{1,3}\.\d{1,3}", subnet):
             raise ValueError("subnet must be the first two bytes of an address, e.g. 127.77, found %r" % (subnet,))
-        vehicles = [replace(vehicle, address="%s.1.%d" % (subnet, k)) for k, vehicle in enumerate(self.vehicles, 1)]
+        vehicles = [
+            replace(vehicle, address="%s.1.%d" % (subnet, k), devices={}) for k, vehicle in enumerate(self.vehicles, 1)
+        ]
         return replace(self, mocap=replace(self.mocap, host=subnet + ".0.1"), vehicles=tuple(vehicles))
 
     def to_dict(self):
