@@ -10,6 +10,7 @@ import math
 import queue
 import threading
 import time
+from functools import partial
 
 import numpy as np
 
@@ -93,8 +94,8 @@ class Adapter(vehicles.Adapter):
         subscribe(prefix + "ppm_status", PpmStatus, on_board)
 
     @staticmethod
-    def connect(prefix, name):
-        return Link(prefix, name)
+    def connect(prefix, name, on_refusal):
+        return Link(prefix, name, on_refusal)
 
     def _sticks(self, phi, theta, psi, throttle):
         dead = self.type.stick_dead_zone
@@ -130,13 +131,11 @@ class _Reports:
 
     def __init__(self, prefix, on_status, subscribe):
         from roscopter.msg import State, Status  # the rest needs no ROS, but for Link
-        from std_msgs.msg import String
 
         self._on_status = on_status
         self._state, self._state_s = FlightState.UNKNOWN, -math.inf
         subscribe(prefix + "apm/state", State, self._on_state)
         subscribe(prefix + "apm/status", Status, self._on_battery)
-        subscribe(prefix + "apm/statustext", String, self._on_text)
 
     def _on_state(self, message):
         taken = FlightState.FLYING if message.mode == MODE else FlightState.OTHER_MODE
@@ -147,30 +146,29 @@ class _Reports:
     def _on_battery(self, message):
         self._tell(message, float(message.battery_remaining) if message.battery_remaining >= 0 else None)
 
-    def _on_text(self, message):
-        self._tell(message, words=message.data)
-
-    def _tell(self, message, battery_pct=None, words=""):
+    def _tell(self, message, battery_pct=None):
         state = self._state if time.monotonic() - self._state_s < Adapter.SILENT_S else FlightState.UNKNOWN
-        self._on_status(Status(state, battery_pct, words), message._connection_header.get("callerid", ""))
+        self._on_status(Status(state, battery_pct), message._connection_header.get("callerid", ""))
 
 
 class Link:
     """rosserial's topic of the board of the transmitter, and roscopter's service, for one vehicle; with ROS only."""
 
-    def __init__(self, prefix, name):
+    def __init__(self, prefix, name, on_refusal):
         import rospy  # the rest of the file needs none
-        from roscopter.srv import APMCommand, APMCommandRequest
         from std_msgs.msg import Empty
+        from std_srvs.srv import Empty as Order
 
         from risc_msgs.msg import Control, Controls
+        from roscopter.srv import APMCommand, APMCommandRequest
 
-        self._rospy, self._request = rospy, APMCommandRequest
+        self._rospy, self._request, self._on_refusal = rospy, APMCommandRequest, on_refusal
         self._message = Controls(Obj=[Control(name=name)])  # filled again and again
         self._controls = rospy.Publisher(prefix + "controls", Controls, queue_size=1, tcp_nodelay=True)
         self._stop = rospy.Publisher(prefix + "apm/emergency_stop", Empty, queue_size=1, tcp_nodelay=True)
         self._command = rospy.ServiceProxy(prefix + "apm/command", APMCommand)
-        self._wanted = queue.Queue(1)  # of tuples of commands: the service waits for the vehicle, nobody else may
+        self._arm = rospy.ServiceProxy(prefix + "apm/arm", Order)  # which says why not
+        self._wanted = queue.Queue(1)  # of functions: the services wait for the vehicle, and nobody else may
         threading.Thread(target=self._work, daemon=True).start()
         self.topic = self._controls.resolved_name  # that commands go out on
 
@@ -183,15 +181,15 @@ class Link:
 
     def take_off(self):
         """Arm it, in the mode that takes our commands."""
-        self._want(self._request.CMD_SET_STABILIZE, self._request.CMD_ARM)
+        self._want(self._stabilize_and_arm)
 
     def land(self):
         """By itself."""
-        self._want(self._request.CMD_SET_LAND)
+        self._want(partial(self._do, self._request.CMD_SET_LAND))
 
     def disarm(self):
         """As far as it lets itself be disarmed."""
-        self._want(self._request.CMD_DISARM)
+        self._want(partial(self._do, self._request.CMD_DISARM))
 
     def reset(self):
         """Motors off, also in the air."""
@@ -201,23 +199,33 @@ class Link:
         """{field of VehicleType: value}: the driver sets none."""
         return {}
 
-    def _want(self, *commands):
-        """These next; what waits already is older and counts no more."""
+    def _want(self, order):
+        """This next; what waits already is older and counts no more."""
         with contextlib.suppress(queue.Empty):
             self._wanted.get_nowait()
         with contextlib.suppress(queue.Full):
-            self._wanted.put_nowait(commands)
+            self._wanted.put_nowait(order)
 
     def _work(self):
         while True:
-            for command in self._wanted.get():
-                if not self._wanted.empty():
-                    break
-                try:
-                    done, why = self._command(command).result, "the vehicle refuses it"
-                except (self._rospy.ServiceException, self._rospy.ROSException) as error:
-                    done, why = False, str(error)
-                if not done:
-                    text = "%s: command %d of APMCommand failed: %s"
-                    self._rospy.logwarn_throttle(2.0, text % (self._command.resolved_name, command, why))
-                    break
+            try:
+                self._wanted.get()()
+            except Exception as error:  # whatever it is, the next order must come
+                text = "%s: %s: is its driver (roscopter) there?"
+                self._rospy.logwarn_throttle(2.0, text % (self._command.resolved_name, error))
+
+    def _stabilize_and_arm(self):
+        try:
+            if not self._do(self._request.CMD_SET_STABILIZE):
+                self._on_refusal("it does not go into %s" % MODE)
+            elif self._wanted.empty():  # not landed meanwhile
+                self._arm()
+        except self._rospy.ServiceException as error:
+            self._on_refusal(str(error))
+
+    def _do(self, command):
+        """Whether the vehicle has done a command of APMCommand."""
+        done = self._command(command).result
+        if not done:
+            self._rospy.logwarn_throttle(2.0, "%s: refused: %d" % (self._command.resolved_name, command))
+        return done
