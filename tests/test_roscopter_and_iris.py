@@ -91,6 +91,7 @@ def computer(tmp_path):
         yield Computer(tmp_path, programs)
 
 
+@pytest.mark.release  # many programs are started; that the driver serves a flight, `./maap fly iris` proves
 def test_battery_commands_sticks_emergency_stop_and_the_way_back(computer):
     lab = computer.start_lab()
     computer.start_driver("--enable-rc-control=true")
