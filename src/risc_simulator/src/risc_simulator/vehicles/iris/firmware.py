@@ -258,6 +258,9 @@ class IrisFirmware(Firmware):
             self.set_mode(Mode.LAND)
         elif action is FlightAction.CUT_MOTORS:
             self.disarm(by_force=True)
+        elif action is FlightAction.TAKE_OFF:  # by itself it does no more than that
+            self.set_mode(Mode.STABILIZE)
+            self.arm()
         elif not isinstance(action, FlightAction):
             raise TypeError("expected an RcFrame or a FlightAction, got %r" % (action,))
 
