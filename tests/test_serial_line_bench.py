@@ -1,4 +1,4 @@
-"""The line to the board of an IRIS+ is back in time after damage (simulated); the times of the node are there (real)."""
+"""The line to the board of an IRIS+ is back in time after damage (simulated), and the node measures itself (real)."""
 
 import json
 import pathlib
