@@ -165,6 +165,11 @@ def test_without_ssh_it_is_a_login_on_this_computer():
     assert done.stderr == ""
 
 
+def test_so_it_is_on_a_computer_without_a_network(laboratory):
+    done = laboratory("exec unshare --net sh -c 'ip link set lo up && exec %s env'" % COOP)
+    assert done.stderr == "" and variables_of(done.stdout)["ROS_IP"] == "127.0.0.1"
+
+
 @pytest.fixture(scope="module")
 def laboratory():
     """Runs a script on a host with two networks: 10.77.0.2/24 and 10.88.0.2/24, and no way anywhere else."""

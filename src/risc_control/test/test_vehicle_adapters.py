@@ -8,6 +8,7 @@ import pytest
 
 from risc_control.vehicle_pilot import OwnState
 from risc_control.vehicles import (
+    Charge,
     Command,
     Controls,
     ControlsConverter,
@@ -16,11 +17,12 @@ from risc_control.vehicles import (
     climb_command,
     climb_loops,
 )
+from risc_control.vehicles.iris import NOMINAL_BATTERY_PCT, hover_throttle
 from risc_lab.command_history import CommandHistory
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
 
-ARDRONE = load_vehicle_type("ardrone")
+ARDRONE, IRIS = load_vehicle_type("ardrone"), load_vehicle_type("iris")
 HOVER_N = ARDRONE.mass_kg * G
 NOTHING = CommandHistory(1).vehicles[0]  # sent
 
@@ -101,3 +103,79 @@ def test_sticks_are_the_fractions_and_giving_way_is_in_radians():
 def test_a_type_without_adapter_names_the_known_ones():
     with pytest.raises(ValueError, match="'zeppelin' among the vehicle_types; known are: ardrone"):
         adapter_class(replace(ARDRONE, name="zeppelin"))
+
+
+# --- IRIS+ ------------------------------------------------------------------------------------------------------------
+
+HOVERS = {0.0: 0.492, 25.0: 0.171, 50.0: 0.099, 75.0: -0.018, 100.0: -0.153}  # eq. 5.5 with the right c4
+OWN = OwnState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("battery_pct", "throttle"), HOVERS.items())
+def test_the_throttle_that_hovers_is_that_of_the_charge(battery_pct, throttle):
+    converter = ControlsConverter([IRIS, ARDRONE])
+    converter.tell_battery(0, battery_pct, 1.0)
+    for g_more in (0.0, 0.1):
+        thrust_n = np.array([(1.0 + g_more) * IRIS.mass_kg * G, HOVER_N])
+        controls, cut = converter(Command(*np.zeros((3, 2)), thrust_n), np.ones(2, bool), np.zeros(2, bool))
+        assert controls.thrust_n[0] == pytest.approx(throttle + g_more, abs=5e-4)
+        assert controls.thrust_n[1] == HOVER_N and not cut.any()
+    nobody, _ = converter(Command(*np.zeros((4, 2))), np.zeros(2, bool), np.zeros(2, bool))
+    assert nobody.thrust_n[0] == pytest.approx(throttle, abs=5e-4)
+
+
+def test_without_a_charge_the_throttle_is_that_of_an_average_one():
+    nominal = hover_throttle(IRIS, NOMINAL_BATTERY_PCT)
+    converter = ControlsConverter([IRIS])
+    converter.tell_battery(0, math.nan, 1.0)
+    controls, _ = converter(Command(*np.zeros((4, 1))), np.zeros(1, bool), np.zeros(1, bool))
+    assert controls.thrust_n[0] == pytest.approx(nominal)
+
+
+def test_a_step_of_the_charge_is_none_of_the_throttle():
+    charge, before = Charge(), None
+    for k in range(600):  # 5 Hz; a percent less after a minute
+        charge.note(60.0 if k < 300 else 59.0, 0.2 * k)
+        throttle = hover_throttle(IRIS, charge.pct)
+        assert before is None or abs(throttle - before) * G < 0.004  # [m/s^2]; a whole percent: 0.04
+        before = throttle
+    assert charge.pct == pytest.approx(59.0, abs=1e-6)
+
+
+def test_the_throttle_of_controls_has_limits():
+    controls, cut = converted(thrust=30.0, vehicle_type=IRIS)
+    assert controls.thrust_n == 1.0 and cut
+    controls, cut = converted(thrust=-30.0, vehicle_type=IRIS)
+    assert controls.thrust_n == -1.0 and cut
+
+
+def test_signs_of_an_iris_are_those_of_the_angles():
+    controls, _ = converted(roll=0.1, pitch=0.2, yaw_rate=0.3, vehicle_type=IRIS)
+    full = IRIS.tilt_max_rad, IRIS.tilt_max_rad, IRIS.yaw_rate_max_rad_s
+    assert controls[:3] == pytest.approx([part / whole for part, whole in zip((0.1, 0.2, 0.3), full)])
+
+
+@pytest.mark.parametrize("fraction", [-1.0, -0.3, -1e-4, 0.0, 1e-4, 0.3, 1.0])
+def test_sticks_are_past_the_autopilots_dead_zone(fraction):
+    adapter, unit = adapter_class(IRIS)(IRIS, 44.0), adapter_class(IRIS).units(IRIS)
+    sticks = adapter.answer(Controls(fraction, fraction, fraction, 0.1), OWN, 5.0, 5.0, NOTHING)
+    stick = math.copysign(0.04 + 0.96 * abs(fraction), fraction) if fraction else 0.0
+    assert sticks == pytest.approx((-stick, -stick, 0.1, -stick))
+    settles = adapter.settles_at(sticks, OWN)
+    assert settles[[0, 1, 3]] == pytest.approx([fraction * unit[0], fraction * unit[1], fraction * unit[2]])
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.4])
+def test_what_an_iris_settles_at_is_the_acceleration_that_was_asked_for(tilt_rad):
+    """The same as the controller counts on, tilted or not: its climb loop, and the thrust for it."""
+    own = OWN._replace(theta_rad=tilt_rad, velocity_m_s=(0.0, 0.0, 0.4))
+    loop = climb_loops([IRIS])[0]
+    wanted = 0.7  # [m/s^2]
+    thrust_n = IRIS.mass_kg * (G + wanted + loop.damping_1_s * 0.4) / math.cos(tilt_rad)
+    controls, _ = converted(thrust=thrust_n, vehicle_type=IRIS)
+    adapter = adapter_class(IRIS)(IRIS, 44.0)
+    sticks = adapter.answer(controls, own, 5.0, 5.0, NOTHING)
+    command = adapter.settles_at(sticks, own)[2]
+    assert climb_acceleration(command, 0.4, loop) == pytest.approx(wanted)
+    assert command == pytest.approx(climb_command(wanted, 0.4, loop))
+    assert loop.most == pytest.approx(1.0 - 0.4917, abs=1e-3)

@@ -426,5 +426,5 @@ class VehiclePilot:
         return self._adapter.move(forward_rad, left_rad, look.climb * speed_m_s, self._state)
 
     def _send(self, sticks, answers, orders, now_s):
-        orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks))
+        orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks, self._state))
         self._sent.append(0, now_s, orders.command.settles_at)

@@ -164,6 +164,7 @@ class ControlLoop:
             controller(vehicle_types, own_or_all) if same else _Mixed(controller, vehicle_types, params, own)
         )
         self._to_controls = ControlsConverter(vehicle_types)
+        self.tell_battery = self._to_controls.tell_battery
         self._delays_s, self._which = np.unique(self.controller.delay_s, return_inverse=True)
         self._everyone = np.arange(len(vehicle_types))
         self.sent = CommandHistory(len(vehicle_types))  # whoever knows what was really sent appends it here

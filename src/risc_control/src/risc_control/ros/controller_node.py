@@ -14,6 +14,7 @@ from std_msgs.msg import Bool, UInt8
 from risc_control.controllers import ControlLoop, default_params, own_params
 from risc_control.reference_buffer import Axis, Order, ReferenceBuffer
 from risc_control.ros.conversions import ControlsMessage, StatesReader
+from risc_control.vehicles import adapter_class
 from risc_lab.clock import ClockGuard, Step
 from risc_lab.command_history import command_of
 from risc_lab.lab.templates import attached_bodies, load_templates
@@ -27,7 +28,7 @@ from risc_lab.ros.paced_subscriber import BUFFER_BYTES, PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type, vehicles
 from risc_lab.ros.until_shutdown import until_shutdown
 from risc_lab.settings import Positive, Settings, limits_of, settings_from
-from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives
+from risc_maap_msgs.msg import CommandsSent, ControllerReport, TrackingError, TrajectoryDerivatives, VehicleStatus
 
 _REFERENCES_HZ = 50.0  # of 200: the polynomial through them reaches far beyond the command delay
 
@@ -86,9 +87,12 @@ class ControllerNode:
         for name, value in config.defaults.items():
             rospy.set_param("~" + name, value)  # where the server looks; a text there would end it
         self._server = Server(config, self._on_reconfigure)
-        for i, vehicle in enumerate(fleet_vehicles):
+        for i, (vehicle, vehicle_type) in enumerate(zip(fleet_vehicles, types)):
             topic = "/%s/controller_status" % vehicle.namespace
             rospy.Subscriber(topic, Bool, self._on_status, callback_args=i, queue_size=1, tcp_nodelay=True)
+            if adapter_class(vehicle_type).NEEDS_BATTERY:
+                topic, take = "/%s/vehicle_status" % vehicle.namespace, self._on_vehicle_status
+                rospy.Subscriber(topic, VehicleStatus, take, callback_args=i, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("/commands_sent", CommandsSent, self._on_commands_sent, queue_size=None, tcp_nodelay=True)
         self._subscribe()
         rospy.loginfo(
@@ -139,6 +143,9 @@ class ControllerNode:
 
     def _on_status(self, message, i):
         self._autonomous[i] = message.data
+
+    def _on_vehicle_status(self, message, i):
+        self._loop.tell_battery(i, message.battery_pct, time.monotonic())
 
     def _on_trajectory(self, message):
         with self._lock:

@@ -87,6 +87,8 @@ class Adapter:
     """
 
     HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture
+    NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
+    THRUST_MOST = math.inf  # of T on /controls, + and -
 
     def __init__(self, vehicle_type, command_rate_hz):
         """vehicle_type: VehicleType.  command_rate_hz: at which the vehicle is sent commands."""
@@ -96,6 +98,11 @@ class Adapter:
     def units(vehicle_type):
         """The `Command` that 1 means on /controls, in phi, theta, psi and T."""
         return Command(1.0, 1.0, 1.0, 1.0)
+
+    @staticmethod
+    def zero_thrust(vehicle_type, battery_pct):
+        """What a thrust of 0 N is in T on /controls, at this charge; None: nobody knows it."""
+        return 0.0
 
     @staticmethod
     def climb_loop(vehicle_type):
@@ -114,7 +121,7 @@ class Adapter:
         """Sticks for those of an operator; its `up` is a climb rate."""
         return sticks
 
-    def settles_at(self, sticks):
+    def settles_at(self, sticks, own):
         """(4,) what the vehicle settles at when it is sent these: see `command_history.Channel`."""
         raise NotImplementedError
 
@@ -149,7 +156,7 @@ def climb_loops(vehicle_types):
 
 _COMMAND = record(" ".join(Command._fields))
 # What commands of a type are limited to, and what 1 on /controls means.
-_CONVERSION = record(("most", _COMMAND), ("unit", _COMMAND), "hover_n")
+_CONVERSION = record(("most", _COMMAND), ("unit", _COMMAND), "hover_n zero_thrust greatest_thrust")
 
 
 def greatest_command(vehicle_type):
@@ -166,19 +173,51 @@ def greatest_command(vehicle_type):
 floats = partial(np.ascontiguousarray, dtype=float)
 
 
+_CHARGE_S = 3.0  # time constant
+
+
+class Charge:
+    """A battery's charge, smooth between the whole percents that are reported: each is a step of the throttle."""
+
+    def __init__(self):
+        self.pct = None  # None before the first report
+        self._noted_s = 0.0
+
+    def note(self, battery_pct, now_s):
+        """A report."""
+        if self.pct is None:
+            self.pct = battery_pct
+        else:
+            self.pct += (battery_pct - self.pct) * -math.expm1(-max(0.0, now_s - self._noted_s) / _CHARGE_S)
+        self._noted_s = now_s
+
+
 class ControlsConverter:
     """Commands of a fleet -> its entries of /controls."""
 
     def __init__(self, vehicle_types):
         """vehicle_types: of each vehicle."""
-        self._conversions = np.zeros(len(vehicle_types), _CONVERSION)
-        for conversion, vehicle_type in zip(self._conversions, vehicle_types):
+        self._types = tuple(vehicle_types)
+        self._charges = [Charge() for _ in self._types]
+        self._conversions = np.zeros(len(self._types), _CONVERSION)
+        for i, vehicle_type in enumerate(self._types):
+            conversion, adapter = self._conversions[i], adapter_class(vehicle_type)
             conversion.most = greatest_command(vehicle_type)
-            conversion.unit = adapter_class(vehicle_type).units(vehicle_type)
+            conversion.unit = adapter.units(vehicle_type)
             conversion.hover_n = vehicle_type.mass_kg * GRAVITY_M_S2
-        n = len(vehicle_types)
+            conversion.zero_thrust = adapter.zero_thrust(vehicle_type, None)
+            conversion.greatest_thrust = adapter.THRUST_MOST
+        n = len(self._types)
         nobody = np.zeros(n, dtype=bool)
         self(Command(*np.zeros((4, n))), nobody, nobody)  # loads what is compiled
+
+    def tell_battery(self, i, battery_pct, now_s):
+        """The charge [%] that vehicle i has told; NaN: it has told none."""
+        charge, vehicle_type = self._charges[i], self._types[i]
+        if math.isfinite(battery_pct):
+            charge.note(battery_pct, now_s)
+            zero_thrust = adapter_class(vehicle_type).zero_thrust(vehicle_type, charge.pct)
+            self._conversions[i].zero_thrust = zero_thrust
 
     def __call__(self, command, known, saturated):
         """(`Controls` of arrays (n,), (n,) bool: a limit of the vehicle cut its command, or `saturated` said so).
@@ -202,15 +241,17 @@ def _convert(roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n, known, conversions, 
         if not known[i]:
             cut[i] = False
             controls[0, i] = controls[1, i] = controls[2, i] = 0.0
-            controls[3, i] = conversions[i].hover_n / unit.thrust_n
+            controls[3, i] = conversions[i].hover_n / unit.thrust_n + conversions[i].zero_thrust
             continue
         if not math.isfinite(roll_rad[i] + pitch_rad[i] + yaw_rate_rad_s[i] + thrust_n[i]):
             return False
         roll, pitch = clipped(roll_rad[i], most.roll_rad), clipped(pitch_rad[i], most.pitch_rad)
         rate = clipped(yaw_rate_rad_s[i], most.yaw_rate_rad_s)
-        cut[i] |= roll != roll_rad[i] or pitch != pitch_rad[i] or rate != yaw_rate_rad_s[i]
+        thrust = thrust_n[i] / unit.thrust_n + conversions[i].zero_thrust
+        controls[3, i] = clipped(thrust, conversions[i].greatest_thrust)
+        cut[i] |= roll != roll_rad[i] or pitch != pitch_rad[i] or rate != yaw_rate_rad_s[i] or controls[3, i] != thrust
         controls[0, i], controls[1, i] = roll / unit.roll_rad, pitch / unit.pitch_rad
-        controls[2, i], controls[3, i] = rate / unit.yaw_rate_rad_s, thrust_n[i] / unit.thrust_n
+        controls[2, i] = rate / unit.yaw_rate_rad_s
     return True
 
 

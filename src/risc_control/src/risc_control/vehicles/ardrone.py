@@ -53,7 +53,7 @@ class Adapter(vehicles.Adapter):
         tilts = (limited(tilt_rad / self.type.tilt_max_rad) for tilt_rad in (forward_rad, left_rad))
         return Sticks(*tilts, limited(climb_m_s / self.type.climb_max_m_s), 0.0)
 
-    def settles_at(self, sticks):
+    def settles_at(self, sticks, own):
         unit, climb_m_s = self._unit, sticks.up * self.type.climb_max_m_s
         roll_rad, pitch_rad = sticks.left * unit.roll_rad, sticks.forward * unit.pitch_rad
         return np.array((roll_rad, pitch_rad, climb_m_s, sticks.turn_left * unit.yaw_rate_rad_s))

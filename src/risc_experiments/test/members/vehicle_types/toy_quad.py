@@ -35,7 +35,7 @@ class Adapter(vehicles.Adapter):
         up = self.move(0.0, 0.0, sticks.up * self.type.climb_max_m_s, own).up
         return sticks._replace(up=up)
 
-    def settles_at(self, sticks):
+    def settles_at(self, sticks, own):
         """Its climb loop takes an acceleration."""
         roll_rad, pitch_rad = (-tilt * self.type.tilt_max_rad for tilt in (sticks.left, sticks.forward))
         yaw_rate_rad_s = -sticks.turn_left * self.type.yaw_rate_max_rad_s

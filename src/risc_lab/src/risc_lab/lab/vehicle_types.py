@@ -62,6 +62,9 @@ class VehicleType(Settings):
     video_latency_s: between(0.0, 2.0) = 0.0  # from the exposure of a picture to its arrival; 0 = unknown, or no camera
     # {link of its driver: what the driver opens at the vehicle's {address}}, unless the fleet file names another device
     devices: dict[str, Name] = field(default_factory=dict, hash=False)
+    # [-] per percent^i: c0 to c4 of eq. 5.5, the throttle in [-1, 1] that hovers at a charge; () = no throttle stick
+    hover_throttle: tuple[float, ...] = ()
+    stick_dead_zone: between(0.0, 0.5) = 0.0  # of a stick's half travel around its centre, roll, pitch and yaw
     driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
     # {controller: {key: value}} of its YAML file that the type has otherwise
     controllers: dict[str, dict[str, float]] = field(default_factory=dict, hash=False)

@@ -1,0 +1,94 @@
+"""3DR IRIS+ (thesis 5.2): sticks of a radio, a throttle whose middle moves with the battery (eq. 5.5).
+
+Entries of /controls are stick fractions, with the signs of the angles of the states: + phi moves right, + theta noses
+up, + psi turns right; T is the throttle, -1 the lowest. An autopilot in STABILIZE makes an angle of the first two, a
+yaw rate of the third, and passes the throttle on: it holds neither height nor place.
+"""
+
+import math
+
+import numpy as np
+
+from risc_control import vehicles
+from risc_control.joystick import Sticks, limited
+from risc_control.vehicles import Command
+from risc_lab.command_history import Channel
+from risc_lab.frames import GRAVITY_M_S2
+
+NOMINAL_BATTERY_PCT = 70.0  # while the vehicle has told none
+_CLIMB_GAIN_1_S = 3.0  # of a climb rate, to hold it by the throttle
+
+
+class Adapter(vehicles.Adapter):
+    """See `vehicles.Adapter`. Sticks are those of the radio: the autopilot's dead zone is in them, `up` is T."""
+
+    NEEDS_BATTERY = True
+    THRUST_MOST = 1.0
+
+    def __init__(self, vehicle_type, command_rate_hz):
+        super().__init__(vehicle_type, command_rate_hz)
+        self._charge = vehicles.Charge()
+        self._unit = self.units(vehicle_type)
+        self._hover = hover_throttle(vehicle_type, None)
+
+    @staticmethod
+    def units(vehicle_type):
+        most = vehicles.greatest_command(vehicle_type)
+        return Command(most.roll_rad, most.pitch_rad, most.yaw_rate_rad_s, vehicle_type.mass_kg * GRAVITY_M_S2)
+
+    @staticmethod
+    def zero_thrust(vehicle_type, battery_pct):
+        return hover_throttle(vehicle_type, battery_pct) - 1.0
+
+    @staticmethod
+    def climb_loop(vehicle_type):
+        """What it takes is the throttle over that of hover: 1 is an acceleration of g."""
+        hovers = [hover_throttle(vehicle_type, pct) for pct in range(101)]
+        most = min(1.0 - max(hovers), 1.0 + min(hovers))
+        return GRAVITY_M_S2, vehicle_type.drag_n_s_m / vehicle_type.mass_kg, most
+
+    def answer(self, controls, own, own_s, now_s, sent):
+        return self._sticks(controls.phi, controls.theta, controls.psi, controls.thrust_n)
+
+    def move(self, forward_rad, left_rad, climb_m_s, own):
+        unit, climbs_m_s = self._unit, own.velocity_m_s[2] if own else 0.0
+        up_m_s2 = _CLIMB_GAIN_1_S * (climb_m_s - climbs_m_s)
+        throttle = self._hover + (1.0 + up_m_s2 / GRAVITY_M_S2) / _cosine(own) - 1.0
+        return self._sticks(-left_rad / unit.roll_rad, -forward_rad / unit.pitch_rad, 0.0, throttle)
+
+    def settles_at(self, sticks, own):
+        unit, dead = self._unit, self.type.stick_dead_zone
+        phi, theta, psi = (-without_dead_zone(s, dead) for s in (sticks.left, sticks.forward, sticks.turn_left))
+        settles = np.empty(len(Channel))
+        settles[Channel.PHI], settles[Channel.THETA] = phi * unit.roll_rad, theta * unit.pitch_rad
+        settles[Channel.CLIMB] = (1.0 + sticks.up - self._hover) * _cosine(own) - 1.0
+        settles[Channel.YAW_RATE] = psi * unit.yaw_rate_rad_s
+        return settles
+
+    def _sticks(self, phi, theta, psi, throttle):
+        dead = self.type.stick_dead_zone
+        left, forward, turn_left = (-with_dead_zone(limited(fraction), dead) for fraction in (phi, theta, psi))
+        return Sticks(forward, left, limited(throttle), turn_left)
+
+
+def hover_throttle(vehicle_type, battery_pct):
+    """Throttle that hovers at a charge, eq. 5.5 with the c4 of the original release; None: of an average battery."""
+    pct = NOMINAL_BATTERY_PCT if battery_pct is None else min(max(battery_pct, 0.0), 100.0)
+    throttle = 0.0
+    for coefficient in reversed(vehicle_type.hover_throttle):
+        throttle = throttle * pct + coefficient
+    return throttle
+
+
+def with_dead_zone(fraction, dead):
+    """The stick that an autopilot takes for this fraction of full scale: what is within +-dead counts as 0."""
+    return math.copysign(dead + (1.0 - dead) * abs(fraction), fraction) if fraction else 0.0
+
+
+def without_dead_zone(stick, dead):
+    """Its inverse: what the autopilot makes of a stick."""
+    return math.copysign(max(0.0, abs(stick) - dead) / (1.0 - dead), stick)
+
+
+def _cosine(own):
+    return math.cos(own.phi_rad) * math.cos(own.theta_rad) if own else 1.0
