@@ -59,6 +59,24 @@ QUADROTOR_FIELDS = (  # floats, see risc_lab.compiled.record; those of the true 
 @compiled
 def slope(x, inputs, body, x_dot):
     """x_dot (12,) of one vehicle in state x (12,) under inputs (9,). Returns the demanded thrust [N]."""
+    thrust_n = climb_thrust(x, inputs, body)
+    motion(x, inputs, body, thrust_n, x_dot)
+    return thrust_n
+
+
+@compiled
+def climb_thrust(x, inputs, body):
+    """The climb loop: thrust [N], within the motors' range, that gives a vehicle as it should be its acceleration."""
+    sf, cf = math.sin(x[X.PHI]), math.cos(x[X.PHI])
+    st, ct = math.sin(x[X.THETA]), math.cos(x[X.THETA])
+    climb_m_s = x[X.U] * st - x[X.V] * sf * ct - x[X.W] * cf * ct
+    up_m_s2 = (inputs[U.CLIMB] - climb_m_s) / body.climb_time_constant_s + inputs[U.CLIMB_TRIM] + GRAVITY_M_S2
+    return min(max(body.nominal_mass_kg * up_m_s2 / (cf * ct), body.thrust_min_n), body.thrust_max_n)
+
+
+@compiled
+def motion(x, inputs, body, thrust_n, x_dot):
+    """x_dot (12,) under a thrust that is demanded [N], with the attitude loops."""
     u, v, w = x[X.U], x[X.V], x[X.W]
     phi, theta, psi = x[X.PHI], x[X.THETA], x[X.PSI]
     p, q, r = x[X.P], x[X.Q], x[X.R]
@@ -69,14 +87,9 @@ def slope(x, inputs, body, x_dot):
     down_n, down_e = cf * st * cp + sf * sp, cf * st * sp - sf * cp  # and of the belly's axis
 
     # 6.1
-    climb_m_s = u * st - v * sf * ct - w * cf * ct
     x_dot[X.P_N] = u * ct * cp + v * right_n + w * down_n
     x_dot[X.P_E] = u * ct * sp + v * right_e + w * down_e
-    x_dot[X.H] = climb_m_s
-
-    # the climb loop: its vertical acceleration, of a vehicle as it should be, within the range of the motors
-    up_m_s2 = (inputs[U.CLIMB] - climb_m_s) / body.climb_time_constant_s + inputs[U.CLIMB_TRIM] + GRAVITY_M_S2
-    thrust_n = min(max(body.nominal_mass_kg * up_m_s2 / (cf * ct), body.thrust_min_n), body.thrust_max_n)
+    x_dot[X.H] = u * st - v * sf * ct - w * cf * ct
 
     # 6.2, and drag in moving air
     air_n, air_e, air_up = inputs[U.WIND_N], inputs[U.WIND_E], inputs[U.WIND_UP]
@@ -110,7 +123,6 @@ def slope(x, inputs, body, x_dot):
         x_dot[X.P] -= body.tumble_damping_1_s * p
         x_dot[X.Q] -= body.tumble_damping_1_s * q
         x_dot[X.R] -= body.tumble_damping_1_s * r
-    return thrust_n
 
 
 @compiled

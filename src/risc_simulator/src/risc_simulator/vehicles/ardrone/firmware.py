@@ -9,6 +9,7 @@ from collections import namedtuple
 
 import numpy as np
 
+from risc_simulator.models.battery import GROUND_LOAD, Battery
 from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase, Setpoint
 
 SPIN_UP_S = 0.8  # motors turn, vehicle still stands
@@ -31,7 +32,6 @@ YAW_RATE_LIMIT_RAD_S = 6.11
 LOW_BATTERY_PCT = 15.0  # refuses to take off
 EMPTY_BATTERY_PCT = 3.0  # lands by itself
 LOST_HOVER_S = 2.0  # from the loss of the link until it does
-GROUND_DRAIN_RATIO = 0.1  # computer and radio alone, of what flying takes
 
 # Go to a height with a climb rate within these limits; brakes: by optical flow, and keep the heading, instead of what
 # tilt and yaw rate were asked for. See on_board.py.
@@ -54,8 +54,7 @@ class ArdroneFirmware(Firmware):
         super().__init__(vehicle_type, rng, perturbed, rest_height_m)
         self.hold = None
         self._take_off_height_m = max(TAKE_OFF_HEIGHT_M, rest_height_m + 0.5)
-        self._battery_life_s = vehicle_type.battery_life_s
-        self._battery_pct, self._battery_time_s = 100.0, 0.0
+        self._battery = Battery(vehicle_type.battery_life_s)
         self._setpoint = Setpoint(hover=True)
         self._phase_start_s = 0.0
         scale, bias_forward, bias_right = (
@@ -85,11 +84,10 @@ class ArdroneFirmware(Firmware):
     # ------------------------------------------------------------------ battery
 
     def battery_pct(self, time_s):
-        life_s = self._battery_life_s if self.motors_on else self._battery_life_s / GROUND_DRAIN_RATIO
-        return max(0.0, self._battery_pct - 100.0 * (time_s - self._battery_time_s) / life_s)
+        return self._battery.pct(time_s)
 
     def set_battery_pct(self, pct, time_s):
-        self._battery_pct, self._battery_time_s = min(100.0, max(0.0, pct)), time_s
+        self._battery.set_pct(pct, time_s)
 
     # ------------------------------------------------------------------ events
 
@@ -187,9 +185,9 @@ class ArdroneFirmware(Firmware):
         self.hold = Hold(height_m, -HEIGHT_HOLD_CLIMB_M_S, HEIGHT_HOLD_CLIMB_M_S, brakes=True)
 
     def _enter(self, phase, time_s):
-        self._battery_pct, self._battery_time_s = self.battery_pct(time_s), time_s  # the drain changes here
         self.phase, self._phase_start_s = phase, time_s
         self.motors_on = phase in _IN_FLIGHT
+        self._battery.set_load(1.0 if self.motors_on else GROUND_LOAD, time_s)
         self.hold = _DESCEND if phase is FlightPhase.LANDING else None
         self.wake_s = time_s + SPIN_UP_S - _WAKE_EARLY_S if phase is FlightPhase.TAKING_OFF else math.inf
         self.command = (0.0, 0.0, 0.0, 0.0)

@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 from risc_lab.frames import GRAVITY_M_S2
+from risc_simulator.models.noise import normal_numbers
 
 # One standard deviation of each reading.
 ATTITUDE_NOISE_DEG = 0.05
@@ -29,13 +30,6 @@ PRESSURE_PER_METRE_PA = 10.4
 TEMPERATURE_TENTHS_C = 435  # inside the hull
 
 _DEG = 180.0 / math.pi
-_BLOCK = 8192
-
-
-def _normal_numbers(rng, scale):
-    """Normal numbers one at a time; drawing them in blocks makes one cost some 50 ns."""
-    while True:
-        yield from (scale * rng.standard_normal(_BLOCK)).tolist()
 
 
 class Reading(NamedTuple):
@@ -69,7 +63,7 @@ class ArdroneSensors:
     """
 
     def __init__(self, rng, noise=1.0, rest_height_m=0.0):
-        self._normal = _normal_numbers(rng, noise)
+        self._normal = normal_numbers(rng, noise)
         self._rest_height_m = rest_height_m
         n = self._noise
         self._bias_deg = (n(ATTITUDE_BIAS_DEG), n(ATTITUDE_BIAS_DEG))  # roll, pitch

@@ -1,0 +1,404 @@
+"""The autopilot of an IRIS+: ArduCopter's modes, arming, failsafes and landing, as far as an indoor flight meets them.
+
+Channels are times of the RC link in microseconds, in ArduCopter's order: roll, pitch, throttle, yaw. The loops that it
+commands run in every step (on_board.py). It looks around fifty times a second.
+
+Who speaks for it (mavlink.py) uses, beside Firmware: `vehicle`, `armed`, `mode`, `set_mode`, `arm`, `disarm` (each says
+why not, or ""), `arming_trouble`, `channels_us`, `override`, `radio_failsafe`, `texts`. What it is asked takes effect
+with the next step.
+"""
+
+import math
+from collections import deque
+from enum import IntEnum
+from typing import NamedTuple
+
+from risc_lab.frames import GRAVITY_M_S2
+from risc_simulator.models.battery import GROUND_LOAD, Battery
+from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase
+
+CHANNELS = 8
+ROLL, PITCH, THROTTLE, YAW = range(4)
+CENTRE_US, HALF_RANGE_US = 1500, 500
+
+LOOK_PERIOD_S = 0.02
+GESTURE_S = 2.0  # throttle at its end and yaw at its end for so long: right arms, left disarms
+GESTURE_YAW = 0.89  # of full yaw
+THROTTLE_DEAD_US = 30  # of the lowest throttle, and on each side of the middle in ALT_HOLD
+IDLE_DISARM_S = 10.0  # armed on the ground with the throttle at its end
+LANDED_DISARM_S = 1.0  # on the ground in LAND
+RADIO_LOST_S = 0.5  # without a frame,
+OVERRIDE_LOST_S = 1.0  # or without an override where no receiver was ever heard
+LOW_THROTTLE_US = 975  # below this the transmitter says that it has lost its own signal: three frames
+LOW_THROTTLE_FRAMES = 3
+OVERRIDE_LIFE_S = 3.0
+RELEASE_US, LEAVE_US = 0, 65535  # of an override
+
+LAND_DESCENT_M_S = 0.5
+STOPPING_TIME_S = 0.3  # height is held where the climb loop can stop
+HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
+LOW_BATTERY_PCT = 15.0  # says so, and does not arm
+CRITICAL_BATTERY_PCT = 8.0  # lands by itself
+_SILENT_US = (0,) * CHANNELS
+
+
+class Mode(IntEnum):
+    """Of ArduCopter, by its numbers, those that need neither a position nor a pilot of acrobatics."""
+
+    STABILIZE = 0  # angles by the sticks, thrust by the throttle
+    ALT_HOLD = 2  # angles by the sticks, climb rate by the throttle
+    LAND = 9
+
+
+class Severity(IntEnum):
+    """Of a text, as in MAVLink."""
+
+    CRITICAL = 2
+    WARNING = 4
+    INFO = 6
+
+
+class RcFrame(NamedTuple):
+    """What the receiver has decoded: an action, see world.Vehicle.schedule."""
+
+    channels_us: tuple  # whole microseconds, 4 to CHANNELS of them
+
+
+class IrisFirmware(Firmware):
+    """One autopilot.
+
+    command: (roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n or climb_m_s).
+    vehicle: world.Vehicle that it is in; its host says so.
+    texts: (Severity, text) that it says to ground stations, oldest first; whoever speaks for it takes them out.
+    """
+
+    vehicle = None
+
+    def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
+        super().__init__(vehicle_type, rng, perturbed, rest_height_m)
+        self.mode = Mode.STABILIZE
+        self.texts = deque(maxlen=100)
+        self.radio_failsafe = True  # until something is heard
+        self.wake_s = 0.0
+        self._type = vehicle_type
+        self._battery, self._battery_said = Battery(vehicle_type.battery_life_s), None
+        self._dead_us = vehicle_type.stick_dead_zone * HALF_RANGE_US
+        self._time_s = 0.0
+        self._received_us, self._received_s = (), -math.inf
+        self._overrides = {}  # channel -> (us, since when)
+        self._override_s = -math.inf
+        self._low_frames = 0
+        self._gesture, self._gesture_s = 0, 0.0  # yaw to this side since then
+        self._grounded_s = 0.0  # since when it stands armed, or with a throttle that is not at its end
+        self._hold_m = None  # height that is held; None: none
+        self._closes = False
+
+    def configure(self, record):
+        """Keep the record (1,), on_board.FIELDS: `tell` writes it."""
+        self._record = record
+        nominal_n = record["nominal_mass_kg"].item() * GRAVITY_M_S2
+        self._nominal_n = nominal_n
+        self._balance_n = record["mass_kg"].item() * GRAVITY_M_S2 / record["thrust_scale"].item()
+
+    def tell(self):
+        record = self._record
+        record["climbs"] = self._climbs
+        if self._closes:
+            record["closes"], self._closes = True, False
+        record["holds_height"] = self._hold_m is not None
+        if self._hold_m is not None:
+            record["height_m"] = self._hold_m
+        return self.command
+
+    # ------------------------------------------------------------------ what others see of it
+
+    @property
+    def armed(self):
+        """The rotors turn."""
+        return self.motors_on
+
+    @property
+    def phase(self):
+        """FlightPhase: armed on the ground it is still LANDED."""
+        if not self.lifted:
+            return FlightPhase.LANDED
+        if not self.motors_on:
+            return FlightPhase.EMERGENCY
+        return FlightPhase.LANDING if self.mode is Mode.LAND else FlightPhase.FLYING
+
+    @property
+    def channels_us(self):
+        """(CHANNELS,) what it goes by: the receiver's, with what is overridden; 0 for one that nobody sends.
+
+        () before anything was heard.
+        """
+        if not self._received_us and not self._overrides:
+            return ()
+        channels = list(self._received_us) + [0] * (CHANNELS - len(self._received_us))
+        for channel, (us, since_s) in self._overrides.items():
+            if self._time_s - since_s <= OVERRIDE_LIFE_S:
+                channels[channel] = us
+        return tuple(channels)
+
+    def hover_throttle(self, battery_pct):
+        """Throttle in [-1, 1] at which this vehicle, as it really is, hovers with this charge."""
+        return self._nominal_hover(battery_pct) + self._balance_n / self._nominal_n - 1.0
+
+    @property
+    def drain_pct_s(self):
+        """What its battery loses in a second [%]."""
+        return self._battery.drain_pct_s
+
+    def battery_pct(self, time_s):
+        return self._battery.pct(time_s)
+
+    def set_battery_pct(self, pct, time_s):
+        self._battery.set_pct(pct, time_s)
+
+    @property
+    def _channels(self):
+        return self.channels_us or _SILENT_US
+
+    # ------------------------------------------------------------------ what it is asked
+
+    def set_mode(self, number):
+        """Change the mode. Returns why not, or ""."""
+        if number not in tuple(Mode):
+            return self._refuse("Mode change to %d failed: requires position" % number)
+        if number != self.mode:
+            self._enter(Mode(number))
+        return ""
+
+    def arm(self, by_force=False):
+        """Start the rotors. by_force: unchecked. Returns why not, or ""."""
+        if not self.armed:
+            trouble = "" if by_force else self.arming_trouble()
+            if trouble:
+                return self._refuse(trouble)
+            self._start()
+        return ""
+
+    def arming_trouble(self):
+        """Why it would not arm now, or ""."""
+        channels = self._channels
+        if self.mode is Mode.LAND:
+            return "Arm: Land mode not armable"
+        if self.radio_failsafe:
+            return "PreArm: Radio failsafe on"
+        if not _throttle_is_at_its_end(channels):
+            return "Arm: Throttle too high"
+        if self.battery_pct(self._time_s) <= LOW_BATTERY_PCT:
+            return "PreArm: Battery below minimum arming capacity"
+        return "Arm: not landed" if self.lifted else ""
+
+    def disarm(self, by_force=False):
+        """Stop the rotors; by_force: in the air, too. Returns why not, or ""."""
+        if self.armed:
+            if self.lifted and not by_force:
+                return self._refuse("Disarm: not landed")
+            self._stop()
+        return ""
+
+    def override(self, channels_us, now_s):
+        """RC_CHANNELS_OVERRIDE, of a station that may: microseconds for each channel, RELEASE_US or LEAVE_US."""
+        for channel, us in enumerate(channels_us[:CHANNELS]):
+            if us == RELEASE_US:
+                self._overrides.pop(channel, None)
+            elif us != LEAVE_US:
+                self._overrides[channel] = us, now_s
+                self._override_s = now_s
+        self._hurry()
+
+    def _refuse(self, reason):
+        self.texts.append((Severity.CRITICAL, reason))
+        return reason
+
+    def _hurry(self):
+        self.wake_s = -math.inf
+
+    # ------------------------------------------------------------------ what the world calls
+
+    def apply(self, action, time_s, vertical_motion):
+        if isinstance(action, RcFrame):
+            self._received_us, self._received_s = action.channels_us, time_s
+            is_low = action.channels_us[THROTTLE] < LOW_THROTTLE_US
+            self._low_frames = min(self._low_frames + 1, LOW_THROTTLE_FRAMES) if is_low else 0
+            self.wake(time_s, vertical_motion)
+        elif action is FlightAction.LAND:
+            self.set_mode(Mode.LAND)
+        elif action is FlightAction.CUT_MOTORS:
+            self.disarm(by_force=True)
+        elif not isinstance(action, FlightAction):
+            raise TypeError("expected an RcFrame or a FlightAction, got %r" % (action,))
+
+    def wake(self, time_s, vertical_motion):
+        """Look around, and command the loops."""
+        self._time_s, self.wake_s = time_s, time_s + LOOK_PERIOD_S
+        self._overrides = {
+            channel: item for channel, item in self._overrides.items() if time_s - item[1] <= OVERRIDE_LIFE_S
+        }
+        channels = self._channels
+        self._watch_radio()
+        if not self.radio_failsafe:
+            self._watch_gesture(channels)
+        if self.armed and not self.lifted:
+            self._watch_ground(channels)
+        self._command(channels, vertical_motion)
+
+    def touch_down(self, time_s, impact_m_s):
+        if not self.motors_on:
+            self.lifted = False
+            return ""
+        if impact_m_s > HARD_LANDING_M_S:
+            self._stop()
+            self.lifted = False
+            return "hit the floor at %.1f m/s" % impact_m_s
+        if not self._lifts():
+            self.lifted, self._grounded_s = False, time_s
+        return ""
+
+    def crash(self, time_s):
+        self._stop()
+
+    def fly_at(self, time_s, height_m):
+        self._time_s = time_s
+        self.mode, self.lifted, self.radio_failsafe = Mode.STABILIZE, True, False
+        self._start()
+        throttle_us = CENTRE_US + round(HALF_RANGE_US * self.hover_throttle(self.battery_pct(time_s)))
+        self._received_us, self._received_s = (CENTRE_US, CENTRE_US, throttle_us, CENTRE_US), time_s
+        self._low_frames = 0
+        self._command(self.channels_us, None)
+        self._record["rotor_thrust_n"] = self._balance_n
+
+    def check_battery(self, time_s):
+        pct = self.battery_pct(time_s)
+        level = "critical" if pct <= CRITICAL_BATTERY_PCT else "low" if pct <= LOW_BATTERY_PCT else None
+        if level != self._battery_said:
+            self._battery_said = level
+            if level is not None:
+                self.texts.append((Severity.WARNING, "Battery failsafe: %s" % level))
+        if level == "critical" and self.armed:
+            self._end_flight()
+
+    # ------------------------------------------------------------------ what it watches
+
+    def _watch_radio(self):
+        heard = bool(self._received_us)
+        silent_s = self._time_s - max(self._received_s, self._override_s)
+        lost = silent_s > (RADIO_LOST_S if heard else OVERRIDE_LOST_S)
+        lost |= THROTTLE not in self._overrides and self._low_frames >= LOW_THROTTLE_FRAMES
+        if lost == self.radio_failsafe:
+            return
+        self.radio_failsafe = lost
+        if not lost:
+            self.texts.append((Severity.INFO, "Radio Failsafe Cleared"))
+        else:
+            self.texts.append((Severity.WARNING, "Radio Failsafe"))
+            if self.armed:
+                self._end_flight()
+
+    def _end_flight(self):
+        """A failsafe: land, or stop on the ground."""
+        if not self.lifted:
+            self._stop()
+        elif self.mode is not Mode.LAND:
+            self._enter(Mode.LAND)
+
+    def _watch_gesture(self, channels):
+        yaw = self._stick(channels[YAW])
+        side = 0
+        if _throttle_is_at_its_end(channels) and abs(yaw) > GESTURE_YAW:
+            side = int(math.copysign(1, yaw))
+        if side != self._gesture:
+            self._gesture, self._gesture_s = side, self._time_s
+        if side and self._time_s - self._gesture_s >= GESTURE_S:
+            self._gesture_s = math.inf  # once
+            if side > 0:
+                self.arm()
+            elif not self.lifted:
+                self.disarm()
+
+    def _watch_ground(self, channels):
+        if self.mode is Mode.LAND:
+            if self._time_s - self._grounded_s >= LANDED_DISARM_S:
+                self._stop()
+        elif not _throttle_is_at_its_end(channels):
+            self._grounded_s = self._time_s
+        elif self._time_s - self._grounded_s >= IDLE_DISARM_S:
+            self._stop()
+
+    # ------------------------------------------------------------------ what it does
+
+    @property
+    def _climbs(self):
+        return self.mode is not Mode.STABILIZE
+
+    def _enter(self, mode):
+        climbed = self._climbs
+        self.mode, self._hold_m, self._grounded_s = mode, None, self._time_s
+        self._closes |= self._climbs and not climbed
+        self._hurry()
+
+    def _start(self):
+        self.motors_on, self._grounded_s = True, self._time_s
+        self._battery.set_load(1.0, self._time_s)
+        self.texts.append((Severity.INFO, "Arming motors"))
+        self._hurry()
+
+    def _stop(self):
+        if self.motors_on:
+            self.motors_on, self._hold_m = False, None
+            self._battery.set_load(GROUND_LOAD, self._time_s)
+            self.texts.append((Severity.INFO, "Disarming motors"))
+            self._hurry()
+
+    def _command(self, channels, vertical_motion):
+        kind = self._type
+        sticks = (0.0, 0.0, 0.0)
+        if not self.radio_failsafe:
+            sticks = [self._stick(channels[channel]) for channel in (ROLL, PITCH, YAW)]
+        throttle = min(1.0, max(-1.0, (channels[THROTTLE] - CENTRE_US) / HALF_RANGE_US))
+        if self.mode is Mode.STABILIZE:
+            up = self._nominal_n * (1.0 + throttle - self._nominal_hover(self.battery_pct(self._time_s)))
+        elif self.mode is Mode.LAND:
+            up = -LAND_DESCENT_M_S
+        else:
+            up = kind.climb_max_m_s * _beyond(throttle, THROTTLE_DEAD_US / HALF_RANGE_US)
+            self._choose_height(up, vertical_motion)
+        roll, pitch, yaw = sticks
+        self.command = (kind.tilt_max_rad * roll, kind.tilt_max_rad * pitch, kind.yaw_rate_max_rad_s * yaw, up)
+        if self.armed and not self.lifted and self._lifts():
+            self.lifted = True
+            self._record["rotor_thrust_n"] = self._balance_n  # that they had to pass
+
+    def _choose_height(self, climb_m_s, vertical_motion):
+        if climb_m_s != 0.0 or not self.lifted:
+            self._hold_m = None
+        elif self._hold_m is None:
+            height_m, rate_m_s = vertical_motion()
+            self._hold_m = height_m + STOPPING_TIME_S * rate_m_s
+
+    def _lifts(self):
+        """What is commanded would carry it off the floor."""
+        least = 0.0 if self._climbs else self._balance_n
+        return self.command[3] > least
+
+    def _nominal_hover(self, battery_pct):
+        """Eq. 5.5."""
+        result = 0.0
+        for coefficient in reversed(self._type.hover_throttle):
+            result = result * battery_pct + coefficient
+        return result
+
+    def _stick(self, us):
+        """Deflection in [-1, 1] beyond the dead zone."""
+        return _beyond((us - CENTRE_US) / HALF_RANGE_US, self._dead_us / HALF_RANGE_US)
+
+
+def _throttle_is_at_its_end(channels):
+    return channels[THROTTLE] <= CENTRE_US - HALF_RANGE_US + THROTTLE_DEAD_US
+
+
+def _beyond(deflection, dead):
+    """0 within the dead zone, +-1 at the ends."""
+    return math.copysign(min(1.0, max(0.0, (abs(deflection) - dead) / (1.0 - dead))), deflection)

@@ -1,0 +1,65 @@
+"""What an IRIS+ runs on board in every step, compiled: thrust by throttle or by the climb loop, and its rotors' lag.
+
+The attitude loops are those of models/quadrotor.py. When what runs, and with which numbers, is decided by firmware.py.
+Row CLIMB of the inputs is the wanted thrust [N] while the throttle sets it, and a climb rate [m/s] while `climbs`.
+"""
+
+import math
+
+from risc_lab.compiled import compiled
+from risc_lab.frames import GRAVITY_M_S2
+from risc_simulator.models.quadrotor import U, X, climb_thrust, motion
+
+ROTOR_TIME_CONSTANT_S = 0.04  # from wanted to true thrust: motors and 10-inch propellers
+HEIGHT_GAIN_1_S = 1.2  # height hold: climb rate per height error
+HEIGHT_HOLD_CLIMB_M_S = 0.5
+CLIMB_INTEGRAL_1_S2 = 0.5  # slow trim of the climb loop
+CLIMB_TRIM_LIMIT_M_S2 = 2.0
+
+FIELDS = (
+    ("climbs", bool),  # the climb loop sets the thrust
+    ("closes", bool),  # it has just been closed: it begins with the thrust that there is
+    ("holds_height", bool),  # while it climbs: to this height
+    ("height_m", float),
+    ("wanted_thrust_n", float),  # of the rotors
+    ("rotor_thrust_n", float),  # their thrust, if they were as they should be: thrust_scale makes it the true one
+)
+
+
+@compiled
+def slope(x, inputs, vehicle, x_dot):
+    """x_dot (12,) of an IRIS+. Returns the thrust of its rotors as they should be [N]."""
+    motion(x, inputs, vehicle, vehicle.rotor_thrust_n, x_dot)
+    return vehicle.rotor_thrust_n
+
+
+@compiled
+def before_step(x, inputs, vehicle):
+    """The thrust that is wanted in the step that starts in state x (12,)."""
+    if not vehicle.climbs:
+        vehicle.wanted_thrust_n = _within(inputs[U.CLIMB], vehicle.thrust_min_n, vehicle.thrust_max_n)
+        return
+    if vehicle.closes:
+        vehicle.closes = False
+        upright = math.cos(x[X.PHI]) * math.cos(x[X.THETA])
+        trim = vehicle.rotor_thrust_n * upright / vehicle.nominal_mass_kg - GRAVITY_M_S2
+        inputs[U.CLIMB_TRIM] = _within(trim, -CLIMB_TRIM_LIMIT_M_S2, CLIMB_TRIM_LIMIT_M_S2)
+    if vehicle.holds_height:
+        up_m_s = HEIGHT_GAIN_1_S * (vehicle.height_m - x[X.H])
+        inputs[U.CLIMB] = _within(up_m_s, -HEIGHT_HOLD_CLIMB_M_S, HEIGHT_HOLD_CLIMB_M_S)
+    vehicle.wanted_thrust_n = climb_thrust(x, inputs, vehicle)
+
+
+@compiled
+def after_step(inputs, climb_m_s, vehicle, step_s):
+    """The rotors follow; the slow integral on the climb error. climb_m_s: climb rate at the start of the step."""
+    share = 1.0 - math.exp(-step_s / ROTOR_TIME_CONSTANT_S)
+    vehicle.rotor_thrust_n += share * (vehicle.wanted_thrust_n - vehicle.rotor_thrust_n)
+    if vehicle.climbs:
+        trim = inputs[U.CLIMB_TRIM] + CLIMB_INTEGRAL_1_S2 * step_s * (inputs[U.CLIMB] - climb_m_s)
+        inputs[U.CLIMB_TRIM] = _within(trim, -CLIMB_TRIM_LIMIT_M_S2, CLIMB_TRIM_LIMIT_M_S2)
+
+
+@compiled
+def _within(value, least, most):
+    return min(max(value, least), most)
