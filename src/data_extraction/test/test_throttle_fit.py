@@ -11,6 +11,7 @@ import pytest
 import rosbag
 import rospy
 import yaml
+from roscopter.msg import Status
 
 from data_extraction.throttle_fit import FitParams, HoverPoints, fit, fit_bag, hover_points
 from risc_lab.frames import GRAVITY_M_S2 as G
