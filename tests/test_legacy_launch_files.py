@@ -80,8 +80,12 @@ def flight(joystick=JOYSTICK, vehicle="risc1", node="risc_controller.py", mocap=
 
 def iris_flight():
     """The same of an IRIS+, which is driven by two nodes."""
-    nodes = {"/iris1/apm/roscopter": "roscopter/driver.py", "/iris1/arduino": "rosserial_python/serial_node.py",
-             "/iris1/joy_node": "joy/joy_node", "/iris1/joystick_controller": "risc_control/risc_controller.py"}  # fmt: skip
+    nodes = {
+        "/iris1/apm/roscopter": "roscopter/driver.py",
+        "/iris1/arduino": "rosserial_python/serial_node.py",
+        "/iris1/joy_node": "joy/joy_node",
+        "/iris1/joystick_controller": "risc_control/risc_controller.py",
+    }
     values = {"/iris1/joystick_controller/" + key: value for key, value in JOYSTICK.items()}
     full_scales = dict.fromkeys(("euler_angle_max", "control_yaw"), -1)  # the type's
     values |= {"/iris1/joystick_controller/" + key: value for key, value in full_scales.items()}

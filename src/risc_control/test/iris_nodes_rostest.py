@@ -144,7 +144,7 @@ class IrisNodesTest(unittest.TestCase):
                 wait_for(lambda t=told, k=count: len(t) >= k + 2, "%s: mode %d" % (node, count + 2))
             self.assertEqual(told, [*courses, courses[0]])
             self.lab.press(node, 4)
-            wait_for(lambda t=told: len(t) == len(courses) + 2, "%s: back" % node)
+            wait_for(lambda t=told, n=len(courses): len(t) == n + 2, "%s: back" % node)
             self.assertEqual(told[-1], courses[-1])
 
     def test_4_holds_where_it_is_then_above_the_origin(self):

@@ -57,7 +57,7 @@ class _HearsAutopilot:
 
     def _subscribe(self):
         def subscribe(topic, message, callback):
-            return rospy.Subscriber(topic, message, callback, queue_size=1)
+            return rospy.Subscriber(topic, message, callback, queue_size=1, tcp_nodelay=True)
 
         adapter_class(load_vehicle_type(IRIS)).listen("/", self._on_autopilot, subscribe)
         super()._subscribe()
