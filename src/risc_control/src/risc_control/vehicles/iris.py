@@ -15,13 +15,16 @@ from risc_control.vehicles import Command
 from risc_lab.command_history import Channel
 from risc_lab.frames import GRAVITY_M_S2
 
+MODE = "STABILIZE"  # in which it takes our commands
 NOMINAL_BATTERY_PCT = 70.0  # while the vehicle has told none
-_CLIMB_GAIN_1_S = 3.0  # of a climb rate, to hold it by the throttle
 
 
 class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`. Sticks are those of the radio: the autopilot's dead zone is in them, `up` is T."""
 
+    FLIES_ITSELF = False
+    SILENT_S = 2.5  # a heartbeat a second tells what it does
+    MODE_CURE = "set it to %s" % MODE
     NEEDS_BATTERY = True
     THRUST_MOST = 1.0
 
@@ -47,21 +50,27 @@ class Adapter(vehicles.Adapter):
         most = min(1.0 - max(hovers), 1.0 + min(hovers))
         return GRAVITY_M_S2, vehicle_type.drag_n_s_m / vehicle_type.mass_kg, most
 
-    def answer(self, controls, own, own_s, now_s, sent):
-        return self._sticks(controls.phi, controls.theta, controls.psi, controls.thrust_n)
+    def tell_battery(self, battery_pct, now_s):
+        self._charge.note(battery_pct, now_s)
+        self._hover = hover_throttle(self.type, self._charge.pct)
 
-    def move(self, forward_rad, left_rad, climb_m_s, own):
-        unit, climbs_m_s = self._unit, own.velocity_m_s[2] if own else 0.0
-        up_m_s2 = _CLIMB_GAIN_1_S * (climb_m_s - climbs_m_s)
-        throttle = self._hover + (1.0 + up_m_s2 / GRAVITY_M_S2) / _cosine(own) - 1.0
-        return self._sticks(-left_rad / unit.roll_rad, -forward_rad / unit.pitch_rad, 0.0, throttle)
+    def answer(self, controls, own, own_s, now_s, sent):
+        trim = self.trim_m_s2 / GRAVITY_M_S2
+        return self._sticks(controls.phi, controls.theta, controls.psi, controls.thrust_n + trim)
+
+    def fly(self, command):
+        if command is None:
+            return Sticks(0.0, 0.0, -1.0, 0.0)
+        phi, theta, psi, weights = (part / one for part, one in zip(command, self._unit))
+        return self._sticks(phi, theta, psi, self._hover + weights - 1.0 + self.trim_m_s2 / GRAVITY_M_S2)
 
     def settles_at(self, sticks, own):
         unit, dead = self._unit, self.type.stick_dead_zone
         phi, theta, psi = (-without_dead_zone(s, dead) for s in (sticks.left, sticks.forward, sticks.turn_left))
         settles = np.empty(len(Channel))
         settles[Channel.PHI], settles[Channel.THETA] = phi * unit.roll_rad, theta * unit.pitch_rad
-        settles[Channel.CLIMB] = (1.0 + sticks.up - self._hover) * _cosine(own) - 1.0
+        weights = 1.0 + sticks.up - self._hover - self.trim_m_s2 / GRAVITY_M_S2
+        settles[Channel.CLIMB] = weights * _cosine(own) - 1.0
         settles[Channel.YAW_RATE] = psi * unit.yaw_rate_rad_s
         return settles
 
