@@ -30,7 +30,14 @@ OURS_ONLY_IN_USE = {  # made by programs, or by a build
     *("setup.sh", "setup.bash"),
 }
 NOT_OURS = {  # of Debian; of the original release
-    *("cameracalibrator.py", "ar_drone_scipy.py", "orbit2traj.py", "sharmas_controller.py", "trackone_scipy.py"),
+    *(
+        "cameracalibrator.py",
+        "ar_drone_scipy.py",
+        "orbit2traj.py",
+        "sharmas_controller.py",
+        "trackone_scipy.py",
+        "quad_EKF.py",
+    ),
 }
 DEBIAN = {"dynamic_reconfigure", "camera_calibration", "image_view"}
 
