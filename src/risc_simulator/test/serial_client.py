@@ -19,14 +19,13 @@ def controls(phi=0.0, theta=0.0, psi=0.0, throttle=-1.0, name=b"fluffy_II", fram
 
 
 def packets(data):
-    """[(topic, payload)] in the bytes of a board."""
-    found, at = [], 0
-    while at < len(data):
-        assert data[at : at + 2] == b"\xff\xfe"
-        (length,) = struct.unpack_from("<H", data, at + 2)
-        (topic,) = struct.unpack_from("<H", data, at + 5)
-        found.append((topic, data[at + 7 : at + 7 + length]))
-        at += length + 8
+    """[(topic, payload)] of the whole packets in the bytes of a board."""
+    found, at = [], data.find(b"\xff\xfe")
+    while 0 <= at <= len(data) - 8:
+        length, topic = struct.unpack_from("<H", data, at + 2)[0], struct.unpack_from("<H", data, at + 5)[0]
+        if at + length + 8 <= len(data):
+            found.append((topic, data[at + 7 : at + 7 + length]))
+        at = data.find(b"\xff\xfe", at + length + 8)
     return found
 
 

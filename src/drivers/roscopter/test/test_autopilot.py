@@ -122,6 +122,12 @@ def test_others_on_the_link_are_not_the_vehicle(version):
     assert sum("system 2" in text for text in bench.said("warn")) == 1
 
 
+@pytest.mark.parametrize("kind, warnings", [("ArduCopter", 0), ("ArduRover", 1)])
+def test_a_type_that_does_not_fit_is_told(kind, warnings):
+    bench = Bench(type=kind).connect()
+    assert len(bench.said("warn")) == warnings
+
+
 def test_a_second_vehicle_does_not_take_over_when_the_first_is_lost():
     bench = Bench().connect()
     bench.vehicle.is_silent = True
@@ -254,7 +260,7 @@ def test_a_text_whose_end_is_lost_is_told_all_the_same():
 
 def send_for(bench, seconds, sticks=STICKS):
     for _ in range(round(10 * seconds)):
-        bench.autopilot.override(sticks, bench.now_s)
+        bench.autopilot.override(sticks, bench.now_s, bench.now_s)
         bench.run(0.1)
 
 
@@ -310,11 +316,21 @@ def test_channels_are_given_back_at_the_end():
 def test_values_that_are_no_channel_times_are_refused():
     bench = Bench(enable_rc_control=True).connect()
     for wrong in (700, 2500, 70000, 1):
-        bench.autopilot.override((wrong, *STICKS[1:]), bench.now_s)
+        bench.autopilot.override((wrong, *STICKS[1:]), bench.now_s, bench.now_s)
     assert bench.autopilot.counts["refused send_rc"] == 4
-    bench.autopilot.override((0, 65535, *STICKS[2:]), bench.now_s)
+    bench.autopilot.override((0, 65535, *STICKS[2:]), bench.now_s, bench.now_s)
     bench.run(0.1)
     assert overrides(bench) == [[0, 65535, *STICKS[2:]]]
+
+
+def test_sticks_that_have_waited_for_the_device_are_not_sent():
+    bench = Bench(enable_rc_control=True).connect()
+    bench.autopilot.override(STICKS, bench.now_s - 0.6, bench.now_s)
+    bench.run(0.1)
+    assert overrides(bench) == []
+    bench.autopilot.override(STICKS, bench.now_s - 0.4, bench.now_s)
+    bench.run(0.1)
+    assert overrides(bench) == [list(STICKS)]
 
 
 def test_the_pilots_switch_gives_and_takes(version):
@@ -351,7 +367,7 @@ def fly(bench, seconds, is_fed):
     for _ in range(round(4 * seconds)):
         if is_fed:
             bench.autopilot.feed_watchdog(True, bench.now_s)
-        bench.autopilot.override(STICKS, bench.now_s)
+        bench.autopilot.override(STICKS, bench.now_s, bench.now_s)
         bench.run(0.25)
 
 

@@ -175,7 +175,7 @@ def test_a_line_that_takes_nothing_does_not_stop_what_comes(serial):
         wait_for(lambda: driver.messages, "the heartbeat")
 
         def flood():
-            driver.link.post(driver.link.autopilot.override, STICKS)
+            driver.link.post(driver.link.autopilot.override, STICKS, time.monotonic())
             return driver.link.counts["not sent"] > 10
 
         wait_for(flood, "the line to be full")
@@ -190,7 +190,7 @@ def test_channels_are_given_back_when_it_ends(where):
     with Running(where) as vehicle:
         with Driver(vehicle.device, enable_rc_control=True) as driver:
             driver.hears()
-            driver.link.post(driver.link.autopilot.override, [1400] * 8)
+            driver.link.post(driver.link.autopilot.override, [1400] * 8, time.monotonic())
             wait_for(lambda: vehicle.channels_us() == [1400] * 8, "the override")
             held_s = time.monotonic()
         wait_for(lambda: vehicle.channels_us() == list(scripted_autopilot.RADIO_US), "the release")

@@ -34,6 +34,7 @@ _LEAST_US, _MOST_US = 800, 2200
 _LEVELS = ((1, "fatal"), (3, "error"), (4, "warn"), (6, "info"), (255, "debug"))  # up to this severity of STATUSTEXT
 _EVERYONE = (0, 0)  # target system and component
 _VEHICLE_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
+_ROVERS = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 _FAILSAFE_MODE = {"ArduCopter": "LAND", "ArduRover": "HOLD"}
 
 
@@ -153,6 +154,9 @@ class Autopilot:
         )
         if is_vehicle and self.target is None:
             self.target = system, _VEHICLE_COMPONENT
+            if (heartbeat.type in _ROVERS) != (self._options.type == "ArduRover"):
+                text = "--type is %s, but the heartbeat is of type %d of MAV_TYPE: the names of modes may be wrong"
+                self._report("warn", text % (self._options.type, heartbeat.type))
             return True
         if is_vehicle and system not in (self.target[0], *self._strangers):
             text = "system %d is on the same link and is ignored: this is the driver of system %d"
@@ -299,9 +303,12 @@ class Autopilot:
                 self._end(place, running[0].outcome)
 
     # --- the channels of the remote control -----------------------------------------------------------------------
-    def override(self, channels, now_s):
-        """Eight values of RC_CHANNELS_OVERRIDE, [us], RELEASED or UNCHANGED."""
-        why = self._why_not_override(channels, now_s)
+    def override(self, channels, posted_s, now_s):
+        """Eight values of RC_CHANNELS_OVERRIDE, [us], RELEASED or UNCHANGED. posted_s: when they came to us."""
+        if now_s - posted_s > self._options.rc_timeout / 1000.0:
+            why = "they have waited too long for the device"
+        else:
+            why = self._why_not_override(channels, now_s)
         if why:
             self.counts["refused send_rc"] += 1
             if why != self._ignoring:

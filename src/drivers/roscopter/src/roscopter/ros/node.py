@@ -135,7 +135,7 @@ class Bridge:
         rospy.Subscriber(
             "send_rc",
             msg.RC,
-            lambda message: link.post(autopilot.override, message.channel),
+            lambda message: link.post(autopilot.override, message.channel, time.monotonic()),
             queue_size=1,
             tcp_nodelay=True,
         )

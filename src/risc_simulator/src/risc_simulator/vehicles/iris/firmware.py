@@ -366,7 +366,7 @@ class IrisFirmware(Firmware):
     def _command(self, channels, vertical_motion):
         parameters = self.parameters
         roll, pitch, yaw = 0.0, 0.0, 0.0
-        if not self.radio_failsafe:
+        if not self.radio_failsafe or not parameters["FS_THR_ENABLE"]:
             roll, pitch, yaw = (self._stick(channels, channel) for channel in (ROLL, PITCH, YAW))
         least_us, most_us = parameters["RC3_MIN"], parameters["RC3_MAX"]
         throttle = min(1.0, max(-1.0, (2.0 * channels[THROTTLE] - least_us - most_us) / (most_us - least_us)))

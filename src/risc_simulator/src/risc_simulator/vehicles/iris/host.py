@@ -197,6 +197,8 @@ class SerialLine:
     def _read(self, sock, now_s):
         try:
             data = sock.recv(65536)
+            # a client that keeps small writes back until the last one is acknowledged must not wait for that
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         except BlockingIOError:
             return
         except OSError:
