@@ -299,7 +299,7 @@ def test_the_second_vehicle_can_fly_from_the_same_computer(lab):
 
 
 def test_full_scales_reach_every_node_that_reckons_with_them():
-    declare = [path for path in sorted(FOLDER.glob("*.launch")) if 'name="control_yaw"' in path.read_text()]
+    declare = [path for path in sorted(FOLDER.glob("*.launch")) if 'name="control_yaw" default=' in path.read_text()]
     assert len(declare) >= 9
     for path in declare:
         two = path.stem == "2comp_coop_loc"

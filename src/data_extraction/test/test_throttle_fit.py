@@ -11,13 +11,13 @@ import pytest
 import rosbag
 import rospy
 import yaml
-from roscopter.msg import Status
 
 from data_extraction.throttle_fit import FitParams, HoverPoints, fit, fit_bag, hover_points
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
 from risc_maap_msgs.msg import VehicleStatus
 from risc_msgs.msg import Control, Controls, Cortex, States
+from roscopter.msg import Status
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes/fit_throttle.py"
 CURVE = load_vehicle_type("iris").hover_throttle

@@ -10,7 +10,6 @@ import unittest
 import rospy
 import rostest
 from dynamic_reconfigure.client import Client
-from roscopter.msg import Status
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
@@ -18,6 +17,7 @@ from risc_control.vehicles.iris import hover_throttle
 from risc_lab.lab import load_vehicle_type
 from risc_maap_msgs.msg import TrajectoryPhases, VehiclePhase, VehicleStatus
 from risc_msgs.msg import Controls, Cortex, States, Trajectories, Trajectory
+from roscopter.msg import Status
 
 NODES = ("flatness", "demo", "exp", "hold", "tuner")
 EXPERIMENTS = NODES[1:]
