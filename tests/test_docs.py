@@ -29,9 +29,10 @@ OURS_ONLY_IN_USE = {  # made by programs, or by a build
     *("flight.yaml", "parameters.yaml", "fleet.yaml", "report.html", "devel/coop.sh", "install/coop.sh", "coop.sh"),
     *("setup.sh", "setup.bash"),
 }
-NOT_OURS = {  # of Debian; of the original release
+NOT_OURS = {  # of Debian, of others; of the original release
     *(
         "cameracalibrator.py",
+        "mavproxy.py",
         "ar_drone_scipy.py",
         "orbit2traj.py",
         "sharmas_controller.py",

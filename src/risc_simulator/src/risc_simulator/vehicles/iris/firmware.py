@@ -293,7 +293,8 @@ class IrisFirmware(Firmware):
         heard = bool(self._received_us)
         silent_s = self._time_s - max(self._received_s, self._override_s)
         lost = silent_s > (RADIO_LOST_S if heard else OVERRIDE_LOST_S)
-        is_low = THROTTLE not in self._overrides and self._low_frames >= LOW_THROTTLE_FRAMES
+        enough = 1 if self.radio_failsafe else LOW_THROTTLE_FRAMES  # one is enough to stay in it
+        is_low = THROTTLE not in self._overrides and self._low_frames >= enough
         lost |= is_low and self.parameters["FS_THR_ENABLE"] != 0
         if lost == self.radio_failsafe:
             return
