@@ -512,3 +512,31 @@ def test_damaged_bytes_never_become_a_message(dialect, inputs):
         bench.messages.clear()
         bench.messages += bench.autopilot.receive(bytes(frame), bench.now_s)
         assert {bytes(message.get_msgbuf()) for message in bench.messages} <= sent
+
+
+@pytest.mark.parametrize("dialect", [version_1, mavlink], ids=["MAVLink 1", "MAVLink 2"])
+def test_no_sound_message_whatever_is_in_it_stops_the_link(dialect, inputs):
+    """Every message of the dialect with random content, from the vehicle, while orders run."""
+    numbers = random.Random(7)
+    version = 1 if dialect is version_1 else 2
+    bench = Bench(version, enable_rc_control=True, enable_autonomous_control=True, enable_watchdog=True).connect()
+    bench.vehicle.is_silent = True
+    outcomes = []
+    for kind in dialect.mavlink_map.values():
+        for _ in range(inputs(2, 40)):
+            bench.autopilot.begin(orders.Arm(True, 3.0), outcomes.append, bench.now_s)
+            bench.autopilot.send_mission([orders.Item(16)] * 3, outcomes.append, bench.now_s)
+            size = kind.unpacker.size
+            payload = bytes(numbers.choice((0, 255, numbers.randrange(256))) for _ in range(size))
+            frame = bytearray(
+                bytes([0xFE, size, numbers.randrange(256), 1, 1, kind.id])
+                if version == 1
+                else bytes([0xFD, size, 0, 0, numbers.randrange(256), 1, 1, *kind.id.to_bytes(3, "little")])
+            )
+            frame += payload
+            checksum = dialect.x25crc(frame[1:] + bytes([kind.crc_extra])).crc
+            bench.noise += frame + checksum.to_bytes(2, "little")
+            before = bench.autopilot.reader.frames
+            bench.step()
+            assert bench.autopilot.reader.frames == before + 1, kind.msgname
+    assert len(outcomes) > 100
