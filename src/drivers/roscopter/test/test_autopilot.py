@@ -270,7 +270,7 @@ def test_nothing_is_overridden_unless_that_is_enabled(version):
     send_for(bench, 2.0)
     bench.autopilot.release(bench.now_s)
     bench.run(2.0)
-    assert overrides(bench) == [] and bench.autopilot.last_stand() == ()
+    assert overrides(bench) == []
     assert len(bench.said("warn")) == 1 and "--enable-rc-control" in bench.said("warn")[0]
 
 
@@ -306,11 +306,13 @@ def test_the_time_to_release_is_an_option():
 
 def test_channels_are_given_back_at_the_end():
     bench = Bench(enable_rc_control=True).connect()
-    assert bench.autopilot.last_stand() == ()
+    bench.autopilot.send_last_words()
+    bench.run(0.1)
+    assert overrides(bench) == []
     send_for(bench, 0.2)
-    for packet in bench.autopilot.last_stand():
-        bench.vehicle.receive(packet, bench.now_s)
-    assert overrides(bench)[-RELEASES:] == [RELEASE] * RELEASES
+    bench.autopilot.send_last_words()
+    bench.step()
+    assert overrides(bench)[-1] == RELEASE
 
 
 def test_values_that_are_no_channel_times_are_refused():
@@ -318,6 +320,7 @@ def test_values_that_are_no_channel_times_are_refused():
     for wrong in (700, 2500, 70000, 1):
         bench.autopilot.override((wrong, *STICKS[1:]), bench.now_s, bench.now_s)
     assert bench.autopilot.counts["refused send_rc"] == 4
+    assert len(bench.said("warn")) == 1  # not one for each
     bench.autopilot.override((0, 65535, *STICKS[2:]), bench.now_s, bench.now_s)
     bench.run(0.1)
     assert overrides(bench) == [[0, 65535, *STICKS[2:]]]
@@ -407,6 +410,24 @@ def test_false_on_the_watchdog_counts_at_once():
     assert bench.vehicle.mode == 9
 
 
+def test_the_failsafe_does_not_wait_for_an_order_that_waits():
+    bench = Bench(enable_watchdog=True, enable_ros_failsafe=True).connect()
+    bench.vehicle.is_armed = True
+    bench.vehicle.answers[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = mavlink.MAV_RESULT_IN_PROGRESS
+    bench.autopilot.begin(orders.Arm(False, 60.0), lambda _outcome: None, bench.now_s)
+    bench.run(5.0)
+    assert bench.vehicle.mode == 9
+
+
+def test_a_device_that_comes_and_goes_does_not_feed_the_watchdog():
+    bench = Bench(enable_watchdog=True).connect()
+    for _ in range(8):
+        bench.autopilot.closed(bench.now_s)
+        bench.autopilot.opened(bench.now_s)
+        bench.run(0.5)
+    assert any("watchdog" in text for text in bench.said("error"))
+
+
 # ---------------------------------------------------------------------------------------------------- emergency stop
 
 
@@ -459,6 +480,15 @@ def test_an_emergency_stop_ends_an_order_to_arm_and_forbids_a_new_one():
     assert not again[0].is_done
     bench.run(4.0)
     assert kills(bench).count((400, 1.0, 0.0)) == 1
+
+
+def test_an_emergency_stop_goes_on_when_the_node_ends():
+    bench = Bench().connect()
+    bench.vehicle.ignores, bench.vehicle.is_armed = 1, True
+    bench.autopilot.emergency_stop(bench.now_s)
+    bench.autopilot.send_last_words()
+    bench.step()
+    assert not bench.vehicle.is_armed
 
 
 def test_an_emergency_stop_takes_the_sticks_away():

@@ -13,7 +13,7 @@ import time
 from collections import deque
 
 from roscopter import transport
-from roscopter.autopilot import TICK_S, Autopilot
+from roscopter.autopilot import LAST_WORDS, TICK_S, Autopilot
 
 RETRY_S = 1.0  # until a device that cannot be opened is tried again
 LAST_SPACING_S = 0.02  # between the last packets
@@ -65,12 +65,12 @@ class Link:
             self._on_failure(error)
         finally:
             with contextlib.suppress(Exception):  # of a device that is gone, or of what has just failed
-                self._give_back()
+                self._send_last_words()
             self._close()
 
-    def _give_back(self):
-        for packet in self.autopilot.last_stand():
-            self._write(packet)
+    def _send_last_words(self):
+        for _ in range(LAST_WORDS):
+            self.autopilot.send_last_words()
             time.sleep(LAST_SPACING_S)
 
     def _loop(self):
