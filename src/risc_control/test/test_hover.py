@@ -28,7 +28,7 @@ class Iris:
         self.position_m, self.velocity_m_s = [0.3, -0.2, REST_M], [0.0, 0.0, 0.0]
         self.angles_rad, self.rates_rad_s = [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]
         self.armed, self.mode, self.arms = False, "STABILIZE", True
-        self.words, self.impact_m_s = "", 0.0
+        self.impact_m_s = 0.0
         self._under_way, self.sticks = [], Sticks(0.0, 0.0, -1.0, 0.0)
         self.heard_s = 0.0  # when it was sent sticks last
 
@@ -39,8 +39,6 @@ class Iris:
         self.mode = "STABILIZE"
         if self.arms and self.sticks.up <= -0.99:
             self.armed = True
-        else:
-            self.words = "PreArm: Throttle too high"
 
     def disarm(self):
         if self.stands:
@@ -153,7 +151,7 @@ class Desk:
         if self._step % 50 == 0 and "telemetry" in self.alive:
             battery_pct = math.ceil(self.iris.battery_pct)
             self._converter.tell_battery(0, battery_pct, now_s)
-            self.take(pilot.on_status(Status(self.iris.state, battery_pct, self.iris.words), now_s))
+            self.take(pilot.on_status(Status(self.iris.state, battery_pct), now_s))
         if self._step % 20 == 0 and "board" in self.alive:
             pilot.on_wire(now_s)
         if self._joy is not None and self._step % 10 == 0:
@@ -251,13 +249,22 @@ def test_the_throttle_is_lowest_until_it_is_armed():
     assert desk.iris.position_m[2] > 0.5
 
 
-def test_a_take_off_that_is_not_armed_is_refused_in_the_autopilots_words():
+def test_a_take_off_that_is_not_armed_is_refused():
     desk = Desk(Iris())
     desk.iris.arms = False
     desk.press(TAKEOFF_LAND)
     desk.wait_for(FlightState.LANDED, hover.ARMED_WITHIN_S + 0.5)
-    assert "take-off refused" in said(desk) and "'PreArm: Throttle too high'" in said(desk)
+    assert "take-off refused" in said(desk)
     assert all(sticks == LOWEST for _, sticks in desk.sent) and desk.counts["disarm"] == 1
+
+
+def test_a_refusal_is_told_in_the_autopilots_words():
+    desk = Desk(Iris())
+    desk.iris.arms = False
+    desk.press(TAKEOFF_LAND)
+    desk.take(desk.pilot.on_refusal("PreArm: Throttle too high", desk.now_s))
+    assert desk.pilot.flight_state == FlightState.LANDED and "PreArm: Throttle too high" in said(desk)
+    assert not desk.take(desk.pilot.on_refusal("too late", desk.now_s)).log
 
 
 @pytest.mark.parametrize(("missing", "why"), [("state", "not seen by motion capture"), ("board", "transmitter")])

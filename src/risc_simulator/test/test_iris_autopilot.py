@@ -188,17 +188,19 @@ def test_alt_hold_climbs_by_the_throttle_beyond_its_dead_zone(throttle_us, share
     assert hands.vehicle.state.velocity_m_s[2] == pytest.approx(wanted_m_s, abs=0.12)
 
 
-def test_alt_hold_begins_where_the_throttle_was_whatever_the_vehicle_weighs():
-    """Its trim takes over the thrust that there is: without that a perturbed vehicle sags."""
-    sags = []
+@pytest.mark.parametrize("mode, descent_m_s", [(Mode.ALT_HOLD, 0.0), (Mode.LAND, LAND_M_S)])
+def test_what_the_throttle_hovered_with_is_known_when_the_climb_loop_takes_over(mode, descent_m_s):
+    """Without that a perturbed vehicle sags, or rises, for seconds."""
+    worst_m_s = 0.0
     for seed in range(6):
         hands = Hands(make_world(perturbed=True, seed=seed))
         hands.vehicle.fly_at((0.0, 0.0, 1.5))
-        hands.send(0.5, throttle=hands.throttle_for())
-        hands.autopilot.set_mode(Mode.ALT_HOLD)
-        hands.send(2.0, throttle=CENTRE_US)
-        sags.append(abs(hands.vehicle.height_m - 1.5))
-    assert max(sags) < 0.02
+        hands.fly_to(1.5, 6.0)
+        hands.send(0.06, throttle=LOWEST_US)  # as a transmitter's failsafe does, before it counts
+        hands.autopilot.set_mode(mode)
+        hands.send(1.2, throttle=CENTRE_US)
+        worst_m_s = max(worst_m_s, abs(hands.vehicle.state.velocity_m_s[2] + descent_m_s))
+    assert worst_m_s < 0.08
 
 
 def test_alt_hold_takes_off_and_lands_by_the_throttle(hands):

@@ -121,7 +121,6 @@ class Hover:
         self._own, self._own_s = None, -math.inf
         self._floor_m = None  # height at which it was seen to stand
         self._wire_s = -math.inf  # when its wire for commands worked last
-        self._words, self._words_s = "", -math.inf  # what it said last
         self._since_s = self._disarm_s = -math.inf  # begin of the phase; when disarming was ordered
         self._still_s = None  # since when it does not sink although it should
         self._sinks_s = -math.inf  # when it sank last
@@ -139,8 +138,6 @@ class Hover:
         """The vehicle reported its `vehicles.Status`; of states it knows LANDED (motors off), FLYING (takes our
         commands), LANDING (by itself) and others, in which it does not take them.
         """
-        if status.words:
-            self._words, self._words_s = status.words, now_s
         state = status.state
         if state == FlightState.UNKNOWN:
             return
@@ -181,6 +178,13 @@ class Hover:
     def take_off(self, now_s):
         """Its driver was told to arm it."""
         self._enter(Phase.STARTING, now_s)
+
+    def refuse(self, why, now_s, orders):
+        """It does not arm itself."""
+        if self.phase is Phase.STARTING:
+            orders.say("warn", "take-off refused: %s" % why)
+            orders.disarm = True  # what told it to may be under way still
+            self._enter(Phase.STANDING, now_s)
 
     def land(self, now_s):
         """Come down; one that is not armed yet does not take off."""
@@ -252,10 +256,7 @@ class Hover:
         """What time brings. orders: vehicle_pilot.Orders."""
         lasts_s = now_s - self._since_s
         if self.phase is Phase.STARTING and lasts_s > ARMED_WITHIN_S:
-            words = ": '%s'" % self._words if self._words_s >= self._since_s else ""
-            orders.say("warn", "take-off refused: it is not armed within %g s%s" % (ARMED_WITHIN_S, words))
-            orders.disarm = True  # an order to arm may be under way still
-            self._enter(Phase.STANDING, now_s)
+            self.refuse("it is not armed within %g s" % ARMED_WITHIN_S, now_s, orders)
         elif self.phase is Phase.CLIMBING:
             is_m, place_m = self._own.position_m[2], self._place_m[2]
             if self._is_seen(now_s) and min(is_m + _NEARLY_M, place_m + _THERE_M) > self._top_m():

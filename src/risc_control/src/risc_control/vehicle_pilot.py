@@ -212,6 +212,14 @@ class VehiclePilot:
         """Of a vehicle that does not fly itself: what sends our commands to it reports that it does."""
         self._hover.on_wire(now_s)
 
+    def on_refusal(self, why, now_s):
+        """Of a vehicle that does not fly itself: it does not arm itself for the take-off."""
+        orders = Orders()
+        if self._hover is not None:
+            self._hover.refuse(why, now_s, orders)
+            self._note_hover(orders)
+        return orders
+
     def _note_state(self, state, orders, now_s):
         """The vehicle says that it does this."""
         self.flight_state = state

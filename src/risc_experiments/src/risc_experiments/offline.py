@@ -30,7 +30,7 @@ from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
-from risc_control.vehicles import Controls, FlightState, Status
+from risc_control.vehicles import Controls, FlightState, Status, adapter_class
 from risc_estimation.filters import COMMAND, make_filter
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
@@ -154,7 +154,8 @@ def fly(flight):
     on_board = OnBoardReadings(estimator, world.vehicles.values(), wires, flight.seed, float(flight.noise))
     for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
-        chains.append(_Chain(vehicle, phase, params, wires, partial(_record_command, loop.sent, estimator, i)))
+        on_sent, on_battery = partial(_record_command, loop.sent, estimator, i), partial(loop.tell_battery, i)
+        chains.append(_Chain(vehicle, phase, params, wires, on_sent, on_battery))
     for fault in flight.wire_faults:
         wires.add(fault)
 
@@ -272,11 +273,13 @@ def _record_command(history, estimator, i, time_s, command):
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, and the link of its type."""
 
-    def __init__(self, vehicle, phase, params, wires, on_sent):
+    def __init__(self, vehicle, phase, params, wires, on_sent, on_battery):
         """phase: of the radio's clock, a fraction.  params: VehicleNodeParams.
         on_sent: takes the time and the command, as `CommandHistory.append`, of whatever is sent.
+        on_battery: takes the charge that the vehicle tells, and when.
         """
-        self._on_sent = on_sent
+        self._on_sent, self._on_battery = on_sent, on_battery
+        self._flies_itself = adapter_class(vehicle.type).FLIES_ITSELF
         self._link = vehicle.virtual.OfflineLink(vehicle, phase)
         self._report_every = TICK_EVERY * round(self._link.REPORT_PERIOD_S / (TICK_EVERY * FRAME_S))  # frames
         self.pilot = VehiclePilot(params, vehicle.type, 0.0)
@@ -308,6 +311,9 @@ class _Chain:
         if frame % self._report_every == 0:
             phase, battery_pct = self._link.report()
             pilot.on_status(Status(_REPORTS[phase], battery_pct), now_s)
+            self._on_battery(battery_pct, now_s)
+            if not self._flies_itself:
+                pilot.on_wire(now_s)
         if visible:
             own = OwnState(state[: S.U], state[S.U : S.PHI], *state[S.PHI : S.P])
             pilot.on_state(own, now_s - stamp_s, now_s, look)

@@ -267,7 +267,7 @@ class _Vehicle:
         self._error_land_s = 0.0  # when a landing was ordered because of an error
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
         self._flies_itself = adapter_class(vehicle_type).FLIES_ITSELF
-        self._link = adapter_class(vehicle_type).connect(prefix, self.name)
+        self._link = adapter_class(vehicle_type).connect(prefix, self.name, self._on_refusal)
         self._status = self._publisher("controller_status", Bool)
         self._vehicle_status = self._publisher("vehicle_status", VehicleStatus)
         self._told_s, self._told = -math.inf, VehicleStatus(name=self.name, battery_pct=math.nan)  # when last
@@ -324,6 +324,10 @@ class _Vehicle:
     def _on_wire(self):
         with self._lock:
             self.pilot.on_wire(time.monotonic())
+
+    @_contained
+    def _on_refusal(self, why):
+        self._act(lambda pilot, now_s: pilot.on_refusal(why, now_s))
 
     def _tell(self):
         """Tell what it does, and its charge, when that is due."""

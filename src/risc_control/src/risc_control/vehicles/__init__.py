@@ -74,7 +74,6 @@ class Status(NamedTuple):
 
     state: int  # FlightState, or another number that its type has
     battery_pct: float | None  # None: this report has none
-    words: str = ""  # what it says to people with this report
 
 
 # How a vehicle climbs, around hover: acceleration = gain * command - damping * climb rate, |command| <= most.
@@ -155,8 +154,12 @@ class Adapter:
         subscribe(prefix + "vehicle_status", VehicleStatus, on_message)
 
     @staticmethod
-    def connect(prefix, name):
-        """Link to the vehicle by ROS, e.g. `ardrone.Link`. prefix: of its topics, with the last "/".  name: its own."""
+    def connect(prefix, name, on_refusal):
+        """Link to the vehicle by ROS, e.g. `ardrone.Link`.
+
+        prefix: of its topics, with the last "/".  name: its own.  on_refusal: takes why it does not take off, of one
+        that can say so.
+        """
         raise NotImplementedError
 
     # --- of a type that does not fly itself --------------------------------------------------------------------------

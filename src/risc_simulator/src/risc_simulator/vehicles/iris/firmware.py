@@ -95,7 +95,6 @@ class IrisFirmware(Firmware):
         self._gesture, self._gesture_s = 0, 0.0  # yaw to this side since then
         self._grounded_s = 0.0  # since when it stands armed, or with a throttle that is not at its end
         self._hold_m = None  # height that is held; None: none
-        self._closes = False
 
     def configure(self, record):
         """Keep the record (1,), on_board.FIELDS: `tell` writes it."""
@@ -107,8 +106,6 @@ class IrisFirmware(Firmware):
     def tell(self):
         record = self._record
         record["climbs"] = self._climbs
-        if self._closes:
-            record["closes"], self._closes = True, False
         record["holds_height"] = self._hold_m is not None
         if self._hold_m is not None:
             record["height_m"] = self._hold_m
@@ -296,7 +293,8 @@ class IrisFirmware(Firmware):
         heard = bool(self._received_us)
         silent_s = self._time_s - max(self._received_s, self._override_s)
         lost = silent_s > (RADIO_LOST_S if heard else OVERRIDE_LOST_S)
-        is_low = THROTTLE not in self._overrides and self._low_frames >= LOW_THROTTLE_FRAMES
+        enough = 1 if self.radio_failsafe else LOW_THROTTLE_FRAMES  # one is enough to stay in it
+        is_low = THROTTLE not in self._overrides and self._low_frames >= enough
         lost |= is_low and self.parameters["FS_THR_ENABLE"] != 0
         if lost == self.radio_failsafe:
             return
@@ -345,9 +343,7 @@ class IrisFirmware(Firmware):
         return self.mode is not Mode.STABILIZE
 
     def _enter(self, mode):
-        climbed = self._climbs
         self.mode, self._hold_m, self._grounded_s = mode, None, self._time_s
-        self._closes |= self._climbs and not climbed
         self._hurry()
 
     def _start(self):

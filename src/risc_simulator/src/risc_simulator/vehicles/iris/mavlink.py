@@ -11,7 +11,9 @@ What an autopilot has to give
     vehicle                     world.Vehicle
     armed, mode                 bool; number of ArduCopter's flight mode
     parameters                  parameters.Parameters, of which this module sets what clients set
-    channels_us                 the channels [us] that it obeys, of its receiver or overridden; () without a receiver
+    sensors                     sensors.IrisSensors
+    channels_us                 the channels [us] that it obeys, of its receiver or overridden; () before the first
+    radio_failsafe              bool: it has nobody's sticks
     texts                       deque of (MAV_SEVERITY, text), from which this module takes
     set_mode(number)            \\
     arm(by_force)                > what was refused, why: a text, which is in `texts` already; "" when it was done
@@ -157,6 +159,7 @@ class Mavlink:
         """autopilot: see above.  send: function (data, address)."""
         self._autopilot, self._parameters = autopilot, autopilot.parameters
         self.system_id = system_id
+        self._parameters.set("SYSID_THISMAV", system_id)
         self._send_datagram = send
         self._messages = Messages(autopilot, system_id)
         self.clients = {}  # address: Client
