@@ -45,7 +45,8 @@ class Line:
                 data = os.read(self._file.fileno(), _READ_BYTES)
             if data or (self._is_terminal and not self._is_readable()):
                 return data
-            raise OSError(errno.ENODEV, "the other end has closed the line, or the device is gone")
+            number = errno.ENODEV if self._is_terminal else errno.ECONNRESET
+            raise OSError(number, "the other end has closed the line, or the device is gone")
         return b""
 
     def _is_readable(self):

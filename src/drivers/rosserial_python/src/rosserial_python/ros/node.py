@@ -27,6 +27,7 @@ _TCP_PORT, _FORK = "/rosserial_embeddedlinux/tcp_port", "/rosserial_embeddedlinu
 _STATES = {State.CLOSED: "closed", State.WAITING: "open, asking for topics", State.UP: "the device answers"}
 _REPORT_S = 1.0
 _LOOK_S = 0.2
+_AGAIN_S = 5.0  # between two complaints about the same
 
 
 def read_params(arguments):
@@ -55,6 +56,7 @@ class Device:
         """publish: takes a SerialLink.  once: when its line ends it is over."""
         self._params, self._publish = params, publish
         self._told = (None, None)  # state and cause
+        self._logged_s = {}  # {cause: when}
         self._telling = threading.Lock()
         self.session = Session(port, params.silence, self._on_packet, self.tell, once=once)
         self.topics = Topics(self.session, params.max_age)
@@ -84,7 +86,8 @@ class Device:
         if cause in (Cause.NONE, Cause.TYPES, Cause.SIZE):  # of the latter two each topic has its own line
             if state != before[0]:
                 rospy.loginfo("%s: %s", name, _STATES[state])
-        else:
+        elif time.monotonic() - self._logged_s.get(cause, -math.inf) > _AGAIN_S:
+            self._logged_s[cause] = time.monotonic()
             error = self.session.error
             log = rospy.logwarn if cause in WARNINGS else rospy.logerr
             log("%s: %s%s", name, TEXTS[cause], " (%s)" % error if error is not None else "")
