@@ -324,6 +324,8 @@ class _Chain:
             self.said.append((now_s, orders.safety.text))
         if orders.land:
             self._link.order(FlightAction.LAND, now_s)
+        if orders.disarm:
+            self._link.order(FlightAction.CUT_MOTORS, now_s)
         if orders.command is not None:
             self._on_sent(now_s, orders.command.settles_at)
             self._wire.carry(orders.command.sticks, None, now_s, lambda sticks, _, at_s: self._link.send(sticks, at_s))
