@@ -1,0 +1,49 @@
+// Everything that a laboratory may want to change. What does not fit together does not compile.
+#pragma once
+
+#include <stdint.h>
+
+namespace dueppm {
+
+struct Configuration {
+  // The signal. Times in microseconds.
+  static constexpr int kChannels = 4;  // 4 to 8
+  static constexpr int32_t kFrameUs =
+      20000;  // 20000 to 22500, constant: the sync gap takes what channels leave
+  static constexpr int32_t kPulseUs = 250;  // 250 to 400, part of each channel time
+  static constexpr bool kPulseHigh =
+      false;  // false: the line rests high, pulses are low; true: the other way
+  static constexpr int32_t kShortestUs = 900;  // no channel is ever shorter ...
+  static constexpr int32_t kLongestUs = 2100;  // ... or longer
+
+  // Which channel, from 1, carries which stick. Channels without a stick stay at kCentreUs.
+  static constexpr int kRollChannel = 1;
+  static constexpr int kPitchChannel = 2;
+  static constexpr int kThrottleChannel = 3;
+  static constexpr int kYawChannel = 4;
+
+  // A stick at the fraction f is kCentreUs + f * its travel. A negative travel reverses the channel.
+  static constexpr int32_t kCentreUs = 1500;
+  static constexpr int32_t kRollTravelUs = 500;
+  static constexpr int32_t kPitchTravelUs = 500;
+  static constexpr int32_t kThrottleTravelUs = 500;
+  static constexpr int32_t kYawTravelUs = 500;
+
+  // Which messages are believed.
+  static constexpr const char* kVehicle = "";    // the `name` in controls; "": that of the first message
+  static constexpr double kFractionMax = 1.001;  // a message with a larger fraction is refused
+  static constexpr double kJump = 0.25;  // a larger change is believed when the next message confirms it
+  static constexpr int32_t kSlewUsPerS = 5000;  // no channel changes faster
+  static constexpr int32_t kFailsafeMs = 500;   // without an accepted message
+
+  // What failsafe does with the throttle; the other sticks go to their centre. An autopilot takes a throttle
+  // below its own limit (ArduCopter's FS_THR_VALUE: 975 us) for a lost radio, and lands.
+  static constexpr int32_t kFailsafeThrottleUs = 950;  // also before the first message
+  static constexpr bool kFailsafeHolds = false;        // true: the throttle stays where it was
+
+  // The line to the host computer.
+  static constexpr uint32_t kBaud = 57600;
+  static constexpr uint32_t kStatusMs = 100;  // between two messages on ppm_status
+};
+
+}  // namespace dueppm

@@ -1,0 +1,89 @@
+// Which messages are believed. rosserial's checksums are sums of 8 bits: one damaged packet in 256 passes
+// them.
+//
+// A message that is not plausible in itself is refused, never repaired. One that differs from the last
+// accepted one by more than kJump, or names another vehicle, waits: it is believed when the next message
+// agrees with it. So is the first one after a silence. A damaged message that is plausible therefore moves a
+// channel by at most kJump of its travel and by what the slew limit lets through until the next message, and
+// cannot end a failsafe.
+#pragma once
+
+#include "messages.h"
+#include "sticks.h"
+
+namespace dueppm {
+
+enum class Refusal : uint8_t {
+  kNothing = 0,
+  kFormat = 1,
+  kVehicle = 2,
+  kRange = 3,
+  kJump = 4
+};  // of PpmStatus
+
+template <class C>
+class ControlsCheck {
+ public:
+  static_assert(C::kFractionMax >= 1.0 && C::kFractionMax <= 1.1, "kFractionMax: 1 to 1.1");
+  static_assert(C::kJump > 0.0 && C::kJump <= 2.0, "kJump: above 0, at most 2");
+
+  static constexpr size_t kLongestName = 64;
+
+  struct Verdict {
+    bool accepted;    // fractions() are those of this message
+    Refusal refused;  // this message; kJump: one before it, that this one does not confirm
+  };
+
+  Verdict judge(const uint8_t* bytes, size_t length, uint32_t now_ms) {
+    Controls message;
+    if (!message.read(bytes, length) || message.name.length > kLongestName) return {false, Refusal::kFormat};
+    const Text vehicle = text_of(C::kVehicle);
+    if (vehicle.length > 0 && !equal(message.name, vehicle)) return {false, Refusal::kVehicle};
+    const double values[kSticks] = {message.phi, message.theta, message.T,
+                                    message.psi};  // in the order of Stick
+    for (int i = 0; i < kSticks; ++i) {
+      // written so that a NaN is refused
+      if (!(values[i] >= -C::kFractionMax && values[i] <= C::kFractionMax)) return {false, Refusal::kRange};
+    }
+    const bool confirms = doubted_.agrees(message.name, values, now_ms);
+    const bool accepted = confirms || accepted_.agrees(message.name, values, now_ms);
+    const bool jumped = doubted_.there && !confirms;
+    doubted_.there = false;
+    (accepted ? accepted_ : doubted_).keep(message.name, values, now_ms);
+    return {accepted, jumped ? Refusal::kJump : Refusal::kNothing};
+  }
+
+  const double (&fractions() const)[kSticks] { return accepted_.values; }  // within [-1, 1]
+
+ private:
+  struct Seen {
+    bool there = false;
+    uint32_t ms = 0;
+    uint8_t name[kLongestName];
+    size_t name_length = 0;
+    double values[kSticks];
+
+    bool agrees(Text other, const double (&others)[kSticks], uint32_t now_ms) const {
+      if (!there || now_ms - ms > static_cast<uint32_t>(C::kFailsafeMs)) return false;
+      if (!equal(Text{name, name_length}, other)) return false;
+      for (int i = 0; i < kSticks; ++i) {
+        const double change = others[i] - values[i];
+        if (change > C::kJump || change < -C::kJump) return false;
+      }
+      return true;
+    }
+    void keep(Text other, const double (&others)[kSticks], uint32_t now_ms) {
+      there = true;
+      ms = now_ms;
+      name_length = other.length;
+      for (size_t i = 0; i < other.length; ++i) name[i] = other.bytes[i];
+      for (int i = 0; i < kSticks; ++i)
+        values[i] = others[i] > 1.0 ? 1.0 : others[i] < -1.0 ? -1.0 : others[i];
+    }
+  };
+
+  Seen accepted_;
+  Seen doubted_;
+};
+
+}  // namespace dueppm

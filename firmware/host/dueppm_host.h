@@ -1,0 +1,36 @@
+/* The firmware on another computer than its board, with a modelled board around it; a C interface, for
+ * ctypes. Not thread-safe: one board is for one thread at a time. */
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+#pragma GCC visibility push(default)
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct dueppm_edge {
+  uint64_t time_ticks; /* since dueppm_new; 42 a microsecond */
+  int level;           /* of the output, from here on */
+};
+
+void* dueppm_new(void); /* with the shipped configuration, at time 0 */
+void dueppm_free(void* board);
+/* As the reset button, at the present time: all is forgotten but the time, bytes on the line are lost. */
+void dueppm_reset(void* board);
+/* Bytes of the host computer; they arrive at the line's rate (57600 baud), one after the other. */
+void dueppm_receive(void* board, const uint8_t* bytes, size_t count);
+/* Takes up to `most` bytes that the board has sent so far, at the line's rate too; how many. */
+size_t dueppm_send(void* board, uint8_t* bytes, size_t most);
+/* Runs loop() and the timer's interrupt up to that time. */
+void dueppm_advance(void* board, uint64_t time_us);
+/* Takes up to `most` edges of the output, oldest first; how many. Of edges that nobody takes the newest 4096
+ * are kept. */
+size_t dueppm_edges(void* board, struct dueppm_edge* edges, size_t most);
+int dueppm_led(void* board); /* 1: the LED is on */
+
+#ifdef __cplusplus
+}
+#endif
+#pragma GCC visibility pop
