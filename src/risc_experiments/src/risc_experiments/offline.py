@@ -456,6 +456,7 @@ def _compile():
     from risc_estimation.ros.conversions import EstimateMessages
 
     fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
+    fly(Flight(vehicles=1, gusts=True, duration_s=0.5, types=("iris",)))
     for name in CONTROLLERS.names():
         ControlLoop(name, [load_vehicle_type("ardrone")])
     FrameEncoder((("body", 1),))  # the virtual lab's
