@@ -36,6 +36,7 @@ from risc_doctor import (
     network,
     ports,
     ros_graph,
+    serial_lines,
     socket_owners,
     vehicles,
 )
@@ -49,6 +50,8 @@ from risc_doctor.ros_master import MasterError, NobodyThereError, call
 from risc_doctor.situation import Situation
 from risc_lab.lab import fleet_from_dict, load_fleet, load_templates
 from risc_lab.ros.launching import argument_of
+from risc_maap_msgs.msg import Counter, SerialLink
+from rosserial_python.diagnosis import WARNINGS, Cause
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 LAB = yaml.safe_load((ROOT / "launch" / "fleets" / "lab3.yaml").read_text())
@@ -442,6 +445,60 @@ def test_joysticks(monkeypatch, tmp_path):
     monkeypatch.setattr(joystick, "_PATTERN", str(tmp_path / "js*"))
     none = [joystick.check(Situation(fleet, "", ROOT, {})) for fleet in (VIRTUAL, LAB)]
     assert list(map(levels, none)) == [[GREEN], [YELLOW]]
+
+
+# ---------------------------------------------------------------- serial lines
+
+
+def line(cause, **values):
+    state = SerialLink.UP if cause in (Cause.NONE, *WARNINGS) else SerialLink.WAITING
+    return SerialLink(port="/dev/ttyACM9", baud=57600, cause=cause, state=state, age_s=2.0, **values)
+
+
+@pytest.mark.parametrize("cause", [cause for cause in Cause if cause is not Cause.NONE])
+def test_every_cause_of_lost_sync_has_a_finding_of_its_own(cause):
+    (finding,) = serial_lines.judge("/iris1/arduino", line(cause), [])
+    assert finding.code == serial_lines.CODES[cause] and finding.cure
+    assert finding.level == (YELLOW if cause in (Cause.BREAKS, Cause.DAMAGE) else RED)
+    assert len(set(serial_lines.CODES.values())) == len(serial_lines.CODES)
+
+
+def test_a_line_that_works_and_one_with_two_readers():
+    (well,) = serial_lines.judge("/iris1/arduino", line(Cause.NONE, counters=[Counter("packets", 7)]), ["serial_node"])
+    assert (well.code, well.level, well.data) == ("up", GREEN, {"packets": 7})
+    for cause in (Cause.STOPPED, Cause.DAMAGE, Cause.NONE):
+        (shared,) = serial_lines.judge("/iris1/arduino", line(cause), ["serial_node (pid 1)", "minicom (pid 2)"])
+        assert shared.code == "shared" and "minicom (pid 2)" in shared.text
+    (types_differ,) = serial_lines.judge("/iris1/arduino", line(Cause.TYPES, refused_topics=["controls"]), ["a", "b"])
+    assert types_differ.code == "types" and "controls" in types_differ.text
+
+
+def test_devices_of_the_fleet_and_who_has_them_open(tmp_path):
+    ours, theirs = os.openpty()
+    try:
+        (busy,) = serial_lines.look("arduino of iris1", os.ttyname(theirs))
+        assert busy.code == "in_use" and "(pid %d)" % os.getpid() in busy.text
+    finally:
+        os.close(theirs)
+    path = tmp_path / "ttyACM0"
+    assert serial_lines.look("arduino of iris1", str(path))[0].code == "missing"
+    path.symlink_to("/dev/ptmx")
+    assert serial_lines.look("arduino of iris1", str(path))[0].code == "in_use", "the other end is still open"
+    os.close(ours)
+    assert socket_owners.users_of_device(str(tmp_path)) == []
+    path.unlink()
+    path.write_text("")
+    assert serial_lines.look("arduino of iris1", str(path))[0].code == "there"
+
+
+def test_lines_of_a_graph_and_of_a_fleet():
+    graph = ros_graph.GraphReport(lines={"/iris1/arduino": line(Cause.SPEED), "/iris2/arduino": None})
+    vehicle = types.SimpleNamespace(namespace="iris1", devices={"arduino": "/dev/ttyACM9", "telemetry": "/dev/none"})
+    situation = types.SimpleNamespace(graph=lambda: graph, vehicles=lambda: (vehicle,))
+    found = serial_lines.check(situation)
+    assert [finding.code for finding in found] == ["speed", "mute", "missing"], "a device that is served is told once"
+    nothing = types.SimpleNamespace(graph=ros_graph.GraphReport, vehicles=tuple)
+    assert [finding.code for finding in serial_lines.check(nothing)] == ["none"]
 
 
 def test_room_and_speed_for_the_bag(tmp_path):

@@ -53,7 +53,7 @@ class VirtualOperator:
         for vehicle in flown:
             name, watched = vehicle.namespace, self._operator.vehicles[vehicle.namespace]
             on_report = partial(self._locked(self._on_report), watched)
-            adapter_class(vehicle.vehicle_type).listen("/%s/" % name, on_report, paced)
+            adapter_class(vehicle.vehicle_type).watch("/%s/" % name, on_report, paced)
             paced("/%s/controller_status" % name, Bool, self._locked(self._on_status), args=(watched,))
             on_safety = self._locked(self._on_safety)
             rospy.Subscriber("/%s/safety" % name, Safety, on_safety, watched, queue_size=10, tcp_nodelay=True)

@@ -4,7 +4,7 @@ import numpy as np
 
 from risc_experiments import offline
 from risc_lab.command_history import ROWS, Channel
-from risc_simulator.models.radio_link import RadioLink
+from risc_simulator.models import offline_link
 
 
 def test_the_history_holds_what_went_on_the_wire(monkeypatch):
@@ -15,13 +15,13 @@ def test_the_history_holds_what_went_on_the_wire(monkeypatch):
             super().__init__(*arguments)
             loops.append(self)
 
-    class Link(RadioLink):
+    class Link(offline_link.RadioLink):
         def submit(self, time_s, item, must_arrive=False):
             wires.setdefault(id(self), []).append((time_s, item))
             super().submit(time_s, item, must_arrive)
 
     monkeypatch.setattr(offline, "ControlLoop", Loop)
-    monkeypatch.setattr(offline, "RadioLink", Link)
+    monkeypatch.setattr(offline_link, "RadioLink", Link)
     flight = offline.Flight(vehicles=2, duration_s=1.0, perturbed=False)
     offline.fly(flight)
     (loop,) = loops

@@ -328,6 +328,34 @@ def fence_margin(margins, zero_s):
     return figure
 
 
+def hover_throttle(fit, title, shipped=None):
+    """Points, curve and 95 % band of a ThrottleFit, and its residuals.
+
+    shipped: (name, coefficients) of another curve, to compare with.
+    """
+    figure, (axes, below) = plt.subplots(2, 1, sharex=True, figsize=(7.5, 6.0), height_ratios=(2.5, 1.0))
+    figure.suptitle(title)
+    points, pct = fit.points, np.linspace(fit.points.pct[0], fit.points.pct[-1], 200)
+    axes.errorbar(points.pct, points.throttle, points.spread, fmt=".", color=COLOURS[5], ms=4, lw=0.5,
+                  label="hover, mean and spread of each percent")  # fmt: skip
+    axes.plot(pct, fit.scaled(pct), color=ACTUAL, label="fit of order %d" % (len(fit.coefficients) - 1))
+    band = fit.interval(pct)
+    axes.fill_between(pct, fit.scaled(pct) - band, fit.scaled(pct) + band, color=ACTUAL, alpha=0.25, lw=0)
+    if shipped:
+        name, coefficients = shipped
+        curve = np.polynomial.polynomial.polyval(pct, coefficients)
+        axes.plot(pct, curve, color=DESIRED, lw=1.0, ls="--", label=name)
+    axes.set_ylabel("throttle that hovers [-1, 1]")
+    axes.legend()
+    below.axhline(0.0, color=ACTUAL, lw=1.0)
+    below.plot(points.pct, fit.residuals, ".", color=COLOURS[5], ms=4)
+    below.fill_between(pct, -band, band, color=ACTUAL, alpha=0.25, lw=0)
+    below.set_ylabel("residual")
+    below.set_xlabel("battery [%]")
+    below.invert_xaxis()  # as it drains
+    return figure
+
+
 def course_page(segment):
     """Figure with the path in space, roll and pitch, position and velocity errors of a segment."""
     figure = plt.figure(figsize=(11.0, 6.6), layout="none")

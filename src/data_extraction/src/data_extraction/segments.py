@@ -35,8 +35,6 @@ _FIELDS = {
 }
 
 PLOT_BUTTON = 3  # of the original release
-IRIS = "iris"
-IRIS_EULER_ANGLE_MAX_RAD = 0.78537  # of the original release, for its IRIS+ controllers; the AR.Drone's is in its type
 
 _DELAY_S = 0.5  # a state waits so long for the reference and the command before and after it
 _GAP_S = 0.25  # nothing is interpolated over a longer silence, and no command holds for longer
@@ -125,14 +123,11 @@ def full_scales_deg(params, fleet_vehicles=()):
     override = params.euler_angle_max if params.euler_angle_max > 0.0 else None
 
     def scale(kind, with_gains, overrides=()):
-        if kind == IRIS:
-            return (math.degrees(override or IRIS_EULER_ANGLE_MAX_RAD),) * 2
         limit = {"tilt_max_rad": override} if override else {}
         vehicle_type = load_vehicle_type(kind, {**dict(overrides), **limit})
-        if not with_gains:
-            return (-math.degrees(vehicle_type.tilt_max_rad),) * 2
         unit = adapter_class(vehicle_type).units(vehicle_type)
-        return math.degrees(unit.roll_rad), math.degrees(unit.pitch_rad)
+        gains = (1.0, 1.0) if with_gains else (vehicle_type.roll.gain, vehicle_type.pitch.gain)
+        return math.degrees(unit.roll_rad / gains[0]), math.degrees(unit.pitch_rad / gains[1])
 
     of_fleet = {
         vehicle.template: scale(params.vehicle_type or vehicle.type, True, vehicle.overrides)

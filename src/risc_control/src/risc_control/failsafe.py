@@ -10,7 +10,8 @@ lands when it has held for `separation_land_s`; beside one that is straight belo
 The top level, the emergency stop, is the operator's: the ladder only says when it is time to think of it.
 
 In manual mode the operator's eyes fly: mocap, controls, fence, the other vehicles, battery and telemetry do not act
-then, only the loss of the joystick does. A landing may be asked for in any mode (`request_landing`): a LAND like any
+then, only the loss of the joystick does. A vehicle that does not fly itself (`hover`) is held by mocap and telemetry in
+manual mode, too, whose loss acts then. A landing may be asked for in any mode (`request_landing`): a LAND like any
 other.
 
 Times are seconds of a clock that never steps (monotonic); a message's age is what its stamp said when it arrived (by
@@ -312,12 +313,13 @@ class SafetyLadder:
         self._joysticks_s.clear()
         self._set(*_FINE, 0.0)
 
-    def update(self, now_s, autonomous, airborne, obeys=False, needs_navdata=True):
+    def update(self, now_s, autonomous, airborne, obeys=False, needs_navdata=True, held=False, trouble=""):
         """Judge the situation. Returns the `Verdict`, which is also kept in `self.verdict`.
 
         autonomous: the controller flies.  airborne: the vehicle does not stand on the ground.  obeys: its newest
         report is that it lands; counts while that report is fresh.  needs_navdata: False for simulators that report
-        nothing.
+        nothing.  held: of a vehicle that does not fly itself, which is held by what is seen and heard of it in manual
+        mode, too.  trouble: why our commands do not reach it.
         """
         if airborne and not self._airborne:  # whatever took off: these were known to be silent
             self._joysticks_s = {name: s for name, s in self._joysticks_s.items() if not self._is_silent(s, now_s)}
@@ -333,7 +335,7 @@ class SafetyLadder:
             if without_effect != self.verdict.operator:
                 self.verdict = replace(self.verdict, operator=without_effect)
             return self.verdict
-        level, rule, reason, age = self._judge(now_s, autonomous, needs_navdata)
+        level, rule, reason, age = self._judge(now_s, autonomous, needs_navdata, held, trouble)
         if level != self.verdict.level or rule != self.verdict.rule:
             self._set(level, rule, reason, age, now_s)
         return self.verdict
@@ -351,7 +353,7 @@ class SafetyLadder:
             reaction = Reaction(level, age_s, age_s - limit_s)
             self.reactions = [old for old in self.reactions if old.level != level] + [reaction]
 
-    def _judge(self, now_s, autonomous, needs_navdata):
+    def _judge(self, now_s, autonomous, needs_navdata, held=False, trouble=""):
         """(level, rule, reason, (age, its threshold) or None) by the first rule of the highest level."""
         limits = self.limits
         age_s = now_s - (min(self._joysticks_s.values()) if self._joysticks_s else self._joystick_s)
@@ -359,10 +361,12 @@ class SafetyLadder:
             name = min(self._joysticks_s, key=self._joysticks_s.get, default="")
             reason = "joystick%s silent for %.1f s" % (" " + name if name else "", age_s)
             return _LAND, Rule.JOYSTICK, reason, (age_s, limits.joystick_timeout)
-        if not autonomous:
+        if trouble:
+            return _LAND, Rule.NAVDATA, trouble, None
+        if not autonomous and not held:
             return _FINE
         hold = _FINE
-        for rule, fresh, hold_s, land_s in self._losses:
+        for rule, fresh, hold_s, land_s in self._losses[: None if autonomous else 1]:
             age_s = fresh.age_s(now_s)
             if age_s > land_s:
                 return _LAND, rule, fresh.describe(now_s), (age_s, land_s)
@@ -372,6 +376,8 @@ class SafetyLadder:
         if needs_navdata and 0.0 < limits.navdata_timeout_s < age_s:
             reason = "navdata silent for %.1f s" % age_s if self._navdata_s is not None else "no navdata yet"
             return _LAND, Rule.NAVDATA, reason, (age_s, limits.navdata_timeout_s)
+        if not autonomous:
+            return hold
         # Seen outside for that long: one false position followed by silence is a loss, not an escape.
         if self._outside.lasts(limits.fence_delay_s):
             return _LAND, Rule.FENCE, "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None

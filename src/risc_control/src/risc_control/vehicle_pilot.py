@@ -6,12 +6,13 @@ never steps; `age_s` is the age of a message by its stamp when it arrived.
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits
+from risc_control.hover import HAND_M_S, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
 from risc_control.separation import ALONE
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState, adapter_class, state_text
@@ -75,6 +76,7 @@ class Orders:
     reset = False
     takeoff = False
     land = False
+    disarm = False  # it stands, as far as can be seen; of a type that does not fly itself
     command = None  # SentCommand
     level_only = False  # the command must not start the vehicle's own position hold
     status = None  # autonomous?, when it is time to say so
@@ -122,12 +124,19 @@ class VehiclePilot:
         rate_hz = params.rate_hz(vehicle_type)
         self._adapter = adapter_class(vehicle_type)(vehicle_type, rate_hz)
         self._sent = CommandHistory(1)
+        # that takes off, holds and lands a vehicle which does not do so itself; None: it does
+        self._hover = None
+        if not self._adapter.FLIES_ITSELF:
+            self._hover = Hover(vehicle_type, self._sent.vehicles[0], params.state_hold_s)
         # why the controller is not obeyed: it or the vehicle has other full scales
         self.disagreement = before.disagreement if before is not None else ""
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
         self._joysticks = before._joysticks if before is not None else defaultdict(lambda: Joystick(params))
+        limits = params
+        if 0.0 < params.navdata_timeout_s < self._adapter.SILENT_S:
+            limits = replace(params, navdata_timeout_s=self._adapter.SILENT_S)
         # a simulator's vehicle is always airborne: there, silence counts from the first joystick message
-        self.ladder = SafetyLadder(params, math.inf if params.Simulation else now_s)
+        self.ladder = SafetyLadder(limits, math.inf if params.Simulation else now_s)
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
         self.airborne = params.Simulation  # may be in the air; simulators without navdata always fly
@@ -137,7 +146,7 @@ class VehiclePilot:
         self._told = None  # the newest Verdict of the orders
         self._simulator_reset = False
         self._ended = False
-        self._land_s = -math.inf
+        self._land_s = self._land_itself_s = -math.inf
         self._slots = SlotClock(rate_hz, slot_s)
         self._status_slots = SlotClock(params.status_rate_hz, slot_s)
 
@@ -165,6 +174,10 @@ class VehiclePilot:
         if Button.EMERGENCY in down:
             orders.reset = True
             orders.say("warn", "emergency button: reset sent")
+            if self._hover is not None:
+                self._hover.stop(now_s)
+                self._note_hover(orders)
+                self._fly_hover(orders, now_s)
         if self._ended:
             return orders
         if Button.TAKEOFF_LAND in down and not self._params.Simulation:
@@ -184,8 +197,31 @@ class VehiclePilot:
 
     def on_status(self, status, now_s):
         """The vehicle reported its `vehicles.Status`."""
-        orders, state = Orders(), status.state
+        orders = Orders()
         self.ladder.note_navdata(status.battery_pct, now_s)
+        if self._hover is None:
+            self._note_state(status.state, orders, now_s)
+            return orders
+        if status.battery_pct is not None:
+            self._adapter.tell_battery(status.battery_pct, now_s)
+        self._hover.on_status(status, now_s)
+        self._note_hover(orders)
+        return orders
+
+    def on_wire(self, now_s):
+        """Of a vehicle that does not fly itself: what sends our commands to it reports that it does."""
+        self._hover.on_wire(now_s)
+
+    def on_refusal(self, why, now_s):
+        """Of a vehicle that does not fly itself: it does not arm itself for the take-off."""
+        orders = Orders()
+        if self._hover is not None:
+            self._hover.refuse(why, now_s, orders)
+            self._note_hover(orders)
+        return orders
+
+    def _note_state(self, state, orders, now_s):
+        """The vehicle says that it does this."""
         self.flight_state = state
         if not self._params.Simulation:
             if state in ON_GROUND:
@@ -193,9 +229,16 @@ class VehiclePilot:
                     self.airborne, self._takeoff_s = False, None
             elif state not in NO_EVIDENCE:
                 self.airborne, self._takeoff_s = True, None
-        if state in ON_GROUND and self.autonomous and not self.airborne:
+        self._end_on_the_ground(orders)
+
+    def _note_hover(self, orders):
+        """What it does by what `Hover` knows."""
+        self.flight_state, self.airborne = self._hover.flight_state(self.autonomous), self._hover.airborne
+        self._end_on_the_ground(orders)
+
+    def _end_on_the_ground(self, orders):
+        if self.flight_state in ON_GROUND and self.autonomous and not self.airborne:
             self._set_mode(False, orders, "landed")
-        return orders
 
     def on_state(self, own, age_s, now_s, look=ALONE):
         """The vehicle was seen (`OwnState`); do not call for entries that are not visible.
@@ -209,6 +252,9 @@ class VehiclePilot:
         self.ladder.note_state(position_m, velocity_m_s, age_s, now_s)
         self._state = own
         self._state_s = now_s - max(age_s, 0.0)
+        if self._hover is not None:
+            self._hover.on_state(own, self._state_s)
+            self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
 
     def hear_controls(self, own, age_s, now_s):
         """Take a command for a sign of life of the controller only. Returns False for one that is not finite.
@@ -240,11 +286,20 @@ class VehiclePilot:
         if self._ended:
             return orders
         self._centre_silent_sticks(orders, now_s)
+        if self._hover is not None:
+            self._hover.step(now_s, orders)
+            self._note_hover(orders)
         self._judge(orders, now_s)
         if self._status_slots.due(now_s):
             orders.status = self.autonomous
         safe = not self.autonomous or self.ladder.verdict.level > _OK
-        if orders.command is None and safe and self._takes_commands() and self._slots.due(now_s):
+        if self._hover is not None:  # which commands a vehicle that stands or lands, too
+            if orders.command is None and (safe or not self._takes_commands()) and self._slots.due(now_s):
+                self._fly_hover(orders, now_s)
+            lands = self._hover.landing and self._hover.must_land_itself(now_s)
+            if lands and now_s - self._land_itself_s >= self._params.land_repeat_s:
+                self._land_itself_s, orders.land = now_s, True
+        elif orders.command is None and safe and self._takes_commands() and self._slots.due(now_s):
             self._send_safe(orders, now_s)
         return orders
 
@@ -276,14 +331,19 @@ class VehiclePilot:
         self._ended = True
         orders = Orders()
         orders.land = True
+        if self._hover is not None:
+            self._hover.land(now_s)
+            self._hover.step(now_s, orders)
+            self._fly_hover(orders, now_s)
+            return orders
         level = CENTRED if self._adapter.HOLDS_POSITION else self._adapter.move(0.0, 0.0, 0.0, self._state)
         self._send(level, None, orders, now_s)
         return orders
 
     def needs_landing(self, now_s):
         """True while the vehicle may be in the air and does not report that it lands."""
-        obeys = self.flight_state == _LANDING and self.ladder.navdata_is_fresh(now_s)
-        return self.airborne and not obeys
+        lands = self.flight_state == _LANDING if self._hover is None else self._hover.lands_itself
+        return self.airborne and not (lands and self.ladder.navdata_is_fresh(now_s))
 
     @property
     def next_command_s(self):
@@ -321,7 +381,7 @@ class VehiclePilot:
         """The vehicle's own report decides, not what was pressed before (D-31); an old report decides nothing."""
         fresh = self.ladder.navdata_is_fresh(now_s)
         if self.flight_state != FlightState.LANDED or not fresh:
-            orders.land = True
+            self._order_landing(orders, now_s)
             unsure = "" if fresh else " (the vehicle is silent, so the button means land)"
             if self.flight_state is None:
                 unsure = " (nothing was heard of the vehicle)"
@@ -342,12 +402,29 @@ class VehiclePilot:
                 "take-off refused: the battery is at or below %g %%: charge it, or lower "
                 "battery_min_pct" % self.ladder.limits.battery_min_pct,
             )
+        elif self._hover is not None and self._hover.no_take_off(now_s):
+            orders.say("warn", "take-off refused: %s" % self._hover.no_take_off(now_s))
+        elif self._hover is not None:
+            orders.takeoff = True
+            self._hover.take_off(now_s)
+            self._note_hover(orders)
+            orders.say("info", "taking off")
         else:
             orders.takeoff = self.airborne = True
             self._takeoff_s = now_s
             orders.say("info", "taking off")
 
+    def _order_landing(self, orders, now_s):
+        """Bring it down; one that does not fly itself is told to land by itself only where that is not in our hands."""
+        if self._hover is None:
+            orders.land = True
+            return
+        self._hover.land(now_s)
+        self._note_hover(orders)
+
     def _toggle(self, orders, now_s):
+        if self._hover is not None and (self.autonomous or self.ladder.verdict.level > _OK):
+            self._hover.hold(now_s)
         if self.autonomous:
             self.ladder.take_over()
             self._set_mode(False, orders, "joystick")
@@ -357,6 +434,8 @@ class VehiclePilot:
             orders.say("info", "operator takes over, manual")
             return
         problem = self.disagreement or self.ladder.autonomy_problem(now_s, not self._params.Simulation)
+        if not problem and self._hover is not None and self.flight_state == FlightState.OTHER_MODE:
+            problem = "its autopilot is in a mode in which it does not take our commands: %s" % self._adapter.MODE_CURE
         if not problem and not self._takes_commands():
             # References would leave at once, and no command follow them.
             problem = "the vehicle does not fly yet (%s): take off and wait until it hovers" % self._state_text()
@@ -385,8 +464,13 @@ class VehiclePilot:
         before = ladder.verdict
         if land:
             ladder.request_landing(now_s)
-        obeys = self.flight_state == _LANDING
-        verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, not self._params.Simulation)
+        hover, trouble = self._hover, ""
+        if hover is None:
+            obeys = self.flight_state == _LANDING
+        else:
+            obeys, trouble = hover.obeys_landing(now_s), hover.trouble(now_s) if self.airborne else ""
+        needs_navdata = not self._params.Simulation
+        verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, needs_navdata, hover is not None, trouble)
         if verdict is not self._told and verdict != self._told:
             self._told = orders.safety = verdict
             if verdict.level > before.level or verdict.operator:
@@ -395,13 +479,16 @@ class VehiclePilot:
                 orders.say("info", "safety: %s" % verdict.text)
         if verdict.level == _LAND and now_s - self._land_s >= self._params.land_repeat_s:
             self._land_s = now_s
-            orders.land = True
-        if verdict.level > before.level and self._takes_commands():
+            self._order_landing(orders, now_s)
+        if verdict.level > before.level and (self._hover is not None or self._takes_commands()):
             self._slots.restart(now_s)
             self._send_safe(orders, now_s)
 
     def _send_safe(self, orders, now_s):
         """The command when the controller does not fly: the operator's sticks, or level and hold altitude."""
+        if self._hover is not None:
+            self._fly_hover(orders, now_s)
+            return
         holds, look = self.ladder.verdict.level > _OK, self.ladder.apart(now_s)
         itself = self._adapter.HOLDS_POSITION and self._params.hold_auto_hover
         orders.level_only = holds and not itself
@@ -412,6 +499,26 @@ class VehiclePilot:
         else:
             sticks = CENTRED if itself else self._adapter.move(0.0, 0.0, 0.0, self._state)
         self._send(sticks, None, orders, now_s)
+
+    def _fly_hover(self, orders, now_s):
+        """The command of a vehicle that does not fly itself, while the controller does not fly it; none before it has
+        said what it does.
+        """
+        if self._hover.reported is None:
+            return
+        holds, look, psi_rad = self.autonomous or self.ladder.verdict.level > _OK, self.ladder.apart(now_s), 0.0
+        if self._state is not None:
+            psi_rad = self._state.psi_rad
+        x, y, z, turn_rad_s = 0.0, 0.0, 0.0, 0.0
+        if look is not None:
+            x, y, z = (self.ladder.limits.separation_speed_m_s * part for part in (*look.aside, look.climb))
+        elif not holds:
+            sticks, kind = self._sticks(), self._adapter.type
+            forward, left, cosine, sine = sticks.forward, sticks.left, math.cos(psi_rad), math.sin(psi_rad)
+            x, y = HAND_M_S * (forward * cosine + left * sine), HAND_M_S * (left * cosine - forward * sine)
+            z, turn_rad_s = kind.climb_max_m_s * sticks.up, -kind.yaw_rate_max_rad_s * sticks.turn_left
+        command = self._hover.command(now_s, (x, y, z), turn_rad_s)
+        self._send(self._adapter.fly(command), None, orders, now_s)
 
     def _avoid(self, look):
         """Sticks that stop the vehicle where it is, except where a `separation.Look` sends it."""

@@ -12,6 +12,7 @@ from risc_doctor import (
     ports,
     ros_environment,
     ros_graph,
+    serial_lines,
     sourced_workspace,
     vehicles,
 )
@@ -32,6 +33,7 @@ CHECKS = {
     "clock": ("what keeps the clock; age of the stamps", clock_agreement.check),
     "vehicles": ("vehicles: reachable, state, battery", vehicles.check),
     "joystick": ("joysticks: there, readable, buttons and axes", joystick.check),
+    "serial": ("serial lines to boards: there, answered, and why not", serial_lines.check),
     "disk": ("room and write speed for the bag", disk.check),
     "ros": ("ROS_MASTER_URI, ROS_IP, dead nodes", ros_environment.check),
     "graph": ("rates and /diagnostics of a graph that runs", ros_graph.check),

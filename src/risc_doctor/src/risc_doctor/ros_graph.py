@@ -16,6 +16,7 @@ _PATIENCE_S = 6.0  # for connecting and listening
 _SLOW, _MUCH_TOO_SLOW = 0.9, 0.5  # of the expected rate
 _SHOWN = 8  # complaints; more say the same
 _HEADER = struct.Struct("<III")  # of std_msgs/Header: seq, stamp [s], stamp [ns]
+_LINK = "risc_maap_msgs/SerialLink"
 OK, WARN = 0, 1  # diagnostic_msgs/DiagnosticStatus
 TOPICS = {  # topic -> who publishes it
     "/mocap_data": "stream_markers",
@@ -53,6 +54,7 @@ class GraphReport:
     error: str = ""  # why it could not be listened to
     topics: dict[str, Topic] = field(default_factory=dict)  # those of TOPICS that are published
     vehicles: dict[str, Status | None] = field(default_factory=dict)  # {namespace: newest} of those with a driver
+    lines: dict[str, object] = field(default_factory=dict)  # {node: newest SerialLink or None} of serial lines
     complaints: list[tuple[int, str, str]] = field(default_factory=list)  # (level, name, message) of /diagnostics
     statuses: int = 0  # names on /diagnostics
 
@@ -64,13 +66,15 @@ def listen(master, fleet, listen_s=LISTEN_S):
         return report
     publishers = master.publishers()
     report.topics = {name: Topic(tuple(publishers[name])) for name in TOPICS if name in publishers}
+    lines = [topic for topic in master.topics_of_type(_LINK) if topic in publishers]
+    report.lines = {publishers[topic][0]: None for topic in lines}
     driven = [vehicle for vehicle in fleet.vehicles if _status_topics(vehicle) & publishers.keys()]
     report.vehicles = {vehicle.namespace: None for vehicle in driven}
     report.error = "the graph did not answer within %g s" % (listen_s + _PATIENCE_S)
 
     def work():
         try:
-            _listen(report, driven, listen_s)
+            _listen(report, driven, {topic: publishers[topic][0] for topic in lines}, listen_s)
             report.error = ""
         except Exception as error:  # rospy raises many kinds when a master goes away
             report.error = "%s: %s" % (type(error).__name__, error)
@@ -92,9 +96,11 @@ def _status_topics(vehicle):
     return topics
 
 
-def _listen(report, driven, listen_s):
+def _listen(report, driven, lines, listen_s):
     import rospy  # only a graph needs it
     from diagnostic_msgs.msg import DiagnosticArray
+
+    from risc_maap_msgs.msg import SerialLink
 
     rospy.init_node("maap_doctor", anonymous=True, disable_signals=True, disable_rostime=True)
     statuses, subscribe = {}, partial(rospy.Subscriber, tcp_nodelay=True)
@@ -112,6 +118,8 @@ def _listen(report, driven, listen_s):
     for name, topic in report.topics.items():
         subscribe(name, rospy.AnyMsg, topic.note)
     subscribe("/diagnostics", DiagnosticArray, on_diagnostics)
+    for topic, node in lines.items():
+        subscribe(topic, SerialLink, partial(report.lines.__setitem__, node))
     for vehicle in driven:
         _hear(vehicle, partial(on_status, vehicle.namespace), partial(subscribe, queue_size=1))
     time.sleep(listen_s)

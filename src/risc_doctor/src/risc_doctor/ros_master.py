@@ -104,6 +104,10 @@ class Master:
         """{topic: [node, ...]}. Raises MasterError."""
         return {topic: nodes for topic, nodes in call(self.uri, "getSystemState")[0] if nodes}
 
+    def topics_of_type(self, kind):
+        """Names of the topics of a type that are known. Raises MasterError."""
+        return sorted(name for name, its_kind in call(self.uri, "getTopicTypes") if its_kind == kind)
+
     def ask_nodes(self):
         """{node: None when it answers, else why not, a MasterError} of all that are registered. Raises MasterError."""
         state = call(self.uri, "getSystemState")

@@ -1,7 +1,9 @@
-"""Which process has a socket, and which vehicle drivers run on this computer."""
+"""Which process has a socket or a device, and which vehicle drivers run on this computer."""
 
 import contextlib
+import glob
 import os
+import stat
 from dataclasses import dataclass, field
 
 import psutil
@@ -47,6 +49,25 @@ def _holders(port, kind, from_elsewhere):
         if item.laddr and item.laddr.port == port and (kind == "udp" or item.status == psutil.CONN_LISTEN)
         if not (from_elsewhere and item.laddr.ip.removeprefix("::ffff:").startswith(("127.", "::1")))
     }
+
+
+def users_of_device(path):
+    """Programs that have a device file open, for people; those of other users are not seen, nor what is no device."""
+
+    def device_of(name):
+        with contextlib.suppress(OSError):  # it is not there, not ours to see, or closed meanwhile
+            status = os.stat(name)
+            return status.st_rdev if stat.S_ISCHR(status.st_mode) else None
+
+    device = device_of(path)
+    if device is None:
+        return []
+    pids = {int(name.split("/")[2]) for name in glob.glob("/proc/[0-9]*/fd/*") if device_of(name) == device}
+    found = []
+    for pid in sorted(pids):
+        with contextlib.suppress(psutil.NoSuchProcess):  # it ended meanwhile
+            found.append(_process(psutil.Process(pid)).describe())
+    return found
 
 
 def drivers():

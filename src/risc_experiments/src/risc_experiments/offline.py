@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from ardrone_autonomy.link import LOST_S
 from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
@@ -31,7 +30,7 @@ from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
 from risc_control.trajectory_manager import Phase, make_manager
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
-from risc_control.vehicles import Controls, FlightState, Status
+from risc_control.vehicles import Controls, FlightState, Status, adapter_class
 from risc_estimation.filters import COMMAND, make_filter
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
@@ -42,10 +41,8 @@ from risc_experiments.workers import in_order
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.states import S, States
 from risc_simulator.faults import Wires
-from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
+from risc_simulator.models.flight import FlightAction, FlightPhase
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
-from risc_simulator.models.radio_link import RadioLink
-from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S
 from risc_simulator.video.polygons import clip_polygons, coverage
 from risc_simulator.world import World
 
@@ -56,7 +53,6 @@ LONGEST_WAY_S = 120.0  # until all are on the course; ways take at most a third 
 SETTLE_S = 4.0  # on the course, before errors count
 JUDGE_EVERY = 4  # frames
 TICK_EVERY = 3  # frames: the clock of the vehicle nodes, twice the command rate
-NAVDATA_EVERY = 12  # frames, a multiple of the above: about 15 Hz
 YAW_BY_SEED_DEG = 70.0  # the table flies another yaw with every seed
 
 _REPORTS = {  # what a vehicle says of itself
@@ -158,7 +154,8 @@ def fly(flight):
     on_board = OnBoardReadings(estimator, world.vehicles.values(), wires, flight.seed, float(flight.noise))
     for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
-        chains.append(_Chain(vehicle, phase, params, wires, partial(_record_command, loop.sent, estimator, i)))
+        on_sent, on_battery = partial(_record_command, loop.sent, estimator, i), partial(loop.tell_battery, i)
+        chains.append(_Chain(vehicle, phase, params, wires, on_sent, on_battery))
     for fault in flight.wire_faults:
         wires.add(fault)
 
@@ -274,19 +271,20 @@ def _record_command(history, estimator, i, time_s, command):
 
 
 class _Chain:
-    """From /controls to the vehicle's on-board logic: vehicle node, driver, radio."""
+    """From /controls to the vehicle's on-board logic: vehicle node, and the link of its type."""
 
-    def __init__(self, vehicle, phase, params, wires, on_sent):
+    def __init__(self, vehicle, phase, params, wires, on_sent, on_battery):
         """phase: of the radio's clock, a fraction.  params: VehicleNodeParams.
         on_sent: takes the time and the command, as `CommandHistory.append`, of whatever is sent.
+        on_battery: takes the charge that the vehicle tells, and when.
         """
-        self._on_sent = on_sent
-        self._vehicle = vehicle
+        self._on_sent, self._on_battery = on_sent, on_battery
+        self._flies_itself = adapter_class(vehicle.type).FLIES_ITSELF
+        self._link = vehicle.virtual.OfflineLink(vehicle, phase)
+        self._report_every = TICK_EVERY * round(self._link.REPORT_PERIOD_S / (TICK_EVERY * FRAME_S))  # frames
         self.pilot = VehiclePilot(params, vehicle.type, 0.0)
         self.said = []  # (time [s], text) of its ladder, from the first trouble on
         self.lost = None  # "controls" or "laptop"
-        rate_hz = vehicle.type.command_rate_hz
-        self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
         self._wire = wires.wire("%s/commands" % vehicle.namespace)
 
     def press_autonomous(self, now_s):
@@ -297,52 +295,42 @@ class _Chain:
         self.pilot.on_joy(buttons, [0.0] * 8, now_s)
 
     def lose(self, what, now_s):
-        """From now on it has no controller or no laptop; of the second an AR.Drone takes notice, hovers, and lands."""
+        """From now on it has no controller or no laptop; of the second the vehicle takes notice by itself."""
         if what == "laptop" and self.lost is None:
-            self._vehicle.schedule(now_s + LOST_S, Setpoint(hover=True))
-            self._vehicle.schedule(now_s + LOST_S + LOST_HOVER_S, FlightAction.LAND)
+            self._link.lose(now_s)
         self.lost = what
 
     @property
     def landed(self):
         """Whether the vehicle stands on the floor by its own report."""
-        return self._vehicle.phase is FlightPhase.LANDED
+        return self._link.report()[0] is FlightPhase.LANDED
 
     def see(self, visible, state, stamp_s, now_s, frame, look):
         """What the vehicle node looks at once a tick. state: list of 12, columns `S`."""
         pilot = self.pilot
-        if frame % NAVDATA_EVERY == 0:
-            pilot.on_status(Status(_REPORTS[self._vehicle.phase], 90.0), now_s)
+        if frame % self._report_every == 0:
+            phase, battery_pct = self._link.report()
+            pilot.on_status(Status(_REPORTS[phase], battery_pct), now_s)
+            self._on_battery(battery_pct, now_s)
+            if not self._flies_itself:
+                pilot.on_wire(now_s)
         if visible:
             own = OwnState(state[: S.U], state[S.U : S.PHI], *state[S.PHI : S.P])
             pilot.on_state(own, now_s - stamp_s, now_s, look)
 
     def send(self, orders, now_s):
-        """Hand what was ordered to the radio; a landing takes as long as a command."""
+        """Hand what was ordered to the vehicle's link."""
         if orders.safety is not None and (self.said or self.pilot.ladder.verdict.level > FailsafeLevel.OK):
             self.said.append((now_s, orders.safety.text))
         if orders.land:
-            self._vehicle.schedule(now_s + self._vehicle.plant.command_delay_s, FlightAction.LAND)
+            self._link.order(FlightAction.LAND, now_s)
         if orders.command is not None:
             self._on_sent(now_s, orders.command.settles_at)
-            setpoint = _setpoint(self._vehicle.type, orders.command.sticks)
-            self._wire.carry(setpoint, None, now_s, lambda what, _, when_s: self._radio.submit(when_s, what))
+            self._wire.carry(orders.command.sticks, None, now_s, lambda sticks, _, at_s: self._link.send(sticks, at_s))
 
     def deliver(self, now_s):
         """Give the vehicle what the radio brings."""
-        for arrival_s, setpoint in self._radio.collect(now_s):
-            self._vehicle.schedule(arrival_s, setpoint)
-
-
-def _setpoint(vehicle_type, sticks):
-    """What a vehicle makes of the fractions of cmd_vel, in NED senses."""
-    return Setpoint(
-        roll_rad=-sticks.left * vehicle_type.tilt_max_rad,
-        pitch_rad=-sticks.forward * vehicle_type.tilt_max_rad,
-        climb_m_s=sticks.up * vehicle_type.climb_max_m_s,
-        yaw_rate_rad_s=-sticks.turn_left * vehicle_type.yaw_rate_max_rad_s,
-        hover=not any(sticks),
-    )
+        self._link.deliver(now_s)
 
 
 def step_chains(chains, frame, stamp_s, now_s, states, controls, looks):

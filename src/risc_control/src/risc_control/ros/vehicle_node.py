@@ -266,7 +266,8 @@ class _Vehicle:
         self._growth = Growth()
         self._error_land_s = 0.0  # when a landing was ordered because of an error
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
-        self._link = adapter_class(vehicle_type).connect(prefix)
+        self._flies_itself = adapter_class(vehicle_type).FLIES_ITSELF
+        self._link = adapter_class(vehicle_type).connect(prefix, self.name, self._on_refusal)
         self._status = self._publisher("controller_status", Bool)
         self._vehicle_status = self._publisher("vehicle_status", VehicleStatus)
         self._told_s, self._told = -math.inf, VehicleStatus(name=self.name, battery_pct=math.nan)  # when last
@@ -281,7 +282,10 @@ class _Vehicle:
         # Every joystick message: of a burst that a network held up, the first say that a press is old.
         rospy.Subscriber(self._prefix + "joy", Joy, self._on_joy, queue_size=None, tcp_nodelay=True)
         subscribe = partial(rospy.Subscriber, queue_size=10, tcp_nodelay=True)
-        adapter_class(self._type).listen(self._prefix, self._on_status, subscribe)
+        adapter = adapter_class(self._type)
+        adapter.listen(self._prefix, self._on_status, subscribe)
+        if not self._flies_itself:
+            adapter.listen_to_wire(self._prefix, self._on_wire, subscribe)
         self._service = rospy.Service(self._prefix + "land", Trigger, self._on_land_request)
         where = rospy.get_name(), self.name, self._type.name, self._link.topic
         rospy.loginfo("%s flies %s (%s), commands on %s", *where)
@@ -312,14 +316,24 @@ class _Vehicle:
         if _begins(driver, self._drivers_s):
             self._node.errands.put(lambda: self.compare(self._link.driver_overrides(driver), driver))
         self._act(lambda pilot, now_s: pilot.on_status(status, now_s))
-        self._tell(status)
-
-    def _tell(self, status):
-        """Tell a vehicles.Status when it is due."""
-        told, now_s = self._told, time.monotonic()
         if status.battery_pct is not None:
-            told.battery_pct = status.battery_pct
-        state = status.state if 0 <= status.state < 256 else VehicleStatus.UNKNOWN  # an error here lands it
+            self._told.battery_pct = status.battery_pct
+        self._tell()
+
+    @_contained
+    def _on_wire(self):
+        with self._lock:
+            self.pilot.on_wire(time.monotonic())
+
+    @_contained
+    def _on_refusal(self, why):
+        self._act(lambda pilot, now_s: pilot.on_refusal(why, now_s))
+
+    def _tell(self):
+        """Tell what it does, and its charge, when that is due."""
+        told, now_s, state = self._told, time.monotonic(), self.pilot.flight_state
+        if state is None or not 0 <= state < 256:  # an error here lands it
+            state = VehicleStatus.UNKNOWN
         if state != told.state or now_s - self._told_s >= _VEHICLE_STATUS_S:
             self._told_s, told.state, told.header.stamp = now_s, state, rospy.Time.now()
             self._vehicle_status.publish(told)
@@ -372,6 +386,9 @@ class _Vehicle:
             with self._lock:
                 self._agree()
         self._act(lambda pilot, now_s: pilot.tick(now_s))
+        if not self._flies_itself and self.pilot.flight_state != self._told.state:  # which its node knows first
+            if self.pilot.ladder.navdata_is_fresh(time.monotonic()):
+                self._tell()
 
     def last_orders(self):
         """Level and land, once. Returns whether that was enough."""
@@ -394,6 +411,8 @@ class _Vehicle:
             self._link.take_off()
         if orders.land:
             self._link.land()
+        if orders.disarm:
+            self._link.disarm()
         if orders.command is not None:
             command = orders.command
             self._link.send(command.sticks, orders.level_only)

@@ -56,6 +56,7 @@ class FlightState(IntEnum):
     GOTO = 7
     LANDING = 8
     LOOPING = 9
+    OTHER_MODE = 32  # not of Navdata: its pilot's, in which it takes no commands of ours
 
 
 ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
@@ -83,10 +84,13 @@ class Adapter:
     """One vehicle of a type, as its vehicle node flies it.
 
     own: `vehicle_pilot.OwnState`, the newest state of the vehicle; None before the first.  Sticks: what it takes, as
-    fractions of its full scales; the meaning of `up` is the type's.
+    fractions of its full scales; the meaning of `up` is the type's. Of a type that does not fly itself nobody calls
+    `move` and `by_hand`, and of the others nobody `fly`.
     """
 
+    FLIES_ITSELF = True  # takes off, hovers and lands when told to; False: its vehicle node does all that, see `hover`
     HOLDS_POSITION = False  # with all sticks centred, by itself and without motion capture
+    SILENT_S = 0.0  # its reports may come so seldom; silence of `SafetyLimits.navdata_timeout_s` counts at the earliest
     NEEDS_BATTERY = False  # what a thrust is on /controls depends on the charge, see `zero_thrust`
     THRUST_MOST = math.inf  # of T on /controls, + and -
 
@@ -133,9 +137,46 @@ class Adapter:
         """
         raise NotImplementedError
 
+    @classmethod
+    def watch(cls, prefix, on_status, subscribe):
+        """The same for others than its vehicle node, who want to know whether it hovers: of a type that does not fly
+        itself, only that node knows.
+        """
+        if cls.FLIES_ITSELF:
+            cls.listen(prefix, on_status, subscribe)
+            return
+        from risc_maap_msgs.msg import VehicleStatus  # the rest needs no ROS
+
+        def on_message(message):
+            battery_pct = message.battery_pct if math.isfinite(message.battery_pct) else None
+            on_status(Status(message.state, battery_pct), message._connection_header.get("callerid", ""))
+
+        subscribe(prefix + "vehicle_status", VehicleStatus, on_message)
+
     @staticmethod
-    def connect(prefix):
-        """Link to the vehicle by ROS, e.g. `ardrone.Link`. prefix: of its topics, with the last "/"."""
+    def connect(prefix, name, on_refusal):
+        """Link to the vehicle by ROS, e.g. `ardrone.Link`.
+
+        prefix: of its topics, with the last "/".  name: its own.  on_refusal: takes why it does not take off, of one
+        that can say so.
+        """
+        raise NotImplementedError
+
+    # --- of a type that does not fly itself --------------------------------------------------------------------------
+
+    MODE_CURE = ""  # what to do when it is in another mode than the one that takes our commands
+    trim_m_s2 = 0.0  # to add to the thrust of every command, as an upward acceleration: what was learnt in flight
+
+    @staticmethod
+    def listen_to_wire(prefix, on_wire, subscribe):
+        """Call on_wire() for each report of what stands between us and the vehicle that commands go through."""
+        raise NotImplementedError
+
+    def tell_battery(self, battery_pct, now_s):
+        """The vehicle has told its charge."""
+
+    def fly(self, command):
+        """Sticks for a `Command`; None: those of a vehicle that stands, and on which it drops."""
         raise NotImplementedError
 
 

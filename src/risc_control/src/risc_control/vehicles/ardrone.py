@@ -72,7 +72,7 @@ class Adapter(vehicles.Adapter):
         subscribe(prefix + "ardrone/navdata", Navdata, on_navdata)
 
     @staticmethod
-    def connect(prefix):
+    def connect(prefix, name, on_refusal):
         return Link(prefix)
 
 

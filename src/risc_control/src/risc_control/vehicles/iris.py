@@ -5,23 +5,31 @@ up, + psi turns right; T is the throttle, -1 the lowest. An autopilot in STABILI
 yaw rate of the third, and passes the throttle on: it holds neither height nor place.
 """
 
+import contextlib
 import math
+import queue
+import threading
+import time
+from functools import partial
 
 import numpy as np
 
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
-from risc_control.vehicles import Command
+from risc_control.vehicles import Command, FlightState, Status
 from risc_lab.command_history import Channel
 from risc_lab.frames import GRAVITY_M_S2
 
+MODE = "STABILIZE"  # in which it takes our commands
 NOMINAL_BATTERY_PCT = 70.0  # while the vehicle has told none
-_CLIMB_GAIN_1_S = 3.0  # of a climb rate, to hold it by the throttle
 
 
 class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`. Sticks are those of the radio: the autopilot's dead zone is in them, `up` is T."""
 
+    FLIES_ITSELF = False
+    SILENT_S = 2.5  # a heartbeat a second tells what it does
+    MODE_CURE = "set it to %s" % MODE
     NEEDS_BATTERY = True
     THRUST_MOST = 1.0
 
@@ -47,23 +55,47 @@ class Adapter(vehicles.Adapter):
         most = min(1.0 - max(hovers), 1.0 + min(hovers))
         return GRAVITY_M_S2, vehicle_type.drag_n_s_m / vehicle_type.mass_kg, most
 
-    def answer(self, controls, own, own_s, now_s, sent):
-        return self._sticks(controls.phi, controls.theta, controls.psi, controls.thrust_n)
+    def tell_battery(self, battery_pct, now_s):
+        self._charge.note(battery_pct, now_s)
+        self._hover = hover_throttle(self.type, self._charge.pct)
 
-    def move(self, forward_rad, left_rad, climb_m_s, own):
-        unit, climbs_m_s = self._unit, own.velocity_m_s[2] if own else 0.0
-        up_m_s2 = _CLIMB_GAIN_1_S * (climb_m_s - climbs_m_s)
-        throttle = self._hover + (1.0 + up_m_s2 / GRAVITY_M_S2) / _cosine(own) - 1.0
-        return self._sticks(-left_rad / unit.roll_rad, -forward_rad / unit.pitch_rad, 0.0, throttle)
+    def answer(self, controls, own, own_s, now_s, sent):
+        trim = self.trim_m_s2 / GRAVITY_M_S2
+        return self._sticks(controls.phi, controls.theta, controls.psi, controls.thrust_n + trim)
+
+    def fly(self, command):
+        if command is None:
+            return Sticks(0.0, 0.0, -1.0, 0.0)
+        phi, theta, psi, weights = (part / one for part, one in zip(command, self._unit))
+        return self._sticks(phi, theta, psi, self._hover + weights - 1.0 + self.trim_m_s2 / GRAVITY_M_S2)
 
     def settles_at(self, sticks, own):
         unit, dead = self._unit, self.type.stick_dead_zone
         phi, theta, psi = (-without_dead_zone(s, dead) for s in (sticks.left, sticks.forward, sticks.turn_left))
         settles = np.empty(len(Channel))
         settles[Channel.PHI], settles[Channel.THETA] = phi * unit.roll_rad, theta * unit.pitch_rad
-        settles[Channel.CLIMB] = (1.0 + sticks.up - self._hover) * _cosine(own) - 1.0
+        weights = 1.0 + sticks.up - self._hover - self.trim_m_s2 / GRAVITY_M_S2
+        settles[Channel.CLIMB] = weights * _cosine(own) - 1.0
         settles[Channel.YAW_RATE] = psi * unit.yaw_rate_rad_s
         return settles
+
+    @staticmethod
+    def listen(prefix, on_status, subscribe):
+        _Reports(prefix, on_status, subscribe)
+
+    @staticmethod
+    def listen_to_wire(prefix, on_wire, subscribe):
+        from risc_maap_msgs.msg import PpmStatus
+
+        def on_board(message):
+            if message.state == PpmStatus.FLYING:
+                on_wire()
+
+        subscribe(prefix + "ppm_status", PpmStatus, on_board)
+
+    @staticmethod
+    def connect(prefix, name, on_refusal):
+        return Link(prefix, name, on_refusal)
 
     def _sticks(self, phi, theta, psi, throttle):
         dead = self.type.stick_dead_zone
@@ -92,3 +124,108 @@ def without_dead_zone(stick, dead):
 
 def _cosine(own):
     return math.cos(own.phi_rad) * math.cos(own.theta_rad) if own else 1.0
+
+
+class _Reports:
+    """What the autopilot reports by MAVLink: roscopter's topics."""
+
+    def __init__(self, prefix, on_status, subscribe):
+        from roscopter.msg import State, Status  # the rest needs no ROS, but for Link
+
+        self._on_status = on_status
+        self._state, self._state_s = FlightState.UNKNOWN, -math.inf
+        subscribe(prefix + "apm/state", State, self._on_state)
+        subscribe(prefix + "apm/status", Status, self._on_battery)
+
+    def _on_state(self, message):
+        taken = FlightState.FLYING if message.mode == MODE else FlightState.OTHER_MODE
+        flies = FlightState.LANDING if message.mode == "LAND" else taken
+        self._state, self._state_s = flies if message.armed else FlightState.LANDED, time.monotonic()
+        self._tell(message)
+
+    def _on_battery(self, message):
+        self._tell(message, float(message.battery_remaining) if message.battery_remaining >= 0 else None)
+
+    def _tell(self, message, battery_pct=None):
+        state = self._state if time.monotonic() - self._state_s < Adapter.SILENT_S else FlightState.UNKNOWN
+        self._on_status(Status(state, battery_pct), message._connection_header.get("callerid", ""))
+
+
+class Link:
+    """rosserial's topic of the board of the transmitter, and roscopter's service, for one vehicle; with ROS only."""
+
+    def __init__(self, prefix, name, on_refusal):
+        import rospy  # the rest of the file needs none
+        from std_msgs.msg import Empty
+        from std_srvs.srv import Empty as Order
+
+        from risc_msgs.msg import Control, Controls
+        from roscopter.srv import APMCommand, APMCommandRequest
+
+        self._rospy, self._request, self._on_refusal = rospy, APMCommandRequest, on_refusal
+        self._message = Controls(Obj=[Control(name=name)])  # filled again and again
+        self._controls = rospy.Publisher(prefix + "controls", Controls, queue_size=1, tcp_nodelay=True)
+        self._stop = rospy.Publisher(prefix + "apm/emergency_stop", Empty, queue_size=1, tcp_nodelay=True)
+        self._command = rospy.ServiceProxy(prefix + "apm/command", APMCommand)
+        self._arm = rospy.ServiceProxy(prefix + "apm/arm", Order)  # which says why not
+        self._wanted = queue.Queue(1)  # of functions: the services wait for the vehicle, and nobody else may
+        threading.Thread(target=self._work, daemon=True).start()
+        self.topic = self._controls.resolved_name  # that commands go out on
+
+    def send(self, sticks, level_only=False):
+        """The fractions of the sticks."""
+        message, (control,) = self._message, self._message.Obj
+        message.header.stamp = self._rospy.Time.now()
+        control.phi, control.theta, control.psi, control.T = -sticks.left, -sticks.forward, -sticks.turn_left, sticks.up
+        self._controls.publish(message)
+
+    def take_off(self):
+        """Arm it, in the mode that takes our commands."""
+        self._want(self._stabilize_and_arm)
+
+    def land(self):
+        """By itself."""
+        self._want(partial(self._do, self._request.CMD_SET_LAND))
+
+    def disarm(self):
+        """As far as it lets itself be disarmed."""
+        self._want(partial(self._do, self._request.CMD_DISARM))
+
+    def reset(self):
+        """Motors off, also in the air."""
+        self._stop.publish()
+
+    def driver_overrides(self, driver):
+        """{field of VehicleType: value}: the driver sets none."""
+        return {}
+
+    def _want(self, order):
+        """This next; what waits already is older and counts no more."""
+        with contextlib.suppress(queue.Empty):
+            self._wanted.get_nowait()
+        with contextlib.suppress(queue.Full):
+            self._wanted.put_nowait(order)
+
+    def _work(self):
+        while True:
+            try:
+                self._wanted.get()()
+            except Exception as error:  # whatever it is, the next order must come
+                text = "%s: %s: is its driver (roscopter) there?"
+                self._rospy.logwarn_throttle(2.0, text % (self._command.resolved_name, error))
+
+    def _stabilize_and_arm(self):
+        try:
+            if not self._do(self._request.CMD_SET_STABILIZE):
+                self._on_refusal("it does not go into %s" % MODE)
+            elif self._wanted.empty():  # not landed meanwhile
+                self._arm()
+        except self._rospy.ServiceException as error:
+            self._on_refusal(str(error))
+
+    def _do(self, command):
+        """Whether the vehicle has done a command of APMCommand."""
+        done = self._command(command).result
+        if not done:
+            self._rospy.logwarn_throttle(2.0, "%s: refused: %d" % (self._command.resolved_name, command))
+        return done

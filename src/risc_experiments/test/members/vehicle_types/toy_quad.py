@@ -57,7 +57,7 @@ class Adapter(vehicles.Adapter):
         subscribe(prefix + "toy/status", Float32MultiArray, on_message)
 
     @staticmethod
-    def connect(prefix):
+    def connect(prefix, name, on_refusal):
         return Link(prefix)
 
 

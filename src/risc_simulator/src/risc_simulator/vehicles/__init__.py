@@ -12,7 +12,9 @@ and, if it has cameras whose video the lab serves (socket_host.VehicleHost.video
 and, if filters are to have its sensors' readings in offline flights, too
     Telemetry   (vehicle, seed, noise), made while the vehicle stands: channel (name of its wire), period_s;
                 packet(time_s) -> bytes; message(packet, header) -> that of its driver, see risc_estimation.sensors;
-                None of a damaged packet
+                            None of a damaged packet
+and, if in offline flights its driver is another one than that of models/offline_link.py (sticks by radio),
+    OfflineLink (vehicle, phase), with the names that are there
 The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types). One from elsewhere is
 virtual_vehicles/NAME.py and vehicle_types/NAME.yaml in a folder of RISC_MAAP_MEMBERS (see risc_lab.registry).
 """
@@ -22,7 +24,7 @@ from typing import NamedTuple
 
 from risc_lab.lab.calibration import CameraMount
 from risc_lab.registry import Registry
-from risc_simulator.models import integrator
+from risc_simulator.models import integrator, offline_link
 from risc_simulator.models.quadrotor import QUADROTOR_FIELDS
 
 REGISTRY = Registry("virtual_vehicles", __name__)
@@ -48,6 +50,7 @@ class VirtualType(NamedTuple):
     equations: dict  # {name in integrator.py: function}
     cameras: tuple[VirtualCamera, ...]
     Telemetry: type | None
+    OfflineLink: type
 
 
 @functools.cache
@@ -62,6 +65,7 @@ def virtual_type(name):
             {name: getattr(module, name, getattr(integrator, name)) for name in _EQUATIONS},
             tuple(getattr(module, "CAMERAS", ())),
             getattr(module, "Telemetry", None),
+            getattr(module, "OfflineLink", offline_link.OfflineLink),
         )
     except AttributeError as error:
         raise ValueError("virtual vehicle %r (%s): %s" % (name, module.__file__, error)) from error

@@ -16,30 +16,27 @@ from typing import NamedTuple
 from risc_lab.frames import GRAVITY_M_S2
 from risc_simulator.models.battery import GROUND_LOAD, Battery
 from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase
+from risc_simulator.vehicles.iris.parameters import Parameters
 
 CHANNELS = 8
 ROLL, PITCH, THROTTLE, YAW = range(4)
-CENTRE_US, HALF_RANGE_US = 1500, 500
+CENTRE_US, HALF_RANGE_US = 1500, 500  # of a channel, before anybody sets the parameters RCn_MIN ...
 
 LOOK_PERIOD_S = 0.02
 GESTURE_S = 2.0  # throttle at its end and yaw at its end for so long: right arms, left disarms
 GESTURE_YAW = 0.89  # of full yaw
-THROTTLE_DEAD_US = 30  # of the lowest throttle, and on each side of the middle in ALT_HOLD
-IDLE_DISARM_S = 10.0  # armed on the ground with the throttle at its end
 LANDED_DISARM_S = 1.0  # on the ground in LAND
 RADIO_LOST_S = 0.5  # without a frame,
 OVERRIDE_LOST_S = 1.0  # or without an override where no receiver was ever heard
-LOW_THROTTLE_US = 975  # below this the transmitter says that it has lost its own signal: three frames
-LOW_THROTTLE_FRAMES = 3
-OVERRIDE_LIFE_S = 3.0
+LOW_THROTTLE_FRAMES = 3  # below FS_THR_VALUE: the transmitter says that it has lost its own signal
 RELEASE_US, LEAVE_US = 0, 65535  # of an override
 
-LAND_DESCENT_M_S = 0.5
 STOPPING_TIME_S = 0.3  # height is held where the climb loop can stop
 HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
 LOW_BATTERY_PCT = 15.0  # says so, and does not arm
 CRITICAL_BATTERY_PCT = 8.0  # lands by itself
 _SILENT_US = (0,) * CHANNELS
+_PARAMETERS = ["RC%d_" % (1 + channel) for channel in range(CHANNELS)]
 
 
 class Mode(IntEnum):
@@ -69,6 +66,7 @@ class IrisFirmware(Firmware):
 
     command: (roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n or climb_m_s).
     vehicle: world.Vehicle that it is in; its host says so.
+    parameters: those of the same names of ArduCopter; they act as soon as they are set.
     texts: (Severity, text) that it says to ground stations, oldest first; whoever speaks for it takes them out.
     """
 
@@ -80,9 +78,15 @@ class IrisFirmware(Firmware):
         self.texts = deque(maxlen=100)
         self.radio_failsafe = True  # until something is heard
         self.wake_s = 0.0
+        dead_us = round(HALF_RANGE_US * vehicle_type.stick_dead_zone)
+        self.parameters = Parameters(
+            ANGLE_MAX=round(100.0 * math.degrees(vehicle_type.tilt_max_rad)),
+            PILOT_Y_RATE=math.degrees(vehicle_type.yaw_rate_max_rad_s),
+            PILOT_SPEED_UP=round(100.0 * vehicle_type.climb_max_m_s),
+            **{"RC%d_DZ" % (1 + channel): dead_us for channel in (ROLL, PITCH, YAW)},
+        )
         self._type = vehicle_type
         self._battery, self._battery_said = Battery(vehicle_type.battery_life_s), None
-        self._dead_us = vehicle_type.stick_dead_zone * HALF_RANGE_US
         self._time_s = 0.0
         self._received_us, self._received_s = (), -math.inf
         self._overrides = {}  # channel -> (us, since when)
@@ -91,7 +95,6 @@ class IrisFirmware(Firmware):
         self._gesture, self._gesture_s = 0, 0.0  # yaw to this side since then
         self._grounded_s = 0.0  # since when it stands armed, or with a throttle that is not at its end
         self._hold_m = None  # height that is held; None: none
-        self._closes = False
 
     def configure(self, record):
         """Keep the record (1,), on_board.FIELDS: `tell` writes it."""
@@ -103,8 +106,6 @@ class IrisFirmware(Firmware):
     def tell(self):
         record = self._record
         record["climbs"] = self._climbs
-        if self._closes:
-            record["closes"], self._closes = True, False
         record["holds_height"] = self._hold_m is not None
         if self._hold_m is not None:
             record["height_m"] = self._hold_m
@@ -135,9 +136,8 @@ class IrisFirmware(Firmware):
         if not self._received_us and not self._overrides:
             return ()
         channels = list(self._received_us) + [0] * (CHANNELS - len(self._received_us))
-        for channel, (us, since_s) in self._overrides.items():
-            if self._time_s - since_s <= OVERRIDE_LIFE_S:
-                channels[channel] = us
+        for channel, (us, _) in self._overrides.items():
+            channels[channel] = us
         return tuple(channels)
 
     def hover_throttle(self, battery_pct):
@@ -180,12 +180,13 @@ class IrisFirmware(Firmware):
 
     def arming_trouble(self):
         """Why it would not arm now, or ""."""
-        channels = self._channels
         if self.mode is Mode.LAND:
             return "Arm: Land mode not armable"
+        if not self.parameters["ARMING_CHECK"]:
+            return ""
         if self.radio_failsafe:
             return "PreArm: Radio failsafe on"
-        if not _throttle_is_at_its_end(channels):
+        if not self._throttle_is_at_its_end(self._channels):
             return "Arm: Throttle too high"
         if self.battery_pct(self._time_s) <= LOW_BATTERY_PCT:
             return "PreArm: Battery below minimum arming capacity"
@@ -201,6 +202,8 @@ class IrisFirmware(Firmware):
 
     def override(self, channels_us, now_s):
         """RC_CHANNELS_OVERRIDE, of a station that may: microseconds for each channel, RELEASE_US or LEAVE_US."""
+        if self.parameters["RC_OVERRIDE_TIME"] == 0.0:
+            return
         for channel, us in enumerate(channels_us[:CHANNELS]):
             if us == RELEASE_US:
                 self._overrides.pop(channel, None)
@@ -221,7 +224,7 @@ class IrisFirmware(Firmware):
     def apply(self, action, time_s, vertical_motion):
         if isinstance(action, RcFrame):
             self._received_us, self._received_s = action.channels_us, time_s
-            is_low = action.channels_us[THROTTLE] < LOW_THROTTLE_US
+            is_low = action.channels_us[THROTTLE] < self.parameters["FS_THR_VALUE"]
             self._low_frames = min(self._low_frames + 1, LOW_THROTTLE_FRAMES) if is_low else 0
             self.wake(time_s, vertical_motion)
         elif action is FlightAction.LAND:
@@ -234,9 +237,7 @@ class IrisFirmware(Firmware):
     def wake(self, time_s, vertical_motion):
         """Look around, and command the loops."""
         self._time_s, self.wake_s = time_s, time_s + LOOK_PERIOD_S
-        self._overrides = {
-            channel: item for channel, item in self._overrides.items() if time_s - item[1] <= OVERRIDE_LIFE_S
-        }
+        self._end_overrides()
         channels = self._channels
         self._watch_radio()
         if not self.radio_failsafe:
@@ -277,16 +278,23 @@ class IrisFirmware(Firmware):
             self._battery_said = level
             if level is not None:
                 self.texts.append((Severity.WARNING, "Battery failsafe: %s" % level))
-        if level == "critical" and self.armed:
+        if level == "critical" and self.armed and self.parameters["BATT_FS_CRT_ACT"]:
             self._end_flight()
 
     # ------------------------------------------------------------------ what it watches
+
+    def _end_overrides(self):
+        life_s = self.parameters["RC_OVERRIDE_TIME"]
+        if self._overrides and life_s >= 0.0:
+            fresh = {channel: item for channel, item in self._overrides.items() if self._time_s - item[1] <= life_s}
+            self._overrides = fresh
 
     def _watch_radio(self):
         heard = bool(self._received_us)
         silent_s = self._time_s - max(self._received_s, self._override_s)
         lost = silent_s > (RADIO_LOST_S if heard else OVERRIDE_LOST_S)
-        lost |= THROTTLE not in self._overrides and self._low_frames >= LOW_THROTTLE_FRAMES
+        is_low = THROTTLE not in self._overrides and self._low_frames >= LOW_THROTTLE_FRAMES
+        lost |= is_low and self.parameters["FS_THR_ENABLE"] != 0
         if lost == self.radio_failsafe:
             return
         self.radio_failsafe = lost
@@ -294,7 +302,7 @@ class IrisFirmware(Firmware):
             self.texts.append((Severity.INFO, "Radio Failsafe Cleared"))
         else:
             self.texts.append((Severity.WARNING, "Radio Failsafe"))
-            if self.armed:
+            if self.armed and self.parameters["FS_THR_ENABLE"]:
                 self._end_flight()
 
     def _end_flight(self):
@@ -305,26 +313,26 @@ class IrisFirmware(Firmware):
             self._enter(Mode.LAND)
 
     def _watch_gesture(self, channels):
-        yaw = self._stick(channels[YAW])
-        side = 0
-        if _throttle_is_at_its_end(channels) and abs(yaw) > GESTURE_YAW:
-            side = int(math.copysign(1, yaw))
+        yaw, side = self._stick(channels, YAW), 0
+        if self._throttle_is_at_its_end(channels) and abs(yaw) > GESTURE_YAW:
+            side = 1 if yaw > 0.0 else -1
         if side != self._gesture:
             self._gesture, self._gesture_s = side, self._time_s
         if side and self._time_s - self._gesture_s >= GESTURE_S:
             self._gesture_s = math.inf  # once
-            if side > 0:
+            allowed = self.parameters["ARMING_RUDDER"]
+            if side > 0 and allowed >= 1:
                 self.arm()
-            elif not self.lifted:
+            elif side < 0 and allowed >= 2 and not self.lifted:
                 self.disarm()
 
     def _watch_ground(self, channels):
         if self.mode is Mode.LAND:
             if self._time_s - self._grounded_s >= LANDED_DISARM_S:
                 self._stop()
-        elif not _throttle_is_at_its_end(channels):
+        elif not self._throttle_is_at_its_end(channels):
             self._grounded_s = self._time_s
-        elif self._time_s - self._grounded_s >= IDLE_DISARM_S:
+        elif 0.0 < self.parameters["DISARM_DELAY"] <= self._time_s - self._grounded_s:
             self._stop()
 
     # ------------------------------------------------------------------ what it does
@@ -334,9 +342,7 @@ class IrisFirmware(Firmware):
         return self.mode is not Mode.STABILIZE
 
     def _enter(self, mode):
-        climbed = self._climbs
         self.mode, self._hold_m, self._grounded_s = mode, None, self._time_s
-        self._closes |= self._climbs and not climbed
         self._hurry()
 
     def _start(self):
@@ -353,20 +359,26 @@ class IrisFirmware(Firmware):
             self._hurry()
 
     def _command(self, channels, vertical_motion):
-        kind = self._type
-        sticks = (0.0, 0.0, 0.0)
-        if not self.radio_failsafe:
-            sticks = [self._stick(channels[channel]) for channel in (ROLL, PITCH, YAW)]
-        throttle = min(1.0, max(-1.0, (channels[THROTTLE] - CENTRE_US) / HALF_RANGE_US))
+        parameters = self.parameters
+        roll, pitch, yaw = 0.0, 0.0, 0.0
+        if not self.radio_failsafe or not parameters["FS_THR_ENABLE"]:
+            roll, pitch, yaw = (self._stick(channels, channel) for channel in (ROLL, PITCH, YAW))
+        least_us, most_us = parameters["RC3_MIN"], parameters["RC3_MAX"]
+        throttle = min(1.0, max(-1.0, (2.0 * channels[THROTTLE] - least_us - most_us) / (most_us - least_us)))
         if self.mode is Mode.STABILIZE:
-            up = self._nominal_n * (1.0 + throttle - self._nominal_hover(self.battery_pct(self._time_s)))
+            hover = self._nominal_hover(self.battery_pct(self._time_s))
+            idles = self._throttle_is_at_its_end(channels)
+            up = 0.0 if idles else self._nominal_n * (1.0 + throttle - hover)
         elif self.mode is Mode.LAND:
-            up = -LAND_DESCENT_M_S
+            up = -0.01 * parameters["LAND_SPEED"]
         else:
-            up = kind.climb_max_m_s * _beyond(throttle, THROTTLE_DEAD_US / HALF_RANGE_US)
+            speed = parameters["PILOT_SPEED_UP"]
+            if throttle < 0.0 and parameters["PILOT_SPEED_DN"]:
+                speed = parameters["PILOT_SPEED_DN"]
+            up = 0.01 * speed * _beyond(throttle, parameters["THR_DZ"] / 500.0)
             self._choose_height(up, vertical_motion)
-        roll, pitch, yaw = sticks
-        self.command = (kind.tilt_max_rad * roll, kind.tilt_max_rad * pitch, kind.yaw_rate_max_rad_s * yaw, up)
+        tilt_rad = math.radians(0.01 * parameters["ANGLE_MAX"])
+        self.command = (tilt_rad * roll, tilt_rad * pitch, math.radians(parameters["PILOT_Y_RATE"]) * yaw, up)
         if self.armed and not self.lifted and self._lifts():
             self.lifted = True
             self._record["rotor_thrust_n"] = self._balance_n  # that they had to pass
@@ -390,13 +402,18 @@ class IrisFirmware(Firmware):
             result = result * battery_pct + coefficient
         return result
 
-    def _stick(self, us):
-        """Deflection in [-1, 1] beyond the dead zone."""
-        return _beyond((us - CENTRE_US) / HALF_RANGE_US, self._dead_us / HALF_RANGE_US)
+    def _stick(self, channels, channel):
+        """Deflection of a channel in [-1, 1], beyond its dead zone."""
+        parameters, name, us = self.parameters, _PARAMETERS[channel], channels[channel]
+        offset_us = us - parameters[name + "TRIM"]
+        end_us = parameters[name + ("MAX" if offset_us > 0 else "MIN")] - parameters[name + "TRIM"]
+        dead_us = parameters[name + "DZ"]
+        travel_us = max(1.0, abs(end_us) - dead_us)
+        size = min(1.0, max(0.0, (abs(offset_us) - dead_us) / travel_us))
+        return size if (offset_us > 0) != bool(parameters[name + "REVERSED"]) else -size
 
-
-def _throttle_is_at_its_end(channels):
-    return channels[THROTTLE] <= CENTRE_US - HALF_RANGE_US + THROTTLE_DEAD_US
+    def _throttle_is_at_its_end(self, channels):
+        return channels[THROTTLE] <= self.parameters["RC3_MIN"] + self.parameters["RC3_DZ"]
 
 
 def _beyond(deflection, dead):

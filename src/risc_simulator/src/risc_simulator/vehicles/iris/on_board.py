@@ -15,12 +15,14 @@ HEIGHT_GAIN_1_S = 1.2  # height hold: climb rate per height error
 HEIGHT_HOLD_CLIMB_M_S = 0.5
 CLIMB_INTEGRAL_1_S2 = 0.5  # slow trim of the climb loop
 CLIMB_TRIM_LIMIT_M_S2 = 2.0
+LEARNING_S = 2.0  # while the throttle flies it and it does not climb, the trim learns what hovers, with this lag
+LEARNING_CLIMB_M_S = 0.5
 
 FIELDS = (
     ("climbs", bool),  # the climb loop sets the thrust
-    ("closes", bool),  # it has just been closed: it begins with the thrust that there is
     ("holds_height", bool),  # while it climbs: to this height
     ("height_m", float),
+    ("lift_m_s2", float),  # vertical acceleration of a vehicle as it should be with this thrust, less g
     ("wanted_thrust_n", float),  # of the rotors
     ("rotor_thrust_n", float),  # their thrust, if they were as they should be: thrust_scale makes it the true one
 )
@@ -37,13 +39,10 @@ def slope(x, inputs, vehicle, x_dot):
 def before_step(x, inputs, vehicle):
     """The thrust that is wanted in the step that starts in state x (12,)."""
     if not vehicle.climbs:
+        upright = math.cos(x[X.PHI]) * math.cos(x[X.THETA])
+        vehicle.lift_m_s2 = vehicle.rotor_thrust_n * upright / vehicle.nominal_mass_kg - GRAVITY_M_S2
         vehicle.wanted_thrust_n = _within(inputs[U.CLIMB], vehicle.thrust_min_n, vehicle.thrust_max_n)
         return
-    if vehicle.closes:
-        vehicle.closes = False
-        upright = math.cos(x[X.PHI]) * math.cos(x[X.THETA])
-        trim = vehicle.rotor_thrust_n * upright / vehicle.nominal_mass_kg - GRAVITY_M_S2
-        inputs[U.CLIMB_TRIM] = _within(trim, -CLIMB_TRIM_LIMIT_M_S2, CLIMB_TRIM_LIMIT_M_S2)
     if vehicle.holds_height:
         up_m_s = HEIGHT_GAIN_1_S * (vehicle.height_m - x[X.H])
         inputs[U.CLIMB] = _within(up_m_s, -HEIGHT_HOLD_CLIMB_M_S, HEIGHT_HOLD_CLIMB_M_S)
@@ -52,12 +51,15 @@ def before_step(x, inputs, vehicle):
 
 @compiled
 def after_step(inputs, climb_m_s, vehicle, step_s):
-    """The rotors follow; the slow integral on the climb error. climb_m_s: climb rate at the start of the step."""
+    """The rotors follow, and so does the trim of the climb loop. climb_m_s: climb rate at the start of the step."""
     share = 1.0 - math.exp(-step_s / ROTOR_TIME_CONSTANT_S)
     vehicle.rotor_thrust_n += share * (vehicle.wanted_thrust_n - vehicle.rotor_thrust_n)
+    trim = inputs[U.CLIMB_TRIM]
     if vehicle.climbs:
-        trim = inputs[U.CLIMB_TRIM] + CLIMB_INTEGRAL_1_S2 * step_s * (inputs[U.CLIMB] - climb_m_s)
-        inputs[U.CLIMB_TRIM] = _within(trim, -CLIMB_TRIM_LIMIT_M_S2, CLIMB_TRIM_LIMIT_M_S2)
+        trim += CLIMB_INTEGRAL_1_S2 * step_s * (inputs[U.CLIMB] - climb_m_s)
+    elif abs(climb_m_s) < LEARNING_CLIMB_M_S and vehicle.wanted_thrust_n > vehicle.thrust_min_n:
+        trim += step_s / LEARNING_S * (vehicle.lift_m_s2 - trim)
+    inputs[U.CLIMB_TRIM] = _within(trim, -CLIMB_TRIM_LIMIT_M_S2, CLIMB_TRIM_LIMIT_M_S2)
 
 
 @compiled

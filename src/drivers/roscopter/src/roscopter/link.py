@@ -1,0 +1,149 @@
+"""The device and the one thread that owns it. No ROS.
+
+Other threads never touch the device or the Autopilot: they `post` orders into a mailbox and wake the thread, which
+otherwise sleeps until bytes come or TICK_S has passed.
+"""
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections import deque
+
+from roscopter import transport
+from roscopter.autopilot import TICK_S, Autopilot
+
+RETRY_S = 1.0  # until a device that cannot be opened is tried again
+LAST_SPACING_S = 0.02  # between the last packets
+JOIN_S = 3.0
+
+
+class Link:
+    """Runs an Autopilot on a real device.
+
+    options: Options.  report: function (level, text).  on_message: called in the thread with each of the vehicle's
+    messages; must be short.  on_failure: called in the thread with the exception that ended it.
+    """
+
+    def __init__(self, options, report, on_message, on_failure):
+        self._options, self._report = options, report
+        self._on_message, self._on_failure = on_message, on_failure
+        self.autopilot = Autopilot(options, self._write, report)
+        self.counts = {"received bytes": 0, "sent bytes": 0, "not sent": 0, "times opened": 0}
+        self._device, self._reopen_s, self._complaint = None, 0.0, None
+        self._mailbox, self._is_over = deque(), False
+        self._bell_in, self._bell_out = socket.socketpair()
+        for bell in (self._bell_in, self._bell_out):
+            bell.setblocking(False)
+        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
+
+    def start(self):
+        """Open the device, and look for the vehicle."""
+        self._thread.start()
+
+    def post(self, order, *arguments):
+        """Hand an order to the thread: a method of `autopilot`; it is called with the arguments and the time."""
+        self._mailbox.append((order, arguments))
+        with contextlib.suppress(OSError):  # the bell already rings, or the node is shutting down
+            self._bell_in.send(b"\0")
+
+    def stop(self):
+        """Give overridden channels back, and close the device."""
+        self._is_over = True
+        self.post(lambda _now_s: None)
+        if self._thread.is_alive():
+            self._thread.join(JOIN_S)
+
+    def _run(self):
+        try:
+            self._loop()
+        except Exception as error:  # whatever it is: nobody would hear the vehicle any more
+            self._on_failure(error)
+        finally:
+            with contextlib.suppress(Exception):  # of a device that is gone, or of what has just failed
+                self._give_back()
+            self._close()
+
+    def _give_back(self):
+        for packet in self.autopilot.last_stand():
+            self._write(packet)
+            time.sleep(LAST_SPACING_S)
+
+    def _loop(self):
+        autopilot, clock, mailbox = self.autopilot, time.monotonic, self._mailbox
+        next_tick_s = 0.0
+        while not self._is_over:
+            now_s = clock()
+            if self._device is None and now_s >= self._reopen_s:
+                self._open()
+                now_s = clock()
+            waitables = [self._bell_out] if self._device is None else [self._bell_out, self._device]
+            ready, _, _ = select.select(waitables, (), (), max(0.0, next_tick_s - now_s))
+            now_s = clock()
+            if self._bell_out in ready:
+                self._bell_out.recv(4096)
+            while mailbox:
+                order, arguments = mailbox.popleft()
+                order(*arguments, now_s)
+            if self._device in ready:
+                self._receive(now_s)
+            if now_s >= next_tick_s:
+                next_tick_s = now_s + TICK_S
+                autopilot.poll(now_s)
+
+    def _open(self):
+        device = self._options.device
+        try:
+            self._device = transport.open_device(device, self._options.baudrate)
+        except (OSError, ValueError) as error:
+            self._complain("cannot open %s (%s); trying again every second" % (device, _reason(error)))
+            self._reopen_s = time.monotonic() + RETRY_S
+            return
+        self._complaint = None
+        self.counts["times opened"] += 1
+        self._report("info", "opened %s" % device)
+        self.autopilot.opened(time.monotonic())
+
+    def _complain(self, text):
+        if text != self._complaint:
+            self._report("error", text)
+        self._complaint = text
+
+    def _receive(self, now_s):
+        try:
+            data, source = self._device.read()
+        except OSError as error:
+            self._lose(error)
+            return
+        self.counts["received bytes"] += len(data)
+        messages = self.autopilot.receive(data, now_s)
+        if messages:
+            self._device.answer_to(source)
+        for message in messages:
+            self._on_message(message)
+
+    def _lose(self, error):
+        self._report("error", "lost %s (%s); waiting for it" % (self._options.device, _reason(error)))
+        self._close()
+        self._complaint = "cannot open"
+        self._reopen_s = time.monotonic() + RETRY_S
+        self.autopilot.closed(time.monotonic())
+
+    def _write(self, data):
+        if self._device is None:
+            return
+        try:
+            is_sent = self._device.write(data)
+        except OSError:
+            is_sent = False  # reading tells that the device is gone
+        self.counts["sent bytes" if is_sent else "not sent"] += len(data) if is_sent else 1
+
+    def _close(self):
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+
+
+def _reason(error):
+    return getattr(error, "strerror", None) or str(error)

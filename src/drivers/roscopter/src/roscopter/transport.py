@@ -1,0 +1,155 @@
+"""Devices that MAVLink comes through: serial lines, UDP, TCP. They never wait, and say what is wrong by OSError.
+
+pymavlink's own (mavutil) wait and print, hide what cannot be sent, and a listening one sends to everybody who has ever
+sent anything.
+"""
+
+import contextlib
+import os
+import re
+import socket
+
+import serial
+
+FORMS = "a serial device such as /dev/ttyUSB0, or udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT"
+CONNECT_S = 1.0  # the longest that opening a TCP connection holds up everything else
+_MOST_BYTES = 65536
+_NETWORK = re.compile(r"(udpin|udpout|udp|tcp):([^:]*):(\d+)")
+
+
+def check(device):
+    """Raises ValueError when a text names no device."""
+    is_network = _NETWORK.fullmatch(device)
+    if is_network and not 0 < int(is_network[3]) < 65536 or not is_network and re.match(r"\w+:", device):
+        raise ValueError("device %r is none: give %s" % (device, FORMS))
+
+
+def open_device(device, baudrate):
+    """Open one. Raises OSError, and ValueError for a baud rate that a serial line has not."""
+    network = _NETWORK.fullmatch(device)
+    if network is None:
+        return Serial(device, baudrate)
+    address = network[2], int(network[3])
+    if network[1] == "tcp":
+        return Tcp(address)
+    return UdpClient(address) if network[1] == "udpout" else UdpServer(address)
+
+
+class Serial:
+    """A serial line, or a pseudo terminal."""
+
+    def __init__(self, path, baudrate):
+        self._port = serial.Serial(path, baudrate, timeout=0, exclusive=True)
+        self.fileno = self._port.fileno
+
+    def read(self):
+        """Bytes, and where they came from."""
+        data = os.read(self._port.fileno(), _MOST_BYTES)
+        if not data:
+            raise OSError("it was unplugged")
+        return data, None
+
+    def write(self, data):
+        """Whether all of it was taken. What the line does not take at once is lost."""
+        try:
+            return os.write(self._port.fileno(), data) == len(data)
+        except BlockingIOError:
+            return False
+
+    def answer_to(self, source):
+        """The vehicle is there: where its messages come from."""
+
+    def close(self):
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+
+class _Socket:
+    def __init__(self, sock):
+        self._socket = sock
+        sock.setblocking(False)
+        self.fileno = sock.fileno
+
+    def read(self):
+        try:
+            return self._socket.recv(_MOST_BYTES), None
+        except (BlockingIOError, ConnectionRefusedError):  # of UDP: nobody listens there yet
+            return b"", None
+
+    def write(self, data):
+        try:
+            return self._socket.send(data) == len(data)
+        except (BlockingIOError, ConnectionRefusedError):
+            return False
+
+    def answer_to(self, source):
+        pass
+
+    def close(self):
+        self._socket.close()
+
+
+class UdpClient(_Socket):
+    """Sends to one address and hears what comes from there."""
+
+    def __init__(self, address):
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            sock.connect(address)
+        except OSError:
+            sock.close()
+            raise
+        super().__init__(sock)
+
+    def write(self, data):
+        with contextlib.suppress(OSError):  # a network that is gone comes back, and the socket serves again
+            return super().write(data)
+        return False
+
+
+class UdpServer(_Socket):
+    """Hears everybody who sends to one address, and answers the vehicle."""
+
+    def __init__(self, address):
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            sock.bind(address)
+        except OSError:
+            sock.close()
+            raise
+        super().__init__(sock)
+        self._peer = None
+
+    def read(self):
+        try:
+            return self._socket.recvfrom(_MOST_BYTES)
+        except (BlockingIOError, ConnectionRefusedError):
+            return b"", None
+
+    def write(self, data):
+        if self._peer is None:
+            return False
+        with contextlib.suppress(OSError):
+            return self._socket.sendto(data, self._peer) == len(data)
+        return False
+
+    def answer_to(self, source):
+        self._peer = source
+
+
+class Tcp(_Socket):
+    """A connection to a server."""
+
+    def __init__(self, address):
+        sock = socket.create_connection(address, CONNECT_S)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        super().__init__(sock)
+
+    def read(self):
+        try:
+            data = self._socket.recv(_MOST_BYTES)
+        except BlockingIOError:
+            return b"", None
+        if not data:
+            raise OSError("the other side has closed it")
+        return data, None

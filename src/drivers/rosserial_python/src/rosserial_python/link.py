@@ -1,0 +1,308 @@
+"""The link to one device: whether it lives, when it is asked, and what goes on the line next. No ROS, no ports.
+
+Times are those of one clock that never steps [s]; whoever calls says what time it is. The line is an object with
+`write(data)` (returns how many bytes it took, raises OSError), `queued()` (bytes that it took and has not sent yet),
+`discard()` (forget those where that is possible) and `byte_s` (how long it takes for a byte, 0: not known).
+
+A device that publishes proves that it lives. One that is quiet is asked for its topics: every device answers that at
+once, and it needs nothing else.
+"""
+
+import enum
+import math
+import threading
+from collections import deque
+from dataclasses import dataclass, field
+
+from rosserial_python import protocol
+from rosserial_python.protocol import Decoder
+
+_IN_FLIGHT_BYTES = 256  # that may wait in the kernel or for an acknowledgement when the next packet is written
+_FULL_LINE_S = 0.002  # until it is looked at again
+_WORRY_S = 0.02  # without a sound packet after a damaged one: the device is asked
+_APART_S = 0.05  # between two such questions
+_AGAIN_S = 0.1  # between two requests while topics are missing
+_SECOND_REQUEST_S = 1.0  # after the first announcement: one that was lost without a trace is found
+_GROOVY_EVERY = 8  # requests to a device that never answered: it may speak the old protocol
+_REPLIES = 64  # answers that may wait; a device waits for each of its own
+
+
+class State(enum.IntEnum):
+    """As in risc_maap_msgs/SerialLink."""
+
+    CLOSED = 0
+    WAITING = 1
+    UP = 2
+
+
+@dataclass
+class Facts:
+    """What was seen of a line."""
+
+    state: State = State.CLOSED
+    waits_s: float | None = None  # since when it is open and the device does not answer
+    bytes: int = 0  # that have come since then
+    speaks_groovy: bool = False  # meanwhile
+    heard_s: float = -math.inf  # last sound packet, -inf: none yet
+    lost_s: deque = field(default_factory=lambda: deque(maxlen=16))  # when the link was lost, of all openings
+    damaged_s: deque = field(default_factory=lambda: deque(maxlen=16))  # when something damaged came
+    counts: dict = field(default_factory=lambda: dict.fromkeys(COUNTS, 0))  # since the start
+
+
+COUNTS = (
+    "packets",  # sound ones from the device
+    "damaged",  # begun and not sound
+    "stray bytes",  # in no packet
+    "openings",  # of the port
+    "lost",  # the device fell silent
+    "requests",  # for topics
+    "sent",  # messages to the device
+    "replaced",  # by a newer one before the line was free
+    "outdated",  # too old to be sent
+)
+
+
+@dataclass
+class _Waiting:
+    """The newest message for one topic of the device."""
+
+    packet: bytes
+    expires_s: float
+
+
+class Link:
+    """See the module. Any thread may call; packets are returned, never handed to a callback."""
+
+    def __init__(self, silence_s=0.3):
+        self._silence_s = silence_s
+        self._lock = threading.Lock()
+        self._line = self._decoder = None
+        self._answers = {}  # {(id, topic id): bytes} of announcements: how much a device answers to a request
+        self._missing = set()  # those that it made before it was lost, and not again yet
+        self._unsure = False  # something damaged came since the last request: it may have been an announcement
+        self._announced = set()  # topic ids since the device was lost last
+        self._announced_s = None  # when the first of them was announced
+        self._asked_s = self._suspected_s = -math.inf  # last request; damage that no sound packet has followed
+        self._asked_again = False
+        self._rest = b""  # of a packet that was begun
+        self._free_s = -math.inf  # when the line has sent what it was given
+        self._replies, self._waiting = deque(maxlen=_REPLIES), {}  # packets; {topic id: _Waiting}
+        self.opened_s = -math.inf
+        self.failure = None  # OSError that a write has met: the line is to be closed
+        self.facts = Facts()
+
+    # --- the line -------------------------------------------------------------------------------------------------
+    def opened(self, line, now_s):
+        """A line was opened; asks for topics at once."""
+        with self._lock:
+            self._line, self._decoder, self.failure = line, Decoder(line.byte_s), None
+            self.opened_s, facts = now_s, self.facts
+            facts.state = State.WAITING
+            if facts.waits_s is None:
+                facts.waits_s, facts.bytes, facts.speaks_groovy = now_s, 0, False
+            facts.counts["openings"] += 1
+            self._forget()
+            self._free_s = -math.inf
+            self._ask(now_s)
+            self._flush(now_s)
+
+    def closed(self, now_s):
+        """It is closed, or gone."""
+        with self._lock:
+            if self.facts.state is State.UP:
+                self._lose(now_s)
+            self.facts.state, self._line = State.CLOSED, None
+            self._forget()
+
+    def received(self, data, now_s):
+        """Sound packets that are complete with these bytes; b"" when none came until now."""
+        with self._lock:
+            facts, decoder = self.facts, self._decoder
+            damaged, stray = decoder.damaged, decoder.stray_bytes
+            packets = decoder.feed(data, now_s)
+            facts.bytes += len(data)
+            facts.speaks_groovy |= decoder.speaks_groovy
+            facts.counts["packets"] += len(packets)
+            facts.counts["damaged"] += decoder.damaged - damaged
+            facts.counts["stray bytes"] += decoder.stray_bytes - stray
+            if decoder.stray_bytes > stray:
+                facts.damaged_s.append(now_s)
+                self._suspected_s = now_s
+                self._unsure |= now_s < self._asked_s + self.limit_s
+            if packets:
+                facts.heard_s, facts.waits_s, facts.state = now_s, None, State.UP
+                if decoder.stray_bytes == stray:
+                    self._suspected_s = -math.inf
+            for topic_id, payload in packets:
+                if topic_id in protocol.ANNOUNCEMENTS:
+                    self._answers[topic_id, payload[:2]] = len(payload) + protocol.OVERHEAD
+                    self._missing.discard((topic_id, payload[:2]))
+                    self._announced_s = now_s if self._announced_s is None else self._announced_s
+            self._flush(now_s)
+            return packets
+
+    # --- time -----------------------------------------------------------------------------------------------------
+    @property
+    def limit_s(self):
+        """Silence after which the link is lost [s]: longer when the device answers a request for long."""
+        return max(self._silence_s, 2.0 * self._answer_s + 0.5 * self._silence_s)
+
+    @property
+    def _answer_s(self):
+        """How long a device answers to a request [s]."""
+        return sum(self._answers.values()) * self._line.byte_s if self._line else 0.0
+
+    def tick(self, now_s):
+        """Notice a loss, ask, write what may be written; after `received`, and as soon as `due_s` says."""
+        with self._lock:
+            if self._line is None:
+                return
+            if self.facts.state is State.UP and now_s - self.facts.heard_s >= self.limit_s:
+                self._lose(now_s)
+                self.facts.state = State.WAITING
+                self._line.discard()
+                self._rest, self._free_s = b"", now_s
+                self._forget()
+            if now_s >= self._ask_s():
+                self._ask(now_s)
+            self._flush(now_s)
+
+    def due_s(self, now_s):
+        """When `received` with no bytes and `tick` are to be called, unless bytes come before [s]."""
+        with self._lock:
+            if self._line is None:
+                return math.inf
+            due_s = min(self._ask_s(), self._decoder.due_s)
+            if self.facts.state is State.UP:
+                due_s = min(due_s, self.facts.heard_s + self.limit_s)
+            if self._rest or self._replies or any(topic_id in self._announced for topic_id in self._waiting):
+                due_s = min(due_s, self._free_s if self._free_s > now_s else now_s + _FULL_LINE_S)
+            return due_s
+
+    def _ask_s(self):
+        """When the device is to be asked for its topics next."""
+        asked_s, quiet_s = self._asked_s, 0.5 * self._silence_s
+        if self.facts.state is not State.UP:
+            return asked_s + quiet_s
+        # a device that answers for long is asked so that the answers take half of the line at most
+        due_s = max(self.facts.heard_s + quiet_s, asked_s + max(0.5 * quiet_s, 2.0 * self._answer_s))
+        if math.isfinite(self._suspected_s):
+            due_s = min(due_s, max(self._suspected_s + _WORRY_S, asked_s + _APART_S))
+        if self._announced_s is None or self._unsure or self._missing:
+            due_s = min(due_s, asked_s + max(_AGAIN_S, 2.0 * self._answer_s))
+        if self._announced_s is not None and not self._asked_again:
+            due_s = min(due_s, self._announced_s + _SECOND_REQUEST_S)
+        return due_s
+
+    def _ask(self, now_s):
+        counts, facts = self.facts.counts, self.facts
+        counts["requests"] += 1
+        self._suspected_s, self._unsure = -math.inf, False
+        if self._announced_s is not None and now_s >= self._announced_s + _SECOND_REQUEST_S:
+            self._asked_again = True
+            self._answers = {key: size for key, size in self._answers.items() if key not in self._missing}
+            self._missing.clear()  # the device has another program
+        self._asked_s = now_s
+        if protocol.REQUEST_TOPICS not in self._replies:
+            self._replies.append(protocol.REQUEST_TOPICS)
+        if not math.isfinite(facts.heard_s) and counts["requests"] % _GROOVY_EVERY == 0:
+            self._replies.append(protocol.GROOVY_REQUEST)
+
+    def _lose(self, now_s):
+        facts = self.facts
+        facts.lost_s.append(now_s)
+        facts.counts["lost"] += 1
+        facts.waits_s, facts.bytes, facts.speaks_groovy = now_s, 0, False
+
+    def _forget(self):
+        """What a device said counts no more: it may come back as another one."""
+        self._announced.clear()
+        self._replies.clear()
+        self._missing = set(self._answers)
+        self._announced_s, self._asked_again, self._suspected_s, self._rest = None, False, -math.inf, b""
+        self._unsure = False
+
+    # --- to the device --------------------------------------------------------------------------------------------
+    def ask_topics(self, now_s):
+        """Something came that the topics known do not explain."""
+        with self._lock:
+            if self._line is not None and now_s >= self._asked_s + _AGAIN_S:
+                self._ask(now_s)
+                self._flush(now_s)
+
+    def confirm(self, topic, now_s):
+        """A protocol.Topic was announced: messages may go to it, or come in it."""
+        with self._lock:
+            if self._line is None:
+                return
+            self._announced.add(topic.topic_id)
+            self._decoder.longest_bytes = max(self._decoder.longest_bytes, min(topic.buffer_bytes, protocol.MOST_BYTES))
+            self._flush(now_s)
+
+    def post(self, topic_id, payload, now_s, expires_s=math.inf):
+        """Send a message to a topic of the device as soon as the line is free, instead of an older one that waits.
+
+        Returns False when it has to wait: `due_s` is another one then.
+        """
+        packet = protocol.encode(topic_id, payload)
+        with self._lock:
+            self.facts.counts["replaced"] += topic_id in self._waiting
+            self._waiting[topic_id] = _Waiting(packet, expires_s)
+            self._flush(now_s)
+            return topic_id not in self._waiting and not self._rest
+
+    def reply(self, topic_id, payload, now_s):
+        """Send an answer; answers keep their order and go before messages. Returns as `post`."""
+        packet = protocol.encode(topic_id, payload)
+        with self._lock:
+            if self._line is None:
+                return True
+            self._replies.append(packet)
+            self._flush(now_s)
+            return not (self._replies or self._rest)
+
+    def forget(self, topic_id):
+        """Nothing is sent to this topic any more."""
+        with self._lock:
+            self._waiting.pop(topic_id, None)
+            self._announced.discard(topic_id)
+
+    @property
+    def idle(self):
+        """Nothing waits that could go now."""
+        return not (self._rest or self._replies)
+
+    def _flush(self, now_s):
+        line = self._line
+        if line is None or self.failure is not None:
+            return
+        try:
+            while True:
+                if self._rest:
+                    self._rest = self._rest[line.write(self._rest) :]
+                    if self._rest:
+                        return
+                if now_s < self._free_s or line.queued() > _IN_FLIGHT_BYTES:
+                    return
+                packet = self._next(now_s)
+                if packet is None:
+                    return
+                self._free_s = now_s + len(packet) * line.byte_s
+                self._rest = packet[line.write(packet) :]
+        except OSError as error:
+            self.failure = error
+
+    def _next(self, now_s):
+        """The packet that is to go next, None if there is none."""
+        if self._replies:
+            return self._replies.popleft()
+        counts = self.facts.counts
+        for topic_id, waiting in list(self._waiting.items()):
+            if now_s >= waiting.expires_s:
+                del self._waiting[topic_id]
+                counts["outdated"] += 1
+            elif topic_id in self._announced and self.facts.state is State.UP:
+                del self._waiting[topic_id]  # the next one of this topic queues behind those of others
+                counts["sent"] += 1
+                return waiting.packet
+        return None

@@ -1,0 +1,240 @@
+"""Lines to a device: serial ports and pseudo-terminals by pyserial, TCP connections to a device and from one. No ROS.
+
+A port makes lines. A `Line` never waits: `select` on it says when there is something to read.
+"""
+
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import select
+import socket
+import struct
+import termios
+
+import serial
+
+from rosserial_python.settings import LISTEN
+
+_BITS = 10  # of a byte on a serial line: start, 8, stop
+_READ_BYTES = 4096
+_CONNECT_S = 1.0  # until an address counts as out of reach
+_LINGER_NONE = struct.pack("ii", 1, 0)  # what was not sent yet is thrown away with the connection
+_SOCKET = re.compile(r"socket://(?:\[([^\]]+)\]|([^:/\[\]]+)):(\d+)/?")
+
+
+class Line:
+    """An open line, see `link`."""
+
+    def __init__(self, file, byte_s=0.0, node=None):
+        """file: has fileno() and close(), does not block.  node: identity of the device file that was opened."""
+        self._file, self.byte_s, self.node = file, byte_s, node
+        self._is_terminal = os.isatty(file.fileno())
+
+    def fileno(self):
+        """For select."""
+        return self._file.fileno()
+
+    def read(self):
+        """What has arrived, b"" when there is nothing. Raises OSError when the line is gone."""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self._file.fileno(), _READ_BYTES)
+            # of a terminal nothing may as well be the end, which is the case when it can be read all the same
+            if not data and self._is_terminal and self._is_readable():
+                data = os.read(self._file.fileno(), _READ_BYTES)
+            if data or (self._is_terminal and not self._is_readable()):
+                return data
+            raise OSError(errno.ENODEV, "the other end has closed the line, or the device is gone")
+        return b""
+
+    def _is_readable(self):
+        return bool(select.select([self._file], [], [], 0.0)[0])
+
+    def write(self, data):
+        """How many bytes the line took. Raises OSError when it is gone."""
+        try:
+            return os.write(self._file.fileno(), data)
+        except BlockingIOError:
+            return 0
+
+    def queued(self):
+        """Bytes that the kernel has, or that nobody has acknowledged; 0 of a pseudo-terminal."""
+        return struct.unpack("i", fcntl.ioctl(self._file.fileno(), termios.TIOCOUTQ, b"\0\0\0\0"))[0]
+
+    def discard(self):
+        """Forget what has not been sent yet; of a connection only closing it does."""
+        if self._is_terminal:
+            with contextlib.suppress(termios.error):
+                termios.tcflush(self._file.fileno(), termios.TCOFLUSH)
+
+    def close(self):
+        """The line is no more; nothing that waits is sent."""
+        with contextlib.suppress(OSError):
+            self.discard()
+            if isinstance(self._file, socket.socket):
+                self._file.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER_NONE)
+            self._file.close()
+
+
+def _of_connection(connection):
+    connection.setblocking(False)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return Line(connection)
+
+
+class SerialPort:
+    """A device file or pseudo-terminal, or another URL of pyserial that has a file, e.g. hwgrep://."""
+
+    def __init__(self, url, baud, reopen_s, for_test=False):
+        """reopen_s: silence after which opening anew may help [s], 0: never. Raises ValueError for what is no port."""
+        self.name, self._baud, self._reopen_s, self._for_test = url, baud, reopen_s, for_test
+        if not isinstance(self._closed(), serial.Serial):
+            raise ValueError("port %s: must be a device file, a pseudo-terminal, socket://HOST:PORT or tcp" % url)
+
+    def _closed(self):
+        options = {"rtscts": True, "dsrdtr": True} if self._for_test else {}
+        return serial.serial_for_url(
+            self.name, baudrate=self._baud, timeout=0, exclusive=True, do_not_open=True, **options
+        )
+
+    def open(self):
+        """A Line. Raises OSError."""
+        device = self._closed()
+        try:
+            device.open()
+            node = _identity(os.fstat(device.fileno()))
+            if not self._for_test:
+                device.reset_input_buffer()
+        except (OSError, termios.error) as error:
+            device.close()
+            raise OSError(_number(error), str(error)) from None
+        return Line(device, _BITS / self._baud, node)
+
+    def should_reopen(self, line, silent_s):
+        """Whether a silent line had better be opened again: its device has gone, or is another one now."""
+        if self._reopen_s and silent_s > self._reopen_s:
+            return True
+        if not self.name.startswith("/"):
+            return False
+        try:
+            return _identity(os.stat(self.name)) != line.node
+        except OSError:
+            return True
+
+    def close(self):
+        """Nothing is left to close."""
+
+
+def _identity(status):
+    return status.st_dev, status.st_ino, status.st_rdev
+
+
+def _number(error):
+    """errno of what pyserial raised; it wraps some."""
+    cause = error.__context__
+    if error.errno is None and isinstance(cause, OSError):
+        return cause.errno
+    return error.errno if isinstance(error, OSError) and error.errno is not None else errno.EIO
+
+
+class SocketPort:
+    """A device that listens: socket://HOST:PORT."""
+
+    reopen_s = 1.0
+
+    def __init__(self, url):
+        """Raises ValueError."""
+        match = _SOCKET.fullmatch(url)
+        if match is None or not 0 < int(match[3]) < 65536:
+            raise ValueError("port %s: must be socket://HOST:PORT, e.g. socket://127.0.0.1:11411" % url)
+        self.name, self._address = url, (match[1] or match[2], int(match[3]))
+
+    def open(self):
+        """A Line. Raises OSError."""
+        try:
+            return _of_connection(socket.create_connection(self._address, _CONNECT_S))
+        except socket.gaierror as error:
+            raise OSError(errno.EHOSTUNREACH, "%s: %s" % (self._address[0], error.strerror)) from None
+
+    def should_reopen(self, _line, silent_s):
+        """Whether a silent line had better be opened again."""
+        return silent_s > self.reopen_s
+
+    def close(self):
+        """Nothing is left to close."""
+
+
+class ListeningPort:
+    """Devices connect to this computer."""
+
+    def __init__(self, number):
+        """Raises OSError."""
+        self._server = socket.create_server(("", number), backlog=4)
+        self._server.setblocking(False)
+        self.name = "tcp:%d" % self._server.getsockname()[1]
+
+    def fileno(self):
+        """For select: a device has connected."""
+        return self._server.fileno()
+
+    def open(self):
+        """The Line of the device that connected last. Raises OSError when there is none."""
+        newest = None
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                connection, _ = self._server.accept()
+                if newest is not None:
+                    newest.close()
+                newest = connection
+        if newest is None:
+            raise OSError(errno.ECONNREFUSED, "no device has connected to %s" % self.name)
+        return _of_connection(newest)
+
+    def accept(self):
+        """(Line, its peer) of one device that has connected, None when there is none."""
+        try:
+            connection, peer = self._server.accept()
+        except BlockingIOError:
+            return None
+        return _of_connection(connection), "%s:%d" % peer[:2]
+
+    def should_reopen(self, _line, _silent_s):
+        """Whether another device waits, or the same one once more."""
+        return bool(select.select([self._server], [], [], 0.0)[0])
+
+    def close(self):
+        """Nobody can connect any more."""
+        self._server.close()
+
+
+class AcceptedPort:
+    """One connection of a ListeningPort with several devices; when it ends it is over."""
+
+    def __init__(self, line, name):
+        self.name, self._line = name, line
+
+    def open(self):
+        """The Line, once. Raises OSError."""
+        line, self._line = self._line, None
+        if line is None:
+            raise OSError(errno.ENODEV, "the device has closed its connection")
+        return line
+
+    def should_reopen(self, _line, silent_s):
+        """A device that is silent for so long connects anew."""
+        return silent_s > SocketPort.reopen_s
+
+    def close(self):
+        """Also a line that was never opened."""
+        if self._line is not None:
+            self._line.close()
+
+
+def make_port(params):
+    """The port of settings.SerialParams. Raises ValueError, and OSError when it cannot listen."""
+    if params.port == LISTEN:
+        return ListeningPort(params.tcp_port)
+    if params.port.startswith("socket:"):
+        return SocketPort(params.port)
+    return SerialPort(params.port, params.baud, params.reopen_after, params.fix_pyserial_for_test)

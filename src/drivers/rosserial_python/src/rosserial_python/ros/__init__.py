@@ -1,0 +1,1 @@
+"""ROS side: the topics, services and parameters of a device, and the node."""

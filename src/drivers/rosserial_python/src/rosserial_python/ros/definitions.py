@@ -1,0 +1,65 @@
+"""Message definitions here against those that a device was built with; payloads to messages and back."""
+
+import functools
+import io
+
+import genpy
+import roslib.message
+
+from rosserial_python.protocol import PayloadError
+
+
+class TypesError(ValueError):
+    """A topic of the device cannot be joined to the graph: its definition is another one here, or missing."""
+
+
+@functools.cache
+def raw_class(message_class):
+    """The class, but a message of it keeps its bytes in `raw` and is not looked into."""
+
+    def deserialize(self, data):
+        self.raw = bytes(data)
+        return self
+
+    return type(message_class.__name__, (message_class,), {"__init__": lambda self: None, "deserialize": deserialize})
+
+
+def known_class(topic, half=None):
+    """Message class of a protocol.Topic; half: _request_class or _response_class of a service. Raises TypesError."""
+    find = roslib.message.get_service_class if half else roslib.message.get_message_class
+    try:
+        found = find(topic.type)
+    except (ImportError, ValueError):
+        found = None
+    if found is None:
+        raise TypesError(
+            "%s (%s): this type is not in the workspace: build its package, and source the workspace"
+            % (topic.name, topic.type)
+        )
+    kind = getattr(found, half) if half else found
+    if kind._md5sum != topic.md5sum:
+        raise TypesError(
+            "%s: %s has other fields in the device (md5 %s) than here (%s): make its ros_lib anew from this "
+            "workspace's messages, and load the sketch again" % (topic.name, topic.type, topic.md5sum, kind._md5sum)
+        )
+    return found
+
+
+def read_message(message_class, payload):
+    """Message of these bytes and no others. Raises PayloadError."""
+    message = message_class()
+    try:
+        message.deserialize(payload)
+        again = serialised(message)
+    except (genpy.MessageException, ValueError, MemoryError) as error:
+        raise PayloadError("%s: %s" % (message_class._type, error)) from None
+    if again != payload:  # genpy reads what is too long, too short, or no text
+        raise PayloadError("%s: %d bytes that are no such message" % (message_class._type, len(payload)))
+    return message
+
+
+def serialised(message):
+    """Bytes of a message. Raises genpy.SerializationError."""
+    data = io.BytesIO()
+    message.serialize(data)
+    return data.getvalue()

@@ -1,0 +1,188 @@
+"""The node: one device, or with ~fork_server as many as connect; what it tells of them on ~link and /diagnostics."""
+
+import contextlib
+import math
+import select
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from risc_lab.ros.diagnostics import add_all, age_text, summarise, ticking_updater
+from risc_lab.ros.params import load_params
+from risc_lab.ros.ticker import Ticker
+from risc_maap_msgs.msg import Counter, SerialLink
+from rosserial_python.diagnosis import TEXTS, WARNINGS, Cause, cause_of
+from rosserial_python.link import State
+from rosserial_python.ports import AcceptedPort, ListeningPort, make_port
+from rosserial_python.ros.topics import Topics
+from rosserial_python.session import Session
+from rosserial_python.settings import LISTEN, SerialParams
+
+STATUS = "rosserial_python"  # on /diagnostics, as the original's
+_TCP_PORT, _FORK = "/rosserial_embeddedlinux/tcp_port", "/rosserial_embeddedlinux/fork_server"
+_STATES = {State.CLOSED: "closed", State.WAITING: "open, asking for topics", State.UP: "the device answers"}
+_REPORT_S = 1.0
+_LOOK_S = 0.2
+
+
+def read_params(arguments):
+    """SerialParams of the parameter server and of the command line: [port [TCP port]]. Raises ValueError."""
+    (params,) = load_params(SerialParams(), lenient=True)
+    for key, name in ((_TCP_PORT, "tcp_port"), (_FORK, "fork_server")):
+        if not rospy.has_param("~" + name) and rospy.has_param(key):
+            params = replace(params, **{name: rospy.get_param(key)})
+    if len(arguments) > 2:
+        raise ValueError(
+            "at most two arguments: PORT and, with the port %s, its number; found %r" % (LISTEN, arguments)
+        )
+    if arguments:
+        params = replace(params, port=arguments[0])
+    if len(arguments) > 1:
+        if not arguments[1].isdecimal():
+            raise ValueError("the second argument is the number of a TCP port, not %r" % arguments[1])
+        params = replace(params, tcp_port=int(arguments[1]))
+    return params
+
+
+class Device:
+    """A device, its topics, and what is told of it."""
+
+    def __init__(self, port, params, publish, once=False):
+        """publish: takes a SerialLink.  once: when its line ends it is over."""
+        self._params, self._publish = params, publish
+        self._told = (None, None)  # state and cause
+        self._telling = threading.Lock()
+        self.session = Session(port, params.silence, self._on_packet, self.tell, once=once)
+        self.topics = Topics(self.session, params.max_age)
+        self.session.start()
+
+    def _on_packet(self, packet):
+        self.topics.on_packet(packet)
+
+    def _cause(self):
+        oversized_s = max(self.topics.oversized.values(), default=-math.inf)
+        session = self.session
+        return cause_of(session.link.facts, time.monotonic(), session.error, self.topics.refused, oversized_s)
+
+    def tell(self, again=False):
+        """Log and publish the state when it is another one; publish it in any case when it is time `again`."""
+        with self._telling:
+            facts, cause = self.session.link.facts, self._cause()
+            state, before = facts.state, self._told
+            self._told = (state, cause)
+            if before != self._told:
+                self._log(state, cause, before)
+            if again or before != self._told:
+                self._publish(self._message(facts, cause))
+
+    def _log(self, state, cause, before):
+        name = self.session.port.name
+        if cause in (Cause.NONE, Cause.TYPES, Cause.SIZE):  # of the latter two each topic has its own line
+            if state != before[0]:
+                rospy.loginfo("%s: %s", name, _STATES[state])
+        else:
+            error = self.session.error
+            log = rospy.logwarn if cause in WARNINGS else rospy.logerr
+            log("%s: %s%s", name, TEXTS[cause], " (%s)" % error if error is not None else "")
+
+    def _message(self, facts, cause):
+        heard_s = facts.heard_s
+        return SerialLink(
+            port=self.session.port.name,
+            baud=self._params.baud,
+            state=facts.state,
+            cause=cause,
+            reason=TEXTS[cause],
+            age_s=time.monotonic() - heard_s if math.isfinite(heard_s) else math.nan,
+            limit_s=self.session.link.limit_s,
+            counters=[Counter(name, count) for name, count in self._counts().items()],
+            refused_topics=sorted(self.topics.refused),
+            oversized_topics=sorted(self.topics.oversized),
+        )
+
+    def _counts(self):
+        return {**self.session.link.facts.counts, **self.topics.counts}
+
+    def fill(self, status):
+        """Its status on /diagnostics."""
+        facts, cause = self.session.link.facts, self._cause()
+        level = DiagnosticStatus.WARN if cause in WARNINGS else DiagnosticStatus.ERROR
+        summarise(
+            status,
+            (cause is not Cause.NONE, level, TEXTS[cause]),
+            (facts.state is not State.UP, DiagnosticStatus.WARN, "no answer yet"),
+            (True, DiagnosticStatus.OK, "the device answers"),
+        )
+        heard_s = facts.heard_s if math.isfinite(facts.heard_s) else None
+        add_all(status, {"port": self.session.port.name, "baud": self._params.baud, "state": facts.state.name.lower()})
+        add_all(status, {"age [s]": age_text(heard_s), "lost after [s]": "%.2f" % self.session.link.limit_s})
+        add_all(status, self._counts())
+        add_all(status, {"refused " + name: why for name, why in self.topics.refused.items()})
+        return status
+
+    def close(self):
+        """Tell the device to be quiet, and leave the graph."""
+        self.session.stop()
+        self.topics.close()
+
+
+class SerialNode:
+    """Made after rospy.init_node. Raises ValueError."""
+
+    def __init__(self, arguments=None):
+        self._params = params = read_params(rospy.myargv(sys.argv)[1:] if arguments is None else arguments)
+        try:
+            port = make_port(params)
+        except OSError as error:
+            raise ValueError("cannot listen on TCP port %d: %s; end what has it" % (params.tcp_port, error)) from None
+        self._link = rospy.Publisher("~link", SerialLink, queue_size=10, latch=True)
+        self._devices, self._over = {}, threading.Event()  # {name of its status: Device}
+        self._updater = ticking_updater(port.name)
+        rospy.on_shutdown(self.close)
+        if params.fork_server and isinstance(port, ListeningPort):
+            rospy.loginfo("%s: waiting for devices", port.name)
+            self._listener = threading.Thread(target=self._listen, args=(port,), name="listener", daemon=True)
+            self._listener.start()
+        else:
+            self._listener = None
+            self._add(STATUS, port)
+        Ticker(_REPORT_S, self._report, "the report")
+
+    def _add(self, name, port, once=False):
+        self._devices[name] = device = Device(port, self._params, self._send, once)
+        self._updater.add(name, device.fill)
+
+    def _send(self, message):
+        message.header.stamp = rospy.Time.now()
+        with contextlib.suppress(rospy.ROSException):  # topics are closed while the node ends
+            self._link.publish(message)
+
+    def _report(self):
+        for device in list(self._devices.values()):
+            device.tell(again=True)
+
+    def _listen(self, port):
+        """One device for each connection."""
+        while not self._over.is_set():
+            select.select([port], [], [], _LOOK_S)
+            accepted = port.accept()
+            if accepted is not None:
+                line, peer = accepted
+                self._add("%s %s" % (STATUS, peer), AcceptedPort(line, "tcp %s" % peer), once=True)
+            for name, device in list(self._devices.items()):
+                if device.session.is_over:
+                    self._updater.removeByName(name)
+                    self._devices.pop(name).close()
+        port.close()
+
+    def close(self):
+        """End all threads, with the lines closed."""
+        self._over.set()
+        if self._listener is not None:
+            self._listener.join(1.0)
+        for device in list(self._devices.values()):
+            device.close()

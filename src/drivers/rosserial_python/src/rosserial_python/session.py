@@ -1,0 +1,152 @@
+"""The thread that serves one port: opens it, reads, keeps the time of its `link.Link`, and opens it again. No ROS."""
+
+import contextlib
+import select
+import socket
+import threading
+import time
+
+from rosserial_python.link import Link, State
+from rosserial_python.protocol import Id
+
+_RETRY_S = 0.2  # between attempts to open a port
+_LOOK_S = 0.25  # how often a silent line's port is looked at
+_LAST_S = 0.3  # for what is to be sent when the node ends
+_POLL_S = 0.005
+_CHIP_BYTES = 64  # that the kernel has handed to the chip, which closing the port would throw away
+
+
+class Session:
+    """One port and its device. `on_packet(packet)` runs in the session's thread and must not wait for anything."""
+
+    def __init__(self, port, silence_s, on_packet, on_change=lambda: None, clock=time.monotonic, once=False):
+        """on_change: called after the state, or why the port is not open, became another.  once: no second opening."""
+        self.port, self.link, self.error = port, Link(silence_s), None  # error: why the port is not open
+        self._on_packet, self._on_change, self._clock, self._once = on_packet, on_change, clock, once
+        self._wake_end, self._wake_begin = socket.socketpair()
+        self._wake_end.setblocking(False)
+        self._wake_begin.setblocking(False)
+        self._over = threading.Event()
+        self._looked_s = 0.0
+        self._thread = threading.Thread(target=self._run, name="line %s" % port.name, daemon=True)
+
+    def start(self):
+        """Begin to serve."""
+        self._thread.start()
+
+    def stop(self, patience_s=3.0):
+        """Tell the device to be quiet, close the line, end the thread. Returns whether it has ended."""
+        self._over.set()
+        self._wake()
+        if self._thread.is_alive():
+            self._thread.join(patience_s)
+        return not self._thread.is_alive()
+
+    @property
+    def is_over(self):
+        """Whether the thread has ended."""
+        return not self._thread.is_alive()
+
+    # --- for other threads ----------------------------------------------------------------------------------------
+    def post(self, topic_id, payload, expires_s):
+        """See Link.post."""
+        if not self.link.post(topic_id, payload, self._clock(), expires_s):
+            self._wake()
+
+    def reply(self, topic_id, payload=b""):
+        """See Link.reply."""
+        if not self.link.reply(topic_id, payload, self._clock()):
+            self._wake()
+
+    def confirm(self, topic):
+        """See Link.confirm."""
+        self.link.confirm(topic, self._clock())
+        self._wake()
+
+    def ask_topics(self):
+        """See Link.ask_topics."""
+        self.link.ask_topics(self._clock())
+        self._wake()
+
+    def _wake(self):
+        with contextlib.suppress(OSError):  # it is awake already, or over
+            self._wake_begin.send(b"\0")
+
+    # --- the thread -----------------------------------------------------------------------------------------------
+    def _run(self):
+        try:
+            while not self._over.is_set():
+                line = self._open()
+                if line is None:
+                    if self._once:
+                        break
+                    self._wait([self.port] if hasattr(self.port, "fileno") else [], _RETRY_S)
+                    continue
+                try:
+                    self._serve(line)
+                except OSError as error:
+                    self._told(error)
+                finally:
+                    self.link.closed(self._clock())
+                    line.close()
+                    self._on_change()
+                if self.error is not None:
+                    self._wait([], _RETRY_S)
+        finally:
+            self.port.close()
+            self._wake_end.close()
+            self._wake_begin.close()
+
+    def _open(self):
+        try:
+            line = self.port.open()
+        except OSError as error:
+            self._told(error)
+            return None
+        self.error = None
+        self.link.opened(line, self._clock())
+        self._on_change()
+        return line
+
+    def _told(self, error):
+        before, self.error = self.error, error
+        if before is None or before.errno != error.errno:
+            self._on_change()
+
+    def _serve(self, line):
+        """Until the line is gone (OSError), its port is to be opened anew, or the end."""
+        link, state = self.link, State.WAITING
+        while not self._over.is_set():
+            now_s = self._clock()
+            due_s = min(link.due_s(now_s), now_s + _LOOK_S)
+            self._wait([line], max(0.0, due_s - now_s))
+            now_s = self._clock()  # before reading: what has come until then is read, however late this thread is
+            for packet in link.received(line.read(), now_s):
+                self._on_packet(packet)
+            link.tick(now_s)
+            if link.failure is not None:
+                raise link.failure
+            if link.facts.state is not state:
+                state = link.facts.state
+                self._on_change()
+            if state is State.WAITING and now_s >= self._looked_s + _LOOK_S:
+                self._looked_s = now_s
+                if self.port.should_reopen(line, now_s - max(link.facts.heard_s, link.opened_s)):
+                    return
+        self._say_goodbye(line)
+
+    def _say_goodbye(self, line):
+        """The device sends nothing more until somebody asks."""
+        link, end_s = self.link, self._clock() + _LAST_S
+        link.reply(Id.TX_STOP, b"", self._clock())
+        while self._clock() < end_s and link.failure is None and not (link.idle and line.queued() == 0):
+            time.sleep(_POLL_S)
+            link.tick(self._clock())
+        time.sleep(_CHIP_BYTES * line.byte_s)
+
+    def _wait(self, readers, longest_s):
+        """Until one of the readers can be read, at most so long, or until another thread wants something."""
+        readable, _, _ = select.select([*readers, self._wake_end], [], [], longest_s)
+        if self._wake_end in readable:
+            with contextlib.suppress(BlockingIOError):
+                self._wake_end.recv(4096)

@@ -1,0 +1,21 @@
+"""Parameters of serial_node."""
+
+from dataclasses import dataclass
+
+from risc_lab.settings import Count, Port, Positive, Settings, between
+
+LISTEN = "tcp"  # as ~port: devices connect to ~tcp_port
+
+
+@dataclass(frozen=True)
+class SerialParams(Settings):
+    """The first five are those of the original node."""
+
+    port: str = "/dev/ttyUSB0"  # what pyserial opens, e.g. /dev/ttyACM0; socket://HOST:PORT; tcp: listen
+    baud: between(300, 12000000) = 57600  # [bit/s] of a serial line
+    tcp_port: Port = 11411  # with tcp
+    fork_server: bool = False  # with tcp: several devices at a time
+    fix_pyserial_for_test: bool = False  # opens with rtscts and dsrdtr, and keeps what has arrived before
+    silence: Positive = 0.3  # [s] without a sound packet after which the link is lost
+    max_age: Positive = 0.25  # [s] an older message is not sent any more; by header.stamp, of messages that have one
+    reopen_after: Count = 10  # [s] of silence after which a serial port is opened again (which resets most boards)

@@ -1,0 +1,255 @@
+"""An IRIS+ on the wire: the telemetry of its autopilot, and the Arduino Due that flies it through its radio.
+
+UDP 14550 speaks MAVLink with whoever talks to it (mavlink.py). TCP 11411 is the serial line of the vehicle's own Due:
+the bytes go into its real firmware, whose PPM signal goes over the radio to the autopilot (transmitter.py).
+
+Opening the line resets the board, as that of the programming port does. The line is a cable: a loss of the link takes
+the radio and the telemetry away, not the line.
+"""
+
+import ipaddress
+import logging
+import socket
+from collections import namedtuple
+from functools import partial
+from zlib import crc32
+
+import numpy as np
+
+from risc_simulator.notices import Notices
+from risc_simulator.socket_host import SocketSet, VehicleHost, open_socket, reset
+from risc_simulator.vehicles.iris.firmware import RcFrame
+from risc_simulator.vehicles.iris.mavlink import Mavlink
+from risc_simulator.vehicles.iris.sensors import IrisSensors
+from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmReceiver, radio_delay_s
+
+MAX_BACKLOG_BYTES = 4096  # a client that does not read loses the rest, as by a serial port
+DEAD_CLIENT_MS = 1000  # what is written to a client is not acknowledged for so long: it is gone
+
+Ports = namedtuple("Ports", "telemetry arduino")
+STANDARD_PORTS = Ports(14550, 11411)
+
+_LOG = logging.getLogger(__name__)
+_TICKS_PER_S = 1e6 * TICKS_PER_US
+
+
+class IrisHost(VehicleHost):
+    """One IRIS+.
+
+    vehicle: world.Vehicle.
+    address: IPv4 address of this computer to listen on.
+    ports: Ports; a 0 takes a free one, see `ports`.
+    seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
+    radio_loss: probability that a frame of the radio, or a datagram of telemetry, is lost.
+    wires: faults.Wires, of which it uses mavlink (both directions) and radio, and the stream arduino; None = wires of
+        its own.
+
+    All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
+    address or port cannot be used, or the board's firmware is not built; nothing that arrives later raises.
+    """
+
+    def __init__(self, vehicle, address, ports=STANDARD_PORTS, seed=0, sensor_noise=1.0, radio_loss=0.0, wires=None):
+        super().__init__(vehicle, wires)
+        self.address = address
+        self._mavlink_wire, self._radio_wire = self.wire("mavlink"), self.wire("radio")
+        self._radio_loss, self._radio_delay_s = radio_loss, radio_delay_s(vehicle.plant)
+        name = crc32(vehicle.namespace.encode("utf-8"))
+        self._losses = np.random.default_rng([seed, name, 1])
+        self.notices = Notices(_LOG, vehicle.namespace)
+        autopilot = vehicle.firmware
+        autopilot.vehicle = vehicle
+        autopilot.sensors = IrisSensors(vehicle, np.random.default_rng([seed, name]), sensor_noise)
+        self.mavlink = Mavlink(autopilot, system_id(address), self._send_telemetry)
+        self.receiver = PpmReceiver()
+        self._sockets, self._line, self._board = [], None, None
+        try:
+            self._board = Board()
+            telemetry = open_socket(socket.SOCK_DGRAM, address, ports.telemetry, vehicle.namespace)
+            self._sockets.append(telemetry)
+            listener = open_socket(socket.SOCK_STREAM, address, ports.arduino, vehicle.namespace)
+            self._sockets.append(listener)
+        except OSError:
+            self.close()
+            raise
+        self._line = SerialLine(listener, self.stream("arduino"), self.notices, self._board.reset, self._on_bytes)
+        self._waiting.add(self._line)
+        self.hear(telemetry, self._mavlink_wire, self.mavlink.on_datagram)
+        self.ports = Ports(*(sock.getsockname()[1] for sock in self._sockets))
+
+    # --- the host interface of the virtual lab ------------------------------------------------------------------
+
+    def tick(self, now_s):
+        """To be called once per cycle of the lab, after the world has moved."""
+        self._now_s = now_s
+        if now_s >= self.wires.due_s:
+            self.wires.release(now_s)
+        board = self._board
+        board.advance(now_s)
+        for begin_ticks, channels_us in self.receiver.feed(board.edges(), now_s * _TICKS_PER_S):
+            self._radio_frame(begin_ticks / _TICKS_PER_S, channels_us)
+        data = board.sent()
+        if data:
+            self._line.write(data, now_s)
+        self._line.flush()
+        self.mavlink.tick(now_s)
+
+    def close(self):
+        """Close all sockets. May be called twice."""
+        if self._line is not None:
+            self._line.close()
+        for sock in self._sockets:
+            sock.close()
+        if self._board is not None:
+            self._board.close()
+        self._waiting.close()
+        self._sockets = []
+
+    def describe(self):
+        """One line for people: what listens where."""
+        return "%s (%s) IRIS+: MAVLink udp://%s:%d, its Arduino's serial line socket://%s:%d" % (
+            *(self._vehicle.namespace, self._vehicle.name),
+            *(self.address, self.ports.telemetry, self.address, self.ports.arduino),
+        )
+
+    def statistics(self):
+        """Counts since the start; what has never happened is not in it and counts 0."""
+        result = {**self._counts, **self.mavlink.counts}
+        result["ppm"] = dict(self.receiver.counts)
+        ours, theirs = self.notices.statistics(), self.mavlink.notices.statistics()
+        result["notices"] = {kind: {**ours[kind], **theirs[kind]} for kind in ours}
+        return result
+
+    # --- telemetry ------------------------------------------------------------------------------------------------
+
+    def receive(self, sock):
+        for item in super().receive(sock):
+            if not self._is_lost("telemetry_lost_in"):
+                yield item
+
+    def _send_telemetry(self, data, address):
+        if not self._is_lost("telemetry_lost_out"):
+            self._mavlink_wire.carry(data, address, self._now_s, self._send)
+
+    def _send(self, data, address, _now_s):
+        try:
+            self._sockets[0].sendto(data, address)
+        except OSError:
+            self._counts["send_errors"] += 1
+
+    def _is_lost(self, count):
+        lost = self.link_lost or (self._radio_loss > 0.0 and self._losses.random() < self._radio_loss)
+        if lost:
+            self._counts[count] += 1
+        return lost
+
+    # --- the board and its radio ----------------------------------------------------------------------------------
+
+    def _on_bytes(self, data, now_s):
+        self._board.advance(now_s)  # what it has done before they came
+        self._board.receive(data)
+
+    def _radio_frame(self, begin_s, channels_us):
+        if not self._is_lost("radio_frames_lost"):
+            late_s = begin_s + self._radio_delay_s - self._now_s
+            self._radio_wire.carry(RcFrame(channels_us), None, self._now_s, partial(self._obey, late_s))
+
+    def _obey(self, late_s, frame, _address, arrival_s):
+        self._vehicle.schedule(arrival_s + late_s, frame)
+
+
+class SerialLine:
+    """The serial port of a board, as a TCP port: one client at a time. A member of its host's SocketSet."""
+
+    def __init__(self, listener, stream, notices, on_open, on_bytes):
+        """stream: faults.Stream that passes all of both directions.  on_open(); on_bytes(data, now_s)."""
+        self._listener, self._stream, self._notices = listener, stream, notices
+        self._on_open, self._on_bytes = on_open, on_bytes
+        self._waiting = SocketSet()
+        self._waiting.add(listener)
+        self.fileno = self._waiting.fileno
+        self._client, self._backlog = None, bytearray()
+
+    def serve(self, now_s):
+        """Look who comes, says something or goes."""
+        for sock in sorted(self._waiting.readable(), key=lambda sock: sock is self._listener):  # who goes makes room
+            if sock is self._listener:
+                self._accept()
+            else:
+                self._read(sock, now_s)
+
+    def _accept(self):
+        try:
+            client, sender = self._listener.accept()
+        except OSError:  # gone again
+            return
+        if self._client is not None:
+            self._notices.complaint("is turned away: the serial line is open already", sender)
+            client.close()
+            return
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_CLIENT_MS)
+        self._notices.event("opens the serial line", sender)
+        self._client = client
+        self._waiting.add(client)
+        self._on_open()
+
+    def _read(self, sock, now_s):
+        try:
+            data = sock.recv(65536)
+            # a client that keeps small writes back until the last one is acknowledged must not wait for that
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if data:
+            self._stream.carry(data, sock, now_s, self._come_in, self._cut)
+        else:
+            self._hang_up(sock)
+
+    def write(self, data, now_s):
+        """Bytes from the board; nobody hears them where nobody listens."""
+        if self._client is not None:
+            self._stream.carry(data, self._client, now_s, self._come_out, self._cut)
+
+    def flush(self):
+        """Send what can be sent now."""
+        if self._backlog:
+            try:
+                del self._backlog[: self._client.send(self._backlog)]
+            except BlockingIOError:
+                pass
+            except OSError:
+                self._hang_up(self._client)
+
+    def close(self):
+        """May be called twice."""
+        if self._client is not None:
+            self._hang_up(self._client)
+        self._waiting.close()
+
+    def _come_in(self, data, sock, now_s):
+        if sock is self._client:
+            self._on_bytes(data, now_s)
+
+    def _come_out(self, data, sock, _now_s):
+        if sock is self._client:
+            self._backlog += data[: MAX_BACKLOG_BYTES - len(self._backlog)]
+
+    def _cut(self, sock):
+        if sock is self._client:
+            reset(sock)
+            self._hang_up(sock)
+
+    def _hang_up(self, sock):
+        if sock is self._client:
+            self._client, self._backlog = None, bytearray()
+            self._waiting.discard(sock)
+            self._stream.forget(sock)
+            sock.close()
+
+
+def system_id(address):
+    """That of MAVLink, 1 to 250, for a vehicle at an IPv4 address: its last number."""
+    return (ipaddress.IPv4Address(address).packed[-1] - 1) % 250 + 1

@@ -1,0 +1,321 @@
+"""What the virtual Pixhawk tells of itself: MAVLink messages made of its vehicle's true state.
+
+Indoors there is no GPS: fix type 1 and no satellites.  Position and velocity are told nevertheless, from a fictitious
+origin, so that a ground station has something to draw; nothing that flies reads them.
+"""
+
+import math
+import time
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_ned
+from risc_simulator.models.flight import FlightPhase
+
+QUADROTOR, ARDUPILOT = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+STABILIZE, ALT_HOLD, LAND = 0, 2, 9  # ArduCopter's numbers
+DISARMED_BASE_MODE = 81  # custom mode, stabilized, manual input
+ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, ORIGIN_ALTITUDE_M = 41.742, -111.808, 1400.0
+EARTH_RADIUS_M = 6378137.0
+FIELD_NED_MGAUSS = np.array([206.0, 41.0, 467.0])  # of the earth, there
+PRESSURE_HPA, TEMPERATURE_CDEG = 856.0, 2200
+SUPPLY_MV = 5000
+CELLS, EMPTY_CELL_MV, FULL_CELL_MV = 3, 3500.0, 4200.0
+VERSION = 4, 5, 7  # of ArduCopter, whose behaviour this is
+CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT  # how its empty list is read
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+CHANNELS_TOLD = 18
+NO_CHANNEL = 65535
+
+_SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
+    | mavlink.MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION
+    | mavlink.MAV_SYS_STATUS_SENSOR_YAW_POSITION
+    | mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
+    | mavlink.MAV_SYS_STATUS_AHRS
+    | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+)
+_HEIGHT, _RECEIVER, _READY = (
+    mavlink.MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL,
+    mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER,
+    mavlink.MAV_SYS_STATUS_PREARM_CHECK,
+)
+_ESTIMATES = (
+    mavlink.EKF_ATTITUDE
+    | mavlink.EKF_VELOCITY_HORIZ
+    | mavlink.EKF_VELOCITY_VERT
+    | mavlink.EKF_POS_HORIZ_REL
+    | mavlink.EKF_POS_VERT_ABS
+)
+_LANDED = {
+    FlightPhase.LANDED: mavlink.MAV_LANDED_STATE_ON_GROUND,
+    FlightPhase.TAKING_OFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
+    FlightPhase.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
+}
+_M = mavlink
+#: messages of each stream of REQUEST_DATA_STREAM, as ArduCopter has them
+STREAMS = {
+    _M.MAV_DATA_STREAM_RAW_SENSORS: (_M.MAVLINK_MSG_ID_RAW_IMU, _M.MAVLINK_MSG_ID_SCALED_PRESSURE),
+    _M.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        *(_M.MAVLINK_MSG_ID_SYS_STATUS, _M.MAVLINK_MSG_ID_POWER_STATUS, _M.MAVLINK_MSG_ID_MEMINFO),
+        *(_M.MAVLINK_MSG_ID_MISSION_CURRENT, _M.MAVLINK_MSG_ID_GPS_RAW_INT),
+        *(_M.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT, _M.MAVLINK_MSG_ID_FENCE_STATUS),
+    ),
+    _M.MAV_DATA_STREAM_RC_CHANNELS: (
+        *(_M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, _M.MAVLINK_MSG_ID_RC_CHANNELS, _M.MAVLINK_MSG_ID_RC_CHANNELS_RAW),
+    ),
+    _M.MAV_DATA_STREAM_POSITION: (_M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED),
+    _M.MAV_DATA_STREAM_EXTRA1: (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_AHRS2),
+    _M.MAV_DATA_STREAM_EXTRA2: (_M.MAVLINK_MSG_ID_VFR_HUD,),
+    _M.MAV_DATA_STREAM_EXTRA3: (
+        *(_M.MAVLINK_MSG_ID_AHRS, _M.MAVLINK_MSG_ID_HWSTATUS, _M.MAVLINK_MSG_ID_SYSTEM_TIME),
+        *(_M.MAVLINK_MSG_ID_BATTERY_STATUS, _M.MAVLINK_MSG_ID_EKF_STATUS_REPORT, _M.MAVLINK_MSG_ID_VIBRATION),
+    ),
+}
+
+
+class Messages:
+    """Makes the messages of one autopilot, see mavlink.py for what that has to give."""
+
+    def __init__(self, autopilot, system_id):
+        self._autopilot, self._vehicle, self._system_id = autopilot, autopilot.vehicle, system_id
+        position_m = self._vehicle.state.position_m
+        self._home_ned_m = _ned(position_m)
+        self._makers = {
+            kind.id: maker
+            for kind in mavlink.mavlink_map.values()
+            if (maker := getattr(self, "_" + kind.msgname.lower(), None)) is not None
+        }
+
+    def __contains__(self, message_id):
+        return message_id in self._makers
+
+    def make(self, message_id, now_s):
+        """The message with this id as of lab time now_s. KeyError when there is none."""
+        return self._makers[message_id](now_s)
+
+    # ------------------------------------------------------------------ state
+
+    @property
+    def voltage_mv(self):
+        """Of the battery: linear in its charge."""
+        charge = 0.01 * self._vehicle.battery_pct
+        return round(CELLS * (EMPTY_CELL_MV + charge * (FULL_CELL_MV - EMPTY_CELL_MV)))
+
+    @property
+    def current_ca(self):
+        """Of the battery while the motors turn, 10 mA: what empties it in its life. -1: not measured, at rest."""
+        if not self._vehicle.firmware.motors_on:
+            return -1
+        return round(0.36 * 1e3 * self._autopilot.parameters["BATT_CAPACITY"] / self._vehicle.type.battery_life_s)
+
+    def _heartbeat(self, _now_s):
+        armed = self._autopilot.armed
+        base_mode = DISARMED_BASE_MODE | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+        status = mavlink.MAV_STATE_ACTIVE if armed else mavlink.MAV_STATE_STANDBY
+        return mavlink.MAVLink_heartbeat_message(QUADROTOR, ARDUPILOT, base_mode, self._autopilot.mode, status, 3)
+
+    def _sys_status(self, _now_s):
+        present = _SENSORS | _HEIGHT | _RECEIVER | _READY
+        enabled = present if self._autopilot.mode in (ALT_HOLD, LAND) else present & ~_HEIGHT
+        health = present | mavlink.MAV_SYS_STATUS_GEOFENCE  # none is there, so none is breached
+        if not self._autopilot.channels_us:
+            health &= ~_RECEIVER
+        if not self._autopilot.armed and self._autopilot.arming_trouble():
+            health &= ~_READY
+        battery = self.voltage_mv, self.current_ca, round(self._vehicle.battery_pct)
+        return mavlink.MAVLink_sys_status_message(present, enabled, health, 0, *battery, 0, 0, 0, 0, 0, 0)
+
+    def _battery_status(self, _now_s):
+        autopilot = self._autopilot
+        used_mah = round(autopilot.parameters["BATT_CAPACITY"] * (1.0 - 0.01 * self._vehicle.battery_pct))
+        return mavlink.MAVLink_battery_status_message(
+            *(0, mavlink.MAV_BATTERY_FUNCTION_UNKNOWN, mavlink.MAV_BATTERY_TYPE_LIPO, 32767),
+            [self.voltage_mv] + 9 * [65535],
+            *(self.current_ca, used_mah, -1, round(self._vehicle.battery_pct)),
+        )
+
+    def _extended_sys_state(self, _now_s):
+        landed = _LANDED.get(self._vehicle.phase, mavlink.MAV_LANDED_STATE_IN_AIR)
+        return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, landed)
+
+    def _autopilot_version(self, _now_s):
+        major, minor, patch = VERSION
+        version = major << 24 | minor << 16 | patch << 8 | mavlink.FIRMWARE_VERSION_TYPE_OFFICIAL
+        return mavlink.MAVLink_autopilot_version_message(
+            CAPABILITIES, version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, self._system_id
+        )
+
+    def _system_time(self, now_s):
+        return mavlink.MAVLink_system_time_message(int(time.time() * 1e6), _ms(now_s))
+
+    # ------------------------------------------------------------------ attitude and place
+
+    def _attitude(self, now_s):
+        s = self._vehicle.state
+        return mavlink.MAVLink_attitude_message(_ms(now_s), s.phi, s.theta, s.psi, s.p, s.q, s.r)
+
+    def _attitude_quaternion(self, now_s):
+        s = self._vehicle.state
+        q = mavlink_quaternion(s.phi, s.theta, s.psi)
+        return mavlink.MAVLink_attitude_quaternion_message(_ms(now_s), *q, s.p, s.q, s.r)
+
+    def _ahrs(self, _now_s):
+        return mavlink.MAVLink_ahrs_message(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def _ahrs2(self, _now_s):
+        s = self._vehicle.state
+        latitude, longitude, altitude_m = _place(_ned(s.position_m))
+        return mavlink.MAVLink_ahrs2_message(s.phi, s.theta, s.psi, altitude_m, latitude, longitude)
+
+    def _local_position_ned(self, now_s):
+        s = self._vehicle.state
+        return mavlink.MAVLink_local_position_ned_message(_ms(now_s), *_ned(s.position_m), *_ned(s.velocity_m_s))
+
+    def _global_position_int(self, now_s):
+        s = self._vehicle.state
+        ned_m = _ned(s.position_m)
+        latitude, longitude, altitude_m = _place(ned_m)
+        above_home_m = self._home_ned_m[2] - ned_m[2]
+        velocity_cm_s = (round(100.0 * v) for v in _ned(s.velocity_m_s))
+        heading_cdeg = round(100.0 * _heading_deg(s.psi)) % 36000
+        heights_mm = round(1e3 * altitude_m), round(1e3 * above_home_m)
+        return mavlink.MAVLink_global_position_int_message(
+            _ms(now_s), latitude, longitude, *heights_mm, *velocity_cm_s, heading_cdeg
+        )
+
+    def _vfr_hud(self, _now_s):
+        s = self._vehicle.state
+        north, east, down = _ned(s.velocity_m_s)
+        speed_m_s = math.hypot(north, east)
+        throttle_pct = round(sum(s.motor_pwm) / len(s.motor_pwm) / 2.55)
+        altitude_m = ORIGIN_ALTITUDE_M - _ned(s.position_m)[2]
+        heading_deg = int(_heading_deg(s.psi)) % 360
+        return mavlink.MAVLink_vfr_hud_message(speed_m_s, speed_m_s, heading_deg, throttle_pct, altitude_m, -down)
+
+    def _gps_raw_int(self, now_s):
+        unknown = 65535
+        return mavlink.MAVLink_gps_raw_int_message(
+            _us(now_s), mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, unknown, unknown, 0, unknown, 0
+        )
+
+    def _home_position(self, now_s):
+        latitude, longitude, altitude_m = _place(self._home_ned_m)
+        q = [1.0, 0.0, 0.0, 0.0]
+        return mavlink.MAVLink_home_position_message(
+            latitude, longitude, round(1e3 * altitude_m), *self._home_ned_m, q, 0.0, 0.0, 0.0, _us(now_s)
+        )
+
+    def _gps_global_origin(self, now_s):
+        latitude, longitude, altitude_m = _place((0.0, 0.0, 0.0))
+        return mavlink.MAVLink_gps_global_origin_message(latitude, longitude, round(1e3 * altitude_m), _us(now_s))
+
+    def _nav_controller_output(self, _now_s):
+        roll_deg, pitch_deg = (math.degrees(angle) for angle in self._vehicle.firmware.command[:2])
+        return mavlink.MAVLink_nav_controller_output_message(roll_deg, pitch_deg, 0, 0, 0, 0.0, 0.0, 0.0)
+
+    # ------------------------------------------------------------------ sensors, motors, channels
+
+    def _raw_imu(self, now_s):
+        s = self._vehicle.state
+        accelerations_mg = (round(1e3 / GRAVITY_M_S2 * a) for a in s.specific_force_m_s2.tolist())
+        rates_mrad_s = (round(1e3 * rate) for rate in (s.p, s.q, s.r))
+        field_body = rotation_body_to_ned(s.phi, s.theta, s.psi).T @ FIELD_NED_MGAUSS
+        field_mgauss = (round(b) for b in field_body.tolist())
+        values = (_int16(value) for value in (*accelerations_mg, *rates_mrad_s, *field_mgauss))
+        return mavlink.MAVLink_raw_imu_message(_us(now_s), *values)
+
+    def _scaled_pressure(self, now_s):
+        height_m = -_ned(self._vehicle.state.position_m)[2]
+        pressure_hpa = PRESSURE_HPA * math.exp(-height_m / 8400.0)
+        return mavlink.MAVLink_scaled_pressure_message(_ms(now_s), pressure_hpa, 0.0, TEMPERATURE_CDEG)
+
+    def _servo_output_raw(self, now_s):
+        front_left, front_right, rear_right, rear_left = self._vehicle.state.motor_pwm
+        motors = front_right, rear_left, front_left, rear_right  # ArduCopter's numbers 1 to 4 of an X
+        pulses_us = (round(1000.0 + 1000.0 / 255.0 * pwm) for pwm in motors)
+        return mavlink.MAVLink_servo_output_raw_message(_us(now_s) & 0xFFFFFFFF, 0, *pulses_us, 0, 0, 0, 0)
+
+    def _rc_channels(self, now_s):
+        channels_us = self._autopilot.channels_us
+        told = [*channels_us, *(CHANNELS_TOLD * [NO_CHANNEL])][:CHANNELS_TOLD]
+        return mavlink.MAVLink_rc_channels_message(_ms(now_s), len(channels_us), *told, 255)
+
+    def _rc_channels_raw(self, now_s):
+        told = [*self._autopilot.channels_us, *(8 * [NO_CHANNEL])][:8]
+        return mavlink.MAVLink_rc_channels_raw_message(_ms(now_s), 0, *told, 255)
+
+    def _power_status(self, _now_s):
+        return mavlink.MAVLink_power_status_message(SUPPLY_MV, 0, mavlink.MAV_POWER_STATUS_BRICK_VALID)
+
+    def _hwstatus(self, _now_s):
+        return mavlink.MAVLink_hwstatus_message(SUPPLY_MV, 0)
+
+    def _meminfo(self, _now_s):
+        return mavlink.MAVLink_meminfo_message(0, 65535, 100000)
+
+    def _vibration(self, now_s):
+        return mavlink.MAVLink_vibration_message(_us(now_s), 0.0, 0.0, 0.0, 0, 0, 0)
+
+    def _ekf_status_report(self, _now_s):
+        return mavlink.MAVLink_ekf_status_report_message(_ESTIMATES, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def _mission_current(self, _now_s):
+        return mavlink.MAVLink_mission_current_message(0, 0, mavlink.MISSION_STATE_NO_MISSION)
+
+    def _fence_status(self, _now_s):
+        return mavlink.MAVLink_fence_status_message(0, 0, mavlink.FENCE_BREACH_NONE, 0)
+
+
+def mavlink_quaternion(phi, theta, psi):
+    """(w, x, y, z) of Euler angles, from ned to body axes."""
+    cf, sf = math.cos(0.5 * phi), math.sin(0.5 * phi)
+    ct, st = math.cos(0.5 * theta), math.sin(0.5 * theta)
+    cp, sp = math.cos(0.5 * psi), math.sin(0.5 * psi)
+    return (
+        cf * ct * cp + sf * st * sp,
+        sf * ct * cp - cf * st * sp,
+        cf * st * cp + sf * ct * sp,
+        cf * ct * sp - sf * st * cp,
+    )
+
+
+def _ned(cortex):
+    """North, east, down of a vector (3,) in cortex axes."""
+    x, y, z = cortex.tolist()
+    return x, -y, -z
+
+
+def _place(ned_m):
+    """(latitude [1e-7 deg], longitude [1e-7 deg], altitude [m]) of a place (north, east, down) from the origin."""
+    north, east, down = ned_m
+    latitude_deg = ORIGIN_LATITUDE_DEG + math.degrees(north / EARTH_RADIUS_M)
+    parallel_m = EARTH_RADIUS_M * math.cos(math.radians(ORIGIN_LATITUDE_DEG))
+    longitude_deg = ORIGIN_LONGITUDE_DEG + math.degrees(east / parallel_m)
+    return round(1e7 * latitude_deg), round(1e7 * longitude_deg), ORIGIN_ALTITUDE_M - down
+
+
+def _heading_deg(psi):
+    return math.degrees(psi) % 360.0
+
+
+def _int16(value):
+    return max(-32768, min(32767, value))
+
+
+def _ms(now_s):
+    return int(1e3 * now_s) & 0xFFFFFFFF
+
+
+def _us(now_s):
+    return int(1e6 * max(now_s, 0.0))
