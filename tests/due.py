@@ -35,17 +35,24 @@ LED_PIN = 1 << 27
 SET, CLEAR, TOGGLE = 1, 2, 3
 
 
-def configured(folder, **constants):
-    """A copy of the sketch with other constants in its configuration.h, as a person would edit it."""
+def configured(folder, changes=(), **constants):
+    """A copy of the sketch with other constants in its configuration.h, as a person would edit it.
+
+    changes: [(file, text in it, text instead)], for a sketch that lacks a protection.
+    """
     sketch = pathlib.Path(folder) / "dueppm"
     shutil.copytree(FIRMWARE / "dueppm", sketch)
     file = sketch / "configuration.h"
     text = file.read_text(encoding="utf-8")
     for name, value in constants.items():
         value = str(value).lower() if isinstance(value, bool) else value
-        text, found = re.subn(r"(\b%s = )[^;]+;" % name, r"\g<1>%s;" % value, text)
+        text, found = re.subn(r"(\b%s =\s*)[^;]+;" % name, r"\g<1>%s;" % value, text)
         assert found == 1, name
     file.write_text(text, encoding="utf-8")
+    for name, old, new in changes:
+        text = (sketch / name).read_text(encoding="utf-8")
+        assert text.count(old) == 1, old
+        (sketch / name).write_text(text.replace(old, new), encoding="utf-8")
     return sketch
 
 
@@ -57,6 +64,13 @@ def build(sketch, folder):
     names = subprocess.run(["arm-none-eabi-nm", "-C", str(elf)], stdout=subprocess.PIPE, text=True, check=True).stdout
     (loop,) = re.findall(r"^(\w+) T loop\(\)$", names, re.M)
     return elf.with_suffix(".bin").read_bytes(), int(loop, 16)
+
+
+def compile_only(sketch, folder):
+    """Without linking: the native port's functions are the Arduino core's."""
+    subprocess.run(
+        [str(FIRMWARE / "arm/build.sh"), str(sketch), str(pathlib.Path(folder) / "dueppm.o"), "-c"], check=True
+    )
 
 
 class Timer:
@@ -85,9 +99,9 @@ class Timer:
             setattr(self, name + "_at", self.zero + 2 * (value + rounds))
         self.due.sooner(self.due_at())
 
-    def output(self, effect):
+    def output(self, effect, at):
         self.level = {SET: 1, CLEAR: 0, TOGGLE: 1 - self.level}.get(effect, self.level)
-        self.due.show_pin()
+        self.due.show_pin(at)
 
     def write(self, offset, value):
         if not self.clocked:
@@ -102,7 +116,7 @@ class Timer:
             if value & 4 and self.running:
                 self.zero = self.due.now
                 self.matches.append(self.zero // 2)
-                self.output(self.mode >> 22 & 3)
+                self.output(self.mode >> 22 & 3, self.zero)
                 self.schedule()
         elif offset == 0x04:
             self.mode = value
@@ -132,13 +146,13 @@ class Timer:
     def happen(self):
         """The match that is due."""
         if self.ra_at < self.rc_at:
-            self.ra_at = NEVER
-            self.output(self.mode >> 16 & 3)
+            at, self.ra_at = self.ra_at, NEVER
+            self.output(self.mode >> 16 & 3, at)
             return
         self.zero = self.rc_at
         self.status |= 1 << 4
         self.matches.append(self.zero // 2)
-        self.output(self.mode >> 18 & 3)
+        self.output(self.mode >> 18 & 3, self.zero)
         self.schedule()
 
     def requests(self):
@@ -220,9 +234,9 @@ class Uart:
 class Due:
     """One board.
 
-    rng: of how far into loop() the next interrupt comes; without it at its end. priorities=False: an interrupt controller
-    without them, where each handler waits for the others. fine: interrupts between any two instructions, five times
-    slower; otherwise between two runs of instructions without a jump.
+    rng: of how far into loop() the next interrupt comes; without it at its end.
+    priorities=False: an interrupt controller without them, where each handler waits for the others.
+    fine: interrupts between any two instructions, five times slower; otherwise only where a jump ends or begins.
     """
 
     def __init__(self, image, loop, rng=None, priorities=True, fine=False):
@@ -233,6 +247,7 @@ class Due:
         self.timer, self.uart = Timer(self), Uart(self)
         self.systick_at, self.systick_cycles, self.systick_pending = NEVER, 0, False
         self.enabled, self.priority = set(), {TIMER: 0, UART: 0, SYSTICK: 0}
+        self.masked_until = 0  # [cycles] a program that masks all interrupts until then
         self.active = []  # exceptions whose handlers run, the outermost first
         self.pio = {"peripheral": 0, "b": 0, "output": 0, "data": 0}
         self.edges, self.pin = [], None  # (ticks, level)
@@ -293,7 +308,7 @@ class Due:
             pio["data"] &= ~value
         elif offset == 0x70:
             pio["b"] = value
-        self.show_pin()
+        self.show_pin(self.now)
 
     def read_core(self, uc, offset, size, data):
         return 0
@@ -314,12 +329,12 @@ class Due:
 
     # --- what is on the outside
 
-    def show_pin(self):
+    def show_pin(self, at):
         timers = self.pio["peripheral"] & self.pio["b"] & TIOA0_PIN
         level = self.timer.level if timers else 1  # an input, pulled up
         if level != self.pin:
             self.pin = level
-            self.edges.append((self.now // 2, level))
+            self.edges.append((at // 2, level))
 
     def led(self):
         return bool(self.pio["data"] & self.pio["output"] & LED_PIN)
@@ -335,7 +350,7 @@ class Due:
     # --- the core
 
     def on_code(self, uc, address, size, data):
-        """An instruction, or a run of them without a jump, begins: it takes its cycles, or stops if something is due."""
+        """An instruction, or a run without a jump, begins: it takes its cycles, or stops where something is due."""
         if address == self.loop and not self.active:
             self.rounds += 1
             if self.rounds > 2:  # two passes without an interrupt: a third one would do the same
@@ -405,6 +420,8 @@ class Due:
 
     def pending(self):
         """The interrupt that the core takes now, or None."""
+        if self.now < self.masked_until:
+            return None
         wanted = [SYSTICK] if self.systick_pending else []
         wanted += [irq for irq, part in ((TIMER, self.timer), (UART, self.uart)) if part.requests()]
         wanted = [irq for irq in wanted if irq == SYSTICK or irq in self.enabled]
