@@ -29,8 +29,16 @@ OURS_ONLY_IN_USE = {  # made by programs, or by a build
     *("flight.yaml", "parameters.yaml", "fleet.yaml", "report.html", "devel/coop.sh", "install/coop.sh", "coop.sh"),
     *("setup.sh", "setup.bash"),
 }
-NOT_OURS = {  # of Debian; of the original release
-    *("cameracalibrator.py", "ar_drone_scipy.py", "orbit2traj.py", "sharmas_controller.py", "trackone_scipy.py"),
+NOT_OURS = {  # of Debian, of others; of the original release
+    *(
+        "cameracalibrator.py",
+        "mavproxy.py",
+        "ar_drone_scipy.py",
+        "orbit2traj.py",
+        "sharmas_controller.py",
+        "trackone_scipy.py",
+        "quad_EKF.py",
+    ),
 }
 DEBIAN = {"dynamic_reconfigure", "camera_calibration", "image_view"}
 

@@ -32,7 +32,7 @@ PAGE = ROOT / "docs/legacy_launch_files.md"
 AT_ONCE = 2  # launches: nodes that start wait for the disk, for each other and for roslaunch
 STARTED_S = 300.0  # until a graph is complete, on a computer that does much else
 FLOWN_S = 150.0  # until a flight has ended, the same
-SOME = ("Coop_experiment1", "DF_Demo_sim")  # cameras and bearings; the lab and the plots
+SOME = ("Coop_experiment1", "DF_Demo_sim", "test_DF")  # cameras and bearings; the lab and the plots; an IRIS+
 FLOWN = "Hows_sim"  # from take-off to landing, which the others are not
 STILL_S = 0.7  # a graph that has not changed for so long is complete
 
@@ -76,6 +76,21 @@ def flight(joystick=JOYSTICK, vehicle="risc1", node="risc_controller.py", mocap=
     if mocap:
         nodes.update(MOCAP)
     return nodes, values
+
+
+def iris_flight():
+    """The same of an IRIS+, which is driven by two nodes."""
+    nodes = {
+        "/iris1/apm/roscopter": "roscopter/driver.py",
+        "/iris1/arduino": "rosserial_python/serial_node.py",
+        "/iris1/joy_node": "joy/joy_node",
+        "/iris1/joystick_controller": "risc_control/risc_controller.py",
+    }
+    values = {"/iris1/joystick_controller/" + key: value for key, value in JOYSTICK.items()}
+    full_scales = dict.fromkeys(("euler_angle_max", "control_yaw"), -1)  # the type's
+    values |= {"/iris1/joystick_controller/" + key: value for key, value in full_scales.items()}
+    values |= {"/iris1/arduino/port": "socket://127.77.1.1:11411", "/iris1/arduino/baud": 57600}
+    return {**nodes, **MOCAP}, values
 
 
 def on_one_computer(*vehicles):
@@ -168,6 +183,12 @@ FILES = {
     "Hows_sim": file(flight(), *HOWS, LAB, **TARGET),
     "risc_viz": file(NOTHING, VIZ),
     "bag_visual": file(NOTHING, DRAWING, RVIZ, {"/player": "rosbag/play"}),
+    "IRIS_circle_DF": file(
+        iris_flight(), trajectory("circle_traj.py"), {"/controller": "risc_control/IRIS_DF_Controller.py"}, VIZ,
+        trajectory__radius_m=0.7, trajectory__period_s=5.0,
+    ),
+    "test_DF": file(iris_flight(), {"/controller": "risc_control/IRIS_origin_hold.py"}, VIZ),
+    "test_tuner_DF": file(iris_flight(), {"/controller": "risc_control/IRIS_origin_hold_tuner.py"}, VIZ),
     "demonstration": file(
         on_one_computer("risc1", "risc2", "risc3"),
         VIZ, {"/trajectory_node": "risc_control/circles3_traj.py",
@@ -189,8 +210,7 @@ ELSEWHERE = {
     "edge_uvc": ("device:=PICTURES",),
 }
 # What the page must say why it is not there.
-ABSENT = {"tum_ardrone", "IRIS_circle_DF", "IRIS_DF", "IP_origin", "test_DF", "test_tuner_DF", "DF_pen_sim",
-          "IP_Simulation_verification"}  # fmt: skip
+ABSENT = {"tum_ardrone", "IRIS_DF", "IP_origin", "DF_pen_sim", "IP_Simulation_verification"}
 
 
 class Loader(roslaunch.xmlloader.XmlLoader):
@@ -211,7 +231,8 @@ def load(path, *argv):
     """The configuration of a launch file, which gets a fleet with its vehicles where it wants one."""
     text = path.read_text()
     if 'name="lab"' in text and "lab:=true" not in argv:
-        fleet = FOLDER / "fleets/virtual.yaml" if "fleets/virtual" in text else ROOT / "launch/fleets/ardrones3.yaml"
+        (fleet,) = re.findall(r"dirname\(\) \+ '/(.*?)' if lab", text) or ["../fleets/ardrones3.yaml"]
+        fleet = FOLDER / fleet
         argv += ("fleet:=%s" % fleet,)
     config = roslaunch.config.ROSLaunchConfig()
     Loader().load(str(path), config, argv=list(argv), verbose=False)
@@ -278,7 +299,7 @@ def test_the_second_vehicle_can_fly_from_the_same_computer(lab):
 
 
 def test_full_scales_reach_every_node_that_reckons_with_them():
-    declare = [path for path in sorted(FOLDER.glob("*.launch")) if 'name="control_yaw"' in path.read_text()]
+    declare = [path for path in sorted(FOLDER.glob("*.launch")) if 'name="control_yaw" default=' in path.read_text()]
     assert len(declare) >= 9
     for path in declare:
         two = path.stem == "2comp_coop_loc"
@@ -459,7 +480,9 @@ def starts(name, folder):
     # a virtual lab of one vehicle is started sooner
     fleet = load_fleet(ROOT / "launch/fleets/ardrones3.yaml").with_vehicles(3 if name == "demonstration" else 1)
     if not nodes & {"/ardrone_driver", "/risc1/ardrone_driver"}:
-        fleet = load_fleet(FOLDER / "fleets/virtual.yaml")
+        fleet = load_fleet(
+            ROOT / "launch/fleets/iris1.yaml" if "/iris1/arduino" in nodes else FOLDER / "fleets/virtual.yaml"
+        )
     graph = Graph(path, folder, fleet, *argv)
     try:
         problem = graph.wait(nodes)

@@ -123,7 +123,7 @@ def state_ages(hosts, vehicle):
     The vehicle's node tells what each command makes of the vehicle, and that stamp; no two have equal sticks.
     Left out: after the bag's end; of risc3, what may have died with the base station before its cable was plugged.
     """
-    template = LEGACY_VEHICLES[vehicle]
+    template = LEGACY_VEHICLES["ardrone"][vehicle]
     most = greatest_command(ARDRONE)
     full = np.array((most.roll_rad, most.pitch_rad, ARDRONE.climb_max_m_s, most.yaw_rate_rad_s))
     told, stamps_s = [], []

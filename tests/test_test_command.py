@@ -96,23 +96,39 @@ def test_wrong_use_ends_before_anything_is_done(tmp_path, words):
     assert [path.name for path in tmp_path.iterdir()] == ["maap"]
 
 
-def test_a_wrong_style_ends_it_before_anything_is_built(tmp_path):
-    """In a workspace whose Python only notes what it is asked for."""
+@pytest.fixture
+def workspace(tmp_path):
+    """A workspace whose Python and pip only note what they are asked for, and fail."""
     for name in ("maap", "requirements.txt", "apt-packages.txt"):
         shutil.copy(str(ROOT / name), str(tmp_path))
     for name in ("apt-packages-rviz.txt", "apt-packages-pdf.txt", "apt-packages-test.txt"):
         (tmp_path / name).touch()
     (tmp_path / ".catkin_tools").mkdir()
-    python = tmp_path / ".venv/bin/python"
-    python.parent.mkdir(parents=True)
-    python.write_text(STUB % (tmp_path / "asked"))
-    python.chmod(0o755)
+    (tmp_path / ".venv/bin").mkdir(parents=True)
+    for name in ("python", "pip"):
+        program = tmp_path / ".venv/bin" / name
+        program.write_text(STUB % (tmp_path / "asked"))
+        program.chmod(0o755)
     shutil.copy(str(ROOT / ".venv/.requirements"), str(tmp_path / ".venv"))
-    done = subprocess.run([str(tmp_path / "maap"), "test"], capture_output=True, text=True, timeout=60)
+    return tmp_path
+
+
+def first_asked(workspace, *options):
+    """What `maap test` asks for first; nothing is built."""
+    done = subprocess.run([str(workspace / "maap"), "test", *options], capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
-    (asked,) = (tmp_path / "asked").read_text().splitlines()
-    assert "tests/test_style.py" in asked
-    assert not (tmp_path / "build").exists() and not (tmp_path / "devel").exists()
+    (asked,) = (workspace / "asked").read_text().splitlines()
+    assert not (workspace / "build").exists() and not (workspace / "devel").exists()
+    return asked
+
+
+def test_a_wrong_style_ends_it_before_anything_is_built(workspace):
+    assert "tests/test_style.py" in first_asked(workspace)
+
+
+def test_the_second_tier_gets_its_ground_stations_and_nothing_else_changes(workspace):
+    asked = first_asked(workspace, "--all")
+    assert asked.startswith("install") and "--no-deps" in asked and asked.endswith("requirements-all.txt")
 
 
 def test_the_ledger_counts_failures_gaps_and_what_is_skipped_now_and_then(tmp_path):

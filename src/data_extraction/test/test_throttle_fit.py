@@ -17,6 +17,7 @@ from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
 from risc_maap_msgs.msg import VehicleStatus
 from risc_msgs.msg import Control, Controls, Cortex, States
+from roscopter.msg import Status
 
 NODE = pathlib.Path(__file__).resolve().parents[1] / "nodes/fit_throttle.py"
 CURVE = load_vehicle_type("iris").hover_throttle
@@ -106,7 +107,7 @@ def test_what_is_no_hover_counts_not():
 
 
 def write(path, data, own="/iris1/controls", charge="/iris1/vehicle_status", without=()):
-    """A bag of a flight at 20 Hz."""
+    """A bag of a flight at 20 Hz; `charge` is a VehicleStatus or, on apm/status, a roscopter Status."""
     states, throttle, battery = data
     with rosbag.Bag(str(path), "w") as bag:
 
@@ -120,7 +121,10 @@ def write(path, data, own="/iris1/controls", charge="/iris1/vehicle_status", wit
         for t_s, value in throttle[::2]:
             put(own, Controls(Obj=[Control("IRIS", 0.0, 0.0, 0.0, value)]), t_s)
         for t_s, value in battery:
-            put(charge, VehicleStatus(name="IRIS", battery_pct=value), t_s)
+            if charge.endswith("vehicle_status"):
+                put(charge, VehicleStatus(name="IRIS", battery_pct=value), t_s)
+            else:
+                put(charge, Status(battery_remaining=int(value)), t_s)
     return path
 
 
@@ -144,6 +148,14 @@ def test_the_command_writes_a_line_for_the_type_file(long_bag, tmp_path):
     assert "IRIS" in said and "hover_throttle: [" in said
     assert (tmp_path / "hover_throttle.png").read_bytes().startswith(b"\x89PNG")
     replace(load_vehicle_type("iris"), hover_throttle=tuple(coefficients))  # a type takes them
+
+
+def test_bags_of_the_original_have_no_namespace(tmp_path):
+    data = flight(until_pct=75.0)
+    bag = write(tmp_path / "old.bag", data, "/controls", "/apm/status")
+    name, found = fit_bag(bag, params=FitParams(order=2))
+    assert (name, len(found.coefficients)) == ("IRIS", 3)
+    assert fit_bag(bag, "IRIS", FitParams(order=2))[1].rms == found.rms
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,14 @@ def test_a_good_frame_is_read_to_the_microsecond_in_either_polarity(pulse_level,
     assert signal.receiver.counts == {"no gap before": 1, "frames": 5}
 
 
+def test_frames_that_come_in_all_at_once_are_read_too():
+    """A busy computer looks at the signal less often than a frame takes."""
+    receiver = PpmReceiver()
+    edges = [edge for k in range(4) for edge in edges_of(GOOD, k * FRAME_US)]
+    assert [channels for _, channels in receiver.feed(edges, TICKS_PER_US * 4 * FRAME_US)] == [GOOD] * 3
+    assert receiver.counts == {"no gap before": 1, "frames": 3}
+
+
 def cut(first, last=None):
     return lambda edges: edges[:first] + (edges[last:] if last is not None else [])
 

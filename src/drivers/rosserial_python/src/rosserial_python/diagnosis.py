@@ -61,6 +61,8 @@ _OF_ERRNO = {
     errno.EBUSY: Cause.TAKEN,
     errno.EAGAIN: Cause.TAKEN,  # of a lock
     errno.ECONNREFUSED: Cause.UNREACHABLE,
+    errno.ECONNRESET: Cause.UNREACHABLE,
+    errno.EPIPE: Cause.UNREACHABLE,
     errno.EHOSTUNREACH: Cause.UNREACHABLE,
     errno.ENETUNREACH: Cause.UNREACHABLE,
     errno.ETIMEDOUT: Cause.UNREACHABLE,

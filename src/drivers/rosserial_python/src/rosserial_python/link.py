@@ -106,12 +106,14 @@ class Link:
             self._ask(now_s)
             self._flush(now_s)
 
-    def closed(self, now_s):
-        """It is closed, or gone."""
+    def closed(self, now_s, is_gone=False):
+        """It is closed.  is_gone: with the device; the next line begins from the start."""
         with self._lock:
             if self.facts.state is State.UP:
                 self._lose(now_s)
             self.facts.state, self._line = State.CLOSED, None
+            if is_gone:
+                self.facts.waits_s, self.facts.heard_s = None, -math.inf
             self._forget()
 
     def received(self, data, now_s):

@@ -87,7 +87,7 @@ class Session:
                 except OSError as error:
                     self._told(error)
                 finally:
-                    self.link.closed(self._clock())
+                    self.link.closed(self._clock(), is_gone=self.error is not None)
                     line.close()
                     self._on_change()
                 if self.error is not None:

@@ -17,7 +17,11 @@ from risc_lab.lab.vehicle_types import OVERRIDABLE, load_vehicle_type
 from risc_lab.lab.yaml_reader import load_yaml
 from risc_lab.settings import Name, NotNegative, Port, Settings, Vector, between, check_different, settings_from
 
-LEGACY_VEHICLES = {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"}  # of the lab, when no fleet is loaded
+# {type: {namespace: template}} of the lab, when no fleet is loaded
+LEGACY_VEHICLES = {
+    "ardrone": {"risc1": "fluffy_II", "risc2": "albatross", "risc3": "Raven"},
+    "iris": {"iris1": "IRIS"},
+}
 
 
 @dataclass(frozen=True)
@@ -127,9 +131,9 @@ def unplaced_vehicle(namespace, template, kind="ardrone"):
     return FleetVehicle(namespace, template, kind, "0.0.0.0", Start((0.0, 0.0, 0.0)))
 
 
-def laboratory_vehicles():
-    """Those of the original laboratory, for when no fleet is loaded."""
-    return tuple(unplaced_vehicle(*names) for names in LEGACY_VEHICLES.items())
+def laboratory_vehicles(kind="ardrone"):
+    """Those of a type in the original laboratory, for when no fleet is loaded."""
+    return tuple(unplaced_vehicle(*names, kind) for names in LEGACY_VEHICLES[kind].items())
 
 
 @dataclass(frozen=True)

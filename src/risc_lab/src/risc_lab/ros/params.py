@@ -90,12 +90,17 @@ def told_vehicle_type(vehicle, private):
     return load_vehicle_type(vehicle.type, overrides)
 
 
-def vehicles(only_one=False):
+def vehicles(only_one=False, kind=""):
     """FleetVehicles that a node is for: ~vehicles (templates or namespaces), else the whole /fleet.
 
-    Without a fleet the original laboratory's names are known. only_one: ~vehicle, else the first.
+    Without a fleet the original laboratory's names are known. only_one: ~vehicle, else the first.  kind: of that type
+    or with its driver, the others are not meant; "" = of any.  Raises ValueError when there is none.
     """
-    known = fleet_vehicles() or laboratory_vehicles()
+    known = fleet_vehicles() or laboratory_vehicles(kind or "ardrone")
+    if kind:
+        known = tuple(vehicle for vehicle in known if kind in (vehicle.type, vehicle.vehicle_type.driver))
+        if not known:
+            raise ValueError("no vehicle of the fleet is of type '%s': load another fleet file into /fleet" % kind)
     wanted = rospy.get_param("~vehicle" if only_one else "~vehicles", "")
     wanted = wanted.split() if isinstance(wanted, str) else wanted
     if not isinstance(wanted, list) or not all(isinstance(name, str) for name in wanted):

@@ -27,6 +27,7 @@ _TCP_PORT, _FORK = "/rosserial_embeddedlinux/tcp_port", "/rosserial_embeddedlinu
 _STATES = {State.CLOSED: "closed", State.WAITING: "open, asking for topics", State.UP: "the device answers"}
 _REPORT_S = 1.0
 _LOOK_S = 0.2
+_AGAIN_S = 5.0  # between two complaints about the same
 
 
 def read_params(arguments):
@@ -53,8 +54,9 @@ class Device:
 
     def __init__(self, port, params, publish, once=False):
         """publish: takes a SerialLink.  once: when its line ends it is over."""
-        self._params, self._publish = params, publish
+        self._publish = publish
         self._told = (None, None)  # state and cause
+        self._logged_s = {}  # {cause: when}
         self._telling = threading.Lock()
         self.session = Session(port, params.silence, self._on_packet, self.tell, once=once)
         self.topics = Topics(self.session, params.max_age)
@@ -84,7 +86,8 @@ class Device:
         if cause in (Cause.NONE, Cause.TYPES, Cause.SIZE):  # of the latter two each topic has its own line
             if state != before[0]:
                 rospy.loginfo("%s: %s", name, _STATES[state])
-        else:
+        elif time.monotonic() - self._logged_s.get(cause, -math.inf) > _AGAIN_S:
+            self._logged_s[cause] = time.monotonic()
             error = self.session.error
             log = rospy.logwarn if cause in WARNINGS else rospy.logerr
             log("%s: %s%s", name, TEXTS[cause], " (%s)" % error if error is not None else "")
@@ -93,7 +96,7 @@ class Device:
         heard_s = facts.heard_s
         return SerialLink(
             port=self.session.port.name,
-            baud=self._params.baud,
+            baud=self.session.port.baud or 0,
             state=facts.state,
             cause=cause,
             reason=TEXTS[cause],
@@ -118,7 +121,8 @@ class Device:
             (True, DiagnosticStatus.OK, "the device answers"),
         )
         heard_s = facts.heard_s if math.isfinite(facts.heard_s) else None
-        add_all(status, {"port": self.session.port.name, "baud": self._params.baud, "state": facts.state.name.lower()})
+        port = self.session.port
+        add_all(status, {"port": port.name, "baud": port.baud or "no limit", "state": facts.state.name.lower()})
         add_all(status, {"age [s]": age_text(heard_s), "lost after [s]": "%.2f" % self.session.link.limit_s})
         add_all(status, self._counts())
         add_all(status, {"refused " + name: why for name, why in self.topics.refused.items()})
@@ -172,7 +176,7 @@ class SerialNode:
             accepted = port.accept()
             if accepted is not None:
                 line, peer = accepted
-                self._add("%s %s" % (STATUS, peer), AcceptedPort(line, "tcp %s" % peer), once=True)
+                self._add("%s %s" % (STATUS, peer), AcceptedPort(line, "tcp %s" % peer, port.baud), once=True)
             for name, device in list(self._devices.items()):
                 if device.session.is_over:
                     self._updater.removeByName(name)

@@ -1,27 +1,24 @@
-"""What the virtual Pixhawk tells of itself: MAVLink messages made of its vehicle's true state.
+"""What the virtual Pixhawk tells of itself: MAVLink messages made of what its sensors read.
 
-Indoors there is no GPS: fix type 1 and no satellites.  Position and velocity are told nevertheless, from a fictitious
-origin, so that a ground station has something to draw; nothing that flies reads them.
+Indoors there is no GPS: fix type 1 and no satellites.  Position and velocity are told nevertheless, true and from a
+fictitious origin, so that a ground station has something to draw; nothing that flies reads them.
 """
 
 import math
 import time
 
-import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_ned
+from risc_lab.frames import GRAVITY_M_S2
 from risc_simulator.models.flight import FlightPhase
+from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, TEMPERATURE_C
 
 QUADROTOR, ARDUPILOT = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 STABILIZE, ALT_HOLD, LAND = 0, 2, 9  # ArduCopter's numbers
 DISARMED_BASE_MODE = 81  # custom mode, stabilized, manual input
 ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, ORIGIN_ALTITUDE_M = 41.742, -111.808, 1400.0
 EARTH_RADIUS_M = 6378137.0
-FIELD_NED_MGAUSS = np.array([206.0, 41.0, 467.0])  # of the earth, there
-PRESSURE_HPA, TEMPERATURE_CDEG = 856.0, 2200
 SUPPLY_MV = 5000
-CELLS, EMPTY_CELL_MV, FULL_CELL_MV = 3, 3500.0, 4200.0
 VERSION = 4, 5, 7  # of ArduCopter, whose behaviour this is
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -91,6 +88,7 @@ class Messages:
         self._autopilot, self._vehicle, self._system_id = autopilot, autopilot.vehicle, system_id
         position_m = self._vehicle.state.position_m
         self._home_ned_m = _ned(position_m)
+        self._reading, self._read_s = None, None
         self._makers = {
             kind.id: maker
             for kind in mavlink.mavlink_map.values()
@@ -106,18 +104,11 @@ class Messages:
 
     # ------------------------------------------------------------------ state
 
-    @property
-    def voltage_mv(self):
-        """Of the battery: linear in its charge."""
-        charge = 0.01 * self._vehicle.battery_pct
-        return round(CELLS * (EMPTY_CELL_MV + charge * (FULL_CELL_MV - EMPTY_CELL_MV)))
-
-    @property
-    def current_ca(self):
-        """Of the battery while the motors turn, 10 mA: what empties it in its life. -1: not measured, at rest."""
-        if not self._vehicle.firmware.motors_on:
-            return -1
-        return round(0.36 * 1e3 * self._autopilot.parameters["BATT_CAPACITY"] / self._vehicle.type.battery_life_s)
+    def _read(self, now_s):
+        """sensors.Reading, one for all messages of the same time."""
+        if now_s != self._read_s:
+            self._reading, self._read_s = self._autopilot.sensors.read(now_s), now_s
+        return self._reading
 
     def _heartbeat(self, _now_s):
         armed = self._autopilot.armed
@@ -125,24 +116,25 @@ class Messages:
         status = mavlink.MAV_STATE_ACTIVE if armed else mavlink.MAV_STATE_STANDBY
         return mavlink.MAVLink_heartbeat_message(QUADROTOR, ARDUPILOT, base_mode, self._autopilot.mode, status, 3)
 
-    def _sys_status(self, _now_s):
+    def _sys_status(self, now_s):
         present = _SENSORS | _HEIGHT | _RECEIVER | _READY
         enabled = present if self._autopilot.mode in (ALT_HOLD, LAND) else present & ~_HEIGHT
         health = present | mavlink.MAV_SYS_STATUS_GEOFENCE  # none is there, so none is breached
-        if not self._autopilot.channels_us:
+        if self._autopilot.radio_failsafe:
             health &= ~_RECEIVER
         if not self._autopilot.armed and self._autopilot.arming_trouble():
             health &= ~_READY
-        battery = self.voltage_mv, self.current_ca, round(self._vehicle.battery_pct)
+        r = self._read(now_s)
+        battery = round(r.battery_mv), round(100.0 * r.current_a), round(r.battery_pct)
         return mavlink.MAVLink_sys_status_message(present, enabled, health, 0, *battery, 0, 0, 0, 0, 0, 0)
 
-    def _battery_status(self, _now_s):
-        autopilot = self._autopilot
-        used_mah = round(autopilot.parameters["BATT_CAPACITY"] * (1.0 - 0.01 * self._vehicle.battery_pct))
+    def _battery_status(self, now_s):
+        r = self._read(now_s)
+        used_mah = round(10.0 * CAPACITY_AH * (100.0 - r.battery_pct))
         return mavlink.MAVLink_battery_status_message(
             *(0, mavlink.MAV_BATTERY_FUNCTION_UNKNOWN, mavlink.MAV_BATTERY_TYPE_LIPO, 32767),
-            [self.voltage_mv] + 9 * [65535],
-            *(self.current_ca, used_mah, -1, round(self._vehicle.battery_pct)),
+            [round(r.battery_mv)] + 9 * [65535],
+            *(round(100.0 * r.current_a), used_mah, -1, round(r.battery_pct)),
         )
 
     def _extended_sys_state(self, _now_s):
@@ -162,21 +154,21 @@ class Messages:
     # ------------------------------------------------------------------ attitude and place
 
     def _attitude(self, now_s):
-        s = self._vehicle.state
-        return mavlink.MAVLink_attitude_message(_ms(now_s), s.phi, s.theta, s.psi, s.p, s.q, s.r)
+        r = self._read(now_s)
+        return mavlink.MAVLink_attitude_message(_ms(now_s), r.roll_rad, r.pitch_rad, r.yaw_rad, *r.rates_rad_s)
 
     def _attitude_quaternion(self, now_s):
-        s = self._vehicle.state
-        q = mavlink_quaternion(s.phi, s.theta, s.psi)
-        return mavlink.MAVLink_attitude_quaternion_message(_ms(now_s), *q, s.p, s.q, s.r)
+        r = self._read(now_s)
+        wxyz = _quaternion(r.roll_rad, r.pitch_rad, r.yaw_rad)
+        return mavlink.MAVLink_attitude_quaternion_message(_ms(now_s), *wxyz, *r.rates_rad_s)
 
     def _ahrs(self, _now_s):
         return mavlink.MAVLink_ahrs_message(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    def _ahrs2(self, _now_s):
-        s = self._vehicle.state
-        latitude, longitude, altitude_m = _place(_ned(s.position_m))
-        return mavlink.MAVLink_ahrs2_message(s.phi, s.theta, s.psi, altitude_m, latitude, longitude)
+    def _ahrs2(self, now_s):
+        r = self._read(now_s)
+        latitude, longitude, altitude_m = _place(_ned(self._vehicle.state.position_m))
+        return mavlink.MAVLink_ahrs2_message(r.roll_rad, r.pitch_rad, r.yaw_rad, altitude_m, latitude, longitude)
 
     def _local_position_ned(self, now_s):
         s = self._vehicle.state
@@ -188,20 +180,19 @@ class Messages:
         latitude, longitude, altitude_m = _place(ned_m)
         above_home_m = self._home_ned_m[2] - ned_m[2]
         velocity_cm_s = (round(100.0 * v) for v in _ned(s.velocity_m_s))
-        heading_cdeg = round(100.0 * _heading_deg(s.psi)) % 36000
+        heading_cdeg = round(100.0 * _heading_deg(self._read(now_s))) % 36000
         heights_mm = round(1e3 * altitude_m), round(1e3 * above_home_m)
         return mavlink.MAVLink_global_position_int_message(
             _ms(now_s), latitude, longitude, *heights_mm, *velocity_cm_s, heading_cdeg
         )
 
-    def _vfr_hud(self, _now_s):
-        s = self._vehicle.state
-        north, east, down = _ned(s.velocity_m_s)
+    def _vfr_hud(self, now_s):
+        r = self._read(now_s)
+        north, east, _ = _ned(self._vehicle.state.velocity_m_s)
         speed_m_s = math.hypot(north, east)
-        throttle_pct = round(sum(s.motor_pwm) / len(s.motor_pwm) / 2.55)
-        altitude_m = ORIGIN_ALTITUDE_M - _ned(s.position_m)[2]
-        heading_deg = int(_heading_deg(s.psi)) % 360
-        return mavlink.MAVLink_vfr_hud_message(speed_m_s, speed_m_s, heading_deg, throttle_pct, altitude_m, -down)
+        heading_deg, throttle_pct = int(_heading_deg(r)) % 360, round(100.0 * r.thrust_fraction)
+        altitude_m = ORIGIN_ALTITUDE_M - self._home_ned_m[2] + r.altitude_m
+        return mavlink.MAVLink_vfr_hud_message(speed_m_s, speed_m_s, heading_deg, throttle_pct, altitude_m, r.climb_m_s)
 
     def _gps_raw_int(self, now_s):
         unknown = 65535
@@ -227,24 +218,20 @@ class Messages:
     # ------------------------------------------------------------------ sensors, motors, channels
 
     def _raw_imu(self, now_s):
-        s = self._vehicle.state
-        accelerations_mg = (round(1e3 / GRAVITY_M_S2 * a) for a in s.specific_force_m_s2.tolist())
-        rates_mrad_s = (round(1e3 * rate) for rate in (s.p, s.q, s.r))
-        field_body = rotation_body_to_ned(s.phi, s.theta, s.psi).T @ FIELD_NED_MGAUSS
-        field_mgauss = (round(b) for b in field_body.tolist())
-        values = (_int16(value) for value in (*accelerations_mg, *rates_mrad_s, *field_mgauss))
+        r = self._read(now_s)
+        accelerations_mg = [1e3 / GRAVITY_M_S2 * a for a in r.acceleration_m_s2]
+        rates_mrad_s = [1e3 * rate for rate in r.rates_rad_s]
+        values = (_int16(value) for value in (*accelerations_mg, *rates_mrad_s, *r.magnetic_mg))
         return mavlink.MAVLink_raw_imu_message(_us(now_s), *values)
 
     def _scaled_pressure(self, now_s):
-        height_m = -_ned(self._vehicle.state.position_m)[2]
-        pressure_hpa = PRESSURE_HPA * math.exp(-height_m / 8400.0)
-        return mavlink.MAVLink_scaled_pressure_message(_ms(now_s), pressure_hpa, 0.0, TEMPERATURE_CDEG)
+        pressure_hpa = 0.01 * self._read(now_s).pressure_pa
+        return mavlink.MAVLink_scaled_pressure_message(_ms(now_s), pressure_hpa, 0.0, round(100.0 * TEMPERATURE_C))
 
     def _servo_output_raw(self, now_s):
-        front_left, front_right, rear_right, rear_left = self._vehicle.state.motor_pwm
+        front_left, front_right, rear_right, rear_left = self._read(now_s).motor_us
         motors = front_right, rear_left, front_left, rear_right  # ArduCopter's numbers 1 to 4 of an X
-        pulses_us = (round(1000.0 + 1000.0 / 255.0 * pwm) for pwm in motors)
-        return mavlink.MAVLink_servo_output_raw_message(_us(now_s) & 0xFFFFFFFF, 0, *pulses_us, 0, 0, 0, 0)
+        return mavlink.MAVLink_servo_output_raw_message(_us(now_s) & 0xFFFFFFFF, 0, *motors, 0, 0, 0, 0)
 
     def _rc_channels(self, now_s):
         channels_us = self._autopilot.channels_us
@@ -277,8 +264,8 @@ class Messages:
         return mavlink.MAVLink_fence_status_message(0, 0, mavlink.FENCE_BREACH_NONE, 0)
 
 
-def mavlink_quaternion(phi, theta, psi):
-    """(w, x, y, z) of Euler angles, from ned to body axes."""
+def _quaternion(phi, theta, psi):
+    """(w, x, y, z) of Euler angles."""
     cf, sf = math.cos(0.5 * phi), math.sin(0.5 * phi)
     ct, st = math.cos(0.5 * theta), math.sin(0.5 * theta)
     cp, sp = math.cos(0.5 * psi), math.sin(0.5 * psi)
@@ -305,12 +292,12 @@ def _place(ned_m):
     return round(1e7 * latitude_deg), round(1e7 * longitude_deg), ORIGIN_ALTITUDE_M - down
 
 
-def _heading_deg(psi):
-    return math.degrees(psi) % 360.0
+def _heading_deg(reading):
+    return math.degrees(reading.yaw_rad) % 360.0
 
 
 def _int16(value):
-    return max(-32768, min(32767, value))
+    return max(-32768, min(32767, round(value)))
 
 
 def _ms(now_s):

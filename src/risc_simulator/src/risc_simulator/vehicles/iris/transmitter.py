@@ -124,15 +124,15 @@ class PpmReceiver:
             self._last_ticks = time_ticks
             if level == self._level:
                 self._trouble = self._trouble or "an edge is missing"
-            self._level = level
+            before, self._level = self._level, level
             if level != self._pulse_level:
                 self._end_pulse(time_ticks)
                 continue
             if self._leading and time_ticks - self._leading[-1] >= self.SYNC_US * TICKS_PER_US:
-                self._end_frame(frames)
+                self._end_frame(frames, before)
             self._leading.append(time_ticks)
         if self._leading and now_ticks - self._leading[-1] >= self.SYNC_US * TICKS_PER_US:
-            self._end_frame(frames)
+            self._end_frame(frames, self._level)
         return frames
 
     def is_lost(self, now_ticks):
@@ -145,11 +145,12 @@ class PpmReceiver:
             if not shortest <= (time_ticks - self._leading[-1]) / TICKS_PER_US <= longest:
                 self._trouble = self._trouble or "a pulse of another length"
 
-    def _end_frame(self, frames):
+    def _end_frame(self, frames, level):
+        """level: of the line in the gap behind it."""
         leading, trouble = self._leading, self._trouble
         self._leading, self._trouble = [], ""
         channels = tuple(round((end - begin) / TICKS_PER_US) for begin, end in zip(leading, leading[1:]))
-        if not trouble and self._level == self._pulse_level:
+        if not trouble and level == self._pulse_level:
             trouble = "a pulse without an end"
         if not trouble and not self.FEWEST <= len(channels) <= self.MOST:
             trouble = "too few channels" if len(channels) < self.FEWEST else "too many channels"

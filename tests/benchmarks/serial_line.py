@@ -1,0 +1,350 @@
+"""The serial line of an IRIS+: how soon it is back after damage, and from a ROS message to the board and the radio.
+
+First the node's link and the board's firmware in simulated time, at 57600 baud, with seeded damage. Then serial_node
+itself in real time, with a master of its own, on a pseudo-terminal whose other end is the firmware's build for this
+computer.
+"""
+
+import argparse
+import bisect
+import contextlib
+import io
+import json
+import os
+import pathlib
+import random
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tty
+
+import genpy
+import numpy as np
+import rospy
+
+from risc_maap_msgs.msg import PpmStatus
+from risc_msgs.msg import Control, Controls
+from risc_simulator.vehicles.iris.transmitter import TICKS_PER_US, Board, PpmReceiver
+from rosserial_python import protocol
+from rosserial_python.link import Link, State
+from rosserial_python.protocol import Decoder, Id
+
+BAUD = 57600
+BYTE_S = 10 / BAUD
+COMMAND_S = 1 / 45  # between two commands, as an IRIS+ is sent them
+STEP_S = 0.001
+APART_S = 0.5  # between two damages, at least; up to twice that
+STEPS = 20  # values that commands go through, one after the other: a frame tells which command it shows
+STEP_US, STEP_FRACTION = 5, 0.01  # between two of them
+WARM_UP = 20  # messages that do not count
+PATIENCE_S = 60.0
+REQUIRED_BACK_S, REQUIRED_NOTICED_S = 0.1, 0.3  # of the 99th percentile; of the worst
+
+
+def controls(step, stamp_s=0.0):
+    """Controls of one vehicle; step: 0 to STEPS - 1, and its value is never that of the failsafe."""
+    message = Controls(Obj=[Control("IRIS", STEP_FRACTION * (1 + step), 0.0, 0.0, -1.0)])
+    message.header.frame_id = "cortex"
+    message.header.stamp = genpy.Time.from_sec(stamp_s)
+    return message
+
+
+def step_of(channels_us):
+    """Of a frame; may lie between two while a channel moves."""
+    return (channels_us[0] - 1500) / STEP_US - 1
+
+
+def serialised(message):
+    data = io.BytesIO()
+    message.serialize(data)
+    return data.getvalue()
+
+
+class Chain:
+    """Link, line and board in simulated time [s]. A command every `COMMAND_S`."""
+
+    byte_s = BYTE_S
+
+    def __init__(self):
+        self.link, self.board, self.receiver = Link(), Board(), PpmReceiver()
+        self.now_s = 0.0
+        self.to_board = self.to_host = lambda data: data  # what the line makes of bytes
+        self.heard_s = []  # when sound packets came
+        self.frames = []  # (begin, step of the command that it shows)
+        self.posted_s = []  # when commands were given; the step of one is its index modulo STEPS
+        self._written, self._topic, self._next_s, self._due_s = b"", None, 0.0, 0.0
+        self.link.opened(self, 0.0)
+
+    # --- the line, as the link sees it
+    def write(self, data):
+        self._written += data
+        return len(data)
+
+    def queued(self):
+        return 0
+
+    def discard(self):
+        """The board's library has what was written."""
+
+    # --- time
+    def run(self, until_s):
+        while self.now_s < until_s:
+            self.now_s += STEP_S
+            if self.now_s >= self._next_s and self._topic is not None:
+                command = serialised(controls(len(self.posted_s) % STEPS))
+                self.posted_s.append(self.now_s)
+                self.link.post(self._topic, command, self.now_s, self.now_s + 0.25)
+                self._next_s = self.now_s + COMMAND_S
+                self._due_s = self.now_s
+            self.board.advance(self.now_s)
+            data = self.to_host(self.board.sent())
+            if data or self.now_s >= self._due_s:
+                self._look(data)
+            written, self._written = self.to_board(self._written), b""
+            if written:
+                self.board.receive(written)
+            frames = self.receiver.feed(self.board.edges(), int(1e6 * self.now_s) * TICKS_PER_US)
+            for begin_ticks, channels in frames:
+                self.frames.append((1e-6 * begin_ticks / TICKS_PER_US, step_of(channels)))
+
+    def _look(self, data):
+        for topic_id, payload in self.link.received(data, self.now_s):
+            self.heard_s.append(self.now_s)
+            if topic_id in (Id.PUBLISHER, Id.SUBSCRIBER):
+                with contextlib.suppress(protocol.PayloadError):
+                    topic = protocol.topic_of(payload)
+                    self.link.confirm(topic, self.now_s)
+                    self._topic = topic.topic_id if topic_id == Id.SUBSCRIBER else self._topic
+            elif topic_id == Id.TIME:
+                self.link.reply(Id.TIME, protocol.time_payload(int(self.now_s), 0), self.now_s)
+        self.link.tick(self.now_s)
+        self._due_s = self.link.due_s(self.now_s)
+
+    def back_s(self, since_s):
+        """(until a sound packet comes, until the signal shows a command that was given later) [s]; inf: not yet."""
+        heard_s = next((at_s for at_s in self.heard_s if at_s > since_s), np.inf)
+        first = bisect.bisect_left(self.posted_s, since_s) % STEPS
+        return heard_s - since_s, *delays_s([(since_s, first)], self.frames)
+
+    def close(self):
+        self.board.close()
+
+
+def noise(rng):
+    """Bytes are damaged, and others come between them."""
+
+    def damage(data):
+        spoilt = bytes(byte ^ rng.randrange(256) if rng.random() < 0.3 else byte for byte in data)
+        return spoilt + rng.randbytes(rng.randrange(4)) if rng.random() < 0.5 else spoilt
+
+    return damage
+
+
+def loss(rng):
+    """Bytes get lost."""
+    return lambda data: bytes(byte for byte in data if rng.random() < 0.3)
+
+
+DAMAGES = {  # what: (kind, to the host, to the board)
+    "noise to the host": (noise, True, False),
+    "noise to the board": (noise, False, True),
+    "noise both ways": (noise, True, True),
+    "loss to the host": (loss, True, False),
+    "loss to the board": (loss, False, True),
+    "loss both ways": (loss, True, True),
+}
+
+
+def percentiles(values_s):
+    """Dict of milliseconds."""
+    p50, p90, p99 = np.percentile(values_s, (50, 90, 99), method="higher")
+    return {"p50_ms": 1e3 * p50, "p90_ms": 1e3 * p90, "p99_ms": 1e3 * p99, "max_ms": 1e3 * max(values_s)}
+
+
+def after_damage(what, trials, seed=1):
+    """{"host", "signal": percentiles}: until a sound packet comes, and until the signal follows commands again.
+
+    Each damage lasts 2 to 60 ms and begins at any moment.
+    """
+    kind, to_host, to_board = DAMAGES[what]
+    rng, chain, back_s = random.Random(seed), Chain(), []
+    chain.run(3.0)
+    for _ in range(trials):
+        chain.run(chain.now_s + APART_S * (1.0 + rng.random()))
+        chain.to_host = kind(rng) if to_host else chain.to_host
+        chain.to_board = kind(rng) if to_board else chain.to_board
+        chain.run(chain.now_s + rng.uniform(0.002, 0.06))
+        chain.to_host = chain.to_board = lambda data: data
+        end_s = chain.now_s
+        chain.run(end_s + APART_S)
+        back_s.append(chain.back_s(end_s))
+        del chain.heard_s[:], chain.frames[:]
+    chain.close()
+    hosts_s, signals_s = zip(*back_s)
+    return {"host": percentiles(hosts_s), "signal": percentiles(signals_s), "lost": chain.link.facts.counts["lost"]}
+
+
+def dead_line(trials, seed=1):
+    """Percentiles of how soon a dead line is noticed, after its last byte."""
+    rng, noticed_s = random.Random(seed), []
+    for _ in range(trials):
+        chain = Chain()
+        chain.run(1.5 + rng.random())
+        chain.to_host = lambda data: b""
+        cut_s = chain.now_s
+        while chain.link.facts.state is State.UP:
+            chain.run(chain.now_s + STEP_S)
+        noticed_s.append(chain.now_s - cut_s)
+        chain.close()
+    return percentiles(noticed_s)
+
+
+def reset_board(trials, seed=1):
+    """Percentiles of how soon the signal follows commands again after the reset button."""
+    rng, back_s, chain = random.Random(seed), [], Chain()
+    chain.run(3.0)
+    for _ in range(trials):
+        chain.run(chain.now_s + APART_S * (1.0 + rng.random()))
+        chain.board.reset()
+        reset_s = chain.now_s
+        chain.run(reset_s + 2 * APART_S)
+        back_s.append(chain.back_s(reset_s)[1])
+        del chain.heard_s[:], chain.frames[:]
+    chain.close()
+    return percentiles(back_s)
+
+
+class BoardOnTerminal:
+    """The firmware in real time on a pseudo-terminal, in a thread."""
+
+    def __init__(self):
+        ours, theirs = os.openpty()
+        tty.setraw(theirs)
+        os.set_blocking(ours, False)
+        self.path, self._ends = os.ttyname(theirs), (ours, theirs)
+        self.board, self._receiver, self._decoder = Board(), PpmReceiver(), Decoder()
+        self.arrived, self.frames = [], []  # (when, step) of commands that had come, and of frames of the signal
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self):
+        begin_s, (line, _) = time.monotonic(), self._ends
+        while not self._over.is_set():
+            if select.select([line], [], [], STEP_S)[0]:
+                data = os.read(line, 4096)
+                now_s = time.monotonic()
+                for topic_id, payload in self._decoder.feed(data, now_s):
+                    if topic_id >= protocol.FIRST_TOPIC:
+                        roll = Controls().deserialize(payload).Obj[0].phi
+                        self.arrived.append((now_s, round(roll / STEP_FRACTION) - 1))
+                self.board.receive(data)
+            board_s = time.monotonic() - begin_s
+            self.board.advance(board_s)
+            if sent := self.board.sent():
+                os.write(line, sent)
+            for begin_ticks, channels in self._receiver.feed(self.board.edges(), int(1e6 * board_s) * TICKS_PER_US):
+                self.frames.append((begin_s + 1e-6 * begin_ticks / TICKS_PER_US, step_of(channels)))
+
+    def close(self):
+        self._over.set()
+        self._thread.join()
+        self.board.close()
+        for end in self._ends:
+            os.close(end)
+
+
+@contextlib.contextmanager
+def graph(*nodes):
+    """A master of our own with some nodes, and this program a node of it."""
+    with contextlib.ExitStack() as stack, socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        os.environ.update(ROS_MASTER_URI="http://127.0.0.1:%d" % port, ROS_IP="127.0.0.1", ROS_HOME=folder)
+        os.environ.pop("ROS_HOSTNAME", None)
+        free.close()
+        for command in (["rosmaster", "--core", "-p", str(port)], *nodes):
+            process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.DEVNULL))
+            stack.callback(process.terminate)
+        rospy.init_node("serial_line_bench", disable_signals=True)
+        yield
+        rospy.signal_shutdown("done")
+
+
+def wait_for(condition, what):
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        if time.monotonic() > deadline_s:
+            raise RuntimeError("waited %g s for %s" % (PATIENCE_S, what))
+        time.sleep(STEP_S)
+
+
+def through_the_node(messages):
+    """{"board", "signal": percentiles}: from publishing a command until it has come to the board, and until a frame of
+    the signal that shows it has begun. In real time: the computer's load counts.
+    """
+    board, status = BoardOnTerminal(), []
+    node = ["rosrun", "rosserial_python", "serial_node.py", board.path]
+    with graph(node), contextlib.closing(board):
+        rospy.Subscriber("ppm_status", PpmStatus, status.append, tcp_nodelay=True)
+        publisher = rospy.Publisher("controls", Controls, queue_size=1, tcp_nodelay=True)
+        wait_for(publisher.get_num_connections, "the node to subscribe to the board's topic")
+        wait_for(lambda: status, "ppm_status of the board")
+        sent = []  # (when, step)
+        for k in range(WARM_UP + messages + WARM_UP):
+            message = controls(k % STEPS, rospy.get_time())
+            sent.append((time.monotonic(), k % STEPS))
+            publisher.publish(message)
+            time.sleep(COMMAND_S)  # the pace of commands
+    wanted, seen = sent[WARM_UP:-WARM_UP], {"board": board.arrived, "signal": board.frames}
+    return {what: percentiles(delays_s(wanted, events)) for what, events in seen.items()}
+
+
+def delays_s(sent, seen):
+    """How long after each command that, or a later one, was seen [s]; inf: none was. Both: (when, step), in order.
+
+    Steps go round: one in the half before a step is of an earlier command.
+    """
+    return [
+        next((at_s for at_s, shown in seen if at_s > sent_s and (shown - step) % STEPS < STEPS // 2), np.inf) - sent_s
+        for sent_s, step in sent
+    ]
+
+
+def line_of(name, row):
+    return "%-34s %6.1f %6.1f %6.1f %6.1f" % (name, row["p50_ms"], row["p90_ms"], row["p99_ms"], row["max_ms"])
+
+
+def main(arguments=None):
+    """Command line. Returns 1 when the line takes longer to be back than is required; the node's times are told."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=300, help="damages of each kind (default: %(default)s)")
+    parser.add_argument("--messages", type=int, default=500, help="through the node (default: %(default)s)")
+    parser.add_argument("--json", type=pathlib.Path)
+    args = parser.parse_args(arguments)
+    figures = {"damage": {what: after_damage(what, args.trials) for what in DAMAGES}}
+    figures.update(dead_line=dead_line(max(10, args.trials // 5)), reset=reset_board(args.trials))
+    print("simulated time, 57600 baud [ms]        p50    p90    p99    max")
+    for what, row in figures["damage"].items():
+        if DAMAGES[what][1]:
+            print(line_of(what + ": host hears", row["host"]))
+        print(line_of(what + ": signal follows", row["signal"]))
+    print(line_of("dead line: noticed", figures["dead_line"]))
+    print(line_of("reset: signal follows", figures["reset"]))
+    if args.messages:
+        figures["node"] = through_the_node(args.messages)
+        print("real time, pseudo-terminal, board simulated [ms]")
+        print(line_of("published: came to the board", figures["node"]["board"]))
+        print(line_of("published: frame begins", figures["node"]["signal"]))
+    if args.json:
+        args.json.write_text(json.dumps(figures, indent=2), encoding="utf-8")
+    worst = max(row[of]["p99_ms"] for what, row in figures["damage"].items() for of in ("host", "signal"))
+    return int(worst > 1e3 * REQUIRED_BACK_S or figures["dead_line"]["max_ms"] > 1e3 * REQUIRED_NOTICED_S + 1.0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
