@@ -37,7 +37,9 @@ class FitParams(Settings):
     order: between(1, 8) = 4  # of the polynomial
     window_s: between(0.2, 10.0) = 1.0  # over which throttle and acceleration are averaged
     min_height_m: Positive = 0.3  # it flies, and out of the ground's cushion
-    max_speed_m_s: Positive = 1.0  # faster, air drags
+    max_speed_m_s: Positive = 1.0
+    max_climb_m_s: Positive = 0.2  # faster, up or down, air drags,
+    max_acceleration_m_s2: Positive = 0.3  # and stronger, throttle and acceleration are not of the same moment
 
 
 @dataclass
@@ -96,6 +98,8 @@ def hover_points(states, throttle, battery, params):
         if sent is None or charge is None or round(charge[0]) != round(charge[1]):
             continue
         up_m_s2 = np.polyfit(window[:, 0] - window[0, 0], window[:, 2], 1)[0]
+        if abs(window[:, 2].mean()) > params.max_climb_m_s or abs(up_m_s2) > params.max_acceleration_m_s2:
+            continue
         lift_g = (1.0 + up_m_s2 / GRAVITY_M_S2) / (np.cos(window[:, 4]) * np.cos(window[:, 5]))
         found[round(charge[0])].append((charge.mean(), np.mean(sent - (lift_g - 1.0))))
     windows = [np.array(found[pct]) for pct in sorted(found)]
