@@ -23,13 +23,19 @@ def test_row_and_file(tmp_path, capsys, monkeypatch):
     assert bench.main([]) == 1
 
 
-def test_vehicles_move_and_stay_in_the_net_for_the_longest_run():
-    world, places_m = bench.make_world(50)
+@pytest.mark.parametrize("kind", bench.TYPES)
+def test_vehicles_move_and_stay_in_the_net_for_the_longest_run(kind):
+    world, places_m = bench.make_world(50, kind)
     bench.fly(world, places_m, 5.0)
     assert not world.crashes
     for vehicle, place_m in zip(world.vehicles.values(), places_m):
         assert vehicle.phase is FlightPhase.FLYING
         assert abs(vehicle.state.position_m - place_m).max() > 0.01
+
+
+def test_irises_are_flown_in_the_whole_lab():
+    row = bench.measure_lab(2, "iris", take_off_s=4.0, measured_s=0.5)
+    assert row["lab_flying"] == 2 and row["lab_cores"] > 0.0
 
 
 def test_a_crash_spoils_the_figure(monkeypatch):

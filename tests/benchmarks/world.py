@@ -1,4 +1,4 @@
-"""How fast the virtual lab is: `./maap bench world`.
+"""How fast the virtual lab is: `./maap bench world`, with IRIS+s `./maap bench world --type iris`.
 
 World and cameras offline, as fast as they go, on one core: every vehicle is in the air and gets a new setpoint at the
 rate of its radio, as in a flight; plants are perturbed. Then the whole lab in real time, with a client for each vehicle
@@ -13,36 +13,46 @@ import multiprocessing
 import random
 import socket
 import statistics
+import struct
 import sys
 import time
 from dataclasses import replace
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from ardrone_autonomy import protocol
 from ardrone_autonomy.protocol import at, navdata
 from risc_lab.lab import generated_fleet, load_templates, load_vehicle_type
 from risc_simulator.models.flight import FlightPhase, Setpoint
 from risc_simulator.models.mocap_cameras import MocapCameras
+from risc_simulator.vehicles.iris.firmware import Mode, RcFrame
+from risc_simulator.vehicles.iris.host import STANDARD_PORTS, system_id
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import World
+from rosserial_python.protocol import FIRST_TOPIC, REQUEST_TOPICS, encode
 
 COUNTS = (1, 3, 10, 50)
 REPEATS = 5
 WARM_UP_S = 0.5
 LAB_TAKE_OFF_S, LAB_MEASURED_S = 6.0, 5.0
 REQUIRED_TIMES_REAL_TIME = {1: 200.0}
-_COMMANDS_HZ = 30.0
+TYPES = "ardrone", "iris"
+_COMMANDS_HZ = {"ardrone": 30.0, "iris": 45.0}
+_CLIMB_S = 1.5  # of an IRIS+ by the stick of ALT_HOLD
 
 
-def make_fleet(count):
-    """Fleet of `count` AR.Drones in a net that is large enough, and nothing else."""
+def make_fleet(count, kind="ardrone"):
+    """Fleet of `count` vehicles of a type in a net that is large enough, and nothing else."""
     net = "127.%d" % random.SystemRandom().randint(210, 249)  # another run may be under way
-    return replace(generated_fleet(count), landmarks=()).in_subnet(net)
+    fleet = generated_fleet(count)
+    vehicles = tuple(replace(vehicle, type=kind) for vehicle in fleet.vehicles)
+    return replace(fleet, vehicles=vehicles, landmarks=()).in_subnet(net)
 
 
-def make_world(count, seed=0):
+def make_world(count, kind="ardrone", seed=0):
     """World of make_fleet(), and where its vehicles are to fly [m]."""
-    fleet = make_fleet(count)
-    world = World(fleet, {"ardrone": load_vehicle_type("ardrone")}, load_templates(fleet=fleet), seed=seed)
+    fleet = make_fleet(count, kind)
+    world = World(fleet, {kind: load_vehicle_type(kind)}, load_templates(fleet=fleet), seed=seed)
     return world, [vehicle.start.position_m[:2] + (1.5,) for vehicle in fleet.vehicles]
 
 
@@ -50,13 +60,20 @@ def start_flight(world, places_m, duration_s):
     """Let them fly to and fro around the places for duration_s [s] of world time, from now on."""
     for index, (vehicle, place_m) in enumerate(zip(world.vehicles.values(), places_m)):
         vehicle.fly_at(place_m)
+        if vehicle.type.name == "iris":
+            vehicle.firmware.set_mode(Mode.ALT_HOLD)
         rate_hz = vehicle.type.command_rate_hz
         for k in range(int(duration_s * rate_hz)):
             swing = 2.0 * math.pi * (k / rate_hz + 0.1 * index)
-            vehicle.schedule(
-                world.time_s + k / rate_hz,
-                Setpoint(0.05 * math.cos(swing), 0.05 * math.sin(swing), 0.05 * math.sin(swing), 0.2),
-            )
+            vehicle.schedule(world.time_s + k / rate_hz, _command(vehicle.type.name, swing))
+
+
+def _command(kind, swing):
+    """To and fro."""
+    c, s = math.cos(swing), math.sin(swing)
+    if kind == "iris":
+        return RcFrame((1500 + round(50 * c), 1500 + round(50 * s), 1500 + round(150 * s), 1520))
+    return Setpoint(0.05 * c, 0.05 * s, 0.05 * s, 0.2)
 
 
 def fly(world, places_m, duration_s):
@@ -82,7 +99,7 @@ def watch(world, places_m, duration_s):
     return 1e6 * statistics.median(step_s), 1e6 * statistics.median(frame_s)
 
 
-def measure(count, repeats=REPEATS, duration_s=None):
+def measure(count, kind="ardrone", repeats=REPEATS, duration_s=None):
     """{"vehicles", "times_real_time", "us_per_step", "repeats", "step_us", "frame_us"}: medians.
 
     times_real_time, us_per_step: of the world alone, in long strides; step_us and frame_us: of single steps, and of the
@@ -91,7 +108,7 @@ def measure(count, repeats=REPEATS, duration_s=None):
     """
     if duration_s is None:
         duration_s = max(1.0, 5.0 / math.sqrt(count))
-    world, places_m = make_world(count)
+    world, places_m = make_world(count, kind)
     fly(world, places_m, WARM_UP_S)
     took_s = statistics.median(fly(world, places_m, duration_s) for _ in range(repeats))
     step_us, frame_us = watch(world, places_m, duration_s)
@@ -107,12 +124,12 @@ def measure(count, repeats=REPEATS, duration_s=None):
     }
 
 
-def measure_lab(count, take_off_s=LAB_TAKE_OFF_S, measured_s=LAB_MEASURED_S):
+def measure_lab(count, kind="ardrone", take_off_s=LAB_TAKE_OFF_S, measured_s=LAB_MEASURED_S):
     """{"lab_cores", "lab_late_ms", "lab_flying"}: what the lab takes, the 99th percentile of its lateness, and how many
     vehicles fly at the end."""
-    fleet = make_fleet(count)
+    fleet = make_fleet(count, kind)
     lab = VirtualLab(fleet, live=True)
-    pilots = multiprocessing.get_context("fork").Process(target=_pilot, args=(fleet,), daemon=True)
+    pilots = multiprocessing.get_context("fork").Process(target=_PILOTS[kind], args=(fleet,), daemon=True)
     pilots.start()
     try:
         lab.run(duration_s=take_off_s)
@@ -130,7 +147,7 @@ def measure_lab(count, take_off_s=LAB_TAKE_OFF_S, measured_s=LAB_MEASURED_S):
         lab.close()
 
 
-def _pilot(fleet):
+def _pilot_ardrones(fleet):
     """A client of each vehicle: commands at the rate of a driver, and what it sends back is read. Until terminated."""
     with contextlib.ExitStack() as stack:
         clients = []
@@ -141,7 +158,7 @@ def _pilot(fleet):
         start_s, k = time.monotonic(), 0
         while True:
             for client, address in clients:
-                swing = 2.0 * math.pi * k / _COMMANDS_HZ  # once a second: they stay where they are
+                swing = 2.0 * math.pi * k / _COMMANDS_HZ["ardrone"]  # once a second: they stay where they are
                 commands = at.ref(3 * k + 1, start=True) + at.pcmd_mag(
                     3 * k + 2, at.PcmdFlag.PROGRESSIVE, 0.2 * math.cos(swing), 0.2 * math.sin(swing)
                 )
@@ -153,12 +170,60 @@ def _pilot(fleet):
                     while True:
                         client.recv(65536)
             k += 1
-            time.sleep(max(0.0, start_s + k / _COMMANDS_HZ - time.monotonic()))
+            time.sleep(max(0.0, start_s + k / _COMMANDS_HZ["ardrone"] - time.monotonic()))
+
+
+def _pilot_irises(fleet):
+    """Two clients of each vehicle: Controls over its serial line, and telemetry at 10 Hz. Until terminated."""
+    with contextlib.ExitStack() as stack:
+        clients = []
+        for vehicle in fleet.vehicles:
+            line = stack.enter_context(socket.create_connection((vehicle.address, STANDARD_PORTS.arduino), 10.0))
+            line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            telemetry = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            telemetry.connect((vehicle.address, STANDARD_PORTS.telemetry))
+            line.setblocking(False)
+            telemetry.setblocking(False)
+            line.send(REQUEST_TOPICS)
+            clients.append((vehicle, line, telemetry, mavlink.MAVLink(None, 255, 190)))
+        start_s, k = time.monotonic(), 0
+        while True:
+            flown_s = k / _COMMANDS_HZ["iris"] - 1.0
+            swing = 2.0 * math.pi * flown_s
+            throttle = -1.0 if flown_s < 0.0 else 0.6 if flown_s < _CLIMB_S else 0.0
+            sticks = struct.pack("<4d", 0.1 * math.cos(swing), 0.1 * math.sin(swing), 0.0, throttle)
+            for vehicle, line, telemetry, codec in clients:
+                name = vehicle.template.encode()
+                # a risc_msgs/Controls with an empty header
+                line.send(encode(FIRST_TOPIC, struct.pack("<6I", 0, 0, 0, 0, 1, len(name)) + name + sticks))
+                system = system_id(vehicle.address)
+                orders = ()
+                if k == 1:
+                    orders = (
+                        mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3),
+                        mavlink.MAVLink_request_data_stream_message(system, 1, 0, 10, 1),
+                        mavlink.MAVLink_set_mode_message(system, 1, Mode.ALT_HOLD),
+                    )
+                elif k == 40:
+                    arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+                    orders = (mavlink.MAVLink_command_long_message(system, 1, arm, 0, 1, 0, 0, 0, 0, 0, 0),)
+                for order in orders:
+                    telemetry.send(order.pack(codec))
+                for client in (line, telemetry):
+                    with contextlib.suppress(BlockingIOError):
+                        while True:
+                            client.recv(65536)
+            k += 1
+            time.sleep(max(0.0, start_s + k / _COMMANDS_HZ["iris"] - time.monotonic()))
+
+
+_PILOTS = {"ardrone": _pilot_ardrones, "iris": _pilot_irises}
 
 
 def main(arguments=None):
     """Command line. Returns 1 when a required speed is missed."""
     parser = argparse.ArgumentParser(prog="world.py", description="Speed of the virtual lab, offline and in real time.")
+    parser.add_argument("--type", choices=TYPES, default="ardrone", help="of the vehicles (default: ardrone)")
     parser.add_argument("--json", metavar="FILE", help="write the table there too")
     options = parser.parse_args(arguments)
     print(
@@ -168,7 +233,7 @@ def main(arguments=None):
     print("  vehicles   times real time   us / step  |  us / step, frame  |      cores         ms   required")
     rows = []
     for count in COUNTS:
-        row = {**measure(count, REPEATS), **measure_lab(count, LAB_TAKE_OFF_S, LAB_MEASURED_S)}
+        row = {**measure(count, options.type), **measure_lab(count, options.type)}
         required = REQUIRED_TIMES_REAL_TIME.get(count)
         print(
             "  %8d   %15.0f   %9.1f  |  %5.1f  %8.1f  |  %9.3f  %9.2f   %s"

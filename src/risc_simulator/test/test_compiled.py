@@ -55,6 +55,7 @@ def run(*arguments, **environment):
     [
         ("test_world.py", "golden or at_rest"),
         ("test_members.py", "exchange or own_equations"),
+        ("test_iris_plant.py", "lag or attitude or carry"),
         ("test_mocap_cameras.py", "as_ever"),
         ("../../cortex_ros/test/test_wire.py", "fast_encoder"),
     ],
@@ -65,6 +66,30 @@ def test_the_same_source_uncompiled(file, pattern):
     assert ended.returncode == 0, ended.stdout
 
 
-def test_nothing_is_compiled_or_loaded_in_flight():
-    ended = run("-c", IN_FLIGHT)
+IRIS_IN_FLIGHT = """
+import gc
+import test_iris_plant
+from numba.core.dispatcher import Dispatcher
+
+def compiled():
+    return {id(f): len(f.signatures) for f in gc.get_objects() if isinstance(f, Dispatcher)}
+
+make = test_iris_plant.make_world
+
+def make_world(*arguments, **options):
+    global world, at_start
+    world = make(*arguments, **options)
+    at_start = compiled()
+    return world
+
+test_iris_plant.make_world = make_world
+test_iris_plant.wander(seed=4, n=2)
+assert sum(at_start.values()) > 5
+assert compiled() == at_start
+"""
+
+
+@pytest.mark.parametrize("flight", [IN_FLIGHT, IRIS_IN_FLIGHT], ids=["ardrone", "iris"])
+def test_nothing_is_compiled_or_loaded_in_flight(flight):
+    ended = run("-c", flight)
     assert ended.returncode == 0, ended.stdout

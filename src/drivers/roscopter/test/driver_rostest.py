@@ -5,6 +5,7 @@ import contextlib
 import itertools
 import os
 import pathlib
+import random
 import signal
 import subprocess
 import sys
@@ -286,6 +287,22 @@ class DriverTest(unittest.TestCase):
                 vehicle.is_silent = False
                 vehicle.reboot()
                 wait_for(lambda status=status, count=count: len(status) > count + 5, "the battery again")
+
+    def test_damaged_bytes_change_no_value(self):
+        """One byte in 100 is damaged: what comes is right, and something comes all the time."""
+        numbers = random.Random(5)
+
+        def spoil(data):
+            return bytes(byte ^ 0x55 if numbers.random() < 0.01 else byte for byte in data)
+
+        with lab(is_serial=True) as (vehicle, driver):
+            status = driver.subscribe("status", msg.Status)
+            wait_for(lambda: status, "the battery")
+            vehicle.spoils = spoil
+            status.clear()
+            wait_for(lambda: len(status) > 10, "the battery, through the noise")
+            self.assertEqual({(m.battery_voltage, m.battery_current, m.battery_remaining) for m in list(status)},
+                             {(11800, 1234, 87)})  # fmt: skip
 
     def test_others_on_the_link_are_not_the_vehicle(self):
         with lab() as (vehicle, driver):

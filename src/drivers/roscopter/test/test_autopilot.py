@@ -270,7 +270,7 @@ def test_nothing_is_overridden_unless_that_is_enabled(version):
     send_for(bench, 2.0)
     bench.autopilot.release(bench.now_s)
     bench.run(2.0)
-    assert overrides(bench) == [] and bench.autopilot.last_stand() == ()
+    assert overrides(bench) == []
     assert len(bench.said("warn")) == 1 and "--enable-rc-control" in bench.said("warn")[0]
 
 
@@ -306,11 +306,13 @@ def test_the_time_to_release_is_an_option():
 
 def test_channels_are_given_back_at_the_end():
     bench = Bench(enable_rc_control=True).connect()
-    assert bench.autopilot.last_stand() == ()
+    bench.autopilot.send_last_words()
+    bench.run(0.1)
+    assert overrides(bench) == []
     send_for(bench, 0.2)
-    for packet in bench.autopilot.last_stand():
-        bench.vehicle.receive(packet, bench.now_s)
-    assert overrides(bench)[-RELEASES:] == [RELEASE] * RELEASES
+    bench.autopilot.send_last_words()
+    bench.step()
+    assert overrides(bench)[-1] == RELEASE
 
 
 def test_values_that_are_no_channel_times_are_refused():
@@ -318,6 +320,7 @@ def test_values_that_are_no_channel_times_are_refused():
     for wrong in (700, 2500, 70000, 1):
         bench.autopilot.override((wrong, *STICKS[1:]), bench.now_s, bench.now_s)
     assert bench.autopilot.counts["refused send_rc"] == 4
+    assert len(bench.said("warn")) == 1  # not one for each
     bench.autopilot.override((0, 65535, *STICKS[2:]), bench.now_s, bench.now_s)
     bench.run(0.1)
     assert overrides(bench) == [[0, 65535, *STICKS[2:]]]
@@ -407,6 +410,24 @@ def test_false_on_the_watchdog_counts_at_once():
     assert bench.vehicle.mode == 9
 
 
+def test_the_failsafe_does_not_wait_for_an_order_that_waits():
+    bench = Bench(enable_watchdog=True, enable_ros_failsafe=True).connect()
+    bench.vehicle.is_armed = True
+    bench.vehicle.answers[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = mavlink.MAV_RESULT_IN_PROGRESS
+    bench.autopilot.begin(orders.Arm(False, 60.0), lambda _outcome: None, bench.now_s)
+    bench.run(5.0)
+    assert bench.vehicle.mode == 9
+
+
+def test_a_device_that_comes_and_goes_does_not_feed_the_watchdog():
+    bench = Bench(enable_watchdog=True).connect()
+    for _ in range(8):
+        bench.autopilot.closed(bench.now_s)
+        bench.autopilot.opened(bench.now_s)
+        bench.run(0.5)
+    assert any("watchdog" in text for text in bench.said("error"))
+
+
 # ---------------------------------------------------------------------------------------------------- emergency stop
 
 
@@ -461,6 +482,15 @@ def test_an_emergency_stop_ends_an_order_to_arm_and_forbids_a_new_one():
     assert kills(bench).count((400, 1.0, 0.0)) == 1
 
 
+def test_an_emergency_stop_goes_on_when_the_node_ends():
+    bench = Bench().connect()
+    bench.vehicle.ignores, bench.vehicle.is_armed = 1, True
+    bench.autopilot.emergency_stop(bench.now_s)
+    bench.autopilot.send_last_words()
+    bench.step()
+    assert not bench.vehicle.is_armed
+
+
 def test_an_emergency_stop_takes_the_sticks_away():
     bench = Bench(enable_rc_control=True).connect()
     bench.vehicle.is_armed, bench.vehicle.obeys_disarm = True, False
@@ -512,3 +542,31 @@ def test_damaged_bytes_never_become_a_message(dialect, inputs):
         bench.messages.clear()
         bench.messages += bench.autopilot.receive(bytes(frame), bench.now_s)
         assert {bytes(message.get_msgbuf()) for message in bench.messages} <= sent
+
+
+@pytest.mark.parametrize("dialect", [version_1, mavlink], ids=["MAVLink 1", "MAVLink 2"])
+def test_no_sound_message_whatever_is_in_it_stops_the_link(dialect, inputs):
+    """Every message of the dialect with random content, from the vehicle, while orders run."""
+    numbers = random.Random(7)
+    version = 1 if dialect is version_1 else 2
+    bench = Bench(version, enable_rc_control=True, enable_autonomous_control=True, enable_watchdog=True).connect()
+    bench.vehicle.is_silent = True
+    outcomes = []
+    for kind in dialect.mavlink_map.values():
+        for _ in range(inputs(2, 40)):
+            bench.autopilot.begin(orders.Arm(True, 3.0), outcomes.append, bench.now_s)
+            bench.autopilot.send_mission([orders.Item(16)] * 3, outcomes.append, bench.now_s)
+            size = kind.unpacker.size
+            payload = bytes(numbers.choice((0, 255, numbers.randrange(256))) for _ in range(size))
+            frame = bytearray(
+                bytes([0xFE, size, numbers.randrange(256), 1, 1, kind.id])
+                if version == 1
+                else bytes([0xFD, size, 0, 0, numbers.randrange(256), 1, 1, *kind.id.to_bytes(3, "little")])
+            )
+            frame += payload
+            checksum = dialect.x25crc(frame[1:] + bytes([kind.crc_extra])).crc
+            bench.noise += frame + checksum.to_bytes(2, "little")
+            before = bench.autopilot.reader.frames
+            bench.step()
+            assert bench.autopilot.reader.frames == before + 1, kind.msgname
+    assert len(outcomes) > 100

@@ -1,6 +1,8 @@
 """The thread and real devices, without ROS: pseudo terminals, UDP, TCP; gone and back."""
 
+import errno
 import os
+import random
 import socket
 import threading
 import time
@@ -86,6 +88,8 @@ def test_a_serial_device_that_goes_and_comes(serial):
             with Running(serial):
                 driver.hears()
             wait_for(lambda: not driver.link.autopilot.is_open, "the loss")
+            tried_s = driver.link._reopen_s
+            wait_for(lambda tried_s=tried_s: driver.link._reopen_s > tried_s, "another try")
         assert [text.split(" (")[0] for text in driver.said("error")] == [
             "cannot open %s" % serial,
             *["lost %s" % serial] * 2,
@@ -163,6 +167,28 @@ def test_tcp_that_is_closed_and_comes_again():
         assert sum("lost tcp" in text for text in driver.said("error")) == 2
 
 
+def test_a_server_that_hangs_up_at_once_is_one_line():
+    """As one that serves a single client, who is another."""
+    with socket.create_server((HOST, 0)) as server:
+        server.settimeout(LIMIT_S)
+        with Driver("tcp:%s:%d" % server.getsockname()) as driver:
+            for _ in range(4):
+                server.accept()[0].close()
+                opened = driver.link.counts["times opened"]
+            wait_for(lambda: driver.link.counts["times opened"] >= opened, "the last connection")
+        assert len(driver.said("error")) == 1 and len(driver.said("info")) == 1
+
+
+def test_a_device_that_is_forbidden_says_what_to_do(serial, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("roscopter.transport.open_device", refuse)
+    with Driver(str(serial)) as driver:
+        wait_for(lambda: driver.said("error"), "the error")
+        assert "dialout" in driver.said("error")[0]
+
+
 def test_a_line_that_takes_nothing_does_not_stop_what_comes(serial):
     """A serial line holds a few kilobytes; what it does not take is lost, and telemetry goes on."""
     master, slave = os.openpty()
@@ -199,13 +225,11 @@ def test_channels_are_given_back_when_it_ends(where):
 
 
 def test_damaged_bytes_cost_only_their_own_messages(where):
-    """One byte in 50 is damaged; what comes is right, and something comes all the time."""
+    """One byte in 100 is damaged; what comes is right, and something comes all the time."""
+    numbers = random.Random(5)
 
     def spoil(data):
-        data = bytearray(data)
-        for place in range(0, len(data), 50):
-            data[place] ^= 0x55
-        return bytes(data)
+        return bytes(byte ^ 0x55 if numbers.random() < 0.01 else byte for byte in data)
 
     with Running(where) as vehicle, Driver(vehicle.device) as driver:
         driver.hears()

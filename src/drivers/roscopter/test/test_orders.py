@@ -58,7 +58,7 @@ def test_yes_without_deeds_is_no_success(bench):
     bench.vehicle.obeys_disarm = False
     bench.vehicle.is_armed = True
     outcome = bench.order(orders.Arm(False, 3.0))
-    assert not outcome.is_done and "heartbeats" in outcome.why
+    assert not outcome.is_done and "has said yes" in outcome.why
     assert len(bench.vehicle.named("COMMAND_LONG")) == 1  # it has said yes: it is not asked again
 
 

@@ -324,6 +324,8 @@ class _Chain:
             self.said.append((now_s, orders.safety.text))
         if orders.land:
             self._link.order(FlightAction.LAND, now_s)
+        if orders.disarm:
+            self._link.order(FlightAction.CUT_MOTORS, now_s)
         if orders.command is not None:
             self._on_sent(now_s, orders.command.settles_at)
             self._wire.carry(orders.command.sticks, None, now_s, lambda sticks, _, at_s: self._link.send(sticks, at_s))
@@ -454,6 +456,7 @@ def _compile():
     from risc_estimation.ros.conversions import EstimateMessages
 
     fly(Flight(vehicles=2, gusts=True, duration_s=0.5))
+    fly(Flight(vehicles=1, gusts=True, duration_s=0.5, types=("iris",)))
     for name in CONTROLLERS.names():
         ControlLoop(name, [load_vehicle_type("ardrone")])
     FrameEncoder((("body", 1),))  # the virtual lab's

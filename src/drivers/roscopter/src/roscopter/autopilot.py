@@ -23,9 +23,11 @@ HEARTBEAT_S = 1.0  # of ours
 LOST_S = 3.0  # of silence after which the autopilot counts as lost: three heartbeats
 PATIENCE_S = 5.0  # with a vehicle that has not been heard yet
 RELEASES, RELEASE_S = 5, 0.1  # how often, and how far apart, channels are given back: the radio loses packets
+LAST_WORDS = 5  # for the same reason
 STOP_S, STOP_PERIOD_S = 2.0, 0.1  # how long and how often motors are ordered to stop
 STOPS = 5  # at least, even if a heartbeat says that the vehicle is disarmed: an order to arm may be on its way
 REBOOT_MS = 1000  # by which the time since its start must fall
+REPEAT_S = 60.0  # until the same warning comes again
 SWITCH_STALE_S = 1.0  # the pilot's switch is taken for off when the channels are older
 SWITCH_ON_US = 1500
 RELEASED, UNCHANGED = 0, 65535  # of a channel in RC_CHANNELS_OVERRIDE
@@ -74,7 +76,7 @@ class Autopilot:
         self._override_s = -math.inf
         self._releases, self._next_release_s = 0, 0.0
         self._switch_s, self._is_switched_on = -math.inf, False
-        self._ignoring = ""  # why send_rc is not obeyed, as last reported
+        self._ignoring, self._ignoring_s = "", -math.inf  # why send_rc was not obeyed, as last reported, and when
         self._has_channels = -math.inf  # when RC_CHANNELS came, which has all that RC_CHANNELS_RAW has
 
         self._fed_s, self._next_watch_s = -math.inf, -math.inf
@@ -87,8 +89,9 @@ class Autopilot:
     # --- the link -----------------------------------------------------------------------------------------------------
     def opened(self, now_s):
         """The device was opened."""
+        if self._opened_s == math.inf:
+            self._fed_s = now_s  # from the start on, once: a device that comes and goes does not feed the watchdog
         self.is_open, self._opened_s = True, now_s
-        self._fed_s = max(self._fed_s, now_s)
         self._next_heartbeat_s = now_s
         self.poll(now_s)
 
@@ -101,14 +104,15 @@ class Autopilot:
         """Names of the telemetry streams that do not come."""
         return self._streams.missing() if self.is_connected else []
 
-    def last_stand(self):
-        """Bytes that give the channels back, for the end: () when none is overridden."""
-        if not (self.is_overriding or self._releases):
-            return ()
-        return [self._encode("rc_channels_override", **dict.fromkeys(_CHANNELS, RELEASED)) for _ in range(RELEASES)]
+    def send_last_words(self):
+        """For the end, to be called LAST_WORDS times: channels are given back, an emergency stop goes on."""
+        if self._stop_until_s > -math.inf:
+            self._send("command_long", **orders.KILL)
+        if self.is_overriding or self._releases:
+            self._send("rc_channels_override", **dict.fromkeys(_CHANNELS, RELEASED))
 
     def _encode(self, name, **fields):
-        if name not in ("heartbeat",):
+        if name != "heartbeat":
             system, component = self.target or _EVERYONE
             fields["target_system"] = system
             if name != "set_mode":
@@ -311,11 +315,10 @@ class Autopilot:
             why = self._why_not_override(channels, now_s)
         if why:
             self.counts["refused send_rc"] += 1
-            if why != self._ignoring:
+            if why != self._ignoring or now_s - self._ignoring_s > REPEAT_S:
                 self._report("warn", "send_rc is ignored: %s" % why)
-            self._ignoring = why
+                self._ignoring, self._ignoring_s = why, now_s
             return
-        self._ignoring = ""
         channels = list(channels)
         if self._options.enable_autonomous_control:  # the pilot's switch must stay the pilot's
             channels[self._options.autonomous_channel_id - 1] = UNCHANGED
@@ -329,7 +332,7 @@ class Autopilot:
         if len(channels) != len(_CHANNELS) or any(
             not (_LEAST_US <= value <= _MOST_US or value in (RELEASED, UNCHANGED)) for value in channels
         ):
-            return "%s are not eight times %d .. %d us, 0 or 65535" % (list(channels), _LEAST_US, _MOST_US)
+            return "it must be eight times %d .. %d us, 0 or 65535" % (_LEAST_US, _MOST_US)
         if self._why_deaf():
             return self._why_deaf()
         if now_s < self._stop_until_s:
@@ -371,7 +374,8 @@ class Autopilot:
             self._report("error", "the watchdog has run out: no true on its topic for %g s" % options.max_watchdog_time)
             if self.is_overriding:
                 self.release(now_s)
-        if self._owes_failsafe and self.is_armed and self.is_connected and self._order is None:
+        is_landing = self._order is not None and self._order[1] == self._on_failsafe
+        if self._owes_failsafe and self.is_armed and not is_landing and not self._why_deaf():
             name = _FAILSAFE_MODE[options.type]
             order = orders.SetMode(name, mode_number(options.type, name), options.mode_timeout / 1000.0)
             self.begin(order, self._on_failsafe, now_s)

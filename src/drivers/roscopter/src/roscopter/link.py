@@ -5,6 +5,7 @@ otherwise sleeps until bytes come or TICK_S has passed.
 """
 
 import contextlib
+import errno
 import select
 import socket
 import threading
@@ -12,7 +13,7 @@ import time
 from collections import deque
 
 from roscopter import transport
-from roscopter.autopilot import TICK_S, Autopilot
+from roscopter.autopilot import LAST_WORDS, TICK_S, Autopilot
 
 RETRY_S = 1.0  # until a device that cannot be opened is tried again
 LAST_SPACING_S = 0.02  # between the last packets
@@ -31,7 +32,9 @@ class Link:
         self._on_message, self._on_failure = on_message, on_failure
         self.autopilot = Autopilot(options, self._write, report)
         self.counts = {"received bytes": 0, "sent bytes": 0, "not sent": 0, "times opened": 0}
-        self._device, self._reopen_s, self._complaint = None, 0.0, None
+        self._device, self._reopen_s = None, 0.0
+        self._has_complained = False  # of a device that is not there; one line is enough until something was received
+        self._is_mute = False  # nothing has been received since it was opened
         self._mailbox, self._is_over = deque(), False
         self._bell_in, self._bell_out = socket.socketpair()
         for bell in (self._bell_in, self._bell_out):
@@ -62,12 +65,12 @@ class Link:
             self._on_failure(error)
         finally:
             with contextlib.suppress(Exception):  # of a device that is gone, or of what has just failed
-                self._give_back()
+                self._send_last_words()
             self._close()
 
-    def _give_back(self):
-        for packet in self.autopilot.last_stand():
-            self._write(packet)
+    def _send_last_words(self):
+        for _ in range(LAST_WORDS):
+            self.autopilot.send_last_words()
             time.sleep(LAST_SPACING_S)
 
     def _loop(self):
@@ -100,15 +103,17 @@ class Link:
             self._complain("cannot open %s (%s); trying again every second" % (device, _reason(error)))
             self._reopen_s = time.monotonic() + RETRY_S
             return
-        self._complaint = None
+        if not self._is_mute:  # else it is opened and lost in turns
+            self._report("info", "opened %s" % device)
+            self._has_complained = False
+        self._is_mute = True
         self.counts["times opened"] += 1
-        self._report("info", "opened %s" % device)
         self.autopilot.opened(time.monotonic())
 
     def _complain(self, text):
-        if text != self._complaint:
+        if not self._has_complained:
             self._report("error", text)
-        self._complaint = text
+        self._has_complained = True
 
     def _receive(self, now_s):
         try:
@@ -116,6 +121,8 @@ class Link:
         except OSError as error:
             self._lose(error)
             return
+        if data:
+            self._is_mute = self._has_complained = False
         self.counts["received bytes"] += len(data)
         messages = self.autopilot.receive(data, now_s)
         if messages:
@@ -124,9 +131,8 @@ class Link:
             self._on_message(message)
 
     def _lose(self, error):
-        self._report("error", "lost %s (%s); waiting for it" % (self._options.device, _reason(error)))
+        self._complain("lost %s (%s); waiting for it" % (self._options.device, _reason(error)))
         self._close()
-        self._complaint = "cannot open"
         self._reopen_s = time.monotonic() + RETRY_S
         self.autopilot.closed(time.monotonic())
 
@@ -146,4 +152,6 @@ class Link:
 
 
 def _reason(error):
-    return getattr(error, "strerror", None) or str(error)
+    text = getattr(error, "strerror", None) or str(error)
+    is_forbidden = getattr(error, "errno", None) == errno.EACCES
+    return text + (": add yourself to the group dialout, and log in again" if is_forbidden else "")

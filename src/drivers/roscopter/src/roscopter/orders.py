@@ -116,7 +116,7 @@ class _Acknowledged(Order):
 
     def _lacking(self):
         if self._is_taken:
-            return "the autopilot has said yes, but its heartbeats tell nothing of it"
+            return "the autopilot has said yes, but does not tell that it is done"
         return "no answer of the autopilot within %g s" % self._timeout_s
 
 

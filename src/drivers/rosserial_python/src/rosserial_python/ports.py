@@ -15,7 +15,7 @@ import termios
 
 import serial
 
-from rosserial_python.settings import LISTEN
+from rosserial_python.settings import LISTEN, USUAL_BAUD
 
 _BITS = 10  # of a byte on a serial line: start, 8, stop
 _READ_BYTES = 4096
@@ -78,10 +78,11 @@ class Line:
             self._file.close()
 
 
-def _of_connection(connection):
+def _of_connection(connection, baud):
+    """baud: of the serial line at its other end, None if there is none."""
     connection.setblocking(False)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return Line(connection)
+    return Line(connection, _BITS / baud if baud else 0.0)
 
 
 class SerialPort:
@@ -89,28 +90,26 @@ class SerialPort:
 
     def __init__(self, url, baud, reopen_s, for_test=False):
         """reopen_s: silence after which opening anew may help [s], 0: never. Raises ValueError for what is no port."""
-        self.name, self._baud, self._reopen_s, self._for_test = url, baud, reopen_s, for_test
+        self.name, self.baud, self._reopen_s, self._for_test = url, baud, reopen_s, for_test
         if not isinstance(self._closed(), serial.Serial):
             raise ValueError("port %s: must be a device file, a pseudo-terminal, socket://HOST:PORT or tcp" % url)
 
     def _closed(self):
         options = {"rtscts": True, "dsrdtr": True} if self._for_test else {}
         return serial.serial_for_url(
-            self.name, baudrate=self._baud, timeout=0, exclusive=True, do_not_open=True, **options
+            self.name, baudrate=self.baud, timeout=0, exclusive=True, do_not_open=True, **options
         )
 
     def open(self):
         """A Line. Raises OSError."""
         device = self._closed()
         try:
-            device.open()
+            device.open()  # which drops what arrived before
             node = _identity(os.fstat(device.fileno()))
-            if not self._for_test:
-                device.reset_input_buffer()
         except (OSError, termios.error) as error:
             device.close()
             raise OSError(_number(error), str(error)) from None
-        return Line(device, _BITS / self._baud, node)
+        return Line(device, _BITS / self.baud, node)
 
     def should_reopen(self, line, silent_s):
         """Whether a silent line had better be opened again: its device has gone, or is another one now."""
@@ -144,17 +143,17 @@ class SocketPort:
 
     reopen_s = 1.0
 
-    def __init__(self, url):
-        """Raises ValueError."""
+    def __init__(self, url, baud=None):
+        """baud: see `_of_connection`. Raises ValueError."""
         match = _SOCKET.fullmatch(url)
         if match is None or not 0 < int(match[3]) < 65536:
             raise ValueError("port %s: must be socket://HOST:PORT, e.g. socket://127.0.0.1:11411" % url)
-        self.name, self._address = url, (match[1] or match[2], int(match[3]))
+        self.name, self._address, self.baud = url, (match[1] or match[2], int(match[3])), baud
 
     def open(self):
         """A Line. Raises OSError."""
         try:
-            return _of_connection(socket.create_connection(self._address, _CONNECT_S))
+            return _of_connection(socket.create_connection(self._address, _CONNECT_S), self.baud)
         except socket.gaierror as error:
             raise OSError(errno.EHOSTUNREACH, "%s: %s" % (self._address[0], error.strerror)) from None
 
@@ -169,8 +168,9 @@ class SocketPort:
 class ListeningPort:
     """Devices connect to this computer."""
 
-    def __init__(self, number):
-        """Raises OSError."""
+    def __init__(self, number, baud=None):
+        """baud: see `_of_connection`. Raises OSError."""
+        self.baud = baud
         self._server = socket.create_server(("", number), backlog=4)
         self._server.setblocking(False)
         self.name = "tcp:%d" % self._server.getsockname()[1]
@@ -190,7 +190,7 @@ class ListeningPort:
                 newest = connection
         if newest is None:
             raise OSError(errno.ECONNREFUSED, "no device has connected to %s" % self.name)
-        return _of_connection(newest)
+        return _of_connection(newest, self.baud)
 
     def accept(self):
         """(Line, its peer) of one device that has connected, None when there is none."""
@@ -198,7 +198,7 @@ class ListeningPort:
             connection, peer = self._server.accept()
         except BlockingIOError:
             return None
-        return _of_connection(connection), "%s:%d" % peer[:2]
+        return _of_connection(connection, self.baud), "%s:%d" % peer[:2]
 
     def should_reopen(self, _line, _silent_s):
         """Whether another device waits, or the same one once more."""
@@ -212,8 +212,8 @@ class ListeningPort:
 class AcceptedPort:
     """One connection of a ListeningPort with several devices; when it ends it is over."""
 
-    def __init__(self, line, name):
-        self.name, self._line = name, line
+    def __init__(self, line, name, baud):
+        self.name, self.baud, self._line = name, baud, line
 
     def open(self):
         """The Line, once. Raises OSError."""
@@ -235,7 +235,7 @@ class AcceptedPort:
 def make_port(params):
     """The port of settings.SerialParams. Raises ValueError, and OSError when it cannot listen."""
     if params.port == LISTEN:
-        return ListeningPort(params.tcp_port)
+        return ListeningPort(params.tcp_port, params.baud)
     if params.port.startswith("socket:"):
-        return SocketPort(params.port)
-    return SerialPort(params.port, params.baud, params.reopen_after, params.fix_pyserial_for_test)
+        return SocketPort(params.port, params.baud)
+    return SerialPort(params.port, params.baud or USUAL_BAUD, params.reopen_after, params.fix_pyserial_for_test)

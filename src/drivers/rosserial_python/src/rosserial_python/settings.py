@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from risc_lab.settings import Count, Port, Positive, Settings, between
 
+USUAL_BAUD = 57600
 LISTEN = "tcp"  # as ~port: devices connect to ~tcp_port
 
 
@@ -12,10 +13,11 @@ class SerialParams(Settings):
     """The first five are those of the original node."""
 
     port: str = "/dev/ttyUSB0"  # what pyserial opens, e.g. /dev/ttyACM0; socket://HOST:PORT; tcp: listen
-    baud: between(300, 12000000) = 57600  # [bit/s] of a serial line
+    # [bit/s] of a serial line, None: 57600; of one behind a network connection, None: there is none, nothing limits it
+    baud: between(300, 12000000) | None = None
     tcp_port: Port = 11411  # with tcp
     fork_server: bool = False  # with tcp: several devices at a time
-    fix_pyserial_for_test: bool = False  # opens with rtscts and dsrdtr, and keeps what has arrived before
+    fix_pyserial_for_test: bool = False  # opens with rtscts and dsrdtr
     silence: Positive = 0.3  # [s] without a sound packet after which the link is lost
     max_age: Positive = 0.25  # [s] an older message is not sent any more; by header.stamp, of messages that have one
     reopen_after: Count = 10  # [s] of silence after which a serial port is opened again (which resets most boards)

@@ -20,6 +20,7 @@ OVERRIDABLE = (
     "climb_time_constant_s",
     "command_delay_s",
     "command_rate_hz",
+    "battery_life_s",
 )
 FULL_SCALES = ("tilt_max_rad", "yaw_rate_max_rad_s", "climb_max_m_s")  # which all who command a vehicle must agree on
 # Parameters of the original release -> (field, factor to its unit).

@@ -54,7 +54,7 @@ class Device:
 
     def __init__(self, port, params, publish, once=False):
         """publish: takes a SerialLink.  once: when its line ends it is over."""
-        self._params, self._publish = params, publish
+        self._publish = publish
         self._told = (None, None)  # state and cause
         self._logged_s = {}  # {cause: when}
         self._telling = threading.Lock()
@@ -96,7 +96,7 @@ class Device:
         heard_s = facts.heard_s
         return SerialLink(
             port=self.session.port.name,
-            baud=self._params.baud,
+            baud=self.session.port.baud or 0,
             state=facts.state,
             cause=cause,
             reason=TEXTS[cause],
@@ -121,7 +121,8 @@ class Device:
             (True, DiagnosticStatus.OK, "the device answers"),
         )
         heard_s = facts.heard_s if math.isfinite(facts.heard_s) else None
-        add_all(status, {"port": self.session.port.name, "baud": self._params.baud, "state": facts.state.name.lower()})
+        port = self.session.port
+        add_all(status, {"port": port.name, "baud": port.baud or "no limit", "state": facts.state.name.lower()})
         add_all(status, {"age [s]": age_text(heard_s), "lost after [s]": "%.2f" % self.session.link.limit_s})
         add_all(status, self._counts())
         add_all(status, {"refused " + name: why for name, why in self.topics.refused.items()})
@@ -175,7 +176,7 @@ class SerialNode:
             accepted = port.accept()
             if accepted is not None:
                 line, peer = accepted
-                self._add("%s %s" % (STATUS, peer), AcceptedPort(line, "tcp %s" % peer), once=True)
+                self._add("%s %s" % (STATUS, peer), AcceptedPort(line, "tcp %s" % peer, port.baud), once=True)
             for name, device in list(self._devices.items()):
                 if device.session.is_over:
                     self._updater.removeByName(name)

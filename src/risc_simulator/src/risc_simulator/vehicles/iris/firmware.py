@@ -1,7 +1,7 @@
 """The autopilot of an IRIS+: ArduCopter's modes, arming, failsafes and landing, as far as an indoor flight meets them.
 
 Channels are times of the RC link in microseconds, in ArduCopter's order: roll, pitch, throttle, yaw. The loops that it
-commands run in every step (on_board.py). It looks around fifty times a second.
+commands run in every step (on_board.py). It looks around some fifty times a second.
 
 Who speaks for it (mavlink.py) uses, beside Firmware: `vehicle`, `armed`, `mode`, `set_mode`, `arm`, `disarm` (each says
 why not, or ""), `arming_trouble`, `channels_us`, `override`, `radio_failsafe`, `texts`. What it is asked takes effect
@@ -22,7 +22,7 @@ CHANNELS = 8
 ROLL, PITCH, THROTTLE, YAW = range(4)
 CENTRE_US, HALF_RANGE_US = 1500, 500  # of a channel, before anybody sets the parameters RCn_MIN ...
 
-LOOK_PERIOD_S = 0.02
+LOOK_PERIOD_S = 0.025  # where no frame comes; else with each frame
 GESTURE_S = 2.0  # throttle at its end and yaw at its end for so long: right arms, left disarms
 GESTURE_YAW = 0.89  # of full yaw
 LANDED_DISARM_S = 1.0  # on the ground in LAND
@@ -36,7 +36,6 @@ HARD_LANDING_M_S = 1.5  # hitting the floor faster than this breaks something
 LOW_BATTERY_PCT = 15.0  # says so, and does not arm
 CRITICAL_BATTERY_PCT = 8.0  # lands by itself
 _SILENT_US = (0,) * CHANNELS
-_PARAMETERS = ["RC%d_" % (1 + channel) for channel in range(CHANNELS)]
 
 
 class Mode(IntEnum):
@@ -53,6 +52,33 @@ class Severity(IntEnum):
     CRITICAL = 2
     WARNING = 4
     INFO = 6
+
+
+class Calibration(NamedTuple):
+    """What a deflection of a channel is: of its parameters RCn_MIN, MAX, TRIM, DZ, REVERSED [us]."""
+
+    trim_us: float
+    dead_us: float
+    below_us: float  # travel beyond the dead zone, on either side
+    above_us: float
+    sign: int
+
+    @classmethod
+    def of(cls, parameters, channel):
+        """Of a channel, from 0."""
+        name = "RC%d_" % (1 + channel)
+        least, most, trim, dead = (parameters[name + what] for what in ("MIN", "MAX", "TRIM", "DZ"))
+        sign = -1 if parameters[name + "REVERSED"] else 1
+        return cls(trim, dead, max(1.0, trim - least - dead), max(1.0, most - trim - dead), sign)
+
+    def deflection(self, us):
+        """In [-1, 1]."""
+        offset_us = us - self.trim_us
+        if offset_us > self.dead_us:
+            return self.sign * min(1.0, (offset_us - self.dead_us) / self.above_us)
+        if offset_us < -self.dead_us:
+            return self.sign * max(-1.0, (offset_us + self.dead_us) / self.below_us)
+        return 0.0
 
 
 class RcFrame(NamedTuple):
@@ -85,7 +111,8 @@ class IrisFirmware(Firmware):
             PILOT_SPEED_UP=round(100.0 * vehicle_type.climb_max_m_s),
             **{"RC%d_DZ" % (1 + channel): dead_us for channel in (ROLL, PITCH, YAW)},
         )
-        self._type = vehicle_type
+        self._take_parameters()
+        self._hover = vehicle_type.hover_throttle
         self._battery, self._battery_said = Battery(vehicle_type.battery_life_s), None
         self._time_s = 0.0
         self._received_us, self._received_s = (), -math.inf
@@ -186,7 +213,7 @@ class IrisFirmware(Firmware):
             return ""
         if self.radio_failsafe:
             return "PreArm: Radio failsafe on"
-        if not self._throttle_is_at_its_end(self._channels):
+        if self._channels[THROTTLE] > self._idle_us:
             return "Arm: Throttle too high"
         if self.battery_pct(self._time_s) <= LOW_BATTERY_PCT:
             return "PreArm: Battery below minimum arming capacity"
@@ -224,20 +251,26 @@ class IrisFirmware(Firmware):
     def apply(self, action, time_s, vertical_motion):
         if isinstance(action, RcFrame):
             self._received_us, self._received_s = action.channels_us, time_s
-            is_low = action.channels_us[THROTTLE] < self.parameters["FS_THR_VALUE"]
+            is_low = action.channels_us[THROTTLE] < self._lost_us
             self._low_frames = min(self._low_frames + 1, LOW_THROTTLE_FRAMES) if is_low else 0
             self.wake(time_s, vertical_motion)
         elif action is FlightAction.LAND:
             self.set_mode(Mode.LAND)
         elif action is FlightAction.CUT_MOTORS:
             self.disarm(by_force=True)
+        elif action is FlightAction.TAKE_OFF:  # by itself it does no more than that
+            self.set_mode(Mode.STABILIZE)
+            self.arm()
         elif not isinstance(action, FlightAction):
             raise TypeError("expected an RcFrame or a FlightAction, got %r" % (action,))
 
     def wake(self, time_s, vertical_motion):
         """Look around, and command the loops."""
         self._time_s, self.wake_s = time_s, time_s + LOOK_PERIOD_S
-        self._end_overrides()
+        if self._parameter_changes != self.parameters.changes:
+            self._take_parameters()
+        if self._overrides:
+            self._end_overrides()
         channels = self._channels
         self._watch_radio()
         if not self.radio_failsafe:
@@ -284,8 +317,8 @@ class IrisFirmware(Firmware):
     # ------------------------------------------------------------------ what it watches
 
     def _end_overrides(self):
-        life_s = self.parameters["RC_OVERRIDE_TIME"]
-        if self._overrides and life_s >= 0.0:
+        life_s = self._override_s_most
+        if life_s >= 0.0:
             fresh = {channel: item for channel, item in self._overrides.items() if self._time_s - item[1] <= life_s}
             self._overrides = fresh
 
@@ -295,7 +328,7 @@ class IrisFirmware(Firmware):
         lost = silent_s > (RADIO_LOST_S if heard else OVERRIDE_LOST_S)
         enough = 1 if self.radio_failsafe else LOW_THROTTLE_FRAMES  # one is enough to stay in it
         is_low = THROTTLE not in self._overrides and self._low_frames >= enough
-        lost |= is_low and self.parameters["FS_THR_ENABLE"] != 0
+        lost |= is_low and self._radio_counts
         if lost == self.radio_failsafe:
             return
         self.radio_failsafe = lost
@@ -303,7 +336,7 @@ class IrisFirmware(Firmware):
             self.texts.append((Severity.INFO, "Radio Failsafe Cleared"))
         else:
             self.texts.append((Severity.WARNING, "Radio Failsafe"))
-            if self.armed and self.parameters["FS_THR_ENABLE"]:
+            if self.armed and self._radio_counts:
                 self._end_flight()
 
     def _end_flight(self):
@@ -314,9 +347,10 @@ class IrisFirmware(Firmware):
             self._enter(Mode.LAND)
 
     def _watch_gesture(self, channels):
-        yaw, side = self._stick(channels, YAW), 0
-        if self._throttle_is_at_its_end(channels) and abs(yaw) > GESTURE_YAW:
-            side = 1 if yaw > 0.0 else -1
+        side = 0
+        if channels[THROTTLE] <= self._idle_us:
+            yaw = self._calibrations[YAW].deflection(channels[YAW])
+            side = (yaw > GESTURE_YAW) - (yaw < -GESTURE_YAW)
         if side != self._gesture:
             self._gesture, self._gesture_s = side, self._time_s
         if side and self._time_s - self._gesture_s >= GESTURE_S:
@@ -331,12 +365,29 @@ class IrisFirmware(Firmware):
         if self.mode is Mode.LAND:
             if self._time_s - self._grounded_s >= LANDED_DISARM_S:
                 self._stop()
-        elif not self._throttle_is_at_its_end(channels):
+        elif channels[THROTTLE] > self._idle_us:
             self._grounded_s = self._time_s
         elif 0.0 < self.parameters["DISARM_DELAY"] <= self._time_s - self._grounded_s:
             self._stop()
 
     # ------------------------------------------------------------------ what it does
+
+    def _take_parameters(self):
+        """Those that are looked at again and again."""
+        values = self.parameters
+        self._parameter_changes = values.changes
+        self._calibrations = {channel: Calibration.of(values, channel) for channel in (ROLL, PITCH, YAW)}
+        least_us, most_us = values["RC3_MIN"], values["RC3_MAX"]
+        self._middle_us, self._half_us = 0.5 * (least_us + most_us), 0.5 * (most_us - least_us)
+        self._idle_us, self._lost_us = least_us + values["RC3_DZ"], values["FS_THR_VALUE"]
+        self._tilt_rad = math.radians(0.01 * values["ANGLE_MAX"])
+        self._yaw_rate_rad_s = math.radians(values["PILOT_Y_RATE"])
+        self._climb_m_s = 0.01 * values["PILOT_SPEED_UP"]
+        self._descent_m_s = 0.01 * (values["PILOT_SPEED_DN"] or values["PILOT_SPEED_UP"])
+        self._landing_m_s = 0.01 * values["LAND_SPEED"]
+        self._climb_dead = values["THR_DZ"] / 500.0
+        self._radio_counts = values["FS_THR_ENABLE"] != 0
+        self._override_s_most = values["RC_OVERRIDE_TIME"]
 
     @property
     def _climbs(self):
@@ -360,26 +411,22 @@ class IrisFirmware(Firmware):
             self._hurry()
 
     def _command(self, channels, vertical_motion):
-        parameters = self.parameters
         roll, pitch, yaw = 0.0, 0.0, 0.0
-        if not self.radio_failsafe or not parameters["FS_THR_ENABLE"]:
-            roll, pitch, yaw = (self._stick(channels, channel) for channel in (ROLL, PITCH, YAW))
-        least_us, most_us = parameters["RC3_MIN"], parameters["RC3_MAX"]
-        throttle = min(1.0, max(-1.0, (2.0 * channels[THROTTLE] - least_us - most_us) / (most_us - least_us)))
+        if not self.radio_failsafe or not self._radio_counts:
+            sticks = self._calibrations
+            roll, pitch = sticks[ROLL].deflection(channels[ROLL]), sticks[PITCH].deflection(channels[PITCH])
+            yaw = sticks[YAW].deflection(channels[YAW])
+        throttle = min(1.0, max(-1.0, (channels[THROTTLE] - self._middle_us) / self._half_us))
         if self.mode is Mode.STABILIZE:
+            idles = channels[THROTTLE] <= self._idle_us
             hover = self._nominal_hover(self.battery_pct(self._time_s))
-            idles = self._throttle_is_at_its_end(channels)
             up = 0.0 if idles else self._nominal_n * (1.0 + throttle - hover)
         elif self.mode is Mode.LAND:
-            up = -0.01 * parameters["LAND_SPEED"]
+            up = -self._landing_m_s
         else:
-            speed = parameters["PILOT_SPEED_UP"]
-            if throttle < 0.0 and parameters["PILOT_SPEED_DN"]:
-                speed = parameters["PILOT_SPEED_DN"]
-            up = 0.01 * speed * _beyond(throttle, parameters["THR_DZ"] / 500.0)
+            up = (self._climb_m_s if throttle > 0.0 else self._descent_m_s) * _beyond(throttle, self._climb_dead)
             self._choose_height(up, vertical_motion)
-        tilt_rad = math.radians(0.01 * parameters["ANGLE_MAX"])
-        self.command = (tilt_rad * roll, tilt_rad * pitch, math.radians(parameters["PILOT_Y_RATE"]) * yaw, up)
+        self.command = (self._tilt_rad * roll, self._tilt_rad * pitch, self._yaw_rate_rad_s * yaw, up)
         if self.armed and not self.lifted and self._lifts():
             self.lifted = True
             self._record["rotor_thrust_n"] = self._balance_n  # that they had to pass
@@ -399,22 +446,9 @@ class IrisFirmware(Firmware):
     def _nominal_hover(self, battery_pct):
         """Eq. 5.5."""
         result = 0.0
-        for coefficient in reversed(self._type.hover_throttle):
+        for coefficient in reversed(self._hover):
             result = result * battery_pct + coefficient
         return result
-
-    def _stick(self, channels, channel):
-        """Deflection of a channel in [-1, 1], beyond its dead zone."""
-        parameters, name, us = self.parameters, _PARAMETERS[channel], channels[channel]
-        offset_us = us - parameters[name + "TRIM"]
-        end_us = parameters[name + ("MAX" if offset_us > 0 else "MIN")] - parameters[name + "TRIM"]
-        dead_us = parameters[name + "DZ"]
-        travel_us = max(1.0, abs(end_us) - dead_us)
-        size = min(1.0, max(0.0, (abs(offset_us) - dead_us) / travel_us))
-        return size if (offset_us > 0) != bool(parameters[name + "REVERSED"]) else -size
-
-    def _throttle_is_at_its_end(self, channels):
-        return channels[THROTTLE] <= self.parameters["RC3_MIN"] + self.parameters["RC3_DZ"]
 
 
 def _beyond(deflection, dead):

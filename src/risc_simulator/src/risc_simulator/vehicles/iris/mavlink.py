@@ -36,9 +36,11 @@ _LOG = logging.getLogger(__name__)
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
 CLIENT_SILENCE_S = 30.0
-MAX_CLIENTS = 16
+MAKES_ROOM_S = 3.0  # of silence, for another one where there are too many
+MAX_CLIENTS = 8
 HEARTBEAT_S = 1.0
-MIN_INTERVAL_S = 0.005
+MIN_INTERVAL_S = 0.02
+MAX_MISSES = 50  # what may look like a frame in a datagram, and be none, before the rest is given up
 PARAMETERS_PER_TICK = 5
 TEXT_LENGTH = 50
 FORCE = 21196  # param2 of an order to arm or disarm that is to be obeyed in any case
@@ -96,24 +98,26 @@ class Client:
 
     def decode(self, datagram):
         """Messages in a datagram, and how many bytes of it are none."""
-        found, used = [], 0
+        found, used, misses = [], 0, 0
         candidates = frames(datagram)
         valid = None
-        while True:
+        while misses <= MAX_MISSES:
             try:
                 frame = candidates.send(valid)
             except StopIteration:
-                return found, len(datagram) - used
+                break
             try:
                 message = self._codec.decode(bytearray(frame))
+                valid = not isinstance(message, mavlink.MAVLink_unknown)  # whose checksum nobody can check
             except mavlink.MAVError:
                 valid = False
-                continue
-            valid = not isinstance(message, mavlink.MAVLink_unknown)  # whose checksum nobody can check
-            if valid:
+            if not valid:
+                misses += 1
+            else:
                 self.version = 1 if frame[0] == mavlink.PROTOCOL_MARKER_V1 else 2
                 found.append(message)
                 used += len(frame)
+        return found, len(datagram) - used
 
     def encode(self, message):
         """Bytes of a message for this client."""
@@ -193,8 +197,11 @@ class Mavlink:
 
     def _welcome(self, client):
         if len(self.clients) >= MAX_CLIENTS:
-            self.notices.complaint("is turned away: too many clients", client.address)
-            return False
+            longest = min(self.clients.values(), key=lambda other: other.heard_s)
+            if self._now_s - longest.heard_s < MAKES_ROOM_S:
+                self.notices.complaint("is turned away: too many clients", client.address)
+                return False
+            self._forget(longest)
         self.clients[client.address] = client
         self.notices.event("talks to the autopilot", client.address, "MAVLink %d" % client.version)
         self._send(client, self._make(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
@@ -236,10 +243,13 @@ class Mavlink:
                 self._go_on_with_parameters(client)
 
     def _forget_silent_clients(self):
-        silent = [c for c in self.clients.values() if self._now_s - c.heard_s > CLIENT_SILENCE_S]
-        for client in silent:
-            self.notices.event("is forgotten: silent", client.address)
-            del self.clients[client.address]
+        for client in list(self.clients.values()):
+            if self._now_s - client.heard_s > CLIENT_SILENCE_S:
+                self._forget(client)
+
+    def _forget(self, client):
+        self.notices.event("is forgotten: silent", client.address)
+        del self.clients[client.address]
 
     def _watch_station(self):
         """The failsafe for the loss of the ground station, if it is switched on and there was one."""

@@ -31,6 +31,7 @@ class Parameters:
         """values: of this vehicle, where they differ from the file's. Raises ValueError for an unknown name."""
         path = package_file("risc_simulator", "config/iris_parameters.yaml")
         self.about, self._values = {}, {}
+        self.changes = 0  # so far
         for index, (name, (kind, value, *limits)) in enumerate(load_yaml(path).items()):
             kind, *widest = _KINDS[kind]
             self.about[name] = Parameter(index, kind, *(limits or widest))
@@ -56,4 +57,5 @@ class Parameters:
         if not known.lowest <= value <= known.highest:
             return False
         self._values[name] = value
+        self.changes += 1
         return True

@@ -1,0 +1,103 @@
+"""From sticks to an IRIS+ without sockets: as the board, its signal and the radio take them."""
+
+from collections import namedtuple
+
+import pytest
+from iris_flight import make_world
+
+from risc_simulator.models.flight import FlightAction, FlightPhase
+from risc_simulator.vehicles.iris.firmware import Mode
+from risc_simulator.vehicles.iris.offline import FAILSAFE_S, FRAME_S, OfflineLink
+
+CYCLE_S = 0.005
+Sticks = namedtuple("Sticks", "forward left up turn_left")  # as a vehicle node has them
+
+
+class Flight:
+    """A vehicle in the air, on an offline link."""
+
+    def __init__(self, phase=0.3, **options):
+        self.world = make_world(**options)
+        self.vehicle = self.world.vehicles["iris1"]
+        self.autopilot = self.vehicle.firmware
+        self.vehicle.fly_at((0.0, 0.0, 1.5))
+        self.link = OfflineLink(self.vehicle, phase)
+        self.seen = []
+
+    def run(self, duration_s, sticks=None, every_s=0.0226):
+        end_s, next_s = self.world.time_s + duration_s, self.world.time_s
+        while self.world.time_s < end_s - 1e-9:
+            now_s = self.world.time_s
+            if sticks is not None and now_s >= next_s - 1e-9:
+                self.link.send(sticks, now_s)
+                next_s += every_s
+            self.link.deliver(now_s)
+            self.world.step_to(now_s + CYCLE_S)
+            self.seen.append((self.world.time_s, self.autopilot.channels_us[:4]))
+
+    def hover(self, **changes):
+        throttle = self.autopilot.hover_throttle(self.vehicle.battery_pct)
+        return Sticks(**{"forward": 0.0, "left": 0.0, "up": throttle, "turn_left": 0.0, **changes})
+
+
+def test_sticks_become_channels_with_the_signs_of_the_angles():
+    flight = Flight()
+    flight.run(0.5, Sticks(forward=0.2, left=0.1234, up=-0.15, turn_left=-0.05))
+    assert flight.autopilot.channels_us[:4] == (1438, 1400, 1425, 1525)
+    flight.run(0.2, Sticks(forward=-3.0, left=-3.0, up=3.0, turn_left=3.0))
+    assert flight.autopilot.channels_us[:4] == (2000, 2000, 2000, 1000)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
+def test_sticks_take_the_delay_of_the_vehicle_beside_the_wait_for_a_frame(phase):
+    flight = Flight(phase)
+    flight.run(0.5, flight.hover())
+    began_s = flight.world.time_s
+    flight.run(0.15, flight.hover(left=0.1))
+    took_s = next(time_s for time_s, us in flight.seen if time_s > began_s and us[0] != 1500) - began_s
+    delay_s = flight.vehicle.plant.command_delay_s
+    assert delay_s - 1e-9 < took_s < delay_s + FRAME_S + 2 * CYCLE_S
+
+
+def test_where_no_sticks_come_any_more_the_board_lowers_the_throttle_and_the_autopilot_lands():
+    flight = Flight()
+    flight.run(1.0, flight.hover())
+    flight.link.lose(flight.world.time_s)
+    flight.run(FAILSAFE_S - 0.05)
+    assert flight.autopilot.mode is Mode.STABILIZE
+    flight.run(0.25)
+    assert flight.autopilot.mode is Mode.LAND and flight.autopilot.channels_us[2] == 950
+    assert flight.link.report() == (FlightPhase.LANDING, 100)
+    flight.run(6.0)
+    assert flight.link.report()[0] is FlightPhase.LANDED and not flight.world.crashes
+
+
+def test_orders_go_by_telemetry():
+    flight = Flight()
+    flight.run(0.5, flight.hover())
+    flight.link.order(FlightAction.LAND, flight.world.time_s)
+    flight.run(0.1, flight.hover())
+    assert flight.link.report()[0] is FlightPhase.LANDING
+    flight.link.order(FlightAction.CUT_MOTORS, flight.world.time_s)
+    flight.run(0.1, flight.hover())
+    assert flight.link.report()[0] is FlightPhase.EMERGENCY
+
+
+def test_a_take_off_arms_in_stabilize_and_the_throttle_does_the_rest():
+    flight = Flight()
+    flight.run(0.5, flight.hover())
+    flight.link.order(FlightAction.LAND, flight.world.time_s)
+    flight.run(8.0, flight.hover(up=-1.0))
+    assert not flight.autopilot.armed and flight.link.report()[0] is FlightPhase.LANDED
+    flight.link.order(FlightAction.TAKE_OFF, flight.world.time_s)
+    flight.run(0.2, flight.hover(up=-1.0))
+    assert flight.autopilot.armed and flight.link.report()[0] is FlightPhase.FLYING, "armed is all that it tells"
+    assert flight.vehicle.height_m == 0.08
+    flight.run(1.0, flight.hover(up=0.1))
+    assert flight.vehicle.height_m > 0.3
+
+
+def test_the_charge_that_it_tells_is_whole_percents_of_the_true_one():
+    flight = Flight()
+    flight.vehicle.set_battery_pct(61.6)
+    assert flight.link.report()[1] == 62
