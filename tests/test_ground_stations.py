@@ -8,6 +8,7 @@ import contextlib
 import json
 import pathlib
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -152,12 +153,20 @@ def complaints(text):
     return [line for line in text.splitlines() if COMPLAINT.search(line)]
 
 
-def test_mavproxy(lab, transmitter, tmp_path):
+@contextlib.contextmanager
+def mavproxy(lab, folder):
     program = pathlib.Path(sys.executable).parent / "mavproxy.py"
     assert program.exists(), "MAVProxy is missing: ./maap test --all installs it"
     master = "udpout:%s:%d" % (lab.address, lab.port)
-    station = Program(sys.executable, "-u", str(program), "--master", master, "--state-basedir", str(tmp_path))
+    station = Program(sys.executable, "-u", str(program), "--master", master, "--state-basedir", str(folder))
     try:
+        yield station
+    finally:
+        station.end()
+
+
+def test_mavproxy(lab, transmitter, tmp_path):
+    with mavproxy(lab, tmp_path) as station:
         _, tried_s = station.wait("Waiting for heartbeat")
         _, online_s = station.wait("online system 1")
         assert online_s - tried_s < CONNECTED_S
@@ -180,8 +189,6 @@ def test_mavproxy(lab, transmitter, tmp_path):
         station.say("mode LAND")
         station.wait("Mode LAND", after)
         station.wait("DISARMED", after)
-    finally:
-        station.end()
     assert not complaints(station.output), station.output
 
     seen = mavutil.mavlink_connection(str(tmp_path / "mav.tlog"))
@@ -193,6 +200,18 @@ def test_mavproxy(lab, transmitter, tmp_path):
             armed.append(bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))
     # the end may be missing: it is not in its log yet when MAVProxy ends
     assert list(dict.fromkeys(modes)) == [0, 2, 9] and not armed[0] and any(armed)
+
+
+def test_a_complaint_of_mavproxy_is_found_and_it_finds_the_vehicle_again(lab, tmp_path):
+    with mavproxy(lab, tmp_path) as station:
+        station.wait("online system 1")
+        lab.program.process.send_signal(signal.SIGSTOP)
+        try:
+            station.wait("link 1 down")
+        finally:
+            lab.program.process.send_signal(signal.SIGCONT)
+        station.wait("link 1 OK")
+    assert complaints(station.output)
 
 
 def test_mavsdk(lab):
