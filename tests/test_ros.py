@@ -90,7 +90,7 @@ def test_launch_file_loads(path):
         assert roslaunch.node_args.create_local_process_args(node, roslaunch.core.Machine("local", "localhost"))
 
 
-@pytest.mark.parametrize("name", ["circles3", "coop", "df_demo"])
+@pytest.mark.parametrize("name", ["circles3", "coop", "df_demo", "iris"])
 def test_the_estimator_of_a_flight_reaches_its_node(name):
     for argv, expected in (([], "least_squares"), (["estimator:=thesis"], "thesis")):
         config, path = roslaunch.config.ROSLaunchConfig(), ROOT / "launch" / (name + ".launch")

@@ -201,8 +201,9 @@ def test_a_page_that_never_came_is_told_at_the_end():
 def test_defaults_of_the_command_line():
     args = arguments([])
     assert (args.experiment, args.vehicles, args.duration, args.seed, args.delay) == ("circles3", 3, 30.0, 1, None)
-    demo = arguments(["df_demo"])
-    assert (demo.vehicles, demo.duration) == (1, 20.0)
+    for demo in ("df_demo", "iris"):
+        args = arguments([demo])
+        assert (args.vehicles, args.duration) == (1, 20.0)
 
 
 def test_as_many_vehicles_as_asked_for(tmp_path):
@@ -236,13 +237,15 @@ def test_bearings_need_a_calibrated_camera_on_every_vehicle(tmp_path):
         prepare_fleet(arguments(["coop", "--fleet", str(typo)]), "127.99", tmp_path)
 
 
-def test_a_flight_has_time_for_all_that_its_operator_does(tmp_path):
-    """df_demo rests at the origin before each of its figures."""
-    args = arguments(["df_demo", "--duration", "20"])
+@pytest.mark.parametrize(("demo", "kind"), [("df_demo", "ardrone"), ("iris", "iris")])
+def test_a_flight_has_time_for_all_that_its_operator_does(tmp_path, demo, kind):
+    """The demos rest at the origin before each of their figures."""
+    args = arguments([demo, "--duration", "20"])
     fleet = prepare_fleet(args, "127.99", tmp_path)
     steps = launch_arguments(args, fleet, tmp_path)["bumper_steps"]
     assert longest_s(args) - time_limit_s(OperatorParams(duration=20.0, bumper_steps=steps)) > 25.0
     assert steps == 5 and "bumper_steps" not in launch_arguments(arguments([]), fleet, tmp_path)
+    assert [vehicle.type for vehicle in fleet.vehicles] == [kind]
 
 
 def test_a_vehicle_may_be_heard_of_while_the_last_ones_are_shown():

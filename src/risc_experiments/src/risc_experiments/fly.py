@@ -49,8 +49,10 @@ START_MARGIN_S = 30.0  # for nodes to start, beside the operator's own limits
 EXPERIMENTS = {
     "circles3": "several vehicles on courses (default)",
     "df_demo": "one vehicle, the figures of the lab course",
+    "iris": "the same figures with an IRIS+",
     "coop": "as circles3 with cameras: landmarks are seen, bearings measured",
 }
+BUMPER_STEPS = {"df_demo": 5, "iris": 5}  # one vehicle: three figures, chosen by the bumper, and a rest before each
 
 
 class FlightError(Exception):
@@ -65,12 +67,17 @@ def arguments(argv):
     add = parser.add_argument
     help_text = "; ".join("%s: %s" % item for item in EXPERIMENTS.items())
     add("experiment", nargs="?", default="circles3", choices=EXPERIMENTS, help=help_text)
-    add("--vehicles", type=number(1), metavar="N", help="how many vehicles (default: 3, df_demo: 1)")
+    add("--vehicles", type=number(1), metavar="N", help="how many vehicles (default: 3; df_demo, iris: 1)")
     add("--trajectory", choices=sorted(COURSES), help="course to fly (default: circles3)")
     add("--controller", metavar="NAME", help="of risc_control.controllers, or your own (default: %s)" % CONTROLLER)
     psi_help = "constant heading, + clockwise (default: the course's own)"
     add("--psi", type=number(-math.inf), metavar="DEG", help=psi_help)
-    add("--duration", type=number(5.0, 600.0), metavar="S", help="time on each course (default: 30 s, df_demo: 20 s)")
+    add(
+        "--duration",
+        type=number(5.0, 600.0),
+        metavar="S",
+        help="time on each course (default: 30 s; df_demo, iris: 20 s)",
+    )
     add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
     delay_help = "command delay (default: that of the type, 0.1 s)"
     add("--delay", type=number(0.0, LONGEST_DELAY_S), metavar="S", help=delay_help)
@@ -86,13 +93,14 @@ def arguments(argv):
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/, from 6 on generated)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
     args = parser.parse_args(argv)
-    demo = args.experiment == "df_demo"
+    demo = args.experiment in BUMPER_STEPS
     args.vehicles = args.vehicles or (1 if demo else 3)
     args.duration = args.duration or (20.0 if demo else 30.0)
     if demo and (args.vehicles != 1 or args.trajectory):
-        parser.error("df_demo is for one vehicle and flies its own figures: leave out --vehicles and --trajectory")
+        text = "%s is for one vehicle and flies its own figures: leave out --vehicles and --trajectory"
+        parser.error(text % args.experiment)
     if demo and args.controller:
-        parser.error("df_demo is controller and trajectory in one: leave out --controller")
+        parser.error("%s is controller and trajectory in one: leave out --controller" % args.experiment)
     args.controller = args.controller or CONTROLLER
     try:
         CONTROLLERS.module(args.controller)
@@ -145,7 +153,7 @@ def prepare_fleet(args, subnet, folder):
     """
     trajectory = args.trajectory or "circles3"
     if args.fleet is None:
-        fleet = default_fleet(args.vehicles, trajectory)
+        fleet = default_fleet(args.vehicles, trajectory, args.experiment)
     else:
         fleet = load_fleet(args.fleet).with_vehicles(args.vehicles)
     counts = len(fleet.vehicles), len(fleet.landmarks)
@@ -186,8 +194,8 @@ def launch_arguments(args, fleet, folder):
         "ready": READY_S,
         "estimator": args.estimator,
     }
-    if args.experiment == "df_demo":
-        result["bumper_steps"] = bumper_steps(args)
+    if args.experiment in BUMPER_STEPS:
+        result["bumper_steps"] = BUMPER_STEPS[args.experiment]
     else:
         result["trajectory"] = args.trajectory or "circles3"
         result["controller"] = args.controller
@@ -197,14 +205,9 @@ def launch_arguments(args, fleet, folder):
     return result
 
 
-def bumper_steps(args):
-    """How often the operator presses the bumper: df_demo flies three figures, and rests before each of them."""
-    return 5 if args.experiment == "df_demo" else 0
-
-
 def longest_s(args):
     """How long [s] a flight may take from the start of its nodes: longer than all phases of its operator."""
-    params = OperatorParams(duration=args.duration, ready=READY_S, bumper_steps=bumper_steps(args))
+    params = OperatorParams(duration=args.duration, ready=READY_S, bumper_steps=BUMPER_STEPS.get(args.experiment, 0))
     return time_limit_s(params) + START_MARGIN_S
 
 
