@@ -17,6 +17,7 @@ PYTHON = ["src", "tests", "conftest.py"]
 CPP = sorted(
     str(path) for suffix in ("*.cpp", "*.hpp") for path in (ROOT / "src").rglob(suffix) if "golden" not in path.parts
 )
+CPP += sorted(str(path) for suffix in ("*.cpp", "*.h") for path in (ROOT / "firmware").rglob(suffix))
 
 
 def run(*command, **options):
@@ -85,7 +86,7 @@ def test_catkin_lint_is_clean():
     run("/usr/bin/python3", "/usr/bin/catkin_lint", "-W1", "--strict", *packages)
 
 
-@pytest.mark.parametrize("script", ["maap", ".ci/run", "tests/fresh_machine.sh"])
+@pytest.mark.parametrize("script", ["maap", ".ci/run", "tests/fresh_machine.sh", "firmware/arm/build.sh"])
 def test_shell_scripts_are_clean(script):
     assert shutil.which("shellcheck"), "shellcheck is missing: ./maap setup installs it"
     run("shellcheck", script)

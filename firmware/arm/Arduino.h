@@ -1,5 +1,6 @@
-// What dueppm.ino takes of the Arduino core, from the registers of the SAM3X8E: to run the sketch as machine code in an
-// emulator. A board is loaded with the Arduino IDE, whose core also sets up clocks, USB and all the rest.
+// What dueppm.ino takes of the Arduino core, from the registers of the SAM3X8E: to run the sketch as machine
+// code in an emulator. A board is loaded with the Arduino IDE, whose core also sets up clocks, USB and all
+// the rest.
 #pragma once
 
 #include <stddef.h>
@@ -45,7 +46,9 @@
 
 enum IRQn_Type { UART_IRQn = 8, TC0_IRQn = 27, UOTGHS_IRQn = 40 };
 
-inline void NVIC_EnableIRQ(IRQn_Type irq) { (&REG_NVIC_ISER)[irq / 32] = 1u << (irq % 32); }
+inline void NVIC_EnableIRQ(IRQn_Type irq) {
+  (&REG_NVIC_ISER)[irq / 32] = 1u << (irq % 32);
+}
 inline void NVIC_SetPriority(IRQn_Type irq, uint32_t priority) {  // 4 bits, the upper ones of a byte
   reinterpret_cast<volatile uint8_t*>(0xE000E400)[irq] = static_cast<uint8_t>(priority << 4);
 }
@@ -55,7 +58,7 @@ void setup();
 void loop();
 
 uint32_t millis();
-void pinMode(uint32_t pin, uint32_t mode);      // of the LED only
+void pinMode(uint32_t pin, uint32_t mode);  // of the LED only
 void digitalWrite(uint32_t pin, uint32_t level);
 
 // The UART behind the programming port, with interrupts and two buffers of 128 bytes as in the Arduino core.

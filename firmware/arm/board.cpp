@@ -13,12 +13,14 @@ void* memset(void* to, int value, size_t count) {
   return to;
 }
 void* memcpy(void* to, const void* from, size_t count) {
-  for (size_t i = 0; i < count; ++i) static_cast<volatile uint8_t*>(to)[i] = static_cast<const uint8_t*>(from)[i];
+  for (size_t i = 0; i < count; ++i)
+    static_cast<volatile uint8_t*>(to)[i] = static_cast<const uint8_t*>(from)[i];
   return to;
 }
 void* memmove(void* to, const void* from, size_t count) {
   if (to <= from) return memcpy(to, from, count);
-  for (size_t i = count; i > 0; --i) static_cast<volatile uint8_t*>(to)[i - 1] = static_cast<const uint8_t*>(from)[i - 1];
+  for (size_t i = count; i > 0; --i)
+    static_cast<volatile uint8_t*>(to)[i - 1] = static_cast<const uint8_t*>(from)[i - 1];
   return to;
 }
 
@@ -82,7 +84,8 @@ void Reset_Handler() {
   uint32_t* load = &_data_load;
   for (uint32_t* to = &_data_start; to < &_data_end;) *to++ = *load++;
   for (uint32_t* to = &_bss_start; to < &_bss_end;) *to++ = 0;
-  for (void (**constructor)() = _constructors_start; constructor < _constructors_end; ++constructor) (*constructor)();
+  for (void (**constructor)() = _constructors_start; constructor < _constructors_end; ++constructor)
+    (*constructor)();
   REG_SYSTICK_LOAD = F_CPU / 1000 - 1;
   REG_SYSTICK_VAL = 0;
   REG_SCB_SHPR3 = 0xF0000000;  // the lowest priority
@@ -95,9 +98,13 @@ void Reset_Handler() {
 
 static volatile uint32_t milliseconds;
 
-extern "C" void SysTick_Handler() { milliseconds = milliseconds + 1; }
+extern "C" void SysTick_Handler() {
+  milliseconds = milliseconds + 1;
+}
 
-uint32_t millis() { return milliseconds; }
+uint32_t millis() {
+  return milliseconds;
+}
 
 void pinMode(uint32_t pin, uint32_t mode) {
   if (pin != LED_BUILTIN || mode != OUTPUT) return;
@@ -166,11 +173,17 @@ void UartSerial::begin(uint32_t baud) {
   REG_UART_CR = 1u << 4 | 1u << 6;  // receiver and transmitter on
 }
 
-int UartSerial::available() const { return static_cast<int>(received.used()); }
+int UartSerial::available() const {
+  return static_cast<int>(received.used());
+}
 
-int UartSerial::availableForWrite() const { return static_cast<int>(Ring::kSize - to_send.used()); }
+int UartSerial::availableForWrite() const {
+  return static_cast<int>(Ring::kSize - to_send.used());
+}
 
-int UartSerial::read() { return received.used() > 0 ? received.take() : -1; }
+int UartSerial::read() {
+  return received.used() > 0 ? received.take() : -1;
+}
 
 size_t UartSerial::write(const uint8_t* bytes, size_t count) {
   for (size_t i = 0; i < count; ++i) {

@@ -6,13 +6,12 @@
 namespace dueppm {
 
 struct Configuration {
-  // The signal. Times in microseconds.
-  static constexpr int kChannels = 4;  // 4 to 8
-  static constexpr int32_t kFrameUs =
-      20000;  // 20000 to 22500, constant: the sync gap takes what channels leave
-  static constexpr int32_t kPulseUs = 250;  // 250 to 400, part of each channel time
-  static constexpr bool kPulseHigh =
-      false;  // false: the line rests high, pulses are low; true: the other way
+  // The signal. Times in microseconds; a frame is of constant length, its sync gap takes what the channels
+  // leave.
+  static constexpr int kChannels = 4;          // 4 to 8
+  static constexpr int32_t kFrameUs = 20000;   // 20000 to 22500
+  static constexpr int32_t kPulseUs = 250;     // 250 to 400, part of each channel time
+  static constexpr bool kPulseHigh = false;    // false: pulses are low, the line rests high
   static constexpr int32_t kShortestUs = 900;  // no channel is ever shorter ...
   static constexpr int32_t kLongestUs = 2100;  // ... or longer
 

@@ -40,6 +40,8 @@ class Firmware {
   // loop(): takes up to `most` bytes for the host.
   size_t send(uint8_t* bytes, size_t most) { return device_.send(bytes, most); }
 
+  State state() const { return sticks_.state(); }
+
   bool led_is_on(uint32_t now_ms) const {
     const bool refusing = refused_ > 0 && now_ms - refused_ms_ < 1000;
     return dueppm::led_is_on(sticks_.state(), device_.configured(), refusing, now_ms);

@@ -25,7 +25,8 @@ class PpmFrame {
   }
 
   // Interrupt: the length, in ticks, of the period that has just begun. The sticks are asked once a frame.
-  uint32_t next(Sticks<C>& sticks) {
+  template <class Source>
+  uint32_t next(Source& sticks) {
     if (at_ >= C::kChannels) {
       at_ = 0;
       return static_cast<uint32_t>(gap_);

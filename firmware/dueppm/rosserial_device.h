@@ -44,6 +44,7 @@ class RosserialDevice {
       drop(1, now_ms);
       parse(now_ms, handler);
     }
+    if (asked_for_topics_ && waiting_ < kBuffer / 2) announce_all(now_ms);
     if (!configured_) return;
     if (now_ms - answered_ms_ > kSilenceMs) {
       configured_ = false;
@@ -52,9 +53,10 @@ class RosserialDevice {
     }
   }
 
-  // Whether it goes out: the host has asked for topics, and there is room.
+  // Whether it goes out: the host knows the topic, and there is room, in which the answer to a host comes
+  // first.
   bool publish(const uint8_t* payload, size_t length) {
-    return configured_ && put(published_.id, payload, length);
+    return configured_ && !asked_for_topics_ && put(published_.id, payload, length);
   }
 
   void log(LogLevel level, const char* text) {
@@ -62,7 +64,7 @@ class RosserialDevice {
     Writer writer(payload, sizeof payload);
     writer.u8(static_cast<uint8_t>(level));
     writer.text(text_of(text));
-    if (configured_ && writer.good()) put(kLog, payload, writer.length());
+    if (configured_ && !asked_for_topics_ && writer.good()) put(kLog, payload, writer.length());
   }
 
   // Takes up to `most` of the bytes that wait to be sent.
@@ -132,7 +134,7 @@ class RosserialDevice {
     if (topic == subscribed_.id) {
       handler.on_message(payload, length);
     } else if (topic == kPublisher && length == 0) {
-      negotiate(now_ms);
+      asked_for_topics_ = true;
     } else if (topic == kTxStop && length == 0) {
       configured_ = false;
     } else if (topic == kTime && length == 8) {
@@ -142,9 +144,9 @@ class RosserialDevice {
     }
   }
 
-  void negotiate(uint32_t now_ms) {
+  void announce_all(uint32_t now_ms) {
+    asked_for_topics_ = false;
     answered_ms_ = now_ms;
-    if (waiting_ > kBuffer / 2) waiting_ = 0;  // nobody took it, and the announcements need room
     ask_time(now_ms);
     announce(kPublisher, published_);
     announce(kSubscriber, subscribed_);
@@ -230,6 +232,7 @@ class RosserialDevice {
   uint8_t out_[kBuffer];
   size_t first_ = 0;
   size_t waiting_ = 0;
+  bool asked_for_topics_ = false;
   bool configured_ = false;
   bool version_shown_ = false;
   bool asking_ = false;

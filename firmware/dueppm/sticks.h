@@ -40,7 +40,7 @@ class Sticks {
   static constexpr int32_t kFailsafeFrames = C::kFailsafeMs * 1000 / C::kFrameUs - 1;
   static constexpr double kLowest = -0.95;  // a throttle at most this unlocks it
 
-  Sticks() : published_(0), seen_(0), silent_frames_(0), locked_(true), state_(State::kWaiting) {
+  Sticks() : goals_(), published_(0), seen_(0), silent_frames_(0), locked_(true), state_(State::kWaiting) {
     for (int i = 0; i < kSticks; ++i) now_[i] = rest(i);
   }
 

@@ -279,6 +279,12 @@ def test_parameters_change_what_a_stick_means(hands):
     assert hands.autopilot.command[0] == pytest.approx(-0.5236, abs=1e-3)
 
 
+@pytest.mark.parametrize("changes", [{"tilt_max_rad": 0.1}, {"climb_max_m_s": 0.2}, {"yaw_rate_max_rad_s": 7.0}])
+def test_full_scales_that_arducopter_has_not_are_refused_by_name(changes):
+    with pytest.raises(ValueError, match="vehicle type 'iris': tilt_max_rad, .*ArduCopter"):
+        make_world(changes=changes)
+
+
 # ------------------------------------------------------------------ failsafes
 
 

@@ -91,12 +91,12 @@ class IrisFirmware(Firmware):
     """One autopilot.
 
     command: (roll_rad, pitch_rad, yaw_rate_rad_s, thrust_n or climb_m_s).
-    vehicle: world.Vehicle that it is in; its host says so.
+    vehicle, sensors: world.Vehicle that it is in, and its IrisSensors; its host says so.
     parameters: those of the same names of ArduCopter; they act as soon as they are set.
     texts: (Severity, text) that it says to ground stations, oldest first; whoever speaks for it takes them out.
     """
 
-    vehicle = None
+    vehicle = sensors = None
 
     def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
         super().__init__(vehicle_type, rng, perturbed, rest_height_m)
@@ -104,13 +104,7 @@ class IrisFirmware(Firmware):
         self.texts = deque(maxlen=100)
         self.radio_failsafe = True  # until something is heard
         self.wake_s = 0.0
-        dead_us = round(HALF_RANGE_US * vehicle_type.stick_dead_zone)
-        self.parameters = Parameters(
-            ANGLE_MAX=round(100.0 * math.degrees(vehicle_type.tilt_max_rad)),
-            PILOT_Y_RATE=math.degrees(vehicle_type.yaw_rate_max_rad_s),
-            PILOT_SPEED_UP=round(100.0 * vehicle_type.climb_max_m_s),
-            **{"RC%d_DZ" % (1 + channel): dead_us for channel in (ROLL, PITCH, YAW)},
-        )
+        self.parameters = _parameters_of(vehicle_type)
         self._take_parameters()
         self._hover = vehicle_type.hover_throttle
         self._battery, self._battery_said = Battery(vehicle_type.battery_life_s), None
@@ -228,7 +222,10 @@ class IrisFirmware(Firmware):
         return ""
 
     def override(self, channels_us, now_s):
-        """RC_CHANNELS_OVERRIDE, of a station that may: microseconds for each channel, RELEASE_US or LEAVE_US."""
+        """RC_CHANNELS_OVERRIDE, of a station that may, at lab time now_s.
+
+        channels_us: microseconds, RELEASE_US or LEAVE_US for each channel.
+        """
         if self.parameters["RC_OVERRIDE_TIME"] == 0.0:
             return
         for channel, us in enumerate(channels_us[:CHANNELS]):
@@ -449,6 +446,24 @@ class IrisFirmware(Firmware):
         for coefficient in reversed(self._hover):
             result = result * battery_pct + coefficient
         return result
+
+
+def _parameters_of(kind):
+    """Of a VehicleType. Raises ValueError when its autopilot cannot be set so."""
+    dead_us = round(HALF_RANGE_US * kind.stick_dead_zone)
+    try:
+        return Parameters(
+            ANGLE_MAX=round(100.0 * math.degrees(kind.tilt_max_rad)),
+            PILOT_Y_RATE=math.degrees(kind.yaw_rate_max_rad_s),
+            PILOT_SPEED_UP=round(100.0 * kind.climb_max_m_s),
+            **{"RC%d_DZ" % (1 + channel): dead_us for channel in (ROLL, PITCH, YAW)},
+        )
+    except ValueError as error:
+        raise ValueError(
+            "vehicle type '%s': tilt_max_rad, yaw_rate_max_rad_s, climb_max_m_s and stick_dead_zone must be what "
+            "ArduCopter can be set to (10 to 80 degrees, 1 to 360 degrees a second, 0.5 to 5 m/s, 0 to 0.4): %s"
+            % (kind.name, error)
+        ) from error
 
 
 def _beyond(deflection, dead):
