@@ -10,8 +10,10 @@
 // #define USE_USBCON
 #ifdef USE_USBCON
 #define HOST SerialUSB
+#define HOST_ROOM 32  // sent or given up at once
 #else
 #define HOST Serial
+#define HOST_ROOM Serial.availableForWrite()
 #endif
 
 using dueppm::Configuration;
@@ -55,7 +57,7 @@ void loop() {
   firmware.poll(millis());
 
   uint8_t bytes[32];
-  size_t room = static_cast<size_t>(HOST.availableForWrite());
+  size_t room = static_cast<size_t>(HOST_ROOM);
   if (room > sizeof bytes) room = sizeof bytes;
   const size_t count = firmware.send(bytes, room);
   if (count > 0) HOST.write(bytes, count);  // never more than fits: write() would wait
