@@ -516,6 +516,16 @@ def test_a_node_that_ends_has_it_land_by_itself():
     assert desk.iris.stands and desk.iris.impact_m_s < 0.7
 
 
+def test_a_node_that_ends_leaves_a_vehicle_that_stands_alone():
+    desk = Desk()
+    orders = desk.pilot.on_shutdown(desk.now_s)
+    assert not orders.land and not desk.pilot.needs_landing(desk.now_s)
+    silent = Desk()
+    silent.alive.discard("telemetry")
+    silent.run(4.0)
+    assert silent.pilot.on_shutdown(silent.now_s).land
+
+
 def test_a_node_that_ends_waits_until_the_vehicle_says_that_it_lands():
     desk = flown()
     desk.take(desk.pilot.on_shutdown(desk.now_s))

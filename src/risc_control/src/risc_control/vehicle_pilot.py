@@ -332,6 +332,8 @@ class VehiclePilot:
         orders = Orders()
         orders.land = True
         if self._hover is not None:
+            stands = self.flight_state == FlightState.LANDED and self.ladder.navdata_is_fresh(now_s)
+            orders.land = not stands  # nothing of it would be obeyed, and the next take-off find another mode
             self._hover.land(now_s)
             self._hover.step(now_s, orders)
             self._fly_hover(orders, now_s)
