@@ -34,7 +34,7 @@ def test_vehicles_move_and_stay_in_the_net_for_the_longest_run(kind):
 
 
 def test_irises_are_flown_in_the_whole_lab():
-    row = bench.measure_lab(2, "iris", take_off_s=4.0, measured_s=0.5)
+    row = bench.measure_lab(2, "iris", take_off_s=8.0, measured_s=0.5)
     assert row["lab_flying"] == 2 and row["lab_cores"] > 0.0
 
 

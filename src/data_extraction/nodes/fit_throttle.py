@@ -17,7 +17,9 @@ OPTIONS = {  # -> the setting, and what it is
     "--order": ("order", "of the polynomial"),
     "--window": ("window_s", "[s] over which throttle and acceleration are averaged"),
     "--min-height": ("min_height_m", "[m] lower, it may stand"),
-    "--max-speed": ("max_speed_m_s", "[m/s] faster, air drags"),
+    "--max-speed": ("max_speed_m_s", "[m/s] faster, it does not count"),
+    "--max-climb": ("max_climb_m_s", "[m/s] the same, up or down"),
+    "--max-acceleration": ("max_acceleration_m_s2", "[m/s^2] the same, up or down"),
 }
 
 

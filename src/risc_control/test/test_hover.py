@@ -516,6 +516,16 @@ def test_a_node_that_ends_has_it_land_by_itself():
     assert desk.iris.stands and desk.iris.impact_m_s < 0.7
 
 
+def test_a_node_that_ends_leaves_a_vehicle_that_stands_alone():
+    desk = Desk()
+    orders = desk.pilot.on_shutdown(desk.now_s)
+    assert not orders.land and not desk.pilot.needs_landing(desk.now_s)
+    silent = Desk()
+    silent.alive.discard("telemetry")
+    silent.run(4.0)
+    assert silent.pilot.on_shutdown(silent.now_s).land
+
+
 def test_a_node_that_ends_waits_until_the_vehicle_says_that_it_lands():
     desk = flown()
     desk.take(desk.pilot.on_shutdown(desk.now_s))
@@ -538,6 +548,19 @@ def test_a_vehicle_that_somebody_armed_on_the_ground_stays_there():
     desk.iris.armed = True
     desk.run(2.0)
     assert desk.pilot.flight_state == FlightState.INIT and desk.sent[-1][1] == LOWEST and desk.iris.stands
+    assert desk.press(TAKEOFF_LAND).disarm
+    desk.wait_for(FlightState.LANDED, 1.0)
+
+
+def test_a_landing_that_is_asked_for_ends_a_take_off_that_is_not_armed_yet():
+    desk = Desk()
+    desk.iris.arms = False
+    desk.press(TAKEOFF_LAND)
+    desk.run(0.5)
+    assert desk.take(desk.pilot.on_land_request(desk.now_s)).land
+    desk.iris.arms = True
+    desk.run(3.0)
+    assert desk.pilot.flight_state == FlightState.LANDED and desk.iris.stands
 
 
 def test_the_charge_moves_the_throttle():

@@ -12,6 +12,7 @@ from std_msgs.msg import Bool, Empty
 from ardrone_autonomy.msg import Navdata
 from risc_control.vehicles import adapter_class
 from risc_lab.lab.vehicle_types import load_vehicle_type
+from risc_lab.ros.heard import publishers_heard
 from risc_maap_msgs.msg import CommandsSent, Safety, VehicleStatus
 from risc_msgs.msg import Control, Controls, Cortex, States, Trajectories, Trajectory
 
@@ -86,7 +87,7 @@ class World:
         self._references = rospy.Publisher("/trajectory", Trajectories, queue_size=1)
         self._navdata = {v: rospy.Publisher("/%s/ardrone/navdata" % v, Navdata, queue_size=1) for v in self.templates}
         self._joy = {v: rospy.Publisher("/%s/joy" % v, Joy, queue_size=10) for v in self.templates}
-        wait_for(lambda: all(s.get_num_connections() for s in self._subscribers), "all topics of the nodes")
+        wait_for(lambda: all(map(publishers_heard, self._subscribers)), "all topics of the nodes")
         wait_for(lambda: all(p.get_num_connections() for p in (*self._navdata.values(), *self._joy.values())), "inputs")
         for publisher in (self._states, self._controls, self._references):
             wait_for(lambda p=publisher: p.get_num_connections() == nodes, "inputs")

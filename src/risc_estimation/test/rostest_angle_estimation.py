@@ -15,6 +15,7 @@ from std_msgs.msg import Header
 
 from risc_lab.camera import Camera
 from risc_lab.lab.calibration import load_calibration
+from risc_lab.ros.heard import publishers_heard
 from risc_maap_msgs.msg import Detection, Detections
 from risc_msgs.msg import Observed_angles, Observed_rois, Risc_roi, Risc_rois
 
@@ -46,7 +47,7 @@ class AngleEstimationNodeTest(unittest.TestCase):
 
         def connected():
             both = all(publisher.get_num_connections() >= 2 for publisher in (cls.pub, cls.exact))
-            return both and all(subscriber.get_num_connections() for subscriber in cls.subscribers)
+            return both and all(map(publishers_heard, cls.subscribers))
 
         while not connected():
             if time.monotonic() > deadline_s:

@@ -9,6 +9,7 @@ import unittest
 import rospy
 import rostest
 
+from risc_lab.ros.heard import publishers_heard
 from risc_msgs.msg import Cortex, Landmark, Landmarks, Observed_angles, States
 
 PACKAGE = "risc_estimation"
@@ -27,7 +28,8 @@ class SyntheticAnglesNodeTest(unittest.TestCase):
         self.states = rospy.Publisher("/cortex_raw", Cortex, queue_size=1000, tcp_nodelay=True)
         self.landmarks = rospy.Publisher("/states3", Landmarks, queue_size=10)
         deadline_s = time.monotonic() + PATIENCE_S
-        while not all(item.get_num_connections() for item in (self.subscriber, self.states, self.landmarks)):
+        inputs = self.states, self.landmarks
+        while not (publishers_heard(self.subscriber) and all(item.get_num_connections() for item in inputs)):
             self.assertLess(time.monotonic(), deadline_s, "the node did not connect")
             time.sleep(0.02)
 

@@ -147,7 +147,8 @@ def test_pictures_keep_their_rhythm_and_their_clock(lab, client):
     # exposures fall on the lab's 5 ms grid; what a slow computer leaves out is counted, and the rhythm goes on
     periods = (headers[-1].timestamp_ms - headers[0].timestamp_ms) / (1000.0 / 30.0)
     skipped = video_statistics(lab, "risc1", 40)["skipped"]
-    assert 39 - 0.5 < periods < 39 + skipped + 0.5
+    late = 0.5 if skipped == 0 else 1.0  # of a period, after one that was left out
+    assert 39 - 0.5 < periods < 39 + skipped + late
     if skipped == 0:
         assert np.median(steps_ms) == pytest.approx(1000.0 / 30.0, abs=6.0)
     assert any(header.frame_type == FrameType.P for header in headers)

@@ -37,7 +37,9 @@ class FitParams(Settings):
     order: between(1, 8) = 4  # of the polynomial
     window_s: between(0.2, 10.0) = 1.0  # over which throttle and acceleration are averaged
     min_height_m: Positive = 0.3  # it flies, and out of the ground's cushion
-    max_speed_m_s: Positive = 1.0  # faster, air drags
+    max_speed_m_s: Positive = 1.0
+    max_climb_m_s: Positive = 0.2  # faster, up or down, air drags,
+    max_acceleration_m_s2: Positive = 0.3  # and stronger, throttle and acceleration are not of the same moment
 
 
 @dataclass
@@ -86,22 +88,34 @@ def hover_points(states, throttle, battery, params):
     """
     found = defaultdict(list)
     edges = np.arange(states[0, 0], states[-1, 0], params.window_s)
-    for begin, end in zip(*(np.searchsorted(states[:, 0], part) for part in (edges[:-1], edges[1:]))):
-        window = states[begin:end]
-        if end - begin < 4 or np.diff(window[:, 0]).max() > _GAP_S or np.ptp(window[:, 0]) < 0.8 * params.window_s:
+    bounds = (np.searchsorted(states[:, 0], part) for part in (edges[:-1], edges[1:]))
+    hovers = [None, *(_hover(states[begin:end], throttle, params) for begin, end in zip(*bounds)), None]
+    for k, begin_s in enumerate(edges[:-1], start=1):
+        if None in hovers[k - 1 : k + 2]:  # next to a take-off, a landing or a jerk it is not at rest yet
             continue
-        if window[:, 1].min() < params.min_height_m or window[:, 3].max() > params.max_speed_m_s:
-            continue
-        sent, charge = _held(throttle, window[:, 0], _THROTTLE_S), _held(battery, window[[0, -1], 0], _BATTERY_S)
-        if sent is None or charge is None or round(charge[0]) != round(charge[1]):
-            continue
-        up_m_s2 = np.polyfit(window[:, 0] - window[0, 0], window[:, 2], 1)[0]
-        lift_g = (1.0 + up_m_s2 / GRAVITY_M_S2) / (np.cos(window[:, 4]) * np.cos(window[:, 5]))
-        found[round(charge[0])].append((charge.mean(), np.mean(sent - (lift_g - 1.0))))
+        charge = _held(battery, np.array((begin_s, begin_s + params.window_s)), _BATTERY_S)
+        if charge is not None and round(charge[0]) == round(charge[1]):
+            found[round(charge[0])].append((charge.mean(), hovers[k]))
     windows = [np.array(found[pct]) for pct in sorted(found)]
     pct, throttle = np.array([part.mean(axis=0) for part in windows]).reshape(-1, 2).T
     spread = [part[:, 1].std(ddof=1) if len(part) > 1 else np.nan for part in windows]
     return HoverPoints(pct, throttle, np.array(spread), params.window_s * np.array([len(part) for part in windows]))
+
+
+def _hover(window, throttle, params):
+    """The throttle that hovers, of one window of states; None: it does not hover, or that is not known."""
+    if len(window) < 4 or np.diff(window[:, 0]).max() > _GAP_S or np.ptp(window[:, 0]) < 0.8 * params.window_s:
+        return None
+    if window[:, 1].min() < params.min_height_m or window[:, 3].max() > params.max_speed_m_s:
+        return None
+    up_m_s2 = np.polyfit(window[:, 0] - window[0, 0], window[:, 2], 1)[0]
+    if abs(window[:, 2].mean()) > params.max_climb_m_s or abs(up_m_s2) > params.max_acceleration_m_s2:
+        return None
+    sent = _held(throttle, window[:, 0], _THROTTLE_S)
+    if sent is None:
+        return None
+    lift_g = (1.0 + up_m_s2 / GRAVITY_M_S2) / (np.cos(window[:, 4]) * np.cos(window[:, 5]))
+    return np.mean(sent - (lift_g - 1.0))
 
 
 def _held(samples, times_s, most_s):

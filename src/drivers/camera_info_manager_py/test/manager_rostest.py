@@ -14,6 +14,7 @@ from sensor_msgs.srv import SetCameraInfo
 
 from camera_info_manager import CameraInfoError, CameraInfoManager, CameraInfoMissingError
 from risc_lab.lab.calibration import read_calibration
+from risc_lab.ros.heard import publishers_heard
 
 LIMIT_S = 60.0
 
@@ -119,7 +120,7 @@ class ManagerTest(unittest.TestCase):
         )
         self.addCleanup(subscriber.unregister)
         deadline = rospy.Time.now() + rospy.Duration(LIMIT_S)
-        while not subscriber.get_num_connections() and rospy.Time.now() < deadline:
+        while not publishers_heard(subscriber) and rospy.Time.now() < deadline:
             rospy.sleep(0.02)
         manager = CameraInfoManager("bad", url="file://" + path, namespace="bad")
         manager.loadCameraInfo()

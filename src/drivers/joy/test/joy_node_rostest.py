@@ -13,6 +13,8 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy, JoyFeedback, JoyFeedbackArray
 
+from risc_lab.ros.heard import publishers_heard
+
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80
 TIMEOUT_S = 60.0
 
@@ -49,7 +51,7 @@ class Listener:
 
     def connected(self):
         deadline = time.monotonic() + TIMEOUT_S
-        while not self._subscriber.get_num_connections():
+        while not publishers_heard(self._subscriber):
             assert time.monotonic() < deadline, "nobody publishes " + self._subscriber.resolved_name
             time.sleep(0.02)
 
