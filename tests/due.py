@@ -58,6 +58,7 @@ def configured(folder, changes=(), **constants):
 
 def build(sketch, folder):
     """(image, address of loop()) of a sketch, compiled for the board."""
+    assert shutil.which("arm-none-eabi-g++"), "gcc-arm-none-eabi is missing: ./maap setup installs it"
     elf = pathlib.Path(folder) / "dueppm.elf"
     subprocess.run([str(FIRMWARE / "arm/build.sh"), str(sketch), str(elf)], check=True)
     subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", str(elf), str(elf.with_suffix(".bin"))], check=True)

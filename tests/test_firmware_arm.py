@@ -2,17 +2,12 @@
 
 import itertools
 import random
-import shutil
 import struct
 
 import due
 import pytest
 
 from rosserial_python import protocol
-
-pytestmark = pytest.mark.skipif(
-    shutil.which("arm-none-eabi-g++") is None, reason="gcc-arm-none-eabi is missing: ./maap setup installs it"
-)
 
 CONTROLS, PPM_STATUS = 100, 125
 FRAME_US, CHANNELS = 20000, 4  # as shipped

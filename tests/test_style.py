@@ -17,7 +17,7 @@ PYTHON = ["src", "tests", "conftest.py"]
 CPP = sorted(
     str(path) for suffix in ("*.cpp", "*.hpp") for path in (ROOT / "src").rglob(suffix) if "golden" not in path.parts
 )
-CPP += sorted(str(path) for suffix in ("*.cpp", "*.h") for path in (ROOT / "firmware").rglob(suffix))
+CPP += sorted(str(path) for suffix in ("*.cpp", "*.h", "*.ino") for path in (ROOT / "firmware").rglob(suffix))
 
 
 def run(*command, **options):
