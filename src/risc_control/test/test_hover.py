@@ -548,6 +548,19 @@ def test_a_vehicle_that_somebody_armed_on_the_ground_stays_there():
     desk.iris.armed = True
     desk.run(2.0)
     assert desk.pilot.flight_state == FlightState.INIT and desk.sent[-1][1] == LOWEST and desk.iris.stands
+    assert desk.press(TAKEOFF_LAND).disarm
+    desk.wait_for(FlightState.LANDED, 1.0)
+
+
+def test_a_landing_that_is_asked_for_ends_a_take_off_that_is_not_armed_yet():
+    desk = Desk()
+    desk.iris.arms = False
+    desk.press(TAKEOFF_LAND)
+    desk.run(0.5)
+    assert desk.take(desk.pilot.on_land_request(desk.now_s)).land
+    desk.iris.arms = True
+    desk.run(3.0)
+    assert desk.pilot.flight_state == FlightState.LANDED and desk.iris.stands
 
 
 def test_the_charge_moves_the_throttle():

@@ -3,6 +3,7 @@
 
 import contextlib
 import itertools
+import json
 import os
 import pathlib
 import random
@@ -369,6 +370,18 @@ class SerialNodeTest(unittest.TestCase):
             with scene(topics={}, beat=b"", ready=False) as (board, _, node):
                 board.damage = lambda data, noise=noise: noise
                 node.wait_state(SerialLink.WAITING, cause)
+
+    def test_the_doctor_hears_of_it(self):
+        """Also who else has the terminal open, which is this program."""
+        command = [sys.executable, "-m", "risc_doctor", "--only", "serial", "--json"]
+        for is_network, code, text in ((True, "speed", "socket://"), (False, "shared", "(pid %d)" % os.getpid())):
+            with scene(is_network, topics={}, beat=b"", ready=False) as (board, _, node):
+                board.damage = lambda data: bytes(range(0, 250, 3))
+                node.wait_state(SerialLink.WAITING, SerialLink.SPEED)
+                done = subprocess.run(command, capture_output=True, text=True, timeout=2 * LIMIT_S)
+                (finding,) = json.loads(done.stdout)
+                self.assertEqual((finding["check"], finding["code"], finding["level"]), ("serial", code, "red"))
+                self.assertIn(text, finding["text"])
 
     def test_nonsense_parameters_are_one_line(self):
         for arguments, params, text in (

@@ -318,6 +318,7 @@ class VehiclePilot:
             orders.answer = not silent, "landing (%s)%s" % (self.ladder.verdict.reason, unsure)
         elif silent or self.flight_state not in ON_GROUND:
             # Nothing says that it stands, and an order to land does no harm to one that does.
+            self._order_landing(orders, now_s)
             orders.land = True
             why = "the vehicle is silent" if silent else "it does not say that it stands (%s)" % self._state_text()
             orders.say("warn", "landing was requested: ordered once, but %s" % why)
@@ -421,6 +422,8 @@ class VehiclePilot:
         if self._hover is None:
             orders.land = True
             return
+        if self.flight_state == FlightState.INIT:  # armed on the ground, and not by us
+            orders.disarm = True
         self._hover.land(now_s)
         self._note_hover(orders)
 

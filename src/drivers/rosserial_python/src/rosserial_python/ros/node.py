@@ -84,7 +84,7 @@ class Device:
     def _log(self, state, cause, before):
         name = self.session.port.name
         if cause in (Cause.NONE, Cause.TYPES, Cause.SIZE):  # of the latter two each topic has its own line
-            if state != before[0]:
+            if state != before[0] and (state is State.UP or before[0] in (None, State.UP)):  # not each attempt to open
                 rospy.loginfo("%s: %s", name, _STATES[state])
         elif time.monotonic() - self._logged_s.get(cause, -math.inf) > _AGAIN_S:
             self._logged_s[cause] = time.monotonic()
