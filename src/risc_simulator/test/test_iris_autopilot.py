@@ -8,6 +8,7 @@ from iris_flight import CENTRE_US, HIGHEST_US, LOWEST_US, Hands, make_world
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.vehicles.iris import firmware
 from risc_simulator.vehicles.iris.firmware import CRITICAL_BATTERY_PCT, LOW_BATTERY_PCT, Mode, RcFrame
+from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, GROUND_PRESSURE_PA
 
 LAND_M_S = 0.4
 
@@ -277,6 +278,11 @@ def test_parameters_change_what_a_stick_means(hands):
     hands.autopilot.parameters.set("RC1_MAX", 1900)
     hands.send(0.1, roll=1900)
     assert hands.autopilot.command[0] == pytest.approx(-0.5236, abs=1e-3)
+
+
+def test_its_parameters_say_what_its_sensors_read(hands):
+    parameters = hands.autopilot.parameters
+    assert (parameters["BATT_CAPACITY"], parameters["BARO1_GND_PRESS"]) == (1e3 * CAPACITY_AH, GROUND_PRESSURE_PA)
 
 
 @pytest.mark.parametrize("changes", [{"tilt_max_rad": 0.1}, {"climb_max_m_s": 0.2}, {"yaw_rate_max_rad_s": 7.0}])

@@ -17,6 +17,7 @@ from risc_lab.frames import GRAVITY_M_S2
 from risc_simulator.models.battery import GROUND_LOAD, Battery
 from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase
 from risc_simulator.vehicles.iris.parameters import Parameters
+from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, GROUND_PRESSURE_PA
 
 CHANNELS = 8
 ROLL, PITCH, THROTTLE, YAW = range(4)
@@ -456,6 +457,8 @@ def _parameters_of(kind):
             ANGLE_MAX=round(100.0 * math.degrees(kind.tilt_max_rad)),
             PILOT_Y_RATE=math.degrees(kind.yaw_rate_max_rad_s),
             PILOT_SPEED_UP=round(100.0 * kind.climb_max_m_s),
+            BATT_CAPACITY=round(1e3 * CAPACITY_AH),
+            BARO1_GND_PRESS=GROUND_PRESSURE_PA,
             **{"RC%d_DZ" % (1 + channel): dead_us for channel in (ROLL, PITCH, YAW)},
         )
     except ValueError as error:
