@@ -415,6 +415,14 @@ def test_overrides_alone_arm_and_keep_the_radio_failsafe_away(hands):
     assert hands.autopilot.mode is Mode.LAND
 
 
+def test_with_an_override_in_force_a_silent_radio_counts_as_lost_after_a_second(flyer):
+    flyer.autopilot.override((1500, 1500, flyer.throttle_for(), 1500), flyer.world.time_s)
+    flyer.wait(0.9)
+    assert flyer.autopilot.mode is Mode.STABILIZE
+    flyer.wait(0.2)
+    assert flyer.autopilot.mode is Mode.LAND
+
+
 def test_an_override_time_of_zero_switches_overrides_off(hands):
     hands.autopilot.parameters.set("RC_OVERRIDE_TIME", 0)
     hands.send(0.1)

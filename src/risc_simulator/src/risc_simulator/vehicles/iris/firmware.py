@@ -28,7 +28,7 @@ GESTURE_S = 2.0  # throttle at its end and yaw at its end for so long: right arm
 GESTURE_YAW = 0.89  # of full yaw
 LANDED_DISARM_S = 1.0  # on the ground in LAND
 RADIO_LOST_S = 0.5  # without a frame,
-OVERRIDE_LOST_S = 1.0  # or without an override where no receiver was ever heard
+OVERRIDE_LOST_S = 1.0  # or, while overrides are in force, without one
 LOW_THROTTLE_FRAMES = 3  # below FS_THR_VALUE: the transmitter says that it has lost its own signal
 RELEASE_US, LEAVE_US = 0, 65535  # of an override
 
@@ -321,9 +321,8 @@ class IrisFirmware(Firmware):
             self._overrides = fresh
 
     def _watch_radio(self):
-        heard = bool(self._received_us)
         silent_s = self._time_s - max(self._received_s, self._override_s)
-        lost = silent_s > (RADIO_LOST_S if heard else OVERRIDE_LOST_S)
+        lost = silent_s > (OVERRIDE_LOST_S if self._overrides else RADIO_LOST_S)
         enough = 1 if self.radio_failsafe else LOW_THROTTLE_FRAMES  # one is enough to stay in it
         is_low = THROTTLE not in self._overrides and self._low_frames >= enough
         lost |= is_low and self._radio_counts
