@@ -14,7 +14,7 @@ from risc_simulator.models.flight import FlightPhase
 from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, TEMPERATURE_C
 
 QUADROTOR, ARDUPILOT = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-STABILIZE, ALT_HOLD, LAND = 0, 2, 9  # ArduCopter's numbers
+ALT_HOLD, LAND = 2, 9  # ArduCopter's numbers
 DISARMED_BASE_MODE = 81  # custom mode, stabilized, manual input
 ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, ORIGIN_ALTITUDE_M = 41.742, -111.808, 1400.0
 EARTH_RADIUS_M = 6378137.0
