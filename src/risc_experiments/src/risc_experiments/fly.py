@@ -79,7 +79,7 @@ def arguments(argv):
         help="time on each course (default: 30 s; df_demo, iris: 20 s)",
     )
     add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
-    delay_help = "command delay (default: that of the type, 0.1 s)"
+    delay_help = "command delay (default: that of the type, e.g. 0.1 s)"
     add("--delay", type=number(0.0, LONGEST_DELAY_S), metavar="S", help=delay_help)
     rate_help = "of motion capture (default: 200, less if it must be)"
     add("--mocap-rate", type=number(RATES_HZ[-1], 500.0), metavar="HZ", help=rate_help)
