@@ -97,10 +97,12 @@ class Topics:
 
     def _message(self, topic_id, payload):
         for kind in (Id.PUBLISHER, Id.SERVER_RESPONSE, Id.CLIENT_REQUEST):
-            if (kind, topic_id) in self._members:
-                self._members[kind, topic_id][1].from_device(payload)
+            _, member = self._members.get((kind, topic_id), (None, None))
+            if member is not None:
+                member.from_device(payload)
                 return
-        self._session.ask_topics()
+        if all(topic.topic_id != topic_id for topic, _ in list(self._refused.values())):
+            self._session.ask_topics()
 
     def _later(self, function, *arguments):
         try:
