@@ -42,6 +42,7 @@ class Topics:
         self._session, self._max_age_s = session, max_age_s
         self._kinds = {Id.PUBLISHER: FromDevice, Id.SUBSCRIBER: ToDevice, **services.HALVES}
         self._members = {}  # {(id, topic id): (Topic, what serves it)}
+        self._doubted = {}  # {(id, topic id): Topic that contradicts what is served, once}
         self._jobs = queue.Queue(_JOBS)
         self._refused = {}  # {name of a topic: (Topic, why)}
         self._oversized = {}  # {name of a topic: when last}
@@ -89,10 +90,17 @@ class Topics:
             rospy.logwarn_throttle(_REPEAT_S, "a damaged packet was refused: %s", error)
 
     def _announced(self, kind, topic):
-        known = self._members.get((kind, topic.topic_id))
+        key = (kind, topic.topic_id)
+        known = self._members.get(key)
         if known is not None and known[0] == topic:
+            self._doubted.pop(key, None)
             known[1].confirmed(topic)
-        elif self._refused.get(topic.name, (None,))[0] != topic:
+        elif self._refused.get(topic.name, (None,))[0] == topic:
+            return
+        elif known is not None and self._doubted.get(key) != topic:
+            self._doubted[key] = topic  # another program, or damage that the sum does not see: the next one tells
+            self._session.ask_topics()
+        else:
             self._later(self._join, kind, topic)
 
     def _message(self, topic_id, payload):
