@@ -4,6 +4,7 @@ The session's thread hands packets over; what may wait for the master (registeri
 by a thread of this module's own, so that the link's watch never stands still.
 """
 
+import contextlib
 import functools
 import math
 import queue
@@ -62,7 +63,8 @@ class Topics:
 
     def close(self):
         """Leave the graph."""
-        self._jobs.put(None)
+        with contextlib.suppress(queue.Full):  # of a master that hangs: its thread ends with the program
+            self._jobs.put_nowait(None)
         self._worker.join(1.0)  # a master that hangs is not waited for
         for _, member in list(self._members.values()):
             member.close()
