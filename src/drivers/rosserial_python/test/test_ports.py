@@ -130,6 +130,13 @@ def test_what_is_no_port_is_one_error(url):
         make_port(SerialParams(port=url))
 
 
+def test_a_search_that_finds_no_device_is_no_port_for_now():
+    port = make_port(SerialParams(port="hwgrep://no device is called so"))
+    with pytest.raises(OSError, match="no ports found") as found:
+        port.open()
+    assert found.value.errno == errno.ENODEV
+
+
 def test_ports_of_parameters():
     assert make_port(SerialParams(port="/dev/ttyUSB0")).baud == 57600
     assert make_port(SerialParams(port="/dev/ttyUSB0", baud=115200)).baud == 115200
