@@ -177,6 +177,7 @@ class Hover:
 
     def take_off(self, now_s):
         """Its driver was told to arm it."""
+        self.observer.trim_m_s2 = 0.0  # another battery, load or propellers; or learnt while something held it
         self._enter(Phase.STARTING, now_s)
 
     def refuse(self, why, now_s, orders):
