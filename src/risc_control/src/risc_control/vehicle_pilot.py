@@ -21,6 +21,8 @@ from risc_lab.settings import NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
+# armed on the ground, and not by us; told to arm for a take-off
+_ARMED_OR_SOON = frozenset((FlightState.INIT, FlightState.TAKING_OFF))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
@@ -422,7 +424,7 @@ class VehiclePilot:
         if self._hover is None:
             orders.land = True
             return
-        if self.flight_state == FlightState.INIT:  # armed on the ground, and not by us
+        if self.flight_state in _ARMED_OR_SOON and not self.airborne:
             orders.disarm = True
         self._hover.land(now_s)
         self._note_hover(orders)
