@@ -141,6 +141,8 @@ class Hover:
         state = status.state
         if state == FlightState.UNKNOWN:
             return
+        if state != self.reported:  # it may have been anywhere meanwhile
+            self._commanded_s = -math.inf
         self.reported = state
         if state == FlightState.LANDED:
             if self.phase in _IN_AIR:
@@ -247,9 +249,10 @@ class Hover:
         return self.phase is Phase.LANDING and (self.lands_itself or seen)
 
     def must_land_itself(self, now_s):
-        """We cannot land it: it is not seen, our commands do not reach it, or they do not bring it down."""
+        """We cannot land it: it is not seen, it does not take our commands, or they do not bring it down."""
         stuck = self._still_s is not None and now_s - self._still_s > STUCK_S and not self._stands
-        return stuck or not self._is_seen(now_s) or self.trouble(now_s) != ""
+        elsewhere = self.reported == FlightState.OTHER_MODE
+        return stuck or elsewhere or not self._is_seen(now_s) or self.trouble(now_s) != ""
 
     # --- what follows -------------------------------------------------------------------------------------------
 

@@ -236,6 +236,8 @@ class VehiclePilot:
     def _note_hover(self, orders):
         """What it does by what `Hover` knows."""
         self.flight_state, self.airborne = self._hover.flight_state(self.autonomous), self._hover.airborne
+        if self.autonomous and self.flight_state == FlightState.OTHER_MODE:
+            self._set_mode(False, orders, "its autopilot is in another mode")
         self._end_on_the_ground(orders)
 
     def _end_on_the_ground(self, orders):
