@@ -243,10 +243,14 @@ class Hover:
         """By its own report it lands, or stands."""
         return self.reported in (FlightState.LANDED, FlightState.LANDING)
 
-    def obeys_landing(self, now_s):
-        """It lands by its own report, or it is seen to sink, or to stand; in the beginning it need not yet."""
-        seen = self._stands or now_s - max(self._sinks_s, self._since_s) < STUCK_S
-        return self.phase is Phase.LANDING and (self.lands_itself or seen)
+    def obeys_landing(self, now_s, is_heard):
+        """It lands by its own report, or it is seen to sink, or to stand; in the beginning it need not yet.
+
+        is_heard: its newest report still tells what it does.
+        """
+        sinks = now_s - max(self._sinks_s, self._since_s) < STUCK_S
+        is_seen = self._is_seen(now_s) and (self._stands or sinks)
+        return self.phase is Phase.LANDING and (is_seen or (is_heard and self.lands_itself))
 
     def must_land_itself(self, now_s):
         """We cannot land it: it is not seen, it does not take our commands, or they do not bring it down."""

@@ -477,7 +477,8 @@ class VehiclePilot:
         if hover is None:
             obeys = self.flight_state == _LANDING
         else:
-            obeys, trouble = hover.obeys_landing(now_s), hover.trouble(now_s) if self.airborne else ""
+            obeys = hover.obeys_landing(now_s, ladder.navdata_is_fresh(now_s))
+            trouble = hover.trouble(now_s) if self.airborne else ""
         needs_navdata = not self._params.Simulation
         verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, needs_navdata, hover is not None, trouble)
         if verdict is not self._told and verdict != self._told:
