@@ -149,13 +149,17 @@ def prepare_fleet(args, subnet, folder):
     """The fleet of this flight, moved to its own loopback subnet and written beside the results.
 
     Raises ValueError for a bad file or a course that is not for so many, FlightError when there are more bodies than
-    motion capture shows, or a vehicle has no calibration and the experiment needs one.
+    motion capture shows, or a vehicle is not of the experiment's type, or has no calibration and needs one.
     """
     trajectory = args.trajectory or "circles3"
     if args.fleet is None:
         fleet = default_fleet(args.vehicles, trajectory, args.experiment)
     else:
         fleet = load_fleet(args.fleet).with_vehicles(args.vehicles)
+    first = fleet.vehicles[0].vehicle_type
+    if args.experiment == "iris" and "iris" not in (first.name, first.driver):
+        text = "iris is for an IRIS+, and the first vehicle of %s is of type '%s': fly df_demo, or another --fleet"
+        raise FlightError(text % (args.fleet, first.name))
     counts = len(fleet.vehicles), len(fleet.landmarks)
     if sum(counts) > MAX_BODIES:
         text = "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"
