@@ -468,12 +468,12 @@ def test_no_autonomous_flight_in_another_mode():
     assert desk.press(TOGGLE).mode is True
 
 
-def test_another_mode_ends_autonomous_flight_and_it_goes_on_from_where_it_is():
+@pytest.mark.parametrize(("mode", "state"), [("LOITER", FlightState.OTHER_MODE), ("LAND", FlightState.LANDING)])
+def test_another_mode_ends_autonomous_flight_and_it_goes_on_from_where_it_is(mode, state):
     desk = flown(more=1.0)
     desk.run(1.0)
-    desk.iris.mode = "LOITER"
-    desk.wait_for(FlightState.OTHER_MODE, 0.5)
-    assert not desk.pilot.autonomous
+    desk.iris.mode = mode
+    desk.wait_for(state, 0.5)
     desk.iris.position_m[0] += 1.0  # somebody else flies it there
     desk.iris.mode = "STABILIZE"
     desk.wait_for(FlightState.HOVERING, 0.5)

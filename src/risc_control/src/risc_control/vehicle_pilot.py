@@ -235,9 +235,11 @@ class VehiclePilot:
 
     def _note_hover(self, orders):
         """What it does by what `Hover` knows."""
-        self.flight_state, self.airborne = self._hover.flight_state(self.autonomous), self._hover.airborne
-        if self.autonomous and self.flight_state == FlightState.OTHER_MODE:
-            self._set_mode(False, orders, "its autopilot is in another mode")
+        before, state = self.flight_state, self._hover.flight_state(self.autonomous)
+        self.flight_state, self.airborne = state, self._hover.airborne
+        given_back = before == _LANDING and state == FlightState.FLYING  # by whoever ended its own landing
+        if self.autonomous and (given_back or state == FlightState.OTHER_MODE):
+            self._set_mode(False, orders, "the mode of its autopilot was changed")
         self._end_on_the_ground(orders)
 
     def _end_on_the_ground(self, orders):
