@@ -375,11 +375,12 @@ def test_states_lost_level_and_then_land_mode(autonomous):
     assert desk.iris.impact_m_s < 0.7
 
 
-def blind_landing():
-    """(desk) states and telemetry are lost: nothing but the radio works."""
+def blind_landing(then=1.0):
+    """(desk) states and telemetry are lost: nothing but the radio works. then: its thrust, of what it was."""
     desk = flown(more=0.9)
     desk.run(2.0)
     desk.alive -= {"state", "telemetry"}
+    desk.iris.more *= then
     desk.run(12.0, lambda: desk.iris.stands)
     return desk
 
@@ -387,11 +388,17 @@ def blind_landing():
 def test_without_states_and_telemetry_it_comes_down_by_the_model(monkeypatch):
     desk = blind_landing()
     assert desk.iris.stands and desk.iris.impact_m_s < 0.8 and desk.iris.mode == "STABILIZE"
-    desk.run(2.0)
-    assert desk.sent[-1][1] == LOWEST
+    assert desk.run(5.0, lambda: not desk.iris.armed) and desk.iris.mode == "LAND"  # nothing is sent any more
     assert desk.pilot.ladder.verdict.operator  # nothing tells that it lands
     monkeypatch.setattr(hover, "DESCENT_M_S", 0.0)
     assert not blind_landing().iris.stands
+
+
+def test_where_the_model_is_wrong_its_own_failsafe_lands_it(monkeypatch):
+    desk = blind_landing(then=1.01)
+    assert desk.iris.stands and desk.iris.impact_m_s < 0.8 and desk.iris.mode == "LAND"
+    monkeypatch.setattr(hover.Hover, "must_be_silent", lambda *_: False)
+    assert not blind_landing(then=1.01).iris.stands
 
 
 def test_a_silent_controller_is_held_in_place_and_then_landed():

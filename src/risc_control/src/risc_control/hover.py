@@ -238,6 +238,12 @@ class Hover:
         since = "nothing was heard of it" if math.isinf(silent_s) else "%.1f s ago it did" % silent_s
         return "the board of its transmitter does not say that it sends our commands (%s)" % since
 
+    def must_be_silent(self, now_s):
+        """It lands unseen, and by reckoning it is down: who knows better is its own failsafe, which lands or disarms
+        it as soon as nothing is sent.
+        """
+        return self.phase is Phase.LANDING and not self._is_seen(now_s) and self._reckoned_m < -BLIND_BELOW_M
+
     @property
     def lands_itself(self):
         """By its own report it lands, or stands."""
@@ -366,7 +372,7 @@ class Hover:
     def _look_for_the_floor(self, now_s):
         """While it lands: does it stand?"""
         if not self._is_seen(now_s):
-            self._still_s, self._stands = None, self._stands or self._reckoned_m < -BLIND_BELOW_M
+            self._still_s = None
             return
         lags = self._place_m[2] < self._own.position_m[2] - 0.7 * _LEASH_M and self.reported == FlightState.FLYING
         if not lags or abs(self._own.velocity_m_s[2]) > _STILL_M_S:

@@ -516,7 +516,7 @@ class VehiclePilot:
         """The command of a vehicle that does not fly itself, while the controller does not fly it; none before it has
         said what it does.
         """
-        if self._hover.reported is None:
+        if self._hover.reported is None or self._hover.must_be_silent(now_s):
             return
         holds, look, psi_rad = self.autonomous or self.ladder.verdict.level > _OK, self.ladder.apart(now_s), 0.0
         if self._state is not None:
