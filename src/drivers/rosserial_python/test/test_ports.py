@@ -77,9 +77,8 @@ def test_a_full_line_takes_what_it_has_room_for(terminal):
     line = port.open()
     taken = line.write(bytes(2**20))
     assert 0 < taken < 2**20
-    while line.write(bytes(4096)):
+    while line.write(bytes(4096)):  # ends: what finds no room is not waited for
         pass
-    assert line.write(b"x") == 0
     line.close()
 
 
