@@ -87,7 +87,7 @@ def test_the_figures_of_chapter_6(tmp_path):
 @pytest.mark.parametrize("name", FAILURES)
 def test_what_fails_in_flight_lands_the_vehicle(tmp_path, name):
     let_fail, rules, limit_s, topic = FAILURES[name]
-    process = start(tmp_path, "iris", "--duration", "60")
+    process = start(tmp_path, "iris", "--duration", "5")
     try:
         wait_for_line(process, tmp_path, "at the origin")
         failed_s = time.time()
