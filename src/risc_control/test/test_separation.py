@@ -8,12 +8,14 @@ import pytest
 
 from risc_control.failsafe import SafetyLimits
 from risc_control.separation import ALONE, Separation
+from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S
 
 LIMITS = SafetyLimits()
 NEAR_M, STRAY_M, COURSE_M = LIMITS.separation_m, LIMITS.separation_stray_m, LIMITS.separation_course_m
 NAMES = ("fluffy_II", "albatross", "Raven")
 AT_REST = (0.0, 0.0, 0.0)
+IRIS_M = load_vehicle_type("iris").wider_m
 
 
 class Sky:
@@ -21,7 +23,7 @@ class Sky:
     node for each.
     """
 
-    def __init__(self, places, own=None, limits=LIMITS, fleet=None):
+    def __init__(self, places, own=None, limits=LIMITS, fleet=None, wider_m=None):
         """places: {name: position}."""
         self.places = dict(places)
         self.velocities = dict.fromkeys(places, AT_REST)
@@ -31,7 +33,7 @@ class Sky:
         self.order = list(places)
         own, fleet = own or tuple(places), tuple(places) if fleet is None else fleet
         self.own = own
-        self.separations = [Separation(names, limits, fleet) for names in (own, *((name,) for name in own))]
+        self.separations = [Separation(names, limits, fleet, wider_m) for names in (own, *((name,) for name in own))]
 
     def look(self, duration_s=0.02):
         """{name: Look} after so long."""
@@ -140,6 +142,80 @@ def test_zero_is_off():
     sky = pair(0.2, limits=limits)
     sky.hidden = {"albatross"}
     assert not near(sky.look(1.0))
+
+
+# --- vehicles that reach farther than an AR.Drone ---------------------------------------------------------------------
+
+
+WIDE = [("albatross",), ("fluffy_II",), NAMES[:2]]  # which of the pair are IRIS+
+
+
+def irises(names):
+    """(wider_m of a Separation in which these are IRIS+, how much farther than AR.Drones the pair has to be apart)"""
+    return dict.fromkeys(names, IRIS_M), len(names) * IRIS_M
+
+
+def test_the_rule_acts_before_contact():
+    ardrone, iris = (load_vehicle_type(name) for name in ("ardrone", "iris"))
+    assert (ardrone.wider_m, IRIS_M) == (0.0, pytest.approx(0.15))
+    assert dataclasses.replace(iris, radius_m=0.05).wider_m == 0.0, "a small one is given as much room as an AR.Drone"
+    for one, other in ((ardrone, ardrone), (ardrone, iris), (iris, iris)):
+        assert NEAR_M + one.wider_m + other.wider_m >= one.radius_m + other.radius_m + 0.05 - 1e-9
+
+
+@pytest.mark.parametrize("wide", WIDE)
+def test_wide_ones_hold_at_the_same_gap_between_hulls(wide):
+    wider_m, more_m = irises(wide)
+    assert not near(pair(NEAR_M + more_m + 0.01, wider_m=wider_m).look())
+    looks = pair(NEAR_M + more_m - 0.01, wider_m=wider_m).look()
+    assert near(looks) == set(NAMES[:2]) and "%.2f m from" % (NEAR_M + more_m - 0.01) in looks["albatross"].reason
+    # the control arm: as AR.Drones they do not, where they touch already
+    assert not near(pair(NEAR_M + 0.09).look()) and NEAR_M + 0.09 < 0.65
+
+
+@pytest.mark.parametrize("wide", WIDE)
+@pytest.mark.parametrize("follow", [False, True])
+def test_wide_ones_are_told_as_early(wide, follow):
+    """By what they have to stop, whether they follow their references or not."""
+    wider_m, more_m = irises(wide)
+    ahead_s = LIMITS.separation_follow_s if follow else LIMITS.separation_lookahead_s
+    for spare_m in (-0.02, 0.02):
+        sky = pair(NEAR_M + more_m + ahead_s * 0.6 + spare_m, wider_m=wider_m)
+        sky.velocities["fluffy_II"] = (0.6, 0.0, 0.0)
+        if follow:
+            sky.references, sky.speeds = dict(sky.places), dict(sky.velocities)
+        assert bool(near(sky.look())) == (spare_m < 0.0)
+
+
+@pytest.mark.parametrize("wide", WIDE)
+def test_wide_ones_keep_farther_from_one_that_is_not_seen_and_from_one_that_holds(wide):
+    wider_m, more_m = irises(wide)
+    for spare_m in (-0.02, 0.02):
+        sky = pair(STRAY_M + more_m + spare_m, wider_m=wider_m)
+        sky.look()
+        sky.hidden = {"albatross"}
+        assert near(sky.look(LIMITS.state_land_s + 0.1)) == ({"fluffy_II"} if spare_m < 0.0 else set())
+        places = dict(pair(STRAY_M + more_m + spare_m).places)
+        places["Raven"] = (places["albatross"][0] + 0.3, 0.0, 1.0)  # makes the albatross hold
+        assert ("fluffy_II" in near(Sky(places, wider_m=wider_m).look())) == (spare_m < 0.0)
+
+
+@pytest.mark.parametrize("wide", WIDE)
+def test_wide_ones_land_farther_beside_each_other(wide):
+    wider_m, more_m = irises(wide)
+    for spare_m in (-0.02, 0.02):
+        places = {"fluffy_II": (0.0, 0.0, 1.8), "albatross": (1.2 * NEAR_M + more_m + spare_m, 0.0, 1.0)}
+        places["Raven"] = (0.0, 0.0, 2.2)  # makes it hold
+        look = Sky(places, wider_m=wider_m).look()["fluffy_II"]
+        assert look.holds and look.above == (spare_m < 0.0)
+
+
+@pytest.mark.parametrize("wide", WIDE)
+def test_wide_ones_give_way_while_their_gap_is_too_small(wide):
+    wider_m, more_m = irises(wide)
+    sky = pair(NEAR_M + more_m - 0.02, wider_m=wider_m)
+    sky.places["albatross"] = (NEAR_M + more_m - 0.08, 0.0, 1.2)
+    assert climbs(sky) == {"fluffy_II": -1, "albatross": 1}
 
 
 # --- strays ---------------------------------------------------------------------------------------------------------

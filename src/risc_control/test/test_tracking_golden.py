@@ -57,6 +57,7 @@ QUADROTOR = VehicleType(
     name="ardrone",
     mass_kg=0.45,
     inertia_kg_m2=(0.0022, 0.0030, 0.0048),
+    radius_m=0.25,
     roll=AttitudeLoop(5.816, 0.738, 1.1714),
     pitch=AttitudeLoop(5.623, 0.611, 1.10714),
     yaw_rate_time_constant_s=0.1,

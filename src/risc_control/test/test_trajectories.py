@@ -158,6 +158,27 @@ def test_up_to_five_fly_one_figure_whatever_the_net():
         course_for_fleet("circle", 8, Arena(), radius=1.0)
 
 
+def test_a_figure_that_brings_wide_vehicles_too_near_is_refused():
+    for wider_m, vehicles, is_flown in ((0.15, 4, False), (0.15, 3, True), (0.3, 3, True), (0.4, 3, False)):
+        if is_flown:
+            assert np.array_equal(
+                course_for_fleet("knot", vehicles, Arena(), wider_m).at(3.3), make_course("knot", vehicles).at(3.3)
+            )
+        else:
+            need = "'knot' brings %d vehicles within 0.* need %.2f m" % (vehicles, 0.6 + wider_m)
+            with pytest.raises(ValueError, match=need):
+                course_for_fleet("knot", vehicles, Arena(), wider_m)
+    assert len(course_for_fleet("knot", 4, Arena())) == 4, "AR.Drones fly it as ever"
+
+
+@pytest.mark.parametrize("name", ["circle", "circles3", "flat8"])
+def test_many_wide_vehicles_are_kept_farther_apart_or_refused(name):
+    course = course_for_fleet(name, 8, Arena(8.0, 8.0), 0.3)
+    assert course_separation(course, 400) >= SAFE_SEPARATION_M + 0.3
+    with pytest.raises(ValueError, match="no room for 8 vehicles, 1.05 m apart"):
+        course_for_fleet(name, 8, Arena(1.6, 1.5, 2.0), 0.3)
+
+
 def test_a_path_of_ones_own_is_a_function_of_the_phase(monkeypatch):
     """Of any smooth shape: it is flown by any number, and all its derivatives are known."""
 

@@ -16,16 +16,16 @@ NAMES = tuple(STARTS)
 DT_S = 0.005
 
 
-def fleet(vehicles=3):
+def fleet(vehicles=3, types=("ardrone",) * 3):
     return [
-        FleetVehicle("risc%d" % (k + 1), name, "ardrone", "127.0.0.%d" % (k + 1), Start(STARTS[name]))
+        FleetVehicle("risc%d" % (k + 1), name, types[k], "127.0.0.%d" % (k + 1), Start(STARTS[name]))
         for k, name in enumerate(NAMES[:vehicles])
     ]
 
 
-def flying_manager(course="circle", vehicles=3, now_s=10.0, **options):
+def flying_manager(course="circle", vehicles=3, now_s=10.0, types=("ardrone",) * 3, **options):
     """All vehicles hover 0.9 m above their starts and become autonomous at now_s."""
-    manager = make_manager(fleet(vehicles), make_course(course, vehicles), **options)
+    manager = make_manager(fleet(vehicles, types), make_course(course, vehicles), **options)
     rng = np.random.default_rng(1)
     for name in manager.names:
         place = np.array(STARTS[name]) + [0.0, 0.0, 0.9] + rng.uniform(-0.05, 0.05, 3)
@@ -105,6 +105,16 @@ def test_ways_keep_the_vehicles_apart(course):
     furthest = np.abs(np.concatenate([out, back])[:, 0, :, :2]).max(axis=(0, 1))
     assert furthest[0] < 2.2 and furthest[1] < 1.8
     assert np.concatenate([out, back])[:, 0, :, 2].min() > 0.4
+
+
+@pytest.mark.parametrize("course", ["circle", "flat8", "slanted8"])
+def test_ways_keep_wide_vehicles_farther_apart(course):
+    manager = flying_manager(course, types=("iris", "ardrone", "iris"))
+    _, out, _ = record(manager, 10.0, 40.0, 0.05)
+    manager.go_home(40.0)
+    _, back, _ = record(manager, 40.0, 65.0, 0.05)
+    assert manager.safe_m == pytest.approx(SAFE_SEPARATION_M + 0.3)
+    assert min(minimum_separation(part[:, 0, :, :3]) for part in (out, back)) >= manager.safe_m
 
 
 @pytest.mark.parametrize("course", ["circle", "flat8", "slanted8"])

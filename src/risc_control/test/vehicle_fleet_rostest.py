@@ -50,7 +50,7 @@ class VehicleFleetTest(unittest.TestCase):
         rospy.set_param("/second_controller/torn", False)
         self.world.controls = dict.fromkeys(TEMPLATES, (0.0, 0.0, 0.0, HOVER_N))
         self.world.visible = dict.fromkeys(TEMPLATES, True)
-        self.world.y_m, self.world.strays = dict(self.y_m), set()
+        self.world.y_m, self.world.strays, self.world.passers = dict(self.y_m), set(), {}
         self.world.flight_state = dict.fromkeys(TEMPLATES, LANDED)
 
     def check_that_others_fly_on(self, count=60):
@@ -113,6 +113,18 @@ class VehicleFleetTest(unittest.TestCase):
         wait_for(lambda: len(world.answers("risc3")) >= 20, "commands of the third")
         self.assertEqual(world.answers("risc1") + world.answers("risc2"), [])
         self.assertEqual(world.messages("risc3", "ardrone/land"), [])
+
+    def test_5_a_wider_vehicle_that_comes_too_near(self):
+        """An IRIS+ of the fleet, which another node flies, at a distance at which an AR.Drone is far enough."""
+        world = self.world
+        world.fly_by_controls()
+        far_m = SafetyLimits.separation_m + 0.1
+        world.y_m["risc2"] = world.y_m["risc1"] + far_m
+        self.check_that_others_fly_on()
+        self.assertEqual([m for m in world.messages("risc1", "safety") if m.level != Safety.OK], [])
+        world.passers["IRIS"] = world.y_m["risc3"] + far_m
+        world.wait("risc3", "safety", lambda m: (m.level, m.rule) == (Safety.LAND, Safety.SEPARATION))
+        self.assertEqual([m for m in world.messages("risc1", "safety") if m.level != Safety.OK], [])
 
     def test_5_a_vehicle_that_leaves_its_course(self):
         """Its neighbour lands, and so does it itself; the third flies on."""

@@ -63,6 +63,7 @@ class World:
         self.visible = dict.fromkeys(self.templates, True)
         self.y_m = {vehicle: 1.5 * (k - 1) for k, vehicle in enumerate(templates)}  # none is near another one
         self.strays = set()  # vehicles whose references leave them
+        self.passers = {}  # {template: y [m]} of vehicles that nobody here flies
         self.running = True
         self.sent = set()  # stamps of states and controls
         self.sent_s = 0.0  # [s] monotonic, of the newest ones
@@ -103,6 +104,7 @@ class World:
                 stamp = rospy.Time.now()
                 self.sent.add(stamp)
                 states, controls = Cortex(), Controls()
+                states.Obj += [States(name=name, visible=True, y=y, z=1.0) for name, y in self.passers.items()]
                 states.header.stamp = controls.header.stamp = stamp
                 references = Trajectories(header=states.header)
                 for vehicle, template in reversed(list(self.templates.items())):  # by name, not by index (D-27)

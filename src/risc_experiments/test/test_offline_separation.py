@@ -13,8 +13,10 @@ from risc_control.failsafe import SafetyLimits
 from risc_control.separation import Separation
 from risc_control.trajectories import COURSES, make_course, minimum_separation
 from risc_control.trajectory_manager import make_manager
+from risc_experiments import offline
 from risc_experiments.fleets import default_fleet
 from risc_experiments.offline import Flight, Loss, fly, fly_all
+from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S
 
 LIMITS = SafetyLimits()
@@ -44,6 +46,26 @@ def test_nobody_flies_into_one_that_stops(course, vehicles, what, seed, limit_m)
     result = fly(replace(stops, node={}))
     assert result.closest_m > limit_m
     assert all(result.landed)
+
+
+IRIS_M = load_vehicle_type("iris").wider_m
+
+
+@pytest.mark.parametrize(
+    ("types", "what", "seed", "limit_m"),
+    [
+        (("iris",) * 3, "controls", 2, LIMITS.separation_m + 2.0 * IRIS_M),
+        (("iris",) * 3, "laptop", 3, LIMITS.separation_m + 2.0 * IRIS_M),
+        (("iris", "ardrone", "ardrone"), "controls", 1, LIMITS.separation_m + IRIS_M),
+    ],
+)
+def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit_m, monkeypatch):
+    stops = Flight("knot", vehicles=3, seed=seed, types=types, duration_s=14.0, loss=Loss(seed % 3, what, 1.0))
+    result = fly(stops)
+    assert result.closest_m > limit_m and all(result.landed)
+    # the control arm: all are taken for AR.Drones
+    monkeypatch.setattr(offline, "wider_m", lambda vehicles: {})
+    assert fly(stops).closest_m < limit_m
 
 
 @pytest.mark.parametrize(("what", "vehicle"), [("state", 0), ("controls", 1), ("laptop", 2)])

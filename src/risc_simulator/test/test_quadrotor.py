@@ -16,6 +16,7 @@ ARDRONE = VehicleType(
     name="ardrone",
     mass_kg=0.45,
     inertia_kg_m2=(0.0022, 0.0030, 0.0048),
+    radius_m=0.25,
     roll=AttitudeLoop(5.8, 0.74, 1.17),
     pitch=AttitudeLoop(5.6, 0.61, 1.11),
     yaw_rate_time_constant_s=0.1,

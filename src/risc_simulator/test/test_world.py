@@ -11,12 +11,11 @@ from risc_lab.frames import GRAVITY_M_S2, euler_rates_from_body_rates
 from risc_lab.lab import Fleet, FleetLandmark, FleetVehicle, MocapEndpoint, Start, Template, load_vehicle_type
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
-from risc_simulator.models.integrator import COLLISION_DISTANCE_M
 from risc_simulator.vehicles.ardrone import firmware
 from risc_simulator.world import REST_HEIGHT_M, World
 
 GOLDEN = pathlib.Path(__file__).parent / "golden"
-TYPES = {"ardrone": load_vehicle_type("ardrone")}
+TYPES = {name: load_vehicle_type(name) for name in ("ardrone", "iris")}
 MARKERS = np.array([[0.2, 0.2, 0.0], [0.2, -0.2, 0.0], [-0.2, 0.2, 0.0], [-0.1, -0.2, -0.08]])
 NAMES = ["fluffy_II", "albatross", "Raven", "Condor", "Kahn"]
 TEMPLATES = {name: Template(name, "vehicle", ("a", "b", "c", "d"), MARKERS) for name in NAMES}
@@ -24,12 +23,12 @@ TEMPLATES["Green_pink"] = Template("Green_pink", "landmark", ("a", "b"), np.arra
 STARTS = [(0.5, 0.0), (-0.5, 0.5), (-0.5, -0.5), (1.0, 1.0), (-1.0, 1.0)]
 
 
-def make_fleet(n=1, yaw=0.0):
+def make_fleet(n=1, yaw=0.0, types=()):
     vehicles = tuple(
         FleetVehicle(
             "risc%d" % (i + 1),
             NAMES[i],
-            "ardrone",
+            types[i] if types else "ardrone",
             "127.0.0.%d" % (i + 2),
             Start(STARTS[i] + (0.0,), math.degrees(yaw)),
         )
@@ -38,9 +37,9 @@ def make_fleet(n=1, yaw=0.0):
     return Fleet("test", MocapEndpoint("127.0.0.1"), vehicles, (FleetLandmark("Green_pink", (2.0, 1.0, 1.0)),))
 
 
-def make_world(n=1, yaw=0.0, **options):
+def make_world(n=1, yaw=0.0, types=(), **options):
     options.setdefault("perturbed", False)
-    return World(make_fleet(n, yaw), TYPES, TEMPLATES, **options)
+    return World(make_fleet(n, yaw, types), TYPES, TEMPLATES, **options)
 
 
 def flying(position_m=(0, 0, 1), yaw=0.0, **options):
@@ -338,13 +337,40 @@ def test_vehicles_in_the_air_do_not_pass_through_each_other():
         ("risc1", "collided with risc2"),
         ("risc2", "collided with risc1"),
     ]
-    assert gaps_m[-2] >= COLLISION_DISTANCE_M > gaps_m[-1]
+    assert gaps_m[-2] >= 0.5 > gaps_m[-1]
     assert world.least_separation_m == pytest.approx(gaps_m[-1], abs=1e-12)
     np.testing.assert_allclose(world.crashes[0].position_m, first.state.position_m)
     world.step_to(world.time_s + 3.0)
     assert [v.phase for v in (first, second, third)] == [FlightPhase.EMERGENCY] * 2 + [FlightPhase.HOVERING]
     assert first.state.position_m[2] == second.state.position_m[2] == REST_HEIGHT_M
     assert len(world.crashes) == 2  # each is told once
+
+
+@pytest.mark.parametrize(
+    ("types", "touch_m"), [(("ardrone", "ardrone"), 0.5), (("iris", "ardrone"), 0.65), (("iris", "iris"), 0.8)]
+)
+def test_two_vehicles_touch_at_the_sum_of_their_radii(types, touch_m):
+    for towards in np.eye(3):
+        for apart_m in (touch_m + 0.002, touch_m - 0.002):
+            world = make_world(2, types=types)
+            first, second = world.vehicles.values()
+            first.fly_at((0.0, 0.0, 1.0))
+            second.fly_at((0.0, 0.0, 1.0) + apart_m * towards)
+            world.step_to(world.step_s)
+            assert world.least_separation_m == pytest.approx(apart_m, abs=1e-3)
+            crashed = [(crash.namespace, crash.reason) for crash in world.crashes]
+            both = [("risc1", "collided with risc2"), ("risc2", "collided with risc1")]
+            assert crashed == (both if apart_m < touch_m else [])
+
+
+def test_a_pair_that_is_farther_apart_may_be_the_one_that_touches():
+    world = make_world(4, types=("ardrone", "ardrone", "iris", "iris"))
+    places = (-1.0, -1.0, 1.0), (-0.4, -1.0, 1.0), (0.2, 1.0, 1.0), (0.95, 1.0, 1.0)
+    for vehicle, place in zip(world.vehicles.values(), places):
+        vehicle.fly_at(place)
+    world.step_to(world.step_s)
+    assert {crash.namespace for crash in world.crashes} == {"risc3", "risc4"}
+    assert world.least_separation_m == pytest.approx(0.6, abs=1e-3)
 
 
 def test_a_falling_vehicle_takes_another_with_it():

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
+from risc_lab.lab import load_vehicle_type
 from risc_lab.phases import phase_words
 from risc_msgs.msg import Cortex, States
 from risc_visual.drawing.cast import Index, reference_marks, title_text
@@ -108,6 +109,8 @@ def test_airframes_are_symmetric_with_a_painted_front(name):
     assert min(gaps) >= rotors[0].size_m[0]  # discs do not cut each other
     (arrow,) = (part for part in parts if part.shape == Marker.ARROW)
     assert arrow.points_m[1][0] > arrow.points_m[0][0] > 0
+    reach_m = max(np.hypot(*part.centre_m[:2]) + 0.5 * part.size_m[0] for part in rotors)
+    assert reach_m == pytest.approx(load_vehicle_type(name).radius_m, abs=0.03), "an AR.Drone's hull gives way a little"
 
 
 @pytest.mark.parametrize("tip_m, foot_m", [((0.9, 0.0, 2.0), (1.0, 0.0, 1.0)), ((0.0, 5.0, 2.0), None)])

@@ -85,7 +85,8 @@ class SafetyLimits(Settings):
     fence_margin_m: NotNegative = 0.2  # [m] the vehicle's centre must stay this far inside
     fence_lookahead_s: NotNegative = 0.5  # [s] ... and so must the place that it reaches this much later
     fence_delay_s: NotNegative = 0.05  # [s] outside for so long: LAND (one false measurement is no reason)
-    # Distances between the centres of vehicles in the air, see `separation`.
+    # Distances between the centres of vehicles in the air, see `separation`. They are those of two AR.Drones: others
+    # are kept farther apart by what the two reach farther than these (`radius_m` of the types), e.g. two IRIS+ 0.30 m.
     separation_m: NotNegative = 0.55  # [m] nearer: HOLD, then LAND; hulls are as wide, courses keep 0.63 m; 0 = off
     separation_stray_m: NotNegative = 1.0  # [m] ... from one that has left its course, is not seen, or holds itself
     separation_course_m: NotNegative = 0.5  # [m] farther than this from its reference a vehicle has left its course

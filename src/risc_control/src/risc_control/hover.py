@@ -288,9 +288,9 @@ class Hover:
 
         velocity_m_s: of the place that is held, cortex frame.  yaw_rate_rad_s: of its heading, + clockwise.
         """
-        step_s, self._commanded_s = now_s - self._commanded_s, now_s
         if self.phase not in _IN_AIR or self.phase is Phase.STOPPED or self._stands:
             return None
+        step_s, self._commanded_s = now_s - self._commanded_s, now_s
         climb_m_s = self._climb_m_s(velocity_m_s[2])
         if not self._is_seen(now_s):
             return self._blind(now_s, step_s, climb_m_s if self.phase is Phase.LANDING else 0.0)

@@ -16,6 +16,10 @@ One that is not seen stays where it was seen last, for `separation_forget_s`, wi
 down there; it may also have flown on for a while. A vehicle that stands on the floor makes nobody hold; landing on it
 is another matter (`Look.above`).
 
+Distances are between centres, and set for two AR.Drones. Two vehicles of which one or both reach farther (`radius_m` of
+the type) are kept as much farther apart: everywhere here their distance counts as less by what the two are wider
+(`wider_m`), so that the same gap is left between their hulls. Two IRIS+ hold at `separation_m` + 0.30 m.
+
 Positions and velocities: cortex frame, z up. Times: one clock that never steps.
 """
 
@@ -33,7 +37,7 @@ _LEVEL_M = 0.05  # vehicles whose heights differ by less: the order of the fleet
 _PIECES = 4  # straight ones, of a bent path
 _FLOOR_M = AIRBORNE_M + 0.2  # nobody moves down below this
 _STILL = (0.0, 0.0, 0.0)
-_BESIDE = 1.2  # times separation_m: so far from the one that stands below a vehicle lands
+_BESIDE = 1.2  # times separation_m (of two AR.Drones): so far from the one that stands below a vehicle lands
 
 
 class Cause(enum.IntEnum):
@@ -58,6 +62,7 @@ _VEHICLE = record(
     ("reference_m_s2", float, (3,)),
     ("referred_s", float),  # -inf: never
     ("order", int),  # in the fleet
+    ("wider_m", float),  # than an AR.Drone, from its centre
     ("on_course", bool),  # it has been at its reference since that came without a jump
     ("follows", bool),
     ("strays", bool),
@@ -89,11 +94,12 @@ ALONE = Look()
 class Separation:
     """The fleet as seen by a node that flies some of its vehicles. One thread at a time."""
 
-    def __init__(self, own, limits, fleet=()):
+    def __init__(self, own, limits, fleet=(), wider_m=None):
         """own: names of the node's vehicles.  limits: SafetyLimits.  fleet: names of all vehicles in the order that
         decides ties; () when no fleet is known: everybody in the states is a vehicle, in the order of the names.
+        wider_m: {name: how much farther it reaches than an AR.Drone}; those that are not there count as one.
         """
-        self._own, self._fleet = tuple(own), tuple(fleet)
+        self._own, self._fleet, self._wider_m = tuple(own), tuple(fleet), wider_m or {}
         self._limits = np.zeros(1, _LIMITS)[0]
         for name in _OF_SAFETY:
             self._limits[name] = getattr(limits, name)
@@ -166,6 +172,7 @@ class Separation:
         vehicles = np.zeros(len(self._names), _VEHICLE)
         vehicles["seen_s"] = vehicles["referred_s"] = -math.inf
         vehicles[: len(self._vehicles)] = self._vehicles
+        vehicles["wider_m"] = [self._wider_m.get(name, 0.0) for name in self._names]
         self._vehicles = vehicles
         self._apart_m = np.zeros((len(vehicles), len(vehicles)))
         order = {name: k for k, name in enumerate(self._fleet or sorted(self._names))}
@@ -240,19 +247,25 @@ def _velocity(vehicle):
 
 
 @compiled
+def _wider(one, other):
+    """What two vehicles are wider than two AR.Drones: so much less does their distance count."""
+    return one.wider_m + other.wider_m
+
+
+@compiled
 def _nearest_straight(one, velocity, other, other_velocity, is_unseen, within_s):
-    """Smallest distance of two vehicles within a time at such velocities; is_unseen: the other one is."""
+    """What the smallest distance of two vehicles counts, within a time at such velocities; is_unseen: the other is."""
     x = other.position_m[0] - one.position_m[0]
     y = other.position_m[1] - one.position_m[1]
     z = other.position_m[2] - one.position_m[2]
     (u, v, w), (other_u, other_v, other_w) = velocity, other_velocity
     if not is_unseen:
-        return _nearest(x, y, z, other_u - u, other_v - v, other_w - w, within_s)
+        return _nearest(x, y, z, other_u - u, other_v - v, other_w - w, within_s) - _wider(one, other)
     # it stopped, or flew on, and will come down
     z = min(z, 0.0)
     w = w if z < 0.0 else 0.0
     stopped_m = _nearest(x, y, z, -u, -v, -w, within_s)
-    return min(stopped_m, _nearest(x, y, z, other_u - u, other_v - v, -w, within_s))
+    return min(stopped_m, _nearest(x, y, z, other_u - u, other_v - v, -w, within_s)) - _wider(one, other)
 
 
 @compiled
@@ -269,7 +282,7 @@ def _nearest_bent(one, other, within_s):
         if k > 0:
             x, y, z = at[0]
             nearest_m = min(nearest_m, _nearest(x, y, z, at[1, 0] - x, at[1, 1] - y, at[1, 2] - z, 1.0))
-    return nearest_m
+    return nearest_m - _wider(one, other)
 
 
 @compiled
@@ -288,7 +301,8 @@ def _flies(vehicle):
 def _judge(vehicles, apart_m, now_s, limits):
     """Who of all holds, because of whom and why. Returns whether anybody does.
 
-    apart_m: (n, n) to work in: how near two will be at their velocities, inf for pairs that do not matter.
+    apart_m: (n, n) to work in: what it counts how near two will be at their velocities, inf for pairs that do not
+    matter.
     """
     n, anybody = len(vehicles), False
     for i in range(n):
@@ -349,8 +363,8 @@ def _avoid(vehicles, i, now_s, limits):
             continue
         x, y = one.position_m[0] - other.position_m[0], one.position_m[1] - other.position_m[1]
         level_m = math.hypot(x, y)
-        if level_m < beside_m and not _is_above(other, one):
-            beside_m, above = level_m, True
+        if level_m - _wider(one, other) < beside_m and not _is_above(other, one):
+            beside_m, above = level_m - _wider(one, other), True
             aside = (x / level_m, y / level_m) if level_m > 0.0 else (1.0, 0.0)
         if not _flies(other):
             continue

@@ -27,7 +27,8 @@ from risc_lab.settings import Positive, Settings, settings_from
 
 # Courses of chapter 6 and of the original release.
 COURSE_HEIGHT_M = 1.0
-SAFE_SEPARATION_M = 0.75  # between centres: AR.Drones are 0.55 m wide with their hull
+SAFE_SEPARATION_M = 0.75  # between centres of AR.Drones; of others by what the two widest reach farther
+_LEAST_SEPARATION_M = 0.6  # with less they hold (SafetyLimits.separation_m), with errors of 0.05 m
 FEW_VEHICLES = 5  # so many fly one figure in the laboratory's net, however near each other it brings them
 _FROM_NET_M = 0.7  # a course keeps so far inside the net: the fence is 0.2 m inside and looks half a second ahead
 _FROM_TOP_M = 0.5
@@ -269,28 +270,39 @@ def course_settings(name):
     return make_dataclass(name, numbers, bases=(Settings,), frozen=True)
 
 
-def course_for_fleet(name, vehicles, arena, **options):
+def course_for_fleet(name, vehicles, arena, wider_m=0.0, **options):
     """As `make_course`; where one figure cannot keep so many apart inside an Arena, they fly copies of it.
 
     Copies are side by side first, then above each other. Raises ValueError when there is no room. Up to FEW_VEHICLES
-    fly one figure in any case.
+    AR.Drones fly one figure in any case.
+
+    wider_m: what the two widest of the fleet reach farther than two AR.Drones (`widest_pair_m`). Up to FEW_VEHICLES of
+    which some are wider fly one figure unless it brings them so near that they would hold: ValueError.
     """
+    safe_m = SAFE_SEPARATION_M + wider_m
     if vehicles <= FEW_VEHICLES:
-        return make_course(name, vehicles, **options)
+        course = make_course(name, vehicles, **options)
+        closest_m, least_m = course_separation(course, 400), _LEAST_SEPARATION_M + wider_m
+        if wider_m and closest_m < least_m:
+            raise ValueError(
+                "'%s' brings %d vehicles within %.2f m of each other, and the widest two of this fleet need %.2f m: "
+                "fly fewer of them, or a wider course" % (name, vehicles, closest_m, least_m)
+            )
+        return course
     copied = make_course(name, 1, **options)  # whatever else is wrong is said here
     whole = _if_for(name, vehicles, options)
-    if whole and _room(whole, arena):
+    if whole and _room(whole, arena, safe_m):
         return whole
     most, course = 0, copied
-    while course and course_separation(course, 400) >= _WITHIN_COPIES_M:
-        if _room(course, arena):
+    while course and course_separation(course, 400) >= _WITHIN_COPIES_M + wider_m:
+        if _room(course, arena, safe_m):
             most, copied = len(course), course
         course = _if_for(name, len(course) + 1, options) if len(course) < vehicles else None
-    offsets = _places_for_copies(copied, arena) if most else []
+    offsets = _places_for_copies(copied, arena, _BETWEEN_COPIES_M + wider_m) if most else []
     if most * len(offsets) < vehicles:
         raise ValueError(
             "'%s' has no room for %d vehicles, %g m apart, in a net of %.1f x %.1f x %.1f m: at most %d"
-            % (name, vehicles, SAFE_SEPARATION_M, 2.0 * arena.half_x_m, 2.0 * arena.half_y_m, arena.height_m,
+            % (name, vehicles, safe_m, 2.0 * arena.half_x_m, 2.0 * arena.half_y_m, arena.height_m,
                most * max(1, len(offsets)))
         )  # fmt: skip
     copies = math.ceil(vehicles / most)
@@ -322,17 +334,17 @@ def _limits(arena):
     return np.array([*-half, 0.0]), np.array([*half, arena.height_m - _FROM_TOP_M])
 
 
-def _room(course, arena):
-    """Whether a course keeps its vehicles apart and inside an arena."""
+def _room(course, arena, safe_m):
+    """Whether a course keeps its vehicles so far apart and inside an arena."""
     (low, high), (least, largest) = _limits(arena), _extent(course)
     inside = (least >= low - 1e-9).all() and (largest <= high + 1e-9).all()
-    return inside and course_separation(course, 400) >= SAFE_SEPARATION_M
+    return inside and course_separation(course, 400) >= safe_m
 
 
-def _places_for_copies(course, arena):
+def _places_for_copies(course, arena, between_m):
     """(k, 3) offsets at which copies of a course fit into an arena, those of the lowest layer first."""
     (low, high), (least, largest) = _limits(arena), _extent(course)
-    pitch = largest - least + _BETWEEN_COPIES_M
+    pitch = largest - least + between_m
     counts = np.floor((high - low - (largest - least)) / pitch + 1e-9).astype(int)[:2] + 1
     layers = 1 + int((high[2] - largest[2]) / pitch[2] + 1e-9)
     along_x, along_y = (pitch[k] * (np.arange(counts[k]) - 0.5 * (counts[k] - 1)) for k in range(2))

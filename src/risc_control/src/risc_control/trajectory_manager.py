@@ -18,8 +18,9 @@ import numpy as np
 
 from risc_control.motions import Chains, coasting, standing
 from risc_control.reference_buffer import Axis, Order, sample_orders
-from risc_control.trajectories import on_course
+from risc_control.trajectories import SAFE_SEPARATION_M, on_course
 from risc_control.transitions import Home, Task, WayLimits, load, plan_ways
+from risc_lab.lab.fleet import widest_pair_m
 from risc_lab.phases import TrajectoryPhase as Phase
 from risc_lab.states import AIRBORNE_M
 
@@ -39,7 +40,16 @@ class TrajectoryManager:
     """References of n vehicles. Not thread-safe."""
 
     def __init__(
-        self, names, homes, course, limits=None, smooth=True, wait_for_all=True, lead_s=None, order=Order.SNAP
+        self,
+        names,
+        homes,
+        course,
+        limits=None,
+        smooth=True,
+        wait_for_all=True,
+        lead_s=None,
+        order=Order.SNAP,
+        safe_m=SAFE_SEPARATION_M,
     ):
         """names: of the vehicles.  homes: a Home each.  course: Course for so many vehicles.
 
@@ -48,12 +58,13 @@ class TrajectoryManager:
         through the places where the others wait.
         lead_s: ways begin this long after the order [s], and another thread plans them; None: they are planned at once.
         order: as `ask` takes it.
+        safe_m: distance that ways keep between any two vehicles, if that can be.
         """
         if not len(names) == len(homes) == len(course.paths):
             raise ValueError("%d vehicles, %d homes and a course for %d" % (len(names), len(homes), len(course.paths)))
         self.names = tuple(names)
         self.course = course
-        self.limits = limits or WayLimits()
+        self.limits, self.safe_m = limits or WayLimits(), safe_m
         self.closest_m = math.inf  # smallest planned distance of the last plan
         self.task = None  # what is to be planned now; None = nothing
         self._orders = {}  # {home: {vehicles}} that are not planned yet, in turn; the first is the task
@@ -234,6 +245,7 @@ class TrajectoryManager:
             self.limits,
             (Phase.HOME, Phase.HOMED) if home else (Phase.APPROACH, Phase.COURSE),
             self._smooth_to,
+            self.safe_m,
         )
 
     def _start(self, i, now_s, begin_s):
@@ -283,9 +295,10 @@ class TrajectoryManager:
 
 
 def make_manager(vehicles, course, home_height_m=1.0, limits=None, kind=TrajectoryManager, **options):
-    """TrajectoryManager of FleetVehicles: home is above where they started.
+    """TrajectoryManager of FleetVehicles: home is above where they started, and wide ones are kept farther apart.
 
     kind: it, or a subclass.  options: of TrajectoryManager.
     """
     homes = [Home((v.start.position_m[0], v.start.position_m[1], home_height_m), v.start.yaw_rad) for v in vehicles]
-    return kind([v.template for v in vehicles], homes, course, limits, **options)
+    safe_m = SAFE_SEPARATION_M + widest_pair_m(vehicles)
+    return kind([v.template for v in vehicles], homes, course, limits, safe_m=safe_m, **options)

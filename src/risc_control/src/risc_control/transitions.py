@@ -22,17 +22,17 @@ from scipy.spatial.distance import cdist
 
 from risc_control.motions import RAMP, blend, rise_values, standing, step_values, turn
 from risc_control.reference_buffer import Axis, Order
-from risc_control.trajectories import SAFE_SEPARATION_M, Course, minimum_separation, on_course
+from risc_control.trajectories import Course, minimum_separation, on_course
 from risc_lab.compiled import compiled
 from risc_lab.settings import Positive, Settings
 
 _STEP_S = 0.25  # distances are those of ways that are straight for this long; the true ones are up to 0.01 m smaller
-_ENOUGH_M = SAFE_SEPARATION_M + 0.01
+_BEYOND_M = 0.01  # more than is safe is enough,
 _DELAY_SPAN_S = 9.0  # candidate delays span this time, or that of the ways if it is longer
 _DELAYS = np.linspace(0.0, 1.0, 13)  # as fractions of the span
 _MANY = 20  # with more vehicles than this every other delay is tried
 _STRETCHES = (1.0, 1.3, 1.7, 2.2, 3.0)  # candidate durations over the shortest duration
-_RISES_M = (SAFE_SEPARATION_M + 0.1, SAFE_SEPARATION_M + 0.6)  # candidate heights above the direct way, over others
+_RISES_M = (0.1, 0.6)  # and candidate heights above the direct way, over others
 _RISE_STRETCHES = (1.1, 1.5, 2.0)  # candidate durations of a way that rises, over its shortest
 _WORTH_M = 0.02  # this much more distance is worth a later arrival
 _TRIES = 3  # changes of options that are tried: for each vehicle,
@@ -87,6 +87,7 @@ class Task(NamedTuple):
     limits: WayLimits
     calls: tuple  # what their motions call the way, and what comes after it
     smooth: int  # order to which the ways are continuous
+    safe_m: float  # distance that is to be kept between any two, if that can be
 
 
 class Plan(NamedTuple):
@@ -142,12 +143,12 @@ class _Option(NamedTuple):
     duration_s: float
 
 
-def _options(delays, shortest_s, together_s, limits):
+def _options(delays, shortest_s, together_s, limits, safe_m):
     longest_s = max(shortest_s, limits.longest_s)
     delays_s = [float(part * max(_DELAY_SPAN_S, shortest_s)) for part in delays]
     choices = {(delay_s, min(shortest_s * stretch, longest_s)) for delay_s in delays_s for stretch in _STRETCHES}
     options = [_Option(0.0, sum(choice), *choice) for choice in choices | {(0.0, together_s)}]
-    for rise_m in _RISES_M:
+    for rise_m in (safe_m + higher_m for higher_m in _RISES_M):
         by_acceleration_s = math.sqrt(_PEAK_ACCELERATION * rise_m / limits.acceleration_m_s2)
         ramp_s = max(_PEAK_SPEED * rise_m / limits.speed_m_s, by_acceleration_s)
         for stretch in _RISE_STRETCHES:
@@ -167,7 +168,8 @@ class _Timetable:
         """
         self._pairs, self._begin_s, self._limits = pairs, task.begin_s, task.limits
         delays = _DELAYS if len(pairs) <= _MANY else _DELAYS[::2]
-        self.options = _options(delays, shortest_s, together_s, task.limits)  # the best first: level, then soon
+        # the best first: level, then soon
+        self.options = _options(delays, shortest_s, together_s, task.limits, task.safe_m)
         self._level = sum(option.rise_m == 0.0 for option in self.options)
         self._first = self.options.index(_Option(0.0, together_s, 0.0, together_s))
         self._fitting = {}  # (vehicle, option): whether the way keeps the limits
@@ -183,7 +185,8 @@ class _Timetable:
         self._tracks = np.concatenate([self._starts, _positions(task.others, task.begin_s + times)])
         self._near_m = np.full((len(self._tracks), len(self._tracks)), math.inf)  # smallest distance of two
         apart_m = minimum_separation(np.ascontiguousarray(self._ends.transpose(1, 0, 2)))
-        self._enough_m = min(_ENOUGH_M, apart_m - 0.003)  # more cannot be had on a course that has less itself
+        # more cannot be had on a course that has less itself
+        self._enough_m = min(task.safe_m + _BEYOND_M, apart_m - 0.003)
 
     def best(self):
         """(smallest distance, choice: an option for each of those who leave): apart if that can be, then soon."""
@@ -380,7 +383,7 @@ def _begin_course(task):
         durations_s = durations_s[(durations_s <= limits.longest_s) & (durations_s < best_s)]
         rows = (course_s + _ROUGH_FRACTIONS * durations_s[:, None]) / grid_s
         apart_m = _rough_distances(here_m, paths_m[:, order], rows, durations_s, task.smooth)
-        for cost_s, duration_s in sorted(zip(durations_s + _worth_s(apart_m), durations_s)):
+        for cost_s, duration_s in sorted(zip(durations_s + _worth_s(apart_m, task.safe_m), durations_s)):
             if cost_s >= best_s:
                 break
             if all(pair.fits(begin_s, duration_s, limits) for pair in pairs):
@@ -399,9 +402,9 @@ def _begin_course(task):
     return course.reordered(order), float(min(epochs_s, key=turning_s)), shortest_s, together_s
 
 
-def _worth_s(apart_m):
+def _worth_s(apart_m, safe_m):
     """What detours are worth that keep vehicles apart that come so near [s]."""
-    spare_m, needed_m = SAFE_SEPARATION_M + _SPARE_M - apart_m, SAFE_SEPARATION_M - apart_m
+    spare_m, needed_m = safe_m + _SPARE_M - apart_m, safe_m - apart_m
     return _SPARE_S_M * np.maximum(0.0, spare_m) + _NEEDED_S_M * np.maximum(0.0, needed_m)
 
 

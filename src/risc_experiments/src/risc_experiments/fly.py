@@ -33,6 +33,7 @@ from risc_experiments.processor_use import ProcessorUse
 from risc_experiments.report import WITH_CAMERAS, make_report
 from risc_lab.lab import load_fleet
 from risc_lab.lab.calibration import load_calibration
+from risc_lab.lab.fleet import widest_pair_m
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
 
@@ -164,7 +165,8 @@ def prepare_fleet(args, subnet, folder):
     if sum(counts) > MAX_BODIES:
         text = "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"
         raise FlightError(text % (*counts, sum(counts), MAX_BODIES))
-    course_for_fleet(trajectory, args.vehicles, fleet.arena)  # better now than in the air
+    # better now than in the air
+    course_for_fleet(trajectory, args.vehicles, fleet.arena, widest_pair_m(fleet.vehicles))
     own_params(args.controller, fleet.vehicles, args.fleet)
     fleet = fleet.in_subnet(subnet)
     if args.mocap_rate is not None:

@@ -39,6 +39,7 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.on_board import OnBoardReadings
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
+from risc_lab.lab.fleet import wider_m, widest_pair_m
 from risc_lab.states import S, States
 from risc_simulator.faults import Wires
 from risc_simulator.models.flight import FlightAction, FlightPhase
@@ -140,14 +141,15 @@ def fly(flight):
         velocity_filter=make_filter(estimator_of(flight.controller, flight.estimator)),
     )
     yaw = None if flight.psi_deg is None else YawProgram(math.radians(flight.psi_deg))
-    course = course_for_fleet(flight.trajectory, len(names), fleet.arena, **flight.course).with_yaw(yaw)
+    wide_m = widest_pair_m(fleet.vehicles)
+    course = course_for_fleet(flight.trajectory, len(names), fleet.arena, wide_m, **flight.course).with_yaw(yaw)
     own = own_params(flight.controller, fleet.vehicles, flight.fleet or "fleet '%s'" % fleet.name)
     loop = ControlLoop(flight.controller, vehicle_types, flight.params, own)
     manager = make_manager(fleet.vehicles, course, order=loop.controller.ORDER)
     buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
     params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **flight.node})
-    separation = Separation(names, params, names)
+    separation = Separation(names, params, names, wider_m(fleet.vehicles))
     chains, loss = [], flight.loss
     wires, arrived = Wires(flight.seed), []
     stream = wires.wire("cortex/stream")

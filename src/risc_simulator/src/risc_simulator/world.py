@@ -21,7 +21,7 @@ from risc_lab.compiled import compiled, record
 from risc_lab.frames import GRAVITY_M_S2, rotation_body_to_cortex
 from risc_simulator.bodies import load_body
 from risc_simulator.models.flight import Crash, FlightPhase, VehicleState
-from risc_simulator.models.integrator import COLLISION_M2, GUST_TIME_CONSTANT_S, REST_HEIGHT_M, closest, integrator
+from risc_simulator.models.integrator import GUST_TIME_CONSTANT_S, REST_HEIGHT_M, closest, integrator
 from risc_simulator.models.perturbed_plant import draw_plant, fill_records
 from risc_simulator.models.quadrotor import U, X, level_motion
 from risc_simulator.vehicles import virtual_type
@@ -161,6 +161,7 @@ class World:
         rows = len(X) + max((kind.body.size for kind in self._kinds if kind.body), default=0)
         self._x = np.zeros((rows, n))
         self._u = np.zeros((len(U), n))
+        self._radius_m = np.array([vehicle_type.radius_m for vehicle_type in types])
         vehicles = []
         for i, (fleet_vehicle, vehicle_type) in enumerate(zip(fleet.vehicles, types)):
             virtual = virtual_type(vehicle_type.name)
@@ -250,10 +251,10 @@ class World:
             if touching:
                 for i in np.flatnonzero(self._flags[1]).tolist():
                     self._meet_wall_or_floor(i)
-            least_m2 = closest(self._x, self._lifted)
+            least_m2, touch = closest(self._x, self._lifted, self._radius_m)
             if least_m2 < self._least_squared_m2:
                 self._least_squared_m2 = least_m2
-            if least_m2 < COLLISION_M2:
+            if touch:
                 self._meet_each_other()
 
     def _advance(self, gusts):
@@ -268,7 +269,7 @@ class World:
         self._advance(np.empty((0, 3)))
         self.truth()
         self.markers_m()
-        closest(self._x, self._lifted)
+        closest(self._x, self._lifted, self._radius_m)
         level_motion(self._x[:, 0])
 
     # ------------------------------------------------------------------ what on-board logic decides
@@ -325,7 +326,7 @@ class World:
         in_air = np.flatnonzero(self._lifted)
         first, second = (in_air[chosen] for chosen in np.triu_indices(len(in_air), 1))
         apart_m = self._x[: X.H + 1, first] - self._x[: X.H + 1, second]
-        near = (apart_m**2).sum(axis=0) < COLLISION_M2
+        near = (apart_m**2).sum(axis=0) < (self._radius_m[first] + self._radius_m[second]) ** 2
         for pair in zip(first[near].tolist(), second[near].tolist()):
             for this, other in (pair, pair[::-1]):
                 firmware = self._vehicles[this].firmware

@@ -26,6 +26,7 @@ from risc_control.trajectories import (
 )
 from risc_control.trajectory_manager import TrajectoryManager, make_manager
 from risc_control.transitions import WayLimits, plan_ways
+from risc_lab.lab.fleet import widest_pair_m
 from risc_lab.ros.clock import SteadyClock
 from risc_lab.ros.fleet_messages import CortexArrays, TrajectoriesArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
@@ -190,7 +191,7 @@ class ManagerWiring:
             with self.lock:
                 accepted = self.manager.accept(task, plan, self.clock.now_s())
                 task = self.manager.task
-            if accepted and plan.closest_m < SAFE_SEPARATION_M:
+            if accepted and plan.closest_m < self.manager.safe_m:
                 rospy.logwarn("on their ways vehicles come within %.2f m of each other", plan.closest_m)
 
 
@@ -234,7 +235,8 @@ class TrajectoryNode(ReferenceNode):
         params, numbers, *self.more = load_params(
             TrajectoryParams, numbers, *kinds, known=("course", *VEHICLE_KEYS), lenient=True
         )
-        course = course_for_fleet(name, len(fleet_vehicles), known_arena(), **vars(numbers)).with_yaw(params.yaw)
+        room = len(fleet_vehicles), known_arena(), widest_pair_m(fleet_vehicles)
+        course = course_for_fleet(name, *room, **vars(numbers)).with_yaw(params.yaw)
         check_course(course, fleet_vehicles)
         super().__init__(ManagerWiring(fleet_vehicles, course, params))
 
@@ -277,7 +279,7 @@ class CourseSelector:
 def check_course(course, fleet_vehicles):
     """Warn of a course that the vehicles cannot fly as it is."""
     closest_m = course_separation(course, 400)
-    if closest_m < SAFE_SEPARATION_M:
+    if closest_m < SAFE_SEPARATION_M + widest_pair_m(fleet_vehicles):
         rospy.logwarn("on '%s' %d vehicles come within %.2f m of each other", course.name, len(course), closest_m)
     limit_rad_s = min(vehicle.vehicle_type.yaw_rate_max_rad_s for vehicle in fleet_vehicles)
     rate_rad_s = peak_yaw_rate_rad_s(course)

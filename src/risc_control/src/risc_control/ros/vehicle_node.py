@@ -28,7 +28,7 @@ from risc_control.separation import ALONE, Separation
 from risc_control.vehicle_pilot import OwnState, VehicleNodeParams, VehiclePilot
 from risc_control.vehicles import Controls, adapter_class
 from risc_lab.lab.arena import Arena
-from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle
+from risc_lab.lab.fleet import laboratory_vehicles, unplaced_vehicle, wider_m
 from risc_lab.lab.vehicle_types import LEGACY_PARAMETERS, disagreement
 from risc_lab.ros import low_latency
 from risc_lab.ros.clock import ros_time_s
@@ -76,6 +76,8 @@ class VehicleNode:
         buttons = {button.value: getattr(params, button.value) for button in Button}
         claim_buttons(buttons, [prefix + "joy" for _, prefix, _ in chosen])
         types = [told_vehicle_type(vehicle, values) for vehicle, _, _ in chosen]
+        everybody = fleet.vehicles if fleet is not None else ()
+        wide_m = wider_m(everybody) | {who.template: kind.wider_m for (who, _, _), kind in zip(chosen, types)}
         rates_hz = [params.rate_hz(vehicle_type) for vehicle_type in types]
         turns_s = _turns_s([1.0 / rate_hz for rate_hz in rates_hz])
         self.sent = queue.SimpleQueue()  # of CommandSent: those that have their turn together share a message
@@ -85,8 +87,8 @@ class VehicleNode:
         self._vehicles = [_Vehicle(self, *who, kind, turn_s) for who, kind, turn_s in zip(chosen, types, turns_s)]
         self._by_name = {vehicle.name: vehicle for vehicle in self._vehicles}
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
-        everybody = [vehicle.template for vehicle in fleet.vehicles] if fleet is not None else ()
-        self._separation = Separation(self._by_name, params, everybody)
+        order = [vehicle.template for vehicle in everybody]
+        self._separation = Separation(self._by_name, params, order, wide_m)
         tick_hz = _TICKS_PER_COMMAND * max(rates_hz)
         self._tick_s = 1.0 / tick_hz
         self._streams = defaultdict(lambda: ControllerStream(self._tick_s))  # {sender of /controls: its stream}

@@ -136,6 +136,17 @@ def laboratory_vehicles(kind="ardrone"):
     return tuple(unplaced_vehicle(*names, kind) for names in LEGACY_VEHICLES[kind].items())
 
 
+def wider_m(vehicles):
+    """{template: how much farther it reaches than an AR.Drone [m]} of FleetVehicles. Raises ValueError."""
+    of_type = {kind: load_vehicle_type(kind).wider_m for kind in {vehicle.type for vehicle in vehicles}}
+    return {vehicle.template: of_type[vehicle.type] for vehicle in vehicles}
+
+
+def widest_pair_m(vehicles):
+    """The same of the two widest of them together."""
+    return sum(sorted(wider_m(vehicles).values())[-2:])
+
+
 @dataclass(frozen=True)
 class FleetLandmark(Settings):
     """One landmark and where it is mounted (virtual lab only; in the lab mocap measures it)."""

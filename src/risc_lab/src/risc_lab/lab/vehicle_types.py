@@ -4,6 +4,7 @@ Controllers, the vehicle node, the driver's launch file and the virtual lab read
 vehicle has otherwise than its type (`OVERRIDABLE`).
 """
 
+import functools
 import math
 import pathlib
 from dataclasses import dataclass, field
@@ -49,6 +50,7 @@ class VehicleType(Settings):
     name: Name
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]  # Jx, Jy, Jz; body axes
+    radius_m: Positive  # how far hull and propellers reach from its centre: two touch at the sum of theirs
     roll: AttitudeLoop
     pitch: AttitudeLoop
     yaw_rate_time_constant_s: Positive  # r' = (command - r) / tau
@@ -69,6 +71,16 @@ class VehicleType(Settings):
     driver: str = ""  # type with the same driver, see launch/driver.launch; "" = it has its own
     # {controller: {key: value}} of its YAML file that the type has otherwise
     controllers: dict[str, dict[str, float]] = field(default_factory=dict, hash=False)
+
+    @property
+    def wider_m(self):
+        """How much farther it reaches than an AR.Drone, for which distances are set; 0 for one that reaches less."""
+        return max(0.0, self.radius_m - _ardrone_radius_m())
+
+
+@functools.cache
+def _ardrone_radius_m():
+    return load_vehicle_type("ardrone").radius_m
 
 
 def load_vehicle_type(name, overrides=()):

@@ -21,8 +21,6 @@ from risc_simulator.models.quadrotor import U, X, slope
 
 REST_HEIGHT_M = 0.08  # of a vehicle's centre above the floor when it stands
 GUST_TIME_CONSTANT_S = 1.5  # first-order (Dryden-like) correlation
-COLLISION_DISTANCE_M = 0.5  # between centres, in any direction: indoor hulls are 0.52 m across and give way a little
-COLLISION_M2 = COLLISION_DISTANCE_M**2
 _TOUCH_M2 = 1e-12  # what rounding may do to the square of a distance
 
 # --- the equations of one kind of system -----------------------------------------------------------------------------
@@ -132,16 +130,21 @@ def is_beyond(x, net_m):
 
 
 @compiled
-def closest(x, lifted):
-    """Least squared distance of two vehicles in the air [m^2], inf when there are no two."""
-    least_m2 = math.inf
+def closest(x, lifted, radius_m):
+    """(least squared distance of two vehicles in the air [m^2], inf when there are no two; whether two touch).
+
+    radius_m: (n,) of each, in any direction.
+    """
+    least_m2, touch = math.inf, False
     for i in range(x.shape[1]):
         if lifted[i]:
             for j in range(i):
                 if lifted[j]:
                     north, east, up = x[X.P_N, i] - x[X.P_N, j], x[X.P_E, i] - x[X.P_E, j], x[X.H, i] - x[X.H, j]
-                    least_m2 = min(least_m2, north * north + east * east + up * up)
-    return least_m2
+                    square = north * north + east * east + up * up
+                    least_m2 = min(least_m2, square)
+                    touch |= square < (radius_m[i] + radius_m[j]) ** 2
+    return least_m2, touch
 
 
 # --- compiling a kind ------------------------------------------------------------------------------------------------
