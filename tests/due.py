@@ -17,7 +17,6 @@ from unicorn import arm_const as arm
 
 FIRMWARE = pathlib.Path(__file__).resolve().parents[1] / "firmware"
 
-CLOCK_HZ = 84_000_000
 CYCLES_PER_US = 84
 TICKS_PER_US = 42  # of the timer
 CYCLES = 3  # of an instruction

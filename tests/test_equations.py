@@ -73,7 +73,7 @@ def test_every_file_and_function_exists():
         if not path.is_file():
             missing.append(link)
             continue
-        known = names_in(path)
+        known = names_in(path) if path.suffix == ".py" else ()
         missing += ["%s %s" % (link, name) for name in re.findall(r"`([\w.]+)`", names) if name not in known]
     assert len(places) > 25
     assert not missing

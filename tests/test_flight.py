@@ -240,6 +240,7 @@ def test_two_flights_at_the_same_time_pass(tmp_path):
         assert left_behind(folder) == []
 
 
+@pytest.mark.release  # test_iris_flight.py flies the same figures, by the same nodes
 def test_df_demo_flies_its_figures(tmp_path):
     code, output, _, _ = fly(tmp_path, "df_demo", "--duration", "5")
     assert code == 0, output

@@ -28,6 +28,8 @@ class ControlsCheck {
   static_assert(C::kJump > 0.0 && C::kJump <= 2.0, "kJump: above 0, at most 2");
 
   static constexpr size_t kLongestName = 64;
+  // A silence: the failsafe may have come, which is up to a frame before kFailsafeMs.
+  static constexpr uint32_t kSilenceMs = Sticks<C>::kFailsafeFrames * C::kFrameUs / 1000;
 
   struct Verdict {
     bool accepted;    // fractions() are those of this message
@@ -64,7 +66,7 @@ class ControlsCheck {
     double values[kSticks];
 
     bool agrees(Text other, const double (&others)[kSticks], uint32_t now_ms) const {
-      if (!there || now_ms - ms > static_cast<uint32_t>(C::kFailsafeMs)) return false;
+      if (!there || now_ms - ms >= kSilenceMs) return false;
       if (!equal(Text{name, name_length}, other)) return false;
       for (int i = 0; i < kSticks; ++i) {
         const double change = others[i] - values[i];

@@ -10,7 +10,7 @@
 // #define USE_USBCON
 #ifdef USE_USBCON
 #define HOST SerialUSB
-#define HOST_ROOM 32  // sent or given up at once
+#define HOST_ROOM 32  // write() waits while the computer takes nothing; the interrupt and its failsafe do not
 #else
 #define HOST Serial
 #define HOST_ROOM Serial.availableForWrite()
@@ -60,7 +60,7 @@ void loop() {
   size_t room = static_cast<size_t>(HOST_ROOM);
   if (room > sizeof bytes) room = sizeof bytes;
   const size_t count = firmware.send(bytes, room);
-  if (count > 0) HOST.write(bytes, count);  // never more than fits: write() would wait
+  if (count > 0) HOST.write(bytes, count);  // by UART never more than fits: write() would wait
 
   digitalWrite(LED_BUILTIN, firmware.led_is_on(millis()) ? HIGH : LOW);
 }

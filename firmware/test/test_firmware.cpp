@@ -292,8 +292,10 @@ TEST(Check, BelievesAFastRampInTheEnd) {
 
 TEST(Check, WantsTwoMessagesAfterASilence) {
   Judge<Configuration> judge;
-  EXPECT_FALSE(judge(host::controls(0, 0, 0, -1), 501).accepted);
-  EXPECT_TRUE(judge(host::controls(0, 0, 0, -1)).accepted);
+  for (uint32_t silence_ms : {480u, 501u}) {  // failsafe comes after 480 to 500 ms
+    EXPECT_FALSE(judge(host::controls(0, 0, 0, -1), silence_ms).accepted);
+    EXPECT_TRUE(judge(host::controls(0, 0, 0, -1), 479).accepted);
+  }
 }
 
 TEST(Check, BelievesNoOtherVehicle) {

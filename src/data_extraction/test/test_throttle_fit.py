@@ -94,12 +94,15 @@ def test_what_is_no_hover_counts_not():
     thrown[half:, 2] += 0.3 * np.sign(np.cos(np.pi * states[half:, 0]))  # in the middle of each window
     silent = throttle[throttle[:, 0] < states[half, 0]]
     untold = battery[battery[:, 0] < states[half, 0]]
+    carried = throttle.copy()  # about the room, disarmed
+    carried[carried[:, 0] >= states[half, 0], 1] = -1.0
     for told in (
         (low, throttle, battery),
         (fast, throttle, battery),
         (rises, throttle, battery),
         (thrown, throttle, battery),
         (states, silent, battery),
+        (states, carried, battery),
         (states, throttle, untold),
     ):
         assert hover_points(*told, FitParams()).seconds.sum() == pytest.approx(everything.seconds.sum() / 2.0, abs=8.0)

@@ -375,11 +375,12 @@ def test_states_lost_level_and_then_land_mode(autonomous):
     assert desk.iris.impact_m_s < 0.7
 
 
-def blind_landing():
-    """(desk) states and telemetry are lost: nothing but the radio works."""
+def blind_landing(then=1.0):
+    """(desk) states and telemetry are lost: nothing but the radio works. then: its thrust, of what it was."""
     desk = flown(more=0.9)
     desk.run(2.0)
     desk.alive -= {"state", "telemetry"}
+    desk.iris.more *= then
     desk.run(12.0, lambda: desk.iris.stands)
     return desk
 
@@ -387,11 +388,17 @@ def blind_landing():
 def test_without_states_and_telemetry_it_comes_down_by_the_model(monkeypatch):
     desk = blind_landing()
     assert desk.iris.stands and desk.iris.impact_m_s < 0.8 and desk.iris.mode == "STABILIZE"
-    desk.run(2.0)
-    assert desk.sent[-1][1] == LOWEST
+    assert desk.run(5.0, lambda: not desk.iris.armed) and desk.iris.mode == "LAND"  # nothing is sent any more
     assert desk.pilot.ladder.verdict.operator  # nothing tells that it lands
     monkeypatch.setattr(hover, "DESCENT_M_S", 0.0)
     assert not blind_landing().iris.stands
+
+
+def test_where_the_model_is_wrong_its_own_failsafe_lands_it(monkeypatch):
+    desk = blind_landing(then=1.01)
+    assert desk.iris.stands and desk.iris.impact_m_s < 0.8 and desk.iris.mode == "LAND"
+    monkeypatch.setattr(hover.Hover, "must_be_silent", lambda *_: False)
+    assert not blind_landing(then=1.01).iris.stands
 
 
 def test_a_silent_controller_is_held_in_place_and_then_landed():
@@ -418,6 +425,7 @@ def test_silent_telemetry_lands_it(autonomous):
     verdict = desk.pilot.ladder.verdict
     assert (verdict.level, verdict.rule) == (FailsafeLevel.LAND, Rule.NAVDATA)
     assert desk.run(6.0, lambda: desk.iris.stands) and desk.iris.impact_m_s < 0.4
+    assert not desk.pilot.ladder.verdict.operator  # it is seen to come down
     desk.run(2.0)
     assert desk.sent[-1][1] == LOWEST
 
@@ -465,6 +473,40 @@ def test_no_autonomous_flight_in_another_mode():
     desk.iris.mode = "STABILIZE"
     desk.wait_for(FlightState.HOVERING, 1.0)
     assert desk.press(TOGGLE).mode is True
+
+
+@pytest.mark.parametrize(("mode", "state"), [("LOITER", FlightState.OTHER_MODE), ("LAND", FlightState.LANDING)])
+def test_another_mode_ends_autonomous_flight_and_it_goes_on_from_where_it_is(mode, state):
+    desk = flown(more=1.0)
+    desk.run(1.0)
+    desk.iris.mode = mode
+    desk.wait_for(state, 0.5)
+    desk.iris.position_m[0] += 1.0  # somebody else flies it there
+    desk.iris.mode = "STABILIZE"
+    desk.wait_for(FlightState.HOVERING, 0.5)
+    x_m = desk.iris.position_m[0]
+    desk.run(2.0)
+    assert not desk.pilot.autonomous and desk.iris.position_m[0] == pytest.approx(x_m, abs=0.03)
+
+
+def test_a_landing_in_another_mode_is_the_autopilots():
+    desk = Desk().up()
+    desk.iris.mode = "ALT_HOLD"
+    desk.wait_for(FlightState.OTHER_MODE, 0.5)
+    desk.press(TAKEOFF_LAND)
+    desk.run(0.1)
+    assert desk.iris.mode == "LAND"
+    desk.wait_for(FlightState.LANDED, 5.0)
+
+
+def test_a_take_off_begins_without_what_was_learnt_before():
+    desk = Desk(Iris(more=0.88)).up()
+    desk.run(3.0)
+    desk.press(TAKEOFF_LAND)
+    desk.wait_for(FlightState.LANDED, 8.0)
+    assert abs(desk.pilot._adapter.trim_m_s2) > 0.5
+    desk.pilot._hover.observer.trim_m_s2 = -3.0  # it hung in the net
+    desk.up()
 
 
 def test_the_operator_takes_over_from_a_landing():
@@ -580,6 +622,14 @@ def test_a_landing_that_is_asked_for_ends_a_take_off_that_is_not_armed_yet():
     desk.iris.arms = True
     desk.run(3.0)
     assert desk.pilot.flight_state == FlightState.LANDED and desk.iris.stands
+
+
+def test_the_button_ends_a_take_off_that_is_not_armed_yet():
+    desk = Desk()
+    desk.iris.arms = False
+    desk.press(TAKEOFF_LAND)
+    desk.run(0.2)
+    assert desk.press(TAKEOFF_LAND).disarm and desk.pilot.flight_state == FlightState.LANDED
 
 
 def test_the_charge_moves_the_throttle():

@@ -491,6 +491,20 @@ def test_devices_of_the_fleet_and_who_has_them_open(tmp_path):
     assert serial_lines.look("arduino of iris1", str(path))[0].code == "there"
 
 
+def test_the_driver_of_the_telemetry_has_its_device_to_itself(monkeypatch):
+    driver = socket_owners.Process(7, ("/usr/bin/python3", "/x/driver.py", "--device=/dev/null", "__name:=roscopter"))
+    monitor = socket_owners.Process(8, ("minicom", "-D", "/dev/null"))
+    second = socket_owners.Process(9, ("/usr/bin/python3", "/x/driver.py", "--device=/dev/null", "__name:=other"))
+    for users, code, named in (
+        ([driver], "driven", 7),
+        ([driver, monitor], "in_use", 8),
+        ([driver, second], "in_use", 9),
+    ):
+        monkeypatch.setattr(serial_lines, "users_of_device", lambda path, users=users: users)
+        (finding,) = serial_lines.look("telemetry of iris1", "/dev/null")
+        assert finding.code == code and "(pid %d)" % named in finding.text
+
+
 def test_lines_of_a_graph_and_of_a_fleet():
     graph = ros_graph.GraphReport(lines={"/iris1/arduino": line(Cause.SPEED), "/iris2/arduino": None})
     vehicle = types.SimpleNamespace(namespace="iris1", devices={"arduino": "/dev/ttyACM9", "telemetry": "/dev/none"})

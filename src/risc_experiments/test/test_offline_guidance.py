@@ -40,7 +40,11 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     vehicle = world.vehicles[place.namespace]
     vehicle.fly_at(place.start.position_m[:2] + (1.0,), place.start.yaw_rad)
     node = VehicleNodeParams(joystick_timeout=0.0)
-    chain, buffer = offline._Chain(vehicle, 0.3, node, Wires(flight.seed), lambda *_: None), ReferenceBuffer()
+
+    def nobody(*_):
+        pass
+
+    chain, buffer = offline._Chain(vehicle, 0.3, node, Wires(flight.seed), nobody, nobody), ReferenceBuffer()
 
     let_go_s = home_s = math.inf
     ranges, radii, homing = [], [], []

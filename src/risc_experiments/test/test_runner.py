@@ -248,6 +248,12 @@ def test_a_flight_has_time_for_all_that_its_operator_does(tmp_path, demo, kind):
     assert [vehicle.type for vehicle in fleet.vehicles] == [kind]
 
 
+def test_the_experiment_of_the_iris_wants_one(tmp_path):
+    mixed = pathlib.Path(__file__).resolve().parents[3] / "launch/fleets/mixed3.yaml"
+    with pytest.raises(FlightError, match="first vehicle of fleet 'mixed3' is of type 'ardrone'"):
+        prepare_fleet(arguments(["iris", "--fleet", str(mixed)]), "127.99", tmp_path)
+
+
 def test_a_vehicle_may_be_heard_of_while_the_last_ones_are_shown():
     """Its report comes in a thread of rospy's."""
     pytest.importorskip("rospy")

@@ -8,6 +8,7 @@ from iris_flight import CENTRE_US, HIGHEST_US, LOWEST_US, Hands, make_world
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.vehicles.iris import firmware
 from risc_simulator.vehicles.iris.firmware import CRITICAL_BATTERY_PCT, LOW_BATTERY_PCT, Mode, RcFrame
+from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, GROUND_PRESSURE_PA
 
 LAND_M_S = 0.4
 
@@ -279,6 +280,11 @@ def test_parameters_change_what_a_stick_means(hands):
     assert hands.autopilot.command[0] == pytest.approx(-0.5236, abs=1e-3)
 
 
+def test_its_parameters_say_what_its_sensors_read(hands):
+    parameters = hands.autopilot.parameters
+    assert (parameters["BATT_CAPACITY"], parameters["BARO1_GND_PRESS"]) == (1e3 * CAPACITY_AH, GROUND_PRESSURE_PA)
+
+
 @pytest.mark.parametrize("changes", [{"tilt_max_rad": 0.1}, {"climb_max_m_s": 0.2}, {"yaw_rate_max_rad_s": 7.0}])
 def test_full_scales_that_arducopter_has_not_are_refused_by_name(changes):
     with pytest.raises(ValueError, match="vehicle type 'iris': tilt_max_rad, .*ArduCopter"):
@@ -407,6 +413,14 @@ def test_overrides_alone_arm_and_keep_the_radio_failsafe_away(hands):
     assert hands.autopilot.mode is Mode.STABILIZE
     hands.wait(0.2)
     assert hands.autopilot.mode is Mode.LAND
+
+
+def test_with_an_override_in_force_a_silent_radio_counts_as_lost_after_a_second(flyer):
+    flyer.autopilot.override((1500, 1500, flyer.throttle_for(), 1500), flyer.world.time_s)
+    flyer.wait(0.9)
+    assert flyer.autopilot.mode is Mode.STABILIZE
+    flyer.wait(0.2)
+    assert flyer.autopilot.mode is Mode.LAND
 
 
 def test_an_override_time_of_zero_switches_overrides_off(hands):

@@ -592,6 +592,8 @@ def test_message_intervals(lab):
     assert lab.order(511, attitude, -1.0) == (ACCEPTED, [])
     assert set(names(lab.run(1.02))) == {"HEARTBEAT"}
     assert lab.order(510, attitude)[1][0].values == (-1, attitude)
+    assert lab.order(511, attitude, 3e38) == (ACCEPTED, [])
+    assert lab.order(510, attitude)[1][0].values == (2**31 - 1, attitude)
     assert lab.order(511, 264.0, 1e5) == (UNSUPPORTED, [])
     assert lab.order(510, 264.0)[0] == UNSUPPORTED
     assert lab.order(511, 0.0, 1e5) == (DENIED, [])  # its heartbeat nobody changes
@@ -713,6 +715,8 @@ def test_battery(lab):
     vehicle.change(battery_pct=20.0)
     lab.now_s += 1.0
     assert lab.told("SYS_STATUS")[4] < voltage_mv
+    vehicle.firmware.drain_pct_s = 10.0  # of a test with a tiny battery: more than the field holds
+    assert lab.told("SYS_STATUS")[5] == lab.told("BATTERY_STATUS")[13] == 32767
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """From sticks to an IRIS+ without sockets: as the board, its signal and the radio take them."""
 
+import pathlib
+import re
 from collections import namedtuple
 
 import pytest
@@ -7,10 +9,18 @@ from iris_flight import make_world
 
 from risc_simulator.models.flight import FlightAction, FlightPhase
 from risc_simulator.vehicles.iris.firmware import Mode
-from risc_simulator.vehicles.iris.offline import FAILSAFE_S, FRAME_S, OfflineLink
+from risc_simulator.vehicles.iris.offline import FAILSAFE_S, FAILSAFE_US, FRAME_S, OfflineLink
 
 CYCLE_S = 0.005
 Sticks = namedtuple("Sticks", "forward left up turn_left")  # as a vehicle node has them
+
+
+def test_its_board_is_the_one_that_is_shipped():
+    path = pathlib.Path(__file__).resolve().parents[3] / "firmware/dueppm/configuration.h"
+    shipped = dict(re.findall(r"constexpr \w+ (k\w+) = (\w+);", path.read_text(encoding="utf-8")))
+    centre_us, lowest_us = int(shipped["kCentreUs"]), int(shipped["kFailsafeThrottleUs"])
+    assert shipped["kFailsafeHolds"] == "false" and (centre_us, centre_us, lowest_us, centre_us) == FAILSAFE_US
+    assert (int(shipped["kFrameUs"]), int(shipped["kFailsafeMs"])) == (1e6 * FRAME_S, 1e3 * FAILSAFE_S)
 
 
 class Flight:

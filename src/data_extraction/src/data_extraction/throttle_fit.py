@@ -26,6 +26,7 @@ STATES, EVERYBODYS, _AUTOPILOT = "/cortex_raw", "/controls", "/apm/status"
 _CONFIDENCE = 0.95
 _GAP_S = 0.1  # of the states, at most
 _THROTTLE_S, _BATTERY_S = 0.5, 5.0  # what is older says nothing
+_LOWEST = -0.99  # a vehicle with a lower throttle stands, on something high or in a hand
 _PCT_PER_ORDER = 5.0  # a curve of order n needs n times as many percents
 _SHOW_EVERY = 1000  # messages
 
@@ -112,7 +113,7 @@ def _hover(window, throttle, params):
     if abs(window[:, 2].mean()) > params.max_climb_m_s or abs(up_m_s2) > params.max_acceleration_m_s2:
         return None
     sent = _held(throttle, window[:, 0], _THROTTLE_S)
-    if sent is None:
+    if sent is None or sent.min() < _LOWEST:
         return None
     lift_g = (1.0 + up_m_s2 / GRAVITY_M_S2) / (np.cos(window[:, 4]) * np.cos(window[:, 5]))
     return np.mean(sent - (lift_g - 1.0))

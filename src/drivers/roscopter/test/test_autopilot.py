@@ -295,6 +295,19 @@ def test_channels_are_released_when_the_sender_falls_silent(version):
     assert overrides(bench)[-1] == list(STICKS)  # the sender is back
 
 
+def test_channels_are_given_back_once_a_lost_device_is_there_again():
+    bench = Bench(enable_rc_control=True).connect()
+    send_for(bench, 0.5)
+    bench.autopilot.closed(bench.now_s)
+    bench.vehicle.is_silent = True
+    bench.run(3.0)
+    assert RELEASE not in overrides(bench), "nobody would have heard it"
+    bench.vehicle.is_silent = False
+    bench.autopilot.opened(bench.now_s)
+    bench.run(2.0)
+    assert overrides(bench)[-RELEASES - 1 :] == [list(STICKS), *[RELEASE] * RELEASES]
+
+
 def test_the_time_to_release_is_an_option():
     bench = Bench(enable_rc_control=True, rc_timeout=2000).connect()
     send_for(bench, 0.5)

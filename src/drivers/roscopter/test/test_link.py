@@ -4,6 +4,7 @@ import errno
 import os
 import random
 import socket
+import termios
 import threading
 import time
 import tty
@@ -16,6 +17,7 @@ from scripted_autopilot import Running
 from roscopter import orders
 from roscopter.link import Link
 from roscopter.options import Options
+from roscopter.transport import open_device
 
 LIMIT_S = 30.0
 HOST = "127.0.0.1"
@@ -261,3 +263,12 @@ def test_what_is_posted_is_done_while_bytes_rain():
         finally:
             over.set()
             thread.join()
+
+
+def test_a_line_that_goes_while_it_is_opened_is_one_that_is_not_there(monkeypatch):
+    def unplugged(*_args, **_options):
+        raise termios.error(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("serial.Serial", unplugged)
+    with pytest.raises(OSError, match="Input/output error"):
+        open_device("/dev/ttyUSB0", 57600)

@@ -175,6 +175,26 @@ def test_a_device_that_answers_for_long_is_asked_less_and_given_more_time():
     assert fast.link.limit_s == 0.3, "a network has room"
 
 
+def test_messages_that_nothing_explains_do_not_fill_the_line_with_questions():
+    many = ANSWER + b"".join(announcement(Id.PUBLISHER, STATUS._replace(topic_id=126 + k)) for k in range(24))
+    scene = Scene(lambda packet: many if packet == (Id.PUBLISHER, b"") else b"")
+    scene.run(5.0)
+    before = len(scene.requests())
+    for _ in range(500):
+        scene.link.ask_topics(scene.now_s)
+        scene.look(encode(300, b"x"))
+        scene.run(0.01)
+    assert 5 < len(scene.requests()) - before <= 0.55 * 5.0 / (len(many) * BYTE_S), "half of the line"
+
+
+def test_a_question_that_comes_too_soon_is_asked_later():
+    scene = Scene(answers)
+    scene.run(0.03)
+    scene.link.ask_topics(scene.now_s)
+    scene.run(0.2, publishing(0.2, 0.01))
+    assert scene.requests() == pytest.approx([100.0, 100.1], abs=2 * STEP_S)
+
+
 def test_a_device_that_comes_back_is_up_at_its_first_packet_and_asked_for_its_topics():
     scene = Scene(answers)
     scene.run(2.0)

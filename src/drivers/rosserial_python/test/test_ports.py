@@ -77,9 +77,8 @@ def test_a_full_line_takes_what_it_has_room_for(terminal):
     line = port.open()
     taken = line.write(bytes(2**20))
     assert 0 < taken < 2**20
-    while line.write(bytes(4096)):
+    while line.write(bytes(4096)):  # ends: what finds no room is not waited for
         pass
-    assert line.write(b"x") == 0
     line.close()
 
 
@@ -128,6 +127,13 @@ def test_bytes_that_nobody_reads_are_counted():
 def test_what_is_no_port_is_one_error(url):
     with pytest.raises(ValueError, match="port|protocol"):
         make_port(SerialParams(port=url))
+
+
+def test_a_search_that_finds_no_device_is_no_port_for_now():
+    port = make_port(SerialParams(port="hwgrep://no device is called so"))
+    with pytest.raises(OSError, match="no ports found") as found:
+        port.open()
+    assert found.value.errno == errno.ENODEV
 
 
 def test_ports_of_parameters():

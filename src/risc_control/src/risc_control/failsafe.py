@@ -320,7 +320,7 @@ class SafetyLadder:
         autonomous: the controller flies.  airborne: the vehicle does not stand on the ground.  obeys: its newest
         report is that it lands; counts while that report is fresh.  needs_navdata: False for simulators that report
         nothing.  held: of a vehicle that does not fly itself, which is held by what is seen and heard of it in manual
-        mode, too.  trouble: why our commands do not reach it.
+        mode, too; it may obey by what is seen of it.  trouble: why our commands do not reach it.
         """
         if airborne and not self._airborne:  # whatever took off: these were known to be silent
             self._joysticks_s = {name: s for name, s in self._joysticks_s.items() if not self._is_silent(s, now_s)}
@@ -330,7 +330,7 @@ class SafetyLadder:
                 self.take_over()
             return self.verdict
         if self.verdict.level == _LAND:
-            if obeys and self.navdata_is_fresh(now_s):
+            if obeys and (held or self.navdata_is_fresh(now_s)):
                 self._land_since_s = now_s
             without_effect = now_s - self._land_since_s > self.limits.operator_after_s
             if without_effect != self.verdict.operator:

@@ -141,6 +141,8 @@ class Hover:
         state = status.state
         if state == FlightState.UNKNOWN:
             return
+        if state != self.reported:  # it may have been anywhere meanwhile
+            self._commanded_s = -math.inf
         self.reported = state
         if state == FlightState.LANDED:
             if self.phase in _IN_AIR:
@@ -177,6 +179,7 @@ class Hover:
 
     def take_off(self, now_s):
         """Its driver was told to arm it."""
+        self.observer.trim_m_s2 = 0.0  # another battery, load or propellers; or learnt while something held it
         self._enter(Phase.STARTING, now_s)
 
     def refuse(self, why, now_s, orders):
@@ -235,20 +238,31 @@ class Hover:
         since = "nothing was heard of it" if math.isinf(silent_s) else "%.1f s ago it did" % silent_s
         return "the board of its transmitter does not say that it sends our commands (%s)" % since
 
+    def must_be_silent(self, now_s):
+        """It lands unseen, and by reckoning it is down: who knows better is its own failsafe, which lands or disarms
+        it as soon as nothing is sent.
+        """
+        return self.phase is Phase.LANDING and not self._is_seen(now_s) and self._reckoned_m < -BLIND_BELOW_M
+
     @property
     def lands_itself(self):
         """By its own report it lands, or stands."""
         return self.reported in (FlightState.LANDED, FlightState.LANDING)
 
-    def obeys_landing(self, now_s):
-        """It lands by its own report, or it is seen to sink, or to stand; in the beginning it need not yet."""
-        seen = self._stands or now_s - max(self._sinks_s, self._since_s) < STUCK_S
-        return self.phase is Phase.LANDING and (self.lands_itself or seen)
+    def obeys_landing(self, now_s, is_heard):
+        """It lands by its own report, or it is seen to sink, or to stand; in the beginning it need not yet.
+
+        is_heard: its newest report still tells what it does.
+        """
+        sinks = now_s - max(self._sinks_s, self._since_s) < STUCK_S
+        is_seen = self._is_seen(now_s) and (self._stands or sinks)
+        return self.phase is Phase.LANDING and (is_seen or (is_heard and self.lands_itself))
 
     def must_land_itself(self, now_s):
-        """We cannot land it: it is not seen, our commands do not reach it, or they do not bring it down."""
+        """We cannot land it: it is not seen, it does not take our commands, or they do not bring it down."""
         stuck = self._still_s is not None and now_s - self._still_s > STUCK_S and not self._stands
-        return stuck or not self._is_seen(now_s) or self.trouble(now_s) != ""
+        elsewhere = self.reported == FlightState.OTHER_MODE
+        return stuck or elsewhere or not self._is_seen(now_s) or self.trouble(now_s) != ""
 
     # --- what follows -------------------------------------------------------------------------------------------
 
@@ -358,7 +372,7 @@ class Hover:
     def _look_for_the_floor(self, now_s):
         """While it lands: does it stand?"""
         if not self._is_seen(now_s):
-            self._still_s, self._stands = None, self._stands or self._reckoned_m < -BLIND_BELOW_M
+            self._still_s = None
             return
         lags = self._place_m[2] < self._own.position_m[2] - 0.7 * _LEASH_M and self.reported == FlightState.FLYING
         if not lags or abs(self._own.velocity_m_s[2]) > _STILL_M_S:

@@ -21,6 +21,8 @@ from risc_lab.settings import NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
+# armed on the ground, and not by us; told to arm for a take-off
+_ARMED_OR_SOON = frozenset((FlightState.INIT, FlightState.TAKING_OFF))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
@@ -233,7 +235,11 @@ class VehiclePilot:
 
     def _note_hover(self, orders):
         """What it does by what `Hover` knows."""
-        self.flight_state, self.airborne = self._hover.flight_state(self.autonomous), self._hover.airborne
+        before, state = self.flight_state, self._hover.flight_state(self.autonomous)
+        self.flight_state, self.airborne = state, self._hover.airborne
+        given_back = before == _LANDING and state == FlightState.FLYING  # by whoever ended its own landing
+        if self.autonomous and (given_back or state == FlightState.OTHER_MODE):
+            self._set_mode(False, orders, "the mode of its autopilot was changed")
         self._end_on_the_ground(orders)
 
     def _end_on_the_ground(self, orders):
@@ -422,7 +428,7 @@ class VehiclePilot:
         if self._hover is None:
             orders.land = True
             return
-        if self.flight_state == FlightState.INIT:  # armed on the ground, and not by us
+        if self.flight_state in _ARMED_OR_SOON and not self.airborne:
             orders.disarm = True
         self._hover.land(now_s)
         self._note_hover(orders)
@@ -473,7 +479,8 @@ class VehiclePilot:
         if hover is None:
             obeys = self.flight_state == _LANDING
         else:
-            obeys, trouble = hover.obeys_landing(now_s), hover.trouble(now_s) if self.airborne else ""
+            obeys = hover.obeys_landing(now_s, ladder.navdata_is_fresh(now_s))
+            trouble = hover.trouble(now_s) if self.airborne else ""
         needs_navdata = not self._params.Simulation
         verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, needs_navdata, hover is not None, trouble)
         if verdict is not self._told and verdict != self._told:
@@ -509,7 +516,7 @@ class VehiclePilot:
         """The command of a vehicle that does not fly itself, while the controller does not fly it; none before it has
         said what it does.
         """
-        if self._hover.reported is None:
+        if self._hover.reported is None or self._hover.must_be_silent(now_s):
             return
         holds, look, psi_rad = self.autonomous or self.ladder.verdict.level > _OK, self.ladder.apart(now_s), 0.0
         if self._state is not None:

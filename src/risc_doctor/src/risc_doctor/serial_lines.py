@@ -4,6 +4,7 @@ import os
 
 from risc_doctor.findings import Findings
 from risc_doctor.socket_owners import users_of_device
+from risc_lab.ros.launching import argument_of
 from rosserial_python.diagnosis import Cause
 from rosserial_python.link import State
 
@@ -32,7 +33,7 @@ def check(situation):
         if line is None:
             found.say("mute", node=node)
         else:
-            found += judge(node, line, users_of_device(line.port))
+            found += judge(node, line, [process.describe() for process in users_of_device(line.port)])
     served = {line.port for line in graph.lines.values() if line is not None}
     for vehicle in situation.vehicles():
         for device, place in vehicle.devices.items():
@@ -42,7 +43,7 @@ def check(situation):
 
 
 def judge(node, line, others):
-    """Findings about one line. line: SerialLink; others: programs beside the node that have the device open."""
+    """Findings about one line. line: SerialLink; others: programs that have the device open, the node among them."""
     found, cause = Findings("serial"), Cause(line.cause)
     values = {"node": node, "port": line.port, "baud": line.baud, "others": ", ".join(others)}
     counters = {counter.name: counter.count for counter in line.counters}
@@ -56,11 +57,13 @@ def judge(node, line, others):
 
 
 def look(what, path):
-    """Findings about a device that no node serves. what: for people. Opens nothing: that would reset a board."""
-    found, others = Findings("serial"), ", ".join(users_of_device(path))
-    values = {"node": what, "port": path, "others": others}
+    """Findings about a device that no serial_node serves. what: for people. Opens nothing: that would reset a board."""
+    found, users = Findings("serial"), users_of_device(path)
+    # one node may have it: the driver of the telemetry, as roslaunch has started it
+    others = [process for process in users if not argument_of(process.words, "__name")] or users[1:]
+    values = {"node": what, "port": path, "others": ", ".join(process.describe() for process in others or users)}
     if not os.path.exists(path):
         return found.say("missing", **values)
     if not os.access(path, os.R_OK | os.W_OK):
         return found.say("forbidden", **values)
-    return found.say("in_use" if others else "there", **values)
+    return found.say("in_use" if others else "driven" if users else "there", **values)

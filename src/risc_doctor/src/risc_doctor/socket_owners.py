@@ -52,7 +52,7 @@ def _holders(port, kind, from_elsewhere):
 
 
 def users_of_device(path):
-    """Programs that have a device file open, for people; those of other users are not seen, nor what is no device."""
+    """Every `Process` that has a device file open; those of other users are not seen, nor what is no device."""
 
     def device_of(name):
         with contextlib.suppress(OSError):  # it is not there, not ours to see, or closed meanwhile
@@ -66,7 +66,7 @@ def users_of_device(path):
     found = []
     for pid in sorted(pids):
         with contextlib.suppress(psutil.NoSuchProcess):  # it ended meanwhile
-            found.append(_process(psutil.Process(pid)).describe())
+            found.append(_process(psutil.Process(pid)))
     return found
 
 

@@ -80,7 +80,7 @@ def arguments(argv):
         help="time on each course (default: 30 s; df_demo, iris: 20 s)",
     )
     add("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
-    delay_help = "command delay (default: that of the type, 0.1 s)"
+    delay_help = "command delay (default: that of the type, e.g. 0.1 s)"
     add("--delay", type=number(0.0, LONGEST_DELAY_S), metavar="S", help=delay_help)
     rate_help = "of motion capture (default: 200, less if it must be)"
     add("--mocap-rate", type=number(RATES_HZ[-1], 500.0), metavar="HZ", help=rate_help)
@@ -150,13 +150,17 @@ def prepare_fleet(args, subnet, folder):
     """The fleet of this flight, moved to its own loopback subnet and written beside the results.
 
     Raises ValueError for a bad file or a course that is not for so many, FlightError when there are more bodies than
-    motion capture shows, or a vehicle has no calibration and the experiment needs one.
+    motion capture shows, or a vehicle is not what the experiment needs (its type, a calibration).
     """
     trajectory = args.trajectory or "circles3"
     if args.fleet is None:
         fleet = default_fleet(args.vehicles, trajectory, args.experiment)
     else:
         fleet = load_fleet(args.fleet).with_vehicles(args.vehicles)
+    first = fleet.vehicles[0]
+    if args.experiment == "iris" and "iris" not in (first.type, first.vehicle_type.driver):
+        text = "iris flies an IRIS+, and the first vehicle of fleet '%s' is of type '%s': use another fleet file"
+        raise FlightError(text % (fleet.name, first.type))
     counts = len(fleet.vehicles), len(fleet.landmarks)
     if sum(counts) > MAX_BODIES:
         text = "%d vehicles and %d landmarks are %d bodies, Cortex's clients hold %d: fly fewer vehicles"

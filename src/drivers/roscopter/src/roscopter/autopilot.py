@@ -352,7 +352,7 @@ class Autopilot:
         self._go_on_releasing(now_s)
 
     def _go_on_releasing(self, now_s):
-        if self._releases and now_s >= self._next_release_s:
+        if self._releases and self.is_open and now_s >= self._next_release_s:
             self._releases -= 1
             self._next_release_s = now_s + RELEASE_S
             self._send("rc_channels_override", **dict.fromkeys(_CHANNELS, RELEASED))

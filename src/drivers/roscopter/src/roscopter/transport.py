@@ -8,6 +8,7 @@ import contextlib
 import os
 import re
 import socket
+import termios
 
 import serial
 
@@ -39,7 +40,10 @@ class Serial:
     """A serial line, or a pseudo terminal."""
 
     def __init__(self, path, baudrate):
-        self._port = serial.Serial(path, baudrate, timeout=0, exclusive=True)
+        try:
+            self._port = serial.Serial(path, baudrate, timeout=0, exclusive=True)
+        except termios.error as error:  # which is no OSError: it was unplugged while it was opened
+            raise OSError(*error.args) from error
         self.fileno = self._port.fileno
 
     def read(self):

@@ -228,7 +228,8 @@ class Link:
     def ask_topics(self, now_s):
         """Something came that the topics known do not explain."""
         with self._lock:
-            if self._line is not None and now_s >= self._asked_s + _AGAIN_S:
+            self._unsure = self._line is not None
+            if self._line is not None and now_s >= self._ask_s():
                 self._ask(now_s)
                 self._flush(now_s)
 

@@ -413,7 +413,7 @@ class _Vehicle:
             self._link.take_off()
         if orders.land:
             self._link.land()
-        if orders.disarm:
+        elif orders.disarm:  # a landing ends with that
             self._link.disarm()
         if orders.command is not None:
             command = orders.command

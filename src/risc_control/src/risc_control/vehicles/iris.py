@@ -194,6 +194,7 @@ class Link:
     def reset(self):
         """Motors off, also in the air."""
         self._stop.publish()
+        self._want(lambda: None)  # what waits, e.g. to arm it, must not follow
 
     def driver_overrides(self, driver):
         """{field of VehicleType: value}: the driver sets none."""

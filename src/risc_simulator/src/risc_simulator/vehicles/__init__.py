@@ -12,7 +12,7 @@ and, if it has cameras whose video the lab serves (socket_host.VehicleHost.video
 and, if filters are to have its sensors' readings in offline flights, too
     Telemetry   (vehicle, seed, noise), made while the vehicle stands: channel (name of its wire), period_s;
                 packet(time_s) -> bytes; message(packet, header) -> that of its driver, see risc_estimation.sensors;
-                            None of a damaged packet
+                None of a damaged packet
 and, if in offline flights its driver is another one than that of models/offline_link.py (sticks by radio),
     OfflineLink (vehicle, phase), with the names that are there
 The numbers of its airframe are in the YAML file of the type (risc_lab/config/vehicle_types). One from elsewhere is

@@ -1,6 +1,7 @@
 """The node: one device, or with ~fork_server as many as connect; what it tells of them on ~link and /diagnostics."""
 
 import contextlib
+import functools
 import math
 import select
 import sys
@@ -13,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from risc_lab.ros.diagnostics import add_all, age_text, summarise, ticking_updater
 from risc_lab.ros.params import load_params
-from risc_lab.ros.ticker import Ticker
+from risc_lab.ros.ticker import Ticker, guarded
 from risc_maap_msgs.msg import Counter, SerialLink
 from rosserial_python.diagnosis import TEXTS, WARNINGS, Cause, cause_of
 from rosserial_python.link import State
@@ -63,7 +64,7 @@ class Device:
         self.session.start()
 
     def _on_packet(self, packet):
-        self.topics.on_packet(packet)
+        guarded(functools.partial(self.topics.on_packet, packet), "a packet of the device")()
 
     def _cause(self):
         oversized_s = max(self.topics.oversized.values(), default=-math.inf)

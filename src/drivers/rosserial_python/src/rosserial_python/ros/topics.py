@@ -4,6 +4,7 @@ The session's thread hands packets over; what may wait for the master (registeri
 by a thread of this module's own, so that the link's watch never stands still.
 """
 
+import contextlib
 import functools
 import math
 import queue
@@ -42,6 +43,7 @@ class Topics:
         self._session, self._max_age_s = session, max_age_s
         self._kinds = {Id.PUBLISHER: FromDevice, Id.SUBSCRIBER: ToDevice, **services.HALVES}
         self._members = {}  # {(id, topic id): (Topic, what serves it)}
+        self._doubted = {}  # {(id, topic id): Topic that contradicts what is served, once}
         self._jobs = queue.Queue(_JOBS)
         self._refused = {}  # {name of a topic: (Topic, why)}
         self._oversized = {}  # {name of a topic: when last}
@@ -61,7 +63,8 @@ class Topics:
 
     def close(self):
         """Leave the graph."""
-        self._jobs.put(None)
+        with contextlib.suppress(queue.Full):  # of a master that hangs: its thread ends with the program
+            self._jobs.put_nowait(None)
         self._worker.join(1.0)  # a master that hangs is not waited for
         for _, member in list(self._members.values()):
             member.close()
@@ -89,18 +92,27 @@ class Topics:
             rospy.logwarn_throttle(_REPEAT_S, "a damaged packet was refused: %s", error)
 
     def _announced(self, kind, topic):
-        known = self._members.get((kind, topic.topic_id))
+        key = (kind, topic.topic_id)
+        known = self._members.get(key)
         if known is not None and known[0] == topic:
+            self._doubted.pop(key, None)
             known[1].confirmed(topic)
-        elif self._refused.get(topic.name, (None,))[0] != topic:
+        elif self._refused.get(topic.name, (None,))[0] == topic:
+            return
+        elif known is not None and self._doubted.get(key) != topic:
+            self._doubted[key] = topic  # another program, or damage that the sum does not see: the next one tells
+            self._session.ask_topics()
+        else:
             self._later(self._join, kind, topic)
 
     def _message(self, topic_id, payload):
         for kind in (Id.PUBLISHER, Id.SERVER_RESPONSE, Id.CLIENT_REQUEST):
-            if (kind, topic_id) in self._members:
-                self._members[kind, topic_id][1].from_device(payload)
+            _, member = self._members.get((kind, topic_id), (None, None))
+            if member is not None:
+                member.from_device(payload)
                 return
-        self._session.ask_topics()
+        if all(topic.topic_id != topic_id for topic, _ in list(self._refused.values())):
+            self._session.ask_topics()
 
     def _later(self, function, *arguments):
         try:

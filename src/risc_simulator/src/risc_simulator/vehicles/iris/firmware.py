@@ -17,6 +17,7 @@ from risc_lab.frames import GRAVITY_M_S2
 from risc_simulator.models.battery import GROUND_LOAD, Battery
 from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase
 from risc_simulator.vehicles.iris.parameters import Parameters
+from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, GROUND_PRESSURE_PA
 
 CHANNELS = 8
 ROLL, PITCH, THROTTLE, YAW = range(4)
@@ -27,7 +28,7 @@ GESTURE_S = 2.0  # throttle at its end and yaw at its end for so long: right arm
 GESTURE_YAW = 0.89  # of full yaw
 LANDED_DISARM_S = 1.0  # on the ground in LAND
 RADIO_LOST_S = 0.5  # without a frame,
-OVERRIDE_LOST_S = 1.0  # or without an override where no receiver was ever heard
+OVERRIDE_LOST_S = 1.0  # or, while overrides are in force, without one
 LOW_THROTTLE_FRAMES = 3  # below FS_THR_VALUE: the transmitter says that it has lost its own signal
 RELEASE_US, LEAVE_US = 0, 65535  # of an override
 
@@ -320,9 +321,8 @@ class IrisFirmware(Firmware):
             self._overrides = fresh
 
     def _watch_radio(self):
-        heard = bool(self._received_us)
         silent_s = self._time_s - max(self._received_s, self._override_s)
-        lost = silent_s > (RADIO_LOST_S if heard else OVERRIDE_LOST_S)
+        lost = silent_s > (OVERRIDE_LOST_S if self._overrides else RADIO_LOST_S)
         enough = 1 if self.radio_failsafe else LOW_THROTTLE_FRAMES  # one is enough to stay in it
         is_low = THROTTLE not in self._overrides and self._low_frames >= enough
         lost |= is_low and self._radio_counts
@@ -456,6 +456,8 @@ def _parameters_of(kind):
             ANGLE_MAX=round(100.0 * math.degrees(kind.tilt_max_rad)),
             PILOT_Y_RATE=math.degrees(kind.yaw_rate_max_rad_s),
             PILOT_SPEED_UP=round(100.0 * kind.climb_max_m_s),
+            BATT_CAPACITY=round(1e3 * CAPACITY_AH),
+            BARO1_GND_PRESS=GROUND_PRESSURE_PA,
             **{"RC%d_DZ" % (1 + channel): dead_us for channel in (ROLL, PITCH, YAW)},
         )
     except ValueError as error:

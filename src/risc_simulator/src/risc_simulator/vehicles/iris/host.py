@@ -106,7 +106,7 @@ class IrisHost(VehicleHost):
 
     def describe(self):
         """One line for people: what listens where."""
-        return "%s (%s) IRIS+: MAVLink udp://%s:%d, its Arduino's serial line socket://%s:%d" % (
+        return "%s (%s) IRIS+: MAVLink udp://%s:%d and its Arduino's serial line socket://%s:%d" % (
             *(self._vehicle.namespace, self._vehicle.name),
             *(self.address, self.ports.telemetry, self.address, self.ports.arduino),
         )

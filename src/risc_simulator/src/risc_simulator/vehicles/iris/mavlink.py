@@ -39,7 +39,7 @@ CLIENT_SILENCE_S = 30.0
 MAKES_ROOM_S = 3.0  # of silence, for another one where there are too many
 MAX_CLIENTS = 8
 HEARTBEAT_S = 1.0
-MIN_INTERVAL_S = 0.02
+MIN_INTERVAL_S, MAX_INTERVAL_US = 0.02, 2**31 - 1  # the latter is what MESSAGE_INTERVAL can tell
 MAX_MISSES = 50  # what may look like a frame in a datagram, and be none, before the rest is given up
 PARAMETERS_PER_TICK = 5
 TEXT_LENGTH = 50
@@ -315,7 +315,7 @@ class Mavlink:
             return _UNSUPPORTED
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return _DENIED  # once a second, whatever anybody wants
-        interval_s = max(MIN_INTERVAL_S, 1e-6 * interval_us) if interval_us > 0 else None
+        interval_s = max(MIN_INTERVAL_S, 1e-6 * min(interval_us, MAX_INTERVAL_US)) if interval_us > 0 else None
         client.stream(message_id, interval_s, self._now_s)
         return _ACCEPTED
 

@@ -14,7 +14,7 @@ from risc_simulator.models.flight import FlightPhase
 from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, TEMPERATURE_C
 
 QUADROTOR, ARDUPILOT = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-STABILIZE, ALT_HOLD, LAND = 0, 2, 9  # ArduCopter's numbers
+ALT_HOLD, LAND = 2, 9  # ArduCopter's numbers
 DISARMED_BASE_MODE = 81  # custom mode, stabilized, manual input
 ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, ORIGIN_ALTITUDE_M = 41.742, -111.808, 1400.0
 EARTH_RADIUS_M = 6378137.0
@@ -125,7 +125,7 @@ class Messages:
         if not self._autopilot.armed and self._autopilot.arming_trouble():
             health &= ~_READY
         r = self._read(now_s)
-        battery = round(r.battery_mv), round(100.0 * r.current_a), round(r.battery_pct)
+        battery = round(r.battery_mv), _int16(100.0 * r.current_a), round(r.battery_pct)
         return mavlink.MAVLink_sys_status_message(present, enabled, health, 0, *battery, 0, 0, 0, 0, 0, 0)
 
     def _battery_status(self, now_s):
@@ -134,7 +134,7 @@ class Messages:
         return mavlink.MAVLink_battery_status_message(
             *(0, mavlink.MAV_BATTERY_FUNCTION_UNKNOWN, mavlink.MAV_BATTERY_TYPE_LIPO, 32767),
             [round(r.battery_mv)] + 9 * [65535],
-            *(round(100.0 * r.current_a), used_mah, -1, round(r.battery_pct)),
+            *(_int16(100.0 * r.current_a), used_mah, -1, round(r.battery_pct)),
         )
 
     def _extended_sys_state(self, _now_s):

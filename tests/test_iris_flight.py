@@ -1,0 +1,108 @@
+"""Whole flights of an IRIS+ over its two wires: its figures, and what becomes of it when a part of the chain fails."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+
+import psutil
+import pytest
+from flying import end, finish, fly, left_behind, start, wait_for_line
+
+from data_extraction.bags import Bag
+from risc_maap_msgs.msg import Safety
+
+pytestmark = pytest.mark.alone
+RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
+GONE_S = 60.0  # longer than the rest of the flight
+LATE_S = 1.0  # what a busy computer may add to the limits of the ladder
+WIRE_FAULT = "/virtual_lab/wire_fault"
+
+
+def process_of(folder, word):
+    """The process of a flight whose command line has this word."""
+    found = [psutil.Process(pid) for pid in left_behind(folder)]
+    (process,) = [process for process in found if any(word in part for part in process.cmdline()[:4])]
+    return process
+
+
+def publish(folder, topic, kind, content):
+    """Publish one message into the graph of a flight."""
+    master = process_of(folder, "/rosmaster").environ()
+    command = ["rostopic", "pub", "-1", topic, kind, content]
+    environment = dict(os.environ, ROS_MASTER_URI=master["ROS_MASTER_URI"], ROS_IP="127.0.0.1")
+    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL, timeout=60.0)
+
+
+def cut_off(channel, fault="blackhole"):
+    """Something happens to a wire of the vehicle."""
+    content = "{fault: %s, channel: %s, severity: 1.0, duration_s: %g}" % (fault, channel, GONE_S)
+    return lambda folder: publish(folder, WIRE_FAULT, "risc_maap_msgs/WireFault", content)
+
+
+def kill(word):
+    """A program dies."""
+    return lambda folder: process_of(folder, word).send_signal(signal.SIGKILL)
+
+
+# What fails: how; the rules of the ladder of which one lands the vehicle (without: the autopilot, or a node that came
+# back, does), and their limit [s]; the topic whose last message says when it failed, None: a program was killed.
+FAILURES = {
+    "board reset": (cut_off("iris1/arduino", "cut"), {Safety.NAVDATA}, 0.5, "/iris1/ppm_status"),
+    "serial line": (cut_off("iris1/arduino"), {Safety.NAVDATA}, 0.5, "/iris1/ppm_status"),
+    "telemetry": (cut_off("iris1/mavlink"), {Safety.NAVDATA, Safety.REQUEST}, 2.5, "/iris1/apm/state"),
+    "controller": (kill("IRIS_DF_Demo.py"), {Safety.CONTROLS}, 0.5, None),
+    "roscopter": (kill("roscopter"), None, None, None),
+    "vehicle node": (kill("risc_controller.py"), None, None, None),
+}
+
+
+def landing_of(path, after_s):
+    """(time [s], Safety) of the first order of the ladder to land after a time; receipt times."""
+    with Bag(path) as bag:
+        for _, receipt_s, message in bag.messages(["/iris1/safety"]):
+            if receipt_s > after_s and message.level == Safety.LAND:
+                return receipt_s, message
+    return None
+
+
+def last_before(path, topic, before_s):
+    """Receipt time [s] of the last message of a topic before a time."""
+    with Bag(path) as bag:
+        return max(receipt_s for _, receipt_s, _ in bag.messages([topic]) if receipt_s < before_s)
+
+
+def test_the_figures_of_chapter_6(tmp_path):
+    code, output, summary, folder = fly(tmp_path, "iris", "--duration", "5")
+    assert code == 0, output
+    assert summary["vehicles"]["IRIS"]["position_rmse_m"] < RMSE_LIMIT_M
+    with Bag(folder / "flight.bag") as bag:
+        counts = bag.topics
+    assert all(counts["/iris1/" + topic] > 20 for topic in ("controls", "ppm_status", "apm/state", "apm/status"))
+    assert left_behind(folder) == []
+
+
+@pytest.mark.release
+@pytest.mark.parametrize("name", FAILURES)
+def test_what_fails_in_flight_lands_the_vehicle(tmp_path, name):
+    let_fail, rules, limit_s, topic = FAILURES[name]
+    process = start(tmp_path, "iris", "--duration", "5")
+    try:
+        wait_for_line(process, tmp_path, "at the origin")
+        failed_s = time.time()
+        let_fail(tmp_path)
+        code, output = finish(process, tmp_path)
+    finally:
+        end(process, tmp_path)
+    lab = json.loads((tmp_path / "virtual_lab.json").read_text())
+    assert (lab["vehicles"]["iris1"]["phase"], lab["crashes"]) == ("landed", []), output
+    assert left_behind(tmp_path) == []
+    if rules is None:
+        return
+    ordered_s, order = landing_of(tmp_path / "flight.bag", failed_s)
+    if topic is not None:
+        failed_s = last_before(tmp_path / "flight.bag", topic, ordered_s)
+    print("%s: landing ordered after %.2f s: %s" % (name, ordered_s - failed_s, order.reason))
+    assert code == 1 and order.rule in rules
+    assert ordered_s - failed_s < limit_s + LATE_S
