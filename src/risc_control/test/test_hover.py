@@ -558,6 +558,25 @@ def test_a_node_that_ends_has_it_land_by_itself():
     assert desk.iris.stands and desk.iris.impact_m_s < 0.7
 
 
+@pytest.mark.parametrize("first", ["state", "telemetry"])
+def test_a_node_that_comes_back_in_flight_holds_the_vehicle_where_it_is(first):
+    desk = flown()
+    desk.run(1.0)
+    desk.fly, z_m = None, desk.iris.position_m[2]
+    desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0), IRIS, desk.now_s)
+    second = {"state", "telemetry"} - {first}
+    desk.alive -= second
+    sent = len(desk.sent)
+    desk.run(0.4)
+    assert len(desk.sent) == sent, "it does not know yet where the vehicle is, or what it does"
+    desk.alive |= second
+    desk.run(0.3, lambda: len(desk.sent) > sent)
+    assert desk.pilot.flight_state == FlightState.HOVERING
+    desk.run(3.0)
+    assert LOWEST not in {sticks for _, sticks in desk.sent[sent:]}
+    assert desk.iris.mode == "STABILIZE" and desk.iris.position_m[2] == pytest.approx(z_m, abs=0.15)
+
+
 def test_a_node_that_ends_leaves_a_vehicle_that_stands_alone():
     desk = Desk()
     orders = desk.pilot.on_shutdown(desk.now_s)
@@ -583,25 +602,6 @@ def test_a_new_node_holds_a_vehicle_that_flies():
     again.wait_for(FlightState.HOVERING, 1.0)
     again.run(3.0)
     assert again.iris.position_m[:2] == pytest.approx(place_m[:2], abs=0.1) and again.iris.position_m[2] > 0.6
-
-
-def test_a_new_node_that_hears_of_its_vehicle_before_it_sees_it_holds_it_where_it_is():
-    """Until then it is taken for one that stands; what was held afterwards was the origin, on the floor."""
-    desk = Desk().up()
-    desk.run(3.0)
-    desk.iris.step = lambda now_s: None  # it stays where it is
-    again = Desk.__new__(Desk)
-    again.__dict__ = {**desk.__dict__, "pilot": vehicle_pilot.VehiclePilot(desk.pilot._params, IRIS, desk.now_s)}
-    again.alive = desk.alive - {"state"}
-    count = len(again.sent)
-    assert again.run(1.0, lambda: len(again.sent) > count + 1) and again.sent[-1][1] == LOWEST
-    again.alive = desk.alive
-    again.wait_for(FlightState.HOVERING, 1.0)
-    again.run(0.1)
-    forward, left, up, _ = again.sent[-1][1]
-    dead_zone = IRIS.stick_dead_zone
-    assert max(abs(forward), abs(left)) < dead_zone + 0.02
-    assert up == pytest.approx(hover_throttle(IRIS, 60.0), abs=0.05)
 
 
 def test_a_vehicle_that_somebody_armed_on_the_ground_stays_there():

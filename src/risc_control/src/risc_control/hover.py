@@ -153,8 +153,14 @@ class Hover:
             self._enter(Phase.CLIMBING, now_s)
         elif self.phase is Phase.CLIMBING and state == FlightState.LANDING:
             self._enter(Phase.LANDING, now_s)
-        elif self.phase is Phase.STANDING and self._flies(now_s):  # this node is new, or is given a vehicle that flies
-            self._enter(Phase.LANDING if state == FlightState.LANDING else Phase.HOLDING, now_s)
+        else:
+            self._meet(now_s)
+
+    def _meet(self, now_s):
+        """Take over a vehicle that is seen to fly already: this node is new, or was given it."""
+        armed = self.reported not in (None, FlightState.LANDED)
+        if self.phase is Phase.STANDING and armed and self._flies(now_s):
+            self._enter(Phase.LANDING if self.reported == FlightState.LANDING else Phase.HOLDING, now_s)
 
     def on_wire(self, now_s):
         """What sends our commands to it reports that it does."""
@@ -168,6 +174,7 @@ class Hover:
         self.observer.measure(climb_m_s, measured_s, free and not self._stands)
         if climb_m_s < -_SINKS_M_S:
             self._sinks_s = measured_s
+        self._meet(measured_s)
 
     # --- orders -------------------------------------------------------------------------------------------------
 

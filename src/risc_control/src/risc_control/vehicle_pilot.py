@@ -514,9 +514,9 @@ class VehiclePilot:
 
     def _fly_hover(self, orders, now_s):
         """The command of a vehicle that does not fly itself, while the controller does not fly it; none before it has
-        said what it does.
+        said what it does and was seen: it may be in the air.
         """
-        if self._hover.reported is None or self._hover.must_be_silent(now_s):
+        if self._hover.reported is None or self._state is None or self._hover.must_be_silent(now_s):
             return
         holds, look, psi_rad = self.autonomous or self.ladder.verdict.level > _OK, self.ladder.apart(now_s), 0.0
         if self._state is not None:
