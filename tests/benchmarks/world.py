@@ -45,8 +45,15 @@ def make_fleet(count, kind="ardrone"):
     """Fleet of `count` vehicles of a type in a net that is large enough, and nothing else."""
     net = "127.%d" % random.SystemRandom().randint(210, 249)  # another run may be under way
     fleet = generated_fleet(count)
-    vehicles = tuple(replace(vehicle, type=kind) for vehicle in fleet.vehicles)
-    return replace(fleet, vehicles=vehicles, landmarks=()).in_subnet(net)
+    wide = load_vehicle_type(kind).radius_m / load_vehicle_type("ardrone").radius_m  # it is made for AR.Drones
+    arena = replace(fleet.arena, half_x_m=wide * fleet.arena.half_x_m, half_y_m=wide * fleet.arena.half_y_m)
+    vehicles = []
+    for vehicle in fleet.vehicles:
+        x, y, z = vehicle.start.position_m
+        start = replace(vehicle.start, position_m=(wide * x, wide * y, z))
+        vehicles.append(replace(vehicle, type=kind, start=start))
+    vehicles = tuple(vehicles)
+    return replace(fleet, arena=arena, vehicles=vehicles, landmarks=()).in_subnet(net)
 
 
 def make_world(count, kind="ardrone", seed=0):
