@@ -557,6 +557,7 @@ def pursue(folder):
 
 
 @pytest.mark.alone
+@pytest.mark.release  # the pursuit itself: test_offline_guidance.py; that such files start: the test above
 def test_hows_sim_chases_its_target_and_comes_home(tmp_path):
     """Take-off, wait, button 1, behind the target on its circle, home, landing: by the buttons of a joystick."""
     problem, range_m, radius_m, errors_m = pursue(tmp_path / "flight")
