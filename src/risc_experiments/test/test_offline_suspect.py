@@ -1,4 +1,4 @@
-"""Motion capture that lies, whole flights offline: the vehicle holds and lands; without its ladder it flies into the net.
+"""Motion capture that lies, whole flights offline: the vehicle holds and lands, and without its ladder hits the net.
 
 And none that does not lie is suspected.
 """

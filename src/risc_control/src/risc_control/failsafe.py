@@ -76,9 +76,7 @@ class SafetyLimits(Settings):
     suspect_position_m: Positive = 0.03
     suspect_velocity_m_s: Positive = 0.3
     suspect_angle_deg: Positive = 5.0  # roll, pitch and yaw
-    state_least_step_m: NotNegative = (
-        1e-7  # [m] a state nearer to the last one is frozen; 0 = off, for exact simulators
-    )
+    state_least_step_m: NotNegative = 1e-7  # [m] nearer to the last state: frozen; 0 = off, for exact simulators
     controls_hold_s: Positive = 0.1  # [s] own command older than this: HOLD
     controls_land_s: Positive = 0.5  # [s] ... LAND
     navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off

@@ -108,7 +108,7 @@ class Plausibility:
         self._look(np.zeros(0, np.int64), np.zeros(0, bool), np.zeros((0, len(S))), 0.0)  # loads what is compiled
 
     def look(self, names, visible, states, stamp_s):
-        """(n,) bool: who is visible with a state that can be true. visible: (n,) bool.  states: (n, 12), columns `S`."""
+        """(n,) bool: who is seen, with a state that can be true. visible: (n,) bool.  states: (n, 12), columns `S`."""
         if not self._on:
             return visible
         rows = self._rows.get(names)
@@ -206,8 +206,9 @@ def _believe(vehicle, state, stamp_s):
 
 @compiled
 def _contradicts(reach, before, state, step_s, reach_s, noise):
-    """(Doubt, misfit, its limit) of the step between two states, by the limit that is exceeded most; (0, ...): it can be
-    so. reach_s: time in which the vehicle can have done what is not in the states.
+    """(Doubt, misfit, limit) of the step between two states, by the limit that is exceeded most; Doubt 0: it can be.
+
+    reach_s: time in which the vehicle can have done what is not in the states.
     """
     square, square_m_s, doubt, worst, its_most = 0.0, 0.0, 0, 0.0, 1.0
     for axis in range(2):
