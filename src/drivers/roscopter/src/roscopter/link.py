@@ -108,8 +108,8 @@ class Link:
         if not self._is_mute:  # else it is opened and lost in turns
             self._report("info", "opened %s" % device)
             if transport.hears_anybody(device):
-                text = "%s: whoever speaks first is taken for the vehicle. To hear it alone append its address: %s:VEHICLE"
-                self._report("warn", text % (device, device))
+                text = "%s: whoever speaks first is taken for the vehicle. To hear it alone append its address: :VEHICLE"
+                self._report("warn", text % device)
             self._has_complained = False
         self._is_mute = True
         self.counts["times opened"] += 1
