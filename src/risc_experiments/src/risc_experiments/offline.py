@@ -330,7 +330,11 @@ class _Chain:
             self._link.order(FlightAction.CUT_MOTORS, now_s)
         if orders.command is not None:
             self._on_sent(now_s, orders.command.settles_at)
-            self._wire.carry(orders.command.sticks, None, now_s, lambda sticks, _, at_s: self._link.send(sticks, at_s))
+            send = partial(self._send, orders.level_only)
+            self._wire.carry(orders.command.sticks, None, now_s, send)
+
+    def _send(self, level_only, sticks, _, now_s):
+        self._link.send(sticks, now_s, level_only)
 
     def deliver(self, now_s):
         """Give the vehicle what the radio brings."""
