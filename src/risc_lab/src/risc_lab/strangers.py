@@ -55,11 +55,11 @@ class Guests:
     """Who may connect to a port that listens: this computer, and who was named."""
 
     def __init__(self, texts=()):
-        """texts: addresses, and networks such as 192.168.1.0/24. Raises ValueError."""
+        """texts: addresses, and networks such as A.B.C.0/24. Raises ValueError."""
         try:
             self._networks = [ipaddress.ip_network(text) for text in texts]
         except ValueError as error:
-            raise ValueError("%s: give addresses, or networks such as 192.168.1.0/24" % error) from None
+            raise ValueError("%s: give addresses, or networks such as A.B.C.0/24" % error) from None
 
     def may_come(self, address, local_address):
         """Whether a connection is let in. address: of the other end.  local_address: of this one."""
