@@ -272,8 +272,9 @@ class TunerByMouseTest(unittest.TestCase):
         np.testing.assert_allclose(R, np.eye(3), atol=1e-3)
         self.choose("Reset")
         self.until(lambda: self.is_at(FRONT_MOUNT), "the nominal mount again, by the menu")
+        # the ring's lower part: the vehicle's name stands before the upper one, and takes the mouse
         upper, lower = (self.pixel_of((RING_M * 0.7, 0.0, sign * RING_M * 0.7)) for sign in (-1.0, 1.0))
-        self.drag(upper, 0.2 * (lower - upper))
+        self.drag(lower, 0.2 * (upper - lower))
         self.until(lambda: abs(self.mount()[1][0, 2]) > 0.05, "a camera that the mouse has turned")
         position_m, R = self.mount()
         np.testing.assert_allclose(position_m, FRONT_MOUNT.position_m, atol=1e-3)

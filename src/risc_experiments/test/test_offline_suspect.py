@@ -11,7 +11,7 @@ import pytest
 from risc_control.plausibility import Plausibility
 from risc_experiments import offline
 from risc_experiments.offline import Flight, fly
-from risc_simulator.faults import WireFault
+from risc_simulator.faults import FaultEvent
 from risc_simulator.models.mocap_cameras import MocapCameras
 
 FLIGHT = Flight("circle", vehicles=2, seed=3, duration_s=4.0)
@@ -96,7 +96,7 @@ def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
             return believed
 
     monkeypatch.setattr(offline, "Plausibility", Watched)
-    lost = WireFault("drop", "cortex/stream", 0.3)
+    lost = FaultEvent("drop", severity=0.3, channel="cortex/stream")
     options = {"gusts": True, "types": (kind,) * 2, "estimator": estimator, "wire_faults": (lost,)}
     fly(Flight("slanted8", vehicles=2, seed=2, duration_s=5.0, **options))
     assert len(looks) > 1000 and all(looks)

@@ -295,6 +295,31 @@ def test_reset_forgets_half_a_picture():
     assert [p.payload for p in parser.feed(data)] == payloads
 
 
+class CountingBuffer(bytearray):
+    """Counts the bytes that are looked at when something is searched."""
+
+    looked_at = 0
+
+    def find(self, what, begin=0, end=None):
+        place = super().find(what, begin, end)
+        stop = place + len(what) if place >= 0 else min(len(self), len(self) if end is None else end)
+        self.looked_at += max(0, stop - begin)
+        return place
+
+
+@pytest.mark.parametrize("searches_again", [False, True])
+def test_a_payload_in_many_pieces_is_searched_once(searches_again):
+    payload = P + bytes(60_000) + b"PaVE" + bytes(40_000)
+    data, parser, packets = StreamWriter().picture(payload, 0), StreamParser(), []
+    parser._buffer = CountingBuffer()
+    for begin in range(0, len(data), 20):
+        packets += parser.feed(data[begin : begin + 20])
+        if searches_again:  # the control arm
+            parser._searched = 0
+    assert [p.payload for p in packets] == [payload]
+    assert (parser._buffer.looked_at < 3 * len(data)) is not searches_again
+
+
 # --- the assembler ---------------------------------------------------------------------------------------------------
 def part(number=0, chunk=(0, 1), slice_=(0, 1), payload=b"x"):
     header = parse_header(header_by_hand())._replace(
@@ -348,3 +373,12 @@ def test_a_joined_picture_is_never_mixed(packets):
     for packet in packets:
         whole = assembler.add(packet)
         assert whole is None or whole.header.frame_number == packet.header.frame_number
+
+
+def test_a_picture_of_many_parts_has_the_size_of_a_picture():
+    assembler, bytes_of_a_part = FrameAssembler(), 100_000
+    for number in range(255):
+        assert assembler.add(part(7, (number, 255), payload=bytes(bytes_of_a_part))) is None
+        assert sum(len(packet.payload) for packet in assembler._parts) <= video.MAX_PAYLOAD_BYTES
+    assert assembler.incomplete == 1
+    assert assembler.add(part(8)).header.frame_number == 8

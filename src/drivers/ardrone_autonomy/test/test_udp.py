@@ -97,9 +97,22 @@ def test_strangers_are_not_heard(drone, thread):
         stranger.bind((drone.address, 0))
         stranger.sendto(b"noise", ("127.0.0.1", port))
     wait_for(lambda: thread.foreign == 11)
+    assert str(thread.strangers) == "127.0.0.1: 10, %s: 1" % drone.address
+    assert sum("refused" in text for level, text in thread.reports) == 2
     assert thread.link.refused == refused
     drone._sockets[0].sendto(b"noise", ("127.0.0.1", port))  # this one comes from the vehicle
     wait_for(lambda: thread.link.refused == refused + 1)
+
+
+def test_the_kernel_refuses_a_flood_of_strangers(drone, thread):
+    wait_for(lambda: thread.link.phase is Phase.READY)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for number in range(1, 501):
+            stranger.sendto(b"noise", ("127.0.0.1", thread._navdata.getsockname()[1]))
+            wait_for(lambda number=number: thread.foreign >= number)
+    assert thread.strangers.count < 100  # the rest was never read; some are, to be named
+    accepted = thread.link.accepted
+    wait_for(lambda: thread.link.accepted > accepted + 5)
 
 
 def test_every_packet_is_handed_on(drone):

@@ -145,6 +145,79 @@ def test_one_that_listens_answers_the_vehicle_and_nobody_else():
             stranger.recv(4096)
 
 
+def frames(system, roll_rad=0.0):
+    """Of a vehicle that is there: heartbeat and attitude."""
+    packer = mavlink.MAVLink(None, system, 1)
+    heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
+    attitude = mavlink.MAVLink_attitude_message(0, roll_rad, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return heartbeat.pack(packer) + attitude.pack(packer)
+
+
+@pytest.fixture
+def network():
+    """Sockets of the vehicle and of a stranger, each with an address of its own, and a free port of ours."""
+    net = "127.%d.%d." % (64 + os.getpid() % 128, os.getpid() // 128 % 256)
+    vehicle, stranger, ours = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3))
+    with vehicle, stranger:
+        with ours:
+            for number, sock in enumerate((vehicle, stranger, ours), 2):
+                sock.bind((net + str(number), 0))
+                sock.settimeout(LIMIT_S)
+            address = ours.getsockname()
+        yield vehicle, stranger, address
+
+
+def deceive(network, device):
+    """The Driver that a vehicle speaks to, and a stranger who says that he is this vehicle, and rolls."""
+    vehicle, stranger, address = network
+    with Driver(device) as driver:
+        wait_for(lambda: driver.link.autopilot.is_open, "the device")
+        for _ in range(2):
+            vehicle.sendto(frames(1), address)
+            assert vehicle.recv(4096)
+            for _ in range(100):
+                stranger.sendto(frames(1, roll_rad=1.0), address)
+        received = driver.link.counts["received bytes"]
+        vehicle.sendto(frames(1), address)  # which comes behind all that the stranger has sent
+        wait_for(lambda: driver.link.counts["received bytes"] > received, "the vehicle")
+    return driver
+
+
+def heard_rolling(driver):
+    return any(getattr(message, "roll", 0.0) > 0.5 for message in driver.messages)
+
+
+def test_the_first_that_is_heard_stays_the_vehicle(network):
+    driver = deceive(network, "udpin:%s:%d" % network[2])
+    assert not heard_rolling(driver)
+    assert str(driver.link.strangers).startswith(network[1].getsockname()[0])
+    assert sum("is refused" in text for text in driver.said("warn")) == 1
+
+
+def test_without_the_check_of_addresses_a_stranger_is_the_vehicle(network, monkeypatch):
+    """The control arm."""
+    monkeypatch.setattr("roscopter.transport.OneSender.is_from", lambda *_: True)
+    assert heard_rolling(deceive(network, "udpin:%s:%d" % network[2]))
+
+
+def test_a_vehicle_that_is_named_is_heard_alone_from_the_start(network):
+    vehicle, stranger, address = network
+    with Driver("udpin:%s:%d:%s" % (*address, vehicle.getsockname()[0])) as driver:
+        wait_for(lambda: driver.link.autopilot.is_open, "the device")
+        stranger.sendto(frames(1), address)
+        wait_for(lambda: driver.link.strangers.count, "the refusal")
+        assert driver.link.autopilot.target is None
+        vehicle.sendto(frames(7), address)
+        assert vehicle.recv(4096)
+        assert driver.link.autopilot.target == (7, 1)
+        assert not any("whoever speaks first" in text for text in driver.said("warn"))
+
+
+def test_a_port_that_hears_anybody_says_so(network):
+    with Driver("udpin:%s:%d" % network[2]) as driver:
+        wait_for(lambda: any("whoever speaks first" in text for text in driver.said("warn")), "the warning")
+
+
 def test_tcp_that_is_closed_and_comes_again():
     with socket.create_server((HOST, 0)) as server:
         device = "tcp:%s:%d" % server.getsockname()

@@ -48,6 +48,8 @@ def test_other_arguments_are_told():
         (["--max-watchdog-time=nan"], "max_watchdog_time"),
         (["--device=tcp:host"], "tcp:HOST:PORT"),
         (["--device=udpin:1.2.3.4:70000"], "udpin:HOST:PORT"),
+        (["--device=udpin:1.2.3.4:14550:"], "udpin:HOST:PORT:VEHICLE"),
+        (["--device=udpout:1.2.3.4:14550:1.2.3.5"], "udpout:HOST:PORT"),
         (["--minimum-waypoint-altitude=60000"], "maximum-altitude"),
         (["--launch-altitude=1000"], "launch-altitude"),
         (["--unknown=1"], "no such option"),

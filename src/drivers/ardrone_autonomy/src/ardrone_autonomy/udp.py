@@ -14,6 +14,7 @@ from collections import deque, namedtuple
 
 from ardrone_autonomy.link import TICK_S, DroneLink
 from ardrone_autonomy.protocol import AT_PORT, NAVDATA_PORT
+from risc_lab.strangers import OneSender, Strangers
 
 MAX_DATAGRAM_BYTES = 8192  # the largest packet known has 2.4 kB
 LANDING_CONFIRMATION_S = 2.0  # how long stop() waits for a flying vehicle to confirm that it lands
@@ -46,7 +47,7 @@ class UdpThread:
     def __init__(self, address, report, on_packet, on_failure, **link_options):
         self.address = address
         self.send_errors = 0
-        self.foreign = 0  # datagrams from elsewhere than the vehicle's navdata port
+        self.strangers = Strangers(report, "navdata")  # who sends, and is not the vehicle's navdata port
         self._report = report
         self._on_packet = on_packet
         self._on_failure = on_failure
@@ -58,14 +59,20 @@ class UdpThread:
         for sock in self._sockets:
             sock.setblocking(False)
         self._closing_since_s = math.inf
-        self._navdata_source = (address, NAVDATA_PORT)
+        self._door = OneSender(self._navdata, self.strangers)
+        self._door.hear(address, NAVDATA_PORT)
         self.link = DroneLink(
             functools.partial(self._send, self._command, (address, AT_PORT)),
-            functools.partial(self._send, self._navdata, self._navdata_source),
+            functools.partial(self._send, self._navdata, (address, NAVDATA_PORT)),
             report=report,
             **link_options,
         )
         self._thread = threading.Thread(target=self._run, name="ardrone_udp", daemon=True)
+
+    @property
+    def foreign(self):
+        """Datagrams from elsewhere than the vehicle's navdata port."""
+        return self._door.refused
 
     def start(self):
         """Start looking for the vehicle."""
@@ -147,7 +154,5 @@ class UdpThread:
             data, source = self._navdata.recvfrom(MAX_DATAGRAM_BYTES)
         except OSError:
             return  # spurious wake-up, or an ICMP error of an earlier datagram
-        if source != self._navdata_source:
-            self.foreign += 1
-        elif self.link.on_navdata(data, now_s):
+        if self._door.is_from(source) and self.link.on_navdata(data, now_s):
             self._on_packet(Packet(data, now_s))

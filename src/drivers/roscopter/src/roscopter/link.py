@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 
+from risc_lab.strangers import Strangers
 from roscopter import transport
 from roscopter.autopilot import LAST_WORDS, TICK_S, Autopilot
 
@@ -31,6 +32,7 @@ class Link:
         self._options, self._report = options, report
         self._on_message, self._on_failure = on_message, on_failure
         self.autopilot = Autopilot(options, self._write, report)
+        self.strangers = Strangers(report, options.device)
         self.counts = {"received bytes": 0, "sent bytes": 0, "not sent": 0, "times opened": 0}
         self._device, self._reopen_s = None, 0.0
         self._has_complained = False  # of a device that is not there; one line is enough until something was received
@@ -98,13 +100,18 @@ class Link:
     def _open(self):
         device = self._options.device
         try:
-            self._device = transport.open_device(device, self._options.baudrate)
+            self._device = transport.open_device(device, self._options.baudrate, self.strangers)
         except (OSError, ValueError) as error:
             self._complain("cannot open %s (%s); trying again every second" % (device, _reason(error)))
             self._reopen_s = time.monotonic() + RETRY_S
             return
         if not self._is_mute:  # else it is opened and lost in turns
             self._report("info", "opened %s" % device)
+            if transport.hears_anybody(device):
+                text = (
+                    "%s: whoever speaks first is taken for the vehicle. To hear it alone append :VEHICLE, its address"
+                )
+                self._report("warn", text % device)
             self._has_complained = False
         self._is_mute = True
         self.counts["times opened"] += 1

@@ -12,28 +12,48 @@ import termios
 
 import serial
 
-FORMS = "a serial device such as /dev/ttyUSB0, or udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT"
+from risc_lab.strangers import OneSender
+
+FORMS = "a serial device such as /dev/ttyUSB0, or udpin:HOST:PORT:VEHICLE, udpout:HOST:PORT, tcp:HOST:PORT"
 CONNECT_S = 1.0  # the longest that opening a TCP connection holds up everything else
 _MOST_BYTES = 65536
-_NETWORK = re.compile(r"(udpin|udpout|udp|tcp):([^:]*):(\d+)")
+_NETWORK = re.compile(r"(?:(udpin|udp):([^:]*):(\d+)(?::([^:]+))?|(udpout|tcp):([^:]*):(\d+))")
 
 
 def check(device):
     """Raises ValueError when a text names no device."""
-    is_network = _NETWORK.fullmatch(device)
-    if is_network and not 0 < int(is_network[3]) < 65536 or not is_network and re.match(r"\w+:", device):
+    network = _network(device)
+    if network and not 0 < network[1][1] < 65536 or not network and re.match(r"\w+:", device):
         raise ValueError("device %r is none: give %s" % (device, FORMS))
 
 
-def open_device(device, baudrate):
-    """Open one. Raises OSError, and ValueError for a baud rate that a serial line has not."""
-    network = _NETWORK.fullmatch(device)
+def open_device(device, baudrate, strangers=None):
+    """Open one. Raises OSError, and ValueError for a baud rate that a serial line has not.
+
+    strangers: risc_lab.strangers.Strangers, for those who speak to a port that listens and are not the vehicle.
+    """
+    network = _network(device)
     if network is None:
         return Serial(device, baudrate)
-    address = network[2], int(network[3])
-    if network[1] == "tcp":
+    kind, address, vehicle = network
+    if kind == "tcp":
         return Tcp(address)
-    return UdpClient(address) if network[1] == "udpout" else UdpServer(address)
+    return UdpClient(address) if kind == "udpout" else UdpServer(address, vehicle, strangers)
+
+
+def hears_anybody(device):
+    """Whether a device takes whoever speaks first for the vehicle."""
+    network = _network(device)
+    return network is not None and network[0] in ("udpin", "udp") and network[2] is None
+
+
+def _network(device):
+    """(kind, address to open, vehicle's host or None) of a text; None when it names no such device."""
+    match = _NETWORK.fullmatch(device)
+    if match is None:
+        return None
+    kind, host, port = match.group(1, 2, 3) if match[1] else match.group(5, 6, 7)
+    return kind, (host, int(port)), match[4]
 
 
 class Serial:
@@ -112,23 +132,38 @@ class UdpClient(_Socket):
 
 
 class UdpServer(_Socket):
-    """Hears everybody who sends to one address, and answers the vehicle."""
+    """Hears the vehicle, which sends to one address, and answers it.
 
-    def __init__(self, address):
+    A vehicle that is not named is the first that is heard, and stays it as long as the port is open.
+    """
+
+    def __init__(self, address, vehicle, strangers):
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             sock.bind(address)
+            vehicle = vehicle and socket.gethostbyname(vehicle)
         except OSError:
             sock.close()
             raise
         super().__init__(sock)
-        self._peer = None
+        self._peer, self._vehicle = None, None
+        cure = "the vehicle is at %s. To hear another one start again with a device udpin:HOST:PORT:VEHICLE"
+        self._cure, self._strangers = cure, strangers
+        if vehicle:
+            self._hear(vehicle)
+
+    def _hear(self, vehicle):
+        self._vehicle = OneSender(self._socket, self._strangers, self._cure % vehicle)
+        self._vehicle.hear(vehicle)
 
     def read(self):
         try:
-            return self._socket.recvfrom(_MOST_BYTES)
+            data, source = self._socket.recvfrom(_MOST_BYTES)
         except (BlockingIOError, ConnectionRefusedError):
             return b"", None
+        if self._vehicle is not None and not self._vehicle.is_from(source):
+            return b"", None
+        return data, source
 
     def write(self, data):
         if self._peer is None:
@@ -139,6 +174,8 @@ class UdpServer(_Socket):
 
     def answer_to(self, source):
         self._peer = source
+        if self._vehicle is None:
+            self._hear(source[0])
 
 
 class Tcp(_Socket):

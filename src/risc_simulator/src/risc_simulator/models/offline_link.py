@@ -19,15 +19,15 @@ class OfflineLink:
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
 
-    def send(self, sticks, now_s):
-        """The driver was told these."""
+    def send(self, sticks, now_s, level_only=False):
+        """The driver was told these. level_only: all 0 mean level, and no hover."""
         kind = self.vehicle.type
         setpoint = Setpoint(
             roll_rad=-sticks.left * kind.tilt_max_rad,
             pitch_rad=-sticks.forward * kind.tilt_max_rad,
             climb_m_s=sticks.up * kind.climb_max_m_s,
             yaw_rate_rad_s=-sticks.turn_left * kind.yaw_rate_max_rad_s,
-            hover=not any(sticks),
+            hover=not (any(sticks) or level_only),
         )
         self._radio.submit(now_s, setpoint)
 
@@ -44,7 +44,7 @@ class OfflineLink:
         """The computer of the driver is gone from now on: nothing is sent any more."""
 
     def report(self):
-        """(FlightPhase, charge in percent) as the vehicle tells its driver. It flies as long as one likes: no charge
-        of less than 90 is told.
+        """(FlightPhase, charge in percent) as the vehicle tells its driver. It flies as long as one likes: 90 is told
+        until another charge is put in.
         """
-        return self.vehicle.phase, 90.0
+        return self.vehicle.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0

@@ -125,10 +125,12 @@ class StreamParser:
         self.broken_payloads = 0  # announced longer than they were
         self.skipped_bytes = 0  # that belong to no packet
         self._buffer = bytearray()
+        self._searched = 0  # no sound header lies between the one at the beginning and here
 
     def reset(self):
         """Forget the bytes of a connection that has ended."""
         self._buffer.clear()
+        self._searched = 0
 
     def feed(self, data):
         """List of the Packets that these bytes complete, in order."""
@@ -145,7 +147,7 @@ class StreamParser:
                 continue
             packets.append(Packet(header, bytes(self._buffer[begin:end])))
             self.packets += 1
-            del self._buffer[:end]
+            self._remove(end)
         return packets
 
     def _find_header(self):
@@ -165,39 +167,55 @@ class StreamParser:
         return None
 
     def _find_inner_header(self, header, end):
-        """Where another sound header lies inside the payload; 0: nowhere, None: more bytes are needed to tell."""
-        begin = self._buffer.find(MAGIC, header.header_bytes, end)
+        """Where another sound header lies inside the payload; 0: nowhere, None: more bytes are needed to tell.
+
+        What has been searched once is not searched again: a payload may come in as many pieces as it has bytes.
+        """
+        buffer = self._buffer
+        begin = buffer.find(MAGIC, max(self._searched, header.header_bytes), end)
         while begin >= 0:
-            if len(self._buffer) < begin + MIN_HEADER_BYTES:
+            self._searched = begin
+            if len(buffer) < begin + MIN_HEADER_BYTES:
                 return None
             with contextlib.suppress(PaveError):
-                inner = parse_header(self._buffer, begin)
+                inner = parse_header(buffer, begin)
                 if (inner.version, inner.codec) == (header.version, header.codec):
                     return begin
-            begin = self._buffer.find(MAGIC, begin + len(MAGIC), end)
+            begin = buffer.find(MAGIC, begin + len(MAGIC), end)
+        self._searched = max(self._searched, min(len(buffer), end) - len(MAGIC) + 1)  # a magic may be broken off here
         return 0
 
     def _skip(self, count):
         self.skipped_bytes += count
+        if count:
+            self._remove(count)
+
+    def _remove(self, count):
         del self._buffer[:count]
+        self._searched = 0
 
 
 class FrameAssembler:
     """Joins the packets of one picture, which some settings of the aircraft make it send in chunks or slices."""
 
     def __init__(self):
-        self.incomplete = 0  # pictures of which a part is missing
-        self._parts = []  # Packets of one picture, from its first part on
+        self.incomplete = 0  # pictures of which a part is missing, or that are too large
+        self._parts, self._bytes = [], 0  # Packets of one picture, from its first part on, and their payload
 
     def add(self, packet):
         """The Packet of a whole picture that this one completes (header of its first part), or None."""
         header = packet.header
         if not (self._parts and self._continues(header)):
             self.incomplete += bool(self._parts)
-            self._parts = []
+            self._parts, self._bytes = [], 0
             if not header.is_first_part:
                 return None
         self._parts.append(packet)
+        self._bytes += len(packet.payload)
+        if self._bytes > MAX_PAYLOAD_BYTES:  # 65536 parts of this size would be 64 GB
+            self.incomplete += 1
+            self._parts = []
+            return None
         if not header.is_last_part:
             return None
         parts, self._parts = self._parts, []

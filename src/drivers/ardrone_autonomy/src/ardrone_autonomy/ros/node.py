@@ -394,6 +394,7 @@ class ArdroneDriver:
             ("reconnects", max(0, link.connections - 1)),
             ("late packets", link.stale),
             ("foreign or bad packets", udp.foreign + link.refused + counts["bad packets"]),
+            ("foreign packets of", udp.strangers),
             ("skipped packets", counts["skipped packets"]),
             ("packets not published", counts["packets not published"]),
             ("send errors", udp.send_errors),

@@ -256,6 +256,7 @@ class Bridge:
                 **counts,
                 "packets not sent": link.counts["not sent"],
                 "times opened": link.counts["times opened"],
+                "strangers refused": link.strangers,
                 "messages not published": self._unpublished,
             },
         )
