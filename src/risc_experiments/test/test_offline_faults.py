@@ -1,12 +1,15 @@
-"""Faults on the wires of offline flights: mocap frames and commands."""
+"""Faults in offline flights: what acts where, what is told of it, and that a seed repeats it."""
 
 import dataclasses
+import json
+import pathlib
 
 import numpy as np
 import pytest
 
-from risc_experiments.offline import Flight, fly
-from risc_simulator.faults import WireFault
+from risc_experiments.offline import Flight, fly, main
+from risc_lab.registry import VARIABLE
+from risc_simulator.faults import FaultEvent, parse_fault
 
 CLEAN = Flight(vehicles=1, seed=3, duration_s=3.0)
 
@@ -21,7 +24,12 @@ def flown(*faults):
 
 
 @pytest.mark.parametrize(
-    "fault", [WireFault("drop", "cortex/stream", 0.3), WireFault("jitter", "*/commands", 0.05)], ids=lambda f: f.fault
+    "fault",
+    [
+        FaultEvent("drop", channel="cortex/stream", severity=0.3),
+        FaultEvent("jitter", channel="*/commands", severity=0.05),
+    ],
+    ids=lambda f: f.fault,
 )
 def test_a_flight_bears_them_and_a_seed_repeats_it(clean, fault):
     first, again = flown(fault), flown(fault)
@@ -31,12 +39,86 @@ def test_a_flight_bears_them_and_a_seed_repeats_it(clean, fault):
 
 
 def test_late_frames_are_known_to_be_late_and_late_commands_are_not(clean):
-    frames, commands = (flown(WireFault("delay", channel, 0.08)) for channel in ("cortex/stream", "*/commands"))
+    frames, commands = (
+        flown(FaultEvent("delay", channel=channel, severity=0.08)) for channel in ("cortex/stream", "*/commands")
+    )
     assert min(frames.rmse_m[0], commands.rmse_m[0]) > 1.3 * clean.rmse_m[0]
     assert frames.safety and not commands.safety
 
 
 def test_a_hole_in_the_stream_is_seen_by_the_failsafe(clean):
     assert clean.safety == ()
-    hole = flown(WireFault("blackhole", "cortex/stream", start_s=5.0, duration_s=0.3))
+    hole = flown(FaultEvent("blackhole", channel="cortex/stream", start_s=5.0, duration_s=0.3))
     assert hole.safety and 5.08 < hole.safety[0][0] < 5.15
+
+
+# --- Flight.faults
+
+
+def with_faults(*texts, **fields):
+    return fly(dataclasses.replace(CLEAN, faults=tuple(map(parse_fault, texts)), **fields))
+
+
+def test_what_became_of_faults_is_told():
+    """A short blackout is held through, a long one lands; a fault that does nothing changes nothing."""
+    result = with_faults("mocap_blackout:0.3@1", "jump:0.0@2.5", "mocap_blackout:3@4")
+    hold, nothing, land = result.faults
+    assert [(fault.name, fault.outcome, fault.safe) for fault in result.faults] == [
+        ("mocap_blackout", "held", True), ("jump", "completed", True), ("mocap_blackout", "landed", True)
+    ]  # fmt: skip
+    assert (hold.args, nothing.args) == ("0.3", "0,risc1")
+    assert hold.start_s + 1.5 == pytest.approx(nothing.start_s) and hold.end_s - hold.start_s == pytest.approx(0.3)
+    assert 90.0 < hold.reaction_ms < 130.0 and 90.0 < land.reaction_ms < 130.0 and nothing.reaction_ms is None
+    assert result.landed == (True,) and not result.breaches and not result.contacts
+    assert result.flown_s < land.start_s + 5.0, "it does not wait for the end when all have landed"
+
+
+def test_until_the_course_is_reached_nothing_happens(clean):
+    result = with_faults("mocap_blackout:0.3@6")
+    before = result.times_s < result.faults[0].start_s
+    np.testing.assert_array_equal(result.actual_m[before], clean.actual_m[: before.sum()])
+    assert result.safety and not clean.safety
+
+
+def test_a_crash_with_faults_is_told_and_without_them_raised():
+    """Of a vehicle that is seen beside where it is, without its fence."""
+    node, beside = {"fence_delay_s": 100.0}, "jump:1.5,duration_s=20"
+    result = with_faults(beside, "mocap_blackout:1@6", duration_s=6.0, seed=1, node=node)
+    jump, blackout = result.faults
+    assert (jump.outcome, jump.safe) == ("breach", False)
+    ((at_s, name, reason),) = result.breaches
+    assert (name, reason) == ("risc1", "flew into the net") and jump.start_s < at_s < blackout.start_s
+    with pytest.raises(RuntimeError, match="risc1 flew into the net"):
+        flying = dataclasses.replace(CLEAN, duration_s=6.0, seed=1, node=node)
+        fly(dataclasses.replace(flying, wire_faults=(parse_fault("%s@%g" % (beside, jump.start_s)),)))
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("mocap_blackout:1@8", "fault mocap_blackout:1@8 starts when the flight is over: it lasts 7 s"),
+        ("mocap_blackout:1@-1", "starts when the flight is over"),
+        ("jump:risc7", "no vehicle 'risc7'; known are: risc1"),
+        ("wrong_reply", "no channel 'cortex/replies'"),
+    ],
+)
+def test_faults_that_cannot_happen_are_refused_before_the_flight(text, message):
+    with pytest.raises(ValueError, match=message):
+        with_faults(text)
+
+
+def test_the_command_line_tells_outcomes_and_fails_when_one_is_not_safe(capsys, tmp_path, monkeypatch):
+    """The unsafe one is somebody's own: one file and one YAML file."""
+    monkeypatch.setenv(VARIABLE, str(pathlib.Path(__file__).parent / "members"))
+    path = tmp_path / "figures.json"
+    call = ["--trajectory", "circle", "--vehicles", "1", "--seeds", "1", "--duration", "4", "--workers", "1"]
+    assert main([*call, "--fault", "mocap_blackout:0.3@1", "--fault", "jump:0@2", "--json", str(path)]) == 0
+    assert "mocap_blackout:0.3 held after 95 ms" in capsys.readouterr().out
+    (row,) = json.loads(path.read_text())["flights"]
+    assert [fault["outcome"] for fault in row["faults"]] == ["held", "completed"] and row["contacts"] == 0
+    assert main([*call, "--fault", "toy_cutout"]) == 1
+    told = capsys.readouterr().out
+    assert "toy_cutout:1,risc1 breach after" in told and "(unsafe)" in told
+    with pytest.raises(SystemExit):
+        main([*call, "--fault", "fire"])
+    assert "unknown name 'fire' among the faults; known are" in capsys.readouterr().err

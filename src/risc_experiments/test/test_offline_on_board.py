@@ -9,7 +9,7 @@ from risc_estimation.filters import COMMAND, REGISTRY, least_squares
 from risc_experiments.offline import Flight, fly
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.registry import VARIABLE
-from risc_simulator.faults import WireFault
+from risc_simulator.faults import FaultEvent
 
 TOY = '''
 from risc_estimation.filters import COMMAND, least_squares
@@ -71,9 +71,9 @@ def test_readings_come_at_the_rate_of_the_navdata_with_stamps_of_their_own(monke
 def test_they_pass_a_wire_with_faults(monkeypatch):
     _, given = recorded(monkeypatch, ("height",))
     faults = (
-        WireFault("drop", "risc1/navdata", 0.5),
-        WireFault("corrupt", "risc1/navdata", 0.5),
-        WireFault("delay", "risc2/navdata", 0.03),
+        FaultEvent("drop", channel="risc1/navdata", severity=0.5),
+        FaultEvent("corrupt", channel="risc1/navdata", severity=0.5),
+        FaultEvent("delay", channel="risc2/navdata", severity=0.03),
     )
     _, faulty = recorded(monkeypatch, ("height",), wire_faults=faults)
     counts = [[sum(i == row for i, *_ in items) for row in (0, 1)] for items in (given, faulty)]

@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from ardrone_autonomy.protocol.navdata import ALL_TAGS, Navdata, peek
 from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab import Fleet, FleetVehicle, MocapEndpoint, Start, Template, load_vehicle_type
-from risc_simulator.faults import WireFault
+from risc_simulator.faults import FaultEvent
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.vehicles.ardrone import host as ardrone_host
 from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
@@ -829,14 +829,14 @@ def test_faults_act_on_what_it_hears_and_says(lab):
     lab.connect()
     clean = len(lab.run(2.0, ref=IDLE))
     assert lab.host.statistics()["com_watchdogs"] == 0
-    lab.host.wires.add(WireFault("drop", "risc1/navdata", 0.5, lab.now_s, 2.0))
+    lab.host.wires.add(FaultEvent("drop", channel="risc1/navdata", severity=0.5, start_s=lab.now_s, duration_s=2.0))
     assert 0.4 * clean < len(lab.run(2.0, ref=IDLE)) < 0.6 * clean
     assert len(lab.run(2.0, ref=IDLE)) == pytest.approx(clean, abs=2), "the window is over"
     malformed = lab.host.statistics()["at_malformed"]
-    lab.host.wires.add(WireFault("blackhole", "risc1/commands", start_s=lab.now_s, duration_s=0.5))
+    lab.host.wires.add(FaultEvent("blackhole", channel="risc1/commands", start_s=lab.now_s, duration_s=0.5))
     lab.run(0.5, ref=IDLE)
     assert lab.state & COM_WATCHDOG and lab.host.statistics()["com_watchdogs"] == 1
-    lab.host.wires.add(WireFault("corrupt", "risc1/commands", 1.0, lab.now_s, 2.0))
+    lab.host.wires.add(FaultEvent("corrupt", channel="risc1/commands", severity=1.0, start_s=lab.now_s, duration_s=2.0))
     lab.run(2.0, ref=IDLE)
     assert lab.host.statistics()["at_malformed"] > malformed
 
@@ -846,7 +846,7 @@ def test_delayed_commands_are_obeyed_later(lab):
     delays_s = []
     for delay_s in (0.0, 0.3):
         if delay_s:
-            lab.host.wires.add(WireFault("delay", "risc1/commands", delay_s, lab.now_s))
+            lab.host.wires.add(FaultEvent("delay", channel="risc1/commands", severity=delay_s, start_s=lab.now_s))
         sent_s, taken_off = lab.now_s, lab.host.statistics()["take_offs"]
         lab.client.at("REF,%d" % START)
         while lab.host.statistics()["take_offs"] == taken_off:
@@ -873,7 +873,7 @@ def test_what_was_sent_before_a_link_loss_arrives_once(fake_lab, loss_s):
     lab.run(0.5, ref=IDLE)
     host = lab.host
     for channel in ("risc9/commands", "risc9/navdata"):
-        host.wires.add(WireFault("delay", channel, 0.2, lab.now_s))
+        host.wires.add(FaultEvent("delay", channel=channel, severity=0.2, start_s=lab.now_s))
     heard, (wire, deliver) = [], host._heard[host._sockets["at"]]
     take = lambda data, sender, now_s: (heard.append(data), deliver(data, sender, now_s))  # noqa: E731
     host.hear(host._sockets["at"], wire, take)
@@ -964,12 +964,14 @@ def test_faults_act_on_the_configurations_stream(lab):
         assert read_all(lab, connection).count(b"\0") == 1
 
     text_comes_after(0.0)
-    lab.host.wires.add(WireFault("delay", "risc1/control", 0.4, lab.now_s, 1.0))
+    lab.host.wires.add(FaultEvent("delay", channel="risc1/control", severity=0.4, start_s=lab.now_s, duration_s=1.0))
     text_comes_after(0.4)
     lab.run(1.0, ref=IDLE)
-    lab.host.wires.add(WireFault("blackhole", "risc1/control", 1.0, lab.now_s, 0.7))
+    lab.host.wires.add(
+        FaultEvent("blackhole", channel="risc1/control", severity=1.0, start_s=lab.now_s, duration_s=0.7)
+    )
     text_comes_after(0.7)
-    lab.host.wires.add(WireFault("cut", "risc1/control", 1.0, lab.now_s))
+    lab.host.wires.add(FaultEvent("cut", channel="risc1/control", severity=1.0, start_s=lab.now_s))
     other = socket.create_connection((ADDRESS, lab.host.ports.control))
     lab.serve()
     lab.client.at("CTRL,5,0", "CTRL,4,0")
@@ -1285,14 +1287,14 @@ def test_faults_act_on_ftp(lab):
         client.settimeout(0.0)
         lab.run(0.05)
         assert client.recv(1000).startswith(b"220")
-        lab.host.wires.add(WireFault("delay", "risc1/ftp", 0.3, lab.now_s, 0.2))
+        lab.host.wires.add(FaultEvent("delay", channel="risc1/ftp", severity=0.3, start_s=lab.now_s, duration_s=0.2))
         client.sendall(b"USER anonymous\r\n")
         lab.run(0.29)
         with pytest.raises(BlockingIOError):
             client.recv(1000)
         lab.run(0.02)
         assert client.recv(1000).startswith(b"331")
-        lab.host.wires.add(WireFault("cut", "risc1/ftp", 1.0, lab.now_s, 0.2))
+        lab.host.wires.add(FaultEvent("cut", channel="risc1/ftp", severity=1.0, start_s=lab.now_s, duration_s=0.2))
         client.sendall(b"NOOP\r\n")
         lab.run(0.05)
         with pytest.raises(ConnectionResetError):

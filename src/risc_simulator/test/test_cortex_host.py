@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cortex_ros import wire
 from cortex_ros.wire import Command
 from risc_simulator.cortex_host import CortexHost
-from risc_simulator.faults import WireFault
+from risc_simulator.faults import FaultEvent
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 
 HOST = "127.88.0.1"
@@ -753,7 +753,9 @@ def live(make_lab, listen):
 def test_silence_for_a_while(live):
     lab, stream, client = live
     lab.step(2)
-    lab.host.wires.add(WireFault("blackhole", "cortex/*", 1.0, lab.now_s, 9.5 * PERIOD_S))
+    lab.host.wires.add(
+        FaultEvent("blackhole", channel="cortex/*", severity=1.0, start_s=lab.now_s, duration_s=9.5 * PERIOD_S)
+    )
     lab.step(5)
     lab.send(client, HELLO)
     lab.step(15)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cortex_ros import wire
-from risc_simulator.faults import REGISTRY, WireFault, Wires, load_wire_faults
+from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, load_faults, parse_fault
+from risc_simulator.wires import Wires
 
 GAP_S = 0.005
 DATAGRAMS = [b"%05d" % k for k in range(4000)]
@@ -26,14 +27,23 @@ def carry(*faults, seed=1, count=len(DATAGRAMS), gap_s=GAP_S, channel="risc1/nav
     return arrived
 
 
-def test_the_members():
-    datagrams = {"corrupt", "drop", "duplicate", "reorder", "truncate", "wrong_reply"}
-    assert set(REGISTRY.names()) == datagrams | {"blackhole", "cut", "delay", "jitter"}
+@pytest.mark.parametrize("name", REGISTRY.names())
+def test_a_member_says_what_people_need_and_its_default_can_happen(name):
+    settings = fault_settings(name)
+    assert settings.summary and "\n" not in settings.summary and len(settings.summary) < 80
+    on_wires = {"datagrams", "streams", "frames"} & set(settings.acts_on)
+    assert bool(settings.channel) == bool(on_wires)
+    assert settings.per_vehicle or "{vehicle}" not in settings.channel
+    assert set(settings.grades) in (set(), {"mild", "medium", "severe"})
+    values = [settings.grades[grade] for grade in ("mild", "medium", "severe") if settings.grades]
+    assert values in (sorted(values), sorted(values, reverse=True))
+    event = FaultEvent(name)
+    assert parse_fault("%s:%s" % (name, event.args)) == event == parse_fault(name)
 
 
 @pytest.mark.parametrize("severity", [0.0, 0.2, 0.7, 1.0])
 def test_drop_loses_its_share_one_by_one(severity):
-    arrived = [data for _, _, data in carry(WireFault("drop", "*", severity))]
+    arrived = [data for _, _, data in carry(FaultEvent("drop", channel="*", severity=severity))]
     lost = 1.0 - len(arrived) / len(DATAGRAMS)
     assert lost == pytest.approx(severity, abs=4.0 * np.sqrt(severity * (1 - severity) / len(DATAGRAMS)) + 1e-12)
     assert arrived == sorted(arrived)
@@ -43,13 +53,13 @@ def test_drop_loses_its_share_one_by_one(severity):
 
 
 def test_delay_is_the_same_for_all():
-    arrived = carry(WireFault("delay", "*", 0.032), count=500)
+    arrived = carry(FaultEvent("delay", channel="*", severity=0.032), count=500)
     np.testing.assert_allclose([at_s - sent_s for sent_s, at_s, _ in arrived], 0.032, atol=1e-9)
     assert [data for _, _, data in arrived] == DATAGRAMS[:500]
 
 
 def test_jitter_is_uniform_and_lets_datagrams_overtake():
-    arrived = carry(WireFault("jitter", "*", 0.02))
+    arrived = carry(FaultEvent("jitter", channel="*", severity=0.02))
     later_s = np.array([at_s - sent_s for sent_s, at_s, _ in arrived])
     assert len(arrived) == len(DATAGRAMS)
     assert 0.0 <= later_s.min() < 0.001 and 0.019 < later_s.max() <= 0.02
@@ -62,18 +72,18 @@ def test_corrupt_leaves_alone_what_has_no_bytes():
     """Offline flights let frames and setpoints pass as they are."""
     wires = Wires(1)
     wire = wires.wire("risc1/commands")
-    wires.add(WireFault("corrupt", "*", 1.0))
+    wires.add(FaultEvent("corrupt", channel="*", severity=1.0))
     assert wire.carry((1.0, 2.0), None, 0.0, lambda data, *_: data) == (1.0, 2.0)
 
 
 def test_duplicate_sends_its_share_twice():
-    arrived = [data for _, _, data in carry(WireFault("duplicate", "*", 0.3))]
+    arrived = [data for _, _, data in carry(FaultEvent("duplicate", channel="*", severity=0.3))]
     assert len(arrived) / len(DATAGRAMS) == pytest.approx(1.3, abs=0.03)
     assert sorted(set(arrived)) == DATAGRAMS
 
 
 def test_reorder_swaps_neighbours_and_loses_none():
-    arrived = [data for _, _, data in carry(WireFault("reorder", "*", 0.1))]
+    arrived = [data for _, _, data in carry(FaultEvent("reorder", channel="*", severity=0.1))]
     assert sorted(arrived) == DATAGRAMS
     places = np.array([int(data) for data in arrived])
     assert (np.diff(places) < 0).mean() == pytest.approx(0.1, abs=0.03)
@@ -81,13 +91,13 @@ def test_reorder_swaps_neighbours_and_loses_none():
 
 
 def test_corrupt_changes_one_byte():
-    arrived = [data for _, _, data in carry(WireFault("corrupt", "*", 0.25))]
+    arrived = [data for _, _, data in carry(FaultEvent("corrupt", channel="*", severity=0.25))]
     wrong = [sum(a != b for a, b in zip(data, sent)) for data, sent in zip(arrived, DATAGRAMS)]
     assert set(wrong) == {0, 1} and np.mean(wrong) == pytest.approx(0.25, abs=0.03)
 
 
 def test_truncate_leaves_the_beginning():
-    arrived = [data for _, _, data in carry(WireFault("truncate", "*", 0.3))]
+    arrived = [data for _, _, data in carry(FaultEvent("truncate", channel="*", severity=0.3))]
     assert all(sent.startswith(data) for data, sent in zip(arrived, DATAGRAMS, strict=True))
     cut = [len(data) for data in arrived if len(data) < 5]
     assert len(cut) / len(DATAGRAMS) == pytest.approx(0.3, abs=0.03)
@@ -98,7 +108,7 @@ def test_wrong_reply_is_another_command_with_the_same_content():
     """Of Cortex' protocol; the length is as sent, so that the packet is well formed."""
     wires, reply = Wires(1), wire.encode_packet(wire.Command.GENERAL_REPLY, b"abc")
     replies = wires.wire("cortex/replies")
-    wires.add(WireFault("wrong_reply", "cortex/replies", 0.5))
+    wires.add(FaultEvent("wrong_reply", channel="cortex/replies", severity=0.5))
     found = [wire.split_packet(replies.carry(reply, None, 0.0, lambda data, *_: data)) for _ in range(400)]
     assert {payload for _, payload in found} == {b"abc"}
     wrong = [command for command, _ in found if command != wire.Command.GENERAL_REPLY]
@@ -107,26 +117,31 @@ def test_wrong_reply_is_another_command_with_the_same_content():
 
 
 def test_blackhole_has_a_window():
-    arrived = [data for _, _, data in carry(WireFault("blackhole", "*", 1.0, 1.0, 0.5))]
+    arrived = [
+        data for _, _, data in carry(FaultEvent("blackhole", channel="*", severity=1.0, start_s=1.0, duration_s=0.5))
+    ]
     assert arrived == DATAGRAMS[:200] + DATAGRAMS[300:]
 
 
 def test_faults_act_one_after_the_other():
     arrived = carry(
-        WireFault("delay", "*", 0.01), WireFault("duplicate", "*", 1.0), WireFault("delay", "*", 0.02), count=9
+        FaultEvent("delay", channel="*", severity=0.01),
+        FaultEvent("duplicate", channel="*", severity=1.0),
+        FaultEvent("delay", channel="*", severity=0.02),
+        count=9,
     )
     assert [data for _, _, data in arrived] == [data for data in DATAGRAMS[:9] for _ in range(2)]
     np.testing.assert_allclose([at_s - sent_s for sent_s, at_s, _ in arrived], 0.03)
 
 
 def test_a_seed_repeats_it_and_each_wire_and_fault_has_its_own():
-    drop = WireFault("drop", "*", 0.5)
+    drop = FaultEvent("drop", channel="*", severity=0.5)
     assert carry(drop) == carry(drop)
     assert carry(drop) != carry(drop, seed=2)
     assert [data for _, _, data in carry(drop)] != [data for _, _, data in carry(drop, channel="risc2/navdata")]
     once, twice = carry(drop), carry(drop, drop)
     assert len(twice) / len(once) == pytest.approx(0.5, abs=0.05)
-    beside = carry(drop, WireFault("delay", "*", 0.001))
+    beside = carry(drop, FaultEvent("delay", channel="*", severity=0.001))
     assert [data for _, _, data in beside] == [data for _, _, data in once]
 
 
@@ -139,7 +154,7 @@ def test_a_channel_may_mean_several_wires_and_an_end_frees_them():
         return {name: wires.wire(name).carry(b"x", None, 0.0, lambda *_: True) for name in ("risc1/navdata",
                 "risc1/commands", "risc2/navdata")}  # fmt: skip
 
-    wires.add(WireFault("blackhole", "risc1/*"))
+    wires.add(FaultEvent("blackhole", channel="risc1/*"))
     assert passing() == {"risc1/navdata": False, "risc1/commands": False, "risc2/navdata": True}
     wires.clear("*/commands")
     assert passing() == {"risc1/navdata": False, "risc1/commands": True, "risc2/navdata": True}
@@ -152,23 +167,67 @@ def test_a_channel_may_mean_several_wires_and_an_end_frees_them():
 @pytest.mark.parametrize(
     "fields, message",
     [
-        (("fire", "*"), "unknown name 'fire' among the faults; known are: blackhole"),
-        (("drop", "*", 1.5), r"severity must be in \[0, 1\]"),
-        (("drop", "*", float("nan")), "severity"),
-        (("drop", "*", 0.5, float("inf")), "'start_s' must be finite"),
-        (("drop", "*", 0.5, 0.0, -1.0), "'duration_s' must be a number >= 0"),
+        ({"fault": "fire"}, "unknown name 'fire' among the faults; known are: .*blackhole"),
+        ({"severity": 1.5}, r"severity must be in \[0, 1\]"),
+        ({"severity": float("nan")}, "severity"),
+        ({"severity": "much"}, "'severity' must be a number"),
+        ({"start_s": float("inf")}, "'start_s' must be finite"),
+        ({"duration_s": -1.0}, "'duration_s' must be a number .*>= 0"),
+        ({"fault": "mocap_blackout", "duration_s": 61.0}, r"duration_s must be in \[0, 60\]"),
     ],
 )
 def test_impossible_faults_are_refused(fields, message):
     with pytest.raises(ValueError, match=message):
-        WireFault(*fields)
+        FaultEvent(**{"fault": "drop", **fields})
+
+
+@pytest.mark.parametrize(
+    "text, event",
+    [
+        ("mocap_blackout", FaultEvent("mocap_blackout", duration_s=0.3)),
+        ("mocap_blackout:3@2.5", FaultEvent("mocap_blackout", duration_s=3.0, start_s=2.5)),
+        ("mocap_blackout:severe", FaultEvent("mocap_blackout", duration_s=3.0)),
+        ("jump:0.5,risc2@4", FaultEvent("jump", "risc2", 0.5, start_s=4.0)),
+        ("jump:risc2,mild", FaultEvent("jump", "risc2", 0.1)),
+        ("jump:*,duration_s=2", FaultEvent("jump", "*", duration_s=2.0)),
+        ("drop:severity=0.1,duration_s=2@4", FaultEvent("drop", "", 0.1, 2.0, 4.0)),
+        ("drop:0.3,channel=risc1/*", FaultEvent("drop", severity=0.3, channel="risc1/*")),
+        ("drop:0.3,duration_s=inf", FaultEvent("drop", severity=0.3)),
+    ],
+)
+def test_a_fault_is_read_from_the_command_line_and_written_as_there(text, event):
+    assert parse_fault(text) == event
+    assert parse_fault(str(event)) == event
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "fault '' has no name: write NAME"),
+        (":0.3", "has no name"),
+        ("fire:1", "unknown name 'fire' among the faults"),
+        ("jump:much!", "'much!' is no number: write NAME"),
+        ("jump:0.3s", "'0.3s' is no number"),
+        ("jump:9", r"severity must be in \[0, 5\], found 9"),
+        ("jump:0.3,0.4", "'severity' is there twice"),
+        ("jump:risc1,risc2", "'vehicle' is there twice"),
+        ("jump:0.3,height=2", "no 'height'; there are severity, duration_s, vehicle, channel"),
+        ("jump:duration_s=-1", "duration_s"),
+        ("jump@soon", "'soon' is no number"),
+        ("jump@", "'' is no number"),
+        ("jump@nan", "'start_s' must be finite"),
+    ],
+)
+def test_a_fault_that_is_misspelt_is_refused(text, message):
+    with pytest.raises(ValueError, match=message):
+        parse_fault(text)
 
 
 def test_unknown_channels_are_refused_by_name():
     wires = Wires()
     wires.wire("risc1/navdata")
     with pytest.raises(ValueError, match="no channel 'risc1/nav'; known are: risc1/navdata"):
-        wires.add(WireFault("drop", "risc1/nav", 0.1))
+        wires.add(FaultEvent("drop", channel="risc1/nav", severity=0.1))
 
 
 def test_a_file_of_faults(tmp_path):
@@ -177,13 +236,13 @@ def test_a_file_of_faults(tmp_path):
         "faults:\n- {fault: drop, channel: risc1/*, severity: 0.3, start_s: 10, duration_s: 5}\n"
         "- {fault: blackhole, channel: cortex/stream}\n"
     )
-    assert load_wire_faults(path) == (
-        WireFault("drop", "risc1/*", 0.3, 10.0, 5.0),
-        WireFault("blackhole", "cortex/stream"),
+    assert load_faults(path) == (
+        FaultEvent("drop", channel="risc1/*", severity=0.3, start_s=10.0, duration_s=5.0),
+        FaultEvent("blackhole", channel="cortex/stream"),
     )
     path.write_text("faults: [{fault: drop, channel: '*', strength: 1}]\n")
     with pytest.raises(ValueError, match="strength"):
-        load_wire_faults(path)
+        load_faults(path)
 
 
 def test_a_clean_wire_hands_over_what_it_gets():
@@ -227,7 +286,9 @@ class Stream:
         connection.is_cut = True
 
 
-@pytest.mark.parametrize("fault", [WireFault("delay", "*", 0.05), WireFault("jitter", "*", 0.5)])
+@pytest.mark.parametrize(
+    "fault", [FaultEvent("delay", channel="*", severity=0.05), FaultEvent("jitter", channel="*", severity=0.5)]
+)
 def test_bytes_of_a_stream_come_later_and_in_order(fault):
     stream, one, other = Stream(fault), Connection(), Connection()
     for k in range(200):
@@ -243,7 +304,7 @@ def test_bytes_of_a_stream_come_later_and_in_order(fault):
 
 
 def test_order_holds_when_the_fault_ends_while_bytes_are_on_their_way():
-    stream, one = Stream(WireFault("delay", "*", 0.1, 0.0, 0.5)), Connection()
+    stream, one = Stream(FaultEvent("delay", channel="*", severity=0.1, start_s=0.0, duration_s=0.5)), Connection()
     for k in range(100):
         stream.wait(0.01 * k)
         stream.write(one, k)
@@ -252,7 +313,7 @@ def test_order_holds_when_the_fault_ends_while_bytes_are_on_their_way():
 
 
 def test_a_blackhole_holds_a_stream_up_and_loses_nothing():
-    stream, one = Stream(WireFault("blackhole", "*", 1.0, 0.2, 0.3)), Connection()
+    stream, one = Stream(FaultEvent("blackhole", channel="*", severity=1.0, start_s=0.2, duration_s=0.3)), Connection()
     for k in range(100):
         stream.wait(0.01 * k)
         stream.write(one, k)
@@ -262,7 +323,7 @@ def test_a_blackhole_holds_a_stream_up_and_loses_nothing():
 
 
 def test_clear_lets_go_what_a_blackhole_without_end_holds():
-    stream, one = Stream(WireFault("blackhole", "*")), Connection()
+    stream, one = Stream(FaultEvent("blackhole", channel="*")), Connection()
     stream.write(one, b"a")
     stream.write(one, b"b")
     stream.wait(5.0)
@@ -274,7 +335,7 @@ def test_clear_lets_go_what_a_blackhole_without_end_holds():
 
 
 def test_what_a_closed_connection_had_to_get_is_forgotten():
-    stream, one, other = Stream(WireFault("blackhole", "*")), Connection(), Connection()
+    stream, one, other = Stream(FaultEvent("blackhole", channel="*")), Connection(), Connection()
     stream.write(one, b"a")
     stream.write(other, b"b")
     stream.stream.forget(one)
@@ -285,7 +346,11 @@ def test_what_a_closed_connection_had_to_get_is_forgotten():
 
 
 def test_cut_ends_one_connection():
-    stream, one, other = Stream(WireFault("cut", "*", 1.0, 0.5, 0.5)), Connection(), Connection()
+    stream, one, other = (
+        Stream(FaultEvent("cut", channel="*", severity=1.0, start_s=0.5, duration_s=0.5)),
+        Connection(),
+        Connection(),
+    )
     stream.write(one, b"a")
     stream.wait(0.6)
     stream.write(one, b"b")
@@ -301,10 +366,10 @@ def test_a_fault_acts_where_it_makes_sense():
     datagrams, stream = wires.wire("risc1/navdata"), wires.stream("risc1/video")
     for fault in ("drop", "duplicate", "reorder", "corrupt", "truncate", "wrong_reply"):
         with pytest.raises(ValueError, match="fault %s acts on datagrams; risc1/video: streams" % fault):
-            wires.add(WireFault(fault, "risc1/video", 0.5))
-        wires.add(WireFault(fault, "risc1/*", 0.5))
+            wires.add(FaultEvent(fault, channel="risc1/video", severity=0.5))
+        wires.add(FaultEvent(fault, channel="risc1/*", severity=0.5))
     with pytest.raises(ValueError, match="fault cut acts on streams; risc1/navdata: datagrams"):
-        wires.add(WireFault("cut", "risc1/navdata"))
-    wires.add(WireFault("cut", "risc1/*"))
-    wires.add(WireFault("blackhole", "risc1/*"))
+        wires.add(FaultEvent("cut", channel="risc1/navdata"))
+    wires.add(FaultEvent("cut", channel="risc1/*"))
+    wires.add(FaultEvent("blackhole", channel="risc1/*"))
     assert (len(datagrams.acting), len(stream.acting)) == (7, 2)

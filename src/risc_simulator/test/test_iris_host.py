@@ -11,7 +11,7 @@ from iris_flight import make_fleet
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from serial_client import ASK_FOR_TOPICS, STATUS_TOPIC, channels_of, controls, packets
 
-from risc_simulator.faults import WireFault
+from risc_simulator.faults import FaultEvent
 from risc_simulator.models.flight import FlightPhase
 from risc_simulator.socket_host import reset
 from risc_simulator.vehicles.iris import transmitter
@@ -194,7 +194,7 @@ def test_a_link_that_is_lost_takes_radio_and_telemetry_away_but_not_the_cable(fl
 
 @pytest.mark.parametrize("channel", ["iris1/radio", "iris1/arduino"])
 def test_silence_on_its_wires_lands_it(flyer, channel):
-    flyer.lab.inject("blackhole", channel)
+    flyer.lab.wire_fault("blackhole", channel)
     assert flyer.lands(7.0, {"throttle": flyer.keep})
 
 
@@ -205,7 +205,7 @@ def test_without_the_faults_it_would_fly_on(flyer):
 
 
 def test_a_line_that_is_cut_is_closed_and_the_vehicle_lands(flyer):
-    flyer.lab.inject("cut", "iris1/arduino")
+    flyer.lab.wire_fault("cut", "iris1/arduino")
     with pytest.raises(OSError):
         flyer.run(1.0, {"throttle": flyer.keep})
     assert flyer.lab.wires.statistics()["iris1/arduino"]["cut"] == 1
@@ -214,7 +214,7 @@ def test_a_line_that_is_cut_is_closed_and_the_vehicle_lands(flyer):
 
 
 def test_it_flies_on_without_telemetry(flyer):
-    flyer.lab.inject("blackhole", "iris1/mavlink")
+    flyer.lab.wire_fault("blackhole", "iris1/mavlink")
     flyer.heard.clear()
     flyer.run(2.0, {"throttle": flyer.keep})
     assert flyer.vehicle.height_m == pytest.approx(1.0, abs=0.06) and not flyer.heard
@@ -319,8 +319,8 @@ def test_an_address_in_use_and_a_firmware_that_is_not_built_are_errors_that_name
 
 def test_faults_name_the_channels_that_there_are(station):
     with pytest.raises(ValueError, match="iris1/mavlink, iris1/radio, iris1/arduino"):
-        station.lab.inject("drop", "iris1/navdata")
-    station.lab.wires.add(WireFault("corrupt", "iris1/radio", 1.0))
+        station.lab.wire_fault("drop", "iris1/navdata")
+    station.lab.wires.add(FaultEvent("corrupt", channel="iris1/radio", severity=1.0))
     station.start()
     assert station.autopilot.channels_us[2] == 1000, "what has no bytes is not corrupted"
 

@@ -18,7 +18,7 @@ from risc_lab.lab import FleetLandmark, fleet_from_dict, load_templates, load_ve
 from risc_lab.lab.fleet import AttachedBody
 from risc_lab.registry import VARIABLE
 from risc_simulator import bodies, vehicles
-from risc_simulator.faults import WireFault
+from risc_simulator.faults import FaultEvent
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import World
@@ -148,8 +148,11 @@ def test_a_vehicle_type_has_its_own_camera():
 
 
 def test_a_fault_acts_on_the_datagrams_of_any_host(clock):
-    faults = [WireFault("toy_every", "risc2/heights", 2.0), WireFault("delay", "risc2/commands", 0.05)]
-    lab = VirtualLab(make_fleet(BALLOON), seed=3, wire_faults=faults)
+    faults = [
+        FaultEvent("toy_every", channel="risc2/heights", severity=2.0),
+        FaultEvent("delay", channel="risc2/commands", severity=0.05),
+    ]
+    lab = VirtualLab(make_fleet(BALLOON), seed=3, events=faults)
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
             client.settimeout(5.0)

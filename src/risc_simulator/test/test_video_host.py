@@ -18,7 +18,7 @@ from risc_lab.camera import Camera, cortex_to_camera
 from risc_lab.lab import FleetLandmark, FleetVehicle, Start
 from risc_lab.lab.calibration import FRONT_MOUNT, load_calibration
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
-from risc_simulator.faults import WireFault
+from risc_simulator.faults import FaultEvent
 from risc_simulator.vehicles.ardrone import CAMERAS
 from risc_simulator.virtual_lab import VirtualLab
 from risc_simulator.world import REST_HEIGHT_M
@@ -219,18 +219,18 @@ def test_faults_on_the_wire_act_on_the_stream(lab, client):
         return lab.now_s() - 1e-3 * header.timestamp_ms
 
     soonest_s = min(lag_s(client.packet().header) for _ in range(10))
-    lab.inject("delay", "risc1/video", 1.0, 2.0)
+    lab.inject(FaultEvent("delay", severity=1.0, duration_s=2.0, channel="risc1/video"))
     headers, lags_s = [], []
     while not lags_s or lags_s[-1] < soonest_s + 0.9:
         headers.append(client.packet().header)
         lags_s.append(lag_s(headers[-1]))
     numbers = [header.frame_number for header in headers]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    lab.inject("cut", "risc1/video")
+    lab.wire_fault("cut", "risc1/video")
     with pytest.raises(ConnectionResetError):
         for _ in range(1000):
             client.packet()
-    lab.inject("", "risc1/*")
+    lab.wire_fault("", "risc1/*")
     again = Client(lab.fleet.vehicles[0].address)
     again.picture()
     again.close()
@@ -239,7 +239,7 @@ def test_faults_on_the_wire_act_on_the_stream(lab, client):
 
 
 def test_faults_of_the_wire_reach_a_camera_process_that_starts_later(make_lab):
-    lab = make_lab(wire_faults=[WireFault("cut", "risc2/video")])
+    lab = make_lab(events=[FaultEvent("cut", channel="risc2/video")])
     client = Client(lab.fleet.vehicles[1].address)
     with pytest.raises(ConnectionResetError):
         client.packet()

@@ -41,10 +41,12 @@ from risc_experiments.workers import in_order
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.lab.fleet import wider_m, widest_pair_m
 from risc_lab.states import S, States
-from risc_simulator.faults import Wires
+from risc_simulator.faults import FaultEvent, parse_fault
+from risc_simulator.injector import Injector
 from risc_simulator.models.flight import FlightAction, FlightPhase
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.video.polygons import clip_polygons, coverage
+from risc_simulator.wires import Wires
 from risc_simulator.world import World
 
 FRAME_S = 0.005
@@ -53,6 +55,8 @@ WARM_UP_S = 1.0  # hovering, before the operator presses the button
 LONGEST_WAY_S = 120.0  # until all are on the course; ways take at most a third of it (WayLimits.longest_s)
 SETTLE_S = 4.0  # on the course, before errors count
 JUDGE_EVERY = 4  # frames
+LANDING_S = 15.0  # longer than the flight, for vehicles that land
+MAX_REPORTED_DELAY_S = 0.5  # as stream_markers believes
 TICK_EVERY = 3  # frames: the clock of the vehicle nodes, twice the command rate
 YAW_BY_SEED_DEG = 70.0  # the table flies another yaw with every seed
 
@@ -97,13 +101,42 @@ class Flight:
     course: dict = field(default_factory=dict)  # numbers of the course, as `make_course` takes them
     node: dict = field(default_factory=dict)  # parameters of the vehicle nodes
     loss: Loss | None = None
-    # of WireFault, on cortex/stream and NAMESPACE/commands (what has no bytes is not corrupted), and NAMESPACE/navdata
-    # where the filter asks for it
-    wire_faults: tuple = ()
+    faults: tuple[FaultEvent, ...] = ()  # which start when the course is reached, before the settling time
+    # the same, but they start when the flight does, and nothing is told of them. Channels are cortex/frames,
+    # cortex/stream, NAMESPACE/commands and NAMESPACE/navdata; what has no bytes is not corrupted
+    wire_faults: tuple[FaultEvent, ...] = ()
+
+
+class Breach(NamedTuple):
+    """A vehicle flew into the net or onto the floor, or fell."""
+
+    time_s: float
+    name: str
+    reason: str
+
+
+class Contact(NamedTuple):
+    """Two vehicles touched in the air."""
+
+    time_s: float
+    name: str
+    other: str
+
+
+class FaultOutcome(NamedTuple):
+    """What became of a fault."""
+
+    name: str
+    args: str  # as on the command line, with the vehicle that the seed chose
+    start_s: float  # of the flight
+    end_s: float | None  # None: it had no end
+    outcome: str  # completed, held, landed or breach: the worst of what a vehicle did until the next fault
+    safe: bool  # its member calls that safe, and no two vehicles touched
+    reaction_ms: float | None  # from its begin to the first ladder that left OK; None: none did
 
 
 class Result(NamedTuple):
-    """How it was flown."""
+    """How it was flown. With faults a vehicle may land, and an error from a course that was left says nothing."""
 
     names: tuple
     rmse_m: np.ndarray  # (n,) position against truth, on the course after settling
@@ -117,11 +150,14 @@ class Result(NamedTuple):
     actual_m: np.ndarray  # (k, n, 3)
     safety: tuple  # of (time [s], name, text): what the ladders said, from the first trouble on
     landed: tuple  # (n,) bool, at the end
+    faults: tuple = ()  # FaultOutcome of each of Flight.faults, in their order
+    breaches: tuple = ()  # Breach
+    contacts: tuple = ()  # Contact
 
 
 def fly(flight):
-    """Fly a Flight. Returns its Result. Raises ValueError when it cannot be flown, and RuntimeError when it
-    crashes or does not reach its course.
+    """Fly a Flight. Returns its Result. Raises ValueError when it cannot be flown, and RuntimeError when it crashes
+    (with faults: before they begin) or does not reach its course.
     """
     started = time.perf_counter()
     fleet, types, vehicle_types = _lab(flight)
@@ -151,15 +187,22 @@ def fly(flight):
     params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **flight.node})
     separation = Separation(names, params, names, wider_m(fleet.vehicles))
     chains, loss = [], flight.loss
-    wires, arrived = Wires(flight.seed), []
-    stream = wires.wire("cortex/stream")
+    wires = Wires(flight.seed)
+    mocap = _Mocap(wires)
     on_board = OnBoardReadings(estimator, world.vehicles.values(), wires, flight.seed, float(flight.noise))
     for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
         on_sent, on_battery = partial(_record_command, loop.sent, estimator, i), partial(loop.tell_battery, i)
         chains.append(_Chain(vehicle, phase, params, wires, on_sent, on_battery))
-    for fault in flight.wire_faults:
-        wires.add(fault)
+    injector = Injector(world, wires, flight.seed, {"cortex": mocap})
+    for event in flight.wire_faults:
+        injector.add(event, 0.0)
+    for event in flight.faults:
+        injector.check(event)
+        if not 0.0 <= event.start_s < SETTLE_S + flight.duration_s:
+            text = "fault %s starts when the flight is over: it lasts %g s from when the course is reached"
+            raise ValueError(text % (event, SETTLE_S + flight.duration_s))
+    records = []  # of Flight.faults
 
     everyone, nobody = np.ones(len(names), dtype=bool), np.zeros(len(names), dtype=bool)
     judged, times, references, truths = [], [], [], []
@@ -167,20 +210,17 @@ def fly(flight):
     while True:
         time_s = frame * FRAME_S
         now_s = time_s + LATENCY_S
+        injector.step(now_s)
         world.step_to(time_s)
         wires.release(now_s)
         on_board.send(time_s)
-        seen = cameras.observe(time_s, world.layout, world.markers_m())
-        if frame:
-            stream.carry(seen, None, now_s, lambda seen, *_: arrived.append(seen))
-        else:  # the first is never lost
-            arrived.append(seen)
+        mocap.send(cameras.observe(time_s, world.layout, world.markers_m()), now_s)
         hears = False
-        for seen in arrived:
+        for seen in mocap.arrived:
             update = estimator.update(seen.time_s, seen.layout, seen.markers_m)
             if update is not None:
                 estimate, stamp_s, hears = update, seen.time_s, True
-        arrived.clear()
+        mocap.arrived.clear()
         states = States(estimate.visible[: len(names)], estimate.states[: len(names)])  # attached bodies come after
         if not hears:
             states = states._replace(visible=nobody.copy())
@@ -213,12 +253,13 @@ def fly(flight):
             saturated += np.count_nonzero(output.saturated) if hears else 0
             if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
                 settled_s = time_s + SETTLE_S
+                records = [injector.add(event, now_s) for event in flight.faults]
             if frame % JUDGE_EVERY == 0:
                 times.append(time_s)
                 references.append(reference.derivatives[0, :, :3])
                 truths.append(world.truth()[:, :3])
                 judged.append(time_s >= settled_s)
-        if world.crashes:
+        if world.crashes and not records:
             crash = world.crashes[0]
             raise RuntimeError("%s %s after %.1f s (%r)" % (crash.namespace, crash.reason, crash.time_s, flight))
         if settled_s == math.inf and time_s >= LONGEST_WAY_S:
@@ -228,11 +269,18 @@ def fly(flight):
                 "not on the course after %g s (%s; not autonomous: %s; %r)" % (time_s, phases, manual, flight)
             )
         if time_s >= settled_s + flight.duration_s:
+            over = not records or time_s >= settled_s + flight.duration_s + LANDING_S
+            if over or not any(chain.lands for chain in chains):
+                break
+        if records and all(chain.down for chain in chains):
             break
         frame += 1
 
     references, truths, judged = np.array(references), np.array(truths), np.array(judged)
     errors = np.sqrt(((references - truths) ** 2).sum(axis=2))[judged]
+    if not judged.any():  # all have landed before
+        errors = np.full((1, len(names)), math.nan)
+    breaches, contacts = _breaches(world, chains), _contacts(world)
     between = [pdist(positions_m).min() for positions_m in truths] if len(names) > 1 else []
     return Result(
         names=tuple(names),
@@ -241,8 +289,13 @@ def fly(flight):
         closest_m=float(min(between, default=math.inf)),
         saturated=saturated / (len(names) * (frame + 1)),
         flown_s=time_s,
-        safety=tuple(sorted((said_s, name, text) for name, chain in zip(names, chains) for said_s, text in chain.said)),
+        safety=tuple(
+            sorted((said_s, name, said.text) for name, chain in zip(names, chains) for said_s, said in chain.said)
+        ),
         landed=tuple(chain.landed for chain in chains),
+        faults=tuple(_judge_faults(records, chains, breaches, contacts)),
+        breaches=breaches,
+        contacts=contacts,
         took_s=time.perf_counter() - started,
         times_s=np.array(times),
         reference_m=references,
@@ -272,6 +325,89 @@ def _record_command(history, estimator, i, time_s, command):
     estimator.on_board(estimator.names[i], time_s, COMMAND, command)
 
 
+def _breaches(world, chains):
+    """Breaches in the order of their times; of one that fell without a crash: when its motors stood still."""
+    found = [Breach(crash.time_s, crash.namespace, crash.reason) for crash in world.crashes if not crash.other]
+    crashed = {crash.namespace for crash in world.crashes}
+    found += [Breach(chain.fell_s, chain.name, "fell: its motors were cut") for chain in chains
+              if chain.fell_s is not None and chain.name not in crashed]  # fmt: skip
+    return tuple(sorted(found))
+
+
+def _contacts(world):
+    """Each pair that touched, once a touch."""
+    pairs = {(crash.time_s, *sorted((crash.namespace, crash.other))) for crash in world.crashes if crash.other}
+    return tuple(Contact(*pair) for pair in sorted(pairs))
+
+
+def _judge_faults(records, chains, breaches, contacts):
+    """Yield a FaultOutcome of each FaultRecord: what happened from its begin to that of the next one counts."""
+    begins_s = sorted(record.begins_s for record in records)
+    for record in records:
+        until_s = min((begin_s for begin_s in begins_s if begin_s > record.begins_s), default=math.inf)
+        said = sorted(
+            (said_s, verdict.level, chain.down)
+            for chain in chains
+            for said_s, verdict in chain.said
+            if record.begins_s <= said_s < until_s and verdict.level > FailsafeLevel.OK
+        )
+        touched, hurt = (
+            any(record.begins_s - LATENCY_S <= event.time_s < until_s for event in events)
+            for events in (contacts, breaches)
+        )
+        landings = [down for _, level, down in said if level is FailsafeLevel.LAND]
+        for chain in chains:
+            landings += [chain.down for descent_s in chain.descents_s if record.begins_s <= descent_s < until_s]
+        if hurt or touched or not all(landings):
+            outcome = "breach"
+        elif landings:
+            outcome = "landed"
+        else:
+            outcome = "held" if said else "completed"
+        yield FaultOutcome(
+            record.event.fault,
+            record.event.args,
+            record.begins_s - LATENCY_S,
+            None if record.ends_s == math.inf else record.ends_s - LATENCY_S,
+            outcome,
+            outcome in record.event.settings.safe and not touched,
+            1e3 * (said[0][0] - record.begins_s) if said else None,
+        )
+
+
+class _Mocap:
+    """From the cameras to what the estimator hears: Cortex and the network. It is also the host that faults stop."""
+
+    def __init__(self, wires):
+        self._frames, self._stream = wires.frames("cortex/frames"), wires.wire("cortex/stream")
+        self._runs, self._first = True, True
+        self.arrived = []  # Observations
+
+    def stop(self):
+        """The program ends."""
+        self._runs = False
+
+    def start(self):
+        """It begins again, and its clients find it at once."""
+        self._runs = True
+
+    def send(self, seen, now_s):
+        """The cameras have seen this."""
+        if self._first:  # the first is never lost
+            self._first = False
+            self.arrived.append(seen)
+        elif self._runs:
+            self._frames.carry(seen, None, now_s, self._say)
+
+    def _say(self, seen, _, now_s):
+        if not 0.0 <= now_s - seen.time_s <= MAX_REPORTED_DELAY_S:  # a delay that no client believes
+            seen = seen._replace(time_s=now_s)
+        self._stream.carry(seen, None, now_s, self._hear)
+
+    def _hear(self, seen, *_):
+        self.arrived.append(seen)
+
+
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, and the link of its type."""
 
@@ -285,9 +421,13 @@ class _Chain:
         self._link = vehicle.virtual.OfflineLink(vehicle, phase)
         self._report_every = TICK_EVERY * round(self._link.REPORT_PERIOD_S / (TICK_EVERY * FRAME_S))  # frames
         self.pilot = VehiclePilot(params, vehicle.type, 0.0)
-        self.said = []  # (time [s], text) of its ladder, from the first trouble on
+        self.name, self._vehicle, self._phase = vehicle.namespace, vehicle, None
+        self.said = []  # (time [s], Verdict) of its ladder, from the first trouble on
+        self.fell_s = None  # when its motors were cut in the air
+        self.descents_s = []  # when it began to land, whoever wanted that
         self.lost = None  # "controls" or "laptop"
         self._wire = wires.wire("%s/commands" % vehicle.namespace)
+        self._reports = wires.wire("%s/navdata" % vehicle.namespace)
 
     def press_autonomous(self, now_s):
         """The operator presses the button, and lets go."""
@@ -307,30 +447,55 @@ class _Chain:
         """Whether the vehicle stands on the floor by its own report."""
         return self._link.report()[0] is FlightPhase.LANDED
 
+    @property
+    def lands(self):
+        """Whether it is to land, and has not."""
+        return self.pilot.ladder.verdict.level is FailsafeLevel.LAND and not self.down
+
+    @property
+    def down(self):
+        """Whether the vehicle stands, or lies, on the floor."""
+        return not self._vehicle.firmware.lifted
+
     def see(self, visible, state, stamp_s, now_s, frame, look):
         """What the vehicle node looks at once a tick. state: list of 12, columns `S`."""
         pilot = self.pilot
         if frame % self._report_every == 0:
-            phase, battery_pct = self._link.report()
-            pilot.on_status(Status(_REPORTS[phase], battery_pct), now_s)
-            self._on_battery(battery_pct, now_s)
+            self._reports.carry(self._link.report(), None, now_s, self._hear)
+            self._watch(self._vehicle.phase, now_s)
             if not self._flies_itself:
                 pilot.on_wire(now_s)
         if visible:
             own = OwnState(state[: S.U], state[S.U : S.PHI], *state[S.PHI : S.P])
             pilot.on_state(own, now_s - stamp_s, now_s, look)
 
+    def _watch(self, phase, now_s):
+        if phase is FlightPhase.EMERGENCY and self.fell_s is None:
+            self.fell_s = now_s - LATENCY_S
+        if phase is FlightPhase.LANDING and self._phase is not phase:
+            self.descents_s.append(now_s)
+        self._phase = phase
+
+    def _hear(self, report, _, now_s):
+        """The vehicle's report has arrived."""
+        phase, battery_pct = report
+        self.pilot.on_status(Status(_REPORTS[phase], battery_pct), now_s)
+        self._on_battery(battery_pct, now_s)
+
     def send(self, orders, now_s):
         """Hand what was ordered to the vehicle's link."""
         if orders.safety is not None and (self.said or self.pilot.ladder.verdict.level > FailsafeLevel.OK):
-            self.said.append((now_s, orders.safety.text))
+            self.said.append((now_s, orders.safety))
         if orders.land:
-            self._link.order(FlightAction.LAND, now_s)
+            self._wire.carry(FlightAction.LAND, None, now_s, self._order)
         if orders.disarm:
-            self._link.order(FlightAction.CUT_MOTORS, now_s)
+            self._wire.carry(FlightAction.CUT_MOTORS, None, now_s, self._order)
         if orders.command is not None:
             self._on_sent(now_s, orders.command.settles_at)
             self._wire.carry(orders.command.sticks, None, now_s, lambda sticks, _, at_s: self._link.send(sticks, at_s))
+
+    def _order(self, action, _, at_s):
+        self._link.order(action, at_s)
 
     def deliver(self, now_s):
         """Give the vehicle what the radio brings."""
@@ -400,6 +565,9 @@ def main(argv=None):
     add_option(add)
     add("--ideal", action="store_false", help="the plant is exactly the nominal model", dest="perturbed")
     add("--gusts", action="store_true")
+    add("--fault", type=_fault, action="append", default=[], metavar="NAME[:ARG][@SECONDS]", dest="faults",
+        help="what goes wrong, so many seconds after the course is reached; may be given again; ./maap faults lists "
+        "them")  # fmt: skip
     add("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
     add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
     add("--compile", action="store_true", help="only compile what flies (see risc_lab.compiled)")
@@ -411,10 +579,10 @@ def main(argv=None):
     common = {name: getattr(args, name) for name in common}
     flights = [
         Flight(course, seed=seed, delay_s=delay_s, psi_deg=YAW_BY_SEED_DEG * seed if args.psi is None else args.psi,
-               **common)
+               faults=tuple(args.faults), **common)
         for course in args.trajectory for delay_s in args.delay or [None] for seed in range(1, args.seeds + 1)
     ]  # fmt: skip
-    progress, rows, everyone = Progress(), [], {}
+    progress, rows, everyone, unsafe = Progress(), [], {}, False
     print("%-9s %6s %5s  %-28s %6s %6s %7s %5s" % ("course", "delay", "seed", "RMSE of each vehicle [mm]", "median",
           "worst", "closest", "speed"))  # fmt: skip
     try:
@@ -424,6 +592,12 @@ def main(argv=None):
             progress.clear()
             if isinstance(result, RuntimeError):
                 print("%s %5d  %s" % (group, flight.seed, result))
+            elif flight.faults:
+                rows.append({"course": flight.trajectory, "delay_s": flight.delay_s, "seed": flight.seed,
+                             "faults": [fault._asdict() for fault in result.faults],
+                             "breaches": len(result.breaches), "contacts": len(result.contacts)})  # fmt: skip
+                print("%s %5d  %s" % (group, flight.seed, _told(result)), flush=True)
+                unsafe |= not all(fault.safe for fault in result.faults)
             elif any(result.landed):  # an error from a course that was left on purpose says nothing
                 said = "; ".join("%.1f s: %s: %s" % item for item in result.safety[:2])
                 print("%s %5d  %d landed (%s)" % (group, flight.seed, sum(result.landed), said))
@@ -449,7 +623,23 @@ def main(argv=None):
         figures = {"controller": args.controller, "estimator": estimator_of(args.controller, args.estimator)}
         figures |= {"simulated": True, "perturbed": args.perturbed, "flights": rows}
         args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    return 0 if len(rows) == len(flights) else 1
+    return 0 if len(rows) == len(flights) and not unsafe else 1
+
+
+def _fault(text):
+    try:
+        return parse_fault(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _told(result):
+    """What became of the faults of a flight, e.g. "mocap_blackout:0.3 held after 105 ms"."""
+    told = []
+    for fault in result.faults:
+        after = "" if fault.reaction_ms is None else " after %.0f ms" % fault.reaction_ms
+        told.append("%s:%s %s%s%s" % (fault.name, fault.args, fault.outcome, after, "" if fault.safe else " (unsafe)"))
+    return "; ".join(told)
 
 
 def _compile():

@@ -67,7 +67,8 @@ class CortexHost(SocketHost):
     templates: body name -> object with marker_names, for the body definitions; others get M1, M2, ...
     live_on_start: stream without waiting for a client's LiveMode.
     interface: address of the network card that the multicast stream goes out by; "" = the card that owns the host.
-    wires: faults.Wires, of which it uses cortex/requests, cortex/replies and cortex/stream; None = wires of its own.
+    wires: wires.Wires, of which it uses cortex/requests, cortex/replies, cortex/stream, and cortex/frames for what the
+        cameras see; None = wires of its own.
 
     Raises ValueError when the bodies cannot be shown (too many, frame larger than a datagram) and OSError when an
     address cannot be used. Afterwards nothing that comes from the network raises: it is counted, see statistics().
@@ -90,6 +91,7 @@ class CortexHost(SocketHost):
         self._play_mode = 0  # -1 backwards, 0 paused, 1 forwards
 
         self._requests, self._replies, self._stream = map(self.wire, ("requests", "replies", "stream"))
+        self._frames = self.wires.frames("cortex/frames")
 
         self._request_counts = Counter()
         self._clients = {}  # (address, port) of those who asked something: an ordered set
@@ -265,11 +267,14 @@ class CortexHost(SocketHost):
         observation = self._cameras.observe(self._world.time_s, self._world.layout, self._world.markers_m())
         self._number = (self._number + 1) & FRAME_NUMBER_MASK
         self._counts["frames_exposed"] += 1
+        self._frames.carry(observation, self._number, self._now_s, self._show_and_send)
+
+    def _show_and_send(self, observation, number, _now_s):
         try:
-            frame = self._encode(self._number, observation)
+            frame = self._encode(number, observation)
         except wire.PacketTooLargeError as error:
             if not self._counts["oversize_frames"]:
-                _LOG.error("frame %d not sent: %s (further ones are only counted)", self._number, error)
+                _LOG.error("frame %d not sent: %s (further ones are only counted)", number, error)
             self._counts["oversize_frames"] += 1
             return
         self._shown = frame

@@ -7,7 +7,7 @@ import socket
 import struct
 from collections import Counter
 
-from risc_simulator.faults import Wires
+from risc_simulator.wires import Wires
 
 DATAGRAMS_PER_CALL = 64
 _CURES = {
@@ -73,7 +73,7 @@ class TcpClients:
     """
 
     def __init__(self, listener, stream, notices, asks, most, arrive):
-        """stream: faults.Stream that all passes.  notices: Notices.  asks: what it means that one comes.
+        """stream: wires.Stream that all passes.  notices: Notices.  asks: what it means that one comes.
 
         most: at a time.  arrive: called with (data, socket) when something written has come through, to be added to
         its backlog.
@@ -168,7 +168,7 @@ class SocketHost:
     """
 
     def __init__(self, name, wires=None):
-        """name: the first part of its channels' names. wires: faults.Wires of the lab; None = its own."""
+        """name: the first part of its channels' names. wires: wires.Wires of the lab; None = its own."""
         self._waiting = SocketSet()
         self._counts = Counter()
         self._name, self.wires = name, Wires() if wires is None else wires
@@ -176,11 +176,11 @@ class SocketHost:
         self._now_s = 0.0  # lab time that it was last told
 
     def wire(self, what):
-        """faults.Wire of one of its channels, which it makes in its constructor. what: its name without the host's."""
+        """wires.Wire of one of its channels, which it makes in its constructor. what: its name without the host's."""
         return self.wires.wire("%s/%s" % (self._name, what))
 
     def stream(self, what):
-        """faults.Stream of one of its channels, which it makes in its constructor."""
+        """wires.Stream of one of its channels, which it makes in its constructor."""
         return self.wires.stream("%s/%s" % (self._name, what))
 
     def hear(self, sock, wire, take):

@@ -33,10 +33,12 @@ from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.priority import VIRTUAL_LAB, raise_priority
 from risc_lab.settings import Fraction, Settings, settings_from
 from risc_simulator.cortex_host import CortexHost
-from risc_simulator.faults import WireFault, Wires, load_wire_faults
+from risc_simulator.faults import FaultEvent, load_faults
+from risc_simulator.injector import Injector
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
 from risc_simulator.socket_host import SocketSet
 from risc_simulator.video.server import VideoServer
+from risc_simulator.wires import Wires
 from risc_simulator.world import World, look_up
 
 MAX_STEP_S = 0.005  # see test_quadrotor.py for what the step costs in accuracy
@@ -86,7 +88,7 @@ class LabOptions(Settings):
     gusts: bool = _told(False, "moving air")
     delay: float = _told(-1.0, "nominal command delay of every vehicle", "S")
     radio_loss: Fraction = _told(0.0, "probability that the radio loses a command or navdata, 0 to 1", "P")
-    faults: str = _told("", "what happens to datagrams and streams, and when", "FILE.yaml")
+    faults: str = _told("", "what goes wrong, and when", "FILE.yaml")
     live: bool = _told(False, "stream at once, without waiting for a client's LiveMode")
     vehicles: int = _told(-1, "only the first N vehicles", "N")
     subnet: str = _told("", "Cortex host at A.B.0.1, vehicle k at A.B.1.k, e.g. 127.78", "A.B")
@@ -118,8 +120,8 @@ class LabOptions(Settings):
 
     def make_lab(self, fleet):
         """VirtualLab of a fleet. Raises ValueError and OSError."""
-        wire_faults = load_wire_faults(self.faults) if self.faults else ()
-        return VirtualLab(fleet, not self.cameras_on_demand, wire_faults, **vars(self))
+        faults = load_faults(self.faults) if self.faults else ()
+        return VirtualLab(fleet, not self.cameras_on_demand, faults, **vars(self))
 
 
 class VirtualLab:
@@ -128,10 +130,10 @@ class VirtualLab:
     Raises ValueError when the fleet does not fit (unknown type, template, ...) and OSError when an address is in use.
     """
 
-    def __init__(self, fleet, /, cameras_ahead=False, wire_faults=(), **options):
+    def __init__(self, fleet, /, cameras_ahead=False, events=(), **options):
         """fleet: Fleet. cameras_ahead: start the camera process now, and not when somebody wants video.
 
-        wire_faults: faults.WireFaults. options: fields of LabOptions.
+        events: faults.FaultEvents, which start when it does. options: fields of LabOptions.
         """
         told = self.options = LabOptions(**options)
         fleet = told.configure(fleet).with_overrides(command_delay_s=told.delay if told.delay >= 0.0 else None)
@@ -183,8 +185,9 @@ class VirtualLab:
                 self._video.start()
             for host in self._hosts:
                 self._waiting.add(host)
-            for fault in wire_faults:
-                self.wires.add(fault)
+            self.injector = Injector(self.world, self.wires, seed, {"cortex": self.cortex_host})
+            for event in events:
+                self.injector.add(event, 0.0)
         except (OSError, ValueError):
             self.close()
             raise
@@ -222,6 +225,7 @@ class VirtualLab:
             due_s = time_s + self._send_after_s
             self._serve_until(due_s)
             now_s = self._forgive(due_s)
+            self.injector.step(now_s)
             self.world.step_to(time_s)
             if cycle == self._cycles_per_frame:
                 self.frame += 1
@@ -300,15 +304,22 @@ class VirtualLab:
 
     def silence_mocap(self, duration_s):
         """Take the Cortex host off the network."""
-        self.inject("blackhole", "cortex/*", duration_s=duration_s)
+        self.wire_fault("blackhole", "cortex/*", duration_s=duration_s)
 
-    def inject(self, fault, channel, severity=1.0, duration_s=math.inf):
-        """Let a fault act on the datagrams of some channels from now on, see faults.WireFault; "" ends all there.
+    def inject(self, event):
+        """Let a faults.FaultEvent happen, counted from now. Returns its injector.FaultRecord.
+
+        Raises ValueError when it cannot happen here.
+        """
+        return self.injector.add(event, self._served_s)
+
+    def wire_fault(self, fault, channel, severity=None, duration_s=math.inf):
+        """Let a fault act on the datagrams of some channels from now on; "" ends all there.
 
         Raises ValueError for a fault, channel or severity that does not exist.
         """
         if fault:
-            self.wires.add(WireFault(fault, channel, severity, self._served_s, duration_s))
+            self.inject(FaultEvent(fault, severity=severity, duration_s=duration_s, channel=channel))
         else:
             self.wires.clear(channel)
 

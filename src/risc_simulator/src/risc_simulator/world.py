@@ -45,6 +45,7 @@ class Vehicle:
         self.plant = plant  # PlantParams: the true one
         self.firmware = firmware
         self.attached = fleet_vehicle.attached  # AttachedBody or None
+        self.battery_was_set = False  # by somebody, from outside
         self._world, self._index = world, index
 
     def schedule(self, time_s, action):
@@ -83,6 +84,15 @@ class Vehicle:
     def set_battery_pct(self, pct):
         """Change the battery's charge now."""
         self.firmware.set_battery_pct(pct, self._world.time_s)
+        self.battery_was_set = True
+
+    def set_wind(self, velocity_m_s):
+        """Let the air around it move on average with this velocity (3,), cortex axes, from now on."""
+        self._world._set_wind(self._index, velocity_m_s)
+
+    def change_plant(self, **values):
+        """Let it be another one from now on, without its on-board logic knowing. values: fields of PlantParams."""
+        self._world._change_plant(self._index, values)
 
     def fly_at(self, position_m, yaw_rad=0.0):
         """Put the vehicle into the air at this place (cortex frame), hovering: a start for offline studies."""
@@ -213,6 +223,7 @@ class World:
         self._slope_at = -1  # step whose slopes and thrusts these are
 
         self._gust_rngs = [_rng(seed, i, _GUST_STREAM) for i in range(n if gusts else 0)]
+        self._wind_m_s = None  # (n, 3) north, east, up: mean velocity of the air; None: it has never been set
         self._gust_scale = np.array(GUST_STD_M_S) * math.sqrt(1.0 - math.exp(-step_s / GUST_TIME_CONSTANT_S) ** 2)
         self._load_compiled()
 
@@ -246,7 +257,7 @@ class World:
                     vehicle.firmware.wake(time_s, self._motions[i])
                     self._take_over(i)
             gusts = [self._gust_scale * rng.standard_normal(3) for rng in self._gust_rngs]
-            touching = self._advance(np.reshape(gusts, (-1, 3)))
+            touching = self._advance(self._blow(gusts))
             self._steps += 1
             if touching:
                 for i in np.flatnonzero(self._flags[1]).tolist():
@@ -256,6 +267,30 @@ class World:
                 self._least_squared_m2 = least_m2
             if touch:
                 self._meet_each_other()
+
+    def _blow(self, gusts):
+        """Innovations of the wind, (n, 3), that keep its mean; (0, 3) where it does not change by itself."""
+        gusts = np.reshape(gusts, (-1, 3))
+        if self._wind_m_s is not None and len(gusts):
+            gusts += (1.0 - math.exp(-self.step_s / GUST_TIME_CONSTANT_S)) * self._wind_m_s
+        return gusts
+
+    def _set_wind(self, i, velocity_m_s):
+        if self._wind_m_s is None:
+            self._wind_m_s = np.zeros((len(self._vehicles), 3))
+        north, west, up = velocity_m_s
+        wind_m_s = np.array([north, -west, up])
+        self._u[U.WIND_N : U.WIND_UP + 1, i] += wind_m_s - self._wind_m_s[i]
+        self._wind_m_s[i] = wind_m_s
+        self._slope_at = -1
+
+    def _change_plant(self, i, values):
+        vehicle = self._vehicles[i]
+        vehicle.plant = replace(vehicle.plant, **values)
+        for kind in self._kinds:
+            for c in np.flatnonzero(kind.columns == i).tolist():
+                fill_records(kind.records[c : c + 1], [vehicle.plant])
+        self._slope_at = -1
 
     def _advance(self, gusts):
         """Move all by a step. Returns whether one of them touches floor or net."""
@@ -333,13 +368,14 @@ class World:
                 if firmware.phase is not FlightPhase.EMERGENCY:  # else it falls already, for this reason or another
                     firmware.crash(self.time_s)
                     place = self._x[: X.H + 1, this].tolist()
-                    self._report_crash(this, place, "collided with %s" % self._vehicles[other].namespace)
+                    name = self._vehicles[other].namespace
+                    self._report_crash(this, place, "collided with %s" % name, name)
                     self._take_over(this)
 
-    def _report_crash(self, i, place, reason):
+    def _report_crash(self, i, place, reason, other=""):
         north, east, height = place
         position_m = np.array([north, -east, height])
-        self.crashes.append(Crash(self.time_s, self._vehicles[i].namespace, position_m, reason))
+        self.crashes.append(Crash(self.time_s, self._vehicles[i].namespace, position_m, reason, other))
 
     def _place_in_flight(self, i, position_m, yaw_rad):
         (x, y, z), net = (float(value) for value in position_m), self._net

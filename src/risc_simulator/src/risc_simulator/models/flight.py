@@ -67,6 +67,7 @@ class Crash:
     namespace: str
     position_m: np.ndarray  # (3,) cortex frame
     reason: str
+    other: str = ""  # namespace of the vehicle that it touched
 
 
 class Firmware:

@@ -44,7 +44,7 @@ class OfflineLink:
         """The computer of the driver is gone from now on: nothing is sent any more."""
 
     def report(self):
-        """(FlightPhase, charge in percent) as the vehicle tells its driver. It flies as long as one likes: no charge
-        of less than 90 is told.
+        """(FlightPhase, charge in percent) as the vehicle tells its driver. It flies as long as one likes: 90 is told
+        until another charge is put in.
         """
-        return self.vehicle.phase, 90.0
+        return self.vehicle.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0

@@ -67,7 +67,7 @@ class VirtualLabNode:
             ("~link_loss", Fault, self._on_fault, lab.lose_link),
             ("~battery", Fault, self._on_fault, lab.set_battery_pct),
             ("~board", Fault, self._on_fault, lab.wave_board),
-            ("~wire_fault", WireFault, self._on_wire_fault, lab.inject),
+            ("~wire_fault", WireFault, self._on_wire_fault, lab.wire_fault),
         ):
             rospy.Subscriber(topic, kind, take, order, queue_size=10, tcp_nodelay=True)
 

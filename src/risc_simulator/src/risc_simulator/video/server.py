@@ -55,7 +55,7 @@ class Station(TcpClients):
     def __init__(self, vehicle, channels, listener, stream):
         """vehicle: FleetVehicle. channels: how many cameras it has. listener: bound TCP socket; None without cameras.
 
-        stream: faults.Stream that the pictures pass on their way to each client.
+        stream: wires.Stream that the pictures pass on their way to each client.
         """
         notices = Notices(_LOG, vehicle.namespace)
         super().__init__(listener, stream, notices, "asks for video", MAX_CLIENTS, self._arrive)

@@ -26,7 +26,7 @@ class FtpServer:
     def __init__(self, listener, notices, stream):
         """listener: bound TCP socket, the server's from now on.  notices: Notices of the host.
 
-        stream: faults.Stream that clients' commands pass, so that all which answers them waits or ends with them.
+        stream: wires.Stream that clients' commands pass, so that all which answers them waits or ends with them.
         """
         server = self
         self._now_s = 0.0

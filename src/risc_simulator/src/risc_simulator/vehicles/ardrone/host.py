@@ -98,7 +98,7 @@ class ArdroneHost(VehicleHost):
     ports: Ports; a 0 takes a free one, see `ports`.
     seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
     radio_loss: probability that a radio slot, or a datagram of navdata, is lost.
-    wires: faults.Wires, of which it uses commands, wake_ups, navdata, and the streams control and ftp; None = wires of
+    wires: wires.Wires, of which it uses commands, wake_ups, navdata, and the streams control and ftp; None = wires of
         its own.
 
     All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an

@@ -1,5 +1,7 @@
 """An AR.Drone without sockets, for offline flights: see vehicles/__init__.py."""
 
+import math
+
 from ardrone_autonomy.link import LOST_S
 from risc_simulator.models import offline_link
 from risc_simulator.models.flight import FlightAction, Setpoint
@@ -7,7 +9,23 @@ from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S
 
 
 class OfflineLink(offline_link.OfflineLink):
-    """See there."""
+    """See there. An aircraft that hears nothing goes on with what it was told last, then hovers, then lands."""
+
+    _alarm_s = math.inf  # when it has heard nothing for so long that it acts
+
+    def send(self, sticks, now_s):
+        self._alarm_s = now_s + LOST_S
+        super().send(sticks, now_s)
+
+    def order(self, action, now_s):
+        self._alarm_s = now_s + LOST_S
+        super().order(action, now_s)
+
+    def deliver(self, now_s):
+        super().deliver(now_s)
+        if now_s > self._alarm_s:
+            self._alarm_s = math.inf
+            self.lose(now_s - LOST_S)
 
     def lose(self, now_s):
         """It takes notice, hovers, and lands."""

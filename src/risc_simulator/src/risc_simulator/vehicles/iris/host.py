@@ -41,7 +41,7 @@ class IrisHost(VehicleHost):
     ports: Ports; a 0 takes a free one, see `ports`.
     seed: of sensor noise and radio, combined with the namespace.   sensor_noise: factor, 0 = exact sensors.
     radio_loss: probability that a frame of the radio, or a datagram of telemetry, is lost.
-    wires: faults.Wires, of which it uses mavlink (both directions) and radio, and the stream arduino; None = wires of
+    wires: wires.Wires, of which it uses mavlink (both directions) and radio, and the stream arduino; None = wires of
         its own.
 
     All now_s are lab time in seconds, the clock of vehicle.schedule.  OSError naming the cause and the cure when an
@@ -161,7 +161,7 @@ class SerialLine:
     """The serial port of a board, as a TCP port: one client at a time. A member of its host's SocketSet."""
 
     def __init__(self, listener, stream, notices, on_open, on_bytes):
-        """stream: faults.Stream that passes all of both directions.  on_open(); on_bytes(data, now_s)."""
+        """stream: wires.Stream that passes all of both directions.  on_open(); on_bytes(data, now_s)."""
         self._listener, self._stream, self._notices = listener, stream, notices
         self._on_open, self._on_bytes = on_open, on_bytes
         self._waiting = SocketSet()

@@ -1,0 +1,20 @@
+"""Air that moves with this speed [m/s], level, from a direction of the seed's, while it lasts."""
+
+import numpy as np
+
+from risc_simulator.faults._frames import level_direction
+
+
+class Wind:
+    def __init__(self, wind_m_s):
+        self._wind_m_s = wind_m_s
+
+    def begin(self, vehicle, time_s):
+        vehicle.set_wind(self._wind_m_s)
+
+    def end(self, vehicle, time_s):
+        vehicle.set_wind(np.zeros(3))
+
+
+def make(severity, rng):
+    return Wind(severity * level_direction(rng))

@@ -1,0 +1,190 @@
+"""All that virtual hosts hear and say passes a `Wire`, where seeded faults act on it."""
+
+import fnmatch
+import heapq
+import math
+import weakref
+from collections import Counter
+from zlib import crc32
+
+import numpy as np
+
+from risc_simulator.faults import REGISTRY
+
+
+class Wires:
+    """The wires of all hosts of a lab, and what acts on them."""
+
+    def __init__(self, seed=0):
+        self._seed = seed
+        self._wires = {}  # by channel
+        self._late, self._late_count = [], 0
+        self.due_s = math.inf  # release() has nothing to do before this time
+
+    def wire(self, channel):
+        """Wire of a channel: one direction of what one host says or hears, e.g. risc1/navdata."""
+        return self._wires.setdefault(channel, Wire(self, channel))
+
+    def frames(self, channel):
+        """Wire of a channel that carries Observations of motion capture."""
+        return self._wires.setdefault(channel, Wire(self, channel, "frames"))
+
+    def stream(self, channel):
+        """Stream of a channel: what one host writes to its TCP clients, e.g. risc1/control."""
+        return self._wires.setdefault(channel, Stream(self, channel))
+
+    def add(self, event, bodies=None):
+        """Let a FaultEvent act on the wires that its channel, or its member's, means; its start is a lab time.
+
+        bodies: faults.Bodies, for those that act on frames.  Raises ValueError as `fit`.
+        """
+        name, settings = event.fault, event.settings
+        fit, make = self.fit(event, event.channel or settings.channel), REGISTRY.module(name).make
+        context = (bodies,) if "frames" in settings.acts_on else ()
+        for wire in fit:
+            key = crc32(wire.channel.encode()), crc32(name.encode()), wire.added[name]
+            wire.added[name] += 1
+            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
+            act = make(event.severity, rng, *context)
+            wire.acting = (*wire.acting, (event.start_s, event.start_s + event.duration_s, act))
+
+    def fit(self, event, channel):
+        """Wires of a channel that a FaultEvent can act on.
+
+        Raises ValueError when there are none, or none of a kind that the fault can act on.
+        """
+        name, acts_on = event.fault, event.settings.acts_on
+        if not channel:
+            raise ValueError("fault %s acts on %s: name their channel" % (name, " and ".join(acts_on)))
+        meant = self._meant(channel)
+        fit = [wire for wire in meant if wire.kind in acts_on]
+        if not fit:
+            text = "fault %s acts on %s; %s: %s"
+            raise ValueError(text % (name, " and ".join(acts_on), channel, meant[0].kind))
+        if not hasattr(REGISTRY.module(name), "make"):
+            raise ValueError("fault %s: its module has no make(severity, rng)" % name)
+        return fit
+
+    def clear(self, channel="*"):
+        """End the faults of the wires that this means; what is late still arrives."""
+        for wire in self._meant(channel):
+            wire.acting = ()
+            if wire.held:
+                self.call_at(-math.inf, wire.flow)
+
+    def release(self, now_s):
+        """Deliver what was late and is due at lab time now_s."""
+        while self._late and self._late[0][0] <= now_s:
+            heapq.heappop(self._late)[2](now_s)
+        self.due_s = self._late[0][0] if self._late else math.inf
+
+    def call_at(self, due_s, function):
+        """Let release() call a function with the time, once it is that late; those of equal times keep their order."""
+        self._late_count += 1
+        heapq.heappush(self._late, (due_s, self._late_count, function))
+        self.due_s = self._late[0][0]
+
+    def statistics(self):
+        """{channel: {"sent", "delivered", "later"}}: what faults saw and what became of it; of streams also "cut"."""
+        return {channel: dict(wire.counts) for channel, wire in self._wires.items() if wire.counts}
+
+    def _meant(self, channel):
+        wires = [wire for name, wire in self._wires.items() if fnmatch.fnmatchcase(name, channel)]
+        if not wires:
+            raise ValueError("no channel '%s'; known are: %s" % (channel, ", ".join(self._wires)))
+        return wires
+
+
+class Wire:
+    """One channel of datagrams, or of what else stands for itself."""
+
+    held = ()
+
+    def __init__(self, wires, channel, kind="datagrams"):
+        self._wires, self.channel, self.kind = wires, channel, kind
+        self.acting = ()  # of (start, end, act)
+        self.added = Counter()  # faults so far
+        self.counts = Counter()
+
+    def carry(self, datagram, address, now_s, deliver):
+        """Let a datagram pass at lab time now_s. deliver: called with (datagram, address, time) when it arrives.
+
+        Returns what deliver said, True for what arrives later, False for what is lost.
+        """
+        if not self.acting:
+            return deliver(datagram, address, now_s)
+        arriving = [(0.0, bytes(datagram) if isinstance(datagram, bytearray) else datagram)]
+        for _, act in self._in_force(now_s):
+            arriving = [
+                (before_s + later_s, data)
+                for before_s, passing in arriving
+                for later_s, data in act(passing, now_s + before_s)
+            ]
+        result = False
+        for later_s, data in arriving:
+            result = self._deliver(now_s + later_s, now_s, deliver, data, address)
+        self._count(delivered=len(arriving), later=sum(later_s > 0.0 for later_s, _ in arriving))
+        return result
+
+    def _in_force(self, now_s):
+        """[(end, act)] of the faults that act now; those that are over are forgotten."""
+        self.acting = tuple(fault for fault in self.acting if now_s < fault[1])
+        return [(end_s, act) for start_s, end_s, act in self.acting if start_s <= now_s]
+
+    def _deliver(self, due_s, now_s, deliver, data, address):
+        if due_s <= now_s:
+            return deliver(data, address, now_s)
+        self._wires.call_at(due_s, lambda at_s: deliver(data, address, at_s))
+        return True
+
+    def _count(self, **counts):
+        self.counts.update(sent=1, **counts)
+
+
+class Stream(Wire):
+    """One channel of TCP connections."""
+
+    def __init__(self, wires, channel):
+        super().__init__(wires, channel, "streams")
+        self.held = []  # what a fault keeps from passing, and what comes behind it
+        self._newest_s = weakref.WeakKeyDictionary()  # connection -> when what was written last arrives
+
+    def carry(self, data, connection, now_s, deliver, cut):
+        """Let what was written to a connection pass at lab time now_s, behind what was written before.
+
+        deliver: called with (data, connection, time) when it arrives.  cut: called with the connection if it is cut.
+        Both may be called when the connection has been closed.
+        """
+        if self._wires.due_s <= now_s:
+            self._wires.release(now_s)
+        self.held.append((data, connection, deliver, cut))
+        if len(self.held) == 1:
+            self.flow(now_s)
+
+    def forget(self, connection):
+        """Drop what is held of a connection that has been closed: a fault without end would keep it for ever."""
+        self.held = [item for item in self.held if item[1] is not connection]
+
+    def flow(self, now_s):
+        """Let pass what is held, as far as it may now."""
+        while self.held:
+            data, connection, deliver, cut = self.held[0]
+            faults, later_s, passing = self._in_force(now_s), 0.0, data
+            for end_s, act in faults:
+                arriving = act(passing, now_s + later_s)
+                if arriving is None:
+                    self.forget(connection)
+                    self._count(cut=1)
+                    cut(connection)
+                    break
+                if not arriving:
+                    self._wires.call_at(end_s, self.flow)
+                    return
+                later_s, passing = later_s + arriving[0][0], arriving[0][1]
+            else:
+                del self.held[0]
+                due_s = max(now_s + later_s, self._newest_s.get(connection, -math.inf))
+                if faults:
+                    self._newest_s[connection] = due_s
+                    self._count(delivered=1, later=int(due_s > now_s))
+                self._deliver(due_s, now_s, deliver, passing, connection)
