@@ -242,9 +242,7 @@ def launch_arguments(args, fleet, folder):
 
 def operator_params(args):
     """OperatorParams of a flight."""
-    return OperatorParams(
-        duration=args.duration, ready=READY_S, bumper_steps=BUMPER_STEPS.get(args.experiment, 0)
-    )
+    return OperatorParams(duration=args.duration, ready=READY_S, bumper_steps=BUMPER_STEPS.get(args.experiment, 0))
 
 
 def longest_s(args):

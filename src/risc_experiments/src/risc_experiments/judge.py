@@ -9,6 +9,7 @@ from risc_lab.phases import OutCause
 
 _MAY_FOLLOW = (OutCause.LADDER, OutCause.LANDED, OutCause.SILENT, OutCause.MANUAL)  # from a fault
 
+
 @dataclass(frozen=True)
 class Limits:
     """What a flight must keep."""

@@ -5,6 +5,7 @@ what was made to go wrong.
 import re
 from dataclasses import dataclass
 
+from data_extraction.report.faults import fault_text
 from data_extraction.report.topics import Collector, vehicle_of
 from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
 
@@ -94,7 +95,7 @@ class EventCollector(Collector):
             if record.active != (record.id in self._acting):
                 self._acting ^= {record.id}
                 word = "begins" if record.active else "ends"
-                text = "fault %s %s" % (":".join(filter(None, (record.name, record.args))), word)
+                text = "fault %s %s" % (fault_text(record.name, record.args), word)
                 self._add(time_s, "virtual lab", text, (record.id, word))
 
     def _note_change(self, time_s, source, what, word):

@@ -18,6 +18,11 @@ LANDED_HEIGHT_M = 0.15  # a vehicle that stands is no higher
 _NEVER_S = math.inf
 
 
+def fault_text(name, args):
+    """A fault as on the command line."""
+    return ":".join(filter(None, (name, args)))
+
+
 @dataclass(frozen=True)
 class FaultOutcome:
     """A fault, and what became of it."""
@@ -35,7 +40,7 @@ class FaultOutcome:
     @property
     def text(self):
         """As on the command line."""
-        return ":".join(filter(None, (self.name, self.args)))
+        return fault_text(self.name, self.args)
 
     def is_of(self, namespace):
         """Whether it may happen to this vehicle."""
@@ -174,8 +179,10 @@ class FaultCollector(Collector):
         """Faults."""
         end_s = min(end_s, self._over_s)
         begins_s = {number: begin_s for number, begin_s in self._began.items() if begin_s < end_s}
-        outcomes = [self._judge(self._faults[number], begin_s, begins_s.values()) for number, begin_s in begins_s.items()]
-        outcomes.sort(key=lambda fault: fault.begin_s)
+        outcomes = [
+            self._judge(self._faults[number], begin_s, begins_s.values())
+            for number, begin_s in sorted(begins_s.items(), key=lambda item: item[1])
+        ]
         left_ok_s = {rise.vehicle: rise.time_s for rise in self._rises["/safety"]}
         waiting = len(self._faults) - len(outcomes)
         return Faults(outcomes, waiting, self._course_s, dict(self._out), left_ok_s, set(self._kept_apart))
@@ -189,9 +196,8 @@ class FaultCollector(Collector):
         said = [rise for rise in self._rises["/safety"] if begin_s <= rise.time_s < said_until_s]
         landed = {rise.vehicle for rise in said if rise.level >= FailsafeLevel.LAND}
         landed |= {vehicle for vehicle, out in self._out.items() if begin_s <= out.time_s < until_s}
-        if any(begin_s <= hurt_s < until_s for hurt_s in self._hurt_s):
-            outcome = "breach"
-        elif any(self._heights_m.get(vehicle, 0.0) > LANDED_HEIGHT_M for vehicle in landed):
+        is_hurt = any(begin_s <= hurt_s < until_s for hurt_s in self._hurt_s)
+        if is_hurt or any(self._heights_m.get(vehicle, 0.0) > LANDED_HEIGHT_M for vehicle in landed):
             outcome = "breach"
         elif landed:
             outcome = "landed"
