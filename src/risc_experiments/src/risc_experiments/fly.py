@@ -429,7 +429,7 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
         if time.monotonic() > deadline:
             return problem or ("interrupted" if landing else "not finished in time (phase: %s)" % name)
     # with faults, what single vehicles did is judged from the bag
-    failure = watch.failure if watch.flight_failed or not args.faults else ""
+    failure = watch.failure if not args.faults or watch.flight_failed else ""
     return "; ".join(filter(None, (problem, failure)))
 
 

@@ -91,16 +91,17 @@ class Faults:
         ]
 
 
-class _Rise(NamedTuple):
-    """A vehicle's level became a higher one."""
+class _Change(NamedTuple):
+    """A vehicle's failsafe level became another one."""
 
     time_s: float
     vehicle: str
     level: FailsafeLevel
+    is_rise: bool
 
 
 class FaultCollector(Collector):
-    """Keeps faults, rises of failsafe levels, crashes; its memory grows with their number only."""
+    """Keeps faults, changes of failsafe levels, crashes; its memory grows with their number only."""
 
     topics = (
         "/virtual_lab/faults", "/virtual_lab/crash", "/ground_truth", "/commands_sent", "/operator/phase",
@@ -116,7 +117,7 @@ class FaultCollector(Collector):
         self._faults = {}  # id -> its newest FaultRecord
         self._began = {}  # id -> when it did
         self._levels = {}  # (topic, vehicle) -> its level
-        self._rises = {"/safety": [], "/commands_sent": []}  # of _Rise: what was said, what was sent
+        self._changes = {"/safety": [], "/commands_sent": []}  # what was said, what was sent
         self._hurt_s = []  # when a vehicle touched something, or left the net
         self._outside = set()  # vehicles
         self._heights_m = {}
@@ -160,9 +161,10 @@ class FaultCollector(Collector):
                 self._hurt_s.append(stamp_s)
 
     def _note_level(self, topic, vehicle, level, time_s):
-        if level > self._levels.get((topic, vehicle), FailsafeLevel.OK):
-            self._rises[topic].append(_Rise(time_s, vehicle, FailsafeLevel(level)))
-        self._levels[topic, vehicle] = level
+        before = self._levels.get((topic, vehicle), FailsafeLevel.OK)
+        if level != before:
+            self._changes[topic].append(_Change(time_s, vehicle, FailsafeLevel(level), level > before))
+            self._levels[topic, vehicle] = level
 
     def _hear_operator(self, message):
         stamp_s = seconds(message.header.stamp)
@@ -183,27 +185,28 @@ class FaultCollector(Collector):
             self._judge(self._faults[number], begin_s, begins_s.values())
             for number, begin_s in sorted(begins_s.items(), key=lambda item: item[1])
         ]
-        left_ok_s = {rise.vehicle: rise.time_s for rise in self._rises["/safety"]}
+        left_ok_s = {change.vehicle: change.time_s for change in self._changes["/safety"] if change.is_rise}
         waiting = len(self._faults) - len(outcomes)
         return Faults(outcomes, waiting, self._course_s, dict(self._out), left_ok_s, set(self._kept_apart))
 
     def _judge(self, record, begin_s, begins_s):
         """FaultOutcome of a FaultRecord. begins_s: of all faults."""
         until_s = min((other_s for other_s in begins_s if other_s > begin_s), default=_NEVER_S)
-        sent = [rise for rise in self._rises["/commands_sent"] if begin_s <= rise.time_s < until_s]
         # from then on vehicles land because the operator has them land
         said_until_s = min(until_s, max(self._landing_s, begin_s))
-        said = [rise for rise in self._rises["/safety"] if begin_s <= rise.time_s < said_until_s]
-        landed = {rise.vehicle for rise in said if rise.level >= FailsafeLevel.LAND}
+        said = [change for change in self._changes["/safety"] if begin_s <= change.time_s < said_until_s]
+        landed = {change.vehicle for change in said if change.level >= FailsafeLevel.LAND}
         landed |= {vehicle for vehicle, out in self._out.items() if begin_s <= out.time_s < until_s}
+        at_last = {change.vehicle: change.level for change in said}
         is_hurt = any(begin_s <= hurt_s < until_s for hurt_s in self._hurt_s)
         if is_hurt or any(self._heights_m.get(vehicle, 0.0) > LANDED_HEIGHT_M for vehicle in landed):
             outcome = "breach"
         elif landed:
             outcome = "landed"
         else:
-            outcome = "held" if said else "completed"
-        first = min(sent, default=None)
+            outcome = "held" if any(at_last.values()) else "completed"
+        sent = self._changes["/commands_sent"]
+        first = min((change for change in sent if change.is_rise and begin_s <= change.time_s < until_s), default=None)
         return FaultOutcome(
             name=record.name,
             args=record.args,
