@@ -492,7 +492,11 @@ class _Chain:
             self._wire.carry(FlightAction.CUT_MOTORS, None, now_s, self._order)
         if orders.command is not None:
             self._on_sent(now_s, orders.command.settles_at)
-            self._wire.carry(orders.command.sticks, None, now_s, lambda sticks, _, at_s: self._link.send(sticks, at_s))
+            send = partial(self._send, orders.level_only)
+            self._wire.carry(orders.command.sticks, None, now_s, send)
+
+    def _send(self, level_only, sticks, _, now_s):
+        self._link.send(sticks, now_s, level_only)
 
     def _order(self, action, _, at_s):
         self._link.order(action, at_s)
