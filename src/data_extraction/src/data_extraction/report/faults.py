@@ -70,9 +70,9 @@ class Faults:
         return bool(self.outcomes)
 
     def marks(self, zero_s):
-        """[(name, begin [s], end [s]; infinite: none)] for plots whose times count from zero_s."""
+        """[(begin [s], end [s]; infinite: none)] of each, for plots whose times count from zero_s."""
         ends_s = (math.inf if fault.end_s is None else fault.end_s for fault in self.outcomes)
-        return [(fault.name, fault.begin_s - zero_s, end_s - zero_s) for fault, end_s in zip(self.outcomes, ends_s)]
+        return [(fault.begin_s - zero_s, end_s - zero_s) for fault, end_s in zip(self.outcomes, ends_s)]
 
     def figures(self):
         """List of dicts ready for JSON: `faults` of summary.json."""
