@@ -5,6 +5,7 @@ happened there is only an upper one, by the rule of three: 3 in all that was flo
 """
 
 import math
+import pathlib
 from collections import Counter
 
 import numpy as np
@@ -20,6 +21,11 @@ _LEAST_PAIRS = 6  # of flights: fewer cannot differ significantly
 _DETECT = {"detect_p50_ms": 50, "detect_p99_ms": 99}
 
 
+def key_of(cell):
+    """What a row is of, by its KEY: of a file of faults the name."""
+    return dict(zip(KEY, cell)) | {"fault": pathlib.PurePath(cell.fault).name}
+
+
 def row_of(cell, flights):
     """A row of the scorecard. cell: plan.Cell.  flights: {seed: figures}, see `flights.score`."""
     flown = {seed: figures for seed, figures in flights.items() if "error" not in figures}
@@ -28,7 +34,7 @@ def row_of(cell, flights):
     minutes = sum(figures["minutes"] for figures in flown.values())
     samples = sum(figures["samples"] for figures in flown.values())
     square_m2 = sum(figures["square_m2"] for figures in flown.values())
-    row = dict(zip(KEY, cell)) | {
+    row = key_of(cell) | {
         "minutes": round(minutes, 4),
         "flights": len(flown),
         "failed": len(flights) - len(flown),
