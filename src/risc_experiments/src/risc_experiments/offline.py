@@ -388,7 +388,8 @@ def _judge_faults(records, chains, breaches, contacts):
         elif landings:
             outcome = "landed"
         else:
-            outcome = "held" if said else "completed"
+            levels = (chain.levels(record.begins_s, until_s) for chain in chains)
+            outcome = "held" if any(own and own[-1] > FailsafeLevel.OK for own in levels) else "completed"
         yield FaultOutcome(
             record.event.fault,
             record.event.args,
@@ -471,6 +472,10 @@ class _Chain:
     def landed(self):
         """Whether the vehicle stands on the floor by its own report."""
         return self._link.report()[0] is FlightPhase.LANDED
+
+    def levels(self, begin_s, end_s):
+        """Levels that its ladder entered in this time."""
+        return [verdict.level for said_s, verdict in self.said if begin_s <= said_s < end_s]
 
     @property
     def lands(self):
@@ -663,7 +668,7 @@ def _fault(text):
 
 
 def _told(result):
-    """What became of the faults of a flight, e.g. "mocap_blackout:0.3 held after 105 ms"."""
+    """What became of the faults of a flight, e.g. "mocap_blackout:3 landed after 105 ms"."""
     told = []
     for fault in result.faults:
         after = "" if fault.reaction_ms is None else " after %.0f ms" % fault.reaction_ms

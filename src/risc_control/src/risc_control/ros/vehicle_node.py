@@ -422,7 +422,8 @@ class _Vehicle:
             answers = command.answers or _NONE
             if answers:
                 self._answer_max_s = max(self._answer_max_s, (sent - answers).to_sec())
-            self._node.sent.put(command_sent(self.name, sent, answers, command.settles_at))
+            level = self.pilot.ladder.verdict.level
+            self._node.sent.put(command_sent(self.name, sent, answers, command.settles_at, level))
             self._counts["commands"] += 1
         if orders.status is not None:
             self._status.publish(orders.status)
