@@ -88,8 +88,8 @@ def share_bounds(hits, of):
     if of == 0:
         return None
     if hits in (0, of):
-        bound = min(RULE_OF_THREE / of, 1.0)
-        return [0.0, bound] if hits == 0 else [1.0 - bound, 1.0]
+        chance = (1.0 - CONFIDENCE) ** (1.0 / of)  # that makes none of so many unlikely; for many: 1 - 3 / of
+        return [0.0, 1.0 - chance] if hits == 0 else [chance, 1.0]
     return list(map(float, stats.binomtest(hits, of).proportion_ci(CONFIDENCE, "exact")))
 
 
