@@ -45,6 +45,6 @@ class OfflineLink:
 
     def report(self):
         """(FlightPhase, charge in percent, velocity) as the vehicle tells its driver. It flies as long as one likes: 90
-        is told until another charge is put in.  velocity: (forward, right) [m/s], level; None of one that measures none.
+        is told until another charge is put in.  velocity: (forward, right) [m/s], level; None: it measures none.
         """
         return self.vehicle.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0, None
