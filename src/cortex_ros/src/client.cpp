@@ -19,6 +19,7 @@ constexpr Time kPauseTimeout = std::chrono::milliseconds(100);
 constexpr int kPauseTries = 2;
 constexpr int kQuietPolls = 20;  // this many polls without a new frame: the host is paused
 constexpr double kQuietPollRateHz = 10.0;
+constexpr int kMaxStrange = 64;  // datagrams that are looked at before the kernel refuses strangers
 constexpr std::size_t kMaxReports =
     16;  // of each kind: packets from other computers must not fill log and memory
 constexpr double kMinFrameRateHz = 1.0;
@@ -173,32 +174,60 @@ bool Client::is_from_host(const Endpoint& source, Channel channel) const {
 }
 
 void Client::handle(const Datagram& datagram, Channel channel) {
+  if (!is_from_host(datagram.source, channel)) {
+    refuse(datagram, channel);
+    return;
+  }
+  last_heard_ = clock_.monotonic();
   std::optional<Packet> packet;
-  std::string fault;
   try {
     if (datagram.truncated) {
       throw ProtocolError("datagram longer than " + std::to_string(datagram.size) + " bytes was truncated");
     }
     packet = decode(datagram.data, datagram.size);
   } catch (const ProtocolError& error) {
-    fault = error.what();
-  }
-  if (!is_from_host(datagram.source, channel)) {
-    ++foreign_;
-    if (packet) {
-      hint_at_other_host(*packet, datagram.source, channel);
-    }
+    ++malformed_;
+    events_.on_frequent_log(LogLevel::kWarning,
+                            std::string("malformed packet from the Cortex host: ") + error.what());
     return;
   }
-  last_heard_ = clock_.monotonic();
-  if (!packet) {
-    ++malformed_;
-    events_.on_frequent_log(LogLevel::kWarning, "malformed packet from the Cortex host: " + fault);
-  } else if (host_) {
+  if (host_) {
     dispatch(*packet, datagram, channel);
   } else {
     dispatch_while_searching(*packet, datagram, channel);
   }
+}
+
+// Strangers are named once. When they send much the kernel refuses them: their datagrams must not take the
+// room of the host's.
+void Client::refuse(const Datagram& datagram, Channel channel) {
+  ++foreign_;
+  const boost::asio::ip::address address = datagram.source.address();
+  const std::optional<Address> host = host_ ? std::optional(host_->address().to_v4()) : configured_host_;
+  if (host && address != *host && refused_.size() < kMaxReports && refused_.insert(address).second) {
+    events_.on_log(LogLevel::kWarning, "datagrams from " + address.to_string() +
+                                           " are refused: the Cortex host is " + host->to_string() +
+                                           " (said once, then counted as foreign datagrams)");
+  }
+  if (channel == Channel::kCommand) {
+    try {
+      hint_at_other_host(decode(datagram.data, datagram.size), datagram.source, channel);
+    } catch (const ProtocolError&) {  // counted as foreign
+    }
+  }
+  if (host && ++strange_[static_cast<std::size_t>(channel)] == kMaxStrange) {
+    (channel == Channel::kCommand ? *command_ : *stream_).hear_only(*host);
+  }
+}
+
+// To be called when the host is another one.
+void Client::hear_all() {
+  for (std::optional<UdpSocket>* socket : {&command_, &stream_}) {
+    if (*socket) {
+      (*socket)->hear_all();
+    }
+  }
+  strange_[0] = strange_[1] = 0;
 }
 
 // Two mistakes that an answer from another address explains: a host with two interfaces that answers from the
@@ -428,6 +457,7 @@ void Client::report_up() {
 }
 
 void Client::connect(const Endpoint& host, const Identity& identity) {
+  hear_all();
   const bool known = set_up_host_ == host.address();
   if (!known) {
     set_up_host_.reset();
@@ -504,6 +534,7 @@ void Client::start_running() {
 void Client::lose_host() {
   const std::string name = to_string(*host_);
   host_.reset();
+  hear_all();
   phase_ = Phase::kSearching;
   setting_up_ = false;
   requests_.clear();
@@ -552,6 +583,9 @@ void Client::join_group() {
 
 void Client::tick() {
   const Time now = clock_.monotonic();
+  for (std::optional<UdpSocket>* socket : {&command_, &stream_}) {
+    foreign_ += *socket ? (*socket)->newly_refused() : 0;
+  }
   if (phase_ == Phase::kSearching) {
     search(now);
     return;

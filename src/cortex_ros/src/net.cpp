@@ -1,6 +1,8 @@
 #include "cortex_ros/net.hpp"
 
 #include <ifaddrs.h>
+#include <linux/filter.h>
+#include <linux/sock_diag.h>
 #include <net/if.h>
 #include <sys/socket.h>
 
@@ -8,7 +10,9 @@
 #include <boost/asio/ip/multicast.hpp>
 #include <cerrno>
 #include <cstring>
+#include <iterator>
 #include <memory>
+#include <utility>
 
 namespace cortex_ros {
 namespace {
@@ -17,6 +21,7 @@ using boost::asio::ip::udp;
 using boost::system::error_code;
 
 constexpr int kReceiveBufferBytes = 1 << 20;   // as the original client: about two seconds of frames
+constexpr std::uint32_t kSample = 1024;        // of strangers' datagrams one in so many comes through
 constexpr std::size_t kDatagramSpace = 65536;  // larger than any datagram, so MSG_TRUNC means a fault
 
 void check(const error_code& error, const std::string& what) {
@@ -41,6 +46,14 @@ std::optional<Time> kernel_time(msghdr& header) {
     }
   }
   return std::nullopt;
+}
+
+// Datagrams that the kernel has not given to a socket, since it was opened.
+std::uint32_t dropped(int fd) {
+  std::uint32_t memory[SK_MEMINFO_VARS] = {};
+  socklen_t size = sizeof memory;
+  getsockopt(fd, SOL_SOCKET, SO_MEMINFO, memory, &size);
+  return memory[SK_MEMINFO_DROPS];
 }
 
 Address from_sockaddr(const sockaddr* address) {
@@ -121,6 +134,41 @@ void UdpSocket::join(const Address& group, const Address& interface) {
   if (error != boost::asio::error::address_in_use) {
     check(error, "cannot join group " + group.to_string() + " on interface " + interface.to_string());
   }
+}
+
+bool UdpSocket::hear_only(const Address& source) {
+  constexpr std::uint32_t kSourceAddress = static_cast<std::uint32_t>(SKF_NET_OFF) + 12;  // of the IP header
+  constexpr std::uint32_t kRandom = static_cast<std::uint32_t>(SKF_AD_OFF + SKF_AD_RANDOM);
+  constexpr std::uint32_t kAllBytes = 0x40000;
+  sock_filter program[] = {
+      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, kSourceAddress),
+      BPF_JUMP(BPF_JMP | BPF_JEQ, source.to_uint(), 2, 0),
+      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, kRandom),
+      BPF_JUMP(BPF_JMP | BPF_JSET, kSample - 1, 1, 0),
+      BPF_STMT(BPF_RET, kAllBytes),
+      BPF_STMT(BPF_RET, 0),
+  };
+  const sock_fprog filter{std::size(program), program};
+  refused_ = dropped(fd());
+  if (setsockopt(fd(), SOL_SOCKET, SO_ATTACH_FILTER, &filter, sizeof filter) != 0) {
+    refused_.reset();
+  }
+  return refused_.has_value();
+}
+
+void UdpSocket::hear_all() {
+  if (refused_) {
+    set_option(fd(), SOL_SOCKET, SO_DETACH_FILTER, 0);
+    refused_.reset();
+  }
+}
+
+std::uint32_t UdpSocket::newly_refused() {
+  if (!refused_) {
+    return 0;
+  }
+  const std::uint32_t before = std::exchange(*refused_, dropped(fd()));
+  return *refused_ - before;
 }
 
 // asio does not hand out the kernel's time.

@@ -525,6 +525,60 @@ TEST_F(ClientTest, PacketsOfOthersAreIgnored) {
   EXPECT_TRUE(client.events().frames().empty());
 }
 
+// While nobody reads, a stranger sends more than the buffer holds, and the host a little behind it.
+TEST(Socket, TheKernelRefusesStrangersBeforeTheyTakeRoom) {
+  const auto from_host = [](bool hear_only) {
+    UdpSocket ours({resolve(own_loopback_address()), 0}, UdpSocket::Share::kNo);
+    UdpSocket host({resolve(own_loopback_address()), 0}, UdpSocket::Share::kNo);
+    UdpSocket stranger({resolve(own_loopback_address()), 0}, UdpSocket::Share::kNo);
+    if (hear_only) {
+      EXPECT_TRUE(ours.hear_only(host.local().address().to_v4()));
+    }
+    for (int i = 0; i < 20000; ++i) {
+      stranger.send(Bytes(9, 1), ours.local());
+    }
+    for (int i = 0; i < 20; ++i) {
+      host.send(Bytes(9, 2), ours.local());
+    }
+    int count = 0;
+    Datagram datagram;
+    while (ours.receive(datagram)) {
+      count += datagram.source == host.local() ? 1 : 0;
+    }
+    EXPECT_EQ(ours.newly_refused() > 19000u, hear_only);
+    ours.hear_all();
+    stranger.send(Bytes(9, 1), ours.local());
+    EXPECT_TRUE(ours.receive(datagram) && datagram.source == stranger.local());
+    return count;
+  };
+  EXPECT_EQ(from_host(true), 20);
+  EXPECT_LT(from_host(false), 20);  // the control arm
+}
+
+TEST_F(ClientTest, AFloodOfAStrangerIsCountedAndNamedOnce) {
+  start_host();
+  RunningClient client(options());
+  ASSERT_TRUE(client.up());
+  const std::string elsewhere = own_loopback_address();
+  UdpSocket stranger({resolve(elsewhere), 0}, UdpSocket::Share::kNo);
+  send_multicast_over_loopback(stranger);
+  const Bytes frame = encode(simple_frame(1000000));
+  for (std::uint64_t sent = 1; sent <= 200; ++sent) {
+    stranger.send(frame, sent % 2 == 0 ? group() : unicast());
+    ASSERT_TRUE(wait_until([&] { return client.count("foreign datagrams") >= sent; }));
+  }
+  std::int32_t number = 1;
+  EXPECT_TRUE(stream_until_seen(client, group(), number));
+  EXPECT_TRUE(stream_until_seen(client, unicast(), number));
+  const std::vector<std::string> told = client.events().feeds();
+  EXPECT_EQ(std::count_if(told.begin(), told.end(),
+                          [&](const std::string& text) { return text.find(elsewhere) != std::string::npos; }),
+            1);
+  for (const auto& seen : client.events().frames()) {
+    EXPECT_LT(seen.number, 1000000);
+  }
+}
+
 TEST_F(ClientTest, AHostThatAnswersFromAnotherAddressIsPointedOut) {
   const std::string elsewhere = own_loopback_address();
   const std::uint16_t port = free_port();

@@ -583,7 +583,7 @@ def test_climb_ahead_without_commands_decays():
 
 def test_loss_of_states_holds_then_lands_then_rests():
     desk = Desk().fly(autonomous=True)
-    desk.control = Controls(0.3, 0.3, 0.3, HOVER_N)
+    desk.control = Controls(0.0, 0.0, 0.3, HOVER_N)
     desk.run(0.5)
     desk.alive.remove("state")
     lost_s, since = desk.now_s, len(desk.orders)
@@ -613,6 +613,26 @@ def test_loss_of_states_holds_then_lands_then_rests():
     assert told == [
         (ok, Rule.NONE, None), (hold, Rule.STATE, 0.1), (land, Rule.STATE, 0.5), (ok, Rule.NONE, None)
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("lost", ["state", "controls"])
+def test_one_that_holds_by_itself_is_braked_first(lost):
+    desk = Desk(state_land_s=9.0, controls_land_s=9.0).fly(autonomous=True)
+    desk.state = LEVEL._replace(velocity_m_s=(0.5, 0.0, 0.0))
+    desk.run(0.2)
+    desk.alive.remove(lost)
+    sent = desk.run(0.2)
+    assert sent[-1][1].forward < -0.5 and abs(sent[-1][1].left) < 0.01 and sent[-1][1].up == 0.0
+    desk.state = LEVEL
+    sent = desk.run(1.2)
+    assert sent[-1][1] == Sticks(0.0, 0.0, 0.0, 0.0), "the rest is its own hover's"
+    zero_s = next(t for t, sticks, _ in sent if not any(sticks))
+    assert all(not any(sticks) for t, sticks, _ in sent if t > zero_s), "once it holds, it holds"
+    desk.state = LEVEL._replace(velocity_m_s=(0.5, 0.0, 0.0))
+    desk.alive.add(lost)
+    desk.run(0.2)
+    desk.alive.remove(lost)
+    assert desk.run(0.2)[-1][1].forward < -0.5, "the next time, too"
 
 
 def test_hold_ends_on_the_first_fresh_controls():

@@ -4,6 +4,7 @@ The client speaks bytes (struct, text) and knows only the public description of 
 is not mirrored here.
 """
 
+import contextlib
 import dataclasses
 import errno
 import ftplib
@@ -1043,6 +1044,26 @@ def test_too_many_readers_are_turned_away(lab):
     assert lab.host.statistics()["tcp_clients_refused"] == 4
     for connection in connections:
         connection.close()
+
+
+@pytest.mark.parametrize("makes_room", [True, False])
+def test_who_takes_all_places_gives_one_up(lab, monkeypatch, makes_room):
+    if not makes_room:  # the control arm
+        monkeypatch.setattr("risc_simulator.socket_host.greediest", lambda *_: None)
+    target = ADDRESS, lab.host.ports.control
+    with contextlib.ExitStack() as stack:
+        for _ in range(16):
+            stack.enter_context(socket.create_connection(target, source_address=("127.0.0.8", 0)))
+            lab.serve()
+        other = stack.enter_context(socket.create_connection(target, source_address=("127.0.0.9", 0)))
+        lab.serve()
+        assert lab.host.statistics().get("tcp_clients_refused", 0) == (0 if makes_room else 1)
+        other.settimeout(0.2)
+        if makes_room:
+            with pytest.raises(TimeoutError):  # open, and nothing to read
+                other.recv(1)
+        else:
+            assert other.recv(1) == b""
 
 
 def test_notes_of_what_is_not_performed(lab):

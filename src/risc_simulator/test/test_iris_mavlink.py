@@ -310,6 +310,17 @@ def test_there_is_an_end_to_the_number_of_clients():
     assert len(lab.mavlink.clients) == MAX_CLIENTS and ("127.0.0.1", 50001) in lab.mavlink.clients
 
 
+@pytest.mark.parametrize("makes_room", [True, False])
+def test_who_takes_all_places_gives_one_up(monkeypatch, makes_room):
+    if not makes_room:  # the control arm
+        monkeypatch.setattr("risc_simulator.vehicles.iris.mavlink.greediest", lambda *_: None)
+    lab = Lab()
+    for port in range(MAX_CLIENTS):
+        assert lab.connect(address=("127.0.0.8", 50000 + port))
+    assert bool(lab.connect(address=("127.0.0.9", 50000))) is makes_room
+    assert len(lab.mavlink.clients) == MAX_CLIENTS
+
+
 PING = frame("PING", 5, 6, 0, 0)
 
 

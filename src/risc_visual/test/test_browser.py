@@ -3,14 +3,19 @@
 The page in a browser: tests/test_live_view.py.
 """
 
+import contextlib
 import socket
 import urllib.error
 import urllib.request
 
 import pytest
+import viser
 from page_client import PageClient, wait_for
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
+from risc_lab.strangers import Guests, Strangers
+from risc_visual.browser import page_server
 from risc_visual.browser.live_status import BrowserPanel
 from risc_visual.browser.page_server import is_page_of_others, open_server
 
@@ -102,6 +107,63 @@ def test_names_and_addresses_of_this_computer_are_served(name):
 @pytest.mark.parametrize("host", ["", "[::1", "evil.example", "localhost.evil.example:80", "127.0.0.1.evil.example"])
 def test_names_of_others_are_not(host):
     assert is_page_of_others({"Host": host, "Origin": "http://" + host})
+
+
+def is_served(port, source="127.0.0.1"):
+    """Whether who connects from a loopback address gets the page."""
+    with contextlib.suppress(ConnectionError):
+        with socket.create_connection(("127.0.0.1", port), 20.0, source_address=(source, 0)) as sock:
+            sock.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            return sock.recv(100).startswith(b"HTTP/1.1 200")
+    return False
+
+
+@pytest.fixture
+def guarded(monkeypatch):
+    """open(guests) -> (port, Strangers); loopback addresses are no better than others, as a computer has no more."""
+    with contextlib.ExitStack() as stack:
+
+        def open_guarded(*guests):
+            monkeypatch.setattr(Guests, "_is_loopback", lambda self, address: False)
+            strangers = Strangers(lambda level, text: None, "page")
+            opened = open_server("127.0.0.1", free_port(), Guests(guests), strangers)
+            stack.callback(opened.stop)
+            return opened.get_port(), strangers
+
+        yield open_guarded
+
+
+def test_only_guests_and_this_computer_get_the_page(guarded):
+    port, strangers = guarded("127.0.0.7")
+    assert is_served(port) and is_served(port, "127.0.0.7")
+    assert not is_served(port, "127.0.0.8")
+    assert str(strangers) == "127.0.0.8: 1"
+
+
+@pytest.mark.parametrize("is_limited", [True, False])
+def test_who_keeps_connections_open_keeps_nobody_out(guarded, monkeypatch, is_limited):
+    """A guest opens many and says nothing on them, or a little (slow loris). The control arm has no limit for one."""
+    if not is_limited:
+        monkeypatch.setattr(page_server, "MAX_OF_ONE_ADDRESS", 1000)
+    port, strangers = guarded("127.0.0.0/8")
+    with contextlib.ExitStack() as stack:
+        for number in range(page_server.MAX_CONNECTIONS + 8):
+            slow = socket.create_connection(("127.0.0.1", port), 20.0, source_address=("127.0.0.7", 0))
+            stack.callback(slow.close)
+            with contextlib.suppress(OSError):
+                slow.sendall(b"GET / HTTP/1.1\r\n"[: number % 16])
+        wait_for(lambda: strangers.count >= 8, "the refusals")
+        assert is_served(port, "127.0.0.9") is is_limited
+    wait_for(lambda: is_served(port, "127.0.0.9"), "the room that they leave")
+
+
+def test_a_message_too_long_for_a_page_ends_its_connection(server):
+    url = "ws://127.0.0.1:%d" % server.get_port()
+    with connect(url, subprotocols=["viser-v%s" % viser.__version__], max_size=None, compression=None) as page:
+        with pytest.raises(ConnectionClosed, match="message too big"):
+            page.send(bytes(page_server.MAX_MESSAGE_BYTES + 1))
+            while True:
+                page.recv(20.0)
 
 
 def test_its_own_page_is_served(server):

@@ -86,6 +86,8 @@ class Client : public MocapSource {
   void receive(UdpSocket& socket, Channel channel);
   void handle(const Datagram& datagram, Channel channel);
   bool is_from_host(const Endpoint& source, Channel channel) const;
+  void refuse(const Datagram& datagram, Channel channel);
+  void hear_all();
   void hint_at_other_host(const Packet& packet, const Endpoint& source, Channel channel);
   void hint_once(const Endpoint& about, const std::string& hint);
   void dispatch(const Packet& packet, const Datagram& datagram, Channel channel);
@@ -150,7 +152,9 @@ class Client : public MocapSource {
   RequestQueue requests_;
   bool down_reported_ = false;
   std::set<std::string> reported_;
-  std::set<boost::asio::ip::address> hinted_;  // that a hint was given about
+  std::set<boost::asio::ip::address> hinted_;   // that a hint was given about
+  std::set<boost::asio::ip::address> refused_;  // strangers that were named
+  int strange_[2] = {};                         // datagrams of strangers since hear_all(), by channel
 
   Time search_began_;
   Time hello_interval_;

@@ -53,6 +53,16 @@ class UdpSocket {
   // Joining again is harmless. Throws NetworkError.
   void join(const Address& group, const Address& interface);
 
+  // From now on the kernel refuses what does not come from `source`, before it takes room in the receive
+  // buffer and time here; but one datagram in 1024, so that strangers can still be named. False when it
+  // cannot.
+  bool hear_only(const Address& source);
+  void hear_all();
+
+  // How many datagrams the kernel has not taken since the last call, or since hear_only(): strangers', and
+  // what found the buffer full. 0 after hear_all().
+  std::uint32_t newly_refused();
+
   // False when nothing is waiting. Errors of the network that belong to no datagram are skipped.
   bool receive(Datagram& datagram);
 
@@ -63,6 +73,7 @@ class UdpSocket {
   boost::asio::io_context context_;
   boost::asio::ip::udp::socket socket_{context_};
   std::vector<std::uint8_t> buffer_;
+  std::optional<std::uint32_t> refused_;  // by the kernel so far; empty: it hears all
 };
 
 }  // namespace cortex_ros

@@ -60,10 +60,11 @@ def table(summary):
     return templates(autoescape=False).get_template("summary.txt").render(summary).rstrip("\n")
 
 
-def templates(autoescape):
-    """Environment of this package's templates."""
+def templates(autoescape, folder=None):
+    """Environment of this package's templates, and of those in another folder."""
+    folders = [package_file("data_extraction", "templates"), *filter(None, [folder])]
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(package_file("data_extraction", "templates")),
+        loader=jinja2.FileSystemLoader(folders),
         autoescape=autoescape,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

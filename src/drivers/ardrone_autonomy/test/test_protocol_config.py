@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from ardrone_autonomy import settings
 from ardrone_autonomy.protocol import config
 from ardrone_autonomy.protocol.config import Category, ConfigError
-from risc_simulator.vehicles.ardrone.profiles import ConfigurationStore
+from risc_simulator.vehicles.ardrone.profiles import MAX_PROFILES, ConfigurationStore
 
 SESSION, USER, APPLICATION = "00aabbcc", "cea48d22", "e182b69b"
 IDS = (SESSION, USER, APPLICATION)
@@ -266,3 +266,11 @@ def test_readback_lists_every_key():
     assert values["general:num_version_config"] == "1"
     assert values["general:navdata_demo"] == "FALSE"
     assert values["control:accs_offset"].startswith("{ ")
+
+
+def test_profiles_do_not_become_ever_more():
+    store = ConfigurationStore()
+    for number in range(1000):
+        store.write("custom:session_id", "%08x" % (number + 1))
+    assert len(store._profiles[Category.SESSION]) == MAX_PROFILES
+    assert store.write("custom:session_id", "%08x" % 1)  # one that is known

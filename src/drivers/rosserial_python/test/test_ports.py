@@ -8,6 +8,7 @@ import tty
 
 import pytest
 
+from risc_lab.strangers import Guests, Strangers
 from rosserial_python.ports import ListeningPort, SerialPort, SocketPort, make_port
 from rosserial_python.settings import SerialParams
 
@@ -134,6 +135,56 @@ def test_a_search_that_finds_no_device_is_no_port_for_now():
     with pytest.raises(OSError, match="no ports found") as found:
         port.open()
     assert found.value.errno == errno.ENODEV
+
+
+def strange_connection(**options):
+    """A connection from another address than the one that it leads to, and the port."""
+    net = "127.%d.%d." % (64 + os.getpid() % 128, os.getpid() // 128 % 256)
+    said = []
+    port = ListeningPort(0, strangers=Strangers(lambda level, text: said.append(text), "tcp"), **options)
+    number = int(port.name.split(":")[1])
+    client = socket.create_connection((net + "1", number), 5.0, source_address=(net + "2", 0))
+    return port, client, said
+
+
+@pytest.fixture
+def loopback_is_foreign(monkeypatch):
+    """The addresses that a computer alone can try are no better than others."""
+    monkeypatch.setattr(Guests, "_is_loopback", lambda self, address: False)
+
+
+@pytest.mark.parametrize("networks", [[], ["127.0.0.0/8"]])
+def test_who_connects_from_elsewhere_is_refused(loopback_is_foreign, networks):
+    """The control arm is that its network is allowed."""
+    port, client, said = strange_connection(guests=Guests(networks))
+    with contextlib.closing(port), client:
+        assert port.should_reopen(None, 1.0) is bool(networks)
+        if networks:
+            port.open().close()
+            return
+        with pytest.raises(OSError, match="no device"):
+            port.open()
+        assert client.recv(1) == b""  # hung up
+        address = client.getsockname()[0]
+        assert str(port.strangers) == "%s: 1" % address and "~tcp_from" in said[0] and address in said[0]
+
+
+def test_this_computer_may_connect(loopback_is_foreign):
+    port = ListeningPort(0)
+    with contextlib.closing(port), socket.create_connection(("127.0.0.1", int(port.name.split(":")[1]))):
+        line, _ = port.accept()
+        line.close()
+
+
+def test_networks_of_devices():
+    guests = SerialParams(tcp_from=("192.168.1.0/24", "10.0.0.7", "fd00::/8")).guests()
+    here = "192.168.5.1"
+    for address in ("192.168.1.9", "10.0.0.7", "fd00::7", "127.0.0.1", here):
+        assert guests.may_come(address, here)
+    for address in ("192.168.2.9", "10.0.0.8", "fe80::7"):
+        assert not guests.may_come(address, here)
+    with pytest.raises(ValueError, match="tcp_from"):
+        SerialParams(tcp_from=("192.168.1.7/24",))
 
 
 def test_ports_of_parameters():

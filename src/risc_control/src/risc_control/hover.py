@@ -112,13 +112,14 @@ class ClimbObserver:
 class Hover:
     """One vehicle. Times: seconds of a clock that never steps."""
 
-    def __init__(self, vehicle_type, sent, hold_s):
-        """sent: HISTORY of what it was sent.  hold_s: an older state is not flown on."""
+    def __init__(self, vehicle_type, sent, hold_s, braking):
+        """sent: HISTORY of what it was sent.  hold_s: an older state is not flown on.  braking: its Braking."""
         self.phase = Phase.STANDING
         self.reported = None  # FlightState by the vehicle's own word, None before the first
         self.observer = ClimbObserver(vehicle_type, sent)
         self._mass_kg, self._hold_s = vehicle_type.mass_kg, hold_s
-        self._own, self._own_s = None, -math.inf
+        self._own, self._own_s = None, -math.inf  # newest that was seen, or what the model says of it since
+        self._braking = braking
         self._floor_m = None  # height at which it was seen to stand
         self._wire_s = -math.inf  # when its wire for commands worked last
         self._since_s = self._disarm_s = -math.inf  # begin of the phase; when disarming was ordered
@@ -218,6 +219,11 @@ class Hover:
     def airborne(self):
         """It may be in the air."""
         return self.phase in _IN_AIR
+
+    @property
+    def own(self):
+        """`vehicle_pilot.OwnState` for the command that was just asked for; None before it was seen."""
+        return self._own
 
     @property
     def landing(self):
@@ -320,12 +326,17 @@ class Hover:
         return max(wanted_m_s, -_stops_m_s(self._place_m[2] - LEAST_HEIGHT_M))
 
     def _blind(self, now_s, step_s, climb_m_s):
-        """`Command` without states: level, and this climb rate by the model."""
+        """`Command` without states: to a stop, and this climb rate, by the model."""
         self.observer.advance(now_s)
         has_m_s = self.observer.climb_m_s
         self._reckoned_m += min(step_s, _NEW_S) * has_m_s
         up_m_s2 = _within(_BLIND_1_S * (climb_m_s - has_m_s), _BLIND_M_S2)
-        return Command(0.0, 0.0, 0.0, self._mass_kg * (GRAVITY_M_S2 + up_m_s2))
+        brake = self._braking.command(now_s)
+        if brake is None:
+            return Command(0.0, 0.0, 0.0, self._mass_kg * (GRAVITY_M_S2 + up_m_s2))
+        self._own = brake.then
+        thrust_n = thrust_at_tilt(GRAVITY_M_S2 + up_m_s2, self._own.phi_rad, self._own.theta_rad, self._mass_kg)
+        return Command(brake.roll_rad, brake.pitch_rad, 0.0, thrust_n)
 
     def _begin(self):
         """Hold from the place and the motion that it has."""

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from risc_control.braking import Braking
 from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits
 from risc_control.hover import HAND_M_S, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
@@ -48,6 +49,7 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     # HOLD sends: True all zero, on which an AR.Drone holds its place by its own bottom camera; False zero tilt and
     # climb without that (a floor without texture)
     hold_auto_hover: bool = True
+    hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
 
     def rate_hz(self, vehicle_type):
         """At which a vehicle of a type is sent commands."""
@@ -126,10 +128,12 @@ class VehiclePilot:
         rate_hz = params.rate_hz(vehicle_type)
         self._adapter = adapter_class(vehicle_type)(vehicle_type, rate_hz)
         self._sent = CommandHistory(1)
+        self._braking = Braking(vehicle_type, self._sent.vehicles[0], params.hold_brakes)
+        self._stopped = False  # it was braked, in this HOLD
         # that takes off, holds and lands a vehicle which does not do so itself; None: it does
         self._hover = None
         if not self._adapter.FLIES_ITSELF:
-            self._hover = Hover(vehicle_type, self._sent.vehicles[0], params.state_hold_s)
+            self._hover = Hover(vehicle_type, self._sent.vehicles[0], params.state_hold_s, self._braking)
         # why the controller is not obeyed: it or the vehicle has other full scales
         self.disagreement = before.disagreement if before is not None else ""
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
@@ -258,6 +262,7 @@ class VehiclePilot:
         self.ladder.note_state(position_m, velocity_m_s, age_s, now_s)
         self._state = own
         self._state_s = now_s - max(age_s, 0.0)
+        self._braking.see(own, self._state_s)
         if self._hover is not None:
             self._hover.on_state(own, self._state_s)
             self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
@@ -493,6 +498,7 @@ class VehiclePilot:
             self._land_s = now_s
             self._order_landing(orders, now_s)
         if verdict.level > before.level and (self._hover is not None or self._takes_commands()):
+            self._stopped = False
             self._slots.restart(now_s)
             self._send_safe(orders, now_s)
 
@@ -508,9 +514,19 @@ class VehiclePilot:
             sticks = self._avoid(look)
         elif not holds:
             sticks = self._adapter.by_hand(self._sticks(), self._state)
+        elif look is not None:
+            sticks = CENTRED
         else:
-            sticks = CENTRED if itself else self._adapter.move(0.0, 0.0, 0.0, self._state)
+            sticks = self._stop(now_s, itself)
         self._send(sticks, None, orders, now_s)
+
+    def _stop(self, now_s, itself):
+        """Sticks of a vehicle that is to hold its place. itself: it holds one by itself, but stops slowly."""
+        brake = None if itself and self._stopped else self._braking.command(now_s)
+        if brake is not None and not (itself and brake.stopped):
+            return self._adapter.move(-brake.pitch_rad, -brake.roll_rad, 0.0, self._state)
+        self._stopped = True
+        return CENTRED if itself else self._adapter.move(0.0, 0.0, 0.0, self._state)
 
     def _fly_hover(self, orders, now_s):
         """The command of a vehicle that does not fly itself, while the controller does not fly it; none before it has
@@ -530,7 +546,7 @@ class VehiclePilot:
             x, y = HAND_M_S * (forward * cosine + left * sine), HAND_M_S * (left * cosine - forward * sine)
             z, turn_rad_s = kind.climb_max_m_s * sticks.up, -kind.yaw_rate_max_rad_s * sticks.turn_left
         command = self._hover.command(now_s, (x, y, z), turn_rad_s)
-        self._send(self._adapter.fly(command), None, orders, now_s)
+        self._send(self._adapter.fly(command), None, orders, now_s, self._hover.own)
 
     def _avoid(self, look):
         """Sticks that stop the vehicle where it is, except where a `separation.Look` sends it."""
@@ -544,6 +560,7 @@ class VehiclePilot:
         )
         return self._adapter.move(forward_rad, left_rad, look.climb * speed_m_s, self._state)
 
-    def _send(self, sticks, answers, orders, now_s):
-        orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks, self._state))
+    def _send(self, sticks, answers, orders, now_s, own=None):
+        """own: OwnState that they are for, if not the newest one."""
+        orders.command = SentCommand(sticks, answers, self._adapter.settles_at(sticks, own or self._state))
         self._sent.append(0, now_s, orders.command.settles_at)

@@ -153,6 +153,13 @@ class Result(NamedTuple):
     faults: tuple = ()  # FaultOutcome of each of Flight.faults, in their order
     breaches: tuple = ()  # Breach
     contacts: tuple = ()  # Contact
+    # for statistics; vehicles as their places in the fleet, times those of what the nodes know
+    reached_s: float = 0.0  # when all were on the course
+    judged: np.ndarray | None = None  # (k,) bool: settled
+    namespaces: tuple = ()
+    levels: tuple = ()  # of (time [s], vehicle, FailsafeLevel): what the ladders said, from the first trouble on
+    unseen: tuple = ()  # of (time [s], vehicle): motion capture has lost it
+    left_s: tuple = ()  # (n,) when each has left its course for good: it was to land, or crashed; infinite: never
 
 
 def fly(flight):
@@ -202,7 +209,7 @@ def fly(flight):
         if not 0.0 <= event.start_s < SETTLE_S + flight.duration_s:
             text = "fault %s starts when the flight is over: it lasts %g s from when the course is reached"
             raise ValueError(text % (event, SETTLE_S + flight.duration_s))
-    records = []  # of Flight.faults
+    records, unseen, seen_before = [], [], None  # records: of Flight.faults
 
     everyone, nobody = np.ones(len(names), dtype=bool), np.zeros(len(names), dtype=bool)
     judged, times, references, truths = [], [], [], []
@@ -222,7 +229,11 @@ def fly(flight):
                 estimate, stamp_s, hears = update, seen.time_s, True
         mocap.arrived.clear()
         states = States(estimate.visible[: len(names)], estimate.states[: len(names)])  # attached bodies come after
-        if not hears:
+        if hears:
+            if seen_before is not None and (seen_before & ~states.visible).any():
+                unseen += [(now_s, int(i)) for i in np.flatnonzero(seen_before & ~states.visible)]
+            seen_before = states.visible.copy()
+        else:
             states = states._replace(visible=nobody.copy())
         if loss is not None and time_s >= settled_s + loss.after_s:
             if loss.what == "state":
@@ -296,6 +307,12 @@ def fly(flight):
         faults=tuple(_judge_faults(records, chains, breaches, contacts)),
         breaches=breaches,
         contacts=contacts,
+        reached_s=settled_s - SETTLE_S,
+        judged=judged,
+        namespaces=tuple(chain.name for chain in chains),
+        levels=tuple(sorted((said_s, i, said.level) for i, chain in enumerate(chains) for said_s, said in chain.said)),
+        unseen=tuple(unseen),
+        left_s=tuple(_left_s(chain, breaches, contacts) for chain in chains),
         took_s=time.perf_counter() - started,
         times_s=np.array(times),
         reference_m=references,
@@ -338,6 +355,14 @@ def _contacts(world):
     """Each pair that touched, once a touch."""
     pairs = {(crash.time_s, *sorted((crash.namespace, crash.other))) for crash in world.crashes if crash.other}
     return tuple(Contact(*pair) for pair in sorted(pairs))
+
+
+def _left_s(chain, breaches, contacts):
+    """When a vehicle has left its course for good; infinite: never."""
+    times_s = [said_s for said_s, verdict in chain.said if verdict.level is FailsafeLevel.LAND]
+    times_s += [breach.time_s for breach in breaches if breach.name == chain.name]
+    times_s += [contact.time_s for contact in contacts if chain.name in (contact.name, contact.other)]
+    return min(times_s + chain.descents_s, default=math.inf)
 
 
 def _judge_faults(records, chains, breaches, contacts):
@@ -497,7 +522,11 @@ class _Chain:
             self._wire.carry(FlightAction.CUT_MOTORS, None, now_s, self._order)
         if orders.command is not None:
             self._on_sent(now_s, orders.command.settles_at)
-            self._wire.carry(orders.command.sticks, None, now_s, lambda sticks, _, at_s: self._link.send(sticks, at_s))
+            send = partial(self._send, orders.level_only)
+            self._wire.carry(orders.command.sticks, None, now_s, send)
+
+    def _send(self, level_only, sticks, _, now_s):
+        self._link.send(sticks, now_s, level_only)
 
     def _order(self, action, _, at_s):
         self._link.order(action, at_s)

@@ -5,6 +5,7 @@ Senders are told apart by their addresses. Whoever forges one is taken for its o
 
 import contextlib
 import ctypes
+import ipaddress
 import socket
 import struct
 from collections import Counter
@@ -48,6 +49,30 @@ class Strangers:
         others = times.pop(None, 0)
         named = ["%s: %d" % item for item in times.most_common()] + ["others: %d" % others] * bool(others)
         return ", ".join(named) or "nobody"
+
+
+class Guests:
+    """Who may connect to a port that listens: this computer, and who was named."""
+
+    def __init__(self, texts=()):
+        """texts: addresses, and networks such as A.B.C.0/24. Raises ValueError."""
+        try:
+            self._networks = [ipaddress.ip_network(text) for text in texts]
+        except ValueError as error:
+            raise ValueError("%s: give addresses, or networks such as A.B.C.0/24" % error) from None
+
+    def may_come(self, address, local_address):
+        """Whether a connection is let in. address: of the other end.  local_address: of this one."""
+        address = ipaddress.ip_address(address)
+        return (
+            self._is_loopback(address)
+            or address == ipaddress.ip_address(local_address)
+            or any(address in network for network in self._networks)
+        )
+
+    @staticmethod
+    def _is_loopback(address):
+        return address.is_loopback
 
 
 class OneSender:

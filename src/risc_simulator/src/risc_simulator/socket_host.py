@@ -42,6 +42,16 @@ def reset(sock):
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
+def greediest(addresses, newcomer):
+    """The address that has most of the places that are taken, and must give one up for a newcomer; None: none has to.
+
+    Without this a single stranger could keep all places.
+    """
+    times = Counter(addresses)
+    address, most = times.most_common(1)[0]
+    return address if most > times[newcomer] + 1 else None
+
+
 class SocketSet(selectors.EpollSelector):
     """Waits for members that have a fileno(), by epoll: a wake costs what can be read, not what is waited for.
 
@@ -84,6 +94,7 @@ class TcpClients:
             self._waiting.add(listener)
         self.fileno = self._waiting.fileno
         self.backlogs = {}  # socket -> what it has still to get
+        self._addresses = {}  # socket -> IPv4 address of its other end
         self.refused = 0
 
     def serve(self, _now_s):
@@ -100,7 +111,7 @@ class TcpClients:
             client, sender = self._listener.accept()
         except OSError:  # gone again
             return
-        if len(self.backlogs) >= self._most:
+        if len(self.backlogs) >= self._most and not self._make_room(sender[0]):
             self.refused += 1
             self._notices.complaint("is turned away: too many clients", sender)
             client.close()
@@ -108,8 +119,17 @@ class TcpClients:
         self._notices.event(self._asks, sender)
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.backlogs[client] = bytearray()
+        self.backlogs[client], self._addresses[client] = bytearray(), sender[0]
         self._waiting.add(client)
+
+    def _make_room(self, newcomer):
+        """Hang up on the oldest client of the address that has most, if it has more than the newcomer's will have."""
+        greedy = greediest(self._addresses.values(), newcomer)
+        if greedy is None:
+            return False
+        self._notices.complaint("loses a connection: it has most of them, and others come", (greedy, 0))
+        self.hang_up(next(sock for sock, address in self._addresses.items() if address == greedy))
+        return True
 
     def _drain(self, sock):
         try:
@@ -140,6 +160,7 @@ class TcpClients:
     def hang_up(self, sock):
         """Close a connection."""
         if self.backlogs.pop(sock, None) is not None:
+            del self._addresses[sock]
             self._waiting.discard(sock)
             self._stream.forget(sock)
             sock.close()

@@ -34,15 +34,18 @@ def summary_of(material):
 
 def write(path, material, summary):
     """Write the page. summary: of `summary_of`, or of a flight that has just been judged. Returns the path."""
-    environment = summaries.templates(autoescape=True)
+    path.write_text(render("report.html", material=material, summary=summary), encoding="utf-8")
+    return path
+
+
+def render(template, folder=None, **values):
+    """Text of a page in the style of the reports. folder: where its template is; None: with those of the reports."""
+    environment = summaries.templates(autoescape=True, folder=folder)
     environment.filters.update(_FILTERS)
     environment.globals.update(plots=plots, hops=HOPS, cell_m=CELL_M, gap_s=GAP_S)
     numbers = {"figure": count(1), "table": count(1)}
-    page = environment.get_template("report.html")
     with plots.style():
-        text = page.render(material=material, summary=summary, number=lambda what: next(numbers[what]))
-    path.write_text(text, encoding="utf-8")
-    return path
+        return environment.get_template(template).render(number=lambda what: next(numbers[what]), **values)
 
 
 def _uri(kind, data):

@@ -15,10 +15,12 @@ import termios
 
 import serial
 
+from risc_lab.strangers import Guests, Strangers
 from rosserial_python.settings import LISTEN, USUAL_BAUD
 
 _BITS = 10  # of a byte on a serial line: start, 8, stop
 _READ_BYTES = 4096
+_ACCEPTED_AT_ONCE = 16  # connections, before other work goes on
 _CONNECT_S = 1.0  # until an address counts as out of reach
 _LINGER_NONE = struct.pack("ii", 1, 0)  # what was not sent yet is thrown away with the connection
 _SOCKET = re.compile(r"socket://(?:\[([^\]]+)\]|([^:/\[\]]+)):(\d+)/?")
@@ -171,14 +173,16 @@ class SocketPort:
 
 
 class ListeningPort:
-    """Devices connect to this computer."""
+    """Devices connect to this computer: from itself and from some networks, since a device may publish any topic."""
 
-    def __init__(self, number, baud=None):
-        """baud: see `_of_connection`. Raises OSError."""
-        self.baud = baud
+    def __init__(self, number, baud=None, guests=None, strangers=None):
+        """baud: see `_of_connection`.  guests, strangers: see risc_lab.strangers. Raises OSError."""
+        self.baud, self._guests = baud, guests or Guests()
         self._server = socket.create_server(("", number), backlog=4)
         self._server.setblocking(False)
         self.name = "tcp:%d" % self._server.getsockname()[1]
+        self.strangers = strangers or Strangers(lambda level, text: None, self.name)
+        self._next = None  # connection that waits to be opened
 
     def fileno(self):
         """For select: a device has connected."""
@@ -186,32 +190,52 @@ class ListeningPort:
 
     def open(self):
         """The Line of the device that connected last. Raises OSError when there is none."""
-        newest = None
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                connection, _ = self._server.accept()
-                if newest is not None:
-                    newest.close()
-                newest = connection
+        newest, self._next = self._next, None
+        while (accepted := self._accept()) is not None:
+            if newest is not None:
+                newest.close()
+            newest, _ = accepted
         if newest is None:
             raise OSError(errno.ECONNREFUSED, "no device has connected to %s" % self.name)
         return _of_connection(newest, self.baud)
 
     def accept(self):
         """(Line, its peer) of one device that has connected, None when there is none."""
-        try:
-            connection, peer = self._server.accept()
-        except BlockingIOError:
+        accepted = self._accept()
+        if accepted is None:
             return None
+        connection, peer = accepted
         return _of_connection(connection, self.baud), "%s:%d" % peer[:2]
 
+    def refuse(self, line, peer, why):
+        """Hang up on a device. peer: see accept."""
+        line.close()
+        self.strangers.refuse(peer.rpartition(":")[0], why)
+
+    def _accept(self):
+        """(connection, its peer) of the next who has connected and may, None when there is none for now."""
+        for _ in range(_ACCEPTED_AT_ONCE):
+            try:
+                connection, peer = self._server.accept()
+            except (BlockingIOError, ConnectionError):  # nobody, or gone again
+                return None
+            if self._guests.may_come(peer[0], connection.getsockname()[0]):
+                return connection, peer
+            connection.close()
+            self.strangers.refuse(peer[0], "if it is a device add its address to ~tcp_from")
+        return None
+
     def should_reopen(self, _line, _silent_s):
-        """Whether another device waits, or the same one once more."""
-        return bool(select.select([self._server], [], [], 0.0)[0])
+        """Whether another device waits, or the same one once more. A stranger does not cut the line of a device."""
+        if self._next is None:
+            self._next, _ = self._accept() or (None, None)
+        return self._next is not None
 
     def close(self):
         """Nobody can connect any more."""
         self._server.close()
+        if self._next is not None:
+            self._next.close()
 
 
 class AcceptedPort:
@@ -237,10 +261,14 @@ class AcceptedPort:
             self._line.close()
 
 
-def make_port(params):
-    """The port of settings.SerialParams. Raises ValueError, and OSError when it cannot listen."""
+def make_port(params, report=lambda level, text: None):
+    """The port of settings.SerialParams. Raises ValueError, and OSError when it cannot listen.
+
+    report: function (level, text), for who is refused.
+    """
     if params.port == LISTEN:
-        return ListeningPort(params.tcp_port, params.baud)
+        strangers = Strangers(report, "tcp:%d" % params.tcp_port)
+        return ListeningPort(params.tcp_port, params.baud, params.guests(), strangers)
     if params.port.startswith("socket:"):
         return SocketPort(params.port, params.baud)
     return SerialPort(params.port, params.baud or USUAL_BAUD, params.reopen_after, params.fix_pyserial_for_test)

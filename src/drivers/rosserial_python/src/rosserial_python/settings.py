@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from risc_lab.settings import Count, Port, Positive, Settings, between
+from risc_lab.strangers import Guests
 
 USUAL_BAUD = 57600
 LISTEN = "tcp"  # as ~port: devices connect to ~tcp_port
@@ -17,7 +18,19 @@ class SerialParams(Settings):
     baud: between(300, 12000000) | None = None
     tcp_port: Port = 11411  # with tcp
     fork_server: bool = False  # with tcp: several devices at a time
+    tcp_from: tuple[str, ...] = ()  # with tcp: addresses of devices, or networks A.B.C.0/24; others than this computer
     fix_pyserial_for_test: bool = False  # opens with rtscts and dsrdtr
     silence: Positive = 0.3  # [s] without a sound packet after which the link is lost
     max_age: Positive = 0.25  # [s] an older message is not sent any more; by header.stamp, of messages that have one
     reopen_after: Count = 10  # [s] of silence after which a serial port is opened again (which resets most boards)
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.guests()
+
+    def guests(self):
+        """risc_lab.strangers.Guests of `tcp_from`."""
+        try:
+            return Guests(self.tcp_from)
+        except ValueError as error:
+            raise ValueError("tcp_from: %s" % error) from None

@@ -19,15 +19,15 @@ class OfflineLink:
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
 
-    def send(self, sticks, now_s):
-        """The driver was told these."""
+    def send(self, sticks, now_s, level_only=False):
+        """The driver was told these. level_only: all 0 mean level, and no hover."""
         kind = self.vehicle.type
         setpoint = Setpoint(
             roll_rad=-sticks.left * kind.tilt_max_rad,
             pitch_rad=-sticks.forward * kind.tilt_max_rad,
             climb_m_s=sticks.up * kind.climb_max_m_s,
             yaw_rate_rad_s=-sticks.turn_left * kind.yaw_rate_max_rad_s,
-            hover=not any(sticks),
+            hover=not (any(sticks) or level_only),
         )
         self._radio.submit(now_s, setpoint)
 

@@ -14,17 +14,30 @@ import logging
 import socket
 import threading
 import urllib.parse
+from collections import Counter
 
 import viser
 import websockets.asyncio.server
 
+from risc_lab.strangers import Guests, Strangers
 
-def open_server(host, port):
-    """viser.ViserServer on an address and port of this computer. Raises ValueError that says what to change."""
+MAX_CONNECTIONS, MAX_OF_ONE_ADDRESS = 64, 16  # at a time; a page has one, and a few more while it loads
+MAX_MESSAGE_BYTES = 1 << 18  # pages tell clicks and from where they look
+
+
+def open_server(host, port, guests=None, strangers=None):
+    """viser.ViserServer on an address and port of this computer. Raises ValueError that says what to change.
+
+    guests: risc_lab.strangers.Guests who may come beside this computer.  strangers: Strangers, told of others.
+    """
     threading.Thread(target=_full_name, daemon=True).start()
     _check_free(host, port)
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # else: a traceback for every page that hangs up
-    with _refuse_pages_of_others(), contextlib.redirect_stdout(io.StringIO()):  # its banner; who starts it says where
+    strangers = strangers or Strangers(lambda level, text: None, "port %d" % port)
+    with (
+        _guard_server(guests or Guests(), strangers),
+        contextlib.redirect_stdout(io.StringIO()),
+    ):  # its banner; who starts it says where
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if server.get_port() != port:
         server.stop()
@@ -34,11 +47,11 @@ def open_server(host, port):
 
 
 @contextlib.contextmanager
-def _refuse_pages_of_others():
-    """A server started meanwhile talks only to its own page, not to every page that a browser here has open.
+def _guard_server(guests, strangers):
+    """A server started meanwhile lets in few, and talks only to its own page, not to all that a browser here has open.
 
-    A browser lets any page connect to any address, and says in Origin whose page it is. viser has no setting for it,
-    so its call of websockets is given the check.
+    A browser lets any page connect to any address, and says in Origin whose page it is. viser has no setting for
+    either, so its call of websockets is given the checks.
     """
     serve = websockets.asyncio.server.serve
     guarded = []
@@ -51,6 +64,7 @@ def _refuse_pages_of_others():
             return process_request(connection, request)
 
         guarded.append(True)
+        settings.update(max_size=MAX_MESSAGE_BYTES, create_connection=_guarded_connections(guests, strangers))
         return serve(*args, process_request=answer, **settings)
 
     websockets.asyncio.server.serve = serve_own_page
@@ -60,6 +74,42 @@ def _refuse_pages_of_others():
         websockets.asyncio.server.serve = serve
     if not guarded:
         raise RuntimeError("this release of viser serves in another way: install the one of requirements.txt")
+
+
+def _guarded_connections(guests, strangers):
+    """Class of a server's connections: guests, and not more than so many. Who says nothing is cut off by websockets."""
+    present = Counter()  # connections by address
+
+    class Connection(websockets.asyncio.server.ServerConnection):
+        _address = None  # None: it was refused
+
+        def connection_made(self, transport):
+            peer, here = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
+            trouble = "it has gone" if peer is None else _trouble(peer[0], here[0])
+            if trouble:
+                if peer is not None:
+                    strangers.refuse(peer[0], trouble)
+                transport.abort()
+                return
+            self._address = peer[0]
+            present[self._address] += 1
+            super().connection_made(transport)
+
+        def connection_lost(self, exc):
+            if self._address is not None:
+                present[self._address] -= 1
+                if not present[self._address]:
+                    del present[self._address]
+                super().connection_lost(exc)
+
+    def _trouble(address, local_address):
+        if not guests.may_come(address, local_address):
+            return "if it may see the page and land the vehicles add it to ~guests"
+        if present[address] >= MAX_OF_ONE_ADDRESS or present.total() >= MAX_CONNECTIONS:
+            return "it has %d connections of %d" % (present[address], present.total())
+        return ""
+
+    return Connection
 
 
 def is_page_of_others(headers):

@@ -29,6 +29,7 @@ _STATES = {State.CLOSED: "closed", State.WAITING: "open, asking for topics", Sta
 _REPORT_S = 1.0
 _LOOK_S = 0.2
 _AGAIN_S = 5.0  # between two complaints about the same
+_MOST_DEVICES = 16  # each has threads of its own
 
 
 def read_params(arguments):
@@ -135,19 +136,28 @@ class Device:
         self.topics.close()
 
 
+def _fill_port(port, status):
+    """The status of a ListeningPort on /diagnostics."""
+    status.summary(DiagnosticStatus.OK, "listens")
+    add_all(status, {"strangers refused": port.strangers})
+    return status
+
+
 class SerialNode:
     """Made after rospy.init_node. Raises ValueError."""
 
     def __init__(self, arguments=None):
         self._params = params = read_params(rospy.myargv(sys.argv)[1:] if arguments is None else arguments)
         try:
-            port = make_port(params)
+            port = make_port(params, lambda _level, text: rospy.logwarn("%s", text))
         except OSError as error:
             raise ValueError("cannot listen on TCP port %d: %s; end what has it" % (params.tcp_port, error)) from None
         self._link = rospy.Publisher("~link", SerialLink, queue_size=10, latch=True)
         self._devices, self._over = {}, threading.Event()  # {name of its status: Device}
         self._updater = ticking_updater(port.name)
         rospy.on_shutdown(self.close)
+        if isinstance(port, ListeningPort):
+            self._updater.add(STATUS + " " + port.name, functools.partial(_fill_port, port))
         if params.fork_server and isinstance(port, ListeningPort):
             rospy.loginfo("%s: waiting for devices", port.name)
             self._listener = threading.Thread(target=self._listen, args=(port,), name="listener", daemon=True)
@@ -177,7 +187,10 @@ class SerialNode:
             accepted = port.accept()
             if accepted is not None:
                 line, peer = accepted
-                self._add("%s %s" % (STATUS, peer), AcceptedPort(line, "tcp %s" % peer, port.baud), once=True)
+                if len(self._devices) < _MOST_DEVICES:
+                    self._add("%s %s" % (STATUS, peer), AcceptedPort(line, "tcp %s" % peer, port.baud), once=True)
+                else:
+                    port.refuse(line, peer, "%d devices have connected, more are not served" % _MOST_DEVICES)
             for name, device in list(self._devices.items()):
                 if device.session.is_over:
                     self._updater.removeByName(name)

@@ -28,6 +28,7 @@ from rosserial_python.ros.definitions import TypesError, known_class, raw_class,
 _PUBLISHER_QUEUE = 10  # as in the original
 _BUFFER_BYTES = 2**18
 _JOBS = 256  # that may wait for the master
+_MOST_TOPICS = 256  # of a device, with those that are refused; a damaged or hostile one announces new ones for ever
 _REPEAT_S = 5.0  # between equal complaints
 _STAMP = struct.Struct("<4xII")  # of std_msgs/Header
 _LOG = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr, rospy.logfatal)
@@ -102,6 +103,8 @@ class Topics:
         elif known is not None and self._doubted.get(key) != topic:
             self._doubted[key] = topic  # another program, or damage that the sum does not see: the next one tells
             self._session.ask_topics()
+        elif len(self._members) + len(self._refused) >= _MOST_TOPICS and known is None:
+            raise PayloadError("the device has announced %d topics, no more are joined" % _MOST_TOPICS)
         else:
             self._later(self._join, kind, topic)
 

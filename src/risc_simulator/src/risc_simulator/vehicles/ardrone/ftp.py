@@ -13,7 +13,7 @@ from pyftpdlib.servers import FTPServer
 from risc_lab.lab.yaml_reader import package_file
 from risc_simulator.socket_host import reset
 
-MAX_SOCKETS = 16
+MAX_SOCKETS, MAX_OF_ONE_ADDRESS = 16, 8
 
 _LOG = logging.getLogger("pyftpdlib")
 _LOG.setLevel(logging.ERROR)  # who comes is said by Notices
@@ -44,7 +44,7 @@ class FtpServer:
         Handler.authorizer.add_anonymous(str(package_file("risc_simulator", "config/ardrone_ftp")))
         self._loop = IOLoop.factory()
         self._server = FTPServer(listener, Handler, self._loop)
-        self._server.max_cons = MAX_SOCKETS
+        self._server.max_cons, self._server.max_cons_per_ip = MAX_SOCKETS, MAX_OF_ONE_ADDRESS
 
     def fileno(self):
         """Descriptor to wait on: when it can be read call serve()."""

@@ -13,9 +13,9 @@ class OfflineLink(offline_link.OfflineLink):
 
     _alarm_s = math.inf  # when it has heard nothing for so long that it acts
 
-    def send(self, sticks, now_s):
+    def send(self, sticks, now_s, level_only=False):
         self._alarm_s = now_s + LOST_S
-        super().send(sticks, now_s)
+        super().send(sticks, now_s, level_only)
 
     def order(self, action, now_s):
         self._alarm_s = now_s + LOST_S

@@ -31,6 +31,7 @@ _DESCRIPTION_KEYS = {
     Category.SESSION: "custom:session_desc",
 }
 
+MAX_PROFILES = 64  # of each category; a client may name new ids for ever
 NO_LIMIT_MM = 100000  # altitude_max of "no limit"
 
 
@@ -120,7 +121,7 @@ class ConfigurationStore:
                 if self._current[category] == identity:
                     self._current[category] = config.DEFAULT_ID
             return True
-        if not config.is_id(text):
+        if not config.is_id(text) or (text not in profiles and len(profiles) >= MAX_PROFILES):
             return False
         profiles.setdefault(text, {_DESCRIPTION_KEYS[category]: ""})
         self._current[category] = text

@@ -30,6 +30,7 @@ from pymavlink.dialects.v10 import ardupilotmega as mavlink1
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from risc_simulator.notices import Notices
+from risc_simulator.socket_host import greediest
 from risc_simulator.vehicles.iris.messages import LAND, NO_CHANNEL, STREAMS, Messages
 
 _LOG = logging.getLogger(__name__)
@@ -226,8 +227,14 @@ class Mavlink:
         if len(self.clients) >= MAX_CLIENTS:
             longest = min(self.clients.values(), key=lambda other: other.heard_s)
             if self._now_s - longest.heard_s < MAKES_ROOM_S:
-                self.notices.complaint("is turned away: too many clients", client.address)
-                return False
+                greedy = greediest([address for address, _ in self.clients], client.address[0])
+                if greedy is None:
+                    self.notices.complaint("is turned away: too many clients", client.address)
+                    return False
+                longest = min(
+                    (other for other in self.clients.values() if other.address[0] == greedy),
+                    key=lambda other: other.heard_s,
+                )
             self._forget(longest)
         self.clients[client.address] = client
         self.notices.event("talks to the autopilot", client.address, "MAVLink %d" % client.version)
@@ -275,7 +282,7 @@ class Mavlink:
                 self._forget(client)
 
     def _forget(self, client):
-        self.notices.event("is forgotten: silent", client.address)
+        self.notices.event("is forgotten: silent, or it has most places", client.address)
         del self.clients[client.address]
 
     def _watch_station(self):

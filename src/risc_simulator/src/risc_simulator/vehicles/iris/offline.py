@@ -27,7 +27,7 @@ class OfflineLink:
         self._coming = deque()  # (time, channels) on the line to the board
         self._heard_s, self._channels_us = math.inf, None  # until the first sticks the board sends nothing
 
-    def send(self, sticks, now_s):
+    def send(self, sticks, now_s, level_only=False):
         """As serial_node sends them: phi, theta, T, psi, with the signs of the angles."""
         fractions = -sticks.left, -sticks.forward, sticks.up, -sticks.turn_left
         channels = tuple(CENTRE_US + round(HALF_RANGE_US * min(1.0, max(-1.0, f))) for f in fractions)

@@ -19,6 +19,7 @@ from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, known_arena, load_params, vehicles
 from risc_lab.ros.ticker import Ticker
 from risc_lab.settings import Name, Port, Positive, Settings
+from risc_lab.strangers import Guests, Strangers
 from risc_maap_msgs.msg import (
     ControllerReport,
     EstimatorStatus,
@@ -59,8 +60,9 @@ _QUEUE = 100  # messages of a burst, e.g. one a vehicle
 class LiveViewParams(Settings):
     """Settings of live_view, beside ~vehicles: those that have a place in the panel and a land button."""
 
-    host: Name = "127.0.0.1"  # this computer only; 0.0.0.0 = the whole network, which can then land the vehicles
+    host: Name = "127.0.0.1"  # this computer only; 0.0.0.0 = also guests in the network
     port: Port = 8080  # of the page
+    guests: tuple[str, ...] = ()  # addresses, or networks A.B.C.0/24, who may see the page, and land the vehicles
     rate_hz: Positive = 15.0  # of the picture, at most; while nobody looks nothing is done
     arena_file: str = ""  # net, which sets the size of the floor; "" = that of /fleet
 
@@ -78,7 +80,8 @@ class LiveView:
         self._subscribers = []
         self._turns = {"due_s": 0.0, "panel_due_s": 0.0, "changes": 0, "took_max_s": 0.0}
         self._not_shown = set()
-        self._server = open_server(params.host, params.port)
+        self._strangers = Strangers(lambda _level, text: rospy.logwarn("%s", text), "the page's port %d" % params.port)
+        self._server = open_server(params.host, params.port, Guests(params.guests), self._strangers)
         self._scene = MarkerScene(self._server, net.half_x_m, net.half_y_m)
         names = [vehicle.namespace for vehicle in self._vehicles]
         self._panel = BrowserPanel(self._server, names, self.land_all, lambda name: self._land([name], {}))
@@ -89,9 +92,11 @@ class LiveView:
         shown_host = "localhost" if params.host == "0.0.0.0" else params.host
         rospy.loginfo("the flight in a browser: http://%s:%d", shown_host, params.port)
         if params.host in ("127.0.0.1", "localhost"):
-            rospy.loginfo("for this computer only; host:=0.0.0.0 opens it, and its land buttons, to the network")
+            rospy.loginfo("for this computer only; host:=0.0.0.0 guests:=[ADDRESS] opens it, and its land buttons")
+        elif params.guests:
+            rospy.logwarn("who sees this page can land the vehicles: %s", ", ".join(params.guests))
         else:
-            rospy.logwarn("whoever reaches port %d of this computer can land the vehicles", params.port)
+            rospy.logwarn("nobody else sees the page before ~guests names who may")
 
     def land_all(self):
         """Land every vehicle, and have the virtual operator, where there is one, let them stand."""
@@ -192,6 +197,7 @@ class LiveView:
     def _diagnose(self, status):
         turns = self._turns
         status.summary(0, "%d watching" % len(self._server.get_clients()))
+        status.add("strangers refused", str(self._strangers))
         status.add("changes since the last report", str(turns["changes"]))
         status.add("longest turn (ms)", "%.1f" % (1e3 * turns["took_max_s"]))
         status.add("types of markers that are not shown", ", ".join(map(str, sorted(self._not_shown))) or "none")

@@ -1,0 +1,141 @@
+"""To a stop without being seen: the velocity of a vehicle by its model, and the tilt that takes it away. No ROS.
+
+Motion capture says how a vehicle moved when it was seen last. From then on it follows the commands that it was sent
+(`delay_prediction`), which brings a good velocity over the second or two that a stop takes.
+
+The tilt is that of a state feedback on what the vehicle will do when the command takes effect: velocity v, tilt a and
+its rate along each axis of its heading, v' = g a and a'' = wn^2 (command - a) - 2 zeta wn a'. Its three poles are those
+of a Butterworth filter, as quick as its attitude loop allows; a limit of the tilt makes a stop from speed longer.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from risc_control.delay_prediction import MAX_HORIZON_S, STEP_S, Motion, fill_in_force, plants, predicted, steps_of
+from risc_control.vehicles import clipped, greatest_command
+from risc_lab.command_history import ROWS, Channel
+from risc_lab.compiled import compiled, record
+from risc_lab.frames import GRAVITY_M_S2
+
+TILT_RAD = math.radians(20.0)
+STOPPED_M_S = 0.05  # slower it holds its place, or is left to hold it by itself
+_TILT_RAD_S = 6.0  # so fast does a command change: the board of an IRIS+ takes no more
+_BANDWIDTH = 1.5  # of the feedback, over that of the attitude loop
+_LOOPS_S = 0.6  # what was commanded earlier the attitude loops have forgotten
+_WINDOW_S = 0.5  # commands of a longer time than this are gone through for good
+
+# Of the feedback on one axis; speed that a tilt and its rate bring until it is level.
+_GAIN = record("velocity tilt rate most_rad levels_m_s_rad levels_m_rad")
+
+
+class Brake(NamedTuple):
+    """What a vehicle needs."""
+
+    roll_rad: float  # as in `vehicles.Command`
+    pitch_rad: float
+    then: object  # `vehicle_pilot.OwnState` when the command takes effect
+    stopped: bool  # it would be slow, if it was told to be level now
+
+
+class Braking:
+    """One vehicle. Times: those of `sent`."""
+
+    def __init__(self, vehicle_type, sent, brakes=True):
+        """sent: HISTORY of what it is sent.  brakes: False for one that is only levelled."""
+        self._sent = sent
+        self._seen = self._own = None  # newest that was seen, until it counts; the same for good
+        self._motion, self._at_s = Motion(*[0.0] * len(Motion._fields)), -math.inf
+        self._plant = None  # it is not braked
+        if not brakes:
+            return
+        try:
+            self._plant = plants([vehicle_type])[0]
+        except ValueError:  # its delay is so long that nobody can say where it will be
+            return
+        self._delay_s = self._plant.delay_s - 0.5 * self._plant.period_s  # the last half period is that of the hold
+        self._gains = np.zeros(2, _GAIN)
+        most = greatest_command(vehicle_type)
+        for gain, loop, most_rad in zip(self._gains, (vehicle_type.roll, vehicle_type.pitch), most):
+            wn, damping_1_s = loop.natural_frequency_rad_s, 2.0 * loop.damping_ratio * loop.natural_frequency_rad_s
+            r = _BANDWIDTH * wn
+            gain.velocity = r**3 / (GRAVITY_M_S2 * wn**2)
+            gain.tilt = 2.0 * (r / wn) ** 2 - 1.0
+            gain.rate = (2.0 * r - damping_1_s) / wn**2
+            gain.most_rad = min(most_rad, TILT_RAD)
+            gain.levels_m_s_rad = GRAVITY_M_S2 * damping_1_s / wn**2
+            gain.levels_m_rad = GRAVITY_M_S2 / wn**2
+        self._commands = np.zeros((2 + round(MAX_HORIZON_S / STEP_S), 4))
+        self._ahead(0.0, 0.1)  # loads what is compiled
+        _feedback(self._motion, self._gains, sent, 0.0)
+
+    def see(self, own, measured_s):
+        """It was seen (`vehicle_pilot.OwnState`)."""
+        self._seen = self._own = own
+        self._own_s = measured_s
+
+    def command(self, now_s):
+        """`Brake` of now; None of a vehicle that was not seen yet or too long ago, or is not braked."""
+        if self._plant is None:
+            return None
+        if self._seen is not None:
+            self._begin()
+        until_s = now_s + self._delay_s
+        if not 0.0 <= until_s - self._at_s <= MAX_HORIZON_S:
+            self._at_s = -math.inf
+            return None
+        if until_s - self._at_s > _WINDOW_S:
+            to_s = until_s - 0.5 * _WINDOW_S
+            self._motion, self._at_s = self._ahead(self._at_s, to_s - self._at_s), to_s
+        then = self._ahead(self._at_s, until_s - self._at_s)
+        roll_rad, pitch_rad, speed_m_s = _feedback(then, self._gains, self._sent, now_s)
+        own = self._own._replace(
+            position_m=(then.north_m, -then.east_m, then.up_m),
+            velocity_m_s=(then.north_m_s, -then.east_m_s, then.up_m_s),
+            phi_rad=then.phi_rad,
+            theta_rad=then.theta_rad,
+            psi_rad=then.psi_rad,
+        )
+        return Brake(roll_rad, pitch_rad, own, speed_m_s < STOPPED_M_S)
+
+    def _begin(self):
+        """From the newest state, with the rates that the commands until then have made."""
+        own, self._at_s, self._seen = self._seen, self._own_s, None
+        (x, y, z), (u, v, w) = own.position_m, own.velocity_m_s  # cortex frame: north, west, up
+        seen = Motion(x, -y, z, u, -v, w, own.phi_rad, own.theta_rad, own.psi_rad, 0.0, 0.0, 0.0, 0.0)
+        self._motion = seen
+        made = self._ahead(self._at_s - _LOOPS_S, _LOOPS_S)
+        self._motion = seen._replace(
+            phi_rate_rad_s=made.phi_rate_rad_s,
+            theta_rate_rad_s=made.theta_rate_rad_s,
+            psi_rate_rad_s=made.psi_rate_rad_s,
+        )
+
+    def _ahead(self, from_s, horizon_s):
+        """Motion that much later."""
+        commands = self._commands[: 1 + steps_of(horizon_s)]
+        fill_in_force(self._sent, self._sent, self._plant, from_s, commands)
+        return predicted(self._motion, self._plant, horizon_s, commands)
+
+
+@compiled
+def _feedback(motion, gains, sent, now_s):
+    """(roll, pitch, speed): the command, and how fast it would be if it was told to be level instead."""
+    cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
+    forward_m_s = cosine * motion.north_m_s + sine * motion.east_m_s
+    right_m_s = cosine * motion.east_m_s - sine * motion.north_m_s
+    gain = gains[0]  # a tilt to the right is + roll,
+    roll_rad = gain.velocity * right_m_s + gain.tilt * motion.phi_rad + gain.rate * motion.phi_rate_rad_s
+    roll_rad = -clipped(roll_rad, gain.most_rad)
+    right_m_s += gain.levels_m_s_rad * motion.phi_rad + gain.levels_m_rad * motion.phi_rate_rad_s
+    gain = gains[1]  # and forward it is - pitch
+    pitch_rad = gain.velocity * forward_m_s - gain.tilt * motion.theta_rad - gain.rate * motion.theta_rate_rad_s
+    pitch_rad = clipped(pitch_rad, gain.most_rad)
+    forward_m_s -= gain.levels_m_s_rad * motion.theta_rad + gain.levels_m_rad * motion.theta_rate_rad_s
+    last, change_rad = sent.newest % ROWS, _TILT_RAD_S * (now_s - sent.times_s[sent.newest % ROWS])
+    was_rad = sent.commands[last, Channel.PHI]
+    roll_rad = was_rad + clipped(roll_rad - was_rad, change_rad)
+    was_rad = sent.commands[last, Channel.THETA]
+    pitch_rad = was_rad + clipped(pitch_rad - was_rad, change_rad)
+    return roll_rad, pitch_rad, math.hypot(forward_m_s, right_m_s)

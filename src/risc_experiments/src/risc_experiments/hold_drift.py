@@ -1,0 +1,116 @@
+"""How far a vehicle goes that is not seen any more and has to hold its place: whole flights without ROS.
+
+    python3 -m risc_experiments.hold_drift --types ardrone iris --seeds 20
+
+Each flight is of one vehicle on a perturbed plant. At a moment of its course that the seed chooses it loses its states
+for good. The drift is the distance from where it truly was when HOLD began to the farthest place within the next 2 s,
+speed at the loss included. It does not land meanwhile, as it would by default after 0.5 s: the drift is that of the
+hold.
+"""
+
+import argparse
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+from data_extraction.progress import Progress, bar
+from risc_control.trajectories import COURSES, make_course
+from risc_experiments.offline import YAW_BY_SEED_DEG, Flight, Loss, fly_all
+
+WITHIN_S = 2.0
+MOVING = ["circle", "circles3", "flat8", "knot", "slanted8"]  # courses on which nobody stands
+_REST_S, _NEVER_S = 3.0, 3600.0
+_GOLDEN = 0.6180339887498949  # spreads the moments of few and of many seeds evenly over the course
+
+
+class Drift(NamedTuple):
+    """Of one flight; all NaN when it ended in the net."""
+
+    speed_m_s: float  # when HOLD began
+    farthest_m: float  # within WITHIN_S
+    level_m: float  # the same without what is up or down
+    end_m: float  # after WITHIN_S
+
+
+def flight(type_name, course, seed, **options):
+    """Flight whose vehicle is lost at a moment of its course. options: other fields of a Flight."""
+    after_s = seed * _GOLDEN % 1.0 * make_course(course, 1).period_s
+    node = {"state_land_s": _NEVER_S, **options.pop("node", {})}
+    given = {"vehicles": 1, "types": (type_name,), "psi_deg": YAW_BY_SEED_DEG * seed, **options}
+    return Flight(course, seed=seed, duration_s=after_s + _REST_S, node=node, loss=Loss(0, "state", after_s), **given)
+
+
+def drift(result):
+    """Drift of the first vehicle of an `offline.Result`, or of the RuntimeError that it ended with."""
+    if isinstance(result, RuntimeError):
+        return Drift(*[math.nan] * len(Drift._fields))
+    times_s, place_m = result.times_s, result.actual_m[:, 0]
+    began_s = next(said_s for said_s, _, text in result.safety if text.startswith("hold"))
+    went_m = place_m - [np.interp(began_s, times_s, axis) for axis in place_m.T]
+    after = np.flatnonzero((times_s >= began_s) & (times_s <= began_s + WITHIN_S))
+    before = after[0] - 1
+    speed_m_s = math.dist(place_m[after[0]], place_m[before]) / (times_s[after[0]] - times_s[before])
+    far_m, level_m = np.linalg.norm(went_m[after], axis=1), np.linalg.norm(went_m[after, :2], axis=1)
+    return Drift(speed_m_s, far_m.max(), level_m.max(), far_m[-1])
+
+
+def main(argv=None):
+    """Print a table of drifts. Returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python3 -m risc_experiments.hold_drift",
+        description="How far a vehicle goes within %g s after it was seen last and began to hold, offline." % WITHIN_S,
+    )
+    add = parser.add_argument
+    add("--types", nargs="+", default=["ardrone", "iris"], metavar="TYPE", help="of vehicles (default: ardrone iris)")
+    add("--trajectory", nargs="+", choices=sorted(COURSES), default=MOVING)
+    add("--seeds", type=int, default=20, metavar="N", help="seeds 1 to N (default: 20)")
+    add("--gusts", action="store_true", help="moving air")
+    add("--delay", type=float, metavar="S", dest="delay_s", help="link delay (default: that of the type)")
+    add("--coast", action="store_true", help="only level it, without braking")
+    add("--no-auto-hover", action="store_true", help="nor let it hold by itself (hold_auto_hover: false)")
+    add("--workers", type=int, metavar="N", help="flights at the same time (default: a core each)")
+    args = parser.parse_args(argv)
+    node = {"hold_brakes": not args.coast, "hold_auto_hover": not args.no_auto_hover}
+    groups = [(kind, course) for kind in args.types for course in args.trajectory]
+    flights = [
+        flight(*group, seed, gusts=args.gusts, delay_s=args.delay_s, node=node)
+        for group in groups
+        for seed in range(1, args.seeds + 1)
+    ]
+    progress, drifts = Progress(), []
+    print("%-8s %-9s %10s   farthest within %g s [m]     level    at the end" % ("type", "course", "speed", WITHIN_S))
+    print("%-8s %-9s %10s   %6s %6s %6s   %6s   %6s" % ("", "", "[m/s]", "median", "90 %", "worst", "median", "median"))
+    try:
+        outcomes = fly_all(flights, args.workers, lambda over: progress.show("flying", bar(over / len(flights))))
+        for over, result in enumerate(outcomes, 1):
+            drifts.append(drift(result))
+            if over % args.seeds == 0:
+                progress.clear()
+                print("%-8s %-9s %s" % (*groups[over // args.seeds - 1], _text(drifts[-args.seeds :])), flush=True)
+            if over % (of_type := args.seeds * len(args.trajectory)) == 0:
+                print("%-8s %-9s %s" % (groups[over // args.seeds - 1][0], "all", _text(drifts[-of_type:])), flush=True)
+    except ValueError as error:
+        parser.error(str(error))
+    except (ChildProcessError, KeyboardInterrupt) as error:
+        progress.say("hold_drift: %s" % (error if str(error) else "interrupted"))
+        return 130 if isinstance(error, KeyboardInterrupt) else 1
+    return 0
+
+
+def _text(drifts):
+    """A row of the table."""
+    values = np.array(drifts)
+    netted = np.isnan(values[:, 0])
+    values[netted, 1:] = math.inf  # they went as far as they could
+    speed_m_s = np.nanmedian(values[:, 0]) if not netted.all() else math.nan
+    far_m, level_m, end_m = values[:, 1:].T
+    most_m = np.quantile(far_m, 0.9, method="nearest")
+    row = speed_m_s, np.median(far_m), most_m, far_m.max(), np.median(level_m), np.median(end_m)
+    text = "%10.2f   %6.2f %6.2f %6.2f   %6.2f   %6.2f" % row
+    return text + (", %d in the net" % netted.sum() if netted.any() else "")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""The figures of a scorecard, each probability with its 95 % bounds, and how two scorecards differ. No input or output.
+
+Bounds are exact ones: of Poisson for what happens in a time, of Clopper and Pearson for shares. Of what has never
+happened there is only an upper one, by the rule of three: 3 in all that was flown.
+"""
+
+import math
+from collections import Counter
+
+import numpy as np
+from scipy import stats
+
+from data_extraction.flight_metrics import percentiles_ms
+
+CONFIDENCE = 0.95
+RULE_OF_THREE = 3.0
+COUNTED = ("false_alarms", "breaches", "contacts")
+KEY = ("fault", "severity", "estimator", "controller")
+_LEAST_PAIRS = 6  # of flights: fewer cannot differ significantly
+_DETECT = {"detect_p50_ms": 50, "detect_p99_ms": 99}
+
+
+def row_of(cell, flights):
+    """A row of the scorecard. cell: plan.Cell.  flights: {seed: figures}, see `flights.score`."""
+    flown = {seed: figures for seed, figures in flights.items() if "error" not in figures}
+    events = [event for figures in flown.values() for event in figures["events"]]
+    delays_ms = [delay_ms for *_, delay_ms, _ in events if delay_ms is not None]
+    minutes = sum(figures["minutes"] for figures in flown.values())
+    samples = sum(figures["samples"] for figures in flown.values())
+    square_m2 = sum(figures["square_m2"] for figures in flown.values())
+    row = dict(zip(KEY, cell)) | {
+        "minutes": round(minutes, 4),
+        "flights": len(flown),
+        "failed": len(flights) - len(flown),
+    }
+    row["rmse_m"] = round(math.sqrt(square_m2 / samples), 6) if samples else None
+    row["worst_m"] = max((figures["worst_m"] for figures in flown.values() if figures["samples"]), default=None)
+    row |= percentiles_ms(1e-3 * np.array(delays_ms), _DETECT)
+    row |= {"events": len(events), "detected": len(delays_ms)}
+    row["detected_bounds"] = share_bounds(len(delays_ms), len(events))
+    row["detected_by"] = dict(Counter(how for *_, how in events if how is not None))
+    row["outcomes"] = dict(Counter(outcome for _, _, outcome, *_ in events))
+    row["unsafe"] = sum(not safe for _, _, _, safe, *_ in events)
+    row["false_alarms"] = sum(figures["false_alarms"] for figures in flown.values())
+    for what, key in (("breaches", "breach"), ("contacts", "contact")):
+        row[what] = sum(len(figures[key]) for figures in flown.values())
+    for what in COUNTED:
+        row[what + "_per_minute_bounds"] = rate_bounds(row[what], minutes)
+    row["flight_rmse_m"] = {
+        str(seed): round(math.sqrt(figures["square_m2"] / figures["samples"]), 6)
+        for seed, figures in flown.items()
+        if figures["samples"]
+    }
+    row["detect_ms"] = delays_ms
+    return row
+
+
+def totals_of(rows):
+    """The sums of all rows."""
+    sums = {
+        key: sum(row[key] for row in rows) for key in ("minutes", "flights", "failed", "events", "unsafe", *COUNTED)
+    }
+    sums["minutes"] = round(sums["minutes"], 4)
+    for what in COUNTED:
+        sums[what + "_per_minute_bounds"] = rate_bounds(sums[what], sums["minutes"])
+    return sums
+
+
+def rate_bounds(count, minutes):
+    """[least, greatest] rate per minute; None without any minute."""
+    if minutes <= 0.0:
+        return None
+    if count == 0:
+        return [0.0, RULE_OF_THREE / minutes]
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low = stats.chi2.ppf(tail, 2 * count) / 2.0
+    return [low / minutes, stats.chi2.isf(tail, 2 * count + 2) / 2.0 / minutes]
+
+
+def share_bounds(hits, of):
+    """[least, greatest] share; None of nothing."""
+    if of == 0:
+        return None
+    if hits in (0, of):
+        bound = min(RULE_OF_THREE / of, 1.0)
+        return [0.0, bound] if hits == 0 else [1.0 - bound, 1.0]
+    return list(map(float, stats.binomtest(hits, of).proportion_ci(CONFIDENCE, "exact")))
+
+
+def compare(rows, others):
+    """What differs between rows of two scorecards that are of the same: dicts with `here`, `there`, the probability p
+    that chance alone makes such a difference, and whether it is significant (5 % for all together, Holm).
+
+    Errors: of flights with the same seed, Wilcoxon's signed ranks.  Delays: of all events, Mann and Whitney.  Shares:
+    Fisher.  What is counted in minutes: conditional binomial.
+    """
+    there = {tuple(row[key] for key in KEY): row for row in others}
+    found = []
+    for row in rows:
+        other = there.get(tuple(row[key] for key in KEY))
+        if other is not None:
+            found += [
+                {key: row[key] for key in KEY} | {"figure": what, "here": row[key], "there": other[key], "p": p}
+                for what, key, p in _differences(row, other)
+            ]
+    ranked = sorted((item for item in found if item["p"] is not None), key=lambda item: item["p"])
+    holds = True
+    for rank, item in enumerate(ranked):
+        holds = holds and item["p"] <= (1.0 - CONFIDENCE) / (len(ranked) - rank)
+        item["significant"] = holds
+    return [item | {"significant": item.get("significant", False)} for item in found]
+
+
+def _differences(row, other):
+    """Yields (figure, its key, p) of two rows; p None: too little is known."""
+    seeds = sorted(row["flight_rmse_m"].keys() & other["flight_rmse_m"].keys())
+    steps_m = [row["flight_rmse_m"][seed] - other["flight_rmse_m"][seed] for seed in seeds]
+    p = None
+    if len(seeds) >= _LEAST_PAIRS:
+        p = float(stats.wilcoxon(steps_m).pvalue) if any(steps_m) else 1.0
+    yield "rmse_m", "rmse_m", p
+    p = None
+    if row["detect_ms"] and other["detect_ms"]:
+        p = float(stats.mannwhitneyu(row["detect_ms"], other["detect_ms"]).pvalue)
+    yield "detect_p50_ms", "detect_p50_ms", p
+    p = None
+    if row["events"] and other["events"]:
+        table = [[part["detected"], part["events"] - part["detected"]] for part in (row, other)]
+        p = float(stats.fisher_exact(table).pvalue)
+    yield "detected", "detected", p
+    for what in COUNTED:
+        count, in_all = row[what], row[what] + other[what]
+        share = row["minutes"] / (row["minutes"] + other["minutes"]) if row["minutes"] + other["minutes"] else 0.0
+        p = None
+        if 0.0 < share < 1.0:
+            p = float(stats.binomtest(count, in_all, share).pvalue) if in_all else 1.0
+        yield what, what, p

@@ -1,0 +1,226 @@
+"""A flight of the scorecard: from what was flown to its figures, and many of them, each kept in a file at once."""
+
+import hashlib
+import json
+import math
+import pathlib
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+import cortex_ros
+import risc_control
+import risc_estimation
+import risc_experiments
+import risc_lab
+import risc_simulator
+from risc_control.failsafe import FailsafeLevel
+from risc_experiments.offline import LATENCY_S, fly
+from risc_experiments.workers import in_order
+from risc_lab.lab.yaml_reader import member_folders, package_file
+
+_SOURCES = (cortex_ros, risc_control, risc_estimation, risc_experiments, risc_lab, risc_simulator)
+UNSEEN = "unseen"  # how an event was noticed; otherwise the name of a level
+FILE = "flights.jsonl"
+
+
+class Alarm(NamedTuple):
+    """Something said that all is not well with a vehicle."""
+
+    time_s: float
+    vehicle: int
+    how: str  # name of a FailsafeLevel, or UNSEEN
+    until_s: float  # infinite: to the end
+
+
+def score(item):
+    """Figures of a flight as a dict for JSON. item: (Flight, settle_s: for so long after its end a fault explains
+    what happens).
+    """
+    flight, settle_s = item
+    began_s = time.process_time()
+    try:
+        result = fly(flight)
+    except RuntimeError as error:
+        return {"minutes": 0.0, "error": str(error), "took_s": round(time.process_time() - began_s, 3)}
+    alarms = _alarms(result)
+    return {
+        "minutes": round((result.flown_s - result.reached_s) / 60.0, 5),
+        **_errors(result),
+        "events": _events(flight, result, alarms, settle_s),
+        "false_alarms": _false_alarms(result, alarms, settle_s),
+        "breach": ["%s %s %s" % (breach.name, breach.reason, _when(result, breach)) for breach in result.breaches],
+        "contact": ["%s and %s %s" % (touch.name, touch.other, _when(result, touch)) for touch in result.contacts],
+        "took_s": round(time.process_time() - began_s, 3),
+    }
+
+
+def _when(result, event):
+    """E.g. "after 23.41 s, 0.30 s after the begin of jump:0.3,risc2"."""
+    before = [outcome for outcome in result.faults if outcome.start_s <= event.time_s]
+    if not before:
+        return "after %.2f s" % event.time_s
+    last = max(before, key=lambda outcome: outcome.start_s)
+    since_s = event.time_s - last.start_s
+    return "after %.2f s, %.2f s after the begin of %s:%s" % (event.time_s, since_s, last.name, last.args)
+
+
+def _errors(result):
+    """Errors of the vehicles as long as they were on their courses."""
+    on = result.judged[:, None] & (result.times_s[:, None] < np.array(result.left_s))
+    square_m2 = ((result.reference_m - result.actual_m) ** 2).sum(axis=2)[on]
+    worst_m = round(float(math.sqrt(square_m2.max())), 6) if square_m2.size else None
+    return {"square_m2": float(square_m2.sum()), "samples": int(square_m2.size), "worst_m": worst_m}
+
+
+def _alarms(result):
+    """Alarms in the order of their times: from a level above OK to the next OK, and each loss of sight."""
+    alarms, open_at = [Alarm(time_s, vehicle, UNSEEN, time_s) for time_s, vehicle in result.unseen], {}
+    for time_s, vehicle, level in result.levels:
+        if level is FailsafeLevel.OK:
+            begin_s, first = open_at.pop(vehicle, (None, None))
+            if first is not None:
+                alarms.append(Alarm(begin_s, vehicle, first.name.lower(), time_s))
+        elif vehicle not in open_at:
+            open_at[vehicle] = time_s, level
+    alarms += [Alarm(begin_s, vehicle, first.name.lower(), math.inf) for vehicle, (begin_s, first) in open_at.items()]
+    return sorted(alarms)
+
+
+def _events(flight, result, alarms, settle_s):
+    """What was noticed of each fault: [text, begin [s], outcome, safe, delay [ms] or None, how]; not of those that came
+    when nobody could notice them any more: the vehicle was down, or above OK already.
+    """
+    rows, vehicles = [], {name: i for i, name in enumerate(result.namespaces)}
+    begins_s = sorted(outcome.start_s + LATENCY_S for outcome in result.faults)
+    for event, outcome in zip(flight.faults, result.faults):
+        begin_s = outcome.start_s + LATENCY_S
+        if begin_s >= result.flown_s:
+            continue
+        concerned = [vehicles[event.vehicle]] if event.vehicle in vehicles else range(len(vehicles))
+        ready = [vehicle for vehicle in concerned if _is_ready(result, alarms, vehicle, begin_s)]
+        if not ready:
+            continue
+        next_s = min((other_s for other_s in begins_s if other_s > begin_s), default=math.inf)
+        until_s = min(next_s, (math.inf if outcome.end_s is None else outcome.end_s + LATENCY_S) + settle_s)
+        first = next((alarm for alarm in alarms if begin_s <= alarm.time_s < until_s), None)
+        delay_ms = None if first is None else round(1e3 * (first.time_s - begin_s), 3)
+        text = "%s:%s" % (outcome.name, outcome.args)
+        rows.append([text, round(begin_s, 3), outcome.outcome, outcome.safe, delay_ms, first and first.how])
+    return rows
+
+
+def _is_ready(result, alarms, vehicle, time_s):
+    """Whether a vehicle is on its course, and all is well with it."""
+    mine = (alarm for alarm in alarms if alarm.vehicle == vehicle)
+    return result.left_s[vehicle] > time_s and not any(alarm.time_s < time_s < alarm.until_s for alarm in mine)
+
+
+def _false_alarms(result, alarms, settle_s):
+    """How many levels above OK nothing explains: no fault, and no level that a fault explains."""
+    explained = []
+    for outcome in result.faults:
+        end_s = math.inf if outcome.end_s is None else outcome.end_s
+        explained.append((outcome.start_s, end_s + settle_s))
+    count = 0
+    for alarm in alarms:
+        if any(begin_s <= alarm.time_s <= end_s for begin_s, end_s in explained):
+            explained.append((alarm.time_s, alarm.until_s + settle_s))
+        elif alarm.how != UNSEEN:
+            count += 1
+    return count
+
+
+class Record:
+    """The flights of a scorecard that were flown, in a file: what it is of, then a line for each."""
+
+    def __init__(self, folder, identity):
+        """identity: dict for JSON; a file of another one is kept beside, as FILE.old.
+
+        flown: {(fault, severity, estimator, controller): {seed: figures}}.  notice: what became of an earlier file.
+        """
+        self.flown, self.notice = {}, ""
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / FILE
+        lines = path.read_bytes().split(b"\n") if path.exists() else []
+        whole = lines[:-1]  # what was cut off in the middle of a line is flown again
+        if whole and _loaded(whole[0]) == identity:
+            for line in whole[1:]:
+                self._take(json.loads(line))
+            path.write_bytes(b"".join(line + b"\n" for line in whole))
+            self.notice = "going on with the %d flights in %s" % (len(whole) - 1, path)
+        else:
+            if whole:
+                old = path.with_name(FILE + ".old")
+                path.replace(old)
+                self.notice = "beginning anew: %s; the flights of before are in %s" % (
+                    _difference(_loaded(whole[0]), identity), old)  # fmt: skip
+            path.write_text(json.dumps(identity) + "\n", encoding="utf-8")
+        self._file = path.open("a", encoding="utf-8")
+
+    def _take(self, line):
+        self.flown.setdefault(tuple(line["cell"]), {})[line["seed"]] = line
+
+    def add(self, cell, seed, figures):
+        """One more was flown."""
+        line = {"cell": list(cell), "seed": seed} | figures
+        self._take(line)
+        self._file.write(json.dumps(line) + "\n")
+        self._file.flush()
+
+    def minutes(self):
+        """{cell: {seed: minutes}}"""
+        return {
+            cell: {seed: figures["minutes"] for seed, figures in flights.items()}
+            for cell, flights in self.flown.items()
+        }
+
+    def close(self):
+        """No more come."""
+        self._file.close()
+
+
+def _loaded(line):
+    try:
+        return json.loads(line)
+    except ValueError:
+        return {}
+
+
+def _difference(before, now):
+    """Which parts of an identity are others."""
+    keys = [key for key in now if not isinstance(before, dict) or before.get(key) != now[key]]
+    return "another " + ", ".join(key.replace("_", " ") for key in keys)
+
+
+def code_version():
+    """Digest of everything that flies: sources, settings and fleets of our packages, and members from elsewhere."""
+    packages = [pathlib.Path(folder) for package in _SOURCES for folder in package.__path__]
+    folders = packages + [package_file(package.__name__, "config") for package in _SOURCES if _has_config(package)]
+    folders += member_folders()
+    digest = hashlib.sha256()
+    for folder in folders:
+        for path in sorted(path for suffix in ("*.py", "*.yaml") for path in folder.rglob(suffix)):
+            digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def _has_config(package):
+    try:
+        return package_file(package.__name__, "config").is_dir()
+    except ValueError:
+        return False
+
+
+def fly_plan(plan, record, workers, on_progress):
+    """Fly what a Plan wants and the Record has not. on_progress: called with the part that is over.
+
+    Raises as `workers.in_order`.
+    """
+    settle_s = plan.params.events.settle_s
+    while items := list(plan.wanting(record.minutes())):
+        flights = [(plan.flight(cell, seed), settle_s) for cell, seed in items]
+        for (cell, seed), figures in zip(items, in_order(score, flights, workers)):
+            record.add(cell, seed, figures)
+            on_progress(plan.part(record.minutes()))

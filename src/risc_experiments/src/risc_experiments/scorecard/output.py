@@ -1,0 +1,236 @@
+"""A scorecard as text, tables, pictures and a page. It is a dict, as in its JSON file; see `__main__.scorecard_of`."""
+
+import csv
+import json
+import math
+
+import matplotlib.pyplot as plt
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogFormatter
+
+from data_extraction import plots
+from data_extraction.report import page
+from risc_experiments.scorecard.figures import COUNTED, KEY
+from risc_experiments.scorecard.plan import GRADES
+from risc_lab.lab.yaml_reader import package_file
+
+_SCALARS = (
+    *KEY, "minutes", "flights", "failed", "rmse_m", "worst_m", "events", "detected", "detect_p50_ms", "detect_p99_ms",
+    "unsafe", *COUNTED,
+)  # fmt: skip
+_COLOURS = dict(zip(GRADES, plots.COLOURS[2:1:-1] + (plots.COLOURS[4], plots.COLOURS[1])))
+_OTHER = plots.COLOURS[0]
+_SHIFT = dict(zip(GRADES, (-0.22, 0.0, 0.22)))  # of a line of the picture, for each grade
+_HOLD_MS = 100.0  # a state older than this is no state: the ladder's own threshold
+_UNITS = {"rmse_m": (1e3, "mm", 1), "detect_p50_ms": (1.0, "ms", 0)}  # factor, unit, digits
+WORDS = {
+    "rmse_m": "RMSE", "detect_p50_ms": "detection, p50", "detected": "events detected", "false_alarms": "false alarms",
+    "breaches": "breaches", "contacts": "contacts",
+}  # fmt: skip
+
+
+def write_all(scorecard, folder):
+    """Write it in every form. Returns {form: path}."""
+    paths = {form: folder / ("scorecard." + form) for form in ("md", "csv", "json", "png", "html")}
+    write_json(scorecard, paths["json"])
+    paths["md"].write_text(markdown(scorecard), encoding="utf-8")
+    with paths["csv"].open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, _SCALARS, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(scorecard["rows"])
+    with plots.style():
+        figure = draw(scorecard)
+        figure.savefig(paths["png"])
+        plt.close(figure)
+    templates = package_file("risc_experiments", "templates")
+    text = page.render("scorecard.html", templates, **page_values(scorecard))
+    paths["html"].write_text(text, encoding="utf-8")
+    return paths
+
+
+def page_values(scorecard):
+    """What the template of the page knows."""
+    return {
+        "card": {"against": None} | scorecard, "pairs": _pairs(scorecard["rows"]), "head": HEAD, "meaning": MEANING,
+        "most_named": MOST_NAMED, "draw": draw, "cells": cells, "compared": compared, "rate": rate,
+        "minutes_text": minutes_text,
+    }  # fmt: skip
+
+
+def read(path):
+    """A scorecard from its JSON file. Raises ValueError for what is none, OSError."""
+    try:
+        scorecard = json.loads(path.read_text(encoding="utf-8"))
+        if all(set(KEY) | {"flight_rmse_m", "detect_ms"} <= row.keys() for row in scorecard["rows"]):
+            return scorecard
+    except (ValueError, TypeError, KeyError, AttributeError):
+        pass
+    raise ValueError("%s is no scorecard: give the JSON file of another ./maap scorecard" % path)
+
+
+def write_json(scorecard, path):
+    """Write the JSON file."""
+    path.write_text(json.dumps(scorecard, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+HEAD = (
+    "fault", "severity", "estimator", "controller", "minutes", "RMSE [mm]", "worst [m]", "detected", "p50 [ms]",
+    "p99 [ms]", "false alarms (per minute)", "breaches (per minute)", "contacts (per minute)",
+)  # fmt: skip
+
+
+def cells(row):
+    """Texts of a row, under HEAD."""
+    share = "–"
+    if row["events"]:
+        low, high = row["detected_bounds"]
+        share = "%d of %d (%.0f–%.0f %%)" % (row["detected"], row["events"], 100.0 * low, 100.0 * high)
+    counted = ["%d (%s)" % (row[what], rate(row, what)) for what in COUNTED]
+    return [*(row[key] for key in KEY), minutes_text(row["minutes"]), _number(row["rmse_m"], 1e3, 1),
+            _number(row["worst_m"], 1.0, 2), share, _number(row["detect_p50_ms"], 1.0, 0),
+            _number(row["detect_p99_ms"], 1.0, 0), *counted]  # fmt: skip
+
+
+def minutes_text(minutes):
+    """E.g. 2.0; 10,000."""
+    return "{:,.0f}".format(minutes) if minutes >= 1000.0 else "%.1f" % minutes
+
+
+def rate(row, what):
+    """95 % bounds of a rate per minute, as text: "< 3e-4" of what has never happened."""
+    bounds = row[what + "_per_minute_bounds"]
+    if bounds is None:
+        return "–"
+    low, high = bounds
+    if row[what] == 0:
+        return "< %s" % _short(high)
+    return "%s to %s" % (_short(low, up=False), _short(high))
+
+
+def _short(value, up=True):
+    """A number to two digits, rounded outwards: 3e-4, 0.025."""
+    exponent = math.floor(math.log10(value) + 1e-9)
+    digits = value / 10.0**exponent * 10.0
+    digits = math.ceil(digits - 1e-6) if up else math.floor(digits + 1e-6)
+    value = digits / 10.0 * 10.0**exponent
+    if exponent >= -2:
+        return "%.2g" % value
+    return ("%.1e" % value).replace(".0e", "e").replace("e-0", "e-")
+
+
+def _number(value, factor, digits):
+    return "–" if value is None else "%.*f" % (digits, factor * value)
+
+
+def _table(head, rows, texts):
+    """Markdown. texts: so many columns from the left are texts."""
+    lines = [head, ["---"] * texts + ["---:"] * (len(head) - texts), *rows]
+    return ["| %s |" % " | ".join(map(str, line)) for line in lines]
+
+
+def markdown(scorecard):
+    """The scorecard as Markdown, which is what a terminal shows, too."""
+    totals = scorecard["totals"]
+    ladder = "" if scorecard["ladder"] else ", without the safety ladder"
+    revision = scorecard["revision"] or "unknown"
+    lines = ["# Scorecard (simulated)" + ladder, ""]
+    lines += ["%s, revision %s: `%s`" % (scorecard["date"], revision, scorecard["command"]), ""]
+    lines += _table(HEAD, map(cells, scorecard["rows"]), 4)
+    counted = ["%d %s (%s per minute)" % (totals[what], WORDS[what], rate(totals, what)) for what in COUNTED]
+    flown = minutes_text(totals["minutes"]), totals["flights"], totals["events"], ", ".join(counted)
+    lines += ["", "In all %s minutes in %d flights, %d faults: %s." % flown]
+    lines += ["In brackets: bounds of 95 %. " + MEANING, ""]
+    if not scorecard["complete"]:
+        lines += ["It is not complete: it was interrupted.", ""]
+    for failure in scorecard["failures"][:MOST_NAMED]:
+        lines.append("- not flown: %s, seed %d: %s" % (_of(failure), failure["seed"], failure["error"]))
+    for finding in scorecard["findings"][:MOST_NAMED]:
+        lines.append("- %s: %s, seed %d: %s" % (finding["what"], _of(finding), finding["seed"], finding["text"]))
+    left = len(scorecard["failures"][MOST_NAMED:]) + len(scorecard["findings"][MOST_NAMED:])
+    if left:
+        lines.append("- and %d more, see the JSON file" % left)
+    if "against" in scorecard:
+        lines += ["", "## Against %s" % scorecard["against"]["file"], ""]
+        items = [item for item in scorecard["against"]["differences"] if item["significant"]]
+        if items:
+            lines += _table((*KEY, "figure", "here", "there", "p"), map(compared, items), 5)
+        lines += ["", "%d of %d figures of the same rows differ significantly (5 %% in all, Holm)." % (
+            len(items), len(scorecard["against"]["differences"]))]  # fmt: skip
+    return "\n".join(lines).rstrip() + "\n"
+
+
+MOST_NAMED = 20
+MEANING = (
+    "Errors: against truth, while on the course. Detected: from the begin of a fault to the first failsafe level above "
+    "OK, or until a vehicle is not seen any more, whichever is first. False alarms: levels above OK that no fault "
+    "explains. Breaches: into the net or onto the floor. Contacts: two vehicles touched. A minute is one of the whole "
+    "fleet, on the course."
+)
+
+
+def _of(item):
+    return " ".join(str(item[key]) for key in KEY)
+
+
+def compared(item):
+    """Texts of a difference."""
+    factor, unit, digits = _UNITS.get(item["figure"], (1.0, "", 0))
+    values = ["%s %s" % (_number(item[key], factor, digits), unit) for key in ("here", "there")]
+    p = "–" if item["p"] is None else "%.2g" % item["p"]
+    return [*(item[key] for key in KEY), WORDS[item["figure"]], *map(str.strip, values), p]
+
+
+def _pairs(rows):
+    """(estimator, controller) of all rows."""
+    return list(dict.fromkeys((row["estimator"], row["controller"]) for row in rows))
+
+
+def draw(scorecard):
+    """The figure of all rows: errors, delays until detection, and what should not have happened."""
+    rows = scorecard["rows"]
+    pairs = _pairs(rows)
+    names = list(dict.fromkeys((row["estimator"], row["controller"], row["fault"]) for row in rows))
+    places = {name: len(names) - 1 - place for place, name in enumerate(names)}
+    figure, (error, delay, bad) = plt.subplots(1, 3, sharey=True, figsize=(10.0, 1.6 + 0.27 * len(names)),
+                                               gridspec_kw={"width_ratios": (3, 3, 3)})  # fmt: skip
+    for row in rows:
+        y = places[row["estimator"], row["controller"], row["fault"]] - _SHIFT.get(row["severity"], 0.0)
+        colour = _COLOURS.get(row["severity"], _OTHER)
+        if row["rmse_m"] is not None:
+            error.plot([1e3 * row["rmse_m"], 1e3 * row["worst_m"]], [y, y], color=colour, linewidth=1.0)
+            error.plot(1e3 * row["rmse_m"], y, "o", color=colour, markersize=4)
+        if row["detect_p50_ms"] is not None:
+            delay.plot([row["detect_p50_ms"], row["detect_p99_ms"]], [y, y], color=colour, linewidth=1.0)
+            delay.plot(row["detect_p50_ms"], y, "o", color=colour, markersize=4,
+                       markerfacecolor=colour if 2 * row["detected"] >= row["events"] else "white")  # fmt: skip
+        low, high = row["breaches_per_minute_bounds"] or (0.0, 0.0)
+        bad.plot([low, high], [y, y], color=colour, linewidth=1.0)
+        for what, marker in (("breaches", "X"), ("contacts", "P"), ("false_alarms", "v")):
+            if row[what]:
+                bad.plot(row[what] / row["minutes"], y, marker, color=colour, markersize=6, clip_on=False)
+    label = "%s" if len(pairs) == 1 else "%s, %s, %s"
+    error.set_yticks([places[name] for name in names], [label % (name[2:] if len(pairs) == 1 else (name[2], *name[:2]))
+                                                        for name in names])  # fmt: skip
+    error.set_ylim(-0.6, len(names) - 0.4)
+    error.set_xscale("log")
+    delay.set_xscale("log")
+    bad.set_xscale("symlog", linthresh=0.01)
+    bad.set_xlim(0.0, max(bad.get_xlim()[1], 0.1))
+    delay.axvline(_HOLD_MS, color="#888888", linewidth=0.8, linestyle=":")
+    error.set_title("error [mm]: RMSE (dot) to worst")
+    delay.set_title("detection [ms]: p50 (dot) to p99")
+    bad.set_title("per minute; line: breaches, 95 % bounds")
+    for axes in (error, delay):
+        axes.xaxis.set_major_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+        axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+    severities = [grade for grade in GRADES if any(row["severity"] == grade for row in rows)]
+    handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=_COLOURS[grade], label=grade)
+               for grade in severities]  # fmt: skip
+    handles.append(Line2D([], [], marker="o", linestyle="", markersize=4, color=_OTHER, markerfacecolor="white",
+                          label="less than half detected"))  # fmt: skip
+    handles += [Line2D([], [], marker=marker, linestyle="", color="#444444", label=what)
+                for what, marker in (("breaches", "X"), ("contacts", "P"), ("false alarms", "v"))]  # fmt: skip
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    ladder = "" if scorecard["ladder"] else ", without the safety ladder"
+    figure.suptitle("Scorecard of %s min (simulated)%s" % (minutes_text(scorecard["totals"]["minutes"]), ladder))
+    return figure

@@ -1,0 +1,212 @@
+"""What a scorecard flies: its cells, and the flights of each with their faults, made of a seed."""
+
+import math
+import pathlib
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from risc_experiments.fleets import default_fleet
+from risc_experiments.offline import SETTLE_S, YAW_BY_SEED_DEG, Flight
+from risc_lab.lab.yaml_reader import load_yaml, package_file
+from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
+from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, load_faults
+
+NONE, RANDOM = "none", "random"  # faults that are no members: nothing happens; one of all members at random
+GRADES = ("mild", "medium", "severe")
+WHOLE = "-"  # severity of what has no grades
+_ENOUGH_MIN = 0.01
+_MOST_FLIGHTS = 10  # of a cell: so many times as many as would be enough if each lasted to its end
+
+
+@dataclass(frozen=True)
+class EventParams(Settings):
+    """When the faults of a flight act [s]."""
+
+    first_s: NotNegative = SETTLE_S
+    quiet_s: tuple[Positive, Positive] = (2.5, 4.0)
+    longest_s: Positive = 3.0
+    settle_s: Positive = 2.0
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.quiet_s[0] > self.quiet_s[1] or self.quiet_s[0] < self.settle_s:
+            raise ValueError("'quiet_s' is the least and the greatest, and at least 'settle_s'")
+
+
+@dataclass(frozen=True)
+class RandomParams(Settings):
+    """How `random` draws."""
+
+    duration_s: tuple[Positive, Positive] = (0.1, 3.0)
+
+
+@dataclass(frozen=True)
+class QuickParams(Settings):
+    """What --quick changes."""
+
+    faults: tuple[str, ...] = ()
+    severities: tuple[str, ...] = GRADES
+    minutes: Positive = 0.5
+    flight_s: Positive = 30.0
+
+
+@dataclass(frozen=True)
+class ScorecardParams(Settings):
+    """Content of config/scorecard.yaml."""
+
+    trajectories: tuple[Name, ...] = ("circle",)
+    vehicles: between(1, 50) = 3
+    flight_s: Positive = 60.0
+    least_flight_s: Positive = 20.0
+    minutes: Positive = 2.0
+    leave_out: tuple[str, ...] = ()
+    events: EventParams = EventParams()
+    random: RandomParams = RandomParams()
+    quick: QuickParams = QuickParams()
+
+
+def load_params(path=None):
+    """ScorecardParams of a file; None: the tree's own. Raises ValueError."""
+    path = path or package_file("risc_experiments", "config/scorecard.yaml")
+    return settings_from(ScorecardParams, load_yaml(path), str(path))
+
+
+class Cell(NamedTuple):
+    """A row of the scorecard."""
+
+    fault: str  # name of a member, NONE, RANDOM, or path of a file with a list of faults
+    severity: str  # grade; WHOLE where there are none
+    estimator: str
+    controller: str
+
+
+class Plan(NamedTuple):
+    """A whole scorecard."""
+
+    cells: tuple[Cell, ...]
+    flight_s: float  # on the course
+    minutes: float  # of each cell, where `seeds` is None
+    seeds: tuple[int, ...] | None  # of the flights of each cell; None: 1, 2, ..., as many as the minutes take
+    ladder: bool
+    params: ScorecardParams
+
+    def flight(self, cell, seed):
+        """The Flight of a cell with this seed, as 1, 2, ... The same faults come for every estimator and controller."""
+        trajectory = self.params.trajectories[seed % len(self.params.trajectories)]
+        fleet = default_fleet(self.params.vehicles, trajectory)
+        key = crc32(pathlib.PurePath(cell.fault).name.encode()), crc32(cell.severity.encode())
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+        return Flight(
+            trajectory,
+            vehicles=self.params.vehicles,
+            seed=seed,
+            duration_s=self.flight_s - SETTLE_S,
+            psi_deg=YAW_BY_SEED_DEG * seed % 360.0,
+            controller=cell.controller,
+            estimator=cell.estimator,
+            node={} if self.ladder else {"ladder": False},
+            faults=self._events(cell, [vehicle.namespace for vehicle in fleet.vehicles], rng),
+        )
+
+    def check(self, cell):
+        """Raises ValueError when not one event of a cell fits into a flight."""
+        if cell.fault != NONE and not self.flight(cell, 1).faults:
+            text = "fault %s: flights of %.0f s on the course are too short for it: more --minutes"
+            raise ValueError(text % (cell.fault, self.flight_s))
+
+    def _events(self, cell, vehicles, rng):
+        if cell.fault == NONE:
+            return ()
+        if is_file(cell.fault):
+            return load_faults(cell.fault)
+        events, params = [], self.params.events
+        begin_s = params.first_s
+        while True:
+            event = self._draw(cell, rng)
+            settings = event.settings
+            begin_s += rng.uniform(0.0, params.quiet_s[1] - params.quiet_s[0])
+            end_s = begin_s + event.duration_s
+            if end_s + params.settle_s > self.flight_s:
+                return tuple(events)
+            vehicle = vehicles[rng.integers(len(vehicles))] if settings.per_vehicle else ""
+            events.append(replace(event, vehicle=vehicle, start_s=round(begin_s, 3)))
+            begin_s = end_s + params.quiet_s[0]
+
+    def _draw(self, cell, rng):
+        """FaultEvent of a cell, of which nobody knows yet when it is."""
+        longest_s = self.params.events.longest_s
+        if cell.fault != RANDOM:
+            settings = fault_settings(cell.fault)
+            return _event(cell.fault, settings, settings.grades.get(cell.severity), longest_s)
+        members = safe_members(self.params)
+        name = members[rng.integers(len(members))]
+        settings = fault_settings(name)
+        values = settings.grades.values()
+        argument = _between(min(values), max(values), rng)
+        return _event(name, settings, argument, _between(*self.params.random.duration_s, rng), always=True)
+
+    def wanting(self, flown):
+        """Yields (cell, seed) of the flights that are still to be flown. flown: {cell: {seed: minutes}}."""
+        for cell in self.cells:
+            done = flown.get(cell, {})
+            seeds = self.seeds
+            if seeds is None:
+                seeds = range(1, self._count(len(done), sum(done.values())) + 1)
+            yield from ((cell, seed) for seed in seeds if seed not in done)
+
+    def part(self, flown):
+        """Which part of the whole is over."""
+        if self.seeds is not None:
+            return sum(map(len, flown.values())) / (len(self.seeds) * len(self.cells))
+        return sum(min(sum(done.values()) / self.minutes, 1.0) for done in flown.values()) / len(self.cells)
+
+    def _count(self, flights, minutes):
+        """How many flights a cell should have when so many have lasted so long: some end early."""
+        whole = self.flight_s / 60.0
+        missing = self.minutes - minutes
+        if missing <= _ENOUGH_MIN:
+            return flights
+        mean = max(minutes / flights, whole / _MOST_FLIGHTS) if flights else whole
+        return min(flights + math.ceil(missing / mean), _MOST_FLIGHTS * math.ceil(self.minutes / whole))
+
+
+def _event(name, settings, argument, duration_s, always=False):
+    """duration_s: where the member's default has no end, or always."""
+    if settings.argument == "duration":
+        return FaultEvent(name, duration_s=argument)
+    low_s, high_s = settings.duration_s
+    if not always and math.isfinite(settings.default.duration_s):
+        duration_s = settings.default.duration_s
+    return FaultEvent(name, severity=argument, duration_s=min(max(duration_s, low_s), high_s))
+
+
+def _between(low, high, rng):
+    """A number between, evenly on a logarithmic scale where there is one."""
+    if low <= 0.0:
+        return float(rng.uniform(low, high))
+    return float(min(max(math.exp(rng.uniform(math.log(low), math.log(high))), low), high))
+
+
+def severities_of(fault, severities):
+    """Those of the severities that a fault of a cell has."""
+    if fault in (NONE, RANDOM) or is_file(fault):
+        return (WHOLE,)
+    return tuple(grade for grade in severities if grade in fault_settings(fault).grades)
+
+
+def is_file(fault):
+    """Whether it is no member's name."""
+    return pathlib.PurePath(fault).suffix in (".yaml", ".yml")
+
+
+def members(params):
+    """Names of the faults that are graded, sorted."""
+    return [name for name in REGISTRY.names() if fault_settings(name).grades and name not in params.leave_out]
+
+
+def safe_members(params):
+    """Those of them that a flight can end safely with."""
+    return [name for name in members(params) if "breach" not in fault_settings(name).safe]
