@@ -1,4 +1,4 @@
-"""Every fault flies offline, on an AR.Drone beside an IRIS+, and ends as its entry calls safe.
+"""Every fault flies offline, on an AR.Drone and on an IRIS+, and ends as its entry calls safe.
 
 What the ladder cannot tell from flying is not here: flip, freeze, jump, name_exchange.
 """
@@ -8,7 +8,6 @@ import pytest
 from risc_experiments.offline import Flight, fly
 from risc_simulator.faults import REGISTRY, parse_fault
 
-TOGETHER = ("iris", "ardrone")
 PASSING = {  # flown through, one after another: what is between NAME and the next one's is its own
     "frames come late, twice, or not": (
         "loss:0.3,duration_s=1@0 drop:0.1,duration_s=1@1 duplicate:1,duration_s=1@2 reorder:0.5,duration_s=1@3 "
@@ -47,9 +46,11 @@ def test_each_fault_is_in_a_flight():
     assert set(REGISTRY.names()) - NOT_OFFLINE - FOR_ANOTHER_RULE - set(named) == {"motor_loss"}
 
 
+@pytest.mark.parametrize("kind", ["ardrone", "iris"])
 @pytest.mark.parametrize("faults", PASSING.values(), ids=PASSING)
-def test_they_are_flown_through(faults):
-    result = flown(faults.split(), TOGETHER)
+def test_they_are_flown_through(faults, kind):
+    """By one on its own, which nobody's holding lands."""
+    result = flown(faults.split(), (kind,))
     assert {fault.outcome for fault in result.faults} <= {"completed", "held"}
     assert all(fault.safe for fault in result.faults) and not any(result.landed)
     assert not result.breaches and not result.contacts and len(result.faults) == len(faults.split())
