@@ -6,7 +6,7 @@ import re
 import pytest
 
 from risc_control.failsafe import FailsafeLevel, Rule
-from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
+from risc_lab.phases import OperatorPhase, OperatorResult, OutCause, TrajectoryPhase
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 SOURCES = [
@@ -40,6 +40,7 @@ def test_no_program_reads_diagnostics():
         ("Safety", (FailsafeLevel, Rule)),
         ("VehiclePhase", (TrajectoryPhase,)),
         ("OperatorState", (OperatorPhase, OperatorResult)),
+        ("VehicleOut", (OutCause,)),
     ],
 )
 def test_enumerations_have_the_numbers_of_the_messages(name, enumerations):

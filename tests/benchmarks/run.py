@@ -36,6 +36,8 @@ BENCHMARKS = {
                 [PYTHON, str(HERE / "startup.py"), "--json", "{json}"]),
     "recording": ("processor time of a recording, ours and that of rosbag record in turn",
                   [PYTHON, str(HERE / "recording.py"), "--json", "{json}"]),
+    "flood": ("a stranger floods the mocap stream's port: frames lost, processor time",
+              [PYTHON, str(HERE / "flood.py"), "--json", "{json}"]),
     "profile": ("where the processor time of a flight goes, program by program",
                 [PYTHON, str(HERE / "profile_nodes.py"), "--json", "{json}"]),
     "scale": ("1 to 50 vehicles, 1 to 100 bodies: latency, cores, memory, frames lost, quiet and beside a busy loop",

@@ -215,3 +215,25 @@ def test_a_host_that_does_not_answer():
     assert code == 1
     assert packets == []
     assert "nothing new from 127.0.0.1:9" in error
+
+
+def test_a_flood_does_not_keep_it_from_going_on(monkeypatch):
+    """It throws away what waits, and more comes than it can read. The control arm: it would go on for ever."""
+    talk, read = connection.CortexConnection(wire.Identity("test", (4, 1, 0, 0)), "127.0.0.1", 1510), []
+
+    class StillAtItError(Exception):
+        pass
+
+    def receive(sock):
+        read.append(sock)
+        if len(read) > 100_000:
+            raise StillAtItError
+
+    monkeypatch.setattr(talk, "_receive", receive)
+    monkeypatch.setattr(connection.select, "select", lambda *_: ([True], [], []))
+    with closing(talk):
+        talk._drain(None)
+        assert len(read) == connection._MOST_DRAINED
+        monkeypatch.setattr(connection, "_MOST_DRAINED", 10**9)
+        with pytest.raises(StillAtItError):
+            talk._drain(None)

@@ -23,6 +23,7 @@ from data_extraction.report.battery import BatteryCollector
 from data_extraction.report.computers import Computer, ComputerCollector
 from data_extraction.report.drops import CELL_M, DropCollector, cell_edges
 from data_extraction.report.events import EventCollector, head_and_tail
+from data_extraction.report.faults import FaultCollector
 from data_extraction.report.fence import FenceCollector
 from data_extraction.report.gates import GateCollector
 from data_extraction.report.ladder import LadderCollector
@@ -32,15 +33,21 @@ from data_extraction.samples import Arrivals, Samples
 from risc_control.failsafe import WITHOUT_EFFECT, FailsafeLevel, Rule, SafetyLimits, fence_of
 from risc_lab.lab.arena import NET_HALF_X_M, NET_HALF_Y_M, Arena
 from risc_lab.lab.fleet import fleet_from_dict
-from risc_lab.phases import OperatorResult, TrajectoryPhase
+from risc_lab.phases import OperatorPhase, OperatorResult, OutCause, TrajectoryPhase
 from risc_maap_msgs.msg import (
+    CommandSent,
+    CommandsSent,
     Counter,
+    Crash,
     EstimatorStatus,
+    FaultRecord,
+    Faults,
     MocapStatus,
     OperatorState,
     Safety,
     TrajectoryPhases,
     VehicleNodeStatus,
+    VehicleOut,
     VehiclePhase,
     VehicleStatus,
 )
@@ -520,3 +527,143 @@ def test_a_chunk_that_lost_its_end_is_said(tmp_path):
     path.write_bytes(bytes(data))
     with Bag(path) as bag, pytest.raises(BagError, match="short.bag.*rosbag reindex"):
         list(bag.messages())
+
+
+# ---------------------------------------------------------------- faults
+
+
+SAFE = ["completed", "held", "landed"]
+
+
+def at(t_s):
+    return rospy.Time.from_sec(T0_S + t_s)
+
+
+def fault(number, begin_s, lasts_s=0.5, active=True, safe=SAFE, vehicle="risc1", name="jump", args="0.3,risc1"):
+    """FaultRecord; its times count from T0_S."""
+    ends = at(begin_s + lasts_s) if lasts_s else rospy.Time()
+    return FaultRecord(number, name, args, vehicle, at(begin_s), ends, active, list(safe))
+
+
+def told(*records, t_s):
+    return "/virtual_lab/faults", Faults(faults=list(records)), T0_S + t_s
+
+
+def said(vehicle, t_s, level, rule=Safety.STATE):
+    return "/%s/safety" % vehicle, Safety(level=level, rule=rule), T0_S + t_s
+
+
+def sent(t_s, level, name="fluffy_II"):
+    commands = [CommandSent(name=name, sent=at(t_s), level=level)]
+    return "/commands_sent", CommandsSent(commands=commands), T0_S + t_s + 0.2  # it may come late
+
+
+def operator(t_s, phase=OperatorPhase.FLY, on_course=True, out=()):
+    return "/operator/phase", OperatorState(phase=phase, on_course=on_course, out=list(out)), T0_S + t_s
+
+
+def truth(t_s, x=0.0, z=1.0, name="fluffy_II"):
+    return "/ground_truth", Cortex(Obj=[States(name=name, visible=True, x=x, z=z)]), T0_S + t_s
+
+
+def flown(play, *rows):
+    """Faults of a flight that is on its course from 1 s to 20 s."""
+    rows = [operator(0.0, on_course=False), operator(1.0), *rows]
+    rows += [operator(20.0, OperatorPhase.LAND), operator(25.0, OperatorPhase.DONE)]
+    return play(FaultCollector(), sorted(rows, key=lambda row: row[2])).result(T0_S + 30.0)
+
+
+def test_a_fault_that_changes_nothing_is_completed(play):
+    faults = flown(play, told(fault(1, 3.0, active=False), t_s=2.0), told(fault(1, 3.0), t_s=3.0), sent(3.1, Safety.OK))
+    (figures,) = faults.figures()
+    assert figures == {
+        "name": "jump",
+        "args": "0.3,risc1",
+        "vehicle": "risc1",
+        "start_s": 2.0,
+        "end_s": 2.5,
+        "outcome": "completed",
+        "safe": True,
+        "reaction_ms": None,
+    }
+    assert faults.waiting == 0 and faults.out == {}
+
+
+def test_the_reaction_is_the_first_command_of_a_higher_level(play):
+    faults = flown(
+        play,
+        sent(2.0, Safety.HOLD),  # before it, and it had ended
+        sent(2.1, Safety.OK),
+        told(fault(1, 3.0), t_s=3.0),
+        sent(3.05, Safety.OK),
+        said("risc1", 3.11, Safety.HOLD),
+        sent(3.12, Safety.HOLD),
+        sent(3.15, Safety.HOLD),
+        said("risc1", 3.6, Safety.OK),
+        sent(3.6, Safety.OK),
+    )
+    (outcome,) = faults.outcomes
+    assert (outcome.outcome, outcome.reacted, outcome.is_safe) == ("completed", "risc1", True), "it flew on"
+    assert outcome.reaction_s == pytest.approx(0.12, abs=1e-6)
+
+
+def test_each_fault_answers_for_what_happens_until_the_next(play):
+    faults = flown(
+        play,
+        told(fault(1, 3.0), fault(2, 6.0, active=False), fault(3, 9.0, active=False, safe=["completed"]), t_s=3.0),
+        told(fault(2, 6.0), t_s=6.0),
+        said("risc1", 7.0, Safety.HOLD),
+        said("risc1", 7.5, Safety.OK),
+        said("risc2", 7.5, Safety.HOLD),
+        told(fault(3, 9.0, safe=["completed"]), t_s=9.0),
+        said("risc1", 9.1, Safety.HOLD),
+        said("risc1", 9.5, Safety.LAND),
+        truth(15.0, z=0.05),
+    )
+    assert [(fault.outcome, fault.is_safe) for fault in faults.outcomes] == [
+        ("completed", True), ("held", True), ("landed", False),
+    ]  # fmt: skip
+    assert faults.left_ok_s == {"risc1": pytest.approx(T0_S + 9.5), "risc2": pytest.approx(T0_S + 7.5)}
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [("/virtual_lab/crash", Crash(vehicle="risc1", reason="flew into the net"), T0_S + 4.0)],
+        [truth(4.0, x=NET_HALF_X_M), truth(15.0, z=0.05)],
+        [said("risc1", 4.0, Safety.LAND), truth(24.0, z=0.5)],  # it never came down
+    ],
+    ids=["crash", "net", "in the air"],
+)
+def test_a_breach_is_what_touched_left_or_stayed_up(play, rows):
+    (outcome,) = flown(play, told(fault(1, 3.0), t_s=3.0), *rows).outcomes
+    assert (outcome.outcome, outcome.is_safe) == ("breach", False)
+    (before,) = flown(play, told(fault(1, 5.0), t_s=5.0), *rows[:1]).outcomes
+    assert before.outcome == "completed", "what came before is not its own"
+
+
+def test_a_vehicle_that_is_out_has_landed_and_the_operators_own_landing_is_none(play):
+    out = VehicleOut("risc1", OutCause.SILENT, "silent")
+    after = said("risc1", 21.0, Safety.LAND, Safety.REQUEST)
+    (outcome,) = flown(play, told(fault(1, 3.0), t_s=3.0), after).outcomes
+    assert outcome.outcome == "completed"
+    faults = flown(play, told(fault(1, 3.0), t_s=3.0), operator(6.0, out=[out]), operator(7.0, out=[out]), after)
+    assert faults.outcomes[0].outcome == "landed"
+    assert faults.out["risc1"] == (pytest.approx(T0_S + 6.0), OutCause.SILENT, "silent")
+
+
+def test_what_never_began_has_no_outcome(play):
+    endless = fault(2, 4.0, lasts_s=None)
+    faults = flown(play, told(fault(1, 40.0, active=False), endless, t_s=4.0))
+    assert [outcome.end_s for outcome in faults.outcomes] == [None] and faults.waiting == 1
+    assert faults.figures()[0]["end_s"] is None
+    assert not flown(play) and flown(play).figures() == []
+
+
+def test_faults_are_events(play):
+    rows = [told(fault(1, 3.0, active=False), t_s=2.0), told(fault(1, 3.0), t_s=3.0)]
+    rows += [told(fault(1, 3.0, active=False), t_s=3.5)]
+    events = play(EventCollector(), rows).result()
+    assert [(round(event.time_s - T0_S, 6), event.text) for event in events] == [
+        (3.0, "fault jump:0.3,risc1 begins"), (3.5, "fault jump:0.3,risc1 ends"),
+    ]  # fmt: skip

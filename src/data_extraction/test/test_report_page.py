@@ -23,8 +23,12 @@ from risc_control.failsafe import Rule
 from risc_lab.lab.yaml_reader import package_file
 from risc_lab.phases import OperatorPhase, OperatorResult, TrajectoryPhase
 from risc_maap_msgs.msg import (
+    CommandSent,
+    CommandsSent,
     Counter,
     EstimatorStatus,
+    FaultRecord,
+    Faults,
     MocapTime,
     OperatorState,
     Safety,
@@ -55,9 +59,10 @@ T0_S = 1000.0
 NAN = float("nan")
 NAMES = ("fluffy_II", "albatross")
 SECTIONS = (
-    "flown", "result", "map", "tracking", "latency", "processors", "mocap", "gates", "ladder", "fence", "battery",
-    "cameras", "bearings", "events", "contents",
+    "flown", "result", "map", "tracking", "latency", "processors", "mocap", "gates", "ladder", "faults", "fence",
+    "battery", "cameras", "bearings", "events", "contents",
 )  # fmt: skip
+HOLD = rospy.Duration(0.105)
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 
 
@@ -127,7 +132,11 @@ def full_rows():
     )  # fmt: skip
     phases = [VehiclePhase(name, TrajectoryPhase.COURSE) for name in NAMES]
     yield 0.0, "/trajectory_phase", TrajectoryPhases(vehicles=phases)
-    yield 0.0, "/operator/phase", OperatorState(phase=OperatorPhase.FLY)
+    yield 0.0, "/operator/phase", OperatorState(phase=OperatorPhase.FLY, on_course=True)
+    begins, ends = (rospy.Time.from_sec(T0_S + t_s) for t_s in (7.9, 8.2))
+    record = FaultRecord(1, "blackout", "0.3", "", begins, ends, True, ["completed"])
+    yield 7.9, "/virtual_lab/faults", Faults(faults=[record])
+    yield 8.1, "/commands_sent", CommandsSent(commands=[CommandSent(name="fluffy_II", sent=begins + HOLD, level=1)])
     yield 0.0, "/risc1/safety", Safety()
     yield 8.0, "/risc1/safety", Safety(level=Safety.HOLD, rule=Safety.STATE, reason="state 120 ms old <b>")
     yield 8.2, "/risc1/safety", Safety()

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from risc_control.failsafe import FailsafeLevel, Freshness, SafetyLadder, SafetyLimits
+from risc_control.failsafe import FailsafeLevel, Freshness, Rule, SafetyLadder, SafetyLimits
 from risc_control.separation import ALONE, Look
 
 INSIDE = (0.5, -0.5, 1.0)
@@ -22,7 +22,7 @@ class Flight:
         self.position = INSIDE
         self.velocity = AT_REST
         self.battery = 80.0
-        self.look = ALONE
+        self.look, self.suspect = ALONE, ""
         self.alive = {"state", "controls", "navdata", "joystick"}
         self.run(0.1)
 
@@ -30,7 +30,9 @@ class Flight:
         """Go on for so long; returns the verdict at the end."""
         for _ in range(round(duration_s / 0.005)):
             self.now_s += 0.005
-            if "state" in self.alive:
+            if self.suspect:
+                self.ladder.note_suspect(self.suspect, self.now_s)
+            elif "state" in self.alive:
                 self.ladder.note_state(self.position, self.velocity, 0.004, self.now_s)
                 self.ladder.note_look(self.look, self.now_s)
             if "controls" in self.alive:
@@ -63,6 +65,37 @@ def test_loss_holds_then_lands(what):
     assert [reaction.level for reaction in flight.ladder.reactions] == [FailsafeLevel.HOLD, FailsafeLevel.LAND]
     for reaction in flight.ladder.reactions:
         assert 0.0 < reaction.beyond_s <= 0.0051, "noticed at the first look after the limit"
+
+
+def test_states_that_cannot_be_true_hold_then_land():
+    """They are no states; what is wrong with them is in the reason."""
+    flight = Flight()
+    flight.suspect = "its yaw jumped"
+    assert flight.run(0.09).level == FailsafeLevel.OK
+    verdict = flight.run(0.02)
+    assert (verdict.level, verdict.rule) == (FailsafeLevel.HOLD, Rule.SUSPECT) and "yaw jumped" in verdict.text
+    flight.suspect = ""
+    assert flight.run(0.005).level == FailsafeLevel.OK
+    flight.suspect = "its yaw jumped"
+    verdict = flight.run(0.51)
+    assert (verdict.level, verdict.rule) == (FailsafeLevel.LAND, Rule.SUSPECT) and "yaw jumped" in verdict.text
+    # one that is not seen any more is lost, whatever was wrong before
+    flight = Flight()
+    flight.suspect = "its yaw jumped"
+    flight.run(0.05)
+    flight.suspect = ""
+    flight.alive.remove("state")
+    assert flight.run(0.3).rule == Rule.STATE
+
+
+@pytest.mark.parametrize("what", ["state", "controls", "navdata", "joystick"])
+def test_without_its_ladder_a_vehicle_flies_on_whatever_is_lost(what):
+    flight = Flight(SafetyLimits(ladder=False))
+    flight.alive.remove(what)
+    assert flight.run(5.0).level == FailsafeLevel.OK
+    assert flight.ladder.autonomy_problem(flight.now_s) != "", "a flight does not begin so"
+    flight.ladder.request_landing(flight.now_s)
+    assert flight.ladder.verdict.level == FailsafeLevel.LAND
 
 
 def test_hold_ends_at_once_when_fresh_again():

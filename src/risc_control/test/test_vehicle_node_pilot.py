@@ -42,7 +42,7 @@ class Desk:
         self.pilot = VehiclePilot(parsed, ARDRONE, self.now_s)
         self.flight_state = FlightState.LANDED
         self.battery = 90.0
-        self.state, self.look = LEVEL, ALONE
+        self.state, self.look, self.suspect = LEVEL, ALONE, ""
         self.control = Controls(0.0, 0.0, 0.0, HOVER_N)
         self.alive = {"state", "controls", "navdata"}
         self.orders = []  # (time, Orders) that ask for something
@@ -59,7 +59,9 @@ class Desk:
         for _ in range(round(duration_s / 0.005)):
             self.now_s += 0.005
             self._step += 1
-            if "state" in self.alive:
+            if self.suspect:
+                self.pilot.on_suspect(self.suspect, self.now_s)
+            elif "state" in self.alive:
                 self.pilot.on_state(self.state, 0.004, self.now_s, self.look)
             if "controls" in self.alive:
                 self.take(self.pilot.on_controls(self.control, 1e9 + self.now_s, 0.005, self.now_s))
@@ -613,6 +615,20 @@ def test_loss_of_states_holds_then_lands_then_rests():
     assert told == [
         (ok, Rule.NONE, None), (hold, Rule.STATE, 0.1), (land, Rule.STATE, 0.5), (ok, Rule.NONE, None)
     ]  # fmt: skip
+
+
+def test_no_command_answers_a_state_that_cannot_be_true():
+    desk = Desk().fly(autonomous=True)
+    desk.control = Controls(0.1, 0.0, 0.0, HOVER_N)
+    assert desk.run(0.09)
+    desk.suspect = "its yaw jumped"
+    for level in (FailsafeLevel.OK, FailsafeLevel.HOLD):
+        sent = desk.run(0.09)
+        assert sent and all(command == (Sticks(0.0, 0.0, 0.0, 0.0), None) for command in (item[1:] for item in sent))
+        assert desk.pilot.ladder.verdict.level == level, "it is told when that lasts"
+    assert desk.pilot.ladder.verdict.rule == Rule.SUSPECT
+    desk.suspect = ""
+    assert desk.run(0.1)[-1][1].left == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("lost", ["state", "controls"])

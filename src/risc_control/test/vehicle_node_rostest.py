@@ -56,6 +56,7 @@ class VehicleNodeTest(unittest.TestCase):
     def tearDown(self):
         self.world.flight_state = dict.fromkeys(TEMPLATES, LANDED)
         self.world.visible = dict.fromkeys(TEMPLATES, True)
+        self.world.psi_deg = dict.fromkeys(TEMPLATES, 0.0)
         self.world.running = True
 
     def test_1_names(self):
@@ -202,6 +203,21 @@ class VehicleNodeTest(unittest.TestCase):
         world.wait("risc2", "safety", lambda m: m.level == Safety.OK)
         world.forget()
         world.wait("risc2", "cmd_vel", is_flown)
+
+    def test_5_a_state_that_cannot_be_true(self):
+        """The vehicle is seen turned by 180 degrees; the others fly on."""
+        world = self.world
+        world.fly_by_controls()
+        world.psi_deg["risc2"] = 180.0
+        world.wait("risc2", "safety", lambda m: (m.level, m.rule) == (Safety.HOLD, Safety.SUSPECT))
+        world.wait("risc2", "safety", lambda m: (m.level, m.rule) == (Safety.LAND, Safety.SUSPECT))
+        world.wait("risc2", "ardrone/land")
+        (said, *_) = [m for m in world.messages("risc2", "safety") if m.rule == Safety.SUSPECT]
+        self.assertTrue("yaw" in said.reason and said.age_s > said.limit_s == LIMIT_S["hold"], said)
+        world.forget()
+        world.wait("risc1", "cmd_vel", is_flown)
+        world.wait("risc3", "cmd_vel", is_flown)
+        self.assertEqual(world.answers("risc2"), [])
 
     def test_6_errors_land_and_do_not_stop_the_clock(self):
         """A node in this process whose pilot is broken, as by an error that nobody has thought of."""

@@ -1,5 +1,6 @@
 """What is around vehicle nodes, for their rostests: the world that they fly in, and what they publish."""
 
+import random
 import threading
 import time
 
@@ -21,6 +22,7 @@ LANDED, FLYING = 2, 3
 HOVER_N = 0.45 * 9.80665
 MOST_HZ = 31.0  # commands: 30 Hz is command_rate_hz
 TIMEOUT_S = 60.0
+NOISE_M = 1e-4  # of positions: those of exactly the same place would be a frozen motion capture
 ARDRONE = load_vehicle_type("ardrone")
 STRAY_M_S = 0.5  # of a reference that leaves its vehicle, up to 1 m
 PUBLISHED = {
@@ -61,6 +63,7 @@ class World:
         self.flight_state = dict.fromkeys(templates, LANDED)
         self.controls = dict.fromkeys(self.templates, (0.0, 0.0, 0.0, HOVER_N))
         self.visible = dict.fromkeys(self.templates, True)
+        self.psi_deg = dict.fromkeys(self.templates, 0.0)
         self.y_m = {vehicle: 1.5 * (k - 1) for k, vehicle in enumerate(templates)}  # none is near another one
         self.strays = set()  # vehicles whose references leave them
         self.passers = {}  # {template: y [m]} of vehicles that nobody here flies
@@ -104,12 +107,15 @@ class World:
                 stamp = rospy.Time.now()
                 self.sent.add(stamp)
                 states, controls = Cortex(), Controls()
-                states.Obj += [States(name=name, visible=True, y=y, z=1.0) for name, y in self.passers.items()]
+                for name, y_m in self.passers.items():
+                    states.Obj.append(States(name=name, visible=True, x=random.gauss(0.0, NOISE_M), y=y_m, z=1.0))
                 states.header.stamp = controls.header.stamp = stamp
                 references = Trajectories(header=states.header)
                 for vehicle, template in reversed(list(self.templates.items())):  # by name, not by index (D-27)
                     y_m = self.y_m[vehicle]
-                    states.Obj.append(States(name=template, visible=self.visible[vehicle], y=y_m, z=1.0))
+                    seen = States(name=template, visible=self.visible[vehicle], y=y_m, z=1.0)
+                    seen.x, seen.psi = random.gauss(0.0, NOISE_M), self.psi_deg[vehicle]
+                    states.Obj.append(seen)
                     reference = Trajectory(name=template, y=y_m, z=1.0)
                     if vehicle in self.strays:  # there and back again
                         reference.ydot = STRAY_M_S if step % 800 < 400 else -STRAY_M_S

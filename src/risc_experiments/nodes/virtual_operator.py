@@ -19,7 +19,7 @@ from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import fleet_vehicles, params_from_dict, vehicles
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases
+from risc_maap_msgs.msg import OperatorState, Safety, TrajectoryPhases, VehicleOut
 
 BUTTONS, AXES = 12, 8  # as many as any button map here knows: 11 of the game pad of Appendix C, 12 of 2014
 LOOK_RATE_HZ = 5.0  # of looks at what vehicles, their nodes and motion capture say
@@ -42,7 +42,7 @@ class VirtualOperator:
         self._operator = Operator(wanted, params, time.monotonic(), go_home, self._start_landing)
         self._watched = {vehicle.template: self._operator.vehicles[vehicle.namespace] for vehicle in flown}
         self._landing = set()  # vehicles whose service is being called
-        self._said = None  # (phase, text, result, reason) of the newest state that was sent
+        self._said = None  # the newest state that was sent, as `_state` gives it
         self._phase = rospy.Publisher("/operator/phase", OperatorState, queue_size=10, latch=True)
         self._result = rospy.Publisher("/operator/result", OperatorState, queue_size=1, latch=True)
         self._joys = {name: rospy.Publisher("/%s/joy" % name, Joy, queue_size=10, tcp_nodelay=True) for name in wanted}
@@ -109,8 +109,9 @@ class VirtualOperator:
             self._joys[name].publish(joy)
 
     def _state(self):
-        """(phase, text, result, reason) now; the caller holds the lock."""
-        return self._operator.phase, self._operator.text, self._operator.result, self._operator.reason
+        """The fields of OperatorState now, those out as tuples; the caller holds the lock."""
+        told = self._operator
+        return told.phase, told.text, told.result, told.reason, told.on_course, told.flight_failed, tuple(told.out)
 
     def _say(self, state):
         """Publish it when it is new; the caller holds the lock, so that no older one follows."""
@@ -119,7 +120,7 @@ class VirtualOperator:
         self._said, before = state, self._said
         self._phase.publish(state_message(state))
         rospy.loginfo("operator: phase %s", self._operator.phase_text)
-        _, _, result, reason = state
+        _, _, result, reason, *_ = state
         if result != OperatorResult.RUNNING and (before is None or result != before[2]):
             self._result.publish(state_message(state))
             rospy.loginfo("operator: result %s", ": ".join(filter(None, (result.name.lower(), reason))))
@@ -174,8 +175,9 @@ def start(work, *arguments):
 
 
 def state_message(state):
-    """OperatorState of (phase, text, result, reason)."""
-    message = OperatorState(None, *state)
+    """OperatorState of what `VirtualOperator._state` gives."""
+    *fields, out = state
+    message = OperatorState(None, *fields, [VehicleOut(*vehicle) for vehicle in out])
     message.header.stamp = rospy.Time.now()
     return message
 

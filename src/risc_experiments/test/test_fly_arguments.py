@@ -26,6 +26,12 @@ ROOT = pathlib.Path(__file__).resolve().parents[3]
         (["--trajectory", "loop"], "--trajectory"),
         (["--controller", "autopilot"], "--controller"),
         (["df_demo", "--controller", "thesis_lqr"], "--controller"),
+        (["--fault", "fire"], "--fault"),
+        (["--fault", "mocap_blackout:-1"], "--fault"),
+        (["--fault", "mocap_blackout:0.3@-1"], "--fault"),
+        (["--fault", "mocap_blackout@30"], "--fault"),  # all are home then
+        (["df_demo", "--duration", "5", "--fault", "mocap_blackout@39"], "--fault"),
+        (["--faults", "nowhere.yaml"], "--faults"),
     ],
 )
 def test_a_wrong_option_is_named(capsys, words, option):
@@ -35,9 +41,19 @@ def test_a_wrong_option_is_named(capsys, words, option):
     assert option in capsys.readouterr().err.splitlines()[-1]
 
 
+def test_faults_come_from_the_command_line_and_from_a_file(tmp_path):
+    script = tmp_path / "faults.yaml"
+    script.write_text("faults:\n  - {fault: mocap_blackout, duration_s: 0.2, start_s: 4}\n")
+    args = arguments(["--fault", "wind:mild,risc2@3", "--fault", "mocap_blackout:3", "--faults", str(script)])
+    assert [str(event) for event in args.faults] == ["wind:0.5,risc2@3", "mocap_blackout:3@0", "mocap_blackout:0.2@4"]
+    assert arguments([]).faults == ()
+
+
 @pytest.mark.parametrize(
     ("words", "cause"),
     [
+        (["--vehicles", "1", "--fault", "wind:risc2"], "risc2"),
+        (["--fault", "drop:0.1,channel=risc1/nav"], "risc1/nav"),
         (["--fleet", str(ROOT / "launch/fleets/ardrones5.yaml"), "--vehicles", "9"], "ardrones5"),
         (["--fleet", "nowhere.yaml"], "nowhere.yaml"),
         (["--vehicles", "97"], "101"),  # bodies, with landmarks: one more than Cortex's clients hold

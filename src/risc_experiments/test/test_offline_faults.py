@@ -64,7 +64,7 @@ def test_what_became_of_faults_is_told():
     result = with_faults("mocap_blackout:0.3@1", "jump:0.0@2.5", "mocap_blackout:3@4")
     hold, nothing, land = result.faults
     assert [(fault.name, fault.outcome, fault.safe) for fault in result.faults] == [
-        ("mocap_blackout", "held", True), ("jump", "completed", True), ("mocap_blackout", "landed", True)
+        ("mocap_blackout", "completed", True), ("jump", "completed", True), ("mocap_blackout", "landed", True)
     ]  # fmt: skip
     assert (hold.args, nothing.args) == ("0.3", "0,risc1")
     assert hold.start_s + 1.5 == pytest.approx(nothing.start_s) and hold.end_s - hold.start_s == pytest.approx(0.3)
@@ -113,9 +113,9 @@ def test_the_command_line_tells_outcomes_and_fails_when_one_is_not_safe(capsys, 
     path = tmp_path / "figures.json"
     call = ["--trajectory", "circle", "--vehicles", "1", "--seeds", "1", "--duration", "4", "--workers", "1"]
     assert main([*call, "--fault", "mocap_blackout:0.3@1", "--fault", "jump:0@2", "--json", str(path)]) == 0
-    assert "mocap_blackout:0.3 held after 95 ms" in capsys.readouterr().out
+    assert "mocap_blackout:0.3 completed after 95 ms" in capsys.readouterr().out
     (row,) = json.loads(path.read_text())["flights"]
-    assert [fault["outcome"] for fault in row["faults"]] == ["held", "completed"] and row["contacts"] == 0
+    assert [fault["outcome"] for fault in row["faults"]] == ["completed", "completed"] and row["contacts"] == 0
     assert main([*call, "--fault", "toy_cutout"]) == 1
     told = capsys.readouterr().out
     assert "toy_cutout:1,risc1 breach after" in told and "(unsafe)" in told

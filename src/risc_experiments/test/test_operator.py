@@ -6,7 +6,7 @@ from risc_control.failsafe import FailsafeLevel
 from risc_control.vehicle_pilot import FlightState
 from risc_experiments.operator import JOY_RATE_HZ, Joypad, Operator, OperatorParams, time_limit_s
 from risc_lab.phases import OperatorPhase as Phase
-from risc_lab.phases import OperatorResult
+from risc_lab.phases import OperatorResult, OutCause
 from risc_lab.phases import TrajectoryPhase as Trajectory
 
 TOGGLE, TAKEOFF_LAND, BUMPER = 0, 6, 5
@@ -158,7 +158,10 @@ def test_fifty_vehicles():
 
 
 def test_duration_counts_from_when_all_are_on_course():
-    flight = Flight(duration=10.0).on_course()
+    flight = Flight(duration=10.0).run(Phase.FLY)
+    assert not flight.operator.on_course
+    flight.on_course()
+    assert flight.operator.on_course
     assert all(vehicle.course == Trajectory.COURSE for vehicle in flight.vehicles.values())
     begin_s = flight.now_s
     flight.run(Phase.HOME)
@@ -228,6 +231,7 @@ def test_never_on_course_and_never_home():
     flight.vehicles["risc3"].home = lambda now_s: None
     flight.finish()
     assert flight.operator.reason == "not home within 40 s: risc3"
+    assert flight.operator.flight_failed
     assert all(vehicle.state == FlightState.LANDED for vehicle in flight.vehicles.values())
 
 
@@ -299,6 +303,8 @@ def test_a_vehicle_landed_by_its_ladder_is_noted_and_the_others_fly_on():
     assert flight.vehicles["risc1"].autonomous
     flight.finish()
     assert flight.operator.reason == "risc2 landed by its loss ladder (state 500 ms old)"
+    assert flight.operator.out == [("risc2", OutCause.LADDER, "landed by its loss ladder (state 500 ms old)")]
+    assert not flight.operator.flight_failed
     for name in ("risc1", "risc3"):
         assert [button for _, button in flight.vehicles[name].presses] == [TAKEOFF_LAND, TOGGLE, TAKEOFF_LAND]
     assert vehicle.count(TAKEOFF_LAND) <= 2, "never pressed when it stands: that would be a take-off"
@@ -320,6 +326,7 @@ def test_when_nobody_flies_any_more_it_ends():
     flight.vehicles["risc1"].land(flight.now_s)
     flight.run(lambda: flight.operator.finished, 10.0)
     assert flight.operator.reason == ("no vehicle flies any more; risc1 landed by its loss ladder (battery at 9 %)")
+    assert not flight.operator.flight_failed, "only its vehicles did"
 
 
 @pytest.mark.parametrize("phase", [Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME])

@@ -13,11 +13,13 @@ import yaml
 
 from data_extraction.flight_metrics import Flight, Mocap, VehicleFlight
 from data_extraction.progress import Progress
+from data_extraction.report.faults import FaultOutcome, Faults, Out
 from risc_experiments.flight_progress import flight_detail
 from risc_experiments.fly import FlightError, WebPage, arguments, launch_arguments, longest_s, prepare_fleet
 from risc_experiments.judge import judge
 from risc_experiments.operator import OperatorParams, time_limit_s
 from risc_lab.lab import Arena, generated_fleet, load_fleet
+from risc_lab.phases import OutCause
 from risc_lab.ros.launching import MARK, PortReservation, free_tcp_port, marked_processes, wait_until
 
 
@@ -71,6 +73,50 @@ def test_two_faults_are_both_named():
 
 def test_the_operator_has_a_say():
     assert reasons("no take-off") == ["no take-off"]
+
+
+def fault(begin_s=10.0, vehicle="risc1", outcome="landed", is_safe=True):
+    return FaultOutcome("jump", "0.3", vehicle, begin_s, begin_s + 1.0, outcome, is_safe, None, "")
+
+
+def judged(faults, out=(), left_ok_s=(), kept_apart=(), **changes):
+    """Reasons of a flight of fluffy_II (risc1), which flew so, and Raven (risc2), which did well."""
+    vehicles = {"fluffy_II": vehicle(**changes), "Raven": vehicle()}
+    found = Faults(list(faults), 0, 5.0, dict(out), dict(left_ok_s), set(kept_apart))
+    names = {"fluffy_II": "risc1", "Raven": "risc2"}
+    return judge(Flight(0.0, vehicles, {}, Mocap(), "ground truth"), "", faults=found, namespaces=names)
+
+
+FAR_OFF = {"position_rmse_m": 0.2, "position_max_m": 1.0}
+LANDED = Out(12.0, OutCause.LADDER, "landed by its loss ladder (state 500 ms old)")
+
+
+def test_a_vehicle_that_suffered_may_land_and_be_off_its_course():
+    assert judged([fault()], {"risc1": LANDED}, {"risc1": 11.5}, **FAR_OFF) == []
+    assert judged([fault(vehicle="")], {"risc1": LANDED, "risc2": LANDED}, **FAR_OFF) == []
+    for nobody in ([], [fault(vehicle="risc2")]):
+        assert len(judged(nobody, **FAR_OFF)) == 2, "without a fault of its own it must be where it should"
+    up = judged([fault()], actual_m=np.tile([0.0, 0.0, 0.9], (4000, 1)))
+    assert up == ["fluffy_II: was still 0.90 m up at the end"]
+
+
+def test_an_outcome_that_is_not_safe_fails_the_flight():
+    assert judged([fault(), fault(outcome="breach", is_safe=False)]) == ["fault jump:0.3: breach"]
+
+
+@pytest.mark.parametrize(
+    ("faults", "out", "kept_apart", "excused"),
+    [
+        ([fault(vehicle="risc2")], LANDED, (), False),  # another one's
+        ([fault(vehicle="risc2")], LANDED, ["risc1"], True),  # too near to that
+        ([fault(13.0)], LANDED, (), False),  # which had not begun
+        ([fault()], Out(12.0, OutCause.NODE, "lost its joystick node"), (), False),  # a fault ends no node
+        ([fault()], Out(40.0, OutCause.OVERDUE, "did not land within 30 s"), (), False),
+        ([fault()], Out(12.0, OutCause.SILENT, "silent: no navdata for 2 s"), (), True),
+    ],
+)
+def test_what_no_fault_explains_fails_the_flight(faults, out, kept_apart, excused):
+    assert judged(faults, {"risc1": out}, kept_apart=kept_apart) == ([] if excused else ["risc1 " + out.reason])
 
 
 def test_marked_processes_are_found_by_their_mark_only():

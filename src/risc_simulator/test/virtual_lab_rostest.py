@@ -11,7 +11,8 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64
 
-from risc_maap_msgs.msg import Fault, WireFault
+from risc_maap_msgs.msg import Fault, FaultKinds, FaultRecord, Faults, WireFault
+from risc_maap_msgs.srv import InjectFault
 from risc_msgs.msg import Cortex
 
 HOST = ("127.213.0.1", 1510)
@@ -107,6 +108,62 @@ class VirtualLabTest(unittest.TestCase):
         publishers["wire_fault"].publish("", "cortex/*", 0.0, 0.0)
         self.wait_until(self.host_answers, "the fault does not end")
         self.collect(10)  # bad orders did not end the node
+
+    def test_faults_by_name(self):
+        told = []
+        subscriber = rospy.Subscriber("/virtual_lab/faults", Faults, told.append, queue_size=100)
+        self.addCleanup(subscriber.unregister)
+        rospy.wait_for_service("/virtual_lab/inject", 20.0)
+        inject = rospy.ServiceProxy("/virtual_lab/inject", InjectFault)
+        self.assertTrue(inject("", 0.0).success)  # those of other tests
+        for bad, cause in (
+            ("fire", "fire"),
+            ("mocap_blackout:-1", "duration_s"),
+            ("wind:risc9", "risc9"),
+            ("drop:channel=risc1/nav", "risc1/nav"),
+            ("wind:1@-3", "past"),
+        ):
+            answer = inject(bad, 0.0)
+            self.assertFalse(answer.success, bad)
+            self.assertIn(cause, answer.message)
+            self.assertNotIn("\n", answer.message)
+        self.assertTrue(self.host_answers(15.0))
+
+        begin_s = rospy.get_time()
+        answer = inject("blackhole:inf,channel=cortex/requests@0.5", 0.5)
+        self.assertTrue(answer.success, answer.message)
+
+        def newest():
+            return told[-1].faults[-1] if told and told[-1].faults else FaultRecord()
+
+        self.wait_until(lambda: newest().ends.is_zero() and newest().begins.to_sec() > begin_s, "not told")
+        waiting = newest()
+        self.assertFalse(waiting.active)
+        self.assertAlmostEqual(waiting.begins.to_sec(), begin_s + 1.0, delta=0.5)
+        self.assertEqual((waiting.args, waiting.ends.to_sec()), ("inf,channel=cortex/requests", 0.0))
+        self.assertIn("landed", waiting.safe)
+        self.wait_until(lambda: any(record.active for record in told[-1].faults), "it does not begin")
+        self.assertFalse(self.host_answers())
+
+        self.assertTrue(inject("wind:0.5,risc2", 60.0).success)
+        self.assertTrue(inject("", 0.0).success)
+        self.wait_until(lambda: told[-1].faults and not any(record.active for record in told[-1].faults), "no end")
+        blackhole, wind = told[-1].faults
+        self.assertEqual((blackhole.id, wind.vehicle), (waiting.id, "risc2"))
+        self.assertGreater(blackhole.ends, blackhole.begins)
+        self.assertLess(wind.ends, wind.begins, "it never began")
+        self.wait_until(self.host_answers, "the fault does not end")
+        self.assertTrue(inject("wind:0.5,risc1", 60.0).success)
+        self.wait_until(lambda: [record.name for record in told[-1].faults] == ["wind"], "what is over is told once")
+        self.assertTrue(inject("", 0.0).success)
+
+    def test_faults_are_offered(self):
+        kinds = {kind.name: kind for kind in rospy.wait_for_message("/virtual_lab/fault_kinds", FaultKinds, 20.0).kinds}
+        blackout, wind = kinds["mocap_blackout"], kinds["wind"]
+        self.assertEqual((blackout.argument, blackout.unit, blackout.per_vehicle), ("duration_s", "s", False))
+        self.assertEqual(dict(zip(blackout.grades, blackout.grade_values))["severe"], 3.0)
+        self.assertEqual((wind.argument, wind.unit, wind.per_vehicle), ("severity", "m/s", True))
+        self.assertTrue(all(kind.least <= kind.default_value <= kind.greatest for kind in kinds.values()))
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ class PageClient:
         self.made = {}  # the same, of those that are gone, too
         self.messages = 0
         self.kinds = set()  # types of all messages
-        self._texts, self._buttons = {}, {}  # uuid -> content; label -> uuid
+        self._texts, self._buttons, self._inputs = {}, {}, {}  # uuid -> content; label -> uuid, of both
         self._socket = connect(
             "ws://127.0.0.1:%d" % port,
             origin=origin,
@@ -55,6 +55,10 @@ class PageClient:
     def press(self, label):
         """Click a button."""
         self._send({"type": "GuiUpdateMessage", "uuid": self._buttons[label], "updates": {"value": True}})
+
+    def enter(self, label, value):
+        """Type a text, or choose an option."""
+        self._send({"type": "GuiUpdateMessage", "uuid": self._inputs[label], "updates": {"value": value}})
 
     def ask_for_tunnel(self):
         """As the share button of viser's page, which ours does not have."""
@@ -91,6 +95,11 @@ class PageClient:
             self._texts[uuid] = message["updates"].get("content", self._texts[uuid])
         elif kind == "GuiButtonMessage":
             self._buttons[message["props"]["label"]] = uuid
+        elif kind in ("GuiTextMessage", "GuiDropdownMessage"):
+            self._inputs[message["props"]["label"]] = uuid
+        elif kind == "GuiRemoveMessage":
+            self._texts.pop(uuid, None)
+            self._buttons = {label: other for label, other in self._buttons.items() if other != uuid}
         elif "name" in message and "props" in message:
             self.nodes[message["name"]] = self.made[message["name"]] = kind
 

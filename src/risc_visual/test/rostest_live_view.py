@@ -25,6 +25,10 @@ from visualization_msgs.msg import MarkerArray
 from risc_maap_msgs.msg import (
     ControllerReport,
     EstimatorStatus,
+    FaultKind,
+    FaultKinds,
+    FaultRecord,
+    Faults,
     OperatorState,
     Safety,
     TrackingError,
@@ -32,6 +36,7 @@ from risc_maap_msgs.msg import (
     VehiclePhase,
     VehicleStatus,
 )
+from risc_maap_msgs.srv import InjectFault, InjectFaultResponse
 from risc_msgs.msg import Trajectories
 from risc_visual.drawing.ros import markers
 from risc_visual.drawing.scenery import load_scenery
@@ -225,6 +230,53 @@ class LiveViewTest(unittest.TestCase):
         page.press("land risc1")
         wait_for(lambda: len(self.asked) == 5, lambda: str(self.asked))
         self.assertEqual(self.asked[-1], "risc1", "the operator lands all or none")
+
+    def test_5_faults_are_offered_where_there_is_a_virtual_lab(self):
+        page = self.open_page()
+        wait_for(lambda: "LAND ALL" in page.labels(), "buttons")
+        self.assertNotIn("let it happen", page.labels(), "nobody offers faults")
+        asked = []
+
+        def on_inject(request):
+            asked.append((request.fault, request.start_s))
+            return InjectFaultResponse(request.fault != "wind:9", "<answer> to " + request.fault)
+
+        lab = rospy.Service("/virtual_lab/inject", InjectFault, on_inject)
+        self.addCleanup(lab.shutdown)
+        kinds = [
+            FaultKind("jump", "it is <seen> elsewhere", "severity", "m", 0.0, 5.0, 0.3, ["mild"], [0.1], True),
+            FaultKind("wind", "it blows", "severity", "m/s", 0.0, 10.0, 1.0, [], [], True),
+        ]
+        offer = rospy.Publisher("/virtual_lab/fault_kinds", FaultKinds, queue_size=1, latch=True)
+        self.addCleanup(offer.unregister)
+        offer.publish(FaultKinds(kinds=kinds))
+        wait_for(lambda: {"let it happen", "end all faults"} <= page.labels(), page.labels)
+        wait_for(lambda: "it is &lt;seen&gt; elsewhere" in page.text() and "mild 0.1" in page.text(), page.text)
+        page.press("let it happen")
+        wait_for(lambda: asked == [("jump", 0.0)], lambda: str(asked))
+        wait_for(lambda: 'class="good">&lt;answer&gt; to jump' in page.text(), page.text)
+        page.enter("fault", "wind")
+        wait_for(lambda: "it blows" in page.text(), page.text)
+        page.enter("argument", "9")
+        page.press("let it happen")
+        wait_for(lambda: 'class="bad">&lt;answer&gt; to wind:9' in page.text(), page.text)
+        page.enter("argument", " 2 ")
+        page.enter("vehicle", "risc2")
+        page.press("let it happen")
+        wait_for(lambda: asked[-1] == ("wind:2,risc2", 0.0), lambda: str(asked))
+        page.press("end all faults")
+        wait_for(lambda: asked[-1] == ("", 0.0), lambda: str(asked))
+        told = rospy.Publisher("/virtual_lab/faults", Faults, queue_size=1, latch=True)
+        self.addCleanup(told.unregister)
+        for active, words in ((False, "jump:0.3 waits"), (True, "jump:0.3 acts"), (False, "jump:0.3 has ended")):
+            told.publish(Faults(faults=[FaultRecord(id=1, name="jump", args="0.3", active=active)]))
+            wait_for(lambda words=words: words in page.text(), page.text)
+        page.close()
+        lab.shutdown()
+        again = self.open_page()
+        wait_for(lambda: "let it happen" in again.labels(), again.labels)
+        again.press("let it happen")
+        wait_for(lambda: "the virtual lab does not answer" in again.text(), again.text)
 
     def test_6_when_the_last_page_is_closed_it_listens_no_more(self):
         first, second = self.open_page(), self.open_page()

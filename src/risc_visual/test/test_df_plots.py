@@ -101,7 +101,7 @@ def test_what_was_really_sent_counts_before_the_controllers_wish():
     recorder = Recorder(PlotParams())
     for k in range(120):
         stamp_s = T0_S + k / 30.0
-        command = CommandSent("fluffy_II", rospy.Time(), rospy.Time(), 0.1, -0.05, 0.0, 0.0)
+        command = CommandSent("fluffy_II", rospy.Time(), rospy.Time(), 0.1, -0.05, 0.0, 0.0, 0)
         recorder.add(SENT, stamp_s + 0.01, command, stamp_s)
     fly(recorder, 0.0, 3.0)
     recorder.finish()

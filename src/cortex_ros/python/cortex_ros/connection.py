@@ -18,6 +18,8 @@ BROADCAST = "broadcast"  # host: the first that answers on any network of this c
 _HELLO_TRIES, _HELLO_PERIOD_S = 8, 0.2
 _BUFFER_BYTES = 1 << 20
 _IP_RECVERR, _IP_MULTICAST_ALL = 11, 49  # linux/in.h; with the first a refusal by the other computer is told, too
+_MOST_DRAINED = 4096  # more small datagrams than a buffer holds
+_MOST_MALFORMED = 1000  # remembered
 _ANY_PORT = 9  # connecting a UDP socket sends nothing
 
 
@@ -120,7 +122,9 @@ class CortexConnection:
             raise errors[0]
 
     def _drain(self, sock):
-        while select.select([sock], [], [], 0.0)[0]:
+        for _ in range(_MOST_DRAINED):  # who floods us does not stop us
+            if not select.select([sock], [], [], 0.0)[0]:
+                break
             self._receive(sock)
 
     def _next(self, sock, deadline):
@@ -143,7 +147,8 @@ class CortexConnection:
         try:
             packet = wire.decode_packet(data)
         except wire.MalformedPacketError as error:
-            self.malformed.append(str(error))
+            if len(self.malformed) < _MOST_MALFORMED:
+                self.malformed.append(str(error))
             return None
         if self._searching:
             if packet.command != Command.HERE_I_AM or packet.content.version[0] != 1:  # other programs speak it, too

@@ -9,8 +9,9 @@ import numpy as np
 from data_extraction.bearing_errors import BearingCollector, BearingStatistics
 from data_extraction.flatten import seconds
 from data_extraction.recording import ON_COURSE, REFERENCES, STATES, TRUTH, Recording, Series, best_shift
-from data_extraction.report.topics import Collector
+from data_extraction.report.topics import Collector, vehicle_of
 from data_extraction.samples import Arrivals
+from risc_control.failsafe import FailsafeLevel
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase
@@ -96,7 +97,7 @@ class FlightCollector(Collector):
     """Takes the messages of a bag one by one, keeps what `Flight` needs: 8 bytes a number, and no more than so many."""
 
     topics = ("/mocap_time", "/operator/phase", "/operator/result", REFERENCES, TRUTH, *_ANSWERS)
-    ends = ("/commands_sent", "/cmd_vel_stamped", "/trajectory_phase")
+    ends = ("/commands_sent", "/cmd_vel_stamped", "/trajectory_phase", "/safety")
 
     def __init__(self, fleet=None, bearing_delay_s=0.0, with_bearings=True):
         """fleet: risc_lab.lab.Fleet, None = the original laboratory's. Raises ValueError, from BearingCollector.
@@ -113,6 +114,7 @@ class FlightCollector(Collector):
         self._arrivals = {topic: Arrivals() for topic in _ANSWERS}
         self._commands = defaultdict(Arrivals)  # topic of commands -> of the states that they answer
         self._namespaces = {v.template: v.namespace for v in (fleet.vehicles if fleet else laboratory_vehicles())}
+        self._landed_s = {}  # namespace -> when its ladder began to land it
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
         # Programs start before the operator's first phase that is not waiting, and end after its result.
@@ -137,6 +139,9 @@ class FlightCollector(Collector):
         elif topic.endswith("/cmd_vel_stamped"):  # in bags without that: the stamp answered, and the time of receipt
             if message.header.stamp.sec:
                 self._commands[topic].append(message.header.stamp, receipt_s)
+        elif topic.endswith("/safety"):
+            if message.level == FailsafeLevel.LAND:
+                self._landed_s.setdefault(vehicle_of(topic), receipt_s)
         elif topic.endswith("trajectory_phase"):
             self._recording.phases(receipt_s, message)
         elif topic == "/operator/phase":
@@ -218,8 +223,11 @@ class FlightCollector(Collector):
         )
 
     def _on_course(self, name):
-        """Function of times (n,): whether the trajectory node said that the vehicle is on its course."""
-        return lambda t_s: self._recording.told(name, t_s)[1] == ON_COURSE
+        """Function of times (n,): whether the trajectory node said that the vehicle is on its course, and it was not
+        landed by its ladder.
+        """
+        landed_s = self._landed_s.get(self._namespaces.get(name, name), np.inf)
+        return lambda t_s: (self._recording.told(name, t_s)[1] == ON_COURSE) & (t_s < landed_s)
 
     def _mocap(self):
         """Frames from the beginning of the flight to its result: outside of it nodes come and go."""

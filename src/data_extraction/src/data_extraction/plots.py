@@ -31,6 +31,8 @@ _STILL_DEG = 2.0  # angles that stay below this are shown on an axis of this siz
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
 DESIRED, ACTUAL = COLOURS[1], COLOURS[0]
+FAULT = "#b3261e"
+_MOST_NAMED = 8  # faults whose names a plot has room for
 
 
 def style():
@@ -38,25 +40,28 @@ def style():
     return plt.style.context(package_file("data_extraction", "templates/figures.mplstyle"))
 
 
-def draw_all(flight, folder, title):
-    """Draw every plot of a flight into a folder. Returns the list of the files' paths."""
+def draw_all(flight, folder, title, faults=()):
+    """Draw every plot of a flight into a folder. Returns the list of the files' paths.
+
+    faults: as `report.faults.Faults.marks` gives them.
+    """
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     with style():
-        for name, figure in _figures(flight, title):
+        for name, figure in _figures(flight, title, faults):
             files.append(folder / (name + ".png"))
             figure.savefig(files[-1])
             plt.close(figure)
     return files
 
 
-def _figures(flight, title):
+def _figures(flight, title, faults):
     """(name, figure) of every plot, each drawn when it is asked for."""
     yield "paths", paths(flight, title)
     for name, vehicle in flight.vehicles.items():
-        yield "axes_" + name, axes_over_time(name, vehicle, title)
-    yield "errors", errors(flight, title)
+        yield "axes_" + name, axes_over_time(name, vehicle, title, faults)
+    yield "errors", errors(flight, title, faults)
     if any(len(values) for values in flight.latency_s.values()):
         yield "latency", latency(flight, title)
     if flight.bearings is not None and flight.bearings.has_judged:
@@ -103,8 +108,8 @@ def _name_in_place(plan, vehicles):
         plan.text(y_m, x_m, name, ha="center", va="center", fontsize=size)
 
 
-def axes_over_time(name, vehicle, title):
-    """Desired and actual x, y, z and yaw of one vehicle over time."""
+def axes_over_time(name, vehicle, title, faults=()):
+    """Desired and actual x, y, z and yaw of one vehicle over time; faults: as for `draw_all`."""
     figure, rows = plt.subplots(4, 1, sharex=True, figsize=(9.0, 7.0))
     figure.suptitle(_joined(title, name))
     desired = np.column_stack((vehicle.desired_m, np.degrees(vehicle.desired_psi_rad)))
@@ -114,6 +119,7 @@ def axes_over_time(name, vehicle, title):
         _shade(axes, vehicle)
         draw_both(axes, vehicle.t_s[some], want[some], have[some], 1.0)
         axes.set_ylabel(label)
+        _mark_faults(axes, faults, named=axes is rows[-1])
     rows[0].legend(loc="upper right", ncol=2, bbox_to_anchor=(1.0, 1.3))
     rows[-1].set_xlabel("time [s]    (shaded: on the course and settled; judged)")
     return figure
@@ -133,8 +139,8 @@ def draw_both(axes, t_s, desired, actual, least, **look):
         axes.set_ylim(middle - 0.5 * least, middle + 0.5 * least)
 
 
-def errors(flight, title):
-    """Position error of each vehicle over time, and its figures."""
+def errors(flight, title, faults=()):
+    """Position error of each vehicle over time, and its figures; faults: as for `draw_all`."""
     figure, axes = plt.subplots(figsize=(9.0, 3.6))
     vehicles = flight.vehicles
     if len(vehicles) > _FEW:
@@ -153,6 +159,7 @@ def errors(flight, title):
     top = 3.0 * judged.max() if len(judged) else np.nanpercentile(everything, 95)
     axes.set_ylim(0.0, 1e3 * top)
     _shade(axes, next(iter(flight.vehicles.values())))
+    _mark_faults(axes, faults)
     axes.set(title=_joined(title, "distance from the desired position") or "", xlabel="time [s]", ylabel="error [mm]")
     axes.legend(loc="upper right", frameon=True, framealpha=0.85, edgecolor="none")
     return figure
@@ -280,8 +287,11 @@ def drop_map(drops, arena):
     return figure
 
 
-def ladder(spans, zero_s):
-    """Levels of every vehicle's loss ladder over time. spans: {vehicle: [report.ladder.Span]}; zero_s: time 0."""
+def ladder(spans, zero_s, faults=()):
+    """Levels of every vehicle's loss ladder over time; faults: as for `draw_all`.
+
+    spans: {vehicle: [report.ladder.Span]}; zero_s: time 0.
+    """
     figure, axes = plt.subplots(figsize=(9.0, 1.2 + 0.4 * len(spans)))
     for row, vehicle in enumerate(spans):
         for span in spans[vehicle]:
@@ -293,6 +303,7 @@ def ladder(spans, zero_s):
         axes.plot([], [], "s", color=colour, label=level.name.lower())
     axes.set_yticks(range(len(spans)), list(spans))
     axes.set(xlabel="time [s]", ylim=(len(spans) - 0.5, -0.5))
+    _mark_faults(axes, faults, named=False)
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside upper right", ncol=3)
     return figure
@@ -310,8 +321,11 @@ def battery(batteries, zero_s):
     return figure
 
 
-def fence_margin(margins, zero_s):
-    """Distance of every vehicle from the net over time. margins: {vehicle: report.fence.FenceMargin}."""
+def fence_margin(margins, zero_s, faults=()):
+    """Distance of every vehicle from the net over time; faults: as for `draw_all`.
+
+    margins: {vehicle: report.fence.FenceMargin}.
+    """
     figure, axes = plt.subplots(figsize=(9.0, 3.2))
     lowest_m = 0.05
     for colour, (name, item) in zip(itertools.cycle(COLOURS), margins.items()):
@@ -324,6 +338,7 @@ def fence_margin(margins, zero_s):
         axes.axhline(limit_m, color="#b3261e", lw=1.0, ls="--", label="landing is ordered below %g m" % limit_m)
     axes.set(xlabel="time [s]    (pale: with the place after the look-ahead)", ylabel="distance from the net [m]")
     axes.set_ylim(bottom=lowest_m - 0.05)
+    _mark_faults(axes, faults)
     figure.legend(loc="outside upper right", ncol=5)
     return figure
 
@@ -474,3 +489,15 @@ def _shade(axes, vehicle):
     if judged.any():
         t_s = vehicle.t_s[judged]
         axes.axvspan(t_s[0], t_s[-1], color="#f0f4e8", zorder=0)
+
+
+def _mark_faults(axes, faults, named=True):
+    """When faults acted, with their names where there is room; times beyond the plot stay beyond it."""
+    low_s, high_s = axes.get_xlim()
+    for name, begin_s, end_s in faults:
+        axes.axvspan(begin_s, min(end_s, high_s), color=FAULT, alpha=0.18, lw=0.0, zorder=0.5)
+        axes.axvline(begin_s, color=FAULT, lw=0.9, zorder=0.6)
+        if named and len(faults) <= _MOST_NAMED:
+            axes.annotate(name, (begin_s, 0.97), (2, 0), xycoords=("data", "axes fraction"), color=FAULT, fontsize=7,
+                          textcoords="offset points", rotation=90, va="top", annotation_clip=True)  # fmt: skip
+    axes.set_xlim(low_s, high_s)

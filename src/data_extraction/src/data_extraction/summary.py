@@ -13,11 +13,12 @@ from risc_lab.lab.yaml_reader import package_file
 FIGURES = ("position_rmse_m", "position_max_m", "yaw_rmse_rad", "settle_s", "lag_s")  # of each vehicle
 
 
-def summarise(flight, experiment, simulated, artefacts, origin=None):
+def summarise(flight, experiment, simulated, artefacts, origin=None, faults=None):
     """The summary of a flight as a dict ready for JSON; README of this package explains the keys.
 
     experiment: name; simulated: False, or a dict that says the noise and delay model;
     artefacts: {'bag': path, 'csv_dir': path, 'plots': [paths], 'report': path}; origin: report.origin.Origin.
+    faults: report.faults.Faults.
     `passed` is None until somebody has judged.
     """
     duration_s = max((float(vehicle.t_s[-1]) for vehicle in flight.vehicles.values()), default=0.0)
@@ -45,6 +46,7 @@ def summarise(flight, experiment, simulated, artefacts, origin=None):
         "memory_mb": {},
         "computer": {},
         **(origin.processors if origin else {}),
+        "faults": faults.figures() if faults else [],
         "bearings": flight.bearings.figures() if flight.bearings is not None else None,
         "artefacts": artefacts,
     }

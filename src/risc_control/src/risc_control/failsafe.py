@@ -48,6 +48,7 @@ class Rule(enum.IntEnum):
     BATTERY = 6
     SEPARATION = 7
     REQUEST = 8
+    SUSPECT = 9
 
 
 WITHOUT_EFFECT = "; it does not land: the emergency stop is the operator's"  # behind the reason of such a verdict
@@ -68,8 +69,14 @@ def fence_of(arena):
 class SafetyLimits(Settings):
     """Thresholds of the ladder; 0 switches a rule off where noted."""
 
-    state_hold_s: Positive = 0.1  # [s] own state older than this: HOLD
+    ladder: bool = True  # False: no level is ever entered by itself, which is for showing what the ladder is good for
+    state_hold_s: Positive = 0.1  # [s] own state older than this: HOLD; one that is suspect is none, see `plausibility`
     state_land_s: Positive = 0.5  # [s] ... LAND
+    # What the noise of motion capture adds to what a vehicle can do from one state to the next
+    suspect_position_m: Positive = 0.03
+    suspect_velocity_m_s: Positive = 0.3
+    suspect_angle_deg: Positive = 5.0  # roll, pitch and yaw
+    state_least_step_m: NotNegative = 1e-7  # [m] nearer to the last state: frozen; 0 = off, for exact simulators
     controls_hold_s: Positive = 0.1  # [s] own command older than this: HOLD
     controls_land_s: Positive = 0.5  # [s] ... LAND
     navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
@@ -212,6 +219,8 @@ class SafetyLadder:
         self.limits = limits
         self.state = Freshness("state", limits.clock_tolerance_s)
         self.controls = Freshness("controls", limits.clock_tolerance_s)
+        self.suspect = ""  # what the newest state contradicts; "" when nothing
+        self._suspect_s = -math.inf  # when it came
         self._losses = (  # what it flies on, and how old that may be
             (Rule.STATE, self.state, limits.state_hold_s, limits.state_land_s),
             (Rule.CONTROLS, self.controls, limits.controls_hold_s, limits.controls_land_s),
@@ -236,6 +245,7 @@ class SafetyLadder:
     def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s):
         """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame."""
         self.state.note(age_at_arrival_s, now_s)
+        self.suspect = ""
         self._position_m = position_m
         # a landing vehicle keeps its velocity at first: the fast one must be told earlier than the slow one
         ahead_s = self.limits.fence_lookahead_s
@@ -245,6 +255,10 @@ class SafetyLadder:
                 outside = True
                 break
         self._outside.note(outside, now_s)
+
+    def note_suspect(self, reason, now_s):
+        """The vehicle was seen with a state that cannot be true. reason: what it contradicts."""
+        self.suspect, self._suspect_s = reason, now_s
 
     def note_look(self, look, now_s):
         """What it has to do about the other vehicles (`separation.Look`) by what was seen now."""
@@ -336,6 +350,8 @@ class SafetyLadder:
             if without_effect != self.verdict.operator:
                 self.verdict = replace(self.verdict, operator=without_effect)
             return self.verdict
+        if not self.limits.ladder:
+            return self.verdict
         level, rule, reason, age = self._judge(now_s, autonomous, needs_navdata, held, trouble)
         if level != self.verdict.level or rule != self.verdict.rule:
             self._set(level, rule, reason, age, now_s)
@@ -369,10 +385,14 @@ class SafetyLadder:
         hold = _FINE
         for rule, fresh, hold_s, land_s in self._losses[: None if autonomous else 1]:
             age_s = fresh.age_s(now_s)
+            if age_s <= hold_s or (age_s <= land_s and hold is not _FINE):
+                continue
+            reason = fresh.describe(now_s)
+            if rule == Rule.STATE and self.suspect and now_s - self._suspect_s <= hold_s:
+                rule, reason = Rule.SUSPECT, "%s: %s" % (reason, self.suspect)
             if age_s > land_s:
-                return _LAND, rule, fresh.describe(now_s), (age_s, land_s)
-            if age_s > hold_s and hold is _FINE:
-                hold = _HOLD, rule, fresh.describe(now_s), (age_s, hold_s)
+                return _LAND, rule, reason, (age_s, land_s)
+            hold = _HOLD, rule, reason, (age_s, hold_s)
         age_s = math.inf if self._navdata_s is None else now_s - self._navdata_s
         if needs_navdata and 0.0 < limits.navdata_timeout_s < age_s:
             reason = "navdata silent for %.1f s" % age_s if self._navdata_s is not None else "no navdata yet"

@@ -100,6 +100,7 @@ class Separation:
         wider_m: {name: how much farther it reaches than an AR.Drone}; those that are not there count as one.
         """
         self._own, self._fleet, self._wider_m = tuple(own), tuple(fleet), wider_m or {}
+        self._on = limits.ladder and limits.separation_m > 0.0
         self._limits = np.zeros(1, _LIMITS)[0]
         for name in _OF_SAFETY:
             self._limits[name] = getattr(limits, name)
@@ -132,7 +133,7 @@ class Separation:
 
     def look(self, now_s):
         """{name: Look} of the own vehicles that have to do something; the others are `ALONE`."""
-        if self._limits.separation_m == 0.0:
+        if not self._on:
             return {}
         if _judge(self._vehicles, self._apart_m, now_s, self._limits):
             self._alert_s = now_s

@@ -267,6 +267,12 @@ class VehiclePilot:
             self._hover.on_state(own, self._state_s)
             self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
 
+    def on_suspect(self, reason, now_s):
+        """The vehicle was seen with a state that cannot be true. reason: what it contradicts, see `plausibility`."""
+        if not self.ladder.suspect:
+            self._stopped = False
+        self.ladder.note_suspect(reason, now_s)
+
     def hear_controls(self, own, age_s, now_s):
         """Take a command for a sign of life of the controller only. Returns False for one that is not finite.
 
@@ -286,7 +292,7 @@ class VehiclePilot:
         if not self.autonomous or self._ended or self.disagreement:
             return orders
         self._judge(orders, now_s)
-        if self.ladder.verdict.level == _OK and self._takes_commands() and self._slots.due(now_s):
+        if not self._holds() and self._takes_commands() and self._slots.due(now_s):
             sent = self._sent.vehicles[0]
             self._send(self._adapter.answer(own, self._state, self._state_s, now_s, sent), stamp, orders, now_s)
         return orders
@@ -303,7 +309,7 @@ class VehiclePilot:
         self._judge(orders, now_s)
         if self._status_slots.due(now_s):
             orders.status = self.autonomous
-        safe = not self.autonomous or self.ladder.verdict.level > _OK
+        safe = not self.autonomous or self._holds()
         if self._hover is not None:  # which commands a vehicle that stands or lands, too
             if orders.command is None and (safe or not self._takes_commands()) and self._slots.due(now_s):
                 self._fly_hover(orders, now_s)
@@ -365,6 +371,10 @@ class VehiclePilot:
         return self._slots.next_s if self.autonomous and not self._ended and self._takes_commands() else math.inf
 
     # --- what is decided ----------------------------------------------------------------------------------------
+
+    def _holds(self):
+        """The ladder flies; or the controller answers a state that cannot be true, for which nobody waits."""
+        return self.ladder.verdict.level > _OK or (self.autonomous and self.ladder.suspect != "")
 
     def _takes_commands(self):
         return self._params.Simulation or self.flight_state in TAKES_COMMANDS
@@ -507,7 +517,7 @@ class VehiclePilot:
         if self._hover is not None:
             self._fly_hover(orders, now_s)
             return
-        holds, look = self.ladder.verdict.level > _OK, self.ladder.apart(now_s)
+        holds, look = self._holds(), self.ladder.apart(now_s)
         itself = self._adapter.HOLDS_POSITION and self._params.hold_auto_hover
         orders.level_only = holds and not itself
         if look is not None and (look.climb or any(look.aside) or orders.level_only):

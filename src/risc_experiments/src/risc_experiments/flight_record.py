@@ -17,13 +17,14 @@ def write_flight(args, fleet, root, folder, started=None):
     started: datetime, None = now.
     """
     started = (started or datetime.datetime.now()).astimezone()
+    arguments = {**vars(args), "faults": [str(event) for event in args.faults] or None}
     content = {
         "experiment": args.experiment,
         "started": started.strftime("%Y-%m-%d %H:%M:%S %z"),
         "seed": args.seed,
         "fleet": fleet.name,
         "vehicles": [vehicle.namespace for vehicle in fleet.vehicles],
-        "arguments": {name: plain(value) for name, value in sorted(vars(args).items()) if name != "out"},
+        "arguments": {name: plain(value) for name, value in sorted(arguments.items()) if name != "out"},
         "revision": revision(root),
         "versions": {"Python": platform.python_version(), "system": platform.platform(terse=True)},
     }

@@ -28,7 +28,7 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.flight_progress import flight_detail
 from risc_experiments.flight_record import write_flight, write_parameters
 from risc_experiments.headroom import RATES_HZ, READY_S, Headroom, next_rate_hz
-from risc_experiments.operator import OperatorParams, time_limit_s
+from risc_experiments.operator import OperatorParams, course_s, time_limit_s
 from risc_experiments.processor_use import ProcessorUse
 from risc_experiments.report import WITH_CAMERAS, make_report
 from risc_lab.lab import load_fleet
@@ -36,6 +36,8 @@ from risc_lab.lab.calibration import load_calibration
 from risc_lab.lab.fleet import widest_pair_m
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
+from risc_simulator.faults import load_faults, parse_fault
+from risc_simulator.virtual_lab import LabOptions
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
 STOP_PATIENCE_S = 40.0  # for landing after Ctrl-C
@@ -91,6 +93,11 @@ def arguments(argv):
     add("--browser", action="store_true", help="show the flight as a web page, whose address is printed")
     fps_help = "pictures a second of each camera (coop; default: 15)"
     add("--fps", type=number(1.0, 30.0), metavar="HZ", help=fps_help)
+    fault_help = (
+        "let a fault happen, so many seconds after all are on the course; repeatable. Which there are: ./maap faults"
+    )
+    add("--fault", type=fault, action="append", default=[], metavar="NAME[:ARG][@SECONDS]", help=fault_help)
+    add("--faults", type=fault_file, default=(), metavar="FILE.yaml", help="the same from a file: its list `faults`")
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/, from 6 on generated)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
     args = parser.parse_args(argv)
@@ -109,8 +116,30 @@ def arguments(argv):
         parser.error("--controller: %s" % error)
     if args.fps is not None and args.experiment != "coop":
         parser.error("--fps is for coop: the other experiments use no cameras")
+    args.faults = (*args.fault, *args.faults)
+    del args.fault
+    limit_s = course_s(operator_params(args))
+    for event in args.faults:
+        if not 0.0 <= event.start_s < limit_s:
+            parser.error("--fault: %s does not start while the course is flown, for %g s" % (event, limit_s))
     args.estimator = estimator_of(args.controller, args.estimator)
     return args
+
+
+def fault(text):
+    """Type of an option: faults.FaultEvent."""
+    try:
+        return parse_fault(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def fault_file(path):
+    """Type of an option: faults.FaultEvents of a file."""
+    try:
+        return load_faults(path)
+    except (ValueError, OSError) as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def number(least, most=math.inf):
@@ -211,10 +240,24 @@ def launch_arguments(args, fleet, folder):
     return result
 
 
+def operator_params(args):
+    """OperatorParams of a flight."""
+    return OperatorParams(duration=args.duration, ready=READY_S, bumper_steps=BUMPER_STEPS.get(args.experiment, 0))
+
+
 def longest_s(args):
     """How long [s] a flight may take from the start of its nodes: longer than all phases of its operator."""
-    params = OperatorParams(duration=args.duration, ready=READY_S, bumper_steps=BUMPER_STEPS.get(args.experiment, 0))
-    return time_limit_s(params) + START_MARGIN_S
+    return time_limit_s(operator_params(args)) + START_MARGIN_S
+
+
+def check_faults(events, fleet, seed):
+    """Try in a lab that never runs whether faults can happen to a fleet. Raises ValueError when one cannot."""
+    lab = LabOptions(seed=seed, cameras_on_demand=True).make_lab(fleet)
+    try:
+        for event in events:
+            lab.injector.check(event)
+    finally:
+        lab.close()
 
 
 class TooSlow(str):
@@ -229,6 +272,8 @@ def fly(args, folder, progress, interrupted):
     launch = page = None
     try:
         fleet = prepare_fleet(args, reservation.subnet, folder)
+        if args.faults:
+            check_faults(args.faults, fleet, args.seed)
         write_flight(args, fleet, ROOT, folder)
         master_port = free_tcp_port()
         os.environ["ROS_MASTER_URI"] = "http://127.0.0.1:%d" % master_port
@@ -334,7 +379,8 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
     As soon as everything has started, the parameters are written down. page: a `WebPage` to look for.
     """
     deadline = time.monotonic() + longest_s(args)
-    landing = recorded = False
+    landing = recorded = injected = False
+    problem = ""  # of the faults
     use, use_s = ProcessorUse(launch.identity), 0.0
     headroom = Headroom(launch.identity)
     may_be_slower = args.mocap_rate is None or tried_rates()
@@ -349,13 +395,22 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
             page.look()
         phase, text = watch.phase, watch.text
         if phase == OperatorPhase.WAITING and not text and may_be_slower and not landing:
-            problem = headroom.look(watch)
-            if problem:
-                return TooSlow(problem)
+            too_slow = headroom.look(watch)
+            if too_slow:
+                return TooSlow(too_slow)
         if phase in IN_THE_AIR and time.monotonic() >= use_s:
             use_s = time.monotonic() + USE_PERIOD_S
             use.look()
             (folder / PROCESSORS).write_text(json.dumps(use.figures(), indent=2) + "\n", encoding="utf-8")
+        if args.faults and watch.on_course and not injected:
+            injected = True
+            watch.inject(args.faults)
+        if injected and not landing and watch.fault_problem:
+            problem = watch.fault_problem
+            progress.say("%s: landing all vehicles" % problem)
+            landing, deadline = True, time.monotonic() + STOP_PATIENCE_S
+            if not watch.land():
+                return problem + "; and the operator does not answer"
         name = "starting" if phase is None else phase.name.lower()
         progress.show(name, "  ".join(filter(None, (flight_detail(watch.errors_mm, watch.rate_hz), text))))
         if interrupted.wait(0.1) and not landing:
@@ -372,8 +427,10 @@ def _follow(args, folder, launch, watch, progress, interrupted, page=None):
         if watch.operator_silent():
             return "the operator has died (see roslaunch.log)"
         if time.monotonic() > deadline:
-            return "interrupted" if landing else "not finished in time (phase: %s)" % name
-    return watch.failure
+            return problem or ("interrupted" if landing else "not finished in time (phase: %s)" % name)
+    # with faults, what single vehicles did is judged from the bag
+    failure = watch.failure if not args.faults or watch.flight_failed else ""
+    return "; ".join(filter(None, (problem, failure)))
 
 
 def main(argv=None):

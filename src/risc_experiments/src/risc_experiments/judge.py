@@ -4,6 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from data_extraction.report.faults import LANDED_HEIGHT_M
+from risc_lab.phases import OutCause
+
+_MAY_FOLLOW = (OutCause.LADDER, OutCause.LANDED, OutCause.SILENT, OutCause.MANUAL)  # from a fault
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -13,23 +18,45 @@ class Limits:
     position_max_m: float = 0.30
     yaw_rmse_rad: float = 0.1
     net_margin_m: float = 0.05  # nearest approach to the net
-    landed_height_m: float = 0.15  # at the end of the flight
+    landed_height_m: float = LANDED_HEIGHT_M  # at the end of the flight
     bearing_rms_deg: float = 0.2  # per vehicle, object and angle, of what its camera saw whole
 
 
-def judge(flight, failure, limits=None, with_cameras=False):
+def judge(flight, failure, limits=None, with_cameras=False, faults=None, namespaces=None):
     """List of reasons why the flight failed; empty when it passed.
 
     flight: data_extraction.flight_metrics.Flight; failure: why it failed while it was carried out; "" = it did not.
-    with_cameras: every vehicle had to measure bearings.
+    with_cameras: every vehicle had to measure bearings.  faults: data_extraction.report.faults.Faults of the virtual
+    lab, whose outcomes must be safe: a vehicle that one may have happened to, or whose ladder left ok since the first,
+    may be off its course, and may land.  namespaces: {template: namespace}, needed with faults.
     """
     limits = limits or Limits()
     reasons = [failure] if failure else []
+    if faults:
+        reasons += ["fault %s: %s" % (fault.text, fault.outcome) for fault in faults.outcomes if not fault.is_safe]
+        reasons += ["%s %s" % (name, out.reason) for name, out in faults.out.items() if not _may_be_out(name, faults)]
     for name, vehicle in flight.vehicles.items():
-        reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena)]
-        if with_cameras:
+        suffered = bool(faults) and _suffered(namespaces.get(name, name), faults)
+        reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena, suffered)]
+        if with_cameras and not suffered:
             reasons += ["%s: %s" % (name, reason) for reason in _judge_bearings(name, flight.bearings, limits)]
     return reasons
+
+
+def _suffered(namespace, faults):
+    """Whether a fault may have happened to a vehicle, or its ladder has left ok since the first."""
+    if any(fault.is_of(namespace) for fault in faults.outcomes):
+        return True
+    return faults.left_ok_s.get(namespace, -np.inf) >= faults.outcomes[0].begin_s
+
+
+def _may_be_out(namespace, faults):
+    """Whether faults may be why a vehicle took no part any more: its own, or a neighbour's that it had to avoid."""
+    out = faults.out[namespace]
+    before = [fault for fault in faults.outcomes if fault.begin_s <= out.time_s]
+    if out.cause not in _MAY_FOLLOW or not before:
+        return False
+    return any(fault.is_of(namespace) for fault in before) or namespace in faults.kept_apart
 
 
 def _judge_bearings(name, bearings, limits):
@@ -47,10 +74,18 @@ def _judge_bearings(name, bearings, limits):
             )
 
 
-def _judge_vehicle(vehicle, limits, arena):
+def _judge_vehicle(vehicle, limits, arena, suffered):
+    """Yield why one vehicle failed. suffered: see `judge`; then the outcome says whether it stayed inside the net."""
     if not vehicle.course.any():
         yield "never reached its course"
         return
+    if not suffered:
+        yield from _judge_path(vehicle, limits, arena)
+    if vehicle.actual_m[-1, 2] > limits.landed_height_m:
+        yield "was still %.2f m up at the end" % vehicle.actual_m[-1, 2]
+
+
+def _judge_path(vehicle, limits, arena):
     if vehicle.settle_s is None:
         yield "never settled on its course"
     else:
@@ -66,5 +101,3 @@ def _judge_vehicle(vehicle, limits, arena):
     reach = abs(vehicle.actual_m[:, :2]).max(axis=0)
     if reach[0] > arena.half_x_m - limits.net_margin_m or reach[1] > arena.half_y_m - limits.net_margin_m:
         yield "came closer than %.0f mm to the net" % (1e3 * limits.net_margin_m)
-    if vehicle.actual_m[-1, 2] > limits.landed_height_m:
-        yield "was still %.2f m up at the end" % vehicle.actual_m[-1, 2]

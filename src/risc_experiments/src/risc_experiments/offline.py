@@ -25,6 +25,7 @@ from data_extraction.progress import Progress, bar
 from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import ControlLoop, own_params
 from risc_control.failsafe import FailsafeLevel, fence_of
+from risc_control.plausibility import Plausibility
 from risc_control.reference_buffer import ReferenceBuffer
 from risc_control.separation import ALONE, Separation
 from risc_control.trajectories import COURSES, YawProgram, course_for_fleet
@@ -193,6 +194,7 @@ def fly(flight):
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
     params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **flight.node})
     separation = Separation(names, params, names, wider_m(fleet.vehicles))
+    plausibility = Plausibility(dict(zip(names, vehicle_types)), params)
     chains, loss = [], flight.loss
     wires = Wires(flight.seed)
     mocap = _Mocap(wires)
@@ -252,14 +254,16 @@ def fly(flight):
         present, ahead = loop.pick(buffer.at(loop.times_s(stamp_s, now_s)))
         if hears:
             output = loop.update(stamp_s, now_s, states, present, ahead, everyone, everyone if flying else nobody)
-        looks = {}  # {name: separation.Look}
+        looks, suspects = {}, ()  # {name: separation.Look}
         if frame % TICK_EVERY == 0:
-            separation.see(estimate.names[: len(names)], states.visible, states.x, stamp_s)
+            believed = plausibility.look(estimate.names[: len(names)], states.visible, states.x, stamp_s)
+            suspects = [plausibility.reason(name) for name in names] if (believed != states.visible).any() else ()
+            separation.see(estimate.names[: len(names)], believed, states.x, stamp_s)
             course_m = np.ascontiguousarray(reference.derivatives[:3].transpose(1, 0, 2))  # as on /trajectory
             separation.refer(estimate.names[: len(names)], course_m, time_s)
             looks = separation.look(now_s)
         controls, looks = output.controls if hears else None, [looks.get(name, ALONE) for name in names]
-        step_chains(chains, frame, stamp_s, now_s, states, controls, looks)
+        step_chains(chains, frame, stamp_s, now_s, states, controls, looks, suspects)
         if flying:
             saturated += np.count_nonzero(output.saturated) if hears else 0
             if settled_s == math.inf and all(phase is Phase.COURSE for phase in reference.phases):
@@ -388,7 +392,8 @@ def _judge_faults(records, chains, breaches, contacts):
         elif landings:
             outcome = "landed"
         else:
-            outcome = "held" if said else "completed"
+            levels = (chain.levels(record.begins_s, until_s) for chain in chains)
+            outcome = "held" if any(own and own[-1] > FailsafeLevel.OK for own in levels) else "completed"
         yield FaultOutcome(
             record.event.fault,
             record.event.args,
@@ -472,6 +477,10 @@ class _Chain:
         """Whether the vehicle stands on the floor by its own report."""
         return self._link.report()[0] is FlightPhase.LANDED
 
+    def levels(self, begin_s, end_s):
+        """Levels that its ladder entered in this time."""
+        return [verdict.level for said_s, verdict in self.said if begin_s <= said_s < end_s]
+
     @property
     def lands(self):
         """Whether it is to land, and has not."""
@@ -487,15 +496,17 @@ class _Chain:
         """Whether it is down for good: its motors stand still."""
         return self.down and not self._vehicle.firmware.motors_on
 
-    def see(self, visible, state, stamp_s, now_s, frame, look):
-        """What the vehicle node looks at once a tick. state: list of 12, columns `S`."""
+    def see(self, visible, state, stamp_s, now_s, frame, look, suspect=""):
+        """What the vehicle node looks at once a tick. state: list of 12, columns `S`.  suspect: what it contradicts."""
         pilot = self.pilot
         if frame % self._report_every == 0:
             self._reports.carry(self._link.report(), None, now_s, self._hear)
             self._watch(self._vehicle.phase, now_s)
             if not self._flies_itself:
                 pilot.on_wire(now_s)
-        if visible:
+        if visible and suspect:
+            pilot.on_suspect(suspect, now_s)
+        elif visible:
             own = OwnState(state[: S.U], state[S.U : S.PHI], *state[S.PHI : S.P])
             pilot.on_state(own, now_s - stamp_s, now_s, look)
 
@@ -536,11 +547,11 @@ class _Chain:
         self._link.deliver(now_s)
 
 
-def step_chains(chains, frame, stamp_s, now_s, states, controls, looks):
+def step_chains(chains, frame, stamp_s, now_s, states, controls, looks, suspects=()):
     """One frame of the vehicle nodes: they answer it where a command is due, and look around once a tick.
 
     states: States at stamp_s.  controls: the controller's answer; None: no frame has come.
-    looks: `separation.Look` of each vehicle.
+    looks: `separation.Look` of each vehicle.  suspects: what the state of each contradicts; () = none's does.
     """
     ticks, commands = frame % TICK_EVERY == 0, None
     if ticks:
@@ -550,7 +561,7 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks):
         if chain.lost == "laptop":
             continue
         if ticks:
-            chain.see(visible[i], x[i], stamp_s, now_s, frame, looks[i])
+            chain.see(visible[i], x[i], stamp_s, now_s, frame, looks[i], suspects[i] if suspects else "")
         sends = now_s >= pilot.next_command_s
         if (sends or ticks) and chain.lost is None and controls is not None:
             if commands is None:
@@ -668,7 +679,7 @@ def _fault(text):
 
 
 def _told(result):
-    """What became of the faults of a flight, e.g. "mocap_blackout:0.3 held after 105 ms"."""
+    """What became of the faults of a flight, e.g. "mocap_blackout:3 landed after 105 ms"."""
     told = []
     for fault in result.faults:
         after = "" if fault.reaction_ms is None else " after %.0f ms" % fault.reaction_ms

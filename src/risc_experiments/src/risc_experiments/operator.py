@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from risc_control.failsafe import FailsafeLevel
 from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState
 from risc_lab.phases import OperatorPhase as Phase
-from risc_lab.phases import OperatorResult
+from risc_lab.phases import OperatorResult, OutCause
 from risc_lab.phases import TrajectoryPhase as Trajectory
 from risc_lab.settings import Count, NotNegative, Settings
 
@@ -57,20 +57,23 @@ class OperatorParams(Settings):
             raise ValueError("JoytoWay, TakeoffLand and bumper must be three different buttons")
 
 
+def course_s(params):
+    """How long vehicles stay on their course, or with bumper steps: on all figures and before each of them."""
+    steps = params.bumper_steps
+    figures = (steps + 1) // 2  # every other stay, the origin is the first
+    return figures * params.duration + (steps + 1 - figures) * params.rest if steps else params.duration
+
+
 def time_limit_s(params):
     """How long a flight takes at most [s], all phases and their time-outs together.
 
     Not in it: a few periods of `step`, one for each phase.
     """
-    steps, stays_s = params.bumper_steps, params.duration
-    if steps:  # figures are every other stay, the origin is the first
-        figures = (steps + 1) // 2
-        stays_s = figures * params.duration + (steps + 1 - figures) * params.rest
     # both time-outs before the course count from the begin of the phase
-    course_s = max(params.autonomous_timeout, params.course_timeout) + stays_s
+    fly_s = max(params.autonomous_timeout, params.course_timeout) + course_s(params)
     before_s = params.waiting_timeout + params.ready + params.takeoff_timeout + params.settle
-    presses_s = steps * 2.0 * _PRESS_MESSAGES / JOY_RATE_HZ
-    return before_s + course_s + presses_s + params.home_timeout + params.land_timeout
+    presses_s = params.bumper_steps * 2.0 * _PRESS_MESSAGES / JOY_RATE_HZ
+    return before_s + fly_s + presses_s + params.home_timeout + params.land_timeout
 
 
 class Joypad:
@@ -107,7 +110,7 @@ class Watched:
         self.autonomous = False
         self.trajectory_phase = None
         self.safety, self.safety_reason = FailsafeLevel.OK, ""
-        self.failure = ""  # why it is out; "" while it takes part
+        self.failure, self.cause = "", None  # why it is out, in words and as OutCause; "" while it takes part
         self.seen_s = self.reported_s = self.status_s = -math.inf
         self._in_air = False  # by the newest report that says anything about it
         self._ground_s = -math.inf  # when it reported last that it stands
@@ -128,6 +131,10 @@ class Watched:
     def is_silent(self, params, now_s):
         """True when its newest report tells nothing any more."""
         return now_s - self.reported_s > params.report_timeout
+
+    def leave(self, cause, failure):
+        """It takes no part any more."""
+        self.cause, self.failure = cause, failure
 
     def not_ready(self, params, now_s):
         """What is missing for a take-off, "" when nothing is."""
@@ -155,13 +162,14 @@ class Operator:
         self.phase = Phase.WAITING
         self.text = ""  # detail of the phase
         self.result, self.reason = OperatorResult.RUNNING, ""  # reason: why it failed
+        self.flight_failed = False  # as a whole, beside what single vehicles did
         self._params, self._call_home, self._call_land = params, go_home, land
         self._since_s = now_s  # begin of the phase
         self._ready_since_s = None
         self._course_since_s = None
         self._step_since_s = None
         self._steps_left = 0
-        self._failure = ""  # why the whole flight failed, beside what single vehicles did
+        self._failure = ""  # why it did
 
     def request_landing(self, reason, now_s):
         """Land everything now; the flight counts as failed."""
@@ -172,6 +180,16 @@ class Operator:
         """The trajectory node was asked to bring all home; problem: why that failed, "" when it did not."""
         if problem and self.phase == Phase.HOME:
             self._fail("cannot fly home: " + problem, now_s)
+
+    @property
+    def on_course(self):
+        """Whether all have reached their course; stays true."""
+        return self._course_since_s is not None
+
+    @property
+    def out(self):
+        """[(namespace, OutCause, words)] of the vehicles that take no part any more."""
+        return [(name, w.cause, w.failure) for name, w in self.vehicles.items() if w.failure]
 
     @property
     def finished(self):
@@ -189,7 +207,7 @@ class Operator:
             # an order may meet a dead joystick node or a lost link: those that are out are told until they stand
             self._order_landings([name for name, w in self.vehicles.items() if w.failure], now_s)
             if not self._taking_part():
-                self._fail("no vehicle flies any more", now_s)
+                self._land_all("no vehicle flies any more", now_s)
         getattr(self, "_" + self.phase.name.lower())(now_s)
 
     def _waiting(self, now_s):
@@ -279,7 +297,8 @@ class Operator:
         self._order_landings(self.vehicles, now_s)
         overdue = now_s - self._since_s > self._params.land_timeout
         for w in flying if overdue else ():
-            w.failure = w.failure or "did not land within %g s" % self._params.land_timeout
+            if not w.failure:
+                w.leave(OutCause.OVERDUE, "did not land within %g s" % self._params.land_timeout)
         if overdue or not flying:
             self._finish(now_s)
 
@@ -315,15 +334,15 @@ class Operator:
         flew = self.phase == Phase.HOME or self._course_since_s is not None
         for name, w in self._taking_part():
             if w.safety == FailsafeLevel.LAND:
-                w.failure = "landed by its loss ladder (%s)" % w.safety_reason
+                w.leave(OutCause.LADDER, "landed by its loss ladder (%s)" % w.safety_reason)
             elif started and w.flight_state in (FlightState.LANDED, FlightState.LANDING):
-                w.failure = "landed by itself"
+                w.leave(OutCause.LANDED, "landed by itself")
             elif w.is_silent(self._params, now_s):
-                w.failure = "silent: no navdata for %g s" % limit_s
+                w.leave(OutCause.SILENT, "silent: no navdata for %g s" % limit_s)
             elif now_s - w.status_s > limit_s:
-                w.failure = "lost its joystick node: no controller_status for %g s" % limit_s
+                w.leave(OutCause.NODE, "lost its joystick node: no controller_status for %g s" % limit_s)
             elif flew and not w.autonomous and now_s - w.toggle_s > _TOGGLE_AGAIN_S:
-                w.failure = "fell back to manual mode"
+                w.leave(OutCause.MANUAL, "fell back to manual mode")
             if w.failure:
                 self.text = "%s: %s; the others fly on" % (name, w.failure)
 
@@ -341,13 +360,17 @@ class Operator:
             self._call_home()
 
     def _fail(self, reason, now_s):
+        self.flight_failed = True
+        self._land_all(reason, now_s)
+
+    def _land_all(self, reason, now_s):
         self._failure = self._failure or reason
         self._enter(Phase.LAND, now_s)
         self.text = reason
 
     def _finish(self, now_s):
         reasons = [self._failure] if self._failure else []
-        reasons += ["%s %s" % (name, w.failure) for name, w in self.vehicles.items() if w.failure]
+        reasons += ["%s %s" % (name, failure) for name, _, failure in self.out]
         self.result = OperatorResult.FAILED if reasons else OperatorResult.OK
         self.reason = "; ".join(reasons)
         self._enter(Phase.ABORTED if reasons else Phase.DONE, now_s)

@@ -37,7 +37,8 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
         flight, reasons = collector.flight.flight(strict=False), [failure, str(error)]
     material = collector.material(flight)
     model = simulation_model(args, folder)
-    result = summary.summarise(flight, args.experiment, model, artefacts, material.origin)
+    faults = material.faults
+    result = summary.summarise(flight, args.experiment, model, artefacts, material.origin, faults)
     lab = lab_statistics(folder)
     result["least_separation_m"] = lab.get("least_separation_m")
     result["lab_late_ms"] = lab.get("late_ms")
@@ -48,8 +49,13 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
     if reasons is None:
         progress.show("drawing")
         title = "%s, seed %d (simulated)" % (args.trajectory or args.experiment, args.seed)
-        artefacts["plots"] = [str(picture) for picture in plots.draw_all(flight, folder / "plots", title)]
-        reasons = judge(flight, failure, with_cameras=args.experiment in WITH_CAMERAS)
+        pictures = plots.draw_all(flight, folder / "plots", title, faults.marks(material.zero_s))
+        artefacts["plots"] = [str(picture) for picture in pictures]
+        namespaces = {vehicle.template: vehicle.namespace for vehicle in material.origin.fleet.vehicles}
+        reasons = judge(flight, failure, None, args.experiment in WITH_CAMERAS, faults, namespaces)
+        if not failure and len(faults.outcomes) < len(args.faults):
+            text = "%d of %d faults began: the flight was over before"
+            reasons.append(text % (len(faults.outcomes), len(args.faults)))
     reasons = [reason for reason in reasons if reason]
     if reasons:
         reasons += filter(None, [verdict(result)])

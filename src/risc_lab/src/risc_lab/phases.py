@@ -1,4 +1,6 @@
-"""What references and the operator of a flight do: the numbers of VehiclePhase and OperatorState of risc_maap_msgs."""
+"""What references and the operator of a flight do: the numbers of VehiclePhase, OperatorState and VehicleOut of
+risc_maap_msgs.
+"""
 
 import enum
 
@@ -32,6 +34,17 @@ class OperatorResult(enum.IntEnum):
     RUNNING = 0  # not yet
     OK = 1
     FAILED = 2
+
+
+class OutCause(enum.IntEnum):
+    """Why a vehicle takes no part in a flight any more."""
+
+    LADDER = 1  # its safety ladder landed it
+    LANDED = 2  # it landed by itself
+    SILENT = 3
+    NODE = 4  # its vehicle node is silent
+    MANUAL = 5
+    OVERDUE = 6  # it did not land in time
 
 
 def phase_words(vehicles):

@@ -59,6 +59,11 @@ class Injector:
         """FaultRecords of those that act now."""
         return list(dict.fromkeys(act.record for act in self._acts if act.begun))
 
+    @property
+    def open(self):
+        """FaultRecords of those that act or wait."""
+        return list(dict.fromkeys(act.record for act in self._acts))
+
     def check(self, event):
         """Raises ValueError, which names the cause, when a FaultEvent cannot happen here."""
         self._targets(event)
@@ -86,6 +91,16 @@ class Injector:
         self.changes += 1
         self._wake_s = min(self._wake_s, begins_s)
         return record
+
+    def end_all(self, now_s):
+        """End what acts; what waits never begins. What is late on a wire still arrives."""
+        self._wires.clear()
+        for act in self._acts:
+            if act.begun:
+                act.call("end", self._world.time_s)
+            self.history[act.record.id - 1] = act.record._replace(ends_s=now_s)
+        self.changes += 1
+        self._acts, self._wake_s = [], math.inf
 
     def step(self, now_s):
         """Begin what is due, end what is over, and let act on vehicles and hosts what acts in every step."""

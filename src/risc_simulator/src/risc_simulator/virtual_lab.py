@@ -313,6 +313,10 @@ class VirtualLab:
         """
         return self.injector.add(event, self._served_s)
 
+    def end_faults(self):
+        """End all faults, also those that have not begun."""
+        self.injector.end_all(self._served_s)
+
     def wire_fault(self, fault, channel, severity=None, duration_s=math.inf):
         """Let a fault act on the datagrams of some channels from now on; "" ends all there.
 

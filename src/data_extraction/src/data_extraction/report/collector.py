@@ -8,6 +8,7 @@ from data_extraction.report.battery import BatteryCollector
 from data_extraction.report.computers import ComputerCollector
 from data_extraction.report.drops import DropCollector
 from data_extraction.report.events import EventCollector
+from data_extraction.report.faults import FaultCollector
 from data_extraction.report.fence import FenceCollector
 from data_extraction.report.gates import GateCollector
 from data_extraction.report.ladder import LadderCollector
@@ -32,6 +33,7 @@ class ReportCollector:
             "ladder": LadderCollector(),
             "batteries": BatteryCollector(),
             "margins": FenceCollector(origin.fence_limits(), SafetyLimits(**fence_of(arena))),
+            "faults": FaultCollector(origin.fleet),
             "events": EventCollector(),
             "snapshots": SnapshotCollector(bag.types, bag.start_s, bag.duration_s),
         }

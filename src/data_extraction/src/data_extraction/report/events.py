@@ -1,8 +1,11 @@
-"""What the operator did and was told: phases, joystick buttons, take-off and landing, modes, warnings of the nodes."""
+"""What the operator did and was told: phases, joystick buttons, take-off and landing, modes, warnings of the nodes; and
+what was made to go wrong.
+"""
 
 import re
 from dataclasses import dataclass
 
+from data_extraction.report.faults import fault_text
 from data_extraction.report.topics import Collector, vehicle_of
 from risc_lab.phases import OperatorPhase, OperatorResult, phase_words
 
@@ -40,7 +43,7 @@ def _ends(items, most):
 class EventCollector(Collector):
     """Keeps what changed."""
 
-    topics = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout")
+    topics = ("/operator/phase", "/operator/result", "/trajectory_phase", "/rosout", "/virtual_lab/faults")
     ends = ("/joy", "/controller_status", *("/" + order for order in _ORDERS))
 
     def __init__(self):
@@ -49,6 +52,7 @@ class EventCollector(Collector):
         self._newest = {}  # key -> (its newest event, {source: when that last came})
         self._pressed = {}  # source -> buttons held
         self._said = {}  # source -> what it said last: modes, phases
+        self._acting = set()  # ids of faults
 
     def result(self, _end_s=None):
         """[Event, ...] in the order of time: those that were kept."""
@@ -70,6 +74,8 @@ class EventCollector(Collector):
             self._note_change(receipt_s, "operator", "", _joined(OperatorPhase(message.phase), message.text))
         elif topic == "/operator/result":
             self._add(receipt_s, "operator", "result: " + _joined(OperatorResult(message.result), message.reason))
+        elif topic == "/virtual_lab/faults":
+            self._note_faults(receipt_s, message.faults)
         elif topic == "/trajectory_phase":
             for name, word in phase_words(message.vehicles).items():
                 self._note_change(receipt_s, name, "trajectory: ", word)
@@ -83,6 +89,14 @@ class EventCollector(Collector):
                 self._note_change(receipt_s, source, "mode: ", "autonomous" if message.data else "manual")
         else:
             self._add(receipt_s, vehicle_of(topic, levels=2), _ORDERS[last])  # of RISC/ardrone/land
+
+    def _note_faults(self, time_s, records):
+        for record in records:
+            if record.active != (record.id in self._acting):
+                self._acting ^= {record.id}
+                word = "begins" if record.active else "ends"
+                text = "fault %s %s" % (fault_text(record.name, record.args), word)
+                self._add(time_s, "virtual lab", text, (record.id, word))
 
     def _note_change(self, time_s, source, what, word):
         if self._said.get((source, what)) != word:

@@ -26,7 +26,8 @@ def summary_of(material):
     """The summary of a bag that nobody judges now: its figures, and what the summary beside it says."""
     beside = material.origin.summary
     experiment = material.origin.flight.get("experiment")
-    result = summaries.summarise(material.flight, experiment, material.is_simulated and {}, {}, material.origin)
+    simulated = material.is_simulated and {}
+    result = summaries.summarise(material.flight, experiment, simulated, {}, material.origin, material.faults)
     result.update({key: beside[key] for key in JUDGED if key in beside})
     result["mocap"].update({key: beside["mocap"][key] for key in ASKED if key in beside.get("mocap", {})})
     return result

@@ -22,6 +22,8 @@ TYPES = {
     "/commands_sent": "CommandsSent",
     "/cmd_vel_stamped": "TwistStamped",
     "/safety": "Safety",
+    "/virtual_lab/faults": "Faults",
+    "/virtual_lab/crash": "Crash",
     "/vehicle_status": "VehicleStatus",
     "/joy": "Joy",
     "/controller_status": "Bool",

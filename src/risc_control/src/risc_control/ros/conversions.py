@@ -118,6 +118,6 @@ def derivatives_message(stamp, names, derivatives):
     return message
 
 
-def command_sent(name, sent, answers, command):
-    """CommandSent of an array (4,), columns `command_history.Channel`."""
-    return CommandSent(name, sent, answers, *command.tolist())
+def command_sent(name, sent, answers, command, level):
+    """CommandSent of an array (4,), columns `command_history.Channel`, and the vehicle's failsafe level."""
+    return CommandSent(name, sent, answers, *command.tolist(), level)

@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 from risc_control.controller_stream import ControllerStream
 from risc_control.failsafe import fence_of
 from risc_control.joystick import Button
+from risc_control.plausibility import Plausibility
 from risc_control.ros.conversions import command_sent
 from risc_control.ros.joystick_buttons import claim_buttons, origin, sender
 from risc_control.separation import ALONE, Separation
@@ -89,6 +90,10 @@ class VehicleNode:
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         order = [vehicle.template for vehicle in everybody]
         self._separation = Separation(self._by_name, params, order, wide_m)
+        kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
+        self._plausibility = Plausibility(
+            kinds | {who.template: kind for (who, *_), kind in zip(chosen, types)}, params
+        )
         tick_hz = _TICKS_PER_COMMAND * max(rates_hz)
         self._tick_s = 1.0 / tick_hz
         self._streams = defaultdict(lambda: ControllerStream(self._tick_s))  # {sender of /controls: its stream}
@@ -154,12 +159,19 @@ class VehicleNode:
     def _on_states(self, message):
         with self._looking:
             states = self._states.deserialize(message.buff)
-            age_s, now_s = ros_time_s() - states.header.stamp.to_sec(), time.monotonic()
-            self._separation.see(states.names, states.visible, states.states, now_s - max(age_s, 0.0))
+            stamp_s = states.header.stamp.to_sec()
+            age_s, now_s = ros_time_s() - stamp_s, time.monotonic()
+            believed = self._plausibility.look(states.names, states.visible, states.states, stamp_s)
+            self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
             looks = self._separation.look(now_s)
-            for name, visible, row in zip(states.names, states.visible.tolist(), states.states.tolist()):
+            rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())
+            for name, visible, is_believed, row in rows:
                 vehicle = self._by_name.get(name)
-                if vehicle is not None:
+                if vehicle is None:
+                    continue
+                if visible and not is_believed:
+                    vehicle.on_suspect(self._plausibility.reason(name))
+                else:
                     vehicle.on_state(visible, row, age_s, looks.get(name, ALONE))
             self._tell_missing(
                 "/cortex_raw",
@@ -264,7 +276,8 @@ class _Vehicle:
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()
-        self._counts = dict.fromkeys(("states", "states while not visible", "controls", "commands", "errors"), 0)
+        counted = "states", "states while not visible", "suspect states", "controls", "commands", "errors"
+        self._counts = dict.fromkeys(counted, 0)
         self._growth = Growth()
         self._error_land_s = 0.0  # when a landing was ordered because of an error
         self._answer_max_s = 0.0  # oldest state that a command answered, since the last report
@@ -369,6 +382,13 @@ class _Vehicle:
             self.pilot.on_state(own, age_s, time.monotonic(), look)
 
     @_contained
+    def on_suspect(self, reason):
+        """Its entry of /cortex_raw cannot be true."""
+        with self._lock:
+            self._counts["suspect states"] += 1
+            self.pilot.on_suspect(reason, time.monotonic())
+
+    @_contained
     def on_controls(self, own, stamp, age_s):
         """Its entry of /controls, with the stamp of the message; None: no command may follow."""
         self._counts["controls"] += 1
@@ -422,7 +442,8 @@ class _Vehicle:
             answers = command.answers or _NONE
             if answers:
                 self._answer_max_s = max(self._answer_max_s, (sent - answers).to_sec())
-            self._node.sent.put(command_sent(self.name, sent, answers, command.settles_at))
+            level = self.pilot.ladder.verdict.level
+            self._node.sent.put(command_sent(self.name, sent, answers, command.settles_at, level))
             self._counts["commands"] += 1
         if orders.status is not None:
             self._status.publish(orders.status)

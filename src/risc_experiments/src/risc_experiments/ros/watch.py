@@ -11,8 +11,9 @@ from std_srvs.srv import Trigger
 
 from risc_lab.phases import OperatorPhase, OperatorResult
 from risc_maap_msgs.msg import ControllerReport, EstimatorStatus, MocapStatus, OperatorState
+from risc_maap_msgs.srv import InjectFault
 
-CALL_PATIENCE_S = 3.0  # for the operator to take the order
+CALL_PATIENCE_S = 3.0  # for the operator to take the order, and for the virtual lab to take a fault
 HEARD_S = 1.0
 
 
@@ -23,10 +24,13 @@ class Watch:
         self.phase = None  # OperatorPhase; None before the operator has said anything
         self.text = ""  # more of the phase
         self.failure = None  # why the flight failed, "" when it did not; None until its end
+        self.flight_failed = False  # as a whole, not only vehicles that are out
+        self.on_course = False  # whether all have reached it
         self.errors_mm = {}
         self.rate_hz = None
         self.oldest_ms = collections.deque(maxlen=100)  # of the controller's reports
         self.passed_over = collections.deque(maxlen=100)  # of the estimator's reports: frames
+        self._refusal, self._answer_due_s = "", math.inf  # of the virtual lab, which is asked for faults
         self._operator_s = self._operator_first_s = None  # when the operator's state came: the last, the first
         rospy.init_node("maap_fly", disable_signals=True, disable_rostime=True)
         for topic, kind, callback in (
@@ -40,7 +44,8 @@ class Watch:
     def _on_operator(self, message):
         self._operator_s = time.monotonic()
         self._operator_first_s = self._operator_first_s or self._operator_s
-        self.phase, self.text = OperatorPhase(message.phase), message.text
+        self.phase, self.text, self.on_course = OperatorPhase(message.phase), message.text, message.on_course
+        self.flight_failed = message.flight_failed
         if message.result != OperatorResult.RUNNING:
             self.failure = message.reason
 
@@ -72,6 +77,30 @@ class Watch:
             return rospy.get_param("/")
         except (KeyError, rospy.ROSException, xmlrpc.client.Error) as error:
             raise OSError("the master does not give its parameters: %s" % error) from error
+
+    def inject(self, events):
+        """Ask the virtual lab for faults.FaultEvents, counted from now; `fault_problem` tells how that went."""
+        self._answer_due_s = time.monotonic() + CALL_PATIENCE_S
+        threading.Thread(target=self._inject, args=(events,), daemon=True).start()  # the lab may hang
+
+    def _inject(self, events):
+        try:
+            ask = rospy.ServiceProxy("/virtual_lab/inject", InjectFault, persistent=True)
+            for event in events:
+                answer = ask(str(event), 0.0)
+                if not answer.success:
+                    self._refusal = answer.message
+                    return
+        except rospy.ServiceException as error:
+            self._refusal = "the virtual lab cannot be asked for faults: %s" % error
+            return
+        self._answer_due_s = math.inf
+
+    @property
+    def fault_problem(self):
+        """Why the faults that were asked for do not happen; "" as long as they may."""
+        late = time.monotonic() > self._answer_due_s
+        return self._refusal or ("the virtual lab was asked for faults and does not answer" if late else "")
 
     def land(self):
         """Ask the operator to land everything now. Returns whether he took the order; never blocks for long."""

@@ -1,12 +1,13 @@
-"""What ROS sees of the virtual lab: its parameters, /ground_truth, diagnostics and fault injection."""
+"""What ROS sees of the virtual lab: its parameters, /ground_truth, crashes, diagnostics and faults."""
 
 import itertools
 import math
 import queue
+from dataclasses import replace
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Header
 
 from risc_lab.frames import wrap_angle
 from risc_lab.lab import load_fleet
@@ -14,9 +15,12 @@ from risc_lab.ros.diagnostics import Growth, make_updater
 from risc_lab.ros.fleet_messages import CortexArrays
 from risc_lab.ros.params import known_fleet, load_params
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import Fault, WireFault
+from risc_maap_msgs.msg import Crash, Fault, FaultKind, FaultKinds, FaultRecord, Faults, WireFault
+from risc_maap_msgs.srv import InjectFault, InjectFaultResponse
+from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
 from risc_simulator.virtual_lab import LabOptions
 
+_ANSWER_S = 2.0  # within which the lab, which is busy with a frame, has carried out an order
 _DEG_PER_RAD = math.degrees(1.0)
 
 
@@ -40,6 +44,32 @@ def make_lab(options):
     return options.make_lab(fleet)
 
 
+def fault_kinds():
+    """FaultKinds of all faults that are known here."""
+    kinds = []
+    for name in REGISTRY.names():
+        settings = fault_settings(name)
+        by_severity = settings.argument == "severity"
+        kinds.append(
+            FaultKind(
+                name,
+                settings.summary,
+                "severity" if by_severity else "duration_s",
+                settings.unit if by_severity else "s",
+                *settings.argument_range,
+                settings.default_severity if by_severity else settings.default.duration_s,
+                list(settings.grades),
+                list(settings.grades.values()),
+                settings.per_vehicle,
+            )
+        )
+    return FaultKinds(_header(), kinds)
+
+
+def _header():
+    return Header(stamp=rospy.Time.now())
+
+
 class VirtualLabNode:
     """Runs the lab in the main thread; callbacks only leave orders for it."""
 
@@ -47,6 +77,8 @@ class VirtualLabNode:
         self._lab = lab
         self._orders = queue.SimpleQueue()
         self._last_crash = None
+        self._fault_changes = -1  # of the injector
+        self._open_faults, self._newest_fault = set(), 0  # ids, as told last: of those that are not over; the greatest
         self._growth = Growth()
 
         self._vehicles = list(lab.world.vehicles.values())
@@ -55,6 +87,12 @@ class VirtualLabNode:
         self._message.visible[:] = True
         # sent without waiting (risc_lab.ros.direct_connection): the lab never waits for a subscriber
         self._publisher = rospy.Publisher("/ground_truth", CortexArrays, queue_size=50, tcp_nodelay=True)
+
+        self._crashes = rospy.Publisher("/virtual_lab/crash", Crash, queue_size=50)
+        self._faults = rospy.Publisher("/virtual_lab/faults", Faults, queue_size=50, latch=True)
+        kinds = rospy.Publisher("/virtual_lab/fault_kinds", FaultKinds, queue_size=1, latch=True)
+        kinds.publish(fault_kinds())
+        rospy.Service("/virtual_lab/inject", InjectFault, self._on_inject)
 
         self._updater = make_updater("virtual lab %s" % lab.fleet.name)
         self._updater.add("virtual lab", self._diagnose)
@@ -85,6 +123,11 @@ class VirtualLabNode:
             self._last_crash = crashes[-1]
             for crash in reversed(new):  # a collision makes two at once
                 rospy.logwarn("%s %s at (%.2f, %.2f, %.2f) m", crash.namespace, crash.reason, *crash.position_m)
+                told = Crash(_header(), crash.namespace, crash.other, crash.reason, *crash.position_m)
+                self._send(self._crashes, told)
+        if self._lab.injector.changes != self._fault_changes:
+            self._fault_changes = self._lab.injector.changes
+            self._publish_faults()
         if self._publisher.get_num_connections():
             self._publish()
 
@@ -95,11 +138,69 @@ class VirtualLabNode:
         rows[:, 8] = wrap_angle(rows[:, 8])
         rows[:, 6:] *= _DEG_PER_RAD
         self._message.states[:] = rows
+        self._send(self._publisher, self._message)
+
+    @staticmethod
+    def _send(publisher, message):
         try:
-            self._publisher.publish(self._message)
+            publisher.publish(message)
         except rospy.ROSException:
             if not rospy.core.is_shutdown_requested():
                 raise
+
+    def _publish_faults(self):
+        """Those that wait or act, and those that have ended since the last time."""
+        injector, before = self._lab.injector, self._open_faults
+        active, self._open_faults = ({record.id for record in records} for records in (injector.active, injector.open))
+        told = [
+            self._fault_record(record, record.id in active)
+            for record in injector.history
+            if record.id in before | self._open_faults or record.id > self._newest_fault
+        ]
+        self._newest_fault = len(injector.history)
+        self._send(self._faults, Faults(_header(), told))
+
+    def _fault_record(self, record, is_active):
+        ahead_s, event = rospy.get_time() - self._lab.now_s(), record.event
+        begins, ends = (
+            rospy.Time.from_sec(ahead_s + time_s) if time_s < math.inf else rospy.Time()
+            for time_s in (record.begins_s, record.ends_s)
+        )
+        safe = list(event.settings.safe)
+        return FaultRecord(record.id, event.fault, event.args, event.vehicle, begins, ends, is_active, safe)
+
+    def _on_inject(self, request):
+        """Whatever takes time is done here, in the service's own thread: files are read, modules imported."""
+        try:
+            event = None
+            if request.fault:
+                event = parse_fault(request.fault)
+                event = replace(event, start_s=event.start_s + request.start_s)
+                if event.start_s < 0.0:
+                    raise ValueError("a fault cannot begin in the past: %g s" % event.start_s)
+        except ValueError as error:
+            return InjectFaultResponse(False, str(error))
+        answer = queue.SimpleQueue()
+        self._orders.put((self._inject, (event, answer)))
+        try:
+            return answer.get(timeout=_ANSWER_S)
+        except queue.Empty:
+            return InjectFaultResponse(False, "the virtual lab is too busy to answer within %g s" % _ANSWER_S)
+
+    def _inject(self, event, answer):
+        """In the lab's thread."""
+        if event is None:
+            self._lab.end_faults()
+            answer.put(InjectFaultResponse(True, "all faults have ended"))
+            return
+        try:
+            record = self._lab.inject(event)
+        except ValueError as error:
+            answer.put(InjectFaultResponse(False, str(error)))
+            return
+        text = "fault %d: %s" % (record.id, record.event)
+        rospy.loginfo("%s", text)
+        answer.put(InjectFaultResponse(True, text))
 
     def _on_number(self, msg, order):
         self._give(order, msg.data)

@@ -23,12 +23,16 @@ from risc_lab.strangers import Guests, Strangers
 from risc_maap_msgs.msg import (
     ControllerReport,
     EstimatorStatus,
+    FaultKinds,
+    Faults,
     OperatorState,
     Safety,
     TrajectoryPhases,
     VehicleStatus,
 )
+from risc_maap_msgs.srv import InjectFault
 from risc_msgs.msg import Trajectories
+from risc_visual.browser.fault_panel import FaultPanel
 from risc_visual.browser.landing import ask_all
 from risc_visual.browser.live_status import BrowserPanel, LiveStatus, Vehicle
 from risc_visual.browser.marker_scene import FIXED_FRAME, MarkerScene
@@ -53,6 +57,7 @@ _FRAMES_S = 10.0  # of tf to remember: markers of a picture are older than the n
 _NO_NODE = "the vehicle node does not answer, use its joystick"
 _OPERATOR = "virtual operator"  # no name of a vehicle has a space
 _OPERATOR_LAND = "/operator/land"
+_INJECT = "/virtual_lab/inject"
 _QUEUE = 100  # messages of a burst, e.g. one a vehicle
 
 
@@ -85,6 +90,7 @@ class LiveView:
         self._scene = MarkerScene(self._server, net.half_x_m, net.half_y_m)
         names = [vehicle.namespace for vehicle in self._vehicles]
         self._panel = BrowserPanel(self._server, names, self.land_all, lambda name: self._land([name], {}))
+        self._faults = FaultPanel(self._server, names, self._inject)
         self._updater = make_updater("none")
         self._updater.add("live view", self._diagnose)
         Ticker(1.0 / params.rate_hz, self._turn, "the browser view")
@@ -114,6 +120,11 @@ class LiveView:
             return  # there is none
         self._status.note_answer(name, done, text)
         (rospy.loginfo if done else rospy.logerr)("%s: %s", name, text)
+
+    def _inject(self, fault):
+        """Ask the virtual lab for a fault, in the words of the command line."""
+        rospy.logwarn("asked for in the browser: %s", "fault " + fault if fault else "the end of all faults")
+        ask_all({"": partial(_call_lab, fault)}, _ANSWER_S, lambda _name, *answer: self._faults.note_answer(*answer))
 
     def _turn(self):
         self._updater.update()
@@ -167,6 +178,8 @@ class LiveView:
         every("/operator/phase", OperatorState, lambda msg: note("operator", "", _operator_text(msg)))
         every("/controller_report", ControllerReport, self._on_controller)
         every("/estimator_status", EstimatorStatus, partial(note, "mocap", ""))
+        every("/virtual_lab/fault_kinds", FaultKinds, lambda msg: self._faults.offer(msg.kinds))
+        every("/virtual_lab/faults", Faults, lambda msg: self._faults.note(msg.faults))
 
     def _rest(self):
         """The last one has gone."""
@@ -177,6 +190,7 @@ class LiveView:
             self._tf_listener.unregister()
         self._tf = self._tf_listener = None
         self._status.forget()
+        self._faults.close()
         self._scene.clear()
         self._panel.status.content = ""  # nobody is to meet old news
 
@@ -223,6 +237,15 @@ def _call_operator():
     if rospy.get_master().lookupService(_OPERATOR_LAND)[0] != 1:
         return True, ""
     return _call(_OPERATOR_LAND, "does not answer and may start vehicles again")
+
+
+def _call_lab(fault):
+    """Returns (done, what happens)."""
+    try:
+        answer = rospy.ServiceProxy(_INJECT, InjectFault)(fault, 0.0)
+    except rospy.ServiceException as error:
+        return False, "the virtual lab does not answer (%s)" % error
+    return answer.success, answer.message
 
 
 def _time_of_day():

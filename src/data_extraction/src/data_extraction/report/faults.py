@@ -1,0 +1,224 @@
+"""What was made to go wrong in the virtual lab, and what became of it: outcome and reaction of every fault.
+
+What happens from the begin of a fault to the begin of the next one counts as its own.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from data_extraction.flatten import seconds
+from data_extraction.report.topics import Collector, vehicle_of
+from risc_control.failsafe import FailsafeLevel, Rule
+from risc_lab.lab.arena import Arena
+from risc_lab.lab.fleet import laboratory_vehicles
+from risc_lab.phases import OperatorPhase, OutCause
+
+LANDED_HEIGHT_M = 0.15  # a vehicle that stands is no higher
+_NEVER_S = math.inf
+
+
+def fault_text(name, args):
+    """A fault as on the command line."""
+    return ":".join(filter(None, (name, args)))
+
+
+@dataclass(frozen=True)
+class FaultOutcome:
+    """A fault, and what became of it."""
+
+    name: str
+    args: str  # as on the command line
+    vehicle: str  # namespace; "" = none in particular, "*" = each
+    begin_s: float  # ROS time, like the others
+    end_s: float | None  # None = it lasted until the end
+    outcome: str  # completed, held, landed or breach
+    is_safe: bool  # its entry calls that outcome safe
+    reaction_s: float | None  # from its begin to the first command on the wire of a failsafe level above ok; None: none
+    reacted: str  # namespace of the vehicle that was sent it
+
+    @property
+    def text(self):
+        """As on the command line."""
+        return fault_text(self.name, self.args)
+
+    def is_of(self, namespace):
+        """Whether it may happen to this vehicle."""
+        return self.vehicle in ("", "*", namespace)
+
+
+class Out(NamedTuple):
+    """A vehicle that took no part any more."""
+
+    time_s: float
+    cause: OutCause
+    reason: str
+
+
+@dataclass
+class Faults:
+    """All of a flight."""
+
+    outcomes: list[FaultOutcome]  # by their begins
+    waiting: int  # of those that never began
+    course_s: float | None  # when all were on the course
+    out: dict[str, Out]  # by namespace
+    left_ok_s: dict[str, float]  # namespace -> when its ladder left ok last
+    kept_apart: set[str]  # namespaces of those that landed because others were too near
+
+    def __bool__(self):
+        return bool(self.outcomes)
+
+    def marks(self, zero_s):
+        """[(name, begin [s], end [s]; infinite: none)] for plots whose times count from zero_s."""
+        ends_s = (math.inf if fault.end_s is None else fault.end_s for fault in self.outcomes)
+        return [(fault.name, fault.begin_s - zero_s, end_s - zero_s) for fault, end_s in zip(self.outcomes, ends_s)]
+
+    def figures(self):
+        """List of dicts ready for JSON: `faults` of summary.json."""
+        return [
+            {
+                "name": fault.name,
+                "args": fault.args,
+                "vehicle": fault.vehicle,
+                "start_s": _rounded(fault.begin_s, self.course_s),
+                "end_s": _rounded(fault.end_s, self.course_s),
+                "outcome": fault.outcome,
+                "safe": fault.is_safe,
+                "reaction_ms": None if fault.reaction_s is None else round(1e3 * fault.reaction_s, 3),
+            }
+            for fault in self.outcomes
+        ]
+
+
+class _Change(NamedTuple):
+    """A vehicle's failsafe level became another one."""
+
+    time_s: float
+    vehicle: str
+    level: FailsafeLevel
+    is_rise: bool
+
+
+class FaultCollector(Collector):
+    """Keeps faults, changes of failsafe levels, crashes; its memory grows with their number only."""
+
+    topics = (
+        "/virtual_lab/faults", "/virtual_lab/crash", "/ground_truth", "/commands_sent", "/operator/phase",
+        "/operator/result",
+    )  # fmt: skip
+    ends = ("/safety",)
+
+    def __init__(self, fleet=None):
+        """fleet: risc_lab.lab.Fleet, None = the original laboratory's."""
+        self._arena = fleet.arena if fleet else Arena()
+        vehicles = fleet.vehicles if fleet else laboratory_vehicles()
+        self._namespaces = {vehicle.template: vehicle.namespace for vehicle in vehicles}
+        self._faults = {}  # id -> its newest FaultRecord
+        self._began = {}  # id -> when it did
+        self._levels = {}  # (topic, vehicle) -> its level
+        self._changes = {"/safety": [], "/commands_sent": []}  # what was said, what was sent
+        self._hurt_s = []  # when a vehicle touched something, or left the net
+        self._outside = set()  # vehicles
+        self._heights_m = {}
+        self._course_s, self._landing_s, self._over_s = None, _NEVER_S, _NEVER_S
+        self._out = {}
+        self._kept_apart = set()
+
+    def __call__(self, topic, receipt_s, message):
+        if topic == "/virtual_lab/faults":
+            for record in message.faults:
+                self._faults[record.id] = record
+                if record.active:
+                    self._began.setdefault(record.id, seconds(record.begins))
+        elif topic == "/ground_truth":
+            if self._faults:
+                self._look(message)
+        elif topic == "/commands_sent":
+            for command in message.commands:
+                vehicle = self._namespaces.get(command.name, command.name)
+                self._note_level(topic, vehicle, getattr(command, "level", 0), seconds(command.sent))
+        elif topic == "/virtual_lab/crash":
+            self._hurt_s.append(seconds(message.header.stamp))
+        elif topic.startswith("/operator/"):
+            self._hear_operator(message)
+        else:
+            vehicle = vehicle_of(topic)
+            self._note_level("/safety", vehicle, message.level, seconds(message.header.stamp))
+            if message.level == FailsafeLevel.LAND and message.rule == Rule.SEPARATION:
+                self._kept_apart.add(vehicle)
+
+    def _look(self, message):
+        arena, stamp_s = self._arena, seconds(message.header.stamp)
+        for state in message.Obj:
+            self._heights_m[self._namespaces.get(state.name, state.name)] = state.z
+            # the net holds it where it is
+            inside = abs(state.x) < arena.half_x_m and abs(state.y) < arena.half_y_m and state.z < arena.height_m
+            if inside:
+                self._outside.discard(state.name)
+            elif state.name not in self._outside:
+                self._outside.add(state.name)
+                self._hurt_s.append(stamp_s)
+
+    def _note_level(self, topic, vehicle, level, time_s):
+        before = self._levels.get((topic, vehicle), FailsafeLevel.OK)
+        if level != before:
+            self._changes[topic].append(_Change(time_s, vehicle, FailsafeLevel(level), level > before))
+            self._levels[topic, vehicle] = level
+
+    def _hear_operator(self, message):
+        stamp_s = seconds(message.header.stamp)
+        if self._course_s is None and getattr(message, "on_course", False):
+            self._course_s = stamp_s
+        if message.phase >= OperatorPhase.LAND:
+            self._landing_s = min(self._landing_s, stamp_s)
+        if message.phase > OperatorPhase.LAND:
+            self._over_s = min(self._over_s, stamp_s)
+        for vehicle in getattr(message, "out", ()):
+            self._out.setdefault(vehicle.name, Out(stamp_s, OutCause(vehicle.cause), vehicle.reason))
+
+    def result(self, end_s):
+        """Faults."""
+        end_s = min(end_s, self._over_s)
+        begins_s = {number: begin_s for number, begin_s in self._began.items() if begin_s < end_s}
+        outcomes = [
+            self._judge(self._faults[number], begin_s, begins_s.values())
+            for number, begin_s in sorted(begins_s.items(), key=lambda item: item[1])
+        ]
+        left_ok_s = {change.vehicle: change.time_s for change in self._changes["/safety"] if change.is_rise}
+        waiting = len(self._faults) - len(outcomes)
+        return Faults(outcomes, waiting, self._course_s, dict(self._out), left_ok_s, set(self._kept_apart))
+
+    def _judge(self, record, begin_s, begins_s):
+        """FaultOutcome of a FaultRecord. begins_s: of all faults."""
+        until_s = min((other_s for other_s in begins_s if other_s > begin_s), default=_NEVER_S)
+        # from then on vehicles land because the operator has them land
+        said_until_s = min(until_s, max(self._landing_s, begin_s))
+        said = [change for change in self._changes["/safety"] if begin_s <= change.time_s < said_until_s]
+        landed = {change.vehicle for change in said if change.level >= FailsafeLevel.LAND}
+        landed |= {vehicle for vehicle, out in self._out.items() if begin_s <= out.time_s < until_s}
+        at_last = {change.vehicle: change.level for change in said}
+        is_hurt = any(begin_s <= hurt_s < until_s for hurt_s in self._hurt_s)
+        if is_hurt or any(self._heights_m.get(vehicle, 0.0) > LANDED_HEIGHT_M for vehicle in landed):
+            outcome = "breach"
+        elif landed:
+            outcome = "landed"
+        else:
+            outcome = "held" if any(at_last.values()) else "completed"
+        sent = self._changes["/commands_sent"]
+        first = min((change for change in sent if change.is_rise and begin_s <= change.time_s < until_s), default=None)
+        return FaultOutcome(
+            name=record.name,
+            args=record.args,
+            vehicle=record.vehicle,
+            begin_s=begin_s,
+            end_s=seconds(record.ends) or None,
+            outcome=outcome,
+            is_safe=outcome in list(record.safe),
+            reaction_s=first.time_s - begin_s if first else None,
+            reacted=first.vehicle if first else "",
+        )
+
+
+def _rounded(time_s, zero_s):
+    return None if time_s is None or zero_s is None else round(time_s - zero_s, 3)

@@ -1,0 +1,102 @@
+"""Motion capture that lies, whole flights offline: the vehicle holds and lands, and without its ladder hits the net.
+
+And none that does not lie is suspected.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from risc_control.plausibility import Plausibility
+from risc_experiments import offline
+from risc_experiments.offline import Flight, fly
+from risc_simulator.faults import FaultEvent
+from risc_simulator.models.mocap_cameras import MocapCameras
+
+FLIGHT = Flight("circle", vehicles=2, seed=3, duration_s=4.0)
+LIES_S = 6.0, 9.0  # from, until
+
+
+class LyingCameras(MocapCameras):
+    """Markers of the first body as `lie` has them, while it lies."""
+
+    def __init__(self, lie, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self._lie, self._first = lie, None
+
+    def observe(self, time_s, layout, exact_m):
+        seen = super().observe(time_s, layout, exact_m)
+        if LIES_S[0] <= time_s < LIES_S[1]:
+            (_, count), (_, next_count) = seen.layout[:2]
+            markers_m = seen.markers_m.copy()
+            one, other = markers_m[:count], markers_m[count : count + next_count]
+            if self._first is None:
+                self._first = markers_m.copy()
+            self._lie(one, other, self._first[:count])
+            seen = seen._replace(markers_m=markers_m)
+        return seen
+
+
+def flip(one, other, first):
+    centre_m = np.nanmean(one[:, :2], axis=0)
+    one[:, :2] = 2.0 * centre_m - one[:, :2]
+
+
+def exchange(one, other, first):
+    way_m = np.nanmean(other, axis=0) - np.nanmean(one, axis=0)
+    one += way_m
+    other -= way_m
+
+
+def freeze(one, other, first):
+    one[:] = first
+
+
+@pytest.mark.parametrize(
+    ("lie", "words", "kind"),
+    [
+        (flip, "yaw", "ardrone"),
+        (flip, "yaw", "iris"),
+        (exchange, "exchanged their names", "ardrone"),
+        (exchange, "exchanged their names", "iris"),
+        (freeze, "repeats", "ardrone"),
+    ],
+)
+def test_a_lie_that_lasts_lands_the_vehicle(lie, words, kind, monkeypatch):
+    monkeypatch.setattr(offline, "MocapCameras", lambda *a, **k: LyingCameras(lie, *a, **k))
+    flight = dataclasses.replace(FLIGHT, types=(kind,) * 2)
+    result = fly(flight)
+    assert result.landed[0], result.safety
+    said = [text for _, name, text in result.safety if name == result.names[0]]
+    assert any(text.startswith("hold") for text in said) and any(words in text for text in said), said
+    with pytest.raises(RuntimeError, match="net|collided|floor"):
+        fly(dataclasses.replace(flight, node={"ladder": False}))
+
+
+@pytest.mark.parametrize("lie", [flip, exchange])
+def test_a_short_one_is_held_through(lie, monkeypatch):
+    monkeypatch.setattr(offline, "MocapCameras", lambda *a, **k: LyingCameras(lie, *a, **k))
+    monkeypatch.setattr("%s.LIES_S" % __name__, (6.0, 6.05))
+    result = fly(FLIGHT)
+    assert not any(result.landed) and result.rmse_m.max() < 0.03
+    assert any("hold" in text for _, _, text in result.safety) and result.safety[-1][2] == "ok"
+
+
+@pytest.mark.parametrize("estimator", ["least_squares", "thesis"])
+@pytest.mark.parametrize("kind", ["ardrone", "iris"])
+def test_the_truth_is_never_suspected(kind, estimator, monkeypatch):
+    """With gusts and a third of the frames lost."""
+    looks = []
+
+    class Watched(Plausibility):
+        def look(self, names, visible, states, stamp_s):
+            believed = super().look(names, visible, states, stamp_s)
+            looks.append(believed.tolist() == visible.tolist())
+            return believed
+
+    monkeypatch.setattr(offline, "Plausibility", Watched)
+    lost = FaultEvent("drop", severity=0.3, channel="cortex/stream")
+    options = {"gusts": True, "types": (kind,) * 2, "estimator": estimator, "wire_faults": (lost,)}
+    fly(Flight("slanted8", vehicles=2, seed=2, duration_s=5.0, **options))
+    assert len(looks) > 1000 and all(looks)

@@ -1,0 +1,118 @@
+"""The part of the browser view's panel that lets faults happen in the virtual lab. No ROS.
+
+It is there as long as a virtual lab says which faults it knows.
+"""
+
+import html
+import math
+import threading
+
+_CHOSEN, _EACH = "chosen by the lab", "each"
+
+
+class FaultPanel:
+    """Which fault, how much of it, to which vehicle; what acts; what the lab answered."""
+
+    def __init__(self, server, names, inject):
+        """names: of the vehicles.  inject(text): a button was pressed; "" = end all. Called in a thread of its own."""
+        self._server, self._names, self._inject = server, names, inject
+        self._lock = threading.RLock()  # messages, answers and clicks come in threads of their own
+        self._folder, self._kinds, self._answer = None, {}, ("", "")
+        self._told, self._began = [], set()  # (class, words) of each fault; ids of those that act or did
+
+    def offer(self, kinds):
+        """The lab knows these: FaultKind, rospy's. They take the place of those before."""
+        with self._lock:
+            self.close()
+            self._kinds = {kind.name: kind for kind in kinds}
+            if self._kinds:
+                self._build()
+
+    def _build(self):
+        gui = self._server.gui
+        self._folder = gui.add_folder("Faults of the virtual lab", expand_by_default=False)
+        with self._folder:
+            self._fault = gui.add_dropdown("fault", tuple(self._kinds))
+            self._about = gui.add_html("")
+            self._argument = gui.add_text("argument", "", hint="empty: the default")
+            self._vehicle = gui.add_dropdown("vehicle", (_CHOSEN, _EACH, *self._names))
+            gui.add_button("let it happen").on_click(lambda _event: self._inject(self.text))
+            gui.add_button("end all faults").on_click(lambda _event: self._inject(""))
+            self._status = gui.add_html("")
+        self._fault.on_update(lambda _event: self._choose())
+        self._show_kind()
+        self._show_status()
+
+    def close(self):
+        """There is no lab any more."""
+        with self._lock:
+            if self._folder is not None:
+                self._folder.remove()
+            self._folder, self._kinds, self._answer = None, {}, ("", "")
+            self._told, self._began = [], set()
+
+    @property
+    def text(self):
+        """The chosen fault in the words of the command line."""
+        vehicle = {_CHOSEN: "", _EACH: "*"}.get(self._vehicle.value, self._vehicle.value)
+        kind = self._kinds[self._fault.value]
+        return _words(kind.name, ",".join(filter(None, (self._argument.value.strip(), vehicle))))
+
+    def note(self, records):
+        """FaultRecords of those that wait, act or have just ended."""
+        with self._lock:
+            self._told = []
+            for record in records:
+                if record.active:
+                    self._began.add(record.id)
+                now = "acts" if record.active else "has ended" if record.id in self._began else "waits"
+                words = "%s %s" % (_words(record.name, record.args), now)
+                self._told.append(("bad" if record.active else "small", words))
+            self._show_status()
+
+    def note_answer(self, done, text):
+        """What the lab answered."""
+        with self._lock:
+            self._answer = "good" if done else "bad", text
+            self._show_status()
+
+    def _choose(self):
+        with self._lock:
+            if self._fault.value in self._kinds:  # they may have been others before
+                self._argument.value = ""
+                self._show_kind()
+
+    def _show_kind(self):
+        kind = self._kinds[self._fault.value]
+        self._vehicle.disabled = not kind.per_vehicle
+        if not kind.per_vehicle:
+            self._vehicle.value = _CHOSEN
+        self._about.content = _rm("%s<br/>%s" % (html.escape(kind.summary), html.escape(argument_words(kind))))
+
+    def _show_status(self):
+        if self._folder is None:
+            return
+        told_as, text = self._answer
+        lines = [(told_as, text)] if text else []
+        lines += self._told or [("small", "no fault acts")]
+        content = "".join('<div class="%s">%s</div>' % (shown_as, html.escape(line)) for shown_as, line in lines)
+        self._status.content = _rm(content)
+
+
+def argument_words(kind):
+    """What the argument of a FaultKind is, e.g. "duration_s 0 to 60 s (default 0.3): mild 0.1, severe 3"."""
+    unit = " " + kind.unit if kind.unit else ""
+    if kind.least == kind.greatest:
+        return "takes no argument"
+    most = "%g to %g" % (kind.least, kind.greatest) if math.isfinite(kind.greatest) else "from %g" % kind.least
+    words = "%s %s%s (default %g)" % (kind.argument, most, unit, kind.default_value)
+    grades = ", ".join("%s %g" % grade for grade in zip(kind.grades, kind.grade_values))
+    return words + (": " + grades if grades else "")
+
+
+def _words(name, args):
+    return ":".join(filter(None, (name, args)))
+
+
+def _rm(content):
+    return '<div class="rm">%s</div>' % content
