@@ -35,8 +35,8 @@ def test_bounds_are_those_of_the_tables():
     assert rate_bounds(5, 100.0) == [pytest.approx(0.016235, abs=1e-6), pytest.approx(0.116683, abs=1e-6)]
     assert rate_bounds(0, 0.0) is None
     assert share_bounds(5, 10) == [pytest.approx(0.187086, abs=1e-6), pytest.approx(0.812914, abs=1e-6)]
-    assert share_bounds(0, 300) == [0.0, 0.01] and share_bounds(300, 300) == [0.99, 1.0]
-    assert share_bounds(0, 2) == [0.0, 1.0] and share_bounds(0, 0) is None
+    assert share_bounds(0, 300) == [0.0, pytest.approx(0.009936, abs=1e-6)]  # a little less than 3 / 300
+    assert share_bounds(3, 3) == [pytest.approx(0.368403, abs=1e-6), 1.0] and share_bounds(0, 0) is None
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,9 @@ from risc_estimation.filters import REGISTRY as ESTIMATORS
 from risc_experiments.estimators import estimator_of
 from risc_experiments.offline import Flight
 from risc_experiments.scorecard import output
-from risc_experiments.scorecard.figures import KEY, compare, row_of, totals_of
+from risc_experiments.scorecard.figures import compare, key_of, row_of, totals_of
 from risc_experiments.scorecard.flights import Record, code_version, fly_plan
+from risc_experiments.scorecard.from_bag import make_script
 from risc_experiments.scorecard.plan import (
     GRADES,
     NONE,
@@ -27,6 +28,7 @@ from risc_experiments.scorecard.plan import (
     load_params,
     members,
     severities_of,
+    vehicles_of,
 )
 from risc_lab.revision import revision
 from risc_simulator.faults import load_faults
@@ -53,6 +55,8 @@ def arguments(argv=None):
         "minutes each")  # fmt: skip
     add("--seed", type=_whole, metavar="K", help="only the flight of each row that has this seed, to look into it")
     add("--no-ladder", action="store_false", dest="ladder", help="control arm: the vehicle nodes' safety ladder is off")
+    add("--from", type=pathlib.Path, metavar="BAG", dest="bag", help="write the faults that a bag shows into DIR; fly "
+        "them")  # fmt: skip
     add("--against", type=pathlib.Path, metavar="JSON", help="compare with another scorecard")
     add("--json", type=pathlib.Path, metavar="FILE", help="write the JSON file here, too")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder (default: flights/scorecard, or "
@@ -145,7 +149,7 @@ def scorecard_of(plan, record, command, complete):
     failures, findings = [], []
     for cell in plan.cells:
         for seed, figures in sorted(record.flown.get(cell, {}).items()):
-            who = dict(zip(KEY, cell)) | {"seed": seed}
+            who = key_of(cell) | {"seed": seed}
             if "error" in figures:
                 failures.append(who | {"error": figures["error"]})
                 continue
@@ -172,6 +176,8 @@ def main(argv=None):
     command = "./maap scorecard " + shlex.join(sys.argv[1:] if argv is None else argv)
     progress = Progress()
     try:
+        if args.bag is not None:
+            args.faults = (_script(args, progress),)
         plan = plan_of(args)
         against = None if args.against is None else output.read(args.against)
         record = Record(args.out, identity_of(plan))
@@ -195,6 +201,20 @@ def main(argv=None):
     for form, path in paths.items():
         print("%-5s %s" % (form, path))
     return code
+
+
+def _script(args, progress):
+    """Path of the file of faults that a bag shows. Raises ValueError when it shows none."""
+    path = args.out / (args.bag.stem + "_faults.yaml")
+    vehicles = vehicles_of(load_params(args.settings))
+    events, outside = make_script(args.bag, path, vehicles, lambda part: progress.show("reading", bar(part)))
+    left_out = ", and %d before or after, which are left out" % outside if outside else ""
+    progress.say("%s: %d faults on the course%s; %s" % (args.bag, len(events), left_out, path))
+    for event in events:
+        progress.say("  %s" % event)
+    if not events:
+        raise ValueError("%s shows no fault of motion capture on the course: there is nothing to fly" % args.bag)
+    return str(path)
 
 
 def _fly(plan, record, workers, progress):

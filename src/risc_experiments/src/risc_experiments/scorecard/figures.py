@@ -5,6 +5,7 @@ happened there is only an upper one, by the rule of three: 3 in all that was flo
 """
 
 import math
+import pathlib
 from collections import Counter
 
 import numpy as np
@@ -20,6 +21,11 @@ _LEAST_PAIRS = 6  # of flights: fewer cannot differ significantly
 _DETECT = {"detect_p50_ms": 50, "detect_p99_ms": 99}
 
 
+def key_of(cell):
+    """What a row is of, by its KEY: of a file of faults the name."""
+    return dict(zip(KEY, cell)) | {"fault": pathlib.PurePath(cell.fault).name}
+
+
 def row_of(cell, flights):
     """A row of the scorecard. cell: plan.Cell.  flights: {seed: figures}, see `flights.score`."""
     flown = {seed: figures for seed, figures in flights.items() if "error" not in figures}
@@ -28,7 +34,7 @@ def row_of(cell, flights):
     minutes = sum(figures["minutes"] for figures in flown.values())
     samples = sum(figures["samples"] for figures in flown.values())
     square_m2 = sum(figures["square_m2"] for figures in flown.values())
-    row = dict(zip(KEY, cell)) | {
+    row = key_of(cell) | {
         "minutes": round(minutes, 4),
         "flights": len(flown),
         "failed": len(flights) - len(flown),
@@ -82,8 +88,8 @@ def share_bounds(hits, of):
     if of == 0:
         return None
     if hits in (0, of):
-        bound = min(RULE_OF_THREE / of, 1.0)
-        return [0.0, bound] if hits == 0 else [1.0 - bound, 1.0]
+        chance = (1.0 - CONFIDENCE) ** (1.0 / of)  # that makes none of so many unlikely; for many: 1 - 3 / of
+        return [0.0, 1.0 - chance] if hits == 0 else [chance, 1.0]
     return list(map(float, stats.binomtest(hits, of).proportion_ci(CONFIDENCE, "exact")))
 
 

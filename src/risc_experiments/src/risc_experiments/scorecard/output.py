@@ -221,6 +221,9 @@ def draw(scorecard):
     delay.set_title("detection [ms]: p50 (dot) to p99")
     bad.set_title("per minute; line: breaches, 95 % bounds")
     for axes in (error, delay):
+        low, high = axes.dataLim.intervalx
+        if 0.0 < low <= high < math.inf:
+            axes.set_xlim(low / 1.3, high * 1.3)
         axes.xaxis.set_major_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
         axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
     severities = [grade for grade in GRADES if any(row["severity"] == grade for row in rows)]

@@ -96,19 +96,22 @@ class Plan(NamedTuple):
     def flight(self, cell, seed):
         """The Flight of a cell with this seed, as 1, 2, ... The same faults come for every estimator and controller."""
         trajectory = self.params.trajectories[seed % len(self.params.trajectories)]
-        fleet = default_fleet(self.params.vehicles, trajectory)
+        vehicles = list(vehicles_of(self.params, trajectory).values())
         key = crc32(pathlib.PurePath(cell.fault).name.encode()), crc32(cell.severity.encode())
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+        events = self._events(cell, vehicles, rng)
+        ends_s = [event.start_s + event.duration_s for event in events if math.isfinite(event.duration_s)]
+        flight_s = max([self.flight_s, *(end_s + self.params.events.settle_s for end_s in ends_s)])
         return Flight(
             trajectory,
             vehicles=self.params.vehicles,
             seed=seed,
-            duration_s=self.flight_s - SETTLE_S,
+            duration_s=flight_s - SETTLE_S,
             psi_deg=YAW_BY_SEED_DEG * seed % 360.0,
             controller=cell.controller,
             estimator=cell.estimator,
             node={} if self.ladder else {"ladder": False},
-            faults=self._events(cell, [vehicle.namespace for vehicle in fleet.vehicles], rng),
+            faults=events,
         )
 
     def check(self, cell):
@@ -188,6 +191,12 @@ def _between(low, high, rng):
     if low <= 0.0:
         return float(rng.uniform(low, high))
     return float(min(max(math.exp(rng.uniform(math.log(low), math.log(high))), low), high))
+
+
+def vehicles_of(params, trajectory=None):
+    """{template: namespace} of those that fly."""
+    fleet = default_fleet(params.vehicles, trajectory or params.trajectories[0])
+    return {vehicle.template: vehicle.namespace for vehicle in fleet.vehicles}
 
 
 def severities_of(fault, severities):
