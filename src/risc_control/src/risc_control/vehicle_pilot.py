@@ -46,8 +46,8 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     status_rate_hz: Positive = 30.0  # [Hz] how often controller_status is told; a change is told at once
     land_repeat_s: Positive = 0.2  # [s] how often a landing of the ladder is ordered until the vehicle stands
     takeoff_grace_s: NotNegative = 3.0  # [s] a take-off ordered may show that late: until then "landed" is no proof
-    # HOLD sends: True all zero, on which an AR.Drone holds its place by its own bottom camera; False zero tilt and
-    # climb without that (a floor without texture)
+    # HOLD: True, its bottom camera sees the floor: an AR.Drone's own velocity counts, and all zero is sent, on which it
+    # holds its place; False, it does not (a floor without texture): what it does is reckoned, and it is kept level
     hold_auto_hover: bool = True
     hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
 
@@ -205,6 +205,8 @@ class VehiclePilot:
         """The vehicle reported its `vehicles.Status`."""
         orders = Orders()
         self.ladder.note_navdata(status.battery_pct, now_s)
+        if status.velocity_m_s is not None and self._params.hold_auto_hover:
+            self._braking.feel(status.velocity_m_s, now_s)
         if self._hover is None:
             self._note_state(status.state, orders, now_s)
             return orders
