@@ -21,7 +21,7 @@ PASSING = {  # flown through, one after another: what is between NAME and the ne
     "vehicles, links and hosts": (
         "wind:2,duration_s=2@0 gust:4,duration_s=2@2.5 added_mass:0.2,duration_s=2@5 link_slow:0.1,duration_s=1@7.5 "
         "link_blackhole:0.5@9 navdata_freeze:2@10.5 battery_low:14@12.5 battery_failing:1,duration_s=2@13.5 "
-        "mocap_blackout:0.3@15.5 host_restart:0.3@17"
+        "mocap_blackout:0.3@15.5 host_restart:0.3@17 bare_floor:2@18.5"
     ),
 }
 LANDING = (  # (fault, types): vehicles that cannot go on
@@ -41,8 +41,8 @@ def flown(faults, types, seed=1):
 
 
 def test_each_fault_is_in_a_flight():
-    named = [text.partition(":")[0] for faults in PASSING.values() for text in faults.split()]
-    named += [text.partition(":")[0] for text, _ in LANDING]
+    named = [parse_fault(text).fault for faults in PASSING.values() for text in faults.split()]
+    named += [parse_fault(text).fault for text, _ in LANDING]
     assert set(REGISTRY.names()) - NOT_OFFLINE - set(named) == {"motor_loss"}
 
 
