@@ -50,6 +50,8 @@ class ArdroneFirmware(Firmware):
         (gaz at rest), where the rest of the command is still obeyed. Else None.
     """
 
+    STOPS_WITH_A_MOTOR = True
+
     def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
         super().__init__(vehicle_type, rng, perturbed, rest_height_m)
         self.hold = None
