@@ -11,6 +11,7 @@ import sys
 import time
 import uuid
 
+import netlab
 import psutil
 import pytest
 
@@ -100,9 +101,8 @@ def test_a_virtual_lab_hears_what_the_page_says(fleet, tmp_path):
 
 # --- the firewall -----------------------------------------------------------------------------------------------------
 NFT = shutil.which("nft", path=os.environ["PATH"] + ":/usr/sbin:/sbin")
-needs_nft = pytest.mark.skipif(
-    NFT is None or os.geteuid() != 0, reason="needs root and nft: apt-get install nftables iproute2"
-)
+WHY_NOT = netlab.unsupported() or ("" if NFT else "nft is missing: apt-get install nftables")
+needs_nft = pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT)
 OURS, CORTEX, VEHICLE, OPERATOR, STRANGER = ("10.213.0.%d" % number for number in range(1, 6))
 
 

@@ -93,6 +93,19 @@ def test_it_knows_what_its_last_commands_still_do(type_name):
     assert np.allclose(then.position_m[:2], body.position_m, atol=0.05)
 
 
+@pytest.mark.parametrize(("wrong_m_s", "feels"), [(0.15, True), (0.15, False), (0.5, True)])
+def test_a_velocity_of_its_own_corrects_one_that_was_seen_wrongly(wrong_m_s, feels):
+    kind, sent = load_vehicle_type("ardrone"), CommandHistory(1)
+    braking = Braking(kind, sent.vehicles[0])
+    braking.see(OwnState((0.0, 0.0, 1.0), (wrong_m_s, 0.0, 0.0), 0.0, 0.0, 1.0), 10.0)
+    for k in range(1, 5):
+        if feels:
+            braking.feel((0.0, 0.0), 10.0 + 0.06 * k)
+        then = braking.command(10.0 + 0.06 * k).then
+    corrected = feels and wrong_m_s == 0.15
+    assert (then.velocity_m_s[0] < 0.3 * wrong_m_s) == corrected, "what is far from the model is not believed"
+
+
 def test_a_state_that_is_new_counts_at_once():
     kind, sent = load_vehicle_type("ardrone"), CommandHistory(1)
     braking = Braking(kind, sent.vehicles[0])

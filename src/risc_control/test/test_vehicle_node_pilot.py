@@ -651,6 +651,19 @@ def test_one_that_holds_by_itself_is_braked_first(lost):
     assert desk.run(0.2)[-1][1].forward < -0.5, "the next time, too"
 
 
+@pytest.mark.parametrize("sees_the_floor", [True, False])
+def test_its_own_velocity_counts_where_its_bottom_camera_sees_the_floor(sees_the_floor):
+    desk = Desk(state_land_s=9.0, hold_auto_hover=sees_the_floor).fly(autonomous=True)
+    desk.state = LEVEL._replace(velocity_m_s=(0.25, 0.0, 0.0))
+    desk.run(0.2)
+    desk.alive.remove("state")
+    for _ in range(30):
+        report = status(SimpleNamespace(state=FlightState.FLYING, batteryPercent=90.0, vx=1.0, vy=-1.0))
+        desk.pilot.on_status(report, desk.now_s)
+        desk.run(0.005)
+    assert (desk.run(0.1)[-1][1].forward > -0.1) == sees_the_floor
+
+
 def test_hold_ends_on_the_first_fresh_controls():
     desk = Desk().fly(autonomous=True)
     desk.control = Controls(0.1, 0.0, 0.0, HOVER_N)
@@ -783,7 +796,7 @@ def test_packets_without_a_battery_are_no_empty_battery():
     """The driver publishes a packet without the vehicle's main block as state 0, battery 0."""
     desk = Desk().fly(autonomous=True)
     desk.flight_state = FlightState.UNKNOWN
-    desk.battery = status(SimpleNamespace(state=FlightState.UNKNOWN, batteryPercent=0.0)).battery_pct
+    desk.battery = status(SimpleNamespace(state=FlightState.UNKNOWN, batteryPercent=0.0, vx=0.0, vy=0.0)).battery_pct
     desk.run(5.0)
     assert desk.pilot.ladder.verdict.level == FailsafeLevel.OK
     desk.flight_state, desk.battery = FlightState.FLYING, 90.0

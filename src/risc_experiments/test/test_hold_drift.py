@@ -5,6 +5,7 @@ import pytest
 
 from risc_experiments.hold_drift import MOVING, drift, flight
 from risc_experiments.offline import fly_all
+from risc_simulator.faults import parse_fault
 
 MOST_M = 0.3  # the requirement: within 2 s, the median over seeds
 
@@ -17,15 +18,17 @@ def farthest_m(type_name, courses, seeds, **options):
 
 @pytest.mark.parametrize("type_name", ["ardrone", "iris"])
 def test_it_stops_where_it_is(type_name):
-    several = type_name, ("circle",), (1, 2, 3)
+    several = type_name, ("circle", "knot"), (1, 2)
     assert farthest_m(*several) < MOST_M
     # the control arm: level, and what the vehicle does by itself
-    assert farthest_m(*several, node={"hold_brakes": False}) > 1.2 * MOST_M
+    assert farthest_m(*several, node={"hold_brakes": False}) > MOST_M
 
 
-def test_one_that_must_not_hold_by_itself():
-    several = "ardrone", ("circle",), (1, 2, 3)
-    assert farthest_m(*several, node={"hold_auto_hover": False}) < MOST_M
+def test_a_floor_without_texture():
+    several, bare = ("ardrone", ("circle",), (1, 2, 3)), (parse_fault("bare_floor:inf"),)
+    assert farthest_m(*several, faults=bare, node={"hold_auto_hover": False}) < MOST_M
+    # the control arm: it believes that its bottom camera sees
+    assert farthest_m(*several, faults=bare, node={"hold_brakes": False}) > 2.0 * MOST_M
 
 
 @pytest.mark.release

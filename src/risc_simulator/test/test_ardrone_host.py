@@ -30,6 +30,7 @@ from risc_simulator.faults import FaultEvent
 from risc_simulator.models.flight import FlightAction, FlightPhase, Setpoint, VehicleState
 from risc_simulator.vehicles.ardrone import host as ardrone_host
 from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
+from risc_simulator.vehicles.ardrone.sensors import Flow
 from risc_simulator.world import World
 
 ADDRESS = "127.93.%d.%d" % (os.getpid() // 250 % 250, 1 + os.getpid() % 250)  # tests may run side by side
@@ -206,6 +207,7 @@ class FakeVehicle:
         self.namespace, self.name = "risc9", "fluffy_II"
         self.plant = types.SimpleNamespace(command_delay_s=delay_s)
         self.type = types.SimpleNamespace(command_rate_hz=30.0)
+        self.firmware = types.SimpleNamespace(flow=Flow())
         self.phase = phase
         values = {
             "position_m": np.array([0.0, 0.0, 1.0]),
@@ -1213,7 +1215,7 @@ def test_noise_is_seeded_and_of_the_right_size():
     np.testing.assert_array_equal(first, readings(1))
     assert not np.array_equal(first, readings(2))
     assert abs(first[:, 2].mean() + 1000.0) < 3.0
-    np.testing.assert_allclose(first.std(axis=0), (8.0, 8.0, 8.0, 50.0, 15.0), rtol=0.2)
+    np.testing.assert_allclose(first.std(axis=0), (8.0, 8.0, 8.0, 50.0, 30.0), rtol=0.2)
 
 
 def test_flat_trim_removes_the_bias_of_the_level():

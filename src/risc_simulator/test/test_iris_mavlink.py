@@ -20,7 +20,7 @@ from risc_lab.frames import GRAVITY_M_S2
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_simulator.models.flight import FlightPhase, VehicleState
 from risc_simulator.vehicles.iris import mavlink as mavlink_module
-from risc_simulator.vehicles.iris.mavlink import CLIENT_SILENCE_S, MAX_CLIENTS, Mavlink
+from risc_simulator.vehicles.iris.mavlink import CLIENT_SILENCE_S, MAX_CLIENTS, MAX_DATAGRAM_BYTES, Mavlink
 from risc_simulator.vehicles.iris.parameters import Parameters
 from risc_simulator.vehicles.iris.sensors import CAPACITY_AH, IrisSensors
 
@@ -345,6 +345,15 @@ def test_a_datagram_of_false_starts_is_given_up():
     assert names(lab.say_bytes(b"\xfe" * 20 + b"\0" * 300 + PING)) == ["HEARTBEAT", "PING"]
     assert lab.say_bytes(b"\xfe" * 60000 + PING) == []
     assert lab.mavlink.counts["foreign_bytes"] == 320 + 60000 + len(PING)
+
+
+@pytest.mark.parametrize("most_bytes", [MAX_DATAGRAM_BYTES, 70_000])
+def test_a_datagram_that_is_too_long_is_not_looked_at(monkeypatch, most_bytes):
+    """64 kB of zeros take as long as a thousand frames. The control arm has no limit."""
+    monkeypatch.setattr("risc_simulator.vehicles.iris.mavlink.MAX_DATAGRAM_BYTES", most_bytes)
+    lab = Lab()
+    answers = names(lab.say_bytes(PING + bytes(60_000)))
+    assert answers == ([] if most_bytes == MAX_DATAGRAM_BYTES else ["HEARTBEAT", "PING"])
 
 
 @pytest.mark.parametrize("place", range(len(PING)))

@@ -77,7 +77,7 @@ def test_where_no_sticks_come_any_more_the_board_lowers_the_throttle_and_the_aut
     assert flight.autopilot.mode is Mode.STABILIZE
     flight.run(0.25)
     assert flight.autopilot.mode is Mode.LAND and flight.autopilot.channels_us[2] == 950
-    assert flight.link.report() == (FlightPhase.LANDING, 100)
+    assert flight.link.report() == (FlightPhase.LANDING, 100, None)
     flight.run(6.0)
     assert flight.link.report()[0] is FlightPhase.LANDED and not flight.world.crashes
 

@@ -157,6 +157,32 @@ def test_who_keeps_connections_open_keeps_nobody_out(guarded, monkeypatch, is_li
     wait_for(lambda: is_served(port, "127.0.0.9"), "the room that they leave")
 
 
+@pytest.mark.parametrize("takes_files", [False, True])
+def test_nobody_fills_the_memory_with_a_file(takes_files):
+    opened = open_server("127.0.0.1", free_port())
+    if takes_files:  # the control arm
+        kind = viser._messages.FileTransferStartUpload
+        opened.gui._websock_interface.register_handler(kind, opened.gui._handle_file_transfer_start)
+    pressed = []
+    button = opened.gui.add_button("press")
+    button.on_click(lambda _event: pressed.append(True))
+    page = PageClient(opened.get_port())
+    try:
+        wait_for(lambda: "press" in page.labels(), "the button")
+        whose = {"source_component_uuid": page._buttons["press"], "transfer_uuid": "1"}
+        text = {"filename": "a", "mime_type": "b", "part_count": 1000, "size_bytes": 10**9}
+        page._send({"type": "FileTransferStartUpload", **whose, **text})
+        for index in range(10):
+            page._send({"type": "FileTransferPart", **whose, "part_index": index, "content": bytes(100_000)})
+        page.press("press")  # which comes behind all of it
+        wait_for(lambda: pressed, "the click")
+        kept = [state["transferred_bytes"] for state in opened.gui._current_file_upload_states.values()]
+        assert (sum(kept) > 0) is takes_files
+    finally:
+        page.close()
+        opened.stop()
+
+
 def test_a_message_too_long_for_a_page_ends_its_connection(server):
     url = "ws://127.0.0.1:%d" % server.get_port()
     with connect(url, subprotocols=["viser-v%s" % viser.__version__], max_size=None, compression=None) as page:

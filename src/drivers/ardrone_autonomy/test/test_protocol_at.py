@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ardrone_autonomy.protocol import at
+from risc_simulator.vehicles.ardrone import wire
 from risc_simulator.vehicles.ardrone.wire import SequenceGate, parse_datagram
 
 GOLDEN = os.path.join(os.path.dirname(os.path.abspath(__file__)), "golden")
@@ -147,6 +148,14 @@ def test_tolerance(line, name, arguments):
 def test_empty_datagrams_hold_nothing():
     for data in (b"", b"\r", b"\n\r\n", b"\0\0"):
         assert parse_datagram(data) == ([], 0)
+
+
+@pytest.mark.parametrize("most_bytes", [wire.MAX_DATAGRAM_BYTES, 70_000])
+def test_a_datagram_of_thousands_of_lines_is_not_looked_at(monkeypatch, most_bytes):
+    """It would hold up the lab for a cycle and more. The control arm has no limit."""
+    monkeypatch.setattr(wire, "MAX_DATAGRAM_BYTES", most_bytes)
+    commands, malformed = parse_datagram(b"AT*COMWDG=1\r" * 4000)
+    assert (len(commands), malformed) == ((0, 1) if most_bytes == 4096 else (4000, 0))
 
 
 def test_sequence_rules():

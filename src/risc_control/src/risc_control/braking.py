@@ -1,7 +1,9 @@
 """To a stop without being seen: the velocity of a vehicle by its model, and the tilt that takes it away. No ROS.
 
 Motion capture says how a vehicle moved when it was seen last. From then on it follows the commands that it was sent
-(`delay_prediction`), which brings a good velocity over the second or two that a stop takes.
+(`delay_prediction`), which brings a good velocity over the second or two that a stop takes. Where a vehicle measures
+its own velocity, as an AR.Drone by its bottom camera, that corrects the model, slowly: it makes up for wind, and for a
+velocity that was wrong when it was seen last. One that is far from the model's is not believed.
 
 The tilt is that of a state feedback on what the vehicle will do when the command takes effect: velocity v, tilt a and
 its rate along each axis of its heading, v' = g a and a'' = wn^2 (command - a) - 2 zeta wn a'. Its three poles are those
@@ -21,8 +23,9 @@ from risc_lab.frames import GRAVITY_M_S2
 
 TILT_RAD = math.radians(20.0)
 STOPPED_M_S = 0.05  # slower it holds its place, or is left to hold it by itself
-_TILT_RAD_S = 6.0  # so fast does a command change: the board of an IRIS+ takes no more
+_TILT_RAD_S = 6.0  # so fast does a command change: the board of an IRIS+ lets little more through (kSlewUsPerS)
 _BANDWIDTH = 1.5  # of the feedback, over that of the attitude loop
+_CORRECTS, _BELIEVED_M_S = 0.3, 0.3  # share of an error of the velocity that one report takes away; a larger error
 _LOOPS_S = 0.6  # what was commanded earlier the attitude loops have forgotten
 _WINDOW_S = 0.5  # commands of a longer time than this are gone through for good
 
@@ -46,6 +49,7 @@ class Braking:
         """sent: HISTORY of what it is sent.  brakes: False for one that is only levelled."""
         self._sent = sent
         self._seen = self._own = None  # newest that was seen, until it counts; the same for good
+        self._felt_m_s, self._felt_s = (0.0, 0.0), -math.inf
         self._motion, self._at_s = Motion(*[0.0] * len(Motion._fields)), -math.inf
         self._plant = None  # it is not braked
         if not brakes:
@@ -69,11 +73,16 @@ class Braking:
         self._commands = np.zeros((2 + round(MAX_HORIZON_S / STEP_S), 4))
         self._ahead(0.0, 0.1)  # loads what is compiled
         _feedback(self._motion, self._gains, sent, 0.0)
+        _corrected(self._motion, 0.0, 0.0)
 
     def see(self, own, measured_s):
         """It was seen (`vehicle_pilot.OwnState`)."""
         self._seen = self._own = own
         self._own_s = measured_s
+
+    def feel(self, velocity_m_s, now_s):
+        """It reports its own velocity, level: forward, right [m/s]."""
+        self._felt_m_s, self._felt_s = velocity_m_s, now_s
 
     def command(self, now_s):
         """`Brake` of now; None of a vehicle that was not seen yet or too long ago, or is not braked."""
@@ -85,9 +94,11 @@ class Braking:
         if not 0.0 <= until_s - self._at_s <= MAX_HORIZON_S:
             self._at_s = -math.inf
             return None
+        if self._felt_s > self._at_s:
+            self._go_on(self._felt_s)
+            self._motion = _corrected(self._motion, *self._felt_m_s)
         if until_s - self._at_s > _WINDOW_S:
-            to_s = until_s - 0.5 * _WINDOW_S
-            self._motion, self._at_s = self._ahead(self._at_s, to_s - self._at_s), to_s
+            self._go_on(until_s - 0.5 * _WINDOW_S)
         then = self._ahead(self._at_s, until_s - self._at_s)
         roll_rad, pitch_rad, speed_m_s = _feedback(then, self._gains, self._sent, now_s)
         own = self._own._replace(
@@ -112,11 +123,39 @@ class Braking:
             psi_rate_rad_s=made.psi_rate_rad_s,
         )
 
+    def _go_on(self, to_s):
+        self._motion, self._at_s = self._ahead(self._at_s, to_s - self._at_s), to_s
+
     def _ahead(self, from_s, horizon_s):
         """Motion that much later."""
         commands = self._commands[: 1 + steps_of(horizon_s)]
         fill_in_force(self._sent, self._sent, self._plant, from_s, commands)
         return predicted(self._motion, self._plant, horizon_s, commands)
+
+
+@compiled
+def _corrected(motion, forward_m_s, right_m_s):
+    """Motion with a velocity that is nearer to the one that the vehicle measured, level."""
+    cosine, sine = math.cos(motion.psi_rad), math.sin(motion.psi_rad)
+    north_m_s = cosine * forward_m_s - sine * right_m_s - motion.north_m_s
+    east_m_s = sine * forward_m_s + cosine * right_m_s - motion.east_m_s
+    if not math.hypot(north_m_s, east_m_s) < _BELIEVED_M_S:
+        return motion
+    return Motion(
+        motion.north_m,
+        motion.east_m,
+        motion.up_m,
+        motion.north_m_s + _CORRECTS * north_m_s,
+        motion.east_m_s + _CORRECTS * east_m_s,
+        motion.up_m_s,
+        motion.phi_rad,
+        motion.theta_rad,
+        motion.psi_rad,
+        motion.phi_rate_rad_s,
+        motion.theta_rate_rad_s,
+        motion.psi_rate_rad_s,
+        motion.up_m_s2,
+    )
 
 
 @compiled

@@ -202,7 +202,7 @@ def fly(flight):
     for i, (vehicle, fleet_vehicle, phase) in enumerate(zip(world.vehicles.values(), fleet.vehicles, phases)):
         vehicle.fly_at(fleet_vehicle.start.position_m[:2] + (1.0,), fleet_vehicle.start.yaw_rad)
         on_sent, on_battery = partial(_record_command, loop.sent, estimator, i), partial(loop.tell_battery, i)
-        chains.append(_Chain(vehicle, phase, params, wires, on_sent, on_battery))
+        chains.append(_Chain(vehicle, phase, float(flight.noise), params, wires, on_sent, on_battery))
     injector = Injector(world, wires, flight.seed, {"cortex": mocap})
     for event in flight.wire_faults:
         injector.add(event, 0.0)
@@ -441,14 +441,14 @@ class _Mocap:
 class _Chain:
     """From /controls to the vehicle's on-board logic: vehicle node, and the link of its type."""
 
-    def __init__(self, vehicle, phase, params, wires, on_sent, on_battery):
-        """phase: of the radio's clock, a fraction.  params: VehicleNodeParams.
+    def __init__(self, vehicle, phase, noise, params, wires, on_sent, on_battery):
+        """phase: of the radio's clock, a fraction.  noise: of its sensors, a factor.  params: VehicleNodeParams.
         on_sent: takes the time and the command, as `CommandHistory.append`, of whatever is sent.
         on_battery: takes the charge that the vehicle tells, and when.
         """
         self._on_sent, self._on_battery = on_sent, on_battery
         self._flies_itself = adapter_class(vehicle.type).FLIES_ITSELF
-        self._link = vehicle.virtual.OfflineLink(vehicle, phase)
+        self._link = vehicle.virtual.OfflineLink(vehicle, phase, noise)
         self._report_every = TICK_EVERY * round(self._link.REPORT_PERIOD_S / (TICK_EVERY * FRAME_S))  # frames
         self.pilot = VehiclePilot(params, vehicle.type, 0.0)
         self.name, self._vehicle, self._phase = vehicle.namespace, vehicle, None
@@ -519,8 +519,8 @@ class _Chain:
 
     def _hear(self, report, _, now_s):
         """The vehicle's report has arrived."""
-        phase, battery_pct = report
-        self.pilot.on_status(Status(_REPORTS[phase], battery_pct), now_s)
+        phase, battery_pct, velocity_m_s = report
+        self.pilot.on_status(Status(_REPORTS[phase], battery_pct, velocity_m_s), now_s)
         self._on_battery(battery_pct, now_s)
 
     def send(self, orders, now_s):

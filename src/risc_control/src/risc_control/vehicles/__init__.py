@@ -74,6 +74,7 @@ class Status(NamedTuple):
 
     state: int  # FlightState, or another number that its type has
     battery_pct: float | None  # None: this report has none
+    velocity_m_s: tuple | None = None  # level: forward, right [m/s]; by its own sensors, None: it measures none
 
 
 # How a vehicle climbs, around hover: acceleration = gain * command - damping * climb rate, |command| <= most.

@@ -95,7 +95,9 @@ def climb_ahead(climb_m_s, measured_s, until_s, sent, delay_s, tau_s):
 
 def status(navdata):
     """Status of a Navdata; a packet without the vehicle's main block is published as state 0 with battery 0."""
-    return Status(navdata.state, navdata.batteryPercent if navdata.state != FlightState.UNKNOWN else None)
+    battery_pct = navdata.batteryPercent if navdata.state != FlightState.UNKNOWN else None
+    level_m_s = (1e-3 * navdata.vx, -1e-3 * navdata.vy) if navdata.vx or navdata.vy else None  # 0, 0: it has not looked
+    return Status(navdata.state, battery_pct, level_m_s)
 
 
 class Link:

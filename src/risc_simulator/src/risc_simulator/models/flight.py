@@ -126,5 +126,8 @@ class Firmware:
     def set_battery_pct(self, pct, time_s):
         """Put in another battery, or (a fault to be injected) a tired one."""
 
+    def see_floor(self, sees):
+        """Whether the floor below has a texture from now on, for a vehicle whose bottom camera needs one."""
+
     def check_battery(self, time_s):
         """Called about once a second: an empty battery lands the vehicle."""

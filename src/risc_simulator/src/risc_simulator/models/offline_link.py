@@ -13,8 +13,8 @@ class OfflineLink:
 
     REPORT_PERIOD_S = 0.06  # between two reports of the vehicle
 
-    def __init__(self, vehicle, phase):
-        """vehicle: world.Vehicle.  phase: of the radio's clock, a fraction."""
+    def __init__(self, vehicle, phase, noise=1.0):
+        """vehicle: world.Vehicle.  phase: of the radio's clock, a fraction.  noise: factor, of its sensors."""
         self.vehicle = vehicle
         rate_hz = vehicle.type.command_rate_hz
         self._radio = RadioLink(vehicle.plant.command_delay_s, rate_hz, phase_s=phase / rate_hz)
@@ -44,7 +44,7 @@ class OfflineLink:
         """The computer of the driver is gone from now on: nothing is sent any more."""
 
     def report(self):
-        """(FlightPhase, charge in percent) as the vehicle tells its driver. It flies as long as one likes: 90 is told
-        until another charge is put in.
+        """(FlightPhase, charge in percent, velocity) as the vehicle tells its driver. It flies as long as one likes: 90
+        is told until another charge is put in.  velocity: (forward, right) [m/s], level; None: it measures none.
         """
-        return self.vehicle.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0
+        return self.vehicle.phase, self.vehicle.battery_pct if self.vehicle.battery_was_set else 90.0, None

@@ -1,7 +1,7 @@
 """viser's server, which talks only to its own page.
 
 What is used of viser and websockets beyond what they document is here: that viser calls websockets' `serve`, viser's
-`request_share_url`, and the name of websockets' log.
+`request_share_url`, its message of an upload, and the name of websockets' log.
 """
 
 import contextlib
@@ -43,6 +43,8 @@ def open_server(host, port, guests=None, strangers=None):
         server.stop()
         raise ValueError(_taken(host, port))
     server.request_share_url = lambda: None  # else whoever opens the page could ask for a tunnel to the internet
+    # else whoever sees a button could send it a file, as large as he likes, which nobody here takes
+    server.gui._websock_interface.unregister_handler(viser._messages.FileTransferStartUpload)
     return server
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from risc_simulator.models.battery import GROUND_LOAD, Battery
 from risc_simulator.models.flight import Firmware, FlightAction, FlightPhase, Setpoint
+from risc_simulator.vehicles.ardrone.sensors import Flow
 
 SPIN_UP_S = 0.8  # motors turn, vehicle still stands
 TAKE_OFF_HEIGHT_M = 0.9  # above the floor
@@ -48,6 +49,7 @@ class ArdroneFirmware(Firmware):
     command: (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s), what the loops are told as far as hold leaves it to them.
     hold: Hold while the vehicle keeps its height by itself: hovering, landing, or flying with a climb rate of exactly 0
         (gaz at rest), where the rest of the command is still obeyed. Else None.
+    flow: Flow of its bottom camera, by which it brakes.
     """
 
     STOPS_WITH_A_MOTOR = True
@@ -62,7 +64,7 @@ class ArdroneFirmware(Firmware):
         scale, bias_forward, bias_right = (
             np.clip(rng.standard_normal(3), -2.0, 2.0).tolist() if perturbed else (0, 0, 0)
         )
-        self._flow = (
+        self._textured = self.flow = Flow(
             1.0 + FLOW_SCALE_SPREAD * scale,
             FLOW_BIAS_SPREAD_M_S * bias_forward,
             FLOW_BIAS_SPREAD_M_S * bias_right,
@@ -70,8 +72,15 @@ class ArdroneFirmware(Firmware):
 
     def configure(self, record):
         """Write the constants of this vehicle into its record (1,), on_board.FIELDS; `tell` will change the rest."""
-        record["flow_scale"], record["flow_bias_forward_m_s"], record["flow_bias_right_m_s"] = self._flow
+        self._flow_cells = [record["flow_" + name] for name in Flow._fields]
+        self.see_floor(True)
         self._holds, self._hold_values = record["holds"], [record[name] for name in Hold._fields]
+
+    def see_floor(self, sees):
+        """Without texture nothing seems to move."""
+        self.flow = self._textured if sees else Flow(0.0)
+        for cell, value in zip(self._flow_cells, self.flow):
+            cell[0] = value
 
     def tell(self):
         """Bring what is held into the record. Returns the command to be obeyed; None: it brakes by itself."""

@@ -116,7 +116,7 @@ class ArdroneHost(VehicleHost):
             vehicle.plant.command_delay_s, rate_hz, radio_loss, rng, phase_s=rng.uniform(0.0, 1.0 / rate_hz)
         )
         self._rest_height_m = vehicle.height_m if vehicle.phase is FlightPhase.LANDED else 0.0
-        self.sensors = ArdroneSensors(rng, sensor_noise, self._rest_height_m)
+        self.sensors = ArdroneSensors(rng, sensor_noise, self._rest_height_m, lambda: vehicle.firmware.flow)
         serial = "PS721%09d" % (crc32(address.encode("ascii")) % 10**9)
         self.configuration = ConfigurationStore(serial, vehicle.namespace)
         self.notes = {}  # last LED, animation, ... that was acknowledged but not performed

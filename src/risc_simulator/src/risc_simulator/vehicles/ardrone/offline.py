@@ -2,16 +2,24 @@
 
 import math
 
+import numpy as np
+
 from ardrone_autonomy.link import LOST_S
 from risc_simulator.models import offline_link
 from risc_simulator.models.flight import FlightAction, Setpoint
 from risc_simulator.vehicles.ardrone.firmware import LOST_HOVER_S
+from risc_simulator.vehicles.ardrone.sensors import ArdroneSensors
 
 
 class OfflineLink(offline_link.OfflineLink):
     """See there. An aircraft that hears nothing goes on with what it was told last, then hovers, then lands."""
 
     _alarm_s = math.inf  # when it has heard nothing for so long that it acts
+
+    def __init__(self, vehicle, phase, noise=1.0):
+        super().__init__(vehicle, phase)
+        rng = np.random.default_rng(int(phase * 2**32))  # the phase is the seed's
+        self._sensors = ArdroneSensors(rng, noise, flow=lambda: vehicle.firmware.flow)
 
     def send(self, sticks, now_s, level_only=False):
         self._alarm_s = now_s + LOST_S
@@ -26,6 +34,11 @@ class OfflineLink(offline_link.OfflineLink):
         if now_s > self._alarm_s:
             self._alarm_s = math.inf
             self.lose(now_s - LOST_S)
+
+    def report(self):
+        state, logic = self.vehicle.state, self.vehicle.firmware
+        forward_m_s, right_m_s, _ = self._sensors.velocity_m_s(state) if logic.motors_on else (0.0, 0.0, 0.0)
+        return *super().report()[:2], (forward_m_s, right_m_s)
 
     def lose(self, now_s):
         """It takes notice, hovers, and lands."""

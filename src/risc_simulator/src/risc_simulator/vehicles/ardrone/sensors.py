@@ -17,7 +17,7 @@ GYRO_NOISE_DEG_S = 0.2
 GYRO_OFFSET_DEG_S = 0.5  # removed by the firmware, reported in gyros_offsets
 ALTITUDE_NOISE_M = 0.004  # filtered
 ULTRASOUND_NOISE_M = 0.010  # raw
-VELOCITY_NOISE_M_S = 0.015  # optical flow; nothing on the ground
+VELOCITY_NOISE_M_S = 0.03  # optical flow; nothing on the ground
 MAGNETIC_NOISE_MG = 2.0  # milligauss
 PRESSURE_NOISE_PA = 2.0
 
@@ -30,6 +30,14 @@ PRESSURE_PER_METRE_PA = 10.4
 TEMPERATURE_TENTHS_C = 435  # inside the hull
 
 _DEG = 180.0 / math.pi
+
+
+class Flow(NamedTuple):
+    """What the bottom camera makes of a velocity: scale * true one + bias."""
+
+    scale: float = 1.0
+    bias_forward_m_s: float = 0.0
+    bias_right_m_s: float = 0.0
 
 
 class Reading(NamedTuple):
@@ -60,10 +68,11 @@ class ArdroneSensors:
 
     rng: numpy Generator of this vehicle.  noise: factor on all noise and biases, 0 gives exact readings.
     rest_height_m: height of the vehicle's centre when it stands; altitude is measured from there.
+    flow: function that gives the Flow of now, the same by which the vehicle hovers.
     """
 
-    def __init__(self, rng, noise=1.0, rest_height_m=0.0):
-        self._normal = normal_numbers(rng, noise)
+    def __init__(self, rng, noise=1.0, rest_height_m=0.0, flow=Flow):
+        self._normal, self._factor, self._flow = normal_numbers(rng, noise), noise, flow
         self._rest_height_m = rest_height_m
         n = self._noise
         self._bias_deg = (n(ATTITUDE_BIAS_DEG), n(ATTITUDE_BIAS_DEG))  # roll, pitch
@@ -110,15 +119,7 @@ class ArdroneSensors:
         altitude_m = max(0.0, height_m + n(ALTITUDE_NOISE_M)) if airborne else height_m
         altitude_raw_m = max(ULTRASOUND_LEAST_M, height_m + n(ULTRASOUND_NOISE_M) if airborne else height_m)
         sin_psi, cos_psi = math.sin(psi), math.cos(psi)
-        velocity_m_s = (0.0, 0.0, 0.0)
-        if airborne:
-            north, west, up = state.velocity_m_s.tolist()
-            v = VELOCITY_NOISE_M_S
-            velocity_m_s = (
-                cos_psi * north - sin_psi * west + n(v),
-                -sin_psi * north - cos_psi * west + n(v),
-                -up + n(v),
-            )
+        velocity_m_s = self.velocity_m_s(state) if airborne else (0.0, 0.0, 0.0)
         turned_deg = heading_deg - self._first_heading_deg
 
         # R(phi, theta, psi) takes NED to body: the field is (north, 0, down)
@@ -149,6 +150,18 @@ class ArdroneSensors:
             state.battery_pct,
             10500 + 23 * state.battery_pct,  # three LiPo cells; 50 % reads 11650 mV
             state.motor_pwm,
+        )
+
+    def velocity_m_s(self, state):
+        """(forward, right, down) [m/s] of a VehicleState in the air, levelled."""
+        n, v, flow = self._noise, VELOCITY_NOISE_M_S, self._flow()
+        sin_psi, cos_psi = math.sin(state.psi), math.cos(state.psi)
+        north, west, up = state.velocity_m_s.tolist()
+        scale = 1.0 + self._factor * (flow.scale - 1.0)
+        return (
+            scale * (cos_psi * north - sin_psi * west) + self._factor * flow.bias_forward_m_s + n(v),
+            scale * (-sin_psi * north - cos_psi * west) + self._factor * flow.bias_right_m_s + n(v),
+            -up + n(v),
         )
 
     def _add_to_the_way(self, velocity_m_s, turned_deg, time_s):

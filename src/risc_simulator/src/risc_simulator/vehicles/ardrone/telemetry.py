@@ -32,7 +32,7 @@ class Telemetry:
         from ardrone_autonomy.ros.conversions import navdata_message  # with ROS only
 
         rng = np.random.default_rng([seed, crc32(vehicle.namespace.encode("utf-8"))])
-        self.sensors = ArdroneSensors(rng, noise, vehicle.height_m)
+        self.sensors = ArdroneSensors(rng, noise, vehicle.height_m, lambda: vehicle.firmware.flow)
         self._vehicle, self._make_message = vehicle, navdata_message
         self.get = ConfigurationStore().get
         self._writer, self._sequence = NavdataWriter(_OPTIONS, self), 0

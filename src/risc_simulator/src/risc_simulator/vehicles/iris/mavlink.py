@@ -41,6 +41,7 @@ MAKES_ROOM_S = 3.0  # of silence, for another one where there are too many
 MAX_CLIENTS = 8
 HEARTBEAT_S = 1.0
 MIN_INTERVAL_S, MAX_INTERVAL_US = 0.02, 2**31 - 1  # the latter is what MESSAGE_INTERVAL can tell
+MAX_DATAGRAM_BYTES = 4096  # some frames of 300 bytes; larger ones cost only time
 MAX_MISSES = 50  # what may look like a frame in a datagram, and be none, before the rest is given up
 PARAMETERS_PER_TICK = 5
 TEXT_LENGTH = 50
@@ -208,7 +209,7 @@ class Mavlink:
         """Take what a client has sent. Nothing in it raises."""
         self._now_s = now_s
         client = self.clients.get(sender) or Client(sender, self.system_id)
-        messages, foreign = client.decode(data)
+        messages, foreign = client.decode(data) if len(data) <= MAX_DATAGRAM_BYTES else ([], len(data))
         if foreign:
             self.counts["foreign_bytes"] += foreign
             self.notices.complaint("sends what is no MAVLink", sender, "%d bytes" % foreign)

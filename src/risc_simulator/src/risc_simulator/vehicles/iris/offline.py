@@ -20,7 +20,7 @@ class OfflineLink:
 
     REPORT_PERIOD_S = 0.1
 
-    def __init__(self, vehicle, phase):
+    def __init__(self, vehicle, phase, noise=1.0):
         self.vehicle = vehicle
         self._delay_s = radio_delay_s(vehicle.plant)
         self._frame_s = phase * FRAME_S  # when the next frame begins
@@ -56,4 +56,4 @@ class OfflineLink:
         phase, logic = self.vehicle.phase, self.vehicle.firmware
         if phase is FlightPhase.LANDED and logic.armed:
             phase = FlightPhase.FLYING
-        return phase, round(self.vehicle.battery_pct)
+        return phase, round(self.vehicle.battery_pct), None
