@@ -76,7 +76,7 @@ def test_the_operator_has_a_say():
 
 
 def fault(begin_s=10.0, vehicle="risc1", outcome="landed", is_safe=True):
-    return FaultOutcome("jump", "0.3", vehicle, begin_s, begin_s + 1.0, outcome, is_safe, None, "")
+    return FaultOutcome("jump", "0.3", vehicle, begin_s, begin_s + 1.0, outcome, is_safe, {})
 
 
 def judged(faults, out=(), left_ok_s=(), kept_apart=(), **changes):
@@ -110,6 +110,7 @@ def test_an_outcome_that_is_not_safe_fails_the_flight():
         ([fault(vehicle="risc2")], LANDED, (), False),  # another one's
         ([fault(vehicle="risc2")], LANDED, ["risc1"], True),  # too near to that
         ([fault(13.0)], LANDED, (), False),  # which had not begun
+        ([], LANDED, (), False),
         ([fault()], Out(12.0, OutCause.NODE, "lost its joystick node"), (), False),  # a fault ends no node
         ([fault()], Out(40.0, OutCause.OVERDUE, "did not land within 30 s"), (), False),
         ([fault()], Out(12.0, OutCause.SILENT, "silent: no navdata for 2 s"), (), True),
