@@ -112,6 +112,67 @@ def test_the_reported_state_decides_between_takeoff_and_landing(state):
         assert (orders.takeoff, orders.land) == ((True, False) if state == FlightState.LANDED else (False, True))
 
 
+def _lose(what):
+    return lambda desk: (desk.alive.discard(what), desk.run(0.2))
+
+
+def _see(**changes):
+    def change(desk):
+        desk.state = LEVEL._replace(**changes)
+        desk.run(0.4)
+
+    return change
+
+
+def _rarely(desk):
+    desk.alive.discard("state")
+    for _ in range(30):
+        desk.pilot.on_state(desk.state, 0.004, desk.now_s)
+        desk.run(0.09)
+
+
+def _suspect(desk):
+    desk.suspect = "its yaw jumped"
+    desk.run(0.05)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "words"),
+    [
+        (_lose("state"), "uncover its markers"),
+        (_rarely, "times a second"),
+        (_see(position_m=(0.0, 1.95, 0.1)), "carry it inside"),
+        (_see(phi_rad=0.4), "level floor"),
+        (_lose("controls"), "controller has been silent"),
+        (_suspect, "yaw jumped"),
+        (lambda desk: setattr(desk.pilot, "_nearest", lambda: (0.4, "albatross")), "from albatross"),
+    ],
+)
+def test_preflight_checks_refuse_a_take_off_and_say_what_to_do(trouble, words):
+    for preflight in (True, False):
+        desk = Desk(preflight=preflight)
+        trouble(desk)
+        orders = desk.press(TAKEOFF_LAND)
+        assert orders.takeoff is not preflight
+        assert (words in texts(orders)) is preflight, texts(orders)
+
+
+def test_preflight_checks_let_take_off_what_is_ready():
+    desk = Desk(preflight=True)
+    desk.pilot._nearest = lambda: (0.6, "albatross")
+    assert desk.press(TAKEOFF_LAND).takeoff
+    desk = Desk(preflight=True)
+    desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0, preflight=True), ARDRONE, desk.now_s)
+    desk.alive.discard("controls")  # nobody was heard: it is flown by hand
+    desk.run(0.5)
+    assert desk.press(TAKEOFF_LAND).takeoff
+    desk = Desk(preflight=True)
+    desk.pilot = VehiclePilot(VehicleNodeParams(joystick_timeout=0.0, preflight=True), ARDRONE, desk.now_s)
+    desk.alive.discard("state")
+    desk.run(0.5)
+    assert "has not seen it" in texts(desk.press(TAKEOFF_LAND))
+
+
 def test_no_take_off_while_a_joystick_is_lost():
     """The person's, with the emergency stop: the virtual operator is there still."""
     desk = Desk(joystick_timeout=1.0)

@@ -243,7 +243,7 @@ class SafetyLadder:
         self._airborne = False
         self._battery_pct = None
         self._battery_low = Lasting()
-        self._fence = Fence(limits, vehicle_type)
+        self.fence = Fence(limits, vehicle_type)
         self._outside, self._leaves = Lasting(), Lasting()
         self._left_s = -math.inf  # when it could not stop in time last
         self._fence_since_s = self._fence_ended_s = -math.inf  # when the fence held it
@@ -262,8 +262,8 @@ class SafetyLadder:
         self.state.note(age_at_arrival_s, now_s)
         self.suspect = ""
         self._position_m = position_m
-        self._outside.note(self._fence.is_outside(position_m), now_s)
-        self._leaves.note(self._fence.leaves(position_m, velocity_m_s, pushes), now_s)
+        self._outside.note(self.fence.is_outside(position_m), now_s)
+        self._leaves.note(self.fence.leaves(position_m, velocity_m_s, pushes), now_s)
         if self._leaves.lasts(self.limits.fence_delay_s):
             self._left_s = now_s
 

@@ -148,6 +148,15 @@ class Separation:
                 looks[name] = Look(holds, self._reason(self._vehicles[i], now_s) if holds else "", climb, above, aside)
         return looks
 
+    def nearest(self, name, now_s):
+        """(what its distance counts [m], its name) of the vehicle that is nearest to an own one; None: none is seen."""
+        one, found = self._vehicles[self._index[name]], []
+        for other, its_name in zip(self._vehicles, self._names):
+            if its_name != name and now_s - other.seen_s <= self._limits.state_land_s:
+                apart_m = math.dist(one["position_m"], other["position_m"]) - one["wider_m"] - other["wider_m"]
+                found.append((apart_m, its_name))
+        return min(found, default=None)
+
     def _reason(self, vehicle, now_s):
         other = self._vehicles[vehicle["neighbour"]]
         return _TEXTS[Cause(vehicle["cause"])].format(

@@ -5,12 +5,13 @@ never steps; `age_s` is the age of a message by its stamp when it arrived.
 """
 
 import math
-from collections import defaultdict
+from collections import defaultdict, deque
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from risc_control import preflight
 from risc_control.braking import Braking
 from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits
 from risc_control.fence import pushed_m_s2
@@ -60,6 +61,7 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     # HOLD: True, its bottom camera sees the floor: an AR.Drone's own velocity counts, and all zero is sent, on which it
     # holds its place; False, it does not (a floor without texture): what it does is reckoned, and it is kept level
     hold_auto_hover: bool = True
+    preflight: bool = False  # no take-off before motion capture and what stands around are as a flight needs them
     hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
 
     def rate_hz(self, vehicle_type):
@@ -130,10 +132,11 @@ class SlotClock:
 class VehiclePilot:
     """Joystick state machine, input mapping and loss ladder of one vehicle."""
 
-    def __init__(self, params, vehicle_type, now_s, slot_s=0.0, before=None):
+    def __init__(self, params, vehicle_type, now_s, slot_s=0.0, before=None, nearest=lambda: None):
         """params: VehicleNodeParams.  slot_s: when a slot for commands begins, see `SlotClock`.
 
         before: VehiclePilot that this one follows, or None; a button that is still down is not pressed again.
+        nearest: function that gives `preflight.Facts.nearest`.
         """
         self._params = params
         rate_hz = params.rate_hz(vehicle_type)
@@ -165,6 +168,7 @@ class VehiclePilot:
         self._state = None
         self._state_s = 0.0  # when the state held [s]
         self._told = None  # the newest Verdict of the orders
+        self._nearest, self._looks_s = nearest, deque(maxlen=preflight.LOOKS)
         self._simulator_reset = False
         self._ended = False
         self._land_s = self._land_itself_s = -math.inf
@@ -279,6 +283,7 @@ class VehiclePilot:
         tilts = (phi_rad, theta_rad), self._told_tilt(now_s)
         pushes = [pushed_m_s2(*tilt, psi_rad) for tilt in tilts]
         self.ladder.note_state(position_m, velocity_m_s, age_s, now_s, pushes)
+        self._looks_s.append(now_s)
         self._state = own
         self._state_s = now_s - max(age_s, 0.0)
         self._braking.see(own, self._state_s)
@@ -455,6 +460,9 @@ class VehiclePilot:
                 "take-off refused: the battery is at or below %g %%: charge it, or lower "
                 "battery_min_pct" % self.ladder.limits.battery_min_pct,
             )
+        elif self._params.preflight and self._refusals(now_s):
+            for refusal in self._refusals(now_s):
+                orders.say("warn", "take-off refused: %s" % refusal)
         elif self._hover is not None and self._hover.no_take_off(now_s):
             orders.say("warn", "take-off refused: %s" % self._hover.no_take_off(now_s))
         elif self._hover is not None:
@@ -466,6 +474,26 @@ class VehiclePilot:
             orders.takeoff = self.airborne = True
             self._takeoff_s = now_s
             orders.say("info", "taking off")
+
+    def _refusals(self, now_s):
+        """Why it must not take off by what is seen; ()."""
+        ladder, own, looks_s = self.ladder, self._state, self._looks_s
+        full = len(looks_s) == looks_s.maxlen
+        return preflight.refusals(
+            preflight.Facts(
+                ladder.state.age_s(now_s),
+                ladder.limits.state_hold_s,
+                ladder.suspect,
+                (len(looks_s) - 1) / (now_s - looks_s[0]) if full else 0.0,
+                own and tuple(own.position_m),
+                own is not None and ladder.fence.is_outside(own.position_m),
+                math.acos(math.cos(own.phi_rad) * math.cos(own.theta_rad)) if own else 0.0,
+                ladder.controls.age_s(now_s),
+                ladder.limits.controls_hold_s,
+                self._nearest(),
+                ladder.limits.separation_m,
+            )
+        )
 
     def _order_landing(self, orders, now_s):
         """Bring it down; one that does not fly itself is told to land by itself only where that is not in our hands."""

@@ -136,6 +136,10 @@ class VehicleNode:
 
         return run
 
+    def nearest(self, name):
+        """`Separation.nearest` of now."""
+        return self._separation.nearest(name, time.monotonic())
+
     def _on_controls(self, message):
         """Commands leave here, with the next message when vehicles take one; what comes in between is not even read.
 
@@ -278,7 +282,7 @@ class _Vehicle:
         self.name = fleet_vehicle.template
         self._node, self._type, self._prefix, self._is_alone = node, vehicle_type, prefix, is_alone
         self._turn_s = turn_s
-        self.pilot = VehiclePilot(node.params, vehicle_type, time.monotonic(), turn_s)
+        self.pilot = VehiclePilot(node.params, vehicle_type, time.monotonic(), turn_s, nearest=self._nearest)
         self._drivers_s = {}  # {node that the vehicle's status came from: when last}
         self._disagreements = {}  # {node of a controller or a driver with other full scales: what is wrong}
         self._lock = threading.Lock()
@@ -349,6 +353,9 @@ class _Vehicle:
     @_contained
     def _on_refusal(self, why):
         self._act(lambda pilot, now_s: pilot.on_refusal(why, now_s))
+
+    def _nearest(self):
+        return self._node.nearest(self.name)
 
     def _tell(self):
         """Tell what it does, and its charge, when that is due."""
@@ -473,7 +480,7 @@ class _Vehicle:
         land([self])
         with self._lock:
             before, now_s = self.pilot, time.monotonic()
-            self.pilot = VehiclePilot(self._node.params, self._type, now_s, self._turn_s, before)
+            self.pilot = VehiclePilot(self._node.params, self._type, now_s, self._turn_s, before, self._nearest)
         rospy.loginfo("%s: started again, in manual mode", self.name)
 
     def diagnose(self, status):

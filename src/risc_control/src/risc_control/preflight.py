@@ -1,0 +1,55 @@
+"""What keeps a vehicle on the floor that motion capture is to fly: checks when a take-off is asked for. No ROS.
+
+Battery, telemetry and joystick are looked at always (`vehicle_pilot`); this only with `preflight`.
+"""
+
+import math
+from typing import NamedTuple
+
+LEAST_RATE_HZ = 20.0  # of the states that the node looks at
+LEVEL_RAD = math.radians(15.0)
+LOOKS = 20  # the rate is that of so many
+
+
+class Facts(NamedTuple):
+    """What is known of a vehicle that stands."""
+
+    state_age_s: float  # of the newest state that was believed; infinite: it was never seen
+    state_limit_s: float
+    suspect: str  # what the newest state contradicts; "" when nothing
+    rate_hz: float  # of its states; 0: too few to say
+    position_m: tuple  # None before the first state
+    outside: bool  # of the fence
+    tilt_rad: float
+    controls_age_s: float  # of the newest command; infinite: no controller was heard
+    controls_limit_s: float
+    nearest: tuple  # (distance that counts [m], name) of the nearest vehicle; None: nobody is seen
+    apart_m: float
+
+
+def refusals(facts):
+    """Why it must not take off: sentences that say what to do; () when it may."""
+    found = []
+    if facts.suspect:
+        found.append("motion capture contradicts itself (%s): look at its markers and names in Cortex" % facts.suspect)
+    elif math.isinf(facts.state_age_s):
+        found.append("motion capture has not seen it: are markers free, its template in Cortex, the estimator running?")
+    elif facts.state_age_s > facts.state_limit_s:
+        text = "motion capture saw it %.1f s ago: uncover its markers, or look whether frames come"
+        found.append(text % facts.state_age_s)
+    elif facts.rate_hz < LEAST_RATE_HZ:
+        text = "motion capture sees it %.0f times a second, not %.0f: look at the rate of Cortex, and at the load"
+        found.append(text % (facts.rate_hz, LEAST_RATE_HZ))
+    else:
+        if facts.outside:
+            found.append("it stands at (%.2f, %.2f, %.2f) m, outside of the fence: carry it inside" % facts.position_m)
+        if facts.tilt_rad > LEVEL_RAD:
+            text = "it is seen tilted by %.0f deg: put it on level floor, and look whether its template is right"
+            found.append(text % math.degrees(facts.tilt_rad))
+        if facts.nearest is not None and facts.nearest[0] < facts.apart_m:
+            text = "it stands %.2f m from %s, %.2f m are needed: carry them apart"
+            found.append(text % (*facts.nearest, facts.apart_m))
+    if facts.controls_limit_s < facts.controls_age_s < math.inf:
+        text = "its controller has been silent for %.1f s: start it again, or this node to fly by hand"
+        found.append(text % facts.controls_age_s)
+    return tuple(found)
