@@ -42,11 +42,13 @@ BENCHMARKS = {
                 [PYTHON, str(HERE / "profile_nodes.py"), "--json", "{json}"]),
     "scale": ("1 to 50 vehicles, 1 to 100 bodies: latency, cores, memory, frames lost, quiet and beside a busy loop",
               [PYTHON, str(HERE / "scale.py"), "--json", "{json}"]),
+    "faults": ("whole graph in real time: from the begin of a fault to the command on the wire, many events of each",
+               [PYTHON, str(HERE / "faults.py"), "--json", "{json}"]),
     "flights": ("whole graph in real time: accuracy and latency, 5 seeds", [PYTHON, str(HERE / "flights.py"),
                                                                            "--json", "{json}"]),
 }  # fmt: skip
-# flights and scale take half an hour and more, long_bag a big disk; vision rewrites its tables in docs/vision.md
-BY_NAME_ONLY = {"flights", "long_bag", "profile", "scale", "vision"}
+# faults, flights and scale take half an hour and more, long_bag a big disk; vision rewrites tables of docs/vision.md
+BY_NAME_ONLY = {"faults", "flights", "long_bag", "profile", "scale", "vision"}
 
 
 def run(name):

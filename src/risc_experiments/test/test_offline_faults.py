@@ -81,8 +81,8 @@ def test_until_the_course_is_reached_nothing_happens(clean):
 
 
 def test_a_crash_with_faults_is_told_and_without_them_raised():
-    """Of a vehicle that is seen beside where it is, without its fence."""
-    node, beside = {"fence_delay_s": 100.0}, "jump:1.5,duration_s=20"
+    """Of a vehicle that is seen beside where it is, without its ladder."""
+    node, beside = {"ladder": False}, "jump:1.5,duration_s=20"
     result = with_faults(beside, "mocap_blackout:1@6", duration_s=6.0, seed=1, node=node)
     jump, blackout = result.faults
     assert (jump.outcome, jump.safe) == ("breach", False)

@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from risc_lab import strangers
-from risc_lab.strangers import MAX_NAMED, SEEN, OneSender, Strangers
+from risc_lab.strangers import MAX_NAMED, SEEN, Guests, OneSender, Strangers
 
 # Loopback has 16 million addresses: tests side by side never meet
 NET = "127.%d.%d." % (64 + os.getpid() % 128, os.getpid() // 128 % 256)
@@ -120,3 +120,26 @@ def test_many_strangers_take_no_memory_and_no_log():
         refused.refuse("10.0.%d.%d" % divmod(number, 256))
     assert len(said) == MAX_NAMED and refused.count == 10_000
     assert str(refused).endswith("others: %d" % (10_000 - MAX_NAMED)) and len(str(refused)) < 400
+
+
+@pytest.mark.parametrize(
+    ("address", "here", "comes"),
+    [
+        ("127.0.0.1", "127.0.0.1", True),
+        ("::1", "::1", True),
+        ("::ffff:127.0.0.1", "::ffff:127.0.0.1", True),  # IPv4 that a socket of IPv6 hears
+        ("10.0.0.5", "10.0.0.5", True),  # this computer, by the address of its card
+        ("10.0.0.6", "10.0.0.5", False),
+        ("10.1.0.6", "10.0.0.5", True),
+        ("::ffff:10.1.0.6", "::ffff:10.0.0.5", True),
+        ("10.2.0.7", "10.0.0.5", True),
+        ("fe80::7%eth0", "fe80::1%eth0", False),
+    ],
+)
+def test_guests(address, here, comes):
+    assert Guests(["10.1.0.0/16", "10.2.0.7"]).may_come(address, here) is comes
+
+
+def test_guests_that_are_none_are_named():
+    with pytest.raises(ValueError, match="A.B.C.0/24"):
+        Guests(["10.1.0.7/16"])

@@ -32,7 +32,6 @@ COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#8f5db7", "#c98a1b", "#4b4e6d")
 LEVEL_COLOURS = {FailsafeLevel.OK: "#cfe3d4", FailsafeLevel.HOLD: "#e0a526", FailsafeLevel.LAND: "#b3261e"}
 DESIRED, ACTUAL = COLOURS[1], COLOURS[0]
 FAULT = "#b3261e"
-_MOST_NAMED = 8  # faults whose names a plot has room for
 
 
 def style():
@@ -119,7 +118,7 @@ def axes_over_time(name, vehicle, title, faults=()):
         _shade(axes, vehicle)
         draw_both(axes, vehicle.t_s[some], want[some], have[some], 1.0)
         axes.set_ylabel(label)
-        _mark_faults(axes, faults, named=axes is rows[-1])
+        _mark_faults(axes, faults, numbered=axes is rows[0])
     rows[0].legend(loc="upper right", ncol=2, bbox_to_anchor=(1.0, 1.3))
     rows[-1].set_xlabel("time [s]    (shaded: on the course and settled; judged)")
     return figure
@@ -303,7 +302,7 @@ def ladder(spans, zero_s, faults=()):
         axes.plot([], [], "s", color=colour, label=level.name.lower())
     axes.set_yticks(range(len(spans)), list(spans))
     axes.set(xlabel="time [s]", ylim=(len(spans) - 0.5, -0.5))
-    _mark_faults(axes, faults, named=False)
+    _mark_faults(axes, faults)
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside upper right", ncol=3)
     return figure
@@ -329,14 +328,14 @@ def fence_margin(margins, zero_s, faults=()):
     figure, axes = plt.subplots(figsize=(9.0, 3.2))
     lowest_m = 0.05
     for colour, (name, item) in zip(itertools.cycle(COLOURS), margins.items()):
-        times_s, now_m, ahead_m = item.table.T
-        lowest_m = min(lowest_m, float(ahead_m.min()))
-        for values_m, style in ((ahead_m, {"lw": 0.7, "alpha": 0.5}), (now_m, {"lw": 1.2, "label": name})):
+        times_s, now_m, stopped_m = item.table.T
+        lowest_m = min(lowest_m, float(stopped_m.min()))
+        for values_m, style in ((stopped_m, {"lw": 0.7, "alpha": 0.5}), (now_m, {"lw": 1.2, "label": name})):
             t_s, closeness_m = _peaks(times_s, -values_m)
             axes.plot(t_s - zero_s, -closeness_m, color=colour, **style)
-    for limit_m in sorted({item.limits.fence_margin_m for item in margins.values()}):
+    for limit_m in sorted({item.fence.margin_m for item in margins.values()}):
         axes.axhline(limit_m, color="#b3261e", lw=1.0, ls="--", label="landing is ordered below %g m" % limit_m)
-    axes.set(xlabel="time [s]    (pale: with the place after the look-ahead)", ylabel="distance from the net [m]")
+    axes.set(xlabel="time [s]    (pale: of where it could have stopped)", ylabel="distance from the net [m]")
     axes.set_ylim(bottom=lowest_m - 0.05)
     _mark_faults(axes, faults)
     figure.legend(loc="outside upper right", ncol=5)
@@ -491,13 +490,13 @@ def _shade(axes, vehicle):
         axes.axvspan(t_s[0], t_s[-1], color="#f0f4e8", zorder=0)
 
 
-def _mark_faults(axes, faults, named=True):
-    """When faults acted, with their names where there is room; times beyond the plot stay beyond it."""
+def _mark_faults(axes, faults, numbered=True):
+    """When faults acted, with their numbers above; times beyond the plot stay beyond it."""
     low_s, high_s = axes.get_xlim()
-    for name, begin_s, end_s in faults:
-        axes.axvspan(begin_s, min(end_s, high_s), color=FAULT, alpha=0.18, lw=0.0, zorder=0.5)
+    for number, (begin_s, end_s) in enumerate(faults, start=1):
+        axes.axvspan(begin_s, min(end_s, high_s), color=FAULT, alpha=0.15, lw=0.0, zorder=0.5)
         axes.axvline(begin_s, color=FAULT, lw=0.9, zorder=0.6)
-        if named and len(faults) <= _MOST_NAMED:
-            axes.annotate(name, (begin_s, 0.97), (2, 0), xycoords=("data", "axes fraction"), color=FAULT, fontsize=7,
-                          textcoords="offset points", rotation=90, va="top", annotation_clip=True)  # fmt: skip
+        if numbered:
+            axes.annotate(number, (begin_s, 1.0), (0, 2), xycoords=("data", "axes fraction"), color=FAULT, fontsize=7,
+                          textcoords="offset points", ha="center", va="bottom", annotation_clip=True)  # fmt: skip
     axes.set_xlim(low_s, high_s)

@@ -17,7 +17,7 @@ def write_flight(args, fleet, root, folder, started=None):
     started: datetime, None = now.
     """
     started = (started or datetime.datetime.now()).astimezone()
-    arguments = {**vars(args), "faults": [str(event) for event in args.faults] or None}
+    arguments = {**vars(args), "faults": " ".join(map(str, args.faults)) or None}
     content = {
         "experiment": args.experiment,
         "started": started.strftime("%Y-%m-%d %H:%M:%S %z"),

@@ -287,7 +287,7 @@ def fly(flight):
             over = not records or time_s >= settled_s + flight.duration_s + LANDING_S
             if over or not any(chain.lands for chain in chains):
                 break
-        if records and all(chain.down for chain in chains):
+        if records and all(chain.rests for chain in chains):
             break
         frame += 1
 
@@ -490,6 +490,11 @@ class _Chain:
     def down(self):
         """Whether the vehicle stands, or lies, on the floor."""
         return not self._vehicle.firmware.lifted
+
+    @property
+    def rests(self):
+        """Whether it is down for good: its motors stand still."""
+        return self.down and not self._vehicle.firmware.motors_on
 
     def see(self, visible, state, stamp_s, now_s, frame, look, suspect=""):
         """What the vehicle node looks at once a tick. state: list of 12, columns `S`.  suspect: what it contradicts."""

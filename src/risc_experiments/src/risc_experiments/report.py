@@ -38,6 +38,7 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
     material = collector.material(flight)
     model = simulation_model(args, folder)
     faults = material.faults
+    unbegun = len(args.faults) - len(faults.outcomes)
     result = summary.summarise(flight, args.experiment, model, artefacts, material.origin, faults)
     lab = lab_statistics(folder)
     result["least_separation_m"] = lab.get("least_separation_m")
@@ -53,9 +54,8 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
         artefacts["plots"] = [str(picture) for picture in pictures]
         namespaces = {vehicle.template: vehicle.namespace for vehicle in material.origin.fleet.vehicles}
         reasons = judge(flight, failure, None, args.experiment in WITH_CAMERAS, faults, namespaces)
-        if not failure and len(faults.outcomes) < len(args.faults):
-            text = "%d of %d faults began: the flight was over before"
-            reasons.append(text % (len(faults.outcomes), len(args.faults)))
+        if not failure and unbegun > 0 and len(faults.out) < len(namespaces):
+            reasons.append("%d of %d faults never began, and vehicles were flying" % (unbegun, len(args.faults)))
     reasons = [reason for reason in reasons if reason]
     if reasons:
         reasons += filter(None, [verdict(result)])
@@ -69,6 +69,8 @@ def make_report(args, folder, failure, progress, interrupted, tried=()):
         print("vehicles came no closer than %.2f m to each other" % result["least_separation_m"])
     for rate in tried:
         print("motion capture at %g Hz was given up before take-off: %s" % (rate["rate_hz"], rate["reason"]))
+    if unbegun > 0 and result["passed"]:
+        print("%d of %d faults never began: all vehicles had landed" % (unbegun, len(args.faults)))
     if result["on_schedule"] is False:
         print(
             "this computer had too little time: the virtual lab's frames were late (p99 %.0f ms; more than %.0f ms is "

@@ -63,16 +63,18 @@ class Guests:
 
     def may_come(self, address, local_address):
         """Whether a connection is let in. address: of the other end.  local_address: of this one."""
-        address = ipaddress.ip_address(address)
-        return (
-            self._is_loopback(address)
-            or address == ipaddress.ip_address(local_address)
-            or any(address in network for network in self._networks)
-        )
+        address, here = map(_plain, (address, local_address))
+        return self._is_loopback(address) or address == here or any(address in network for network in self._networks)
 
     @staticmethod
     def _is_loopback(address):
         return address.is_loopback
+
+
+def _plain(text):
+    """An address; IPv4 as such, also where a socket of IPv6 tells it."""
+    address = ipaddress.ip_address(text)
+    return getattr(address, "ipv4_mapped", None) or address
 
 
 class OneSender:

@@ -36,6 +36,7 @@ NUMBERS = {  # answers to text requests
     "GetContextAnalogBitDepth": ("<i", 16),
 }
 CLIENTS_REMEMBERED = 64
+RESTART_PERIOD_S = 1.0  # between two attempts, while somebody else has its addresses
 FRAME_NUMBER_MASK = 0x7FFFFFFF  # the wire's frame number is signed
 
 _LOG = logging.getLogger(__name__)
@@ -81,20 +82,14 @@ class CortexHost(SocketHost):
         self._world, self._endpoint, self._cameras, self._clock = world, endpoint, cameras, clock
         self._now_s = world.time_s
 
-        self._number = 0  # of the newest frame
-        self.live = live_on_start  # live mode is on
-        self._last_exposure = None  # index of the last period of the frame rate that was served
-        self._output_name = "capture"
-        self._recording = None  # wire.Recording
+        self._live_on_start, self._interface = live_on_start, interface
         self._take = deque(maxlen=TAKE_FRAMES)
-        self._take_at = 0
-        self._play_mode = 0  # -1 backwards, 0 paused, 1 forwards
-
+        self._forget()
+        self._restart_s = None  # when it is to open its sockets (again); None: it has them, or is not to have them
         self._requests, self._replies, self._stream = map(self.wire, ("requests", "replies", "stream"))
         self._frames = self.wires.frames("cortex/frames")
 
         self._request_counts = Counter()
-        self._clients = {}  # (address, port) of those who asked something: an ordered set
         self._notices = Notices(_LOG, "Cortex host")
 
         layout, markers_m = world.layout, world.markers_m()
@@ -107,20 +102,35 @@ class CortexHost(SocketHost):
         self._shown = self._encode(0, self._cameras.observe(world.time_s, layout, markers_m))
         self._shown.dated(world.time_s + endpoint.reported_delay_s)
 
-        self._stream_socket = None
+        self._stream_socket = self.address = None
         self._broadcast_addresses = []
         try:
-            self._open_sockets(interface)
+            self._open_sockets(endpoint.command_port)
         except OSError:
             self.close()
             raise
         self._announce()
+
+    def _forget(self):
+        """What it knows when it is started."""
+        self._number = 0  # of the newest frame
+        self.live = self._live_on_start  # live mode is on
+        self._last_exposure = None  # index of the last period of the frame rate that was served
+        self._output_name = "capture"
+        self._recording = None  # wire.Recording
+        self._take.clear()
+        self._take_at = 0
+        self._play_mode = 0  # -1 backwards, 0 paused, 1 forwards
+        self._clients = {}  # (address, port) of those who asked something: an ordered set
 
     # --- the host interface of the virtual lab --------------------------------------------------------------------
 
     def tick(self, now_s):
         """To be called whenever the world has moved on: exposes and sends the frame that is due, if any."""
         self._now_s = now_s
+        if self._stream_socket is None:
+            self._try_to_start()
+            return
         periods = self._periods_entered()
         if periods and self.live:
             self._counts["exposures_skipped"] += periods - 1
@@ -130,13 +140,43 @@ class CortexHost(SocketHost):
         if now_s >= self.wires.due_s:
             self.wires.release(now_s)
 
+    def stop(self):
+        """The program is killed: it is silent, deaf, and has forgotten all."""
+        self._restart_s = None
+        self._close_sockets()
+        self._forget()
+        self._counts["stops"] += 1
+
+    def start(self):
+        """It is started again, at the same addresses."""
+        self._restart_s = -math.inf
+
+    def _try_to_start(self):
+        if self._restart_s is not None and self._now_s >= self._restart_s:
+            try:
+                self._open_sockets(self.address[1])
+            except OSError as error:
+                _LOG.error("%s", error)
+                self._close_sockets()
+                self._restart_s = self._now_s + RESTART_PERIOD_S
+            else:
+                self._restart_s = None
+                self._announce()
+
     def close(self):
         """Close the sockets. May be called twice."""
-        for sock in self._waiting:
-            sock.close()
+        self._close_sockets()
         self._waiting.close()
+
+    def _close_sockets(self):
+        for sock in self._waiting:
+            self._waiting.discard(sock)
+            sock.close()
+        self._heard.clear()
+        self._broadcast_addresses.clear()
         if self._stream_socket is not None:
             self._stream_socket.close()
+            self._stream_socket = None
 
     def describe(self):
         """Lines for people: what listens where."""
@@ -167,11 +207,9 @@ class CortexHost(SocketHost):
 
     # --- sockets --------------------------------------------------------------------------------------------------
 
-    def _open_sockets(self, interface):
-        endpoint = self._endpoint
-        self._command_socket = open_socket(
-            socket.SOCK_DGRAM, endpoint.host, endpoint.command_port, "Cortex host, commands"
-        )
+    def _open_sockets(self, command_port):
+        endpoint, interface = self._endpoint, self._interface
+        self._command_socket = open_socket(socket.SOCK_DGRAM, endpoint.host, command_port, "Cortex host, commands")
         self.hear(self._command_socket, self._requests, self._on_datagram)
         self.address = self._command_socket.getsockname()  # (address, port) for commands
         self._command_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, COMMAND_RECEIVE_BUFFER_BYTES)
@@ -225,10 +263,11 @@ class CortexHost(SocketHost):
         return True
 
     def _send_stream(self, datagram, address, _now_s):
-        return self._send(datagram, address, self._stream_socket)
+        return self._stream_socket is not None and self._send(datagram, address, self._stream_socket)
 
     def _send_reply(self, datagram, address, _now_s):
-        self._counts["replies"] += self._send(datagram, address, self._command_socket)
+        if self._stream_socket is not None:
+            self._counts["replies"] += self._send(datagram, address, self._command_socket)
 
     def _reply_to(self, address, datagram):
         self._replies.carry(datagram, address, self._now_s, self._send_reply)
@@ -270,6 +309,8 @@ class CortexHost(SocketHost):
         self._frames.carry(observation, self._number, self._now_s, self._show_and_send)
 
     def _show_and_send(self, observation, number, _now_s):
+        if self._stream_socket is None:  # it was killed before it came to this one
+            return
         try:
             frame = self._encode(number, observation)
         except wire.PacketTooLargeError as error:

@@ -90,6 +90,11 @@ class Vehicle:
         """Let the air around it move on average with this velocity (3,), cortex axes, from now on."""
         self._world._set_wind(self._index, velocity_m_s)
 
+    def turn(self, rolls_rad_s):
+        """Change its roll rate by this, at once: what a moment does meanwhile that its equations do not know."""
+        self._world._x[X.P, self._index] += rolls_rad_s
+        self._world._slope_at = -1
+
     def change_plant(self, **values):
         """Let it be another one from now on, without its on-board logic knowing. values: fields of PlantParams."""
         self._world._change_plant(self._index, values)

@@ -34,8 +34,13 @@ class FaultOutcome:
     end_s: float | None  # None = it lasted until the end
     outcome: str  # completed, held, landed or breach
     is_safe: bool  # its entry calls that outcome safe
-    reaction_s: float | None  # from its begin to the first command on the wire of a failsafe level above ok; None: none
-    reacted: str  # namespace of the vehicle that was sent it
+    # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before
+    reactions_s: dict[str, float]
+
+    @property
+    def reaction_s(self):
+        """The first of all; None: none."""
+        return min(self.reactions_s.values(), default=None)
 
     @property
     def text(self):
@@ -70,9 +75,9 @@ class Faults:
         return bool(self.outcomes)
 
     def marks(self, zero_s):
-        """[(name, begin [s], end [s]; infinite: none)] for plots whose times count from zero_s."""
+        """[(begin [s], end [s]; infinite: none)] of each, for plots whose times count from zero_s."""
         ends_s = (math.inf if fault.end_s is None else fault.end_s for fault in self.outcomes)
-        return [(fault.name, fault.begin_s - zero_s, end_s - zero_s) for fault, end_s in zip(self.outcomes, ends_s)]
+        return [(fault.begin_s - zero_s, end_s - zero_s) for fault, end_s in zip(self.outcomes, ends_s)]
 
     def figures(self):
         """List of dicts ready for JSON: `faults` of summary.json."""
@@ -86,6 +91,7 @@ class Faults:
                 "outcome": fault.outcome,
                 "safe": fault.is_safe,
                 "reaction_ms": None if fault.reaction_s is None else round(1e3 * fault.reaction_s, 3),
+                "reactions_ms": {name: round(1e3 * time_s, 3) for name, time_s in sorted(fault.reactions_s.items())},
             }
             for fault in self.outcomes
         ]
@@ -205,8 +211,10 @@ class FaultCollector(Collector):
             outcome = "landed"
         else:
             outcome = "held" if any(at_last.values()) else "completed"
-        sent = self._changes["/commands_sent"]
-        first = min((change for change in sent if change.is_rise and begin_s <= change.time_s < until_s), default=None)
+        reactions_s = {}
+        for change in self._changes["/commands_sent"]:
+            if change.is_rise and begin_s <= change.time_s < until_s:
+                reactions_s.setdefault(change.vehicle, change.time_s - begin_s)
         return FaultOutcome(
             name=record.name,
             args=record.args,
@@ -215,8 +223,7 @@ class FaultCollector(Collector):
             end_s=seconds(record.ends) or None,
             outcome=outcome,
             is_safe=outcome in list(record.safe),
-            reaction_s=first.time_s - begin_s if first else None,
-            reacted=first.vehicle if first else "",
+            reactions_s=reactions_s,
         )
 
 

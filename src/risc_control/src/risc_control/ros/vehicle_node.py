@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import partial, wraps
 
 import genpy
+import numpy as np
 import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
@@ -42,6 +43,7 @@ from risc_lab.ros.ticker import Ticker
 from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus, VehicleStatus
 
 _RAD_PER_DEG = math.radians(1.0)
+_TO_RADIANS = np.array([1.0] * 6 + [_RAD_PER_DEG] * 6)  # what makes rows of /cortex_raw those of `risc_lab.states.S`
 _TICKS_PER_COMMAND = 2  # the watchdog runs at this multiple of the command rate
 _LAND_ROUNDS = 60  # at shutdown in flight: how often the last orders are repeated, at most
 _LAND_ROUND_S = 0.05
@@ -161,7 +163,8 @@ class VehicleNode:
             states = self._states.deserialize(message.buff)
             stamp_s = states.header.stamp.to_sec()
             age_s, now_s = ros_time_s() - stamp_s, time.monotonic()
-            believed = self._plausibility.look(states.names, states.visible, states.states, stamp_s)
+            in_radians = states.states * _TO_RADIANS
+            believed = self._plausibility.look(states.names, states.visible, in_radians, stamp_s)
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
             looks = self._separation.look(now_s)
             rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())

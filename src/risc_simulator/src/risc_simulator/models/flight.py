@@ -83,6 +83,7 @@ class Firmware:
     command = (0.0, 0.0, 0.0, 0.0)
     motors_on = lifted = False
     wake_s = math.inf
+    STOPS_WITH_A_MOTOR = False  # it watches the motors, and stops them all when one stops
 
     def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
         """vehicle_type: VehicleType. rng: Generator of this vehicle alone. rest_height_m: of its centre, standing."""

@@ -52,6 +52,8 @@ class ArdroneFirmware(Firmware):
     flow: Flow of its bottom camera, by which it brakes.
     """
 
+    STOPS_WITH_A_MOTOR = True
+
     def __init__(self, vehicle_type, rng, perturbed, rest_height_m):
         super().__init__(vehicle_type, rng, perturbed, rest_height_m)
         self.hold = None

@@ -6,7 +6,7 @@ What has no counterpart in the virtual lab (detections, trackers, wind, USB reco
 import math
 from typing import Any, NamedTuple
 
-from ardrone_autonomy.protocol.navdata import Tag
+from ardrone_autonomy.protocol.navdata import CHECKSUM_OPTION, CHECKSUM_TAG, HEADER, NavdataError, Tag, peek
 from risc_simulator.vehicles.ardrone.sensors import TEMPERATURE_TENTHS_C, Reading
 from risc_simulator.vehicles.ardrone.wire import NavdataEncoder, seconds_to_time
 
@@ -32,6 +32,21 @@ class Frame(NamedTuple):
     cycles: int
     picture: tuple[int, int]  # bytes and number of the newest one, of those that were made because somebody watches
     trim_deg: tuple[float, float]  # roll, pitch
+
+
+def repeated(told, packet):
+    """A packet of navdata with the content of the first one of its length, which `told` (a dict) keeps.
+
+    The sequence number stays, the check sum fits. What is no navdata stays as it is.
+    """
+    try:
+        header = peek(packet)
+    except NavdataError:
+        return packet
+    first = told.setdefault(("navdata", len(packet)), packet)
+    body = bytearray(first[: -CHECKSUM_OPTION.size])
+    HEADER.pack_into(body, 0, *peek(first)._replace(sequence=header.sequence))
+    return bytes(body) + CHECKSUM_OPTION.pack(CHECKSUM_TAG, CHECKSUM_OPTION.size, sum(body) & 0xFFFFFFFF)
 
 
 def _uint32(value):

@@ -58,6 +58,8 @@ _ACCEPTED, _DENIED, _UNSUPPORTED, _FAILED = (
     mavlink.MAV_RESULT_FAILED,
 )
 _MISSION_TYPES = (mavlink.MAV_MISSION_TYPE_MISSION, mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY)
+_TELLS_STATE = {mavlink.MAVLINK_MSG_ID_HEARTBEAT, *(number for stream in STREAMS.values() for number in stream)}
+_STATION = 255  # the system that ground stations are
 _ENDS_OF_SESSIONS = mavlink.MAV_FTP_OPCODE_TERMINATESESSION, mavlink.MAV_FTP_OPCODE_RESETSESSION
 
 
@@ -74,6 +76,31 @@ def frames(datagram):
         length = _frame_length(datagram, at)
         whole = length and at + length <= len(datagram)
         at += length if whole and (yield datagram[at : at + length]) else 1
+
+
+def repeated(told, datagram):
+    """A datagram of an autopilot in which each message that tells its state has the content of the first one of its
+    kind, which `told` (a dict) keeps. Sequence numbers stay, check sums fit. All else stays as it is.
+    """
+    if datagram[:1] not in (_MARKERS[:1], _MARKERS[1:]):
+        return datagram
+    found, candidates, frame = b"", frames(datagram), None
+    while True:
+        try:
+            frame = candidates.send(None if frame is None else True)
+        except StopIteration:
+            return found or datagram
+        is_v1 = frame[0] == mavlink.PROTOCOL_MARKER_V1
+        at = 2 if is_v1 else 4  # sequence, system, component, message
+        system, component = frame[at + 1 : at + 3]
+        number = frame[at + 3] if is_v1 else int.from_bytes(frame[at + 3 : at + 6], "little")
+        if component == COMPONENT_ID and system != _STATION and number in _TELLS_STATE:
+            body = bytearray(told.setdefault(("mavlink", frame[0], number), frame)[:-2])
+            body[at] = frame[at]
+            extra = bytes((mavlink.mavlink_map[number].crc_extra,))
+            found += body + mavlink.x25crc(body[1:] + extra).crc.to_bytes(2, "little")
+        else:
+            found += frame
 
 
 def _frame_length(data, at):

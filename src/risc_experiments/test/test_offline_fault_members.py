@@ -1,0 +1,95 @@
+"""Every fault flies offline, on an AR.Drone and on an IRIS+, and ends as its entry calls safe."""
+
+import itertools
+
+import pytest
+
+from risc_experiments.offline import Flight, fly
+from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
+
+PASSING = {  # flown through, one after another: what is between NAME and the next one's is its own
+    "frames come late, twice, or not": (
+        "loss:0.3,duration_s=1@0 drop:0.1,duration_s=1@1 duplicate:1,duration_s=1@2 reorder:0.5,duration_s=1@3 "
+        "jitter:0.05,duration_s=1@4 delay:0.05,duration_s=1@5 burst:0.05,duration_s=1@6 "
+        "intermittent:0.3,duration_s=1@7 blackhole:0.2@8.5 corrupt:1,duration_s=1@9 truncate:1,duration_s=1@10"
+    ),
+    "frames are wrong": (
+        "clock_step:0.03,duration_s=0.5@0 clock_step:1,duration_s=0.5@1 clock_step:-1,duration_s=0.5@2 "
+        "ghost_marker:0.05,duration_s=0.5@3 occlusion:0.3@4 nan_markers:0.3@5.5 sentinel_markers:0.3@7 garbage:0.3@8.5 "
+        "wrong_unit:0.001,duration_s=0.2@10 marker_swap:0.2@11.5 occlusion:2,severity=0.25@13"
+    ),
+    "vehicles, links and hosts": (
+        "wind:2,duration_s=2@0 gust:4,duration_s=2@2.5 added_mass:0.2,duration_s=2@5 link_slow:0.1,duration_s=1@7.5 "
+        "link_blackhole:0.5@9 navdata_freeze:2@10.5 battery_low:14@12.5 battery_failing:1,duration_s=2@13.5 "
+        "mocap_blackout:0.3@15.5 host_restart:0.3@17 bare_floor:2@18.5"
+    ),
+}
+LANDING = (  # (fault, types): vehicles that cannot go on
+    *[(fault, ("ardrone",)) for fault in ("flip:3", "freeze:3", "jump:1", "marker_swap:3")],
+    ("name_exchange:3", ("ardrone", "ardrone")),
+    *[(fault, ("ardrone",)) for fault in ("mocap_blackout:3", "occlusion:3", "burst:severe", "link_blackhole:5")],
+    *[(fault, ("ardrone",)) for fault in ("nan_markers:3", "garbage:3", "battery_failing:30", "host_restart:3")],
+    *[(fault, ("iris",)) for fault in ("battery_low:8", "link_blackhole:5", "wrong_axes:0.5")],
+)
+NOT_OFFLINE = {"cut", "wrong_reply"}  # of connections and answers, which offline flights have not
+
+
+def flown(faults, types, seed=1):
+    events = tuple(map(parse_fault, faults))
+    duration_s = max(event.start_s for event in events)
+    return fly(Flight(vehicles=len(types), types=types, seed=seed, duration_s=duration_s, faults=events))
+
+
+def test_each_fault_is_in_a_flight():
+    named = [parse_fault(text).fault for faults in PASSING.values() for text in faults.split()]
+    named += [parse_fault(text).fault for text, _ in LANDING]
+    assert set(REGISTRY.names()) - NOT_OFFLINE - set(named) == {"motor_loss"}
+
+
+@pytest.mark.parametrize("kind", ["ardrone", "iris"])
+@pytest.mark.parametrize("faults", PASSING.values(), ids=PASSING)
+def test_they_are_flown_through(faults, kind):
+    """By one on its own, which nobody's holding lands."""
+    result = flown(faults.split(), (kind,))
+    assert {fault.outcome for fault in result.faults} <= {"completed", "held"}
+    assert all(fault.safe for fault in result.faults) and not any(result.landed)
+    assert not result.breaches and not result.contacts and len(result.faults) == len(faults.split())
+
+
+@pytest.mark.parametrize("fault, types", LANDING, ids=lambda value: value if isinstance(value, str) else value[0])
+def test_they_land_it(fault, types):
+    result = flown([fault + "@1"], types)
+    (outcome,) = result.faults
+    assert (outcome.outcome, outcome.safe) == ("landed", True)
+    assert not result.breaches and not result.contacts
+
+
+@pytest.mark.parametrize("kind", ["ardrone", "iris"])
+def test_who_loses_a_motor_falls_and_touches_nobody(kind):
+    result = flown(["motor_loss:risc1@1"], (kind, "ardrone"))
+    (outcome,) = result.faults
+    assert (outcome.outcome, outcome.safe) == ("breach", True)
+    assert [breach.name for breach in result.breaches] == ["risc1"] and not result.contacts
+
+
+def test_a_seed_repeats_the_outcomes():
+    faults, types = ["gust:4@0", "ghost_marker:0.05@0.2", "jitter:0.03@0.5"], ("ardrone", "ardrone")
+    first, again = flown(faults, types, seed=5), flown(faults, types, seed=5)
+    assert first.faults == again.faults and (first.actual_m == again.actual_m).all()
+    other = flown(faults, types, seed=6)
+    assert [fault.args for fault in other.faults] != [fault.args for fault in first.faults]
+
+
+GRADES = [(name, grade) for name in REGISTRY.names() for grade in fault_settings(name).grades]
+
+
+@pytest.mark.release
+@pytest.mark.parametrize("name, grade", GRADES)
+def test_each_grade_ends_safe_whatever_the_seed(name, grade):
+    """Two AR.Drones, so that names can be exchanged, and an IRIS+ on its own where one is enough."""
+    fleets = itertools.product((("ardrone", "ardrone"), ("iris",)), (1, 2))
+    for types, seed in fleets:
+        if (name, types) == ("name_exchange", ("iris",)):
+            continue
+        (outcome,) = flown(["%s:%s@1" % (name, grade)], types, seed).faults
+        assert outcome.safe, (types, seed, outcome)

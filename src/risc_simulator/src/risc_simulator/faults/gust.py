@@ -1,0 +1,37 @@
+"""Gusts of up to this speed [m/s], level, one after another, each of its own length and direction, that rise and fall
+smoothly.
+"""
+
+import math
+
+import numpy as np
+
+from risc_simulator.faults._frames import level_direction
+
+SHORTEST_S, LONGEST_S = 0.5, 1.5
+
+
+class Gusts:
+    def __init__(self, peak_m_s, rng):
+        self._peak_m_s, self._rng = peak_m_s, rng
+        self._from_s = self._length_s = 0.0
+
+    def begin(self, vehicle, time_s):
+        self._next(time_s)
+
+    def step(self, vehicle, time_s):
+        if time_s >= self._from_s + self._length_s:
+            self._next(time_s)
+        rise = 0.5 * (1.0 - math.cos(2.0 * math.pi * (time_s - self._from_s) / self._length_s))
+        vehicle.set_wind(rise * self._velocity_m_s)
+
+    def end(self, vehicle, time_s):
+        vehicle.set_wind(np.zeros(3))
+
+    def _next(self, time_s):
+        self._from_s, self._length_s = time_s, self._rng.uniform(SHORTEST_S, LONGEST_S)
+        self._velocity_m_s = self._peak_m_s * level_direction(self._rng)
+
+
+def make(severity, rng):
+    return Gusts(severity, rng)

@@ -1,0 +1,7 @@
+"""This share of the body's markers, others in each frame, has the x of Cortex' missing markers, y and z as they are."""
+
+from risc_simulator.faults._frames import MISSING_M, overwrite
+
+
+def make(severity, rng, bodies):
+    return overwrite(severity, rng, bodies, 0, MISSING_M)

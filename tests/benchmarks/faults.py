@@ -1,0 +1,116 @@
+"""Whole graph in real time: how long after the begin of a fault the vehicles are sent a command of a higher failsafe
+level, by the clock of the computer that flies.
+
+A flight has as many events of one fault as fit, at seeded times; every vehicle counts. When vehicles have landed the
+next flight goes on. "none" are vehicles whose ladder had no reason to leave its level.
+"""
+
+import argparse
+import datetime
+import json
+import math
+import pathlib
+import subprocess
+import sys
+from collections import Counter
+
+import numpy as np
+import yaml
+
+from risc_control.vehicle_pilot import VehicleNodeParams
+from risc_lab.lab import load_vehicle_type
+from risc_simulator.faults import parse_fault
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+FAULTS = ("mocap_blackout:0.3",)
+STATE_HOLD_MS = 120.0  # within which a vehicle has to hold when motion capture is lost, and a period of its commands
+FIRST_S, APART_S, SHIFT_S = 3.0, 3.0, 0.5  # of events: the first one, from one to the next, less or more than that
+MOST_FLIGHTS = 20  # of one fault
+
+
+def script(text, count, seed):
+    """Content of a file of `count` events of a fault."""
+    event, rng = parse_fault(text), np.random.default_rng([seed, count])
+    starts_s = FIRST_S + APART_S * np.arange(count) + rng.uniform(-SHIFT_S, SHIFT_S, count)
+    fields = {"fault": event.fault, "vehicle": event.vehicle, "severity": event.severity, "channel": event.channel}
+    return {"faults": [dict(fields, duration_s=event.duration_s, start_s=start_s) for start_s in starts_s.tolist()]}
+
+
+def fly(folder, text, seed, args):
+    """One flight. Returns its summary, or None when there is none (its folder says why)."""
+    folder.mkdir(parents=True)
+    count = int((args.duration - FIRST_S - SHIFT_S) / APART_S)
+    (folder / "faults.yaml").write_text(yaml.safe_dump(script(text, count, seed)), encoding="utf-8")
+    command = [sys.executable, "-m", "risc_experiments.fly", "--seed", str(seed), "--vehicles", str(args.vehicles)]
+    command += ["--duration", str(args.duration), "--mocap-rate", str(args.mocap_rate), "--out", str(folder)]
+    command += ["--faults", str(folder / "faults.yaml")]
+    with (folder / "fly.txt").open("w") as output:
+        subprocess.call(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+    path = folder / "summary.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+def measure(text, folder, args):
+    """Row of a fault: events until there are enough of them."""
+    events, passed, late_ms, seed = [], 0, [], 0
+    while len(events) < args.events and seed < MOST_FLIGHTS:
+        seed += 1
+        summary = fly(folder / ("%s_seed%d" % (text.replace(":", "_"), seed)), text, seed, args)
+        if summary is not None:
+            events += summary["faults"]
+            passed += summary["passed"]
+            late_ms.append(summary["lab_late_ms"]["p99"])
+    reactions_ms = [ms for event in events for ms in event["reactions_ms"].values()]
+    percentiles = np.percentile(reactions_ms, [50, 99, 100]).tolist() if reactions_ms else [None] * 3
+    return {
+        "fault": text,
+        "flights": seed,
+        "passed": passed,
+        "events": len(events),
+        "reactions": len(reactions_ms),
+        **dict(zip(("p50_ms", "p99_ms", "max_ms"), percentiles)),
+        "outcomes": dict(Counter(event["outcome"] for event in events)),
+        "unsafe": sum(not event["safe"] for event in events),
+        "lab_late_p99_ms": max(late_ms, default=None),
+    }
+
+
+def limit_ms():
+    """Within which an AR.Drone has to be sent the command to hold when motion capture is lost."""
+    return STATE_HOLD_MS + 1e3 / VehicleNodeParams().rate_hz(load_vehicle_type("ardrone"))
+
+
+def main():
+    """Command line. Returns 1 when an outcome was not safe, or a blackout of motion capture was noticed too late."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=pathlib.Path, help="write the rows here, after each one")
+    parser.add_argument("--out", type=pathlib.Path, help="folder for the flights (default: flights/faults_DATE)")
+    parser.add_argument("--faults", nargs="+", default=FAULTS, metavar="NAME[:ARG]")
+    parser.add_argument("--events", type=int, default=100, help="of each fault, at least")
+    parser.add_argument("--vehicles", type=int, default=3)
+    parser.add_argument("--duration", type=float, default=110.0, help="[s] on the course")
+    parser.add_argument("--mocap-rate", type=float, default=200.0, help="[Hz]")
+    args = parser.parse_args()
+    out = args.out or ROOT / "flights" / datetime.datetime.now().strftime("faults_%Y%m%d-%H%M%S")
+    print("%d vehicles, perturbed plant (simulated); a blackout of motion capture: p99 at most %.0f ms"
+          % (args.vehicles, limit_ms()))  # fmt: skip
+    print("%-28s %7s %7s %9s %9s %9s %9s  %s"
+          % ("fault", "flights", "events", "reactions", "p50", "p99", "max", "outcomes"), flush=True)  # fmt: skip
+    rows = []
+    for text in args.faults:
+        row = measure(text, out, args)
+        rows.append(row)
+        told = ["-" if row[key] is None else "%.1f ms" % row[key] for key in ("p50_ms", "p99_ms", "max_ms")]
+        outcomes = ", ".join("%s %d" % item for item in sorted(row["outcomes"].items()))
+        unsafe = "; %d not safe" % row["unsafe"] if row["unsafe"] else ""
+        print("%-28s %3d/%3d %7d %9d %9s %9s %9s  %s%s; lab late %.1f ms (p99)"
+              % (text, row["passed"], row["flights"], row["events"], row["reactions"], *told, outcomes, unsafe,
+                 row["lab_late_p99_ms"] or math.nan), flush=True)  # fmt: skip
+        if args.json:
+            args.json.write_text(json.dumps({"rows": rows}, indent=2) + "\n", encoding="utf-8")
+    late = [row for row in rows if row["fault"].startswith("mocap_blackout") and (row["p99_ms"] or 0.0) > limit_ms()]
+    return 1 if late or any(row["unsafe"] or row["passed"] < row["flights"] for row in rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
