@@ -15,8 +15,8 @@ from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments import offline
 from risc_lab.lab import load_templates
 from risc_lab.states import S, States
-from risc_simulator.wires import Wires
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
+from risc_simulator.wires import Wires
 from risc_simulator.world import World
 
 PURSUIT_S, SETTLED_S = 22.0, 14.0  # the pursuit, and when it has settled
