@@ -160,19 +160,20 @@ def moving(t_s, x=0.0, u=0.0, y=0.0, z=1.0):
     return "/cortex_raw", Cortex(Obj=[States(name="Raven", visible=True, x=x, y=y, z=z, u=u)]), t_s
 
 
-def test_the_fence_margin_is_the_nearest_side_now_and_ahead(play):
+def test_the_fence_margin_is_the_nearest_side_now_and_where_it_stops(play):
     rows = [moving(T0_S, x=0.5), moving(T0_S + 0.03, x=1.0, u=2.0), moving(T0_S + 1.0, y=-1.8), moving(T0_S + 2.0)]
     raven = play(FenceCollector(), rows).result(0.0)["Raven"]
-    assert raven.limits == SafetyLimits()
+    assert raven.fence.limits == SafetyLimits()
     assert raven.least_m == pytest.approx(NET_HALF_Y_M - 1.8)
     assert raven.least_place_m == pytest.approx((0.0, -1.8, 1.0))
     assert raven.least_s == pytest.approx(T0_S + 1.0, abs=1e-6)
-    ahead_s = SafetyLimits().fence_lookahead_s
-    assert raven.least_ahead_m == pytest.approx(min(NET_HALF_Y_M - 1.8, NET_HALF_X_M - 1.0 - 2.0 * ahead_s))
-    t_s, now_m, ahead_m = raven.table.T
+    goes_on_m = raven.fence.stop_m(0, 2.0)
+    assert 1.0 < goes_on_m < 2.5
+    assert raven.least_stopped_m == pytest.approx(min(NET_HALF_Y_M - 1.8, NET_HALF_X_M - 1.0 - goes_on_m))
+    t_s, now_m, stopped_m = raven.table.T
     assert t_s == pytest.approx([T0_S, T0_S + 1.0, T0_S + 2.0], abs=1e-6), "one point each 0.1 s"
     assert now_m[0] == pytest.approx(NET_HALF_X_M - 1.0)
-    assert ahead_m[0] == pytest.approx(NET_HALF_X_M - 1.0 - 2.0 * ahead_s)
+    assert stopped_m[0] == pytest.approx(NET_HALF_X_M - 1.0 - goes_on_m)
 
 
 def test_the_floor_is_no_fence(play):
@@ -185,14 +186,15 @@ def test_the_fence_is_that_of_the_flights_parameters(play):
     vehicle["start"] = {"position_m": [0, 0, 0]}
     fleet = fleet_from_dict({"name": "one", "mocap": {"host": "127.0.0.1"}, "vehicles": [vehicle]})
     node = {"fence_margin_m": 0.3, "fence_max_m": [1.0, 1.0, 2.0], "fence_min_m": [-1.0, -1.0, -1.0], "TakeoffLand": 6}
-    limits = Origin(parameters={"risc3": {"joystick_controller": node}, "risc1": {}}, fleet=fleet).fence_limits()
-    assert limits["Raven"].fence_margin_m == 0.3
-    raven = play(FenceCollector(limits), [moving(T0_S, x=0.9)]).result(0.0)["Raven"]
+    fences = Origin(parameters={"risc3": {"joystick_controller": node}, "risc1": {}}, fleet=fleet).fences()
+    assert fences["Raven"].margin_m == 0.3
+    raven = play(FenceCollector(fences), [moving(T0_S, x=0.9)]).result(0.0)["Raven"]
     assert raven.least_m == pytest.approx(0.1)
-    assert Origin(parameters=None, fleet=fleet).fence_limits() == {}
+    assert Origin(parameters=None, fleet=fleet).fences() == {}
     node = {"joystick_timeout": 0.7, "ScaleRoll": 3.0}  # what launch/joystick_controller.launch sets
     parameters = {"risc3": {"joystick_controller": node, "joy_node": {"dev": ""}}, "virtual_lab": {"vehicles": -1}}
-    limits = Origin(parameters=parameters, fleet=fleet).fence_limits()
+    fences = Origin(parameters=parameters, fleet=fleet).fences()
+    limits = {name: fence.limits for name, fence in fences.items()}
     assert limits == {"Raven": SafetyLimits(joystick_timeout=0.7, **fence_of(fleet.arena))}
 
 

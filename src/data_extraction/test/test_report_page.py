@@ -387,7 +387,7 @@ def test_a_lost_end_and_the_counters_beginning_are_said(tmp_path):
     assert "The last frame came 4.9 s before the end of the bag; that is counted as a gap." in page.text
     assert "they count from the start of the node" in page.text
     assert "No vehicle left the lowest failsafe level." in page.text and "low on battery" not in page.text
-    assert "look-ahead" in next(row for row in page.rows if "nearest to the net" in row)
+    assert "where it could have stopped" in next(row for row in page.rows if "nearest to the net" in row)
 
 
 def test_of_many_events_the_page_shows_the_end(tmp_path):

@@ -6,8 +6,12 @@ import math
 import pytest
 
 from risc_control.failsafe import FailsafeLevel, Freshness, Rule, SafetyLadder, SafetyLimits
+from risc_control.fence import Fence, pushed_m_s2
 from risc_control.separation import ALONE, Look
+from risc_lab.lab import load_vehicle_type
+from risc_lab.lab.arena import NET_HALF_X_M
 
+ARDRONE = load_vehicle_type("ardrone")
 INSIDE = (0.5, -0.5, 1.0)
 AT_REST = (0.0, 0.0, 0.0)
 
@@ -17,7 +21,7 @@ class Flight:
 
     def __init__(self, limits=None, autonomous=True):
         self.now_s = 1000.0
-        self.ladder = SafetyLadder(limits or SafetyLimits(), self.now_s)
+        self.ladder = SafetyLadder(limits or SafetyLimits(), ARDRONE, self.now_s)
         self.autonomous = autonomous
         self.position = INSIDE
         self.velocity = AT_REST
@@ -125,7 +129,7 @@ def test_land_ends_when_the_operator_takes_over():
 
 
 def test_old_stamps_are_losses_even_when_messages_arrive():
-    ladder = SafetyLadder(SafetyLimits(), 9.9)
+    ladder = SafetyLadder(SafetyLimits(), ARDRONE, 9.9)
     ladder.note_navdata(90.0, 10.0)
     ladder.note_state(INSIDE, AT_REST, 0.3, 10.0)  # a network that delivers late
     ladder.controls.note(0.3, 10.0)
@@ -145,7 +149,7 @@ def test_stamps_in_the_future_do_not_count_and_say_why():
 
 
 def test_before_the_first_message():
-    ladder = SafetyLadder(SafetyLimits(), 0.2)
+    ladder = SafetyLadder(SafetyLimits(), ARDRONE, 0.2)
     assert math.isinf(ladder.state.age_s(1.0))
     assert ladder.autonomy_problem(1.0) == "no state yet"
     ladder.note_state(INSIDE, AT_REST, 0.0, 1.0)
@@ -235,20 +239,54 @@ def test_inside_the_fence(position):
 
 
 @pytest.mark.parametrize(
-    "position, velocity, lands",
+    ("position", "velocity", "holds"),
     [
-        ((1.95, 0.0, 1.0), (0.7, 0.0, 0.0), True),  # 0.35 m further it would be past the margin
-        ((1.95, 0.0, 1.0), (0.6, 0.0, 0.0), False),
+        ((1.0, 0.0, 1.0), (1.8, 0.0, 0.0), True),  # it goes on for some 1.6 m
+        ((1.0, 0.0, 1.0), (1.2, 0.0, 0.0), False),
         ((1.95, 0.0, 1.0), (-2.0, 0.0, 0.0), False),  # on its way in
         ((0.0, -1.6, 1.0), (0.0, -0.6, 0.0), True),
-        ((0.0, 0.0, 2.5), (0.0, 0.0, 0.7), True),
+        ((0.0, 0.0, 2.5), (0.0, 0.0, 0.9), True),
+        ((0.0, 0.0, 2.5), (0.0, 0.0, 0.4), False),
         ((0.0, 0.0, 0.2), (0.0, 0.0, -1.0), False),  # the floor is no fence
     ],
 )
-def test_a_fast_vehicle_lands_before_it_is_at_the_fence(position, velocity, lands):
+def test_a_vehicle_that_cannot_stop_inside_holds_and_then_lands(position, velocity, holds):
     flight = Flight()
     flight.position, flight.velocity = position, velocity
-    assert (flight.run(0.1).level == FailsafeLevel.LAND) is lands
+    verdict = flight.run(0.1)
+    assert (verdict.level, verdict.rule) == (
+        (FailsafeLevel.HOLD, Rule.FENCE) if holds else (FailsafeLevel.OK, Rule.NONE)
+    )
+    verdict = flight.run(SafetyLimits.fence_land_s)
+    assert verdict.level == (FailsafeLevel.LAND if holds else FailsafeLevel.OK)
+    # one that has stopped in time flies on; the next time it is held until it lands
+    flight = Flight()
+    for lands in (False, True)[: 2 * holds]:
+        flight.position, flight.velocity = position, velocity
+        assert flight.run(0.3).level == FailsafeLevel.HOLD
+        flight.position, flight.velocity = INSIDE, AT_REST
+        assert flight.run(1.5).level == (FailsafeLevel.LAND if lands else FailsafeLevel.OK)
+
+
+def test_the_place_where_it_stops_depends_on_its_type_its_tilt_and_its_link():
+    ardrone, iris = Fence(SafetyLimits(), ARDRONE), Fence(SafetyLimits(), load_vehicle_type("iris"))
+    late = Fence(SafetyLimits(), load_vehicle_type("ardrone", {"command_delay_s": 0.3}))
+    assert iris.stop_m(0, 0.5) < ardrone.stop_m(0, 0.5) and iris.stop_m(0, 2.0) > ardrone.stop_m(0, 2.0)
+    assert late.stop_m(0, 1.0) == pytest.approx(ardrone.stop_m(0, 1.0) + 0.2)
+    assert ardrone.stop_m(0, 0.0) == 0.0 == ardrone.stop_m(0, -1.0)
+    assert ardrone.stop_m(0, 0.0, 1.0) > 0.1 and ardrone.stop_m(0, 1.0, -1.0) < ardrone.stop_m(0, 1.0)
+    assert ardrone.stop_m(0, 2.0) > 2.0 * ardrone.stop_m(0, 1.0)
+    edge = (NET_HALF_X_M - 0.3, 0.0, 1.0)  # where the hull of an IRIS+ would be 0.1 m behind the net
+    assert not ardrone.is_outside(edge) and iris.is_outside(edge)
+    with pytest.raises(ValueError, match="no room"):
+        Fence(SafetyLimits(fence_margin_m=2.0), load_vehicle_type("iris"))
+
+
+@pytest.mark.parametrize(("angles_deg", "way"), [((0, -10, 0), (1, 0)), ((10, 0, 0), (0, -1)), ((0, -10, 90), (0, -1))])
+def test_a_tilt_pushes(angles_deg, way):
+    """Nose down: forward; right wing down: right; turned to the right, forward is where right was."""
+    m_s2 = 9.80665 * math.tan(math.radians(10))
+    assert pushed_m_s2(*map(math.radians, angles_deg)) == pytest.approx((m_s2 * way[0], m_s2 * way[1], 0.0))
 
 
 def test_one_false_position_is_no_escape():
@@ -365,7 +403,7 @@ def test_one_false_battery_report_is_no_empty_battery():
 
 
 def test_reports_without_a_battery_change_nothing_about_it():
-    ladder = SafetyLadder(SafetyLimits(navdata_timeout_s=1.0), 0.0)
+    ladder = SafetyLadder(SafetyLimits(navdata_timeout_s=1.0), ARDRONE, 0.0)
     ladder.note_navdata(None, 1.0)
     assert not ladder.battery_is_low()
     assert ladder.navdata_is_fresh(1.9), "but they are reports"
@@ -414,7 +452,7 @@ def test_a_request_lands_from_hold_and_leaves_another_landing_its_reason():
 
 @pytest.mark.parametrize("limit_s", [0.5, 1.0, 0.0])
 def test_old_reports_tell_nothing(limit_s):
-    ladder = SafetyLadder(SafetyLimits(navdata_timeout_s=limit_s), 0.0)
+    ladder = SafetyLadder(SafetyLimits(navdata_timeout_s=limit_s), ARDRONE, 0.0)
     assert not ladder.navdata_is_fresh(0.0), "none yet"
     ladder.note_navdata(50.0, 10.0)
     used_s = limit_s or 1.0
@@ -492,7 +530,7 @@ def test_bad_limits_are_named(bad):
 
 
 def test_a_clock_that_is_behind_makes_no_state_younger():
-    ladder = SafetyLadder(SafetyLimits(), 0.0)
+    ladder = SafetyLadder(SafetyLimits(), ARDRONE, 0.0)
     for k in range(20):  # 2 ms on the way, our clock 50 ms behind
         ladder.note_state((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), -0.048, 0.005 * k)
     assert ladder.state.ages.behind_s == pytest.approx(0.048)

@@ -248,3 +248,46 @@ def test_who_is_landing_is_not_told_to_begin_again(tmp_path, monkeypatch):
         interrupted,
     )
     assert result == "told to land" and not isinstance(result, fly.TooSlow)
+
+
+@pytest.mark.parametrize("answers", [True, False], ids=["refuses", "hangs"])
+def test_faults_that_do_not_happen_end_the_flight(monkeypatch, tmp_path, answers):
+    """They are asked for once, when all are on the course; the virtual lab refuses one, or does not answer at all."""
+    rospy = pytest.importorskip("rospy")
+    from risc_experiments.ros import watch as module
+
+    over, asked = threading.Event(), []
+
+    def ask(*fault):
+        asked.append(fault)
+        if not answers:
+            over.wait(60.0)
+        return types.SimpleNamespace(success=False, message="no vehicle 'risc9'")
+
+    monkeypatch.setattr(rospy, "ServiceProxy", lambda *_, **__: ask)
+    monkeypatch.setattr(module, "CALL_PATIENCE_S", 0.2)
+    watch = module.Watch.__new__(module.Watch)
+    watch.failure, watch.flight_failed, watch.text, watch.phase = None, False, "", OperatorPhase.FLY
+    watch.errors_mm, watch.rate_hz, watch._operator_s, watch._operator_first_s = {}, None, None, None
+    watch._refusal, watch._answer_due_s, watch.on_course = "", float("inf"), False
+
+    def land():
+        watch.failure, watch.flight_failed = "landing was requested", True
+        return True
+
+    def show(*_):
+        watch.on_course = True
+
+    watch.land = land
+    result = fly._follow(
+        fly.arguments(["--fault", "mocap_blackout:0.3@2", "--fault", "wind@5"]),
+        tmp_path,
+        types.SimpleNamespace(identity="nobody", running=lambda: True),
+        watch,
+        types.SimpleNamespace(show=show, say=lambda text: None),
+        threading.Event(),
+    )
+    over.set()
+    assert asked == [("mocap_blackout:0.3@2", 0.0)]
+    problem = "no vehicle 'risc9'" if answers else "the virtual lab was asked for faults and does not answer"
+    assert result == problem + "; landing was requested"

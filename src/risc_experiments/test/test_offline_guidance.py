@@ -15,8 +15,8 @@ from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments import offline
 from risc_lab.lab import load_templates
 from risc_lab.states import S, States
-from risc_simulator.faults import Wires
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
+from risc_simulator.wires import Wires
 from risc_simulator.world import World
 
 PURSUIT_S, SETTLED_S = 22.0, 14.0  # the pursuit, and when it has settled
@@ -44,7 +44,7 @@ def test_it_ends_up_on_the_targets_circle_behind_it_and_flies_home_from_where_it
     def nobody(*_):
         pass
 
-    chain, buffer = offline._Chain(vehicle, 0.3, node, Wires(flight.seed), nobody, nobody), ReferenceBuffer()
+    chain, buffer = offline._Chain(vehicle, 0.3, 1.0, node, Wires(flight.seed), nobody, nobody), ReferenceBuffer()
 
     let_go_s = home_s = math.inf
     ranges, radii, homing = [], [], []

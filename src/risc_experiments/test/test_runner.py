@@ -110,6 +110,7 @@ def test_an_outcome_that_is_not_safe_fails_the_flight():
         ([fault(vehicle="risc2")], LANDED, (), False),  # another one's
         ([fault(vehicle="risc2")], LANDED, ["risc1"], True),  # too near to that
         ([fault(13.0)], LANDED, (), False),  # which had not begun
+        ([], LANDED, (), False),
         ([fault()], Out(12.0, OutCause.NODE, "lost its joystick node"), (), False),  # a fault ends no node
         ([fault()], Out(40.0, OutCause.OVERDUE, "did not land within 30 s"), (), False),
         ([fault()], Out(12.0, OutCause.SILENT, "silent: no navdata for 2 s"), (), True),

@@ -328,14 +328,14 @@ def fence_margin(margins, zero_s, faults=()):
     figure, axes = plt.subplots(figsize=(9.0, 3.2))
     lowest_m = 0.05
     for colour, (name, item) in zip(itertools.cycle(COLOURS), margins.items()):
-        times_s, now_m, ahead_m = item.table.T
-        lowest_m = min(lowest_m, float(ahead_m.min()))
-        for values_m, style in ((ahead_m, {"lw": 0.7, "alpha": 0.5}), (now_m, {"lw": 1.2, "label": name})):
+        times_s, now_m, stopped_m = item.table.T
+        lowest_m = min(lowest_m, float(stopped_m.min()))
+        for values_m, style in ((stopped_m, {"lw": 0.7, "alpha": 0.5}), (now_m, {"lw": 1.2, "label": name})):
             t_s, closeness_m = _peaks(times_s, -values_m)
             axes.plot(t_s - zero_s, -closeness_m, color=colour, **style)
-    for limit_m in sorted({item.limits.fence_margin_m for item in margins.values()}):
+    for limit_m in sorted({item.fence.margin_m for item in margins.values()}):
         axes.axhline(limit_m, color="#b3261e", lw=1.0, ls="--", label="landing is ordered below %g m" % limit_m)
-    axes.set(xlabel="time [s]    (pale: with the place after the look-ahead)", ylabel="distance from the net [m]")
+    axes.set(xlabel="time [s]    (pale: of where it could have stopped)", ylabel="distance from the net [m]")
     axes.set_ylim(bottom=lowest_m - 0.05)
     _mark_faults(axes, faults)
     figure.legend(loc="outside upper right", ncol=5)

@@ -24,6 +24,7 @@ import functools
 import math
 from dataclasses import dataclass, replace
 
+from risc_control.fence import Fence
 from risc_control.separation import ALONE
 from risc_lab.lab.arena import Arena
 from risc_lab.message_age import MessageAges
@@ -53,6 +54,8 @@ class Rule(enum.IntEnum):
 
 WITHOUT_EFFECT = "; it does not land: the emergency stop is the operator's"  # behind the reason of such a verdict
 _OK, _HOLD, _LAND = FailsafeLevel  # the members of an enumeration are slow to look up, and this is asked in every frame
+_FENCE_CLEAR_S = 0.3  # the fence lets go of a vehicle that could stop in time for so long;
+_FENCE_FORGETS_S = 3.0  # one that it must hold again within so long it holds until it lands
 _JOYSTICK_MEMORY_S = 60.0  # on the ground a joystick is missed for so long
 _FINE = (_OK, Rule.NONE, "", None)  # what `SafetyLadder._judge` says of a flight without trouble
 
@@ -79,6 +82,7 @@ class SafetyLimits(Settings):
     state_least_step_m: NotNegative = 1e-7  # [m] nearer to the last state: frozen; 0 = off, for exact simulators
     controls_hold_s: Positive = 0.1  # [s] own command older than this: HOLD
     controls_land_s: Positive = 0.5  # [s] ... LAND
+    saturated_land_s: NotNegative = 1.5  # [s] tilted to full scale for half of it: HOLD, for so long: LAND; 0 = off
     navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
     # [s] no joystick heard, or one of several silent: LAND; 0 = off, for joysticks that speak on change only
     joystick_timeout: NotNegative = 1.0
@@ -89,9 +93,11 @@ class SafetyLimits(Settings):
     # [m] x, y, z, cortex frame; a node's are the net of its fleet file
     fence_min_m: tuple[float, float, float] = fence_of(Arena())["fence_min_m"]
     fence_max_m: tuple[float, float, float] = fence_of(Arena())["fence_max_m"]
-    fence_margin_m: NotNegative = 0.2  # [m] the vehicle's centre must stay this far inside
-    fence_lookahead_s: NotNegative = 0.5  # [s] ... and so must the place that it reaches this much later
-    fence_delay_s: NotNegative = 0.05  # [s] outside for so long: LAND (one false measurement is no reason)
+    # [m] the centre of an AR.Drone must stay so far inside, that of a wider vehicle farther, else LAND; one that could
+    # not stop there much later: HOLD, see `fence`
+    fence_margin_m: NotNegative = 0.2
+    fence_delay_s: NotNegative = 0.05  # [s] ... for so long (one false measurement is no reason)
+    fence_land_s: Positive = 1.5  # [s] ... that still cannot after so long, or that the fence holds again: LAND
     # Distances between the centres of vehicles in the air, see `separation`. They are those of two AR.Drones: others
     # are kept farther apart by what the two reach farther than these (`radius_m` of the types), e.g. two IRIS+ 0.30 m.
     separation_m: NotNegative = 0.55  # [m] nearer: HOLD, then LAND; hulls are as wide, courses keep 0.63 m; 0 = off
@@ -215,12 +221,15 @@ class Reaction:
 class SafetyLadder:
     """One vehicle's ladder. Feed it what arrives, ask `update` often (at 50 Hz or more)."""
 
-    def __init__(self, limits, now_s):
+    def __init__(self, limits, vehicle_type, now_s):
+        """limits: SafetyLimits.  vehicle_type: VehicleType."""
         self.limits = limits
         self.state = Freshness("state", limits.clock_tolerance_s)
         self.controls = Freshness("controls", limits.clock_tolerance_s)
         self.suspect = ""  # what the newest state contradicts; "" when nothing
         self._suspect_s = -math.inf  # when it came
+        self._not_finite_s = -math.inf  # when the controller sent a command that was no number, last
+        self._saturated = Lasting()
         self._losses = (  # what it flies on, and how old that may be
             (Rule.STATE, self.state, limits.state_hold_s, limits.state_land_s),
             (Rule.CONTROLS, self.controls, limits.controls_hold_s, limits.controls_land_s),
@@ -234,31 +243,39 @@ class SafetyLadder:
         self._airborne = False
         self._battery_pct = None
         self._battery_low = Lasting()
-        self._outside = Lasting()
+        self._fence = Fence(limits, vehicle_type)
+        self._outside, self._leaves = Lasting(), Lasting()
+        self._left_s = -math.inf  # when it could not stop in time last
+        self._fence_since_s = self._fence_ended_s = -math.inf  # when the fence held it
+        self._fence_again = False  # shortly before it did so, too
         self._look = ALONE
         self._near = Lasting()
         self._apart_since_s, self._apart_reason = None, ""  # it holds or lands because of other vehicles
         self._position_m = None
         self._land_since_s = None
-        self._room_m = limits.room_m
 
-    def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s):
-        """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame."""
+    def note_state(self, position_m, velocity_m_s, age_at_arrival_s, now_s, pushes=()):
+        """The vehicle was seen: its position (3,) [m] and velocity (3,) [m/s], cortex frame.
+
+        pushes: accelerations (3,) [m/s^2] that its tilt makes, or will make.
+        """
         self.state.note(age_at_arrival_s, now_s)
         self.suspect = ""
         self._position_m = position_m
-        # a landing vehicle keeps its velocity at first: the fast one must be told earlier than the slow one
-        ahead_s = self.limits.fence_lookahead_s
-        outside = False
-        for (low, high), value, rate in zip(self._room_m, position_m, velocity_m_s):
-            if not (low <= value <= high and low <= value + ahead_s * rate <= high):
-                outside = True
-                break
-        self._outside.note(outside, now_s)
+        self._outside.note(self._fence.is_outside(position_m), now_s)
+        self._leaves.note(self._fence.leaves(position_m, velocity_m_s, pushes), now_s)
+        if self._leaves.lasts(self.limits.fence_delay_s):
+            self._left_s = now_s
 
     def note_suspect(self, reason, now_s):
         """The vehicle was seen with a state that cannot be true. reason: what it contradicts."""
         self.suspect, self._suspect_s = reason, now_s
+
+    def note_command(self, finite, saturated, now_s):
+        """The controller has sent a command. finite: of numbers.  saturated: to tilt by full scale."""
+        if not finite:
+            self._not_finite_s = now_s
+        self._saturated.note(finite and saturated, now_s)
 
     def note_look(self, look, now_s):
         """What it has to do about the other vehicles (`separation.Look`) by what was seen now."""
@@ -362,6 +379,10 @@ class SafetyLadder:
             self._apart_since_s = None
         elif rule == Rule.SEPARATION and self._apart_since_s is None:
             self._apart_since_s, self._apart_reason = now_s, reason
+        if rule == Rule.FENCE and self.verdict.rule != Rule.FENCE:
+            self._fence_since_s, self._fence_again = now_s, now_s - self._fence_ended_s < _FENCE_FORGETS_S
+        elif self.verdict.rule == Rule.FENCE and rule != Rule.FENCE:
+            self._fence_ended_s = now_s
         self._land_since_s = now_s if level == _LAND else None
         entered = level > self.verdict.level
         age_s, limit_s = age or (None, None)
@@ -390,6 +411,8 @@ class SafetyLadder:
             reason = fresh.describe(now_s)
             if rule == Rule.STATE and self.suspect and now_s - self._suspect_s <= hold_s:
                 rule, reason = Rule.SUSPECT, "%s: %s" % (reason, self.suspect)
+            elif rule == Rule.CONTROLS and now_s - self._not_finite_s <= hold_s:
+                reason += ": the controller sends commands that are not finite"
             if age_s > land_s:
                 return _LAND, rule, reason, (age_s, land_s)
             hold = _HOLD, rule, reason, (age_s, hold_s)
@@ -399,17 +422,32 @@ class SafetyLadder:
             return _LAND, Rule.NAVDATA, reason, (age_s, limits.navdata_timeout_s)
         if not autonomous:
             return hold
+        if limits.saturated_land_s and self._saturated.lasts(0.5 * limits.saturated_land_s):
+            level = _LAND if self._saturated.lasts(limits.saturated_land_s) else _HOLD
+            if level > hold[0]:
+                reason = "the controller commands full tilt for more than %.2g s"
+                hold = level, Rule.CONTROLS, reason % (0.5 * level * limits.saturated_land_s), None
+            if level == _LAND:
+                return hold
         # Seen outside for that long: one false position followed by silence is a loss, not an escape.
         if self._outside.lasts(limits.fence_delay_s):
-            return _LAND, Rule.FENCE, "leaving the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
+            return _LAND, Rule.FENCE, "outside of the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None
         if self._battery_low.lasts(limits.battery_delay_s):
             return _LAND, Rule.BATTERY, "battery at %.0f %%" % self._battery_pct, None
+        leaves = self._leaves.lasts(limits.fence_delay_s)
+        if self.verdict.rule == Rule.FENCE:
+            leaves = self._fence_again or now_s - self._left_s < _FENCE_CLEAR_S
+        if leaves:
+            reason = "it could not stop inside the fence much later, at (%.2f, %.2f, %.2f) m" % tuple(self._position_m)
+            if self.verdict.rule == Rule.FENCE and now_s - self._fence_since_s >= limits.fence_land_s:
+                return _LAND, Rule.FENCE, reason, None
+            hold = (_HOLD, Rule.FENCE, reason, None) if hold is _FINE else hold
         if self._apart_since_s is None and not self._near.lasts(limits.separation_delay_s):
             return hold
         # It stays: its reference has gone on, and it would follow that through the others.
         held_s = 0.0 if self._apart_since_s is None else now_s - self._apart_since_s
         waits = self._look.above and held_s < limits.separation_wait_s
         level = _LAND if held_s >= limits.separation_land_s and not waits else _HOLD
-        if level <= hold[0]:
+        if level <= hold[0] and hold[1] != Rule.FENCE:  # which has no way out of the others'
             return hold
         return level, Rule.SEPARATION, self._look.reason or self._apart_reason, None

@@ -36,6 +36,7 @@ _REFERENCE_S = 0.5  # [s] a reference that much older, or newer, than the positi
 _LEVEL_M = 0.05  # vehicles whose heights differ by less: the order of the fleet decides who is the upper one
 _PIECES = 4  # straight ones, of a bent path
 _FLOOR_M = AIRBORNE_M + 0.2  # nobody moves down below this
+_STOPS_S = 0.5  # times the speed of moving apart: so far from the room's sides nobody is sent on
 _STILL = (0.0, 0.0, 0.0)
 _BESIDE = 1.2  # times separation_m (of two AR.Drones): so far from the one that stands below a vehicle lands
 
@@ -104,7 +105,7 @@ class Separation:
         self._limits = np.zeros(1, _LIMITS)[0]
         for name in _OF_SAFETY:
             self._limits[name] = getattr(limits, name)
-        margin_m = limits.fence_lookahead_s * limits.separation_speed_m_s
+        margin_m = _STOPS_S * limits.separation_speed_m_s
         low_m, high_m = np.transpose(limits.room_m)
         self._limits.low_m[:] = np.maximum(low_m + margin_m, (-np.inf, -np.inf, _FLOOR_M))
         self._limits.high_m[:] = high_m - margin_m
@@ -375,7 +376,7 @@ def _avoid(vehicles, i, now_s, limits):
         if alone_m < closest_m:
             closest_m = alone_m
             climb = 1 if _is_above(one, other) else -1
-    if (climb > 0 and height_m > limits.high_m[2]) or (climb < 0 and height_m < limits.low_m[2]):
+    if (climb > 0 and height_m > limits.high_m[2] - one.wider_m) or (climb < 0 and height_m < limits.low_m[2]):
         climb = 0
     if above and not _is_free(vehicles, i, aside, _BESIDE * limits.separation_m - beside_m, now_s, limits):
         aside = (0.0, 0.0)
@@ -388,7 +389,7 @@ def _is_free(vehicles, i, aside, distance_m, now_s, limits):
     one, speed_m_s = vehicles[i], limits.separation_speed_m_s
     for axis in range(2):
         end_m = one.position_m[axis] + distance_m * aside[axis]
-        if end_m < limits.low_m[axis] or end_m > limits.high_m[axis]:
+        if end_m < limits.low_m[axis] + one.wider_m or end_m > limits.high_m[axis] - one.wider_m:
             return False
     velocity = speed_m_s * aside[0], speed_m_s * aside[1], 0.0
     within_s = distance_m / speed_m_s + limits.separation_lookahead_s if speed_m_s > 0.0 else 0.0

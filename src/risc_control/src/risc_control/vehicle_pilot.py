@@ -13,11 +13,20 @@ import numpy as np
 
 from risc_control.braking import Braking
 from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits
+from risc_control.fence import pushed_m_s2
 from risc_control.hover import HAND_M_S, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
 from risc_control.separation import ALONE
-from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState, adapter_class, state_text
-from risc_lab.command_history import CommandHistory
+from risc_control.vehicles import (
+    NO_EVIDENCE,
+    ON_GROUND,
+    TAKES_COMMANDS,
+    FlightState,
+    adapter_class,
+    greatest_command,
+    state_text,
+)
+from risc_lab.command_history import ROWS, Channel, CommandHistory
 from risc_lab.settings import NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
@@ -27,6 +36,8 @@ _ARMED_OR_SOON = frozenset((FlightState.INIT, FlightState.TAKING_OFF))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
+_TILTS_S = 0.1  # time constant of the tilt by which the fence reckons
+_NEARLY_FULL = 0.999
 _SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `VehicleNodeParams.command_rate_hz`
 
 
@@ -127,9 +138,13 @@ class VehiclePilot:
         self._params = params
         rate_hz = params.rate_hz(vehicle_type)
         self._adapter = adapter_class(vehicle_type)(vehicle_type, rate_hz)
+        most, unit = greatest_command(vehicle_type), self._adapter.units(vehicle_type)
+        full = most.roll_rad / unit.roll_rad, most.pitch_rad / unit.pitch_rad  # of an entry of /controls
+        self._full = [_NEARLY_FULL * abs(value) for value in full]
         self._sent = CommandHistory(1)
         self._braking = Braking(vehicle_type, self._sent.vehicles[0], params.hold_brakes)
         self._stopped = False  # it was braked, in this HOLD
+        self._tilts, self._tilts_s = [0.0, 0.0], now_s  # see _told_tilt
         # that takes off, holds and lands a vehicle which does not do so itself; None: it does
         self._hover = None
         if not self._adapter.FLIES_ITSELF:
@@ -142,7 +157,7 @@ class VehiclePilot:
         if 0.0 < params.navdata_timeout_s < self._adapter.SILENT_S:
             limits = replace(params, navdata_timeout_s=self._adapter.SILENT_S)
         # a simulator's vehicle is always airborne: there, silence counts from the first joystick message
-        self.ladder = SafetyLadder(limits, math.inf if params.Simulation else now_s)
+        self.ladder = SafetyLadder(limits, vehicle_type, math.inf if params.Simulation else now_s)
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
         self.airborne = params.Simulation  # may be in the air; simulators without navdata always fly
@@ -261,7 +276,9 @@ class VehiclePilot:
         if not math.isfinite(sum(position_m) + sum(velocity_m_s) + phi_rad + theta_rad + psi_rad):
             return
         self.ladder.note_look(look, now_s)
-        self.ladder.note_state(position_m, velocity_m_s, age_s, now_s)
+        tilts = (phi_rad, theta_rad), self._told_tilt(now_s)
+        pushes = [pushed_m_s2(*tilt, psi_rad) for tilt in tilts]
+        self.ladder.note_state(position_m, velocity_m_s, age_s, now_s, pushes)
         self._state = own
         self._state_s = now_s - max(age_s, 0.0)
         self._braking.see(own, self._state_s)
@@ -275,6 +292,14 @@ class VehiclePilot:
             self._stopped = False
         self.ladder.note_suspect(reason, now_s)
 
+    def _told_tilt(self, now_s):
+        """(roll, pitch) [rad] that it was told of late, without their noise."""
+        sent, part = self._sent.vehicles[0], -math.expm1((self._tilts_s - now_s) / _TILTS_S)
+        newest = sent.commands[sent.newest % ROWS].tolist()
+        told = [old + part * (newest[channel] - old) for old, channel in zip(self._tilts, (Channel.PHI, Channel.THETA))]
+        self._tilts, self._tilts_s = told, now_s
+        return told
+
     def hear_controls(self, own, age_s, now_s):
         """Take a command for a sign of life of the controller only. Returns False for one that is not finite.
 
@@ -283,6 +308,8 @@ class VehiclePilot:
         is_finite = math.isfinite(sum(own))
         if is_finite and not self.disagreement:
             self.ladder.controls.note(age_s, now_s)
+        saturated = abs(own.phi) >= self._full[0] or abs(own.theta) >= self._full[1]
+        self.ladder.note_command(is_finite, saturated and self.autonomous, now_s)
         return is_finite
 
     def on_controls(self, own, stamp, age_s, now_s):
@@ -461,21 +488,26 @@ class VehiclePilot:
             self.ladder.take_over()
             orders.say("info", "operator takes over, manual")
             return
-        problem = self.disagreement or self.ladder.autonomy_problem(now_s, not self._params.Simulation)
+        problem = self.disagreement or self._lies() or self.ladder.autonomy_problem(now_s, not self._params.Simulation)
         if not problem and self._hover is not None and self.flight_state == FlightState.OTHER_MODE:
             problem = "its autopilot is in a mode in which it does not take our commands: %s" % self._adapter.MODE_CURE
         if not problem and not self._takes_commands():
             # References would leave at once, and no command follow them.
             problem = "the vehicle does not fly yet (%s): take off and wait until it hovers" % self._state_text()
-        if not problem:
-            cosine = math.cos(self._state.phi_rad) * math.cos(self._state.theta_rad)
-            if cosine < math.cos(_TILT_MAX_RAD):
-                tilt_deg = math.degrees(math.acos(cosine))
-                problem = "it is seen tilted by %.0f deg: does z point up in Cortex, is its template right?" % tilt_deg
         if problem:
             orders.say("warn", "autonomous mode refused: %s" % problem)
             return
         self._set_mode(True, orders, "joystick")
+
+    def _lies(self):
+        """What is wrong with the tilt at which it is seen; "" when nothing is."""
+        if self._state is None:
+            return ""
+        cosine = math.cos(self._state.phi_rad) * math.cos(self._state.theta_rad)
+        if cosine >= math.cos(_TILT_MAX_RAD):
+            return ""
+        tilt_deg = math.degrees(math.acos(cosine))
+        return "it is seen tilted by %.0f deg: does z point up in Cortex, is its template right?" % tilt_deg
 
     def _state_text(self):
         """E.g. "state 6, taking off"."""

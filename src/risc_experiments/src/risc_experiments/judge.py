@@ -32,9 +32,10 @@ def judge(flight, failure, limits=None, with_cameras=False, faults=None, namespa
     """
     limits = limits or Limits()
     reasons = [failure] if failure else []
+    if faults is not None and not failure:  # which would name them
+        reasons += ["%s %s" % (name, out.reason) for name, out in faults.out.items() if not _may_be_out(name, faults)]
     if faults:
         reasons += ["fault %s: %s" % (fault.text, fault.outcome) for fault in faults.outcomes if not fault.is_safe]
-        reasons += ["%s %s" % (name, out.reason) for name, out in faults.out.items() if not _may_be_out(name, faults)]
     for name, vehicle in flight.vehicles.items():
         suffered = bool(faults) and _suffered(namespaces.get(name, name), faults)
         reasons += ["%s: %s" % (name, reason) for reason in _judge_vehicle(vehicle, limits, flight.arena, suffered)]

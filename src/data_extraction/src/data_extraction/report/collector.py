@@ -9,7 +9,7 @@ from data_extraction.report.computers import ComputerCollector
 from data_extraction.report.drops import DropCollector
 from data_extraction.report.events import EventCollector
 from data_extraction.report.faults import FaultCollector
-from data_extraction.report.fence import FenceCollector
+from data_extraction.report.fence import FenceCollector, default_fence
 from data_extraction.report.gates import GateCollector
 from data_extraction.report.ladder import LadderCollector
 from data_extraction.report.snapshots import SnapshotCollector
@@ -32,7 +32,7 @@ class ReportCollector:
             "computers": ComputerCollector(),
             "ladder": LadderCollector(),
             "batteries": BatteryCollector(),
-            "margins": FenceCollector(origin.fence_limits(), SafetyLimits(**fence_of(arena))),
+            "margins": FenceCollector(origin.fences(), default_fence(SafetyLimits(**fence_of(arena)))),
             "faults": FaultCollector(origin.fleet),
             "events": EventCollector(),
             "snapshots": SnapshotCollector(bag.types, bag.start_s, bag.duration_s),

@@ -1,4 +1,4 @@
-"""How far every vehicle was from the net, as its loss ladder sees it: now, and where it would be a little later."""
+"""How far every vehicle was from the net, as its loss ladder sees it: now, and where it could have stopped."""
 
 from dataclasses import dataclass, field
 
@@ -8,6 +8,8 @@ from data_extraction.flatten import stamp_or_receipt_s
 from data_extraction.report.topics import PerName
 from data_extraction.samples import Samples
 from risc_control.failsafe import SafetyLimits
+from risc_control.fence import Fence
+from risc_lab.lab import load_vehicle_type
 
 _BLOCK_S = 0.1  # the least margin of so long is one point of the drawing
 _ROWS = 50_000  # more are thinned out; the least margin of all is kept beside them
@@ -15,33 +17,33 @@ _ROWS = 50_000  # more are thinned out; the least margin of all is kept beside t
 
 @dataclass
 class FenceMargin:
-    """One vehicle's distance from the fence (risc_control.failsafe.SafetyLimits): positive inside."""
+    """One vehicle's distance from the net: positive inside."""
 
-    limits: SafetyLimits
+    fence: Fence
     least_m: float = np.inf  # of the position, over everything
     least_s: float = 0.0  # stamp
     least_place_m: tuple = ()  # (x, y, z) cortex frame
-    least_ahead_m: float = np.inf
+    least_stopped_m: float = np.inf
     samples: Samples = field(default_factory=lambda: Samples(3, _ROWS))  # of the blocks that have ended
     block: list = field(default_factory=list)  # stamp of its begin [s], and what follows
 
     @property
     def table(self):
-        """(n, 3): stamp [s], least margin [m] of the position, and of that and the place it reaches, of each block."""
+        """(n, 3): stamp [s], least margin [m] of the position, and of where it could have stopped, of each block."""
         return np.vstack((self.samples.table(), [self.block]))
 
     def note(self, stamp_s, state):
         position_m = (state.x, state.y, state.z)
-        now_m, ahead_m = margin(self.limits, position_m, (state.u, state.v, state.w))
+        now_m, stopped_m = margin(self.fence, position_m, (state.u, state.v, state.w))
         if now_m < self.least_m or not self.block:
             self.least_m, self.least_s, self.least_place_m = now_m, stamp_s, position_m
-        self.least_ahead_m = min(self.least_ahead_m, ahead_m)
+        self.least_stopped_m = min(self.least_stopped_m, stopped_m)
         if self.block and 0.0 <= stamp_s - self.block[0] < _BLOCK_S:
-            self.block[1:] = min(self.block[1], now_m), min(self.block[2], ahead_m)
+            self.block[1:] = min(self.block[1], now_m), min(self.block[2], stopped_m)
             return
         if self.block:
             self.samples.append(self.block)
-        self.block = [stamp_s, now_m, ahead_m]
+        self.block = [stamp_s, now_m, stopped_m]
 
 
 class FenceCollector(PerName):
@@ -49,29 +51,34 @@ class FenceCollector(PerName):
 
     topics = ("/cortex_raw",)
 
-    def __init__(self, limits=None, default=None):
-        """limits: {vehicle's template: SafetyLimits}.  default: of the others, None = that of SafetyLimits."""
+    def __init__(self, fences=None, default=None):
+        """fences: {vehicle's template: Fence}.  default: of the others, None = that of an AR.Drone."""
         super().__init__()
-        self._limits, self._default = limits or {}, default or SafetyLimits()
+        self._fences, self._default = fences or {}, default or default_fence()
 
     def __call__(self, topic, receipt_s, message):
         stamp_s = stamp_or_receipt_s(message, receipt_s)
         for state in message.Obj:
             if state.visible:
-                limits = self._limits.get(state.name, self._default)
-                self.found.setdefault(state.name, FenceMargin(limits)).note(stamp_s, state)
+                fence = self._fences.get(state.name, self._default)
+                self.found.setdefault(state.name, FenceMargin(fence)).note(stamp_s, state)
 
 
-def margin(limits, position_m, velocity_m_s):
-    """(margin of the position, least of it and of the margin after the look-ahead) [m]; both vectors in cortex axes.
+def default_fence(limits=None):
+    """Fence of an AR.Drone; limits: SafetyLimits, None = the default ones."""
+    return Fence(limits or SafetyLimits(), load_vehicle_type("ardrone"))
+
+
+def margin(fence, position_m, velocity_m_s):
+    """(margin of the position, of the place where it could have stopped) [m]; both vectors in cortex axes.
 
     A lower side that lies below the floor is no net: nothing can come near it.
     """
-    now_m = ahead_m = np.inf
-    low_x, low_y, low_z = limits.fence_min_m
+    now_m = stopped_m = np.inf
+    low_x, low_y, low_z = fence.limits.fence_min_m
     lowest = (low_x, low_y, low_z if low_z >= 0.0 else -np.inf)
-    for low, value, rate, high in zip(lowest, position_m, velocity_m_s, limits.fence_max_m):
-        later = value + limits.fence_lookahead_s * rate
+    for axis, (low, high) in enumerate(zip(lowest, fence.limits.fence_max_m)):
+        value, rate = position_m[axis], velocity_m_s[axis]
         now_m = min(now_m, value - low, high - value)
-        ahead_m = min(ahead_m, later - low, high - later)
-    return now_m, min(now_m, ahead_m)
+        stopped_m = min(stopped_m, value - fence.stop_m(axis, -rate) - low, high - value - fence.stop_m(axis, rate))
+    return now_m, stopped_m

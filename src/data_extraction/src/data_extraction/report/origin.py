@@ -9,6 +9,7 @@ import yaml
 
 from data_extraction.command_line import fleet_of
 from risc_control.failsafe import SafetyLimits, fence_of
+from risc_control.fence import Fence
 from risc_lab.lab import Fleet
 from risc_lab.settings import settings_from
 
@@ -47,14 +48,15 @@ class Origin:
             for vehicle in (self.fleet.vehicles if self.fleet else ())
         }
 
-    def fence_limits(self):
-        """{template: SafetyLimits} that the vehicles' nodes had; those that are not known are left out."""
+    def fences(self):
+        """{template: Fence} that the vehicles' nodes had; those that are not known are left out."""
         result = {}
         for vehicle in self.fleet.vehicles if self.fleet else ():
             for node in self._nodes_of(vehicle.namespace):
                 names = {item: node[item] for item in node if item in SafetyLimits.__dataclass_fields__}
                 if names:  # a vehicle node: launch files set at least its joystick_timeout, the others are defaults
-                    result[vehicle.template] = settings_from(SafetyLimits, {**fence_of(self.fleet.arena), **names})
+                    limits = settings_from(SafetyLimits, {**fence_of(self.fleet.arena), **names})
+                    result[vehicle.template] = Fence(limits, vehicle.vehicle_type)
         return result
 
     def _nodes_of(self, namespace):

@@ -100,12 +100,12 @@ class FaultPanel:
 
 
 def argument_words(kind):
-    """What the argument of a FaultKind is, e.g. "duration_s 0 to 60 s (default 0.3): mild 0.1, severe 3"."""
+    """What the argument of a FaultKind is, e.g. "duration 0 to 60 s (default 0.3): mild 0.1, severe 3"."""
     unit = " " + kind.unit if kind.unit else ""
     if kind.least == kind.greatest:
         return "takes no argument"
     most = "%g to %g" % (kind.least, kind.greatest) if math.isfinite(kind.greatest) else "from %g" % kind.least
-    words = "%s %s%s (default %g)" % (kind.argument, most, unit, kind.default_value)
+    words = "%s %s%s (default %g)" % (kind.argument.partition("_")[0], most, unit, kind.default_value)
     grades = ", ".join("%s %g" % grade for grade in zip(kind.grades, kind.grade_values))
     return words + (": " + grades if grades else "")
 
