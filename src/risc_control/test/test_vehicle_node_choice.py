@@ -1,12 +1,14 @@
 """Which vehicles a vehicle node flies, by its parameters and the fleet."""
 
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip("rospy")
 
-from risc_control.ros.vehicle_node import _chosen  # noqa: E402
+from risc_control.ros.vehicle_node import _chosen, _without_ladder  # noqa: E402
 from risc_lab.lab import generated_fleet  # noqa: E402
-from risc_lab.lab.fleet import fleet_from_dict  # noqa: E402
+from risc_lab.lab.fleet import fleet_from_dict, unplaced_vehicle  # noqa: E402
 
 FLEET = generated_fleet(3)
 
@@ -75,3 +77,17 @@ def test_vehicle_is_found_by_name():
     for namespace, known in (("risc3", two), ("", two), ("", None), ("risc4", None)):
         with pytest.raises(ValueError, match="~vehicle"):
             one("", namespace, known)
+
+
+def test_only_the_virtual_lab_flies_without_the_ladder():
+    _without_ladder(FLEET, FLEET.vehicles)
+    _without_ladder(FLEET.in_subnet("127.77"), FLEET.in_subnet("127.77").vehicles)
+    real = FLEET.in_subnet("10.1")
+    mocap, vehicles = (replace(FLEET, **{name: getattr(real, name)}) for name in ("mocap", "vehicles"))
+    serial = replace(FLEET, vehicles=(replace(FLEET.vehicles[0], devices={"arduino": "/dev/ttyACM0"}),))
+    for fleet_file in (real, mocap, vehicles, serial):
+        with pytest.raises(ValueError, match="virtual lab only"):
+            _without_ladder(fleet_file, fleet_file.vehicles)
+    for fleet_file in (FLEET, None):
+        with pytest.raises(ValueError, match="virtual lab only"):
+            _without_ladder(fleet_file, [unplaced_vehicle("risc9", "buzzard")])

@@ -664,6 +664,34 @@ def test_its_own_velocity_counts_where_its_bottom_camera_sees_the_floor(sees_the
     assert (desk.run(0.1)[-1][1].forward > -0.1) == sees_the_floor
 
 
+def test_commands_that_are_no_numbers_are_as_silence_and_named():
+    desk = Desk().fly(autonomous=True)
+    desk.control = Controls(math.nan, 0.0, 0.0, HOVER_N)
+    desk.run(0.15)
+    verdict = desk.pilot.ladder.verdict
+    assert (verdict.level, verdict.rule) == (FailsafeLevel.HOLD, Rule.CONTROLS) and "not finite" in verdict.reason
+    desk.run(0.4)
+    assert desk.pilot.ladder.verdict.level == FailsafeLevel.LAND and "not finite" in desk.pilot.ladder.verdict.reason
+    desk = Desk().fly(autonomous=True)
+    desk.alive.remove("controls")
+    desk.run(0.15)
+    assert "finite" not in desk.pilot.ladder.verdict.reason
+
+
+@pytest.mark.parametrize(("phi", "levels"), [(1.0, (0, 1, 2)), (-3.0, (0, 1, 2)), (0.9, (0, 0, 0))])
+def test_full_tilt_for_long_holds_and_lands(phi, levels):
+    desk, off = Desk().fly(), Desk(saturated_land_s=0.0).fly()
+    for each in (desk, off):
+        each.control = Controls(phi, 0.0, 0.0, HOVER_N)
+        each.run(3.0)
+        assert each.press(TOGGLE).mode is True, "in manual mode nobody follows it"
+    for wait_s, level in zip((0.7, 0.2, 0.8), levels):
+        desk.run(wait_s)
+        off.run(wait_s)
+        assert desk.pilot.ladder.verdict.level == level and off.pilot.ladder.verdict.level == FailsafeLevel.OK
+    assert desk.pilot.ladder.verdict.rule == (Rule.CONTROLS if levels[2] else Rule.NONE)
+
+
 def test_hold_ends_on_the_first_fresh_controls():
     desk = Desk().fly(autonomous=True)
     desk.control = Controls(0.1, 0.0, 0.0, HOVER_N)

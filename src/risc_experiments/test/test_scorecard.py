@@ -212,3 +212,17 @@ def card_of(flights_of):
     words = {"date": "today", "command": "./maap scorecard", "revision": None, "settings": settings}
     card = {"simulated": True, "complete": True, "ladder": True, "rows": rows, "totals": totals_of(rows)}
     return card | words | {"findings": [], "failures": []}
+
+
+def test_nobody_is_hurt_but_without_the_ladder(tmp_path, capsys):
+    """The short version. With the ladder off the same faults of the same seeds must hurt."""
+    options = ("--faults", "freeze,name_exchange,random", "--severities", "severe", "--seeds", "1", "--minutes", "0.5")
+    _, card, _ = run(capsys, tmp_path / "on", *options)
+    assert card["totals"]["failed"] == 0 and card["totals"]["events"] >= 3
+    assert (card["totals"]["breaches"], card["totals"]["contacts"], card["totals"]["unsafe"]) == (0, 0, 0), card[
+        "findings"
+    ]
+    _, control, said = run(capsys, tmp_path / "off", *options, "--no-ladder")
+    assert control["ladder"] is False and control["totals"]["breaches"] + control["totals"]["contacts"] >= 1
+    assert control["totals"]["unsafe"] >= 1 and "without the safety ladder" in said.out
+    assert "breach: freeze severe" in said.out and "after the begin of freeze" in said.out

@@ -82,6 +82,7 @@ class SafetyLimits(Settings):
     state_least_step_m: NotNegative = 1e-7  # [m] nearer to the last state: frozen; 0 = off, for exact simulators
     controls_hold_s: Positive = 0.1  # [s] own command older than this: HOLD
     controls_land_s: Positive = 0.5  # [s] ... LAND
+    saturated_land_s: NotNegative = 1.5  # [s] tilted to full scale for half of it: HOLD, for so long: LAND; 0 = off
     navdata_timeout_s: NotNegative = 1.0  # [s] nothing heard from the vehicle: LAND; 0 = off
     # [s] no joystick heard, or one of several silent: LAND; 0 = off, for joysticks that speak on change only
     joystick_timeout: NotNegative = 1.0
@@ -227,6 +228,8 @@ class SafetyLadder:
         self.controls = Freshness("controls", limits.clock_tolerance_s)
         self.suspect = ""  # what the newest state contradicts; "" when nothing
         self._suspect_s = -math.inf  # when it came
+        self._not_finite_s = -math.inf  # when the controller sent a command that was no number, last
+        self._saturated = Lasting()
         self._losses = (  # what it flies on, and how old that may be
             (Rule.STATE, self.state, limits.state_hold_s, limits.state_land_s),
             (Rule.CONTROLS, self.controls, limits.controls_hold_s, limits.controls_land_s),
@@ -267,6 +270,12 @@ class SafetyLadder:
     def note_suspect(self, reason, now_s):
         """The vehicle was seen with a state that cannot be true. reason: what it contradicts."""
         self.suspect, self._suspect_s = reason, now_s
+
+    def note_command(self, finite, saturated, now_s):
+        """The controller has sent a command. finite: of numbers.  saturated: to tilt by full scale."""
+        if not finite:
+            self._not_finite_s = now_s
+        self._saturated.note(finite and saturated, now_s)
 
     def note_look(self, look, now_s):
         """What it has to do about the other vehicles (`separation.Look`) by what was seen now."""
@@ -402,6 +411,8 @@ class SafetyLadder:
             reason = fresh.describe(now_s)
             if rule == Rule.STATE and self.suspect and now_s - self._suspect_s <= hold_s:
                 rule, reason = Rule.SUSPECT, "%s: %s" % (reason, self.suspect)
+            elif rule == Rule.CONTROLS and now_s - self._not_finite_s <= hold_s:
+                reason += ": the controller sends commands that are not finite"
             if age_s > land_s:
                 return _LAND, rule, reason, (age_s, land_s)
             hold = _HOLD, rule, reason, (age_s, hold_s)
@@ -411,6 +422,13 @@ class SafetyLadder:
             return _LAND, Rule.NAVDATA, reason, (age_s, limits.navdata_timeout_s)
         if not autonomous:
             return hold
+        if limits.saturated_land_s and self._saturated.lasts(0.5 * limits.saturated_land_s):
+            level = _LAND if self._saturated.lasts(limits.saturated_land_s) else _HOLD
+            if level > hold[0]:
+                reason = "the controller commands full tilt for more than %.2g s"
+                hold = level, Rule.CONTROLS, reason % (0.5 * level * limits.saturated_land_s), None
+            if level == _LAND:
+                return hold
         # Seen outside for that long: one false position followed by silence is a loss, not an escape.
         if self._outside.lasts(limits.fence_delay_s):
             return _LAND, Rule.FENCE, "outside of the fence at (%.2f, %.2f, %.2f) m" % tuple(self._position_m), None

@@ -17,7 +17,15 @@ from risc_control.fence import pushed_m_s2
 from risc_control.hover import HAND_M_S, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
 from risc_control.separation import ALONE
-from risc_control.vehicles import NO_EVIDENCE, ON_GROUND, TAKES_COMMANDS, FlightState, adapter_class, state_text
+from risc_control.vehicles import (
+    NO_EVIDENCE,
+    ON_GROUND,
+    TAKES_COMMANDS,
+    FlightState,
+    adapter_class,
+    greatest_command,
+    state_text,
+)
 from risc_lab.command_history import ROWS, Channel, CommandHistory
 from risc_lab.settings import NotNegative, Positive
 
@@ -29,6 +37,7 @@ _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is s
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
 _TILTS_S = 0.1  # time constant of the tilt by which the fence reckons
+_NEARLY_FULL = 0.999
 _SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `VehicleNodeParams.command_rate_hz`
 
 
@@ -129,6 +138,9 @@ class VehiclePilot:
         self._params = params
         rate_hz = params.rate_hz(vehicle_type)
         self._adapter = adapter_class(vehicle_type)(vehicle_type, rate_hz)
+        most, unit = greatest_command(vehicle_type), self._adapter.units(vehicle_type)
+        full = most.roll_rad / unit.roll_rad, most.pitch_rad / unit.pitch_rad  # of an entry of /controls
+        self._full = [_NEARLY_FULL * abs(value) for value in full]
         self._sent = CommandHistory(1)
         self._braking = Braking(vehicle_type, self._sent.vehicles[0], params.hold_brakes)
         self._stopped = False  # it was braked, in this HOLD
@@ -296,6 +308,8 @@ class VehiclePilot:
         is_finite = math.isfinite(sum(own))
         if is_finite and not self.disagreement:
             self.ladder.controls.note(age_s, now_s)
+        saturated = abs(own.phi) >= self._full[0] or abs(own.theta) >= self._full[1]
+        self.ladder.note_command(is_finite, saturated and self.autonomous, now_s)
         return is_finite
 
     def on_controls(self, own, stamp, age_s, now_s):

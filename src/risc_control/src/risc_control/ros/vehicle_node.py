@@ -3,6 +3,7 @@
 Wiring only: what is decided is decided in `vehicle_pilot`, `joystick` and `failsafe`.
 """
 
+import ipaddress
 import math
 import queue
 import socket
@@ -75,6 +76,8 @@ class VehicleNode:
         self.params, self.errands = params, queue.Queue()  # functions: the master must not hold up a callback
         threading.Thread(target=self._run_errands, daemon=True).start()
         chosen = _chosen(values, namespace, fleet)
+        if not params.ladder:
+            _without_ladder(fleet, [vehicle for vehicle, _, _ in chosen])
         # before anything is published: a node that is refused must not land a vehicle that another one flies
         buttons = {button.value: getattr(params, button.value) for button in Button}
         claim_buttons(buttons, [prefix + "joy" for _, prefix, _ in chosen])
@@ -512,6 +515,23 @@ def safety_message(verdict):
     message.age_s = math.nan if verdict.age_s is None else verdict.age_s
     message.limit_s = math.nan if verdict.limit_s is None else verdict.limit_s
     return message
+
+
+def _without_ladder(fleet, chosen):
+    """Say that nothing protects the vehicles. Raises ValueError unless all of the fleet is a virtual laboratory's.
+
+    chosen: FleetVehicles that are flown.
+    """
+    vehicles = {vehicle.namespace: vehicle for vehicle in (*(fleet.vehicles if fleet else ()), *chosen)}.values()
+    reached = [fleet.mocap.host if fleet else None, *(vehicle.address for vehicle in vehicles)]
+    devices = [device for vehicle in vehicles for device in vehicle.devices.values()]
+    if devices or not all(address and ipaddress.ip_address(address).is_loopback for address in reached):
+        raise ValueError(
+            "parameter ~ladder may be false in the virtual lab only, where motion capture and all vehicles of /fleet "
+            "have loopback addresses (127...) and no devices; here they have %s: leave it out"
+            % ", ".join(str(at or "none") for at in (*reached, *devices))
+        )
+    rospy.logerr("~ladder is false: NOTHING holds or lands the vehicles when something fails. For studies only")
 
 
 def _begins(who, heard_s):

@@ -216,16 +216,15 @@ def draw(scorecard):
     delay.set_xscale("log")
     bad.set_xscale("symlog", linthresh=0.01)
     bad.set_xlim(0.0, max(bad.get_xlim()[1], 0.1))
-    delay.axvline(_HOLD_MS, color="#888888", linewidth=0.8, linestyle=":")
     error.set_title("error [mm]: RMSE (dot) to worst")
     delay.set_title("detection [ms]: p50 (dot) to p99")
     bad.set_title("per minute; line: breaches, 95 % bounds")
     for axes in (error, delay):
         low, high = axes.dataLim.intervalx
-        if 0.0 < low <= high < math.inf:
-            axes.set_xlim(low / 1.3, high * 1.3)
+        axes.set_xlim(*((low / 1.3, high * 1.3) if 0.0 < low <= high < math.inf else (10.0, 1000.0)))
         axes.xaxis.set_major_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
         axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+    delay.axvline(_HOLD_MS, color="#888888", linewidth=0.8, linestyle=":")
     severities = [grade for grade in GRADES if any(row["severity"] == grade for row in rows)]
     handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=_COLOURS[grade], label=grade)
                for grade in severities]  # fmt: skip
