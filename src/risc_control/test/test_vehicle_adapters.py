@@ -1,6 +1,7 @@
 """The flying side of a vehicle type: commands to /controls for a fleet, and what an AR.Drone is sent."""
 
 import math
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from risc_control.vehicles import (
     climb_command,
     climb_loops,
 )
-from risc_control.vehicles.iris import NOMINAL_BATTERY_PCT, hover_throttle
+from risc_control.vehicles.iris import NOMINAL_BATTERY_PCT, Calls, hover_throttle
 from risc_lab.command_history import CommandHistory
 from risc_lab.frames import GRAVITY_M_S2 as G
 from risc_lab.lab import load_vehicle_type
@@ -179,3 +180,18 @@ def test_what_an_iris_settles_at_is_the_acceleration_that_was_asked_for(tilt_rad
     assert climb_acceleration(command, 0.4, loop) == pytest.approx(wanted)
     assert command == pytest.approx(climb_command(wanted, 0.4, loop))
     assert loop.most == pytest.approx(1.0 - 0.4917, abs=1e-3)
+
+
+def test_calls_that_never_come_back_hold_up_nobody():
+    calls, hangs = Calls(0.05), threading.Event()
+    assert calls(max, 1, 2) == 2
+    with pytest.raises(ZeroDivisionError):
+        calls(lambda: 1 / 0)
+    for _ in range(4):
+        with pytest.raises(TimeoutError, match="no answer within 0.05 s"):
+            calls(hangs.wait)
+    with pytest.raises(TimeoutError, match="4 calls before it"):
+        calls(max, 1, 2)
+    hangs.set()
+    patient = Calls(60.0)
+    assert patient(hangs.wait)

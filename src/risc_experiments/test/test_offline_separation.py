@@ -55,7 +55,7 @@ IRIS_M = load_vehicle_type("iris").wider_m
     ("types", "what", "seed", "limit_m"),
     [
         (("iris",) * 3, "controls", 4, LIMITS.separation_m + 2.0 * IRIS_M),
-        (("iris", "ardrone", "ardrone"), "controls", 4, LIMITS.separation_m + IRIS_M),
+        (("iris", "ardrone", "ardrone"), "controls", 6, LIMITS.separation_m + IRIS_M),
     ],
 )
 def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit_m, monkeypatch):
@@ -65,6 +65,18 @@ def test_wide_vehicles_keep_farther_from_one_that_stops(types, what, seed, limit
     # the control arm: all are taken for AR.Drones
     monkeypatch.setattr(offline, "wider_m", lambda vehicles: {})
     assert fly(stops).closest_m < limit_m
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.release) for seed in range(2, 14))])
+def test_wide_vehicles_stop_as_soon_as_one_of_them_does(seed, monkeypatch):
+    stops = Flight(
+        "knot", vehicles=3, seed=seed, types=("iris",) * 3, duration_s=8.0, loss=Loss(seed % 3, "controls", 1.0)
+    )
+    assert fly(stops).closest_m > LIMITS.separation_m + 2.0 * IRIS_M
+    if seed == 1:  # the control arm: it is only seen
+        monkeypatch.setattr(Separation, "tell", lambda self, names: None)
+        with pytest.raises(RuntimeError, match="collided"):
+            fly(stops)
 
 
 @pytest.mark.parametrize(("what", "vehicle"), [("state", 0), ("controls", 1), ("laptop", 2)])

@@ -621,6 +621,18 @@ def test_message_intervals(lab):
     assert names(lab.run(1.0)).count("ATTITUDE") in (50, 51)  # no more: clients cannot hold up the lab
 
 
+def test_an_interval_of_0_is_the_default_that_of_its_stream(lab):
+    attitude = ID["ATTITUDE"]
+    assert lab.order(511, attitude, 20000.0) == (ACCEPTED, [])
+    assert lab.order(511, attitude, 0.0) == (ACCEPTED, [])
+    assert lab.order(510, attitude)[1][0].values == (-1, attitude), "no stream was asked for"
+    lab.say("REQUEST_DATA_STREAM", 10, SYSTEM, 1, 10, 1)
+    for other_us in (-1.0, 20000.0):
+        lab.order(511, attitude, other_us)
+        assert lab.order(511, attitude, 0.0) == (ACCEPTED, [])
+        assert names(lab.run(1.0)).count("ATTITUDE") in (10, 11)
+
+
 def test_what_a_late_cycle_has_missed_does_not_follow(lab):
     lab.order(511, ID["ATTITUDE"], 20000.0)
     lab.run(1.0)

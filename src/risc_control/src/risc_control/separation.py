@@ -11,6 +11,8 @@ A vehicle holds when a neighbour
   than `separation_course_m` from it within `separation_follow_s`,
 - is or will be as near as that and has not been seen for `state_land_s`, so that its own ladder lands it,
 - is or will be as near as that and holds. One vehicle of a fleet that stops is in the way of the next, and so on.
+  That one holds is seen; where one of the two is wider than an AR.Drone, and the gap between hulls so narrow that this
+  would be late, the node that flies both knows it at once (`tell`).
 
 One that is not seen stays where it was seen last, for `separation_forget_s`, with all that is below, since it comes
 down there; it may also have flown on for a while. A vehicle that stands on the floor makes nobody hold; landing on it
@@ -68,6 +70,7 @@ _VEHICLE = record(
     ("follows", bool),
     ("strays", bool),
     ("holds", bool),
+    ("told", bool),  # its own node holds or lands it, whatever the others do
     ("neighbour", int),  # that makes it hold: the one that is beyond its limit by most
     ("cause", int),
 )
@@ -131,6 +134,17 @@ class Separation:
         """References of some vehicles. derivatives: (n, 3, 4) position, velocity, acceleration of x, y, z, psi."""
         rows = self._rows_of(names)
         _refer(self._vehicles, rows, derivatives, referred_s, self._limits.separation_course_m)
+
+    @property
+    def asks(self):
+        """Whether `tell` changes anything: some vehicle is wider than an AR.Drone."""
+        return any(self._wider_m.values())
+
+    def tell(self, names):
+        """These vehicles hold or land because of something else than others, which their nodes know before anybody can
+        see it. It counts beside a wide vehicle only: courses of AR.Drones leave room to see it first.
+        """
+        self._vehicles["told"] = [name in names for name in self._names]
 
     def look(self, now_s):
         """{name: Look} of the own vehicles that have to do something; the others are `ALONE`."""
@@ -315,7 +329,7 @@ def _judge(vehicles, apart_m, now_s, limits):
     apart_m: (n, n) to work in: what it counts how near two will be at their velocities, inf for pairs that do not
     matter.
     """
-    n, anybody = len(vehicles), False
+    n, anybody, tells = len(vehicles), False, False
     for i in range(n):
         _note_course(vehicles[i], now_s, limits)
     for i in range(n):
@@ -344,7 +358,8 @@ def _judge(vehicles, apart_m, now_s, limits):
                 if other.strays:
                     one.cause = Cause.UNSEEN if unseen_s > limits.state_land_s else Cause.STRAYS
         anybody |= one.holds
-    spreads = anybody
+        tells |= one.told
+    spreads = anybody or tells
     while spreads:
         spreads = False
         for i in range(n):
@@ -353,11 +368,12 @@ def _judge(vehicles, apart_m, now_s, limits):
                 continue
             nearest_m = limits.separation_stray_m
             for j in range(n):
-                if vehicles[j].holds and apart_m[i, j] < nearest_m:
+                holds = vehicles[j].holds or (vehicles[j].told and _wider(one, vehicles[j]) > 0.0)
+                if holds and apart_m[i, j] < nearest_m:
                     nearest_m = apart_m[i, j]
                     one.neighbour, one.cause = j, Cause.HOLDS
             if nearest_m < limits.separation_stray_m:
-                one.holds = spreads = True
+                one.holds = spreads = anybody = True
     return anybody
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from risc_control import preflight
 from risc_control.braking import Braking
-from risc_control.failsafe import FailsafeLevel, SafetyLadder, SafetyLimits
+from risc_control.failsafe import FailsafeLevel, Rule, SafetyLadder, SafetyLimits
 from risc_control.fence import pushed_m_s2
 from risc_control.hover import HAND_M_S, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
@@ -398,6 +398,12 @@ class VehiclePilot:
         """True while the vehicle may be in the air and does not report that it lands."""
         lands = self.flight_state == _LANDING if self._hover is None else self._hover.lands_itself
         return self.airborne and not (lands and self.ladder.navdata_is_fresh(now_s))
+
+    @property
+    def holds_alone(self):
+        """Whether it holds or lands because of something else than other vehicles."""
+        verdict = self.ladder.verdict
+        return verdict.level > _OK and verdict.rule != Rule.SEPARATION
 
     @property
     def next_command_s(self):

@@ -261,6 +261,8 @@ def fly(flight):
             separation.see(estimate.names[: len(names)], believed, states.x, stamp_s)
             course_m = np.ascontiguousarray(reference.derivatives[:3].transpose(1, 0, 2))  # as on /trajectory
             separation.refer(estimate.names[: len(names)], course_m, time_s)
+            if separation.asks:
+                separation.tell({name for name, chain in zip(names, chains) if chain.pilot.holds_alone})
             looks = separation.look(now_s)
         controls, looks = output.controls if hears else None, [looks.get(name, ALONE) for name in names]
         step_chains(chains, frame, stamp_s, now_s, states, controls, looks, suspects)

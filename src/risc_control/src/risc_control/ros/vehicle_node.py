@@ -173,6 +173,8 @@ class VehicleNode:
             in_radians = states.states * _TO_RADIANS
             believed = self._plausibility.look(states.names, states.visible, in_radians, stamp_s)
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
+            if self._separation.asks:
+                self._separation.tell({name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone})
             looks = self._separation.look(now_s)
             rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())
             for name, visible, is_believed, row in rows:

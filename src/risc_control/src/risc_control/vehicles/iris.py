@@ -10,6 +10,8 @@ import math
 import queue
 import threading
 import time
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
 from functools import partial
 
 import numpy as np
@@ -21,6 +23,8 @@ from risc_lab.command_history import Channel
 from risc_lab.frames import GRAVITY_M_S2
 
 MODE = "STABILIZE"  # in which it takes our commands
+ANSWER_S = 4.0  # a service of its driver that has not answered by then is not waited for; arming takes up to 3 s
+_MOST_UNANSWERED = 4
 NOMINAL_BATTERY_PCT = 70.0  # while the vehicle has told none
 
 
@@ -168,6 +172,7 @@ class Link:
         self._stop = rospy.Publisher(prefix + "apm/emergency_stop", Empty, queue_size=1, tcp_nodelay=True)
         self._command = rospy.ServiceProxy(prefix + "apm/command", APMCommand)
         self._arm = rospy.ServiceProxy(prefix + "apm/arm", Order)  # which says why not
+        self._call = Calls(ANSWER_S)
         self._wanted = queue.Queue(1)  # of functions: the services wait for the vehicle, and nobody else may
         threading.Thread(target=self._work, daemon=True).start()
         self.topic = self._controls.resolved_name  # that commands go out on
@@ -220,13 +225,44 @@ class Link:
             if not self._do(self._request.CMD_SET_STABILIZE):
                 self._on_refusal("it does not go into %s" % MODE)
             elif self._wanted.empty():  # not landed meanwhile
-                self._arm()
-        except self._rospy.ServiceException as error:
+                self._call(self._arm)
+        except (self._rospy.ServiceException, TimeoutError) as error:
             self._on_refusal(str(error))
 
     def _do(self, command):
         """Whether the vehicle has done a command of APMCommand."""
-        done = self._command(command).result
+        done = self._call(self._command, command).result
         if not done:
             self._rospy.logwarn_throttle(2.0, "%s: refused: %d" % (self._command.resolved_name, command))
         return done
+
+
+class Calls:
+    """Calls of functions that may never come back."""
+
+    def __init__(self, limit_s):
+        self._limit_s, self._free = limit_s, threading.Semaphore(_MOST_UNANSWERED)
+
+    def __call__(self, function, *arguments):
+        """What it returns or raises. Raises TimeoutError when it does neither in time, and leaves it alone; or when
+        too many have not come back.
+        """
+        if not self._free.acquire(blocking=False):
+            raise TimeoutError("%d calls before it have not been answered" % _MOST_UNANSWERED)
+        outcome = Future()
+
+        def work():
+            try:
+                outcome.set_result(function(*arguments))
+            except Exception as error:  # the caller's
+                outcome.set_exception(error)
+            finally:
+                self._free.release()
+
+        threading.Thread(target=work, daemon=True).start()
+        try:
+            return outcome.result(self._limit_s)
+        except FutureTimeout:
+            if outcome.done():
+                raise
+            raise TimeoutError("no answer within %g s" % self._limit_s) from None

@@ -6,7 +6,7 @@ import math
 
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from data_extraction import plots
 from data_extraction.report import page
@@ -218,12 +218,13 @@ def draw(scorecard):
     bad.set_xlim(0.0, max(bad.get_xlim()[1], 0.1))
     error.set_title("error [mm]: RMSE (dot) to worst")
     delay.set_title("detection [ms]: p50 (dot) to p99")
-    bad.set_title("per minute; line: breaches, 95 % bounds")
+    bad.set_title("per minute; line: bounds of breaches")
     for axes in (error, delay):
         low, high = axes.dataLim.intervalx
         axes.set_xlim(*((low / 1.3, high * 1.3) if 0.0 < low <= high < math.inf else (10.0, 1000.0)))
-        axes.xaxis.set_major_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
-        axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     delay.axvline(_HOLD_MS, color="#888888", linewidth=0.8, linestyle=":")
     severities = [grade for grade in GRADES if any(row["severity"] == grade for row in rows)]
     handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=_COLOURS[grade], label=grade)

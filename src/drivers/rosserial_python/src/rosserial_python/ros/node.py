@@ -28,6 +28,7 @@ _TCP_PORT, _FORK = "/rosserial_embeddedlinux/tcp_port", "/rosserial_embeddedlinu
 _STATES = {State.CLOSED: "closed", State.WAITING: "open, asking for topics", State.UP: "the device answers"}
 _REPORT_S = 1.0
 _LOOK_S = 0.2
+_START_S = 10.0  # what a line leads to may begin after the node
 _AGAIN_S = 5.0  # between two complaints about the same
 _MOST_DEVICES = 16  # each has threads of its own
 
@@ -59,6 +60,7 @@ class Device:
         self._publish = publish
         self._told = (None, None)  # state and cause
         self._logged_s = {}  # {cause: when}
+        self._began_s = time.monotonic()
         self._telling = threading.Lock()
         self.session = Session(port, params.silence, self._on_packet, self.tell, once=once)
         self.topics = Topics(self.session, params.max_age)
@@ -92,7 +94,14 @@ class Device:
             self._logged_s[cause] = time.monotonic()
             error = self.session.error
             log = rospy.logwarn if cause in WARNINGS else rospy.logerr
+            if cause is Cause.UNREACHABLE and self._is_young():
+                log = rospy.loginfo  # what it connects to starts beside it
             log("%s: %s%s", name, TEXTS[cause], " (%s)" % error if error is not None else "")
+
+    def _is_young(self):
+        """It has only just begun, and was never connected."""
+        heard = math.isfinite(self.session.link.facts.heard_s)
+        return not heard and time.monotonic() - self._began_s < _START_S
 
     def _message(self, facts, cause):
         heard_s = facts.heard_s

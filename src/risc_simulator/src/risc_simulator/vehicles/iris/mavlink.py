@@ -121,7 +121,8 @@ class Client:
         self.heard_s = -math.inf
         self.parameters_sent = None  # of the list that it is getting; None: of none
         self._codec = mavlink.MAVLink(None, system_id, COMPONENT_ID)
-        self._intervals_s = {}  # message id: between two of them
+        self.defaults_s = {}  # message id: between two of them as it asked for whole streams; None: not streamed
+        self._intervals_s = {}  # the same of those that are streamed, as it asked last
         self._due_s = {}
         self.next_s = math.inf  # when the next message is due
 
@@ -342,7 +343,8 @@ class Mavlink:
         interval_s = max(MIN_INTERVAL_S, 1.0 / rate_hz) if rate_hz else None
         for message_id in (message_id for stream in streams for message_id in STREAMS.get(stream, ())):
             is_old = message_id == mavlink.MAVLINK_MSG_ID_RC_CHANNELS_RAW  # RC_CHANNELS has taken its place
-            client.stream(message_id, None if is_old and client.version == 2 else interval_s, self._now_s)
+            client.defaults_s[message_id] = None if is_old and client.version == 2 else interval_s
+            client.stream(message_id, client.defaults_s[message_id], self._now_s)
 
     def _set_interval(self, params, client):
         message_id, interval_us = int(params[0]), params[1]
@@ -350,7 +352,10 @@ class Mavlink:
             return _UNSUPPORTED
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return _DENIED  # once a second, whatever anybody wants
-        interval_s = max(MIN_INTERVAL_S, 1e-6 * min(interval_us, MAX_INTERVAL_US)) if interval_us > 0 else None
+        if interval_us == 0:  # the default: that of its stream
+            interval_s = client.defaults_s.get(message_id)
+        else:
+            interval_s = max(MIN_INTERVAL_S, 1e-6 * min(interval_us, MAX_INTERVAL_US)) if interval_us > 0 else None
         client.stream(message_id, interval_s, self._now_s)
         return _ACCEPTED
 
