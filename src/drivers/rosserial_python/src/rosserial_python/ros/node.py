@@ -61,6 +61,7 @@ class Device:
         self._told = (None, None)  # state and cause
         self._logged_s = {}  # {cause: when}
         self._began_s = time.monotonic()
+        self._excused = False  # what is wrong was no error yet
         self._telling = threading.Lock()
         self.session = Session(port, params.silence, self._on_packet, self.tell, once=once)
         self.topics = Topics(self.session, params.max_age)
@@ -80,13 +81,15 @@ class Device:
             facts, cause = self.session.link.facts, self._cause()
             state, before = facts.state, self._told
             self._told = (state, cause)
-            if before != self._told:
+            if before != self._told or (self._excused and not self._is_young()):
                 self._log(state, cause, before)
             if again or before != self._told:
                 self._publish(self._message(facts, cause))
 
     def _log(self, state, cause, before):
         name = self.session.port.name
+        if cause is Cause.NONE:
+            self._excused = False
         if cause in (Cause.NONE, Cause.TYPES, Cause.SIZE):  # of the latter two each topic has its own line
             if state != before[0] and (state is State.UP or before[0] in (None, State.UP)):  # not each attempt to open
                 rospy.loginfo("%s: %s", name, _STATES[state])
@@ -94,7 +97,8 @@ class Device:
             self._logged_s[cause] = time.monotonic()
             error = self.session.error
             log = rospy.logwarn if cause in WARNINGS else rospy.logerr
-            if cause is Cause.UNREACHABLE and self._is_young():
+            self._excused = cause is Cause.UNREACHABLE and self._is_young()
+            if self._excused:
                 log = rospy.loginfo  # what it connects to starts beside it
             log("%s: %s%s", name, TEXTS[cause], " (%s)" % error if error is not None else "")
 
