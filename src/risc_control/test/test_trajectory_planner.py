@@ -14,7 +14,7 @@ from risc_control.ros.trajectory_node import ManagerWiring  # noqa: E402
 
 def test_a_task_that_cannot_be_planned_is_told_and_the_next_one_is_planned(monkeypatch):
     told, flown, rests = [], threading.Event(), []
-    manager = SimpleNamespace(task="impossible")
+    manager = SimpleNamespace(task="impossible", safe_m=1.0)
 
     def plan_ways(task):
         if task == "impossible":

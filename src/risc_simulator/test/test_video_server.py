@@ -13,12 +13,12 @@ from addresses import own_net
 from ardrone_autonomy.protocol.video import StreamParser
 from risc_lab.lab import FleetVehicle, Start, load_templates, load_vehicle_type
 from risc_lab.lab.fleet import Fleet, MocapEndpoint
-from risc_simulator.faults import Wires
 from risc_simulator.vehicles import virtual_type
 from risc_simulator.vehicles.ardrone.host import ArdroneHost, Ports
 from risc_simulator.video.camera_process import Cameras
 from risc_simulator.video.server import BITRATES_KBIT_S, RATES_HZ, VideoServer
 from risc_simulator.virtual_lab import VirtualLab
+from risc_simulator.wires import Wires
 from risc_simulator.world import World
 
 FRONT, BOTTOM = 0, 1

@@ -192,7 +192,8 @@ def fly(flight):
     manager = make_manager(fleet.vehicles, course, order=loop.controller.ORDER)
     buffer = ReferenceBuffer(loop.controller.ORDER)
     phases = np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(_RADIO_STREAM,))).random(len(names))
-    params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **flight.node})
+    exact = {} if flight.noise else {"state_least_step_m": 0.0}  # then one that is still is seen where it was
+    params = VehicleNodeParams(**{"joystick_timeout": 0.0, **fence_of(fleet.arena), **exact, **flight.node})
     separation = Separation(names, params, names, wider_m(fleet.vehicles))
     plausibility = Plausibility(dict(zip(names, vehicle_types)), params)
     chains, loss = [], flight.loss
