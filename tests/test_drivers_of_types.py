@@ -149,14 +149,16 @@ def wait_until(condition, timeout_s, problem):
 
 
 def both_launch_files(fleet, folder):
-    """A launch file that includes those of the fleet and of its vehicles, with joysticks in the folder."""
+    """A launch file that includes those of the fleet and of its vehicles, without motion capture, with joysticks in the
+    folder.
+    """
     path = folder / "both.launch"
+    names = {"launch": LAUNCH.parent, "fleet": fleet, "folder": folder}
     path.write_text(
         "<launch><include file='{launch}/fleet.launch'><arg name='fleet' value='{fleet}'/></include>"
-        "<include file='{launch}/vehicles.launch'><arg name='names' value='risc1 risc2'/><arg name='fleet' "
-        "value='{fleet}'/><arg name='joysticks' value='{folder}/js0 {folder}/js1'/></include></launch>".format(
-            launch=LAUNCH.parent, fleet=fleet, folder=folder
-        )
+        "<include file='{launch}/vehicles.launch'><arg name='names' value='risc1 risc2'/>"
+        "<arg name='fleet' value='{fleet}'/><arg name='preflight' value='false'/>"
+        "<arg name='joysticks' value='{folder}/js0 {folder}/js1'/></include></launch>".format(**names)
     )
     return path
 
