@@ -1,10 +1,10 @@
-"""`./maap faults`: what can go wrong, with which numbers, and what is safe then."""
+"""Faults on command lines: the option --fault, and `./maap faults`, which lists them."""
 
 import argparse
 import math
 import sys
 
-from risc_simulator.faults import REGISTRY, fault_settings
+from risc_simulator.faults import REGISTRY, fault_settings, parse_fault
 
 _HEAD = """Faults, as --fault takes them: NAME[:ARG,...][@SECONDS]
 ARG: a number (the argument), a grade, a vehicle, or severity=, duration_s=, vehicle=, channel=; several with commas.
@@ -12,6 +12,14 @@ ARG: a number (the argument), a grade, a vehicle, or severity=, duration_s=, veh
     --fault mocap_blackout:0.3@2    no frame for 0.3 s, 2 s after the course is reached
     --fault jump:severe,risc2       by 1 m, of one vehicle; docs/faults.md tells the rest
 """
+
+
+def fault_option(text):
+    """Type of an option: faults.FaultEvent."""
+    try:
+        return parse_fault(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def describe(name):

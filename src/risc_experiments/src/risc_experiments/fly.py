@@ -24,6 +24,7 @@ from risc_control.controllers import REGISTRY as CONTROLLERS
 from risc_control.controllers import own_params
 from risc_control.trajectories import COURSES, course_for_fleet
 from risc_experiments.estimators import add_option, estimator_of
+from risc_experiments.faults_list import fault_option
 from risc_experiments.fleets import default_fleet
 from risc_experiments.flight_progress import flight_detail
 from risc_experiments.flight_record import write_flight, write_parameters
@@ -36,7 +37,7 @@ from risc_lab.lab.calibration import load_calibration
 from risc_lab.lab.fleet import widest_pair_m
 from risc_lab.phases import OperatorPhase
 from risc_lab.ros.launching import Launch, PortReservation, free_tcp_port
-from risc_simulator.faults import load_faults, parse_fault
+from risc_simulator.faults import load_faults
 from risc_simulator.virtual_lab import LabOptions
 
 ROOT = pathlib.Path(os.environ.get("RISC_MAAP_ROOT", "."))
@@ -96,7 +97,7 @@ def arguments(argv):
     fault_help = (
         "let a fault happen, so many seconds after all are on the course; repeatable. Which there are: ./maap faults"
     )
-    add("--fault", type=fault, action="append", default=[], metavar="NAME[:ARG][@SECONDS]", help=fault_help)
+    add("--fault", type=fault_option, action="append", default=[], metavar="NAME[:ARG][@SECONDS]", help=fault_help)
     add("--faults", type=fault_file, default=(), metavar="FILE.yaml", help="the same from a file: its list `faults`")
     add("--fleet", type=pathlib.Path, metavar="YAML", help="fleet file (default: launch/fleets/, from 6 on generated)")
     add("--out", type=pathlib.Path, metavar="DIR", help="folder for the results (default: flights/...)")
@@ -124,14 +125,6 @@ def arguments(argv):
             parser.error("--fault: %s does not start while the course is flown, for %g s" % (event, limit_s))
     args.estimator = estimator_of(args.controller, args.estimator)
     return args
-
-
-def fault(text):
-    """Type of an option: faults.FaultEvent."""
-    try:
-        return parse_fault(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def fault_file(path):

@@ -36,13 +36,14 @@ from risc_estimation.filters import COMMAND, make_filter
 from risc_estimation.pose_fit import PoseFitParams
 from risc_estimation.state_estimator import StatesEstimator
 from risc_experiments.estimators import add_option, estimator_of
+from risc_experiments.faults_list import fault_option
 from risc_experiments.fleets import default_fleet
 from risc_experiments.on_board import OnBoardReadings
 from risc_experiments.workers import in_order
 from risc_lab.lab import load_fleet, load_templates, load_vehicle_type
 from risc_lab.lab.fleet import wider_m, widest_pair_m
 from risc_lab.states import S, States
-from risc_simulator.faults import FaultEvent, parse_fault
+from risc_simulator.faults import FaultEvent
 from risc_simulator.injector import Injector
 from risc_simulator.models.flight import FlightAction, FlightPhase
 from risc_simulator.models.mocap_cameras import CameraParams, MocapCameras
@@ -613,7 +614,7 @@ def main(argv=None):
     add_option(add)
     add("--ideal", action="store_false", help="the plant is exactly the nominal model", dest="perturbed")
     add("--gusts", action="store_true")
-    add("--fault", type=_fault, action="append", default=[], metavar="NAME[:ARG][@SECONDS]", dest="faults",
+    add("--fault", type=fault_option, action="append", default=[], metavar="NAME[:ARG][@SECONDS]", dest="faults",
         help="what goes wrong, so many seconds after the course is reached; may be given again; ./maap faults lists "
         "them")  # fmt: skip
     add("--json", type=pathlib.Path, metavar="FILE", help="also write the figures of each flight here")
@@ -672,13 +673,6 @@ def main(argv=None):
         figures |= {"simulated": True, "perturbed": args.perturbed, "flights": rows}
         args.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     return 0 if len(rows) == len(flights) and not unsafe else 1
-
-
-def _fault(text):
-    try:
-        return parse_fault(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _told(result):
