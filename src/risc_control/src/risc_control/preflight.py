@@ -33,7 +33,10 @@ def refusals(facts):
     if facts.suspect:
         found.append("motion capture contradicts itself (%s): look at its markers and names in Cortex" % facts.suspect)
     elif math.isinf(facts.state_age_s):
-        found.append("motion capture has not seen it: are markers free, its template in Cortex, the estimator running?")
+        found.append(
+            "motion capture has not seen it: are its markers free, its template in Cortex, the estimator running? "
+            "To fly by hand without motion capture start the vehicle's node with preflight:=false"
+        )
     elif facts.state_age_s > facts.state_limit_s:
         text = "motion capture saw it %.1f s ago: uncover its markers, or look whether frames come"
         found.append(text % facts.state_age_s)
