@@ -50,7 +50,13 @@ class PoseFitParams(Settings):
         lower_m = np.array([-self.arena_x_m, -self.arena_y_m, self.arena_z_min_m]) - self.arena_margin_m
         upper_m = np.array([self.arena_x_m, self.arena_y_m, self.arena_z_max_m]) + self.arena_margin_m
         cos_tilt_max = math.cos(min(self.tilt_max_rad, math.pi))
-        gates = self.marker_limit_m, self.residual_max_m, self.min_spread_m, cos_tilt_max, self.frozen_frames or math.inf
+        gates = (
+            self.marker_limit_m,
+            self.residual_max_m,
+            self.min_spread_m,
+            cos_tilt_max,
+            self.frozen_frames or math.inf,
+        )
         row = (*gates, lower_m, upper_m)
         return np.array([row], dtype=LIMITS)
 
