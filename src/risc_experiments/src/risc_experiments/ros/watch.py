@@ -23,7 +23,7 @@ class Watch:
     def __init__(self):
         self.phase = None  # OperatorPhase; None before the operator has said anything
         self.text = ""  # more of the phase
-        self.failure = None  # why the flight failed, "" when it did not; None until its end
+        self.failure = None  # why the flight failed, "" when it did not; None while it goes on
         self.flight_failed = False  # as a whole, not only vehicles that are out
         self.on_course = False  # whether all have reached it
         self.errors_mm = {}
@@ -46,8 +46,7 @@ class Watch:
         self._operator_first_s = self._operator_first_s or self._operator_s
         self.phase, self.text, self.on_course = OperatorPhase(message.phase), message.text, message.on_course
         self.flight_failed = message.flight_failed
-        if message.result != OperatorResult.RUNNING:
-            self.failure = message.reason
+        self.failure = None if message.result == OperatorResult.RUNNING else message.reason
 
     def _on_controller(self, message):
         self.oldest_ms.append(1e3 * message.oldest_state_s)
