@@ -1,7 +1,13 @@
 """./maap soak: scripts of faults, drift, invariants and the tables; each invariant with what must not raise it."""
 
+import datetime
 import json
 import math
+import os
+import subprocess
+import sys
+import uuid
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +17,10 @@ from risc_experiments.scorecard import plan
 from risc_experiments.soak import invariants, output, script, table
 from risc_experiments.soak.__main__ import main
 from risc_experiments.soak.drift import MOST_SAMPLES, Track, drift
+from risc_experiments.soak.processes import OURSELVES, Processes
 from risc_experiments.soak.run import LogFollower, Record
 from risc_experiments.soak.settings import SoakLimits, SoakParams, load_params
+from risc_lab.ros.launching import MARK, wait_until
 from risc_simulator.faults import fault_settings, load_faults
 
 HOUR_S = 3600.0
@@ -221,6 +229,96 @@ def test_tracebacks_are_found_in_a_log_that_grows(tmp_path):
         assert log.tracebacks() == []
 
 
+# ------------------------------------------------------------------ processes
+
+TOY = """
+import os, sys, threading
+held = []
+for word in sys.stdin:
+    if word == "memory\\n":
+        held.append(bytearray(b"x" * (1 << 20)))
+    elif word == "descriptors\\n":
+        held.append(os.dup(0))
+    elif word == "threads\\n":
+        held.append(threading.Thread(target=threading.Event().wait, daemon=True))
+        held[-1].start()
+    print(word, flush=True)
+"""
+
+
+class Toy:
+    """A process of a launch, which takes what it is told to."""
+
+    def __init__(self, identity, name):
+        words = [sys.executable, "-c", TOY, "__name:=" + name]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        self.process = subprocess.Popen(words, env={**os.environ, MARK: identity}, **pipes)
+        self.take("nothing")
+
+    def take(self, what):
+        self.process.stdin.write(what + "\n")
+        self.process.stdin.flush()
+        assert self.process.stdout.readline() == what + "\n"
+        assert self.process.stdout.readline() == "\n"
+
+    def end(self):
+        self.process.kill()
+        self.process.wait()
+        self.process.stdin.close()
+        self.process.stdout.close()
+
+
+@pytest.fixture
+def toys():
+    identity, started = uuid.uuid4().hex, []
+
+    def start(name):
+        started.append(Toy(identity, name))
+        return started[-1]
+
+    start.identity = identity
+    yield start
+    for toy in started:
+        toy.end()
+
+
+@pytest.mark.parametrize(
+    "takes, what", [("memory", "memory of its own"), ("descriptors", "open descriptors"), ("threads", "threads")]
+)
+def test_a_real_process_that_takes_more_and_more_is_found_among_those_that_do_not(toys, takes, what):
+    leaker, _still = toys("leaker"), toys("still")
+    processes = Processes(toys.identity)
+    for k in range(24):  # minutes
+        leaker.take(takes)
+        looks = processes.look(60.0 * k)
+    assert set(looks) == {OURSELVES, "leaker", "still"}
+    found = {
+        process.name: [violation.text for violation in invariants.growth(process.name, process.track, 300.0, PARAMS)]
+        for process in processes.living
+        if process.name != OURSELVES
+    }
+    assert found["still"] == [] and len(found["leaker"]) == 1 and what in found["leaker"][0]
+
+
+def test_a_real_process_that_ends_is_missed_and_its_successor_is_another_one(toys):
+    toy, _other = toys("toy"), toys("toy")
+    processes = Processes(toys.identity)
+    processes.look(0.0)
+    processes.expect()
+    assert set(processes.expected) == {OURSELVES, "toy", "toy 2"}
+    assert invariants.gone(processes.expected, processes.alive, ()) is None
+    toy.process.kill()
+    assert wait_until(lambda: invariants.gone(processes.expected, processes.alive, ()) is not None, 20.0)
+    violation = invariants.gone(processes.expected, processes.alive, ())
+    name = "toy" if "toy (" in violation.text else "toy 2"
+    assert "process %d" % toy.process.pid in violation.text
+    assert not processes.replace(name)
+    toys("toy")
+    processes.find(60.0)
+    assert invariants.gone(processes.expected, processes.alive, ()) is not None
+    assert processes.replace(name) and invariants.gone(processes.expected, processes.alive, ()) is None
+
+
 # ------------------------------------------------------------------ tables
 
 
@@ -300,9 +398,6 @@ def a_soak(folder, violation=None):
         totals.add(10.0 * k, 60.0, 50.0, 20, 8, 0.2)
     latency.add(100.0, 4.0, 9.0)
     faults = [fault("jump", risc1=100.0)]
-    import datetime
-    from collections import Counter
-
     return SimpleNamespace(
         folder=folder,
         folder_of=lambda number: folder / "flights" / ("%04d" % number),

@@ -1,6 +1,7 @@
 """What the nodes of a flight say, heard by the program that started them."""
 
 import collections
+import contextlib
 import math
 import threading
 import time
@@ -84,12 +85,12 @@ class Watch:
 
     def _inject(self, events):
         try:
-            ask = rospy.ServiceProxy("/virtual_lab/inject", InjectFault, persistent=True)
-            for event in events:
-                answer = ask(str(event), 0.0)
-                if not answer.success:
-                    self._refusal = answer.message
-                    return
+            with contextlib.closing(rospy.ServiceProxy("/virtual_lab/inject", InjectFault, persistent=True)) as ask:
+                for event in events:
+                    answer = ask(str(event), 0.0)
+                    if not answer.success:
+                        self._refusal = answer.message
+                        return
         except rospy.ServiceException as error:
             self._refusal = "the virtual lab cannot be asked for faults: %s" % error
             return

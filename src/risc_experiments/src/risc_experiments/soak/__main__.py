@@ -1,6 +1,7 @@
 """`./maap soak HOURS`: the graph flies for hours, with random faults, and is watched for what drifts or breaks."""
 
 import argparse
+import math
 import pathlib
 import shlex
 import sys
@@ -68,7 +69,7 @@ def main(argv=None):
     """Command line. Returns the exit code: 0 when all invariants held to the end, 130 when it was interrupted."""
     argv = sys.argv[1:] if argv is None else argv
     args, parser = arguments(argv)
-    progress, interrupted = Progress(plain_period_s=60.0), threading.Event()
+    progress, interrupted = Progress(plain_period_s=math.inf), threading.Event()
     try:
         if args.table is not None:
             faults = [fault for folder in args.table for fault in table.read(folder)]
@@ -91,16 +92,16 @@ def main(argv=None):
     soak = Soak(args, flight, params, names, card, folder, progress, interrupted)
     try:
         soak.carry_out()
+        if soak.too_slow:
+            soak.forget()
+            words = [*argv, "--out", folder]
+            problem = fly.fly_slower("risc_experiments.soak", words, folder, soak.too_slow, progress, interrupted)
+            raise fly.FlightError(problem)
     except (fly.FlightError, ValueError, OSError, RuntimeError) as error:
         progress.say("maap soak: %s" % error)
         if soak.began_s is None:
             return 1
         raise
-    if soak.too_slow:
-        soak.forget()
-        words = [*argv, "--out", folder]
-        progress.say(fly.fly_slower("risc_experiments.soak", words, folder, soak.too_slow, progress, interrupted))
-        return 1
     output.write_all(soak)
     progress.clear()
     print(output.text(soak))

@@ -325,8 +325,12 @@ class Soak:
         asked_s = time.monotonic()
         limit_s = time_limit_s(fly.operator_params(self.flight)) + STARTING_S
         starting_s = STARTING_S if self.began_s is None else 0.0
+        said = None
         while self._watch.failure is None:
             phase = self._watch.phase
+            if phase != said:
+                said = phase
+                self.record.add("phase", flight=self.number, phase=phase.name.lower())
             self._tick("starting" if phase is None else phase.name.lower())
             waited_s = time.monotonic() - asked_s
             if phase is None or phase == OperatorPhase.WAITING:
