@@ -28,12 +28,12 @@ class SoakWatch(Watch):
         self.crashes, self.errors = collections.deque(), collections.deque(maxlen=1000)
         self._over, self._newest = {}, {}  # by topic: id of the newest fault of flights before, of all
         super().__init__()
-        rospy.Subscriber("/virtual_lab/crash", Crash, self.crashes.append, queue_size=100)
+        rospy.Subscriber("/virtual_lab/crash", Crash, self.crashes.append, queue_size=100, tcp_nodelay=True)
         for topic in _FAULTS:
-            rospy.Subscriber(topic, Faults, self._on_faults, topic, queue_size=100)
-        rospy.Subscriber("/rosout_agg", Log, self._on_log, queue_size=1000)
+            rospy.Subscriber(topic, Faults, self._on_faults, topic, queue_size=100, tcp_nodelay=True)
+        rospy.Subscriber("/rosout_agg", Log, self._on_log, queue_size=1000, tcp_nodelay=True)
         for name in namespaces:
-            rospy.Subscriber("/%s/vehicle_status" % name, VehicleStatus, self._on_status, name)
+            rospy.Subscriber("/%s/vehicle_status" % name, VehicleStatus, self._on_status, name, tcp_nodelay=True)
 
     def _on_operator(self, message):
         super()._on_operator(message)
