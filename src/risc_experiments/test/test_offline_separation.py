@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+from risc_control import vehicle_pilot
 from risc_control.failsafe import SafetyLimits
 from risc_control.separation import Separation
 from risc_control.trajectories import COURSES, make_course, minimum_separation
@@ -18,6 +19,7 @@ from risc_experiments.fleets import default_fleet
 from risc_experiments.offline import Flight, Loss, fly, fly_all
 from risc_lab.lab import load_vehicle_type
 from risc_lab.states import S
+from risc_simulator.faults import parse_fault
 
 LIMITS = SafetyLimits()
 OFF = {"separation_m": 0.0}
@@ -46,6 +48,17 @@ def test_nobody_flies_into_one_that_stops(course, vehicles, what, seed, limit_m)
     result = fly(replace(stops, node={}))
     assert result.closest_m > limit_m
     assert all(result.landed)
+
+
+def test_states_that_are_only_late_land_nobody(monkeypatch):
+    """They are about as old as a vehicle node accepts, and often a little older: then it holds, for a moment."""
+    late = Flight("circles3", seed=1, duration_s=8.0, psi_deg=70.0, faults=(parse_fault("delay:0.09,duration_s=10@1"),))
+    result = fly(late)
+    assert sum("ms old" in text for _, _, text in result.safety) > 100
+    assert not any(" m from " in text for _, _, text in result.safety) and not any(result.landed)
+    # the control arm: braked at once, they leave their courses, and hold and land because of each other
+    monkeypatch.setattr(vehicle_pilot, "_WAITS_S", 0.0)
+    assert any(" m from " in text for _, _, text in fly(late).safety)
 
 
 IRIS_M = load_vehicle_type("iris").wider_m

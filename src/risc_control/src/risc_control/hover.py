@@ -47,7 +47,8 @@ _POSITION_1_S2, _VELOCITY_1_S, _INTEGRAL_1_S3, _INTEGRAL_M_S2 = 3.0, 2.8, 0.7, 0
 _HEIGHT_1_S2, _CLIMB_1_S = 5.0, 3.5
 _YAW_1_S, _YAW_RATE_RAD_S = 1.0, 0.5
 _TILT_RAD, _UP_M_S2 = math.radians(15.0), 2.0
-PLACE_M_S2, PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held
+PLACE_M_S2, PLACE_UP_M_S2 = 1.0, 0.8  # of the place that is held, which the fence counts on;
+_STOP_M_S2 = 2.0  # when it slows down, level: others may be in its way
 _FAR_M = 0.5  # larger errors count as this one
 _LEASH_M = 0.3  # the place is no farther above or below the vehicle on the way up or down
 _BLIND_1_S, _BLIND_M_S2 = 2.0, 1.0  # of the climb rate that is reckoned, without states
@@ -349,6 +350,8 @@ class Hover:
         """`Command` that holds the place, which comes to move at this velocity."""
         own, wanted_m_s2 = self._own, [0.0] * 3
         for axis, most_m_s2 in enumerate((PLACE_M_S2, PLACE_M_S2, PLACE_UP_M_S2)):
+            if axis < 2 and abs(velocity_m_s[axis]) < abs(self._place_m_s[axis]):
+                most_m_s2 = _STOP_M_S2
             change_m_s = _within(velocity_m_s[axis] - self._place_m_s[axis], most_m_s2 * step_s)
             self._place_m_s[axis] += change_m_s
             self._place_m[axis] += step_s * self._place_m_s[axis]

@@ -37,6 +37,7 @@ _ARMED_OR_SOON = frozenset((FlightState.INIT, FlightState.TAKING_OFF))
 _TILT_MAX_RAD = math.radians(40.0)  # a vehicle that seems to hover at more is seen wrongly, e.g. with y for z
 _AVOID_RAD_PER_M_S = 0.15  # of a vehicle that avoids others: tilt by the velocity that it lacks; it stops as by its own
 _AVOID_TILT_MAX_RAD = 0.2  # hover, which ends with the first command to climb
+_WAITS_S = 0.05  # a state that is only late comes within so long: until then it is level, and not braked
 _TILTS_S = 0.1  # time constant of the tilt by which the fence reckons
 _NEARLY_FULL = 0.999
 _SLOWER = 59.0 / 60.0  # than the vehicle takes commands, see `VehicleNodeParams.command_rate_hz`
@@ -147,6 +148,7 @@ class VehiclePilot:
         self._sent = CommandHistory(1)
         self._braking = Braking(vehicle_type, self._sent.vehicles[0], params.hold_brakes)
         self._stopped = False  # it was braked, in this HOLD
+        self._risen_s = -math.inf  # when the level rose last
         self._tilts, self._tilts_s = [0.0, 0.0], now_s  # see _told_tilt
         # that takes off, holds and lands a vehicle which does not do so itself; None: it does
         self._hover = None
@@ -167,6 +169,7 @@ class VehiclePilot:
         self._takeoff_s = None  # when a take-off was ordered of which nothing was heard yet
         self._state = None
         self._state_s = 0.0  # when the state held [s]
+        self._unseen = False  # motion capture has looked since, and does not see it
         self._told = None  # the newest Verdict of the orders
         self._nearest, self._looks_s = nearest, deque(maxlen=preflight.LOOKS)
         self._simulator_reset = False
@@ -284,12 +287,16 @@ class VehiclePilot:
         pushes = [pushed_m_s2(*tilt, psi_rad) for tilt in tilts]
         self.ladder.note_state(position_m, velocity_m_s, age_s, now_s, pushes)
         self._looks_s.append(now_s)
-        self._state = own
+        self._state, self._unseen = own, False
         self._state_s = now_s - max(age_s, 0.0)
         self._braking.see(own, self._state_s)
         if self._hover is not None:
             self._hover.on_state(own, self._state_s)
             self._adapter.trim_m_s2 = self._hover.observer.trim_m_s2
+
+    def on_unseen(self):
+        """Motion capture has looked, and does not see the vehicle."""
+        self._unseen = True
 
     def on_suspect(self, reason, now_s):
         """The vehicle was seen with a state that cannot be true. reason: what it contradicts, see `plausibility`."""
@@ -574,6 +581,8 @@ class VehiclePilot:
         if verdict.level == _LAND and now_s - self._land_s >= self._params.land_repeat_s:
             self._land_s = now_s
             self._order_landing(orders, now_s)
+        if verdict.level > before.level:
+            self._risen_s = now_s
         if verdict.level > before.level and (self._hover is not None or self._takes_commands()):
             self._stopped = False
             self._slots.restart(now_s)
@@ -584,8 +593,8 @@ class VehiclePilot:
         if self._hover is not None:
             self._fly_hover(orders, now_s)
             return
-        holds, look = self._holds(), self.ladder.apart(now_s)
-        itself = self._adapter.HOLDS_POSITION and self._params.hold_auto_hover
+        holds, look, waits = self._holds(), self.ladder.apart(now_s), self._waits(now_s)
+        itself = self._adapter.HOLDS_POSITION and self._params.hold_auto_hover and not waits
         orders.level_only = holds and not itself
         if look is not None and (look.climb or any(look.aside) or orders.level_only):
             sticks = self._avoid(look)
@@ -594,12 +603,24 @@ class VehiclePilot:
         elif look is not None:
             sticks = CENTRED
         else:
-            sticks = self._stop(now_s, itself)
+            sticks = self._stop(now_s, itself, waits)
         self._send(sticks, None, orders, now_s)
 
-    def _stop(self, now_s, itself):
-        """Sticks of a vehicle that is to hold its place. itself: it holds one by itself, but stops slowly."""
+    def _waits(self, now_s):
+        """The state that it holds for may only be late: nobody has said that the vehicle is not seen. Braked at each
+        such moment it would fall behind its reference, which is what others hold for.
+        """
+        verdict = self.ladder.verdict
+        is_state = verdict.level == FailsafeLevel.HOLD and verdict.rule == Rule.STATE
+        return is_state and not self._unseen and now_s - self._risen_s < _WAITS_S
+
+    def _stop(self, now_s, itself, waits):
+        """Sticks of a vehicle that is to hold its place. itself: it holds one by itself, but stops slowly. waits: it is
+        not braked yet.
+        """
         brake = None if itself and self._stopped else self._braking.command(now_s)
+        if waits:
+            return self._adapter.move(0.0, 0.0, 0.0, self._state)
         if brake is not None and not (itself and brake.stopped):
             return self._adapter.move(-brake.pitch_rad, -brake.roll_rad, 0.0, self._state)
         self._stopped = True

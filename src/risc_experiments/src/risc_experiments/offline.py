@@ -566,6 +566,8 @@ def step_chains(chains, frame, stamp_s, now_s, states, controls, looks, suspects
         if chain.lost == "laptop":
             continue
         if ticks:
+            if controls is not None and not visible[i]:
+                pilot.on_unseen()
             chain.see(visible[i], x[i], stamp_s, now_s, frame, looks[i], suspects[i] if suspects else "")
         sends = now_s >= pilot.next_command_s
         if (sends or ticks) and chain.lost is None and controls is not None:

@@ -390,6 +390,7 @@ class _Vehicle:
         """
         if not visible:
             self._counts["states while not visible"] += 1
+            self.pilot.on_unseen()
             return
         own = OwnState(row[:3], row[3:6], *(_RAD_PER_DEG * angle for angle in row[6:9]))
         with self._lock:
