@@ -76,11 +76,6 @@ def test_a_good_recording_shows_nothing():
         ("marker_swap", 1.0, None),
         ("ghost_marker", 0.2, 0.2),
         ("occlusion", 1.0, 1.0),
-        ("flip", 180.0, 180.0),
-        ("name_exchange", 1.0, None),
-        ("marker_swap", 1.0, None),
-        ("ghost_marker", 0.2, 0.2),
-        ("occlusion", 1.0, 1.0),
     ],
 )
 def test_what_was_put_in_is_seen_and_nothing_else(fault, severity, seen_severity):

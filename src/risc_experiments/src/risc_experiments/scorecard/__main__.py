@@ -191,8 +191,11 @@ def main(argv=None):
         progress.say("scorecard: nothing was flown")
         return code
     if against is not None:
-        differences = compare(scorecard["rows"], against["rows"])
-        scorecard["against"] = {"file": str(args.against), "differences": differences}
+        scorecard["against"] = {
+            "file": str(args.against),
+            "conditions": output.differing_conditions(scorecard, against),
+            "differences": compare(scorecard["rows"], against["rows"]),
+        }
     paths = output.write_all(scorecard, args.out)
     if args.json:
         output.write_json(scorecard, args.json)
