@@ -225,4 +225,4 @@ def test_nobody_is_hurt_but_without_the_ladder(tmp_path, capsys):
     _, control, said = run(capsys, tmp_path / "off", *options, "--no-ladder")
     assert control["ladder"] is False and control["totals"]["breaches"] + control["totals"]["contacts"] >= 1
     assert control["totals"]["unsafe"] >= 1 and "without the safety ladder" in said.out
-    assert "breach: freeze severe" in said.out and "after the begin of freeze" in said.out
+    assert "breach: freeze severe" in said.out and "after the start of freeze" in said.out

@@ -176,7 +176,7 @@ def markdown(scorecard):
 MOST_NAMED = 20
 OTHERWISE = "The two were not flown under the same conditions (%s): differences may come from that."
 MEANING = (
-    "Errors: against truth, while on the course. Detected: from the begin of a fault to the first failsafe level above "
+    "Errors: against truth, while on the course. Detected: from the start of a fault to the first failsafe level above "
     "OK, or until a vehicle is not seen any more, whichever is first; the p99 of fewer than 100 is the largest. False "
     "alarms: levels above OK that no fault explains. Breaches: into the net or onto the floor. Contacts: two vehicles "
     "touched. A minute counts once for the whole fleet, on the course, until all of it has landed."
