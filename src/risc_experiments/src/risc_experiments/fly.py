@@ -122,7 +122,7 @@ def arguments(argv):
     limit_s = course_s(operator_params(args))
     for event in args.faults:
         if not 0.0 <= event.start_s < limit_s:
-            parser.error("--fault: %s does not start while the course is flown, for %g s" % (event, limit_s))
+            parser.error("--fault %s: it must start 0 to %g s after all are on the course" % (event, limit_s))
     args.estimator = estimator_of(args.controller, args.estimator)
     return args
 
