@@ -214,7 +214,7 @@ def test_why_a_take_off_was_refused_is_said():
     flight.run(lambda: flight.vehicles["risc2"].count(TAKEOFF_LAND) == 1)
     flight.operator.vehicles["risc2"].refusals = ["carry it inside", "battery low"]
     flight.step()
-    assert flight.operator.phase_text == "takeoff: risc2 (take-off refused: carry it inside; battery low)"
+    assert "risc2 (take-off refused: carry it inside; battery low)" in flight.operator.phase_text
     flight.finish()
     assert "carry it inside" in flight.operator.reason
 

@@ -138,6 +138,18 @@ def test_a_bag_becomes_a_file_of_faults(tmp_path):
     )
 
 
+def test_a_bag_of_other_vehicles_is_refused_and_what_is_beyond_a_fault_is_as_much_as_it_can_be(tmp_path):
+    path = tmp_path / "bad.bag"
+    write_bag(path, recorded(), course_s=0.1)
+    with pytest.raises(ValueError, match="none of Crow, only .*fleet.yaml"):
+        make_script(path, tmp_path / "faults.yaml", {"Crow": "risc1"})
+    assert make_script(path, tmp_path / "faults.yaml", SPACES | {"Crow": "risc9"}) == ([], 0), "Crow was not there"
+    recording = recorded(hears=lambda k: k < END)
+    recording.stamps_s[-1] += 75.0
+    (gap,), _ = events_of(recording, seen_faults(recording), SPACES)
+    assert (gap.fault, gap.duration_s) == ("mocap_blackout", 60.0)
+
+
 def test_the_faults_of_a_bag_fly(tmp_path, capsys):
     path, folder = tmp_path / "bad.bag", tmp_path / "out"
     options = ("--from", str(path), "--seeds", "2", "--minutes", "0.7", "--workers", "1", "--out", str(folder))
