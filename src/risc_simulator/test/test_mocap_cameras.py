@@ -1,4 +1,4 @@
-"""Camera model: statistics of noise and occlusion, reproducibility, independence, ghosts."""
+"""Camera model: statistics of noise and occlusion, reproducibility, independence, scripted windows, ghosts."""
 
 import pathlib
 
@@ -17,9 +17,14 @@ LAYOUT = tuple((name, len(markers)) for name, markers in BODIES)
 EXACT = np.concatenate([markers for _, markers in BODIES])
 
 
-def run(cameras, frames):
-    """Observations of `frames` frames at RATE_HZ."""
-    return [cameras.observe(k / RATE_HZ, LAYOUT, EXACT) for k in range(frames)]
+def run(cameras, frames, hides=None):
+    """Observations of `frames` frames at RATE_HZ. hides: {frame before which: arguments of `hide`}."""
+    seen = []
+    for k in range(frames):
+        if hides and k in hides:
+            cameras.hide(*hides[k])
+        seen.append(cameras.observe(k / RATE_HZ, LAYOUT, EXACT))
+    return seen
 
 
 def markers_of(observations):
@@ -35,7 +40,7 @@ def test_ideal_cameras_report_the_exact_markers():
 
 def test_input_is_not_changed():
     before = EXACT.copy()
-    run(MocapCameras(), 10)
+    run(MocapCameras(), 10, {1: ("Raven", 1.0)})
     assert np.array_equal(EXACT, before)
 
 
@@ -69,13 +74,20 @@ def test_same_seed_same_output_other_seed_other_output():
     assert not np.array_equal(markers_of(first), markers_of(other), equal_nan=True)
 
 
-def test_what_is_hidden_leaves_the_noise_of_the_rest_alone():
+def test_hiding_a_body_leaves_the_noise_of_the_others_alone():
     params = CameraParams(occlusions_per_marker_hz=1.0, ghosts_hz=5.0)
-    free = markers_of(run(MocapCameras(params, seed=3), 300))
+    free = run(MocapCameras(params, seed=3), 300)
+    scripted = run(MocapCameras(params, seed=3), 300, {40: ("Raven", 0.9)})
     without = markers_of(run(MocapCameras(CameraParams(occlusions_per_marker_hz=0.0, ghosts_hz=0.0), seed=3), 300))
-    seen = ~np.isnan(free)
+    a, b = markers_of(free), markers_of(scripted)
+    hidden_by_script = np.zeros(a.shape[:2], bool)
+    hidden_by_script[40:180, :4] = True
+    assert np.isnan(b[hidden_by_script]).all()
+    assert np.array_equal(a[~hidden_by_script], b[~hidden_by_script], equal_nan=True)
+    seen = ~np.isnan(a)
     assert not seen.all()
-    assert np.array_equal(free[seen], without[seen])
+    assert np.array_equal(a[seen], without[seen])
+    assert all(np.array_equal(p.unidentified_m, q.unidentified_m) for p, q in zip(free, scripted))
 
 
 def test_occlusions_have_the_given_rate_and_length():
@@ -94,6 +106,21 @@ def test_a_lost_marker_is_lost_in_all_coordinates():
     missing = np.isnan(markers)
     assert missing.any()
     assert np.array_equal(missing.any(axis=2), missing.all(axis=2))
+
+
+def test_bodies_are_hidden_until_their_time_and_no_longer():
+    hides = {10: ("Landmark_A", 0.1), 15: ("Raven", 0.09), 16: ("Raven", 0.085)}
+    hidden = np.isnan(markers_of(run(MocapCameras(CameraParams.ideal()), 40, hides))[:, :, 0])
+    expected = np.zeros((40, 7), bool)
+    expected[10:20, 4:] = expected[15:18, :4] = True
+    assert np.array_equal(hidden, expected)
+
+
+def test_an_unknown_body_cannot_be_hidden():
+    cameras = MocapCameras()
+    cameras.observe(0.0, LAYOUT, EXACT)
+    with pytest.raises(ValueError, match="'Crow': no such body.*Raven, Landmark_A"):
+        cameras.hide("Crow", 1.0)
 
 
 def test_ghosts_appear_inside_the_volume_live_and_vanish():

@@ -268,6 +268,9 @@ class VehicleHost(SocketHost):
     def attach_video(self, video):
         """video: video.server.Station, which serves the video clients, to be told what the configuration says."""
 
+    def power_cycle(self, now_s):
+        """The vehicle, which stands, has been switched off and on at lab time now_s: so has what speaks for it."""
+
     def statistics(self):
         """Counts since the start, with the `notices` of its Notices, for JSON."""
         return {"notices": {"events": {}, "complaints": {}}}

@@ -82,6 +82,18 @@ class MocapCameras:
         self._last_time_s = -math.inf
         self._see(0.0, 0.0, np.empty((0, 3)))  # loads it
 
+    def hide(self, body, until_s):
+        """Hide all markers of a body in the frames before until_s. Raises ValueError when the last frame had none."""
+        start = 0
+        for name, count in self._layout:
+            if name == body:
+                hidden_until_s = self._hidden_until_s[start : start + count]
+                np.maximum(hidden_until_s, until_s, out=hidden_until_s)
+                return
+            start += count
+        known = ", ".join(name for name, _ in self._layout) or "none"
+        raise ValueError("cannot hide %r: no such body, choose one of %s" % (body, known))
+
     def observe(self, time_s, layout, exact_m):
         """Observation at time_s [s] of bodies with exact markers.
 
