@@ -57,6 +57,7 @@ class FlightState(IntEnum):
     LANDING = 8
     LOOPING = 9
     OTHER_MODE = 32  # not of Navdata: its pilot's, in which it takes no commands of ours
+    PILOT = 33  # nor this: it follows the sticks of its pilot's transmitter, not what we send
 
 
 ON_GROUND = frozenset((FlightState.INIT, FlightState.LANDED))
