@@ -161,6 +161,7 @@ class VehiclePilot:
             limits = replace(params, navdata_timeout_s=self._adapter.SILENT_S)
         # a simulator's vehicle is always airborne: there, silence counts from the first joystick message
         self.ladder = SafetyLadder(limits, vehicle_type, math.inf if params.Simulation else now_s)
+        self.ladder.reports = self._adapter.REPORTS
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
         self.airborne = params.Simulation  # may be in the air; simulators without navdata always fly

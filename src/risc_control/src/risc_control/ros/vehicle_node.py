@@ -502,7 +502,7 @@ class _Vehicle:
             ("vehicle", self.name),
             ("computer", told.computer),
             ("mode", "autonomous" if autonomous else "manual"),
-            ("flight state (navdata)", "none yet" if flight_state is None else flight_state),
+            ("flight state", "none yet" if flight_state is None else flight_state),
             *((what + " (Hz)", "%.1f" % rate_hz) for what, rate_hz in rates.items()),
             ("age of the state (ms)", "%.0f" % (1e3 * ages_s[0])),
             ("age of the controls (ms)", "%.0f" % (1e3 * ages_s[1])),

@@ -19,7 +19,7 @@ import numpy as np
 
 from risc_control import vehicles
 from risc_control.joystick import Sticks, limited
-from risc_control.vehicles import Command, FlightState, Status
+from risc_control.vehicles import Command, FlightState, Status, Told
 from risc_lab.command_history import Channel
 from risc_lab.frames import GRAVITY_M_S2
 
@@ -33,11 +33,18 @@ REPORTS = 8  # of what is received, that are looked at together
 _DELAYS_S = [0.1 * k for k in range(10)]  # from what the board says that it sends to what the autopilot says of it,
 _SPREAD_S = 0.25  # and more, from one to the next
 
+_BOARD = {0: "waiting for commands", 1: "locked, waiting for the lowest throttle", 2: "follows commands", 3: "failsafe"}
+
 
 class Adapter(vehicles.Adapter):
     """See `vehicles.Adapter`. Sticks are those of the radio: the autopilot's dead zone is in them, `up` is T."""
 
     FLIES_ITSELF = False
+    REPORTS, COMMANDS = "telemetry", "controls"
+    TOLD = {
+        "apm/state": Told("State", lambda m: "autopilot: %s, %s" % (m.mode, "armed" if m.armed else "disarmed")),
+        "ppm_status": Told("PpmStatus", lambda m: "PPM of the transmitter's board: " + _BOARD.get(m.state, "unknown")),
+    }
     SILENT_S = 2.5  # a heartbeat a second tells what it does
     MODE_CURE = "set it to %s" % MODE
     NEEDS_BATTERY = True
