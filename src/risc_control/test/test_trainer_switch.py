@@ -129,9 +129,11 @@ class Piloted(Iris):
 
 
 def hovering(vehicle, climb_m_s=0.0):
-    """Sticks of a pilot: level, at this climb rate."""
-    lift = 0.3 * (climb_m_s - vehicle.velocity_m_s[2])
-    return CENTRED._replace(up=hover_throttle(IRIS, vehicle.battery_pct) + (1.0 / vehicle.more - 1.0) + lift)
+    """Sticks of a pilot: nearly level, at this climb rate."""
+    lift, hand = 0.3 * (climb_m_s - vehicle.velocity_m_s[2]), 0.1 * math.sin(3.0 * vehicle.heard_s)
+    return CENTRED._replace(
+        forward=hand, up=hover_throttle(IRIS, vehicle.battery_pct) + (1.0 / vehicle.more - 1.0) + lift
+    )
 
 
 def taken(**values):

@@ -528,7 +528,7 @@ class VehiclePilot:
         self._note_hover(orders)
 
     def _toggle(self, orders, now_s):
-        if self.flight_state == FlightState.PILOT:
+        if self._hover is not None and self.flight_state == FlightState.PILOT:
             if self._hover.take_back():
                 orders.say("info", "taken back from its pilot: held where it is, manual mode")
                 self._note_hover(orders)

@@ -28,7 +28,8 @@ ANSWER_S = 4.0  # a service of its driver that has not answered by then is not w
 _MOST_UNANSWERED = 4
 NOMINAL_BATTERY_PCT = 70.0  # while the vehicle has told none
 STICKS = 4  # channels that fly it, the first ones of the radio
-OTHER_US = 60  # what is received differs by more from what is sent: it is another hand's
+OTHER_US = 60  # what is received differs by more from what is sent: it is another hand's,
+SAME_US = 30  # until it differs by less
 REPORTS = 8  # of what is received, that are looked at together
 _DELAYS_S = [0.1 * k for k in range(10)]  # from what the board says that it sends to what the autopilot says of it,
 _SPREAD_S = 0.25  # and more, from one to the next
@@ -164,10 +165,10 @@ class TrainerSwitch:
         """The autopilot says that it receives these. Returns whether `is_off` has changed."""
         while self._sent and now_s - self._sent[0][0] > _DELAYS_S[-1] + _SPREAD_S:
             self._sent.popleft()
-        received_us = channels_us[:STICKS]
+        received_us, most_us = channels_us[:STICKS], SAME_US if self.is_off else OTHER_US
         if not self._sent or not all(0 < us < 65535 for us in received_us):
             return False
-        self._fits.append([self._was_sent(received_us, now_s - delay_s) for delay_s in _DELAYS_S])
+        self._fits.append([self._was_sent(received_us, most_us, now_s - delay_s) for delay_s in _DELAYS_S])
         before, fitting = self.is_off, max(map(sum, zip(*self._fits)))
         if len(self._fits) == REPORTS and fitting >= REPORTS - 1:  # one may be damaged
             self._has_agreed, self.is_off = True, False
@@ -175,10 +176,10 @@ class TrainerSwitch:
             self.is_off = self._has_agreed
         return before != self.is_off
 
-    def _was_sent(self, received_us, then_s):
+    def _was_sent(self, received_us, most_us, then_s):
         sent = [channels for time_s, channels in self._sent if then_s - _SPREAD_S <= time_s <= then_s]
         return bool(sent) and all(
-            min(values) - OTHER_US <= us <= max(values) + OTHER_US for us, values in zip(received_us, zip(*sent))
+            min(values) - most_us <= us <= max(values) + most_us for us, values in zip(received_us, zip(*sent))
         )
 
 
