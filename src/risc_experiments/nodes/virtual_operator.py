@@ -49,6 +49,7 @@ class VirtualOperator:
         self._diagnostics = make_updater("none")
         self._diagnostics.add("virtual operator", self._diagnose)
         rospy.Service("~land", Trigger, self._on_land)
+        rospy.Service("~fly_again", Trigger, self._on_fly_again)
         paced = partial(PacedSubscriber, rate_hz=LOOK_RATE_HZ)
         for vehicle in flown:
             name, watched = vehicle.namespace, self._operator.vehicles[vehicle.namespace]
@@ -96,6 +97,12 @@ class VirtualOperator:
         with self._lock:
             self._operator.request_landing("landing was requested", time.monotonic())
         return TriggerResponse(True, "landing all vehicles")
+
+    def _on_fly_again(self, _request):
+        with self._lock:
+            problem = self._operator.fly_again(time.monotonic())
+            self._say(self._state())
+        return TriggerResponse(not problem, problem or "flying again")
 
     def _on_tick(self):
         with self._lock:

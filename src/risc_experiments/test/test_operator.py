@@ -510,6 +510,45 @@ def test_no_flight_outlasts_the_time_limit(stuck, bumper_steps):
         assert lasted_s > limit_s - 6.0
 
 
+def test_it_flies_again_and_again_with_all_vehicles():
+    flight = Flight()
+    assert "under way (waiting" in flight.operator.fly_again(flight.now_s)
+    flight.finish()
+    for vehicle in flight.vehicles.values():
+        vehicle.safety = (FailsafeLevel.LAND, "battery")
+    assert flight.operator.fly_again(flight.now_s) == ""
+    flight.run(lambda: "loss ladder (battery)" in flight.operator.text)
+    for vehicle in flight.vehicles.values():
+        vehicle.safety = OK
+    flight.on_course()
+    assert (flight.operator.result, flight.operator.reason) == (OperatorResult.RUNNING, "")
+    flight.vehicles["risc2"].land(flight.now_s)
+    flight.finish()
+    assert flight.operator.result == OperatorResult.FAILED and [name for name, *_ in flight.operator.out] == ["risc2"]
+    assert flight.operator.fly_again(flight.now_s) == "" and not flight.operator.out
+    flight.finish()
+    assert (flight.operator.result, flight.operator.flight_failed) == (OperatorResult.OK, False)
+    whole = [Phase.WAITING, Phase.TAKEOFF, Phase.SETTLE, Phase.FLY, Phase.HOME, Phase.LAND]
+    assert flight.phases == [*whole, Phase.DONE, *whole, Phase.ABORTED, *whole, Phase.DONE]
+    # the buttons were pressed as in a first flight: no landing by the service
+    assert [vehicle.count(TAKEOFF_LAND) for vehicle in flight.vehicles.values()] == [6, 5, 6]
+    assert not any(vehicle.calls for vehicle in flight.vehicles.values())
+
+
+def test_after_a_flight_that_was_given_up_it_waits_until_all_are_ready():
+    flight = Flight(waiting_timeout=20.0)
+    flight.on_course()
+    flight.vehicles["risc1"].connected = False
+    flight.finish()
+    assert flight.operator.fly_again(flight.now_s) == ""
+    flight.run(Phase.ABORTED)
+    assert "risc1 no navdata" in flight.operator.reason
+    flight.vehicles["risc1"].connected = True
+    assert flight.operator.fly_again(flight.now_s) == ""
+    flight.finish()
+    assert flight.operator.result == OperatorResult.OK
+
+
 def test_bumpers_step_through_the_figures():
     flight = Flight(count=1, bumper_steps=5, duration=10.0, rest=4.0)
     vehicle = flight.vehicles["risc1"]
