@@ -203,11 +203,11 @@ def test_given_back_it_stays_where_it_is_and_the_button_takes_it(monkeypatch):
 def test_given_back_it_lands_by_the_button_or_when_it_is_not_seen():
     desk = given_back()
     desk.press(TAKEOFF_LAND)
-    desk.wait_for(FlightState.LANDED, 8.0)
+    desk.wait_for(FlightState.LANDED, 12.0)
     assert desk.counts["land"] == 0 and desk.iris.impact_m_s < 0.4
     desk = given_back()
     desk.alive.discard("state")
-    desk.wait_for(FlightState.LANDED, 8.0)
+    desk.wait_for(FlightState.LANDED, 12.0)
     assert desk.counts["land"] > 0
 
 

@@ -136,7 +136,7 @@ class Hover:
         self._reckoned_m = 0.0  # height above the floor, without states
         self._place_m, self._place_m_s, self._psi_rad = [0.0] * 3, [0.0] * 3, 0.0  # that is held, and its motion
         self._integral_m_s2 = [0.0, 0.0]
-        self._commanded_s = -math.inf
+        self._commanded_s = self._held_s = -math.inf  # when a command was asked for last; one with states
         flat_inputs(limit_tilt(Acceleration(0.0, 0.0, GRAVITY_M_S2), _TILT_RAD)[0], 0.0, 0.0, 1.0)  # loads what is
         thrust_at_tilt(GRAVITY_M_S2, 0.0, 0.0, 1.0)  # compiled
 
@@ -160,7 +160,7 @@ class Hover:
             if self.phase in (Phase.CLIMBING, Phase.LANDING):
                 self._enter(Phase.HOLDING, now_s)
         if state != self.reported:  # it may have been anywhere meanwhile
-            self._commanded_s = -math.inf
+            self._held_s = -math.inf
         self.reported = state
         if state == FlightState.LANDED:
             if self.phase in _IN_AIR:
@@ -218,7 +218,7 @@ class Hover:
     def take_back(self):
         """An operator wants it back from its pilot. Returns whether it takes our commands again."""
         if not self.has_pilot:
-            self.reported, self._commanded_s = FlightState.FLYING, -math.inf
+            self.reported, self._held_s = FlightState.FLYING, -math.inf
         return not self.has_pilot
 
     def land(self, now_s):
@@ -342,8 +342,9 @@ class Hover:
         if not self._is_seen(now_s):
             return self._blind(now_s, step_s, climb_m_s if self.phase is Phase.LANDING else 0.0)
         self._reckoned_m = self._height_m()
-        if step_s > _NEW_S or self.has_pilot:
+        if now_s - self._held_s > _NEW_S or self.has_pilot:
             self._begin()
+        self._held_s = now_s
         spun = (now_s - self._since_s) / _SPIN_UP_S
         if self.phase is Phase.CLIMBING and spun < 1.0:
             self._begin()
