@@ -228,6 +228,8 @@ class VehicleNodeTest(unittest.TestCase):
         world.forget()
         world.turn_deg_s["risc2"] = TURN_DEG_S
         wait_for(lambda: world.psi_deg["risc2"] > 60.0, "a turn")
+        world.turn_deg_s["risc2"] = -TURN_DEG_S  # the other tests begin at 0
+        wait_for(lambda: world.psi_deg["risc2"] < 1.0, "the turn back")
         self.assertEqual([m for m in world.messages("risc2", "safety") if m.rule == Safety.SUSPECT], [])
 
     def test_6_errors_land_and_do_not_stop_the_clock(self):
