@@ -496,13 +496,14 @@ class Soak:
         violation = invariants.flight(judged, self.params.limits)
         violation = violation or invariants.latency(self.latencies, self.warm_s, self.params)
         if violation is not None:
-            self.violated = number
+            if self.violation is None:
+                self.violated = number
             raise EndError(violation)
         self._remove_bags(number)
 
     def _remove_bags(self, newest):
         """Those of flights in which nothing was wrong, but for the newest."""
-        for number in range(1, newest - self.params.keep_flights + 1):
+        for number in set(range(1, newest - self.params.keep_flights + 1)) - {self.violated}:
             (self.folder_of(number) / BAG).unlink(missing_ok=True)
 
     # ------------------------------------------------------------------ for people
