@@ -375,6 +375,26 @@ def test_states_lost_level_and_then_land_mode(autonomous):
     assert desk.iris.impact_m_s < 0.7
 
 
+def drift_of_a_landing_that_is_seen_again_m():
+    """A controller flies it away from where it has taken off, and motion capture fails until it lands."""
+    desk = flown(more=1.0)
+    desk.fly = lambda desk: level_at(1.0)(desk)._replace(pitch_rad=-0.05)
+    desk.run(1.5)
+    desk.alive.discard("state")
+    assert desk.run(1.0, lambda: desk.pilot.ladder.verdict.level == FailsafeLevel.LAND)
+    desk.run(0.3)
+    desk.alive.add("state")
+    x_m, y_m, _ = desk.iris.position_m
+    assert desk.run(6.0, lambda: desk.iris.stands)
+    return math.dist((x_m, y_m), desk.iris.position_m[:2])
+
+
+def test_a_landing_that_is_seen_again_ends_there(monkeypatch):
+    assert drift_of_a_landing_that_is_seen_again_m() < 0.1
+    monkeypatch.setattr(hover, "_NEW_S", math.inf)  # the control arm: it goes back to the place that was held before
+    assert drift_of_a_landing_that_is_seen_again_m() > 0.5
+
+
 def blind_landing(then=1.0):
     """(desk) states and telemetry are lost: nothing but the radio works. then: its thrust, of what it was."""
     desk = flown(more=0.9)

@@ -129,7 +129,7 @@ class Hover:
         self._reckoned_m = 0.0  # height above the floor, without states
         self._place_m, self._place_m_s, self._psi_rad = [0.0] * 3, [0.0] * 3, 0.0  # that is held, and its motion
         self._integral_m_s2 = [0.0, 0.0]
-        self._commanded_s = -math.inf
+        self._commanded_s = self._held_s = -math.inf  # when a command was asked for last; one with states
         flat_inputs(limit_tilt(Acceleration(0.0, 0.0, GRAVITY_M_S2), _TILT_RAD)[0], 0.0, 0.0, 1.0)  # loads what is
         thrust_at_tilt(GRAVITY_M_S2, 0.0, 0.0, 1.0)  # compiled
 
@@ -143,7 +143,7 @@ class Hover:
         if state == FlightState.UNKNOWN:
             return
         if state != self.reported:  # it may have been anywhere meanwhile
-            self._commanded_s = -math.inf
+            self._held_s = -math.inf
         self.reported = state
         if state == FlightState.LANDED:
             if self.phase in _IN_AIR:
@@ -308,8 +308,9 @@ class Hover:
         if not self._is_seen(now_s):
             return self._blind(now_s, step_s, climb_m_s if self.phase is Phase.LANDING else 0.0)
         self._reckoned_m = self._height_m()
-        if step_s > _NEW_S:
+        if now_s - self._held_s > _NEW_S:
             self._begin()
+        self._held_s = now_s
         spun = (now_s - self._since_s) / _SPIN_UP_S
         if self.phase is Phase.CLIMBING and spun < 1.0:
             self._begin()

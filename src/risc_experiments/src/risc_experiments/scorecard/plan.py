@@ -10,6 +10,7 @@ import numpy as np
 
 from risc_experiments.fleets import default_fleet
 from risc_experiments.offline import SETTLE_S, YAW_BY_SEED_DEG, Flight
+from risc_lab.lab import load_vehicle_type
 from risc_lab.lab.yaml_reader import load_yaml, package_file
 from risc_lab.settings import Name, NotNegative, Positive, Settings, between, settings_from
 from risc_simulator.faults import REGISTRY, FaultEvent, fault_settings, load_faults
@@ -59,6 +60,7 @@ class ScorecardParams(Settings):
 
     trajectories: tuple[Name, ...] = ("circle",)
     vehicles: between(1, 50) = 3
+    types: tuple[Name, ...] = ()
     flight_s: Positive = 60.0
     least_flight_s: Positive = 20.0
     minutes: Positive = 2.0
@@ -66,6 +68,13 @@ class ScorecardParams(Settings):
     events: EventParams = EventParams()
     random: RandomParams = RandomParams()
     quick: QuickParams = QuickParams()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if len(self.types) not in (0, self.vehicles):
+            raise ValueError("'types' has %d names, for %d vehicles" % (len(self.types), self.vehicles))
+        for name in self.types:
+            load_vehicle_type(name)
 
 
 def load_params(path=None):
@@ -105,6 +114,7 @@ class Plan(NamedTuple):
         return Flight(
             trajectory,
             vehicles=self.params.vehicles,
+            types=self.params.types,
             seed=seed,
             duration_s=flight_s - SETTLE_S,
             psi_deg=YAW_BY_SEED_DEG * seed % 360.0,
