@@ -421,9 +421,9 @@ class Soak:
             self._check(invariants.crash(crash.vehicle, crash.reason, self._watch.safe or ()))
         while self._watch.errors:
             node, text = self._watch.errors.popleft()
-            began = self._watch.safe is not None
-            self.record.add("error", flight=self.number, node=node, text=text, explained=began)
-            self._check(invariants.error(node, text, began))
+            explained = self._watch.safe is not None or self.began_s is None  # nodes start before those that they need
+            self.record.add("error", flight=self.number, node=node, text=text, explained=explained)
+            self._check(invariants.error(node, text, explained))
         self._judged()
         now_s = self.record.time_s
         if now_s >= self._check_s:
