@@ -104,6 +104,7 @@ def test_a_good_flight_has_its_faults_reactions_and_latencies(flight):
     assert judged["reasons"] == [] and judged["out"] == {}
     (found,) = judged["faults"]
     assert (found["name"], found["outcome"], found["safe"], found["start_s"]) == ("jump", "completed", True, 3.0)
+    assert found["flying"] == 2
     assert found["reactions_ms"]["risc1"] == pytest.approx(120.0 + 1e3 * LATENCY_S, abs=25.0)
     assert judged["latency_ms"]["p99"] == pytest.approx(1e3 * LATENCY_S, abs=0.1)
     assert judged["lab_late_ms"]["p99"] == pytest.approx(1e3 * LATE_S, abs=0.1)
@@ -117,9 +118,15 @@ def test_what_went_wrong_is_told(flight):
     assert judge_flight(folder, 0, None)["reasons"] == ["fault jump:0.3,risc1: breach"], "cut short, too"
     assert "2 of 3 faults never began, and vehicles were flying" in judge_flight(folder, 3, "")["reasons"]
     assert judge_flight(folder, 3, "no hover")["reasons"][0] == "no hover"
-    assert judge_flight(flight(*happened()), 3, None)["reasons"] == [], (
-        "of a flight that was cut short nothing is missing"
-    )
+    cut_short = judge_flight(flight(*happened()), 3, None)
+    assert cut_short["reasons"] == [], "nothing is missing of it"
+
+
+def test_of_a_fault_is_told_how_many_flew_when_it_began(flight):
+    out = [VehicleOut("risc2", OutCause.LADDER, "landed")]
+    left = OperatorState(phase=OperatorPhase.FLY, on_course=True, out=out)
+    judged = judge_flight(flight(*happened(), (5.0, "/operator/phase", put(left, 5.0))), 1, "")
+    assert judged["faults"][0]["flying"] == 1 and judged["reasons"] == ["risc2 landed"], "it left before the fault"
 
 
 def test_the_program_writes_what_it_found_and_names_a_bag_that_is_none(flight, capsys):
