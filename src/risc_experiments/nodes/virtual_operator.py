@@ -169,7 +169,7 @@ class VirtualOperator:
             self._phase.publish(state_message(self._state()))  # a sign of life
             status.summary(2 if self._operator.result == OperatorResult.FAILED else 0, self._operator.phase_text)
             for name, watched in self._operator.vehicles.items():
-                status.add("%s flight state (navdata)" % name, watched.flight_state)
+                status.add("%s flight state" % name, watched.flight_state)
                 status.add("%s mode" % name, "autonomous" if watched.autonomous else "manual")
                 phase = watched.trajectory_phase
                 status.add("%s trajectory phase" % name, "none yet" if phase is None else phase.name.lower())

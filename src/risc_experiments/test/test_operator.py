@@ -172,7 +172,7 @@ def test_duration_counts_from_when_all_are_on_course():
     ("spoil", "text"),
     [
         (lambda v: setattr(v, "seen", False), "risc2 not seen by mocap"),
-        (lambda v: setattr(v, "connected", False), "risc2 no navdata"),
+        (lambda v: setattr(v, "connected", False), "risc2 no report"),
         (lambda v: setattr(v, "state", FlightState.UNKNOWN), "risc2 does not report landed (state 0)"),
     ],
 )
@@ -413,7 +413,7 @@ def test_a_vehicle_that_falls_silent_while_taking_off_is_landed():
     flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
     vehicle.connected = True
     flight.finish()
-    assert flight.operator.reason == "risc2 silent: no navdata for 2 s"
+    assert flight.operator.reason == "risc2 silent: no report for 2 s"
     assert vehicle.state == FlightState.LANDED
     assert vehicle.count(TAKEOFF_LAND) == 1, "pressed when nobody knows whether it stands, the button may mean take-off"
 

@@ -145,7 +145,7 @@ class Watched:
     def not_ready(self, params, now_s):
         """What is missing for a take-off, "" when nothing is."""
         if self.is_silent(params, now_s):
-            return "no navdata (is the driver connected?)"
+            return "no report of the vehicle (is its driver connected?)"
         if self.flight_state != FlightState.LANDED:
             return "does not report landed (state %s)" % self.flight_state
         if self.safety == FailsafeLevel.LAND:
@@ -358,7 +358,7 @@ class Operator:
             elif started and w.flight_state in (FlightState.LANDED, FlightState.LANDING):
                 w.leave(OutCause.LANDED, "landed by itself")
             elif w.is_silent(self._params, now_s):
-                w.leave(OutCause.SILENT, "silent: no navdata for %g s" % limit_s)
+                w.leave(OutCause.SILENT, "silent: no report for %g s" % limit_s)
             elif now_s - w.status_s > limit_s:
                 w.leave(OutCause.NODE, "lost its joystick node: no controller_status for %g s" % limit_s)
             elif flew and not w.autonomous and now_s - w.toggle_s > _TOGGLE_AGAIN_S:
