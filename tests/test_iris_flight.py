@@ -11,13 +11,13 @@ import pytest
 from flying import end, finish, fly, left_behind, start, wait_for_line
 
 from data_extraction.bags import Bag
+from risc_control.vehicles import FlightState
 from risc_maap_msgs.msg import Safety
 
 pytestmark = pytest.mark.alone
 RMSE_LIMIT_M = 0.05  # a gate for accidents; the accuracy that README states is measured by `./maap bench flights`
 GONE_S = 60.0  # longer than the rest of the flight
 LATE_S = 1.0  # what a busy computer may add to the limits of the ladder
-WIRE_FAULT = "/virtual_lab/wire_fault"
 
 
 def process_of(folder, word):
@@ -27,18 +27,18 @@ def process_of(folder, word):
     return process
 
 
-def publish(folder, topic, kind, content):
-    """Publish one message into the graph of a flight."""
-    master = process_of(folder, "/rosmaster").environ()
-    command = ["rostopic", "pub", "-1", topic, kind, content]
-    environment = dict(os.environ, ROS_MASTER_URI=master["ROS_MASTER_URI"], ROS_IP="127.0.0.1")
-    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL, timeout=60.0)
-
-
 def cut_off(channel, fault="blackhole"):
     """Something happens to a wire of the vehicle."""
-    content = "{fault: %s, channel: %s, severity: 1.0, duration_s: %g}" % (fault, channel, GONE_S)
-    return lambda folder: publish(folder, WIRE_FAULT, "risc_maap_msgs/WireFault", content)
+    request = "{fault: '%s:duration_s=%g,channel=%s', start_s: 0.0}" % (fault, GONE_S, channel)
+
+    def inject(folder):
+        master = process_of(folder, "/rosmaster").environ()
+        environment = dict(os.environ, ROS_MASTER_URI=master["ROS_MASTER_URI"], ROS_IP="127.0.0.1")
+        command = ["rosservice", "call", "/virtual_lab/inject", request]
+        answer = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=60.0)
+        assert "success: True" in answer.stdout, answer.stdout
+
+    return inject
 
 
 def kill(word):
@@ -81,6 +81,24 @@ def test_the_figures_of_chapter_6(tmp_path):
         counts = bag.topics
     assert all(counts["/iris1/" + topic] > 20 for topic in ("controls", "ppm_status", "apm/state", "apm/status"))
     assert left_behind(folder) == []
+
+
+@pytest.mark.release
+def test_its_pilot_takes_over_and_gives_it_back(tmp_path):
+    code, output, _, folder = fly(tmp_path, "iris", "--duration", "10", "--fault", "pilot_takeover:6,iris1@2")
+    assert code == 1 and left_behind(folder) == [], output
+    told, modes = [], set()
+    with Bag(folder / "flight.bag") as bag:
+        for topic, receipt_s, message in bag.messages(["/iris1/vehicle_status", "/iris1/apm/state"]):
+            if topic.endswith("state"):
+                modes.add(message.mode)
+            else:
+                told.append((receipt_s, message.state))
+    states = [state for _, state in told]
+    assert FlightState.PILOT in states and states[-1] == FlightState.LANDED, output
+    assert modes == {"STABILIZE"}, "nobody has taken it from its pilot"
+    lab = json.loads((folder / "virtual_lab.json").read_text())
+    assert (lab["vehicles"]["iris1"]["phase"], lab["crashes"]) == ("landed", [])
 
 
 @pytest.mark.release

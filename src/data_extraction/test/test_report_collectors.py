@@ -44,6 +44,7 @@ from risc_maap_msgs.msg import (
     Faults,
     MocapStatus,
     OperatorState,
+    PpmStatus,
     Safety,
     TrajectoryPhases,
     VehicleNodeStatus,
@@ -52,6 +53,7 @@ from risc_maap_msgs.msg import (
     VehicleStatus,
 )
 from risc_msgs.msg import Cortex, Mocap_data, Mocap_marker, Mocap_markers, Observed_rois, Risc_roi, Risc_rois, States
+from roscopter.msg import State
 
 T0_S = 1000.0
 NAN = float("nan")
@@ -66,7 +68,7 @@ def play(tmp_path):
         path = tmp_path / "some.bag"
         with rosbag.Bag(str(path), "w") as bag:
             for topic, message, t_s in rows:
-                if getattr(message, "_has_header", False):
+                if getattr(message, "_has_header", False) and message.header.stamp.is_zero():
                     message.header.stamp = rospy.Time.from_sec(t_s)
                 bag.write(topic, message, rospy.Time.from_sec(t_s))
         with Bag(path) as bag:
@@ -340,6 +342,22 @@ def test_a_vehicle_without_a_namespace_is_not_called_after_its_topics(play):
     ]
 
 
+def test_events_of_an_iris_are_its_autopilots_and_its_boards(play):
+    rows = [("/iris1/apm/state", State(mode="STABILIZE"), T0_S + k) for k in range(3)]
+    rows += [("/iris1/ppm_status", PpmStatus(state=PpmStatus.FLYING), T0_S + 3.0 + 0.1 * k) for k in range(5)]
+    rows += [("/iris1/apm/state", State(mode="STABILIZE", armed=True), T0_S + 4.0)]
+    rows += [("/iris1/ppm_status", PpmStatus(state=PpmStatus.FAILSAFE), T0_S + 5.0)]
+    rows += [("/iris1/apm/state", State(mode="LAND", armed=True), T0_S + 5.5)]
+    events = play(EventCollector(), rows).result()
+    assert [(event.source, event.text) for event in events] == [
+        ("iris1", "autopilot: STABILIZE, disarmed"),
+        ("iris1", "PPM of the transmitter's board: follows commands"),
+        ("iris1", "autopilot: STABILIZE, armed"),
+        ("iris1", "PPM of the transmitter's board: failsafe"),
+        ("iris1", "autopilot: LAND, armed"),
+    ]
+
+
 def test_the_rectified_compressed_picture_is_preferred():
     image, packed = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
     types = {
@@ -570,7 +588,7 @@ def truth(t_s, x=0.0, z=1.0, name="fluffy_II"):
 
 def flown(play, *rows):
     """Faults of a flight that is on its course from 1 s to 20 s."""
-    rows = [operator(0.0, on_course=False), operator(1.0), *rows]
+    rows = [operator(0.0, OperatorPhase.WAITING, False), operator(1.0), *rows]
     rows += [operator(20.0, OperatorPhase.LAND), operator(25.0, OperatorPhase.DONE)]
     return play(FaultCollector(), sorted(rows, key=lambda row: row[2])).result(T0_S + 30.0)
 
@@ -590,6 +608,17 @@ def test_a_fault_that_changes_nothing_is_completed(play):
         "reactions_ms": {},
     }
     assert faults.waiting == 0 and faults.out == {}
+
+
+def test_what_the_operator_said_of_the_flight_before_is_of_that_one(play):
+    """His last words are kept for a recorder that starts between two flights."""
+    over = {"phase": OperatorPhase.ABORTED, "result": OperatorResult.FAILED, "on_course": True}
+    old = OperatorState(**over, out=[VehicleOut("risc2", OutCause.LADDER, "landed")])
+    old.header.stamp = at(-30.0)
+    rows = [("/operator/phase", old, T0_S - 0.2), ("/operator/result", old, T0_S + 0.5)]
+    faults = flown(play, *rows, told(fault(1, 3.0), t_s=3.0))
+    (outcome,) = faults.outcomes
+    assert (outcome.outcome, faults.out, faults.course_s) == ("completed", {}, pytest.approx(T0_S + 1.0))
 
 
 def test_the_reaction_is_the_first_command_of_a_higher_level(play):
@@ -646,6 +675,13 @@ def test_a_breach_is_what_touched_left_or_stayed_up(play, rows):
     assert (outcome.outcome, outcome.is_safe) == ("breach", False)
     (before,) = flown(play, told(fault(1, 5.0), t_s=5.0), *rows[:1]).outcomes
     assert before.outcome == "completed", "what came before is not its own"
+
+
+@pytest.mark.parametrize("other, is_safe", [("", True), ("risc2", False)])
+def test_a_fall_may_be_safe_but_not_onto_another_vehicle(play, other, is_safe):
+    crash = "/virtual_lab/crash", Crash(vehicle="risc1", other=other, reason="fell"), T0_S + 4.0
+    (outcome,) = flown(play, told(fault(1, 3.0, safe=["breach"]), t_s=3.0), crash).outcomes
+    assert (outcome.outcome, outcome.is_safe) == ("breach", is_safe)
 
 
 def test_a_vehicle_that_is_out_has_landed_and_the_operators_own_landing_is_none(play):

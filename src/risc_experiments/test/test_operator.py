@@ -172,7 +172,7 @@ def test_duration_counts_from_when_all_are_on_course():
     ("spoil", "text"),
     [
         (lambda v: setattr(v, "seen", False), "risc2 not seen by mocap"),
-        (lambda v: setattr(v, "connected", False), "risc2 no navdata"),
+        (lambda v: setattr(v, "connected", False), "risc2 no report"),
         (lambda v: setattr(v, "state", FlightState.UNKNOWN), "risc2 does not report landed (state 0)"),
     ],
 )
@@ -206,6 +206,17 @@ def test_presses_again_when_a_takeoff_was_not_heard():
     flight.run(lambda: vehicle.count(TAKEOFF_LAND) == 2)
     vehicle.obeys.add("takeoff")
     assert flight.finish().operator.result is OperatorResult.OK
+
+
+def test_why_a_take_off_was_refused_is_said():
+    flight = Flight()
+    flight.vehicles["risc2"].obeys.remove("takeoff")
+    flight.run(lambda: flight.vehicles["risc2"].count(TAKEOFF_LAND) == 1)
+    flight.operator.vehicles["risc2"].refusals = ["carry it inside", "battery low"]
+    flight.step()
+    assert "risc2 (take-off refused: carry it inside; battery low)" in flight.operator.phase_text
+    flight.finish()
+    assert "carry it inside" in flight.operator.reason
 
 
 @pytest.mark.parametrize(
@@ -413,7 +424,7 @@ def test_a_vehicle_that_falls_silent_while_taking_off_is_landed():
     flight.run(lambda: vehicle.state == FlightState.LANDED, 10.0)
     vehicle.connected = True
     flight.finish()
-    assert flight.operator.reason == "risc2 silent: no navdata for 2 s"
+    assert flight.operator.reason == "risc2 silent: no report for 2 s"
     assert vehicle.state == FlightState.LANDED
     assert vehicle.count(TAKEOFF_LAND) == 1, "pressed when nobody knows whether it stands, the button may mean take-off"
 
@@ -542,7 +553,7 @@ def test_after_a_flight_that_was_given_up_it_waits_until_all_are_ready():
     flight.finish()
     assert flight.operator.fly_again(flight.now_s) == ""
     flight.run(Phase.ABORTED)
-    assert "risc1 no navdata" in flight.operator.reason
+    assert "not ready" in flight.operator.reason and "risc1 no report" in flight.operator.reason
     flight.vehicles["risc1"].connected = True
     assert flight.operator.fly_again(flight.now_s) == ""
     flight.finish()

@@ -12,6 +12,7 @@ from data_extraction.recording import ON_COURSE, REFERENCES, STATES, TRUTH, Reco
 from data_extraction.report.topics import Collector, vehicle_of
 from data_extraction.samples import Arrivals
 from risc_control.failsafe import FailsafeLevel
+from risc_control.vehicles import adapter_class
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles
 from risc_lab.phases import OperatorPhase
@@ -30,7 +31,7 @@ HOPS = {
     "datagram_to_mocap_data": "datagram to /mocap_data",
     "datagram_to_cortex_raw": "datagram to /cortex_raw",
     "datagram_to_controls": "datagram to /controls",
-    "datagram_to_cmd_vel": "datagram to cmd_vel",
+    "datagram_to_cmd_vel": "datagram to the command sent to the vehicle",  # on cmd_vel, of an AR.Drone
 }
 _ANSWERS = ("/mocap_data", STATES, "/controls")
 _POSE = ("x", "y", "z", "psi")
@@ -113,12 +114,14 @@ class FlightCollector(Collector):
         # The estimator repeats its last stamp, invisible, when the cameras fall silent: the first arrival counts.
         self._arrivals = {topic: Arrivals() for topic in _ANSWERS}
         self._commands = defaultdict(Arrivals)  # topic of commands -> of the states that they answer
-        self._namespaces = {v.template: v.namespace for v in (fleet.vehicles if fleet else laboratory_vehicles())}
+        vehicles = fleet.vehicles if fleet else laboratory_vehicles()
+        self._namespaces = {vehicle.template: vehicle.namespace for vehicle in vehicles}
+        self._sent_on = {v.template: "/%s/%s" % (v.namespace, adapter_class(v.vehicle_type).COMMANDS) for v in vehicles}
         self._landed_s = {}  # namespace -> when its ladder began to land it
         self._receipts = Arrivals()  # of the datagrams
         self._frames = Arrivals()  # the same stamps with the frames' numbers
         # Programs start before the operator's first phase that is not waiting, and end after its result.
-        self._begun_s, self._over_s = -np.inf, np.inf
+        self._begun_s, self._over_s, self._waited_s = -np.inf, np.inf, -np.inf
 
     def __call__(self, topic, receipt_s, message):
         """Take one message; topics that are of no interest are passed over."""
@@ -134,8 +137,8 @@ class FlightCollector(Collector):
         elif topic == "/commands_sent":
             for command in message.commands:
                 if command.answers.sec:
-                    name = "/%s/cmd_vel" % self._namespaces.get(command.name, command.name)
-                    self._commands[name].append(command.answers, seconds(command.sent))
+                    topic = self._sent_on.get(command.name) or "/%s/cmd_vel" % command.name
+                    self._commands[topic].append(command.answers, seconds(command.sent))
         elif topic.endswith("/cmd_vel_stamped"):  # in bags without that: the stamp answered, and the time of receipt
             if message.header.stamp.sec:
                 self._commands[topic].append(message.header.stamp, receipt_s)
@@ -145,9 +148,11 @@ class FlightCollector(Collector):
         elif topic.endswith("trajectory_phase"):
             self._recording.phases(receipt_s, message)
         elif topic == "/operator/phase":
-            if self._begun_s == -np.inf and message.phase != OperatorPhase.WAITING:
+            if message.phase == OperatorPhase.WAITING:  # what was said before is of another flight
+                self._begun_s, self._over_s, self._waited_s = -np.inf, np.inf, seconds(message.header.stamp)
+            elif self._begun_s == -np.inf:
                 self._begun_s = receipt_s
-        elif topic == "/operator/result":
+        elif topic == "/operator/result" and seconds(message.header.stamp) >= self._waited_s:
             self._over_s = min(self._over_s, receipt_s)
 
     def wants(self, topic):

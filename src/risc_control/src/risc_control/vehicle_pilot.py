@@ -15,7 +15,7 @@ from risc_control import preflight
 from risc_control.braking import Braking
 from risc_control.failsafe import FailsafeLevel, Rule, SafetyLadder, SafetyLimits
 from risc_control.fence import pushed_m_s2
-from risc_control.hover import HAND_M_S, Hover
+from risc_control.hover import HAND_M_S, HAS_PILOT, Hover
 from risc_control.joystick import CENTRED, Button, Joystick, JoystickParams, Sticks
 from risc_control.separation import ALONE
 from risc_control.vehicles import (
@@ -28,7 +28,7 @@ from risc_control.vehicles import (
     state_text,
 )
 from risc_lab.command_history import Channel, CommandHistory
-from risc_lab.settings import NotNegative, Positive
+from risc_lab.settings import Count, NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
 _OK, _LAND, _LANDING = FailsafeLevel.OK, FailsafeLevel.LAND, FlightState.LANDING
@@ -62,7 +62,8 @@ class VehicleNodeParams(JoystickParams, SafetyLimits):
     # HOLD: True, its bottom camera sees the floor: an AR.Drone's own velocity counts, and all zero is sent, on which it
     # holds its place; False, it does not (a floor without texture): what it does is reckoned, and it is kept level
     hold_auto_hover: bool = True
-    preflight: bool = False  # no take-off before motion capture and what stands around are as a flight needs them
+    preflight: bool = True  # no take-off before motion capture and what stands around are as a flight needs them
+    preflight_markers: Count = 0  # so many of its markers must be seen before a take-off; 0: all of its template
     hold_brakes: bool = True  # HOLD first brakes the vehicle by its model; False: it is level, and coasts
 
     def rate_hz(self, vehicle_type):
@@ -102,6 +103,7 @@ class Orders:
     simulator_reset = None  # value for the parameter RESET of simulators
     safety = None  # Verdict, when it has just changed
     shut_down = False
+    refusals = None  # why it does not take off, sentences: none, it does; None: nobody asked for that
     answer = None  # (done, what happens in a sentence) to who asked for a landing
     log = ()  # of (level "info" | "warn" | "error", sentence)
 
@@ -163,6 +165,7 @@ class VehiclePilot:
             limits = replace(params, navdata_timeout_s=self._adapter.SILENT_S)
         # a simulator's vehicle is always airborne: there, silence counts from the first joystick message
         self.ladder = SafetyLadder(limits, vehicle_type, math.inf if params.Simulation else now_s)
+        self.ladder.reports = self._adapter.REPORTS
         self.autonomous = False
         self.flight_state = None  # the newest FlightState number, None before the first
         self.airborne = params.Simulation  # may be in the air; simulators without navdata always fly
@@ -172,6 +175,7 @@ class VehiclePilot:
         self._unseen = False  # motion capture has looked since, and does not see it
         self._told = None  # the newest Verdict of the orders
         self._nearest, self._looks_s = nearest, deque(maxlen=preflight.LOOKS)
+        self._markers = deque(maxlen=preflight.COUNTS)  # (used, of its template)
         self._simulator_reset = False
         self._ended = False
         self._land_s = self._land_itself_s = -math.inf
@@ -266,8 +270,12 @@ class VehiclePilot:
         before, state = self.flight_state, self._hover.flight_state(self.autonomous)
         self.flight_state, self.airborne = state, self._hover.airborne
         given_back = before == _LANDING and state == FlightState.FLYING  # by whoever ended its own landing
-        if self.autonomous and (given_back or state == FlightState.OTHER_MODE):
-            self._set_mode(False, orders, "the mode of its autopilot was changed")
+        if state == FlightState.PILOT != before:
+            self.ladder.take_over()
+            orders.say("warn", "%s: it receives other sticks than we send" % HAS_PILOT)
+        if self.autonomous and (given_back or state in (FlightState.OTHER_MODE, FlightState.PILOT)):
+            changed = HAS_PILOT if state == FlightState.PILOT else "the mode of its autopilot was changed"
+            self._set_mode(False, orders, changed)
         self._end_on_the_ground(orders)
 
     def _end_on_the_ground(self, orders):
@@ -297,6 +305,10 @@ class VehiclePilot:
     def on_unseen(self):
         """Motion capture has looked, and does not see the vehicle."""
         self._unseen = True
+
+    def on_markers(self, used, known):
+        """Motion capture's pose of it rests on so many of its markers."""
+        self._markers.append((used, known))
 
     def on_suspect(self, reason, now_s):
         """The vehicle was seen with a state that cannot be true. reason: what it contradicts, see `plausibility`."""
@@ -369,6 +381,8 @@ class VehiclePilot:
         silent = not self.ladder.navdata_is_fresh(now_s)
         if self._ended:
             orders.answer = False, "the vehicle node is ending; it has ordered a landing itself"
+        elif self._has_pilot:
+            orders.answer = False, "%s, who lands it" % HAS_PILOT
         elif self.airborne:
             self._judge(orders, now_s, land=True)
             unsure = ", but the vehicle is silent" if silent else ""
@@ -391,7 +405,9 @@ class VehiclePilot:
         orders.land = True
         if self._hover is not None:
             stands = self.flight_state == FlightState.LANDED and self.ladder.navdata_is_fresh(now_s)
-            orders.land = not stands  # nothing of it would be obeyed, and the next take-off find another mode
+            orders.land = not (
+                stands or self._has_pilot
+            )  # nothing of it would be obeyed, and the next take-off find another mode
             self._hover.land(now_s)
             self._hover.step(now_s, orders)
             self._fly_hover(orders, now_s)
@@ -401,7 +417,9 @@ class VehiclePilot:
         return orders
 
     def needs_landing(self, now_s):
-        """True while the vehicle may be in the air and does not report that it lands."""
+        """True while the vehicle may be in the air, is nobody else's, and does not report that it lands."""
+        if self._has_pilot:
+            return False
         lands = self.flight_state == _LANDING if self._hover is None else self._hover.lands_itself
         return self.airborne and not (lands and self.ladder.navdata_is_fresh(now_s))
 
@@ -417,6 +435,11 @@ class VehiclePilot:
         return self._slots.next_s if self.autonomous and not self._ended and self._takes_commands() else math.inf
 
     # --- what is decided ----------------------------------------------------------------------------------------
+
+    @property
+    def _has_pilot(self):
+        """Somebody else flies it."""
+        return self._hover is not None and self._hover.has_pilot and self.airborne
 
     def _holds(self):
         """The ladder flies; or the controller answers a state that cannot be true, for which nobody waits."""
@@ -460,37 +483,40 @@ class VehiclePilot:
                 self._set_mode(False, orders, "landing")
         elif not may_take_off:
             orders.say("info", "no take-off: the button was pressed a while ago; release it and press again")
-        elif self.ladder.lost_joystick(now_s) is not None:
-            orders.say(
-                "warn",
-                "take-off refused: the joystick %s has fallen silent, and with it its emergency stop; see to it, or "
-                "wait a minute to fly without it" % self.ladder.lost_joystick(now_s),
-            )
-        elif self.ladder.battery_is_low():
-            orders.say(
-                "warn",
-                "take-off refused: the battery is at or below %g %%: charge it, or lower "
-                "battery_min_pct" % self.ladder.limits.battery_min_pct,
-            )
-        elif self._params.preflight and self._refusals(now_s):
-            for refusal in self._refusals(now_s):
+        else:
+            orders.refusals = list(self._refusals(now_s))
+            for refusal in orders.refusals:
                 orders.say("warn", "take-off refused: %s" % refusal)
-        elif self._hover is not None and self._hover.no_take_off(now_s):
-            orders.say("warn", "take-off refused: %s" % self._hover.no_take_off(now_s))
-        elif self._hover is not None:
-            orders.takeoff = True
+            if not orders.refusals:
+                self._take_off(orders, now_s)
+
+    def _take_off(self, orders, now_s):
+        orders.takeoff = True
+        orders.say("info", "taking off")
+        if self._hover is None:
+            self.airborne, self._takeoff_s = True, now_s
+        else:
             self._hover.take_off(now_s)
             self._note_hover(orders)
-            orders.say("info", "taking off")
-        else:
-            orders.takeoff = self.airborne = True
-            self._takeoff_s = now_s
-            orders.say("info", "taking off")
 
     def _refusals(self, now_s):
+        """Why it must not take off."""
+        joystick = self.ladder.lost_joystick(now_s)
+        if joystick is not None:
+            text = "the joystick %s has fallen silent, and with it its emergency stop; see to it, or wait a minute to "
+            yield text % joystick + "fly without it"
+        if self.ladder.battery_is_low():
+            text = "the battery is at or below %g %%: charge it, or lower battery_min_pct"
+            yield text % self.ladder.limits.battery_min_pct
+        if self._params.preflight:
+            yield from self._preflight(now_s)
+        if self._hover is not None and self._hover.no_take_off(now_s):
+            yield self._hover.no_take_off(now_s)
+
+    def _preflight(self, now_s):
         """Why it must not take off by what is seen; ()."""
         ladder, own, looks_s = self.ladder, self._state, self._looks_s
-        full = len(looks_s) == looks_s.maxlen
+        full, markers = len(looks_s) == looks_s.maxlen, max(self._markers, default=None)
         return preflight.refusals(
             preflight.Facts(
                 ladder.state.age_s(now_s),
@@ -502,6 +528,7 @@ class VehiclePilot:
                 math.acos(math.cos(own.phi_rad) * math.cos(own.theta_rad)) if own else 0.0,
                 ladder.controls.age_s(now_s),
                 ladder.limits.controls_hold_s,
+                markers and (markers[0], self._params.preflight_markers or markers[1], markers[1]),
                 self._nearest(),
                 ladder.limits.separation_m,
             )
@@ -518,6 +545,13 @@ class VehiclePilot:
         self._note_hover(orders)
 
     def _toggle(self, orders, now_s):
+        if self._hover is not None and self.flight_state == FlightState.PILOT:
+            if self._hover.take_back():
+                orders.say("info", "taken back from its pilot: held where it is, manual mode")
+                self._note_hover(orders)
+            else:
+                orders.say("warn", "%s: have the switch held first, then press again" % HAS_PILOT)
+            return
         if self._hover is not None and (self.autonomous or self.ladder.verdict.level > _OK):
             self._hover.hold(now_s)
         if self.autonomous:
@@ -571,7 +605,10 @@ class VehiclePilot:
             obeys = hover.obeys_landing(now_s, ladder.navdata_is_fresh(now_s))
             trouble = hover.trouble(now_s) if self.airborne else ""
         needs_navdata = not self._params.Simulation
-        verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, needs_navdata, hover is not None, trouble)
+        verdict = ladder.verdict
+        if not self._has_pilot:
+            held = hover is not None
+            verdict = ladder.update(now_s, self.autonomous, self.airborne, obeys, needs_navdata, held, trouble)
         if verdict is not self._told and verdict != self._told:
             self._told = orders.safety = verdict
             if verdict.level > before.level or verdict.operator:

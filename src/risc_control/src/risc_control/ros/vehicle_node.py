@@ -41,7 +41,7 @@ from risc_lab.ros.node import run
 from risc_lab.ros.paced_subscriber import PacedSubscriber
 from risc_lab.ros.params import VEHICLE_KEYS, known_fleet, load_params, told_vehicle_type
 from risc_lab.ros.ticker import Ticker
-from risc_maap_msgs.msg import CommandsSent, Safety, VehicleNodeStatus, VehicleStatus
+from risc_maap_msgs.msg import CommandsSent, EstimatorStatus, Safety, TakeoffRefusals, VehicleNodeStatus, VehicleStatus
 
 _RAD_PER_DEG = math.radians(1.0)
 _TO_RADIANS = np.array([1.0] * 6 + [_RAD_PER_DEG] * 6)  # what makes rows of /cortex_raw those of `risc_lab.states.S`
@@ -95,6 +95,7 @@ class VehicleNode:
         self._controls, self._states, self._references = ControlsArrays(), CortexArrays(), TrajectoriesArrays()
         order = [vehicle.template for vehicle in everybody]
         self._separation = Separation(self._by_name, params, order, wide_m)
+        self._held_until_s = {}  # {vehicle of another node that holds or lands it: how long that counts}
         kinds = {vehicle.template: vehicle.vehicle_type for vehicle in everybody}
         self._plausibility = Plausibility(
             kinds | {who.template: kind for (who, *_), kind in zip(chosen, types)}, params
@@ -112,10 +113,16 @@ class VehicleNode:
         rospy.on_shutdown(self._on_shutdown)
         for vehicle in self._vehicles:
             vehicle.listen()
+        for other in everybody if self._separation.asks else ():
+            if other.template not in self._by_name:
+                heard = partial(self._on_safety_of, other.template)
+                rospy.Subscriber("/%s/safety" % other.namespace, Safety, heard, queue_size=1, tcp_nodelay=True)
         PacedSubscriber("/controls", ControlsArrays.Raw, self._guarded(self._on_controls), tick_hz)
         # The states are here for the ladder and the climb rate, once a tick; the controller answers each of them.
         PacedSubscriber("/cortex_raw", CortexArrays.Raw, self._guarded(self._on_states), tick_hz)
         PacedSubscriber("/trajectory", TrajectoriesArrays.Raw, self._guarded(self._on_references), _REFERENCES_HZ)
+        on_estimator = self._guarded(self._on_estimator)
+        rospy.Subscriber("/estimator_status", EstimatorStatus, on_estimator, queue_size=1, tcp_nodelay=True)
         self._tickers = (
             Ticker(self._tick_s, self._on_tick, "the vehicles' clock"),
             Ticker(0.5, self._diagnostics.update, "the diagnostics"),
@@ -165,6 +172,11 @@ class VehicleNode:
             self._tell_sent()
             return 0.0 if stream.reads_on else min(_next_command_s(flown), time.monotonic() + self._tick_s)
 
+    def _on_safety_of(self, name, message):
+        """What another node does with a vehicle. It counts for a time: that node may have died since."""
+        alone = message.level > Safety.OK and message.rule != Safety.SEPARATION
+        self._held_until_s[name] = time.monotonic() + self.params.separation_forget_s if alone else -math.inf
+
     def _on_states(self, message):
         with self._looking:
             states = self._states.deserialize(message.buff)
@@ -174,7 +186,8 @@ class VehicleNode:
             believed = self._plausibility.look(states.names, states.visible, in_radians, stamp_s)
             self._separation.see(states.names, believed, states.states, now_s - max(age_s, 0.0))
             if self._separation.asks:
-                self._separation.tell({name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone})
+                own = {name for name, vehicle in self._by_name.items() if vehicle.pilot.holds_alone}
+                self._separation.tell(own | {name for name, s in tuple(self._held_until_s.items()) if now_s < s})
             looks = self._separation.look(now_s)
             rows = zip(states.names, states.visible.tolist(), believed.tolist(), states.states.tolist())
             for name, visible, is_believed, row in rows:
@@ -191,6 +204,11 @@ class VehicleNode:
                 states.names,
                 "does the estimator know the template, and is the vehicle's name right?",
             )
+
+    def _on_estimator(self, message):
+        for counted in message.markers:
+            if counted.name in self._by_name:
+                self._by_name[counted.name].on_markers(counted.used, counted.known)
 
     def _on_references(self, message):
         with self._looking:
@@ -300,6 +318,7 @@ class _Vehicle:
         self._told_s, self._told = -math.inf, VehicleStatus(name=self.name, battery_pct=math.nan)  # when last
         self._safety = self._publisher("safety", Safety, latch=True)
         self._node_status = self._publisher("node_status", VehicleNodeStatus)
+        self._refusals = self._publisher("takeoff_refusals", TakeoffRefusals, latch=True)
 
     def _publisher(self, topic, message, **options):
         return rospy.Publisher(self._prefix + topic, message, queue_size=10, tcp_nodelay=True, **options)
@@ -398,6 +417,12 @@ class _Vehicle:
             self.pilot.on_state(own, age_s, time.monotonic(), look)
 
     @_contained
+    def on_markers(self, used, known):
+        """The estimator's pose of it rests on so many markers, of those of its template."""
+        with self._lock:
+            self.pilot.on_markers(used, known)
+
+    @_contained
     def on_suspect(self, reason):
         """Its entry of /cortex_raw cannot be true."""
         with self._lock:
@@ -472,6 +497,10 @@ class _Vehicle:
             self._node.errands.put(partial(rospy.set_param, "/controller_status", orders.mode))
         if orders.simulator_reset is not None:
             self._node.errands.put(partial(rospy.set_param, "/RESET", orders.simulator_reset))
+        if orders.refusals is not None:
+            message = TakeoffRefusals(reasons=orders.refusals)
+            message.header.stamp = rospy.Time.now()
+            self._refusals.publish(message)
         for level, text in orders.log:
             _LOGS[level]("%s: %s" % (self.name, text))
         if orders.shut_down:
@@ -503,7 +532,7 @@ class _Vehicle:
             ("vehicle", self.name),
             ("computer", told.computer),
             ("mode", "autonomous" if autonomous else "manual"),
-            ("flight state (navdata)", "none yet" if flight_state is None else flight_state),
+            ("flight state", "none yet" if flight_state is None else flight_state),
             *((what + " (Hz)", "%.1f" % rate_hz) for what, rate_hz in rates.items()),
             ("age of the state (ms)", "%.0f" % (1e3 * ages_s[0])),
             ("age of the controls (ms)", "%.0f" % (1e3 * ages_s[1])),

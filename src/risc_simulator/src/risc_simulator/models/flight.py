@@ -135,5 +135,10 @@ class Firmware:
     def see_floor(self, sees):
         """Whether the floor below has a texture from now on, for a vehicle whose bottom camera needs one."""
 
+    def fly_by_hand(self, sticks, time_s):
+        """A pilot flies it by its own transmitter, of a vehicle that has one. sticks: roll, pitch, yaw as fractions of
+        full scale, + right, nose up, clockwise, and lift in weights; None: no more.
+        """
+
     def check_battery(self, time_s):
         """Called about once a second: an empty battery lands the vehicle."""

@@ -114,6 +114,7 @@ class IrisFirmware(Firmware):
         self.wake_s = self._time_s = time_s
         self._battery_said = None
         self._received_us, self._received_s = (), -math.inf
+        self._by_hand = False  # the trainer switch is off: what the board sends is not received
         self._overrides = {}  # channel -> (us, since when)
         self._override_s = -math.inf
         self._low_frames = 0
@@ -251,6 +252,8 @@ class IrisFirmware(Firmware):
 
     def apply(self, action, time_s, vertical_motion):
         if isinstance(action, RcFrame):
+            if self._by_hand:
+                return
             self._received_us, self._received_s = action.channels_us, time_s
             is_low = action.channels_us[THROTTLE] < self._lost_us
             self._low_frames = min(self._low_frames + 1, LOW_THROTTLE_FRAMES) if is_low else 0
@@ -304,6 +307,16 @@ class IrisFirmware(Firmware):
         self._low_frames = 0
         self._command(self.channels_us, None)
         self._record["rotor_thrust_n"] = self._balance_n
+
+    def fly_by_hand(self, sticks, time_s):
+        self._by_hand = sticks is not None
+        if self._by_hand:
+            *turns, lift = sticks
+            roll, pitch, yaw = (CENTRE_US + round(HALF_RANGE_US * stick) for stick in turns)
+            throttle = self.hover_throttle(self.battery_pct(time_s)) + lift - 1.0
+            throttle_us = CENTRE_US + round(HALF_RANGE_US * min(1.0, max(-1.0, throttle)))
+            self._received_us, self._received_s = (roll, pitch, throttle_us, yaw), time_s
+            self._low_frames = 0
 
     def power_cycle(self, time_s):
         """Parameters stay as they were set."""
