@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import pathlib
 
 import numpy as np
@@ -122,3 +123,16 @@ def test_the_command_line_tells_outcomes_and_fails_when_one_is_not_safe(capsys, 
     with pytest.raises(SystemExit):
         main([*call, "--fault", "fire"])
     assert "unknown name 'fire' among the faults; known are" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["ardrone", "iris"])
+def test_commands_that_do_not_arrive_while_telemetry_does(kind, monkeypatch):
+    """No ladder can see that. The vehicle's own watchdog lands it: an AR.Drone's after 2 s, an IRIS+'s radio."""
+    lost = "blackhole:channel=risc1/commands,duration_s=15@1"
+    flying = {"types": (kind,), "duration_s": 6.0}
+    result = with_faults(lost, **flying)
+    assert result.landed == (True,) and not result.breaches and not result.safety
+    # the control arm: no watchdog
+    monkeypatch.setattr("risc_simulator.vehicles.ardrone.offline.LOST_S", math.inf)
+    monkeypatch.setattr("risc_simulator.vehicles.iris.offline.FAILSAFE_S", math.inf)
+    assert with_faults(lost, **flying).breaches
