@@ -13,7 +13,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy, JoyFeedback, JoyFeedbackArray
 
-from risc_lab.ros.heard import publishers_heard
+from risc_lab.ros.testing import publishers_heard
 
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80
 TIMEOUT_S = 60.0
