@@ -31,6 +31,24 @@ def publishers_heard(subscriber):
     return callers - {_UNKNOWN}
 
 
+class Listener:
+    """Collects the messages of a topic."""
+
+    def __init__(self, topic, kind):
+        self.messages = []
+        self.subscriber = rospy.Subscriber(topic, kind, self.messages.append, queue_size=1000, tcp_nodelay=True)
+
+    def wait_for(self, fits, what, after=0):
+        """The first message after the first `after` ones that fits, once it has come."""
+        wait_for(lambda: any(map(fits, self.messages[after:])), what)
+        return next(filter(fits, self.messages[after:]))
+
+    def nth(self, number):
+        """Message `number`, 1 is the first, once it has come."""
+        wait_for(lambda: len(self.messages) >= number, "message %d of %s" % (number, self.subscriber.resolved_name))
+        return self.messages[number - 1]
+
+
 class NodeProcess:
     """A node, and our publishers and subscribers on its topics."""
 
