@@ -542,7 +542,7 @@ def test_after_a_flight_that_was_given_up_it_waits_until_all_are_ready():
     flight.finish()
     assert flight.operator.fly_again(flight.now_s) == ""
     flight.run(Phase.ABORTED)
-    assert "risc1 no navdata" in flight.operator.reason
+    assert "not ready" in flight.operator.reason and "risc1 no report" in flight.operator.reason
     flight.vehicles["risc1"].connected = True
     assert flight.operator.fly_again(flight.now_s) == ""
     flight.finish()

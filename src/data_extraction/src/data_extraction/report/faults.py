@@ -12,7 +12,7 @@ from data_extraction.report.topics import Collector, vehicle_of
 from risc_control.failsafe import FailsafeLevel, Rule
 from risc_lab.lab.arena import Arena
 from risc_lab.lab.fleet import laboratory_vehicles
-from risc_lab.phases import OperatorPhase, OutCause
+from risc_lab.phases import OperatorPhase, OperatorResult, OutCause
 
 LANDED_HEIGHT_M = 0.15  # a vehicle that stands is no higher
 _NEVER_S = math.inf
@@ -127,9 +127,14 @@ class FaultCollector(Collector):
         self._hurt_s = []  # when a vehicle touched something, or left the net
         self._outside = set()  # vehicles
         self._heights_m = {}
+        self._kept_apart = set()
+        self._begin_flight(-_NEVER_S)
+
+    def _begin_flight(self, time_s):
+        """The operator waits for take-off; what he has said before is of another flight."""
+        self._waited_s = time_s
         self._course_s, self._landing_s, self._over_s = None, _NEVER_S, _NEVER_S
         self._out = {}
-        self._kept_apart = set()
 
     def __call__(self, topic, receipt_s, message):
         if topic == "/virtual_lab/faults":
@@ -174,6 +179,10 @@ class FaultCollector(Collector):
 
     def _hear_operator(self, message):
         stamp_s = seconds(message.header.stamp)
+        if stamp_s < self._waited_s:
+            return  # kept for whoever listens since then: of the flight before
+        if message.phase == OperatorPhase.WAITING and message.result == OperatorResult.RUNNING:
+            self._begin_flight(stamp_s)
         if self._course_s is None and getattr(message, "on_course", False):
             self._course_s = stamp_s
         if message.phase >= OperatorPhase.LAND:

@@ -163,11 +163,9 @@ class VirtualLabNode:
         """Those that wait or act, and those that have ended since the last time."""
         injector, before = self._lab.injector, self._open_faults
         active, self._open_faults = ({record.id for record in records} for records in (injector.active, injector.open))
-        told = [
-            self._fault_record(record, record.id in active)
-            for record in injector.history
-            if record.id in before | self._open_faults or record.id > self._newest_fault
-        ]
+        new = range(self._newest_fault + 1, len(injector.history) + 1)  # the history of a weekend is long
+        numbers = sorted({*before, *self._open_faults, *new})
+        told = [self._fault_record(injector.history[number - 1], number in active) for number in numbers]
         self._newest_fault = len(injector.history)
         self._send(self._faults, Faults(_header(), told))
 
