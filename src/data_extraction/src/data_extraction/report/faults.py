@@ -1,6 +1,6 @@
 """What was made to go wrong in the virtual lab, and what became of it: outcome and reaction of every fault.
 
-What happens from the begin of a fault to the begin of the next one counts as its own.
+What happens from the start of a fault to the start of the next one counts as its own.
 """
 
 import math
@@ -33,7 +33,7 @@ class FaultOutcome:
     begin_s: float  # ROS time, like the others
     end_s: float | None  # None = it lasted until the end
     outcome: str  # completed, held, landed or breach
-    is_safe: bool  # its entry calls that outcome safe
+    is_safe: bool  # its entry calls that outcome safe, and no two vehicles touched
     # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before
     reactions_s: dict[str, float]
 
@@ -125,6 +125,7 @@ class FaultCollector(Collector):
         self._levels = {}  # (topic, vehicle) -> its level
         self._changes = {"/safety": [], "/commands_sent": []}  # what was said, what was sent
         self._hurt_s = []  # when a vehicle touched something, or left the net
+        self._contacts_s = []  # when two touched each other
         self._outside = set()  # vehicles
         self._heights_m = {}
         self._kept_apart = set()
@@ -151,6 +152,8 @@ class FaultCollector(Collector):
                 self._note_level(topic, vehicle, getattr(command, "level", 0), seconds(command.sent))
         elif topic == "/virtual_lab/crash":
             self._hurt_s.append(seconds(message.header.stamp))
+            if message.other:
+                self._contacts_s.append(seconds(message.header.stamp))
         elif topic.startswith("/operator/"):
             self._hear_operator(message)
         else:
@@ -213,7 +216,9 @@ class FaultCollector(Collector):
         landed = {change.vehicle for change in said if change.level >= FailsafeLevel.LAND}
         landed |= {vehicle for vehicle, out in self._out.items() if begin_s <= out.time_s < until_s}
         at_last = {change.vehicle: change.level for change in said}
-        is_hurt = any(begin_s <= hurt_s < until_s for hurt_s in self._hurt_s)
+        is_hurt, is_contact = (
+            any(begin_s <= time_s < until_s for time_s in times_s) for times_s in (self._hurt_s, self._contacts_s)
+        )
         if is_hurt or any(self._heights_m.get(vehicle, 0.0) > LANDED_HEIGHT_M for vehicle in landed):
             outcome = "breach"
         elif landed:
@@ -231,7 +236,7 @@ class FaultCollector(Collector):
             begin_s=begin_s,
             end_s=seconds(record.ends) or None,
             outcome=outcome,
-            is_safe=outcome in list(record.safe),
+            is_safe=outcome in list(record.safe) and not is_contact,
             reactions_s=reactions_s,
         )
 
