@@ -86,9 +86,18 @@ class FaultSettings(Settings):
         return self.severity[0] if self.default.severity is None else self.default.severity
 
     @property
+    def argument_field(self):
+        """The field of a FaultEvent that the argument is."""
+        return "severity" if self.argument == "severity" else "duration_s"
+
+    @property
     def argument_range(self):
         """Least and greatest value of the argument."""
-        return self.severity if self.argument == "severity" else self.duration_s
+        return getattr(self, self.argument_field)
+
+    @property
+    def argument_unit(self):
+        return self.unit if self.argument == "severity" else "s"
 
 
 @dataclass(frozen=True)
@@ -129,7 +138,7 @@ class FaultEvent(Settings):
         settings = self.settings
         numbers = {"severity": (self.severity, settings.default_severity),
                    "duration_s": (self.duration_s, settings.default.duration_s)}  # fmt: skip
-        value, _ = numbers.pop("severity" if settings.argument == "severity" else "duration_s")
+        value, _ = numbers.pop(settings.argument_field)
         items = ["%g" % value, self.vehicle]
         items += ["%s=%g" % (name, value) for name, (value, default) in numbers.items() if value != default]
         items += ["channel=" + self.channel] if self.channel else []
@@ -166,7 +175,6 @@ def parse_fault(text):
             raise ValueError("fault '%s': '%s' is there twice: write %s" % (text, key, _FORM))
         values[key] = value
 
-    argument = "severity" if settings.argument == "severity" else "duration_s"
     for item in filter(None, arguments.split(",")):
         key, equals, value = item.partition("=")
         if equals and key in ("severity", "duration_s"):
@@ -176,11 +184,11 @@ def parse_fault(text):
         elif equals:
             raise ValueError("fault '%s': no '%s'; there are severity, duration_s, vehicle, channel" % (text, key))
         elif item in settings.grades:
-            put(argument, settings.grades[item])
+            put(settings.argument_field, settings.grades[item])
         elif item == EVERYONE or re.fullmatch(r"[A-Za-z]\w*", item) and item not in ("inf", "nan"):
             put("vehicle", item)
         else:
-            put(argument, _number(text, item))
+            put(settings.argument_field, _number(text, item))
     if at:
         values["start_s"] = _number(text, start)
     try:
