@@ -141,6 +141,22 @@ def test_a_false_place_is_not_believed_before_the_vehicle_has_landed(lie):
     assert all(looks[looks.index(True) :]), "or nobody could fly it any more"
 
 
+@pytest.mark.parametrize(("step_m", "believed"), [(1.5, False), (0.2, True)])
+@pytest.mark.parametrize("kind", ["ardrone", "iris"])
+def test_a_false_place_that_jumps_is_no_nearer_to_the_truth(kind, step_m, believed):
+    """However long ago the vehicle was seen: one that is not flown on has not gone far."""
+    fleet = Fleet(kind=kind)
+    for away_m in (2.0 * step_m, step_m):
+
+        def lie(states, away_m=away_m):
+            states[0, S.Z] -= 0.1 * away_m
+            states[0, S.Y] += away_m
+
+        fleet.lie = lie
+        looks = [looked[0] for looked in fleet.run(3.0)]
+    assert any(looks) == believed
+
+
 @pytest.mark.parametrize("gap_s", [0.1, 0.3, 1.0, 100.0])
 def test_after_a_gap_the_first_state_is_believed(gap_s):
     fleet = Fleet()

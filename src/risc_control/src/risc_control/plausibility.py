@@ -49,6 +49,7 @@ _AGREEING = 4  # steps: 67 ms at 60 looks a second
 _SAME_TIME_S = 1e-6
 _SET_BACK_S = 0.2  # stamps that fall back by more are those of another clock
 _GROW_S = 0.05  # the limits around where the last good state leads grow for so long only
+_COMES_S = 0.5  # one that is not flown on comes no farther than by accelerating for so long: else all is in its reach
 _NEAR_OTHER = 0.35  # of their distance: so near to each other's place both are seen whose names were exchanged
 _TILT_MAX_RAD = 1.2
 _STATE = S.PSI + 1  # columns that are judged
@@ -186,7 +187,8 @@ def _note(vehicle, state, stamp_s, noise, give_up_s):
     since_s = stamp_s - vehicle.good_s
     if contradicts:
         vehicle.agreeing = 0
-        vehicle.began_well = not _contradicts(vehicle.reach, vehicle.good, state, since_s, since_s, noise)[0]
+        comes_s = min(since_s, _COMES_S)
+        vehicle.began_well = not _contradicts(vehicle.reach, vehicle.good, state, since_s, comes_s, noise)[0]
     else:
         vehicle.agreeing += 1
     reach_s = min(since_s, vehicle.unseen_s + _GROW_S)
