@@ -1,4 +1,5 @@
-"""What was made to go wrong in the virtual lab, and what became of it: outcome and reaction of every fault.
+"""What was made to go wrong in the virtual lab and with the programs of a flight, and what became of it: outcome and
+reaction of every fault.
 
 What happens from the begin of a fault to the begin of the next one counts as its own.
 """
@@ -16,6 +17,7 @@ from risc_lab.phases import OperatorPhase, OutCause
 
 LANDED_HEIGHT_M = 0.15  # a vehicle that stands is no higher
 _NEVER_S = math.inf
+FAULT_TOPICS = "/virtual_lab/faults", "/program_faults"
 
 
 def fault_text(name, args):
@@ -110,7 +112,7 @@ class FaultCollector(Collector):
     """Keeps faults, changes of failsafe levels, crashes; its memory grows with their number only."""
 
     topics = (
-        "/virtual_lab/faults", "/virtual_lab/crash", "/ground_truth", "/commands_sent", "/operator/phase",
+        *FAULT_TOPICS, "/virtual_lab/crash", "/ground_truth", "/commands_sent", "/operator/phase",
         "/operator/result",
     )  # fmt: skip
     ends = ("/safety",)
@@ -120,8 +122,8 @@ class FaultCollector(Collector):
         self._arena = fleet.arena if fleet else Arena()
         vehicles = fleet.vehicles if fleet else laboratory_vehicles()
         self._namespaces = {vehicle.template: vehicle.namespace for vehicle in vehicles}
-        self._faults = {}  # id -> its newest FaultRecord
-        self._began = {}  # id -> when it did
+        self._faults = {}  # (topic, id) -> its newest FaultRecord
+        self._began = {}  # (topic, id) -> when it did
         self._levels = {}  # (topic, vehicle) -> its level
         self._changes = {"/safety": [], "/commands_sent": []}  # what was said, what was sent
         self._hurt_s = []  # when a vehicle touched something, or left the net
@@ -132,11 +134,11 @@ class FaultCollector(Collector):
         self._kept_apart = set()
 
     def __call__(self, topic, receipt_s, message):
-        if topic == "/virtual_lab/faults":
+        if topic in FAULT_TOPICS:
             for record in message.faults:
-                self._faults[record.id] = record
+                self._faults[topic, record.id] = record
                 if record.active:
-                    self._began.setdefault(record.id, seconds(record.begins))
+                    self._began.setdefault((topic, record.id), seconds(record.begins))
         elif topic == "/ground_truth":
             if self._faults:
                 self._look(message)
@@ -186,10 +188,10 @@ class FaultCollector(Collector):
     def result(self, end_s):
         """Faults."""
         end_s = min(end_s, self._over_s)
-        begins_s = {number: begin_s for number, begin_s in self._began.items() if begin_s < end_s}
+        begins_s = {key: begin_s for key, begin_s in self._began.items() if begin_s < end_s}
         outcomes = [
-            self._judge(self._faults[number], begin_s, begins_s.values())
-            for number, begin_s in sorted(begins_s.items(), key=lambda item: item[1])
+            self._judge(self._faults[key], begin_s, begins_s.values())
+            for key, begin_s in sorted(begins_s.items(), key=lambda item: item[1])
         ]
         left_ok_s = {change.vehicle: change.time_s for change in self._changes["/safety"] if change.is_rise}
         waiting = len(self._faults) - len(outcomes)

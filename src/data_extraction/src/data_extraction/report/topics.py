@@ -23,6 +23,7 @@ TYPES = {
     "/cmd_vel_stamped": "TwistStamped",
     "/safety": "Safety",
     "/virtual_lab/faults": "Faults",
+    "/program_faults": "Faults",
     "/virtual_lab/crash": "Crash",
     "/vehicle_status": "VehicleStatus",
     "/joy": "Joy",

@@ -45,10 +45,12 @@ def make_lab(options):
 
 
 def fault_kinds():
-    """FaultKinds of all faults that are known here."""
+    """FaultKinds of all faults that can happen here."""
     kinds = []
     for name in REGISTRY.names():
         settings = fault_settings(name)
+        if settings.on_programs:
+            continue
         by_severity = settings.argument == "severity"
         kinds.append(
             FaultKind(
