@@ -155,7 +155,7 @@ class VehiclePilot:
         # why the controller is not obeyed: it or the vehicle has other full scales
         self.disagreement = before.disagreement if before is not None else ""
         # By sender: a person's joystick beside a virtual operator has buttons, sticks and a clock of its own.
-        self._joysticks = before._joysticks if before is not None else defaultdict(lambda: Joystick(params))
+        self._joysticks = before._joysticks if before is not None else defaultdict(lambda: Joystick(params, now_s))
         limits = params
         if 0.0 < params.navdata_timeout_s < self._adapter.SILENT_S:
             limits = replace(params, navdata_timeout_s=self._adapter.SILENT_S)

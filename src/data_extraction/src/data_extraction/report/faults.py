@@ -17,6 +17,7 @@ from risc_lab.phases import OperatorPhase, OutCause
 
 LANDED_HEIGHT_M = 0.15  # a vehicle that stands is no higher
 _NEVER_S = math.inf
+TOLD = "/virtual_lab/told"
 FAULT_TOPICS = "/virtual_lab/faults", "/program_faults"
 
 
@@ -36,7 +37,8 @@ class FaultOutcome:
     end_s: float | None  # None = it lasted until the end
     outcome: str  # completed, held, landed or breach
     is_safe: bool  # its entry calls that outcome safe
-    # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before
+    # namespace -> from its begin to the vehicle's first command on the wire of a higher failsafe level than before, or
+    # to the first by which it is told to hover or to land, e.g. by its driver
     reactions_s: dict[str, float]
 
     @property
@@ -99,6 +101,10 @@ class Faults:
         ]
 
 
+# of an order of risc_maap_msgs/Told: nothing, fly, hover, land
+_LEVELS = FailsafeLevel.OK, FailsafeLevel.OK, FailsafeLevel.HOLD, FailsafeLevel.LAND
+
+
 class _Change(NamedTuple):
     """A vehicle's failsafe level became another one."""
 
@@ -112,7 +118,7 @@ class FaultCollector(Collector):
     """Keeps faults, changes of failsafe levels, crashes; its memory grows with their number only."""
 
     topics = (
-        *FAULT_TOPICS, "/virtual_lab/crash", "/ground_truth", "/commands_sent", "/operator/phase",
+        *FAULT_TOPICS, "/virtual_lab/crash", TOLD, "/ground_truth", "/commands_sent", "/operator/phase",
         "/operator/result",
     )  # fmt: skip
     ends = ("/safety",)
@@ -125,7 +131,7 @@ class FaultCollector(Collector):
         self._faults = {}  # (topic, id) -> its newest FaultRecord
         self._began = {}  # (topic, id) -> when it did
         self._levels = {}  # (topic, vehicle) -> its level
-        self._changes = {"/safety": [], "/commands_sent": []}  # what was said, what was sent
+        self._changes = {"/safety": [], "/commands_sent": [], TOLD: []}  # what was said, what was sent, what came
         self._hurt_s = []  # when a vehicle touched something, or left the net
         self._outside = set()  # vehicles
         self._heights_m = {}
@@ -146,6 +152,8 @@ class FaultCollector(Collector):
             for command in message.commands:
                 vehicle = self._namespaces.get(command.name, command.name)
                 self._note_level(topic, vehicle, getattr(command, "level", 0), seconds(command.sent))
+        elif topic == TOLD:
+            self._note_level(topic, message.vehicle, _LEVELS[message.order], seconds(message.header.stamp))
         elif topic == "/virtual_lab/crash":
             self._hurt_s.append(seconds(message.header.stamp))
         elif topic.startswith("/operator/"):
@@ -214,7 +222,8 @@ class FaultCollector(Collector):
         else:
             outcome = "held" if any(at_last.values()) else "completed"
         reactions_s = {}
-        for change in self._changes["/commands_sent"]:
+        came = [change for change in self._changes[TOLD] if change.time_s < said_until_s]
+        for change in sorted(self._changes["/commands_sent"] + came):
             if change.is_rise and begin_s <= change.time_s < until_s:
                 reactions_s.setdefault(change.vehicle, change.time_s - begin_s)
         return FaultOutcome(

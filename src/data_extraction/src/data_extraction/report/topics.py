@@ -24,6 +24,7 @@ TYPES = {
     "/safety": "Safety",
     "/virtual_lab/faults": "Faults",
     "/program_faults": "Faults",
+    "/virtual_lab/told": "Told",
     "/virtual_lab/crash": "Crash",
     "/vehicle_status": "VehicleStatus",
     "/joy": "Joy",

@@ -109,7 +109,7 @@ class Launch:
         return self._process.poll() is None
 
     def stop(self, patience_s=30.0):
-        """End all nodes, first kindly, then the master. Returns the command names of processes that had to be killed."""
+        """End all nodes and the master, first kindly. Returns the command names of processes that had to be killed."""
         for process in (self._process, self._core):
             process.send_signal(signal.SIGINT)  # nothing happens to one that has ended
             try:
