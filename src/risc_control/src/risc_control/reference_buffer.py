@@ -91,8 +91,6 @@ class ReferenceBuffer:
             return False
         if self._samples and step is Step.ADVANCES and self._samples[-1][1].shape == sample.shape:
             last_s, last = self._samples[-1]
-            turned = sample[Order.POSITION, :, Axis.PSI] - last[Order.POSITION, :, Axis.PSI]
-            sample[Order.POSITION, :, Axis.PSI] -= 2.0 * np.pi * np.rint(turned / (2.0 * np.pi))
             if not _continues(stamp_s - last_s, last, sample):
                 self._samples.clear()
         else:
@@ -127,10 +125,11 @@ class ReferenceBuffer:
         if len(nodes) == 1:
             self._polynomial = newest / _FACTORIALS[: len(newest), None, None]
             return
-        since_s = np.array([stamp_s - newest_s for stamp_s, _ in nodes])
-        if len(since_s) != len(self._spacing_s) or abs(since_s - self._spacing_s).max() > _SAME_S:
+        since_s = [stamp_s - newest_s for stamp_s, _ in nodes]
+        same = (abs(since - known) <= _SAME_S for since, known in zip(since_s, self._spacing_s))
+        if len(since_s) != len(self._spacing_s) or not all(same):
             self._spacing_s = since_s
-            C = _conditions((since_s + 0.5 * spacing_s) / spacing_s, _DEGREES[len(nodes)] + 1)
+            C = _conditions((np.array(since_s) + 0.5 * spacing_s) / spacing_s, _DEGREES[len(nodes)] + 1)
             scales = spacing_s ** np.arange(_LEGACY_ORDERS)
             self._fit = np.linalg.solve(C.T @ C, C.T) * np.tile(scales, len(nodes))
         data = np.concatenate([sample.reshape(_LEGACY_ORDERS, -1) for _, sample in nodes])
@@ -167,11 +166,11 @@ def _conditions(times, size):
 
 @compiled
 def _continues(step_s, before, sample):
-    """True when a sample follows from the one before by a step of one smooth path."""
-    if step_s > _KEEP_S:
-        return False
+    """True when a sample follows from the one before by a step of one smooth path, its yaw in the same turn."""
     worst = 0.0
     for i in range(sample.shape[1]):
+        turned = sample[0, i, Axis.PSI] - before[0, i, Axis.PSI]
+        sample[0, i, Axis.PSI] -= 2.0 * np.pi * np.rint(turned / (2.0 * np.pi))
         for axis in range(sample.shape[2]):
             p_0, v_0, a_0 = before[0, i, axis], before[1, i, axis], before[2, i, axis]
             p_1, v_1, a_1 = sample[0, i, axis], sample[1, i, axis], sample[2, i, axis]
@@ -179,7 +178,7 @@ def _continues(step_s, before, sample):
             velocity_error = v_1 - v_0 - 0.5 * step_s * (a_1 + a_0)
             position_error = p_1 - p_0 - 0.5 * step_s * (v_1 + v_0) + step_s * step_s / 12.0 * (a_1 - a_0)
             worst = max(worst, abs(velocity_error), abs(position_error))
-    return worst < _TOLERANCE_1_S * step_s
+    return step_s <= _KEEP_S and worst < _TOLERANCE_1_S * step_s
 
 
 @compiled

@@ -27,7 +27,7 @@ from risc_control.vehicles import (
     greatest_command,
     state_text,
 )
-from risc_lab.command_history import ROWS, Channel, CommandHistory
+from risc_lab.command_history import Channel, CommandHistory
 from risc_lab.settings import NotNegative, Positive
 
 # members of enumerations are slow to look up, and these are asked for in every frame
@@ -299,8 +299,7 @@ class VehiclePilot:
 
     def _told_tilt(self, now_s):
         """(roll, pitch) [rad] that it was told of late, without their noise."""
-        sent, part = self._sent.vehicles[0], -math.expm1((self._tilts_s - now_s) / _TILTS_S)
-        newest = sent.commands[sent.newest % ROWS].tolist()
+        newest, part = self._sent.newest(0), -math.expm1((self._tilts_s - now_s) / _TILTS_S)
         told = [old + part * (newest[channel] - old) for old, channel in zip(self._tilts, (Channel.PHI, Channel.THETA))]
         self._tilts, self._tilts_s = told, now_s
         return told

@@ -15,10 +15,10 @@ import sys
 import time
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from cortex_ros.wire import FrameEncoder
 from data_extraction.progress import Progress, bar
@@ -213,7 +213,7 @@ def fly(flight):
         if not 0.0 <= event.start_s < SETTLE_S + flight.duration_s:
             text = "fault %s starts when the flight is over: it lasts %g s from when the course is reached"
             raise ValueError(text % (event, SETTLE_S + flight.duration_s))
-    records, unseen, seen_before = [], [], None  # records: of Flight.faults
+    records, unseen, seen_before = [], [], [False] * len(names)  # records: of Flight.faults
 
     everyone, nobody = np.ones(len(names), dtype=bool), np.zeros(len(names), dtype=bool)
     judged, times, references, truths = [], [], [], []
@@ -227,16 +227,17 @@ def fly(flight):
         on_board.send(time_s)
         mocap.send(cameras.observe(time_s, world.layout, world.markers_m()), now_s)
         hears = False
-        for seen in mocap.arrived:
-            update = estimator.update(seen.time_s, seen.layout, seen.markers_m)
+        for frame_seen in mocap.arrived:
+            update = estimator.update(frame_seen.time_s, frame_seen.layout, frame_seen.markers_m)
             if update is not None:
-                estimate, stamp_s, hears = update, seen.time_s, True
+                estimate, stamp_s, hears = update, frame_seen.time_s, True
         mocap.arrived.clear()
         states = States(estimate.visible[: len(names)], estimate.states[: len(names)])  # attached bodies come after
         if hears:
-            if seen_before is not None and (seen_before & ~states.visible).any():
-                unseen += [(now_s, int(i)) for i in np.flatnonzero(seen_before & ~states.visible)]
-            seen_before = states.visible.copy()
+            seen = states.visible.tolist()
+            if seen != seen_before:
+                unseen += [(now_s, i) for i, was_seen in enumerate(seen_before) if was_seen and not seen[i]]
+                seen_before = seen
         else:
             states = states._replace(visible=nobody.copy())
         if loss is not None and time_s >= settled_s + loss.after_s:
@@ -300,12 +301,12 @@ def fly(flight):
     if not judged.any():  # all have landed before
         errors = np.full((1, len(names)), math.nan)
     breaches, contacts = _breaches(world, chains), _contacts(world)
-    between = [pdist(positions_m).min() for positions_m in truths] if len(names) > 1 else []
+    between = [truths[:, i] - truths[:, j] for i, j in combinations(range(len(names)), 2)]
     return Result(
         names=tuple(names),
         rmse_m=np.sqrt((errors**2).mean(axis=0)),
         max_m=errors.max(axis=0),
-        closest_m=float(min(between, default=math.inf)),
+        closest_m=min((float(np.linalg.norm(way_m, axis=1).min()) for way_m in between), default=math.inf),
         saturated=saturated / (len(names) * (frame + 1)),
         flown_s=time_s,
         safety=tuple(

@@ -138,7 +138,9 @@ class Wire:
         return True
 
     def _count(self, **counts):
-        self.counts.update(sent=1, **counts)
+        self.counts["sent"] += 1
+        for name, count in counts.items():
+            self.counts[name] += count
 
 
 class Stream(Wire):

@@ -31,6 +31,7 @@ GUST_STD_M_S = (0.4, 0.4, 0.2)  # north, east, up: people, doors, the other vehi
 
 # What each random stream of a vehicle is for; the numbers are part of what a seed means.
 _PLANT_STREAM, _FIRMWARE_STREAM, _GUST_STREAM = range(3)
+_STILL = np.empty((0, 3))  # innovations of a wind that does not change by itself
 
 
 class Vehicle:
@@ -274,9 +275,11 @@ class World:
                 self._meet_each_other()
 
     def _blow(self, gusts):
-        """Innovations of the wind, (n, 3), that keep its mean; (0, 3) where it does not change by itself."""
-        gusts = np.reshape(gusts, (-1, 3))
-        if self._wind_m_s is not None and len(gusts):
+        """Innovations of the wind, (n, 3), that keep its mean; `_STILL` without gusts."""
+        if not gusts:
+            return _STILL
+        gusts = np.array(gusts)
+        if self._wind_m_s is not None:
             gusts += (1.0 - math.exp(-self.step_s / GUST_TIME_CONSTANT_S)) * self._wind_m_s
         return gusts
 
@@ -306,7 +309,7 @@ class World:
 
     def _load_compiled(self):
         """Call once what is compiled: nothing is loaded in flight. Nobody moves: all stand."""
-        self._advance(np.empty((0, 3)))
+        self._advance(_STILL)
         self.truth()
         self.markers_m()
         closest(self._x, self._lifted, self._radius_m)

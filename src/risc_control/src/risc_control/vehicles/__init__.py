@@ -240,10 +240,11 @@ class ControlsConverter:
     def __init__(self, vehicle_types):
         """vehicle_types: of each vehicle."""
         self._types = tuple(vehicle_types)
+        self._adapters = [adapter_class(vehicle_type) for vehicle_type in self._types]
         self._charges = [Charge() for _ in self._types]
         self._conversions = np.zeros(len(self._types), _CONVERSION)
         for i, vehicle_type in enumerate(self._types):
-            conversion, adapter = self._conversions[i], adapter_class(vehicle_type)
+            conversion, adapter = self._conversions[i], self._adapters[i]
             conversion.most = greatest_command(vehicle_type)
             conversion.unit = adapter.units(vehicle_type)
             conversion.hover_n = vehicle_type.mass_kg * GRAVITY_M_S2
@@ -255,11 +256,10 @@ class ControlsConverter:
 
     def tell_battery(self, i, battery_pct, now_s):
         """The charge [%] that vehicle i has told; NaN: it has told none."""
-        charge, vehicle_type = self._charges[i], self._types[i]
         if math.isfinite(battery_pct):
+            charge = self._charges[i]
             charge.note(battery_pct, now_s)
-            zero_thrust = adapter_class(vehicle_type).zero_thrust(vehicle_type, charge.pct)
-            self._conversions[i].zero_thrust = zero_thrust
+            self._conversions["zero_thrust"][i] = self._adapters[i].zero_thrust(self._types[i], charge.pct)
 
     def __call__(self, command, known, saturated):
         """(`Controls` of arrays (n,), (n,) bool: a limit of the vehicle cut its command, or `saturated` said so).
