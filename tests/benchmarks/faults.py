@@ -96,7 +96,7 @@ def limit_ms():
 
 
 def main():
-    """Command line. Returns 1 when an outcome was not safe, or states or commands had stopped too long before a hold."""
+    """Command line. Returns 1 when an outcome was not safe, or vehicles held too late when states or commands stop."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=pathlib.Path, help="write the rows here, after each one")
     parser.add_argument("--out", type=pathlib.Path, help="folder for the flights (default: flights/faults_DATE)")
