@@ -424,8 +424,9 @@ class DroneLink:
 
     def _land_if_forgotten(self, now_s):
         """Who steered it has ended or hangs, and nobody brings it down."""
-        silent_s = min(now_s - self._wanted_s, now_s - self._steered_since_s)
-        if self._start and 0.0 < self._land_timeout_s < silent_s < float("inf"):
+        silent_s = now_s - max(self._wanted_s, self._steered_since_s)
+        was_steered = self._wanted_s > float("-inf")
+        if self._start and was_steered and 0.0 < self._land_timeout_s < silent_s:
             self._start = False
             self._report("warn", "no cmd_vel for %.1f s: landing" % silent_s)
 
